@@ -1,0 +1,46 @@
+"""Grey-box models of lifting and lowering hydraulics, identified from bench logs.
+
+campaign = hitchid.read("logs")
+found = hitchid.identify(campaign)
+found.save("model")
+print(hitchid.validate(hitchid.load("model"), campaign).markdown())
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from hitchid.errors import HitchError as HitchError
+
+if TYPE_CHECKING:
+    from hitchid.campaign import Campaign as Campaign
+    from hitchid.identification import Settings as Settings
+    from hitchid.identification import identify as identify
+    from hitchid.model import Hitch as Hitch
+    from hitchid.model import load as load
+    from hitchid.readers import read as read
+    from hitchid.record import Record as Record
+    from hitchid.validation import validate as validate
+
+_HOME = {
+    "Campaign": "hitchid.campaign",
+    "Hitch": "hitchid.model",
+    "Record": "hitchid.record",
+    "Settings": "hitchid.identification",
+    "identify": "hitchid.identification",
+    "load": "hitchid.model",
+    "read": "hitchid.readers",
+    "validate": "hitchid.validation",
+}
+
+__all__ = ["Campaign", "Hitch", "HitchError", "Record", "Settings", "identify", "load", "read", "validate"]
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name where it is first used, so that `import hitchid` stays light."""
+    if name not in _HOME:
+        raise AttributeError(f"module 'hitchid' has no attribute '{name}'")
+    return getattr(import_module(_HOME[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

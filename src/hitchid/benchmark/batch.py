@@ -1,0 +1,124 @@
+"""Tests of unequal length side by side, padded and masked."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from hitchid.modes import effective_command
+from hitchid.record import Record
+
+BUCKET = 256
+REST_SAMPLES = 50
+STOP_FRACTION = 0.01
+
+
+class Batch(eqx.Module):
+    """Single-direction tests of one mode, padded to one length.
+
+    Attributes:
+        command: effective command, shape [T, N].
+        displacement: measured displacement, shape [T, N].
+        valid: which samples exist, shape [T, N].
+        counted: which samples errors are taken over (those before an end stop is met), shape [T, N].
+        initial: displacement before motion, shape [T].
+        step_s: sampling time, s.
+        direction: +1 where the displacement grows with the command, −1 where it falls.
+    """
+
+    command: Float[Array, "t n"]
+    displacement: Float[Array, "t n"]
+    valid: Bool[Array, "t n"]
+    counted: Bool[Array, "t n"]
+    initial: Float[Array, " t"]
+    step_s: float = eqx.field(static=True)
+    direction: int = eqx.field(static=True)
+
+    @classmethod
+    def of(
+        cls,
+        records: Sequence[Record],
+        mode: str,
+        *,
+        dead_zone: float,
+        direction: int,
+        end_stop: float | None = None,
+        initial: Sequence[float] | None = None,
+    ) -> "Batch":
+        """Lay records side by side, padded to a multiple of 256 samples so that like shapes compile once.
+
+        Args:
+            records: tests of one clock.
+            mode: whose command counts.
+            dead_zone: dead zone of that command, in its unit.
+            direction: +1 where the displacement grows with the command, −1 where it falls.
+            end_stop: displacement at which the piston meets its end stop, None where it never did.
+            initial: displacement before motion; by default found by `initial_displacement`.
+        """
+        commands = [effective_command(record.command(mode), dead_zone) for record in records]
+        displacements = [record.displacement for record in records]
+        if initial is None:
+            initial = [initial_displacement(x, u) for x, u in zip(displacements, commands, strict=True)]
+        counted = [before_end_stop(x, direction, end_stop) for x in displacements]
+        width = -(-max(map(len, records)) // BUCKET) * BUCKET
+
+        def stack(rows: Sequence[np.ndarray], dtype: type) -> Array:
+            padded = np.zeros((len(rows), width), dtype=dtype)
+            for row, samples in zip(padded, rows, strict=True):
+                row[: len(samples)] = samples
+            return jnp.asarray(padded)
+
+        return cls(
+            command=stack(commands, np.float64),
+            displacement=stack(displacements, np.float64),
+            valid=stack([np.ones(len(record), dtype=bool) for record in records], np.bool_),
+            counted=stack(counted, np.bool_),
+            initial=jnp.asarray(np.asarray(initial, dtype=np.float64)),
+            step_s=records[0].step_s,
+            direction=direction,
+        )
+
+    @property
+    def travel(self) -> Float[Array, "t n"]:
+        """Displacement away from the start, positive the way the command drives, shape [T, N]."""
+        return self.direction * (self.displacement - self.initial[:, None])
+
+    def displaced(self, travel: Float[Array, "t n"]) -> Float[Array, "t n"]:
+        """Return the displacement that belongs to a travel; the inverse of `travel`."""
+        return self.initial[:, None] + self.direction * travel
+
+    def counting(self, counted: Bool[Array, "t n"]) -> "Batch":
+        """Return the tests with errors taken over fewer samples."""
+        return eqx.tree_at(lambda batch: batch.counted, self, self.counted & counted)
+
+    def take(self, indices: Sequence[int]) -> "Batch":
+        """Return some of the tests."""
+        rows = np.asarray(indices, dtype=np.int64)
+        return jax.tree.map(lambda array: array[rows], self)
+
+
+def initial_displacement(displacement: np.ndarray, effective: np.ndarray) -> float:
+    """Return the mean of the first samples before motion: up to the first effective command, at most 50.
+
+    The sample at which a command first becomes effective still shows the piston at rest.
+
+    Args:
+        displacement: measured displacement, shape [N].
+        effective: effective command, shape [N].
+    """
+    moving = np.flatnonzero(effective)
+    at_rest = int(moving[0]) + 1 if moving.size else displacement.size
+    return float(np.mean(displacement[: min(at_rest, REST_SAMPLES)]))
+
+
+def before_end_stop(displacement: np.ndarray, direction: int, end_stop: float | None) -> np.ndarray:
+    """Tell which samples come before the piston is within 1 % of its way to the end stop, shape [N]."""
+    counted = np.ones(displacement.size, dtype=bool)
+    if end_stop is not None:
+        left = direction * (end_stop - displacement)
+        at_stop = np.flatnonzero(left <= STOP_FRACTION * left[0]) if left[0] > 0 else np.array([0])
+        counted[at_stop[0] if at_stop.size else displacement.size :] = False
+    return counted

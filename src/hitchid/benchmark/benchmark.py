@@ -1,0 +1,135 @@
+"""A structure with values for its parameters: simulation and hand-over to other libraries."""
+
+from typing import TYPE_CHECKING
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy import signal
+
+from hitchid.benchmark.discretise import discretise
+from hitchid.benchmark.structure import DEAD_TIME, Parameter, Structure
+from hitchid.errors import InputError
+
+if TYPE_CHECKING:
+    import control
+
+
+class Benchmark(eqx.Module):
+    """A linear benchmark model of one direction.
+
+    Attributes:
+        structure: its form.
+        values: its parameters, shape [p], in the order of `structure.parameters`.
+        dead_time_s: dead time, s, shape [].
+    """
+
+    structure: Structure
+    values: Float[Array, " p"]
+    dead_time_s: Float[Array, ""]
+
+    @classmethod
+    def of(cls, structure: Structure, values: Float[Array, " q"], *, dead_time: bool) -> "Benchmark":
+        """Build a benchmark from searched values: the structure's parameters, then any dead time."""
+        count = len(structure.parameters)
+        zero = jnp.zeros((), values.dtype)
+        return cls(structure, values[:count], values[count] if dead_time else zero)
+
+    def response(self, command: Float[Array, "t n"], step_s: float) -> Float[Array, "t n"]:
+        """Simulate from rest: y[0] = 0, then y of the command held between samples.
+
+        Before its first sample a test's command is taken as zero.
+
+        Args:
+            command: effective command, shape [T, N].
+            step_s: sampling time, s.
+
+        Returns:
+            Displacement away from the start, shape [T, N], in the unit of gain × command × s.
+        """
+        model = discretise(self.structure, self.values, self.dead_time_s, step_s)
+
+        def delayed(samples: Array) -> Float[Array, "t n"]:
+            index = jnp.arange(command.shape[1]) - samples
+            return jnp.where(index >= 0, command[:, jnp.maximum(index, 0)], 0.0)
+
+        driven = (
+            delayed(model.whole)[..., None] * model.now + delayed(model.whole + 1)[..., None] * model.before
+        )
+
+        def advance(state: Array, drive: Array) -> tuple[Array, Array]:
+            return state @ model.transition.T + drive, state[:, 0]
+
+        rest = jnp.zeros((command.shape[0], model.now.shape[0]), command.dtype)
+        _, output = jax.lax.scan(advance, rest, jnp.moveaxis(driven, 1, 0), unroll=4)
+        return output.T
+
+    def named_values(self) -> dict[str, float]:
+        """Return parameter name to value, with `dead_time` where there is one."""
+        named = {p.name: float(v) for p, v in zip(self.structure.parameters, self.values, strict=True)}
+        return {**named, DEAD_TIME.name: float(self.dead_time_s)} if float(self.dead_time_s) else named
+
+    def to_scipy(self, step_s: float | None = None) -> signal.TransferFunction:
+        """Return the transfer function as `scipy.signal` has it.
+
+        Args:
+            step_s: sampling time, s; None gives the continuous G(s), a number the exact
+                zero-order-hold G(z) with any dead time in it.
+
+        Raises:
+            InputError: a continuous transfer function is asked for but there is a dead time, which has none.
+        """
+        numerator, denominator = self._transfer_function(step_s)
+        if step_s is None:
+            return signal.TransferFunction(numerator, denominator)
+        return signal.TransferFunction(numerator, denominator, dt=step_s)
+
+    def to_control(self, step_s: float | None = None) -> "control.TransferFunction":
+        """Return the transfer function as python-control has it; see `to_scipy`.
+
+        Raises:
+            InputError: as `to_scipy`, or python-control is not installed.
+        """
+        try:
+            import control
+        except ImportError as error:
+            raise InputError(
+                "python-control is not installed; required: pip install 'hitchid[control]'"
+            ) from error
+        numerator, denominator = self._transfer_function(step_s)
+        if step_s is None:
+            return control.TransferFunction(numerator, denominator)
+        return control.TransferFunction(numerator, denominator, step_s)
+
+    def _transfer_function(self, step_s: float | None) -> tuple[np.ndarray, np.ndarray]:
+        if step_s is None:
+            if float(self.dead_time_s):
+                raise InputError(
+                    f"a dead time of {float(self.dead_time_s):.4g} s has no rational G(s); required a "
+                    "sampling time, for the exact G(z)"
+                )
+            numerator, denominator = self.structure.transfer_function(tuple(map(float, self.values)))
+            return np.asarray(numerator), np.asarray(denominator)
+        model = discretise(self.structure, self.values, self.dead_time_s, step_s)
+        n = model.now.shape[0]
+        transition, pick = np.asarray(model.transition), np.eye(1, n)
+        parts = [
+            signal.ss2tf(transition, np.asarray(gamma)[:, None], pick, np.zeros((1, 1)))
+            for gamma in (model.now, model.before)
+        ]
+        # z⁻ᵐ (N₀ + z⁻¹ N₁)/D as one fraction of polynomials: multiply both by z^(m+1).
+        (now,), denominator = parts[0]
+        (before,) = parts[1][0]
+        numerator = np.polyadd(np.append(now, 0.0), before)
+        shift = np.zeros(int(model.whole) + 2)
+        shift[0] = 1.0
+        if not float(self.dead_time_s):
+            return now, np.asarray(denominator)
+        return np.trim_zeros(numerator, "f"), np.polymul(denominator, shift)
+
+
+def searched_parameters(structure: Structure, *, dead_time: bool) -> tuple[Parameter, ...]:
+    """Return the parameters a search is over, in their order."""
+    return (*structure.parameters, DEAD_TIME) if dead_time else structure.parameters

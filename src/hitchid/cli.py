@@ -1,0 +1,167 @@
+"""The command line: parse, call, show."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hitchid.errors import HitchError, InputError
+
+app = typer.Typer(
+    name="hitchid",
+    help="Grey-box models of lifting and lowering hydraulics, identified from bench logs.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+Logs = Annotated[list[Path], typer.Argument(help="Log files or folders of logs.", show_default=False)]
+Signals = Annotated[
+    Path | None,
+    typer.Option("--signals", help="Signal map in the form of campaign.toml; each folder's own by default."),
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON instead of tables.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace an older result.")]
+
+
+@app.command(epilog="Example: hitchid inspect logs/")
+def inspect(logs: Logs, signals: Signals = None, as_json: AsJson = False) -> None:
+    """Show what logs hold: signals, units, sampling, kinds of test, faults. Changes nothing."""
+    from hitchid import display
+    from hitchid.inspection import inspect as look
+
+    found = look(logs, signals=signals)
+    if as_json:
+        typer.echo(json.dumps(found.describe(), indent=1))
+    else:
+        display.show_inspection(found)
+    if found.faults:
+        raise typer.Exit(2)
+
+
+@app.command(epilog="Example: hitchid identify logs/ --out model")
+def identify(
+    logs: Logs,
+    out: Annotated[Path, typer.Option("--out", help="Model folder to write.")],
+    config: Annotated[
+        Path | None, typer.Option("--config", help="Settings in TOML: structures, search, training.")
+    ] = None,
+    signals: Signals = None,
+    seed: Annotated[int | None, typer.Option("--seed", min=0, help="Seed of every random draw [0].")] = None,
+    force: Force = False,
+    as_json: AsJson = False,
+) -> None:
+    """Identify a model from logs: dead zones, benchmarks, compensators."""
+    from dataclasses import replace
+
+    from hitchid import display
+    from hitchid.storage import check_folder
+
+    check_folder(out, mark="model.json", force=force)
+    _prepare_jax()
+    from hitchid.identification import Settings, read_settings
+    from hitchid.identification import identify as run
+    from hitchid.readers import read
+
+    settings = read_settings(config) if config is not None else Settings()
+    if seed is not None:
+        settings = replace(settings, seed=seed)
+    campaign = read(logs, signals=signals)
+    with display.progress() as report:
+        found = run(campaign, settings, progress=report)
+    found.save(out, force=force)
+    if as_json:
+        typer.echo(json.dumps(found.describe(), indent=1))
+    else:
+        display.show_identification(found)
+
+
+@app.command(epilog="Example: hitchid validate model logs/ --out results")
+def validate(
+    model: Annotated[Path, typer.Argument(help="Model folder.", show_default=False)],
+    logs: Logs,
+    out: Annotated[Path, typer.Option("--out", help="Folder to write metrics.json and tables.md to.")],
+    signals: Signals = None,
+    force: Force = False,
+    as_json: AsJson = False,
+) -> None:
+    """Compare a model with tests its identification has not used."""
+    from hitchid import display
+    from hitchid.storage import check_folder
+
+    check_folder(out, mark="metrics.json", force=force)
+    _prepare_jax()
+    from hitchid.model import load
+    from hitchid.readers import read
+    from hitchid.validation import validate as run
+
+    hitch = load(model)
+    campaign = read(logs, signals=signals)
+    with display.progress() as report:
+        result = run(hitch, campaign, progress=report)
+    result.write(out, force=force)
+    if as_json:
+        typer.echo(json.dumps(result.metrics, indent=1))
+    else:
+        display.show_validation(result)
+
+
+@app.command(epilog="Example: hitchid simulate model test.csv --out simulated.csv")
+def simulate(
+    model: Annotated[Path, typer.Argument(help="Model folder.", show_default=False)],
+    log: Annotated[Path, typer.Argument(help="One log.", show_default=False)],
+    out: Annotated[Path, typer.Option("--out", help="CSV file to write: the log and the prediction.")],
+    horizon: Annotated[
+        str,
+        typer.Option("--horizon", help="'free' for commands alone, or a number of samples to look ahead."),
+    ] = "free",
+    signals: Signals = None,
+    force: Force = False,
+) -> None:
+    """Write the predicted displacement beside a log's columns."""
+    from hitchid.storage import check_file
+
+    check_file(out, force=force)
+    steps = _horizon(horizon)
+    _prepare_jax()
+    from hitchid.model import load
+    from hitchid.simulation import simulate_log
+
+    simulate_log(load(model), log, out, horizon=steps, signals=signals, force=force)
+
+
+def _horizon(text: str) -> int | None:
+    if text == "free":
+        return None
+    if text.isdecimal() and int(text) > 0:
+        return int(text)
+    raise InputError(f"--horizon: required 'free' or a whole number of samples above 0, came '{text}'")
+
+
+def _prepare_jax() -> None:
+    """Keep compiled programs in the user's cache, so that the second run starts faster."""
+    import os
+
+    import jax
+
+    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    jax.config.update("jax_compilation_cache_dir", str(home / "hitchid" / "compiled"))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+
+
+def main() -> None:
+    """Run the command line; exit 0 for success, 2 for wrong use or bad input, 1 for a run that failed."""
+    try:
+        app()
+    except InputError as error:
+        sys.stderr.write(f"hitchid: {error}\n")
+        sys.exit(2)
+    except HitchError as error:
+        sys.stderr.write(f"hitchid: {error}\n")
+        sys.exit(1)
+    except KeyboardInterrupt:
+        sys.stderr.write("hitchid: interrupted; nothing was written\n")
+        sys.exit(130)

@@ -1,0 +1,220 @@
+"""The compensator: an LSTM over a window of features that predicts the benchmark's error.
+
+Sun et al. 2025, sec. 2.2.3. The paper leaves open how the network is built; here it predicts the step the
+error takes from its last known value, so that an untrained network is exactly persistence.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Float32
+
+from hitchid.lstm import SINGLE, Hidden, Lstm
+
+FEATURES = (
+    "time",
+    "command",
+    "command_change",
+    "benchmark",
+    "benchmark_change",
+    "displacement",
+    "speed",
+    "error_before",
+    "error_change",
+    "error_sum",
+)
+
+
+class Sample(NamedTuple):
+    """What is known at one instant, each of any one shape [...].
+
+    Attributes:
+        time_s: time since the start of the test, s.
+        command: effective command.
+        benchmark: displacement the benchmark gives, y_tf.
+        displacement: measured displacement, or the model's own where none is measured.
+    """
+
+    time_s: Float[Array, "*b"]
+    command: Float[Array, "*b"]
+    benchmark: Float[Array, "*b"]
+    displacement: Float[Array, "*b"]
+
+
+class Memory(eqx.Module):
+    """What the features need of the past, each of shape [...].
+
+    Attributes:
+        last: the previous sample.
+        error: e(i−1); error_before: e(i−2); error_sum: Ts Σ e up to i−1.
+    """
+
+    last: Sample
+    error: Float[Array, "*b"]
+    error_before: Float[Array, "*b"]
+    error_sum: Float[Array, "*b"]
+
+    @classmethod
+    def at_rest(cls, first: Sample) -> "Memory":
+        """Return the memory before the first sample of a test: nothing has moved, no error was made."""
+        none = jnp.zeros_like(first.displacement)
+        return cls(first, none, none, none)
+
+
+def observe(memory: Memory, sample: Sample, step_s: float) -> tuple[Memory, Float[Array, "*b 10"]]:
+    """Take in one sample and return the ten features of Sun et al. 2025, sec. 2.2.3, at it.
+
+    x(i) = t, u, Δu, y_tf, Δy_tf, y, Δy/Ts, e(i−1), e(i−1) − e(i−2), Ts Σ e up to i, with e = y − y_tf.
+    """
+    error = sample.displacement - sample.benchmark
+    total = memory.error_sum + step_s * error
+    features = jnp.stack(
+        [
+            sample.time_s,
+            sample.command,
+            sample.command - memory.last.command,
+            sample.benchmark,
+            sample.benchmark - memory.last.benchmark,
+            sample.displacement,
+            (sample.displacement - memory.last.displacement) / step_s,
+            memory.error,
+            memory.error - memory.error_before,
+            total,
+        ],
+        axis=-1,
+    )
+    return Memory(sample, error, memory.error, total), features
+
+
+class Compensator(eqx.Module):
+    """LSTM compensator with its scaling inside.
+
+    ê(k) = e(k−1) + σ · (w · h(k) + b), where h(k) is the output of an LSTM that has read the scaled features
+    x(k−L) … x(k−1) of Sun et al. 2025, sec. 2.2.3.
+
+    Attributes:
+        network: LSTM and output layer.
+        centre, spread: scaling of the features, fitted on training tests, shape [10].
+        error_step: σ, the spread of e(k) − e(k−1) over the training tests, shape [].
+        window: L, the features read before a prediction.
+    """
+
+    network: Lstm
+    centre: Float[Array, " 10"]
+    spread: Float[Array, " 10"]
+    error_step: Float[Array, ""]
+    window: int = eqx.field(static=True)
+
+    def scale(self, features: Float[Array, "*b 10"]) -> Float32[Array, "*b 10"]:
+        """Return features in units of their spread over the training tests."""
+        return ((features - self.centre) / self.spread).astype(SINGLE)
+
+    def read(self, hidden: Hidden, features: Float[Array, "b 10"]) -> Hidden:
+        """Let the LSTM read one feature vector for each of b sequences."""
+        return self.network.read(hidden, self.scale(features))
+
+    def next_error(self, hidden: Hidden, error: Float[Array, " b"]) -> Float[Array, " b"]:
+        """Return ê(k) from the LSTM's state and e(k−1), in the displacement's unit."""
+        return error + self.error_step * self.network.output(hidden).astype(error.dtype)
+
+
+def measured_features(samples: Sample, step_s: float) -> tuple[Memory, Float[Array, "n *t 10"]]:
+    """Return memory and features at every sample of measured tests.
+
+    Args:
+        samples: arrays of shape [N] or [N, T].
+        step_s: sampling time, s.
+
+    Returns:
+        The memory after each sample, in arrays of that shape, and the features, shape [N, …, 10].
+    """
+
+    def advance(memory: Memory, sample: Sample) -> tuple[Memory, tuple[Memory, Array]]:
+        memory, features = observe(memory, sample, step_s)
+        return memory, (memory, features)
+
+    first = jax.tree.map(lambda array: array[0], samples)
+    _, stacked = jax.lax.scan(advance, Memory.at_rest(first), samples)
+    return stacked
+
+
+def free_run(
+    compensator: Compensator, time_s: Array, command: Array, benchmark: Array, step_s: float
+) -> Float[Array, "n t"]:
+    """Return the errors ê the compensator gives when it hears only itself: y = y_tf + ê, ê(0) = 0.
+
+    Args:
+        compensator: a trained compensator.
+        time_s, command, benchmark: time since start, effective command, benchmark output, shape [N, T].
+        step_s: sampling time, s.
+    """
+    known = Sample(time_s, command, benchmark, benchmark)
+    first = jax.tree.map(lambda array: array[0], known)
+    start = (Memory.at_rest(first), compensator.network.blank(command.shape[1:]), jnp.zeros_like(command[0]))
+
+    def advance(carry: tuple[Memory, Hidden, Array], sample: Sample) -> tuple[tuple, Array]:
+        memory, hidden, error = carry
+        own = sample._replace(displacement=sample.benchmark + error)
+        memory, features = observe(memory, own, step_s)
+        hidden = compensator.read(hidden, features)
+        return (memory, hidden, compensator.next_error(hidden, error)), error
+
+    _, errors = jax.lax.scan(advance, start, known)
+    return errors
+
+
+def warmed_up(compensator: Compensator, features: Float[Array, "n 10"], valid: Bool[Array, " n"]) -> Hidden:
+    """Return the LSTM's state at every sample of a test after reading the window that ends there.
+
+    Near the start the window is as long as the test so far; samples that do not exist are not read.
+
+    Args:
+        compensator: supplies network, scaling and window L.
+        features: features of one test, shape [N, 10].
+        valid: which samples exist, shape [N].
+    """
+    count = features.shape[0]
+
+    def advance(hidden: Hidden, back: Array) -> tuple[Hidden, None]:
+        index = jnp.arange(count) - back
+        exists = (index >= 0) & valid[jnp.maximum(index, 0)]
+        read = compensator.read(hidden, features[jnp.maximum(index, 0)])
+        return jax.tree.map(lambda new, old: jnp.where(exists[:, None], new, old), read, hidden), None
+
+    hidden, _ = jax.lax.scan(
+        advance, compensator.network.blank((count,)), jnp.arange(compensator.window - 1, -1, -1)
+    )
+    return hidden
+
+
+def rolled_out(
+    compensator: Compensator, test: Sample, valid: Bool[Array, " n"], horizon: int, step_s: float
+) -> Float[Array, "h n"]:
+    """Return ê(i+h) for h = 1 … horizon from every origin i of one measured test.
+
+    Up to the origin the LSTM reads measured features; beyond it, features made of the model's own output.
+
+    Args:
+        compensator: a trained compensator.
+        test: one test, arrays of shape [N].
+        valid: which samples exist, shape [N].
+        horizon: steps to look ahead.
+        step_s: sampling time, s.
+    """
+    count = valid.shape[0]
+    memory, features = measured_features(test, step_s)
+    hidden = warmed_up(compensator, features, valid)
+    error = compensator.next_error(hidden, memory.error)
+
+    def advance(carry: tuple[Memory, Hidden, Array], ahead: Array) -> tuple[tuple, Array]:
+        memory, hidden, error = carry
+        index = jnp.minimum(jnp.arange(count) + ahead, count - 1)
+        known = jax.tree.map(lambda array: array[index], test)
+        memory, features = observe(memory, known._replace(displacement=known.benchmark + error), step_s)
+        hidden = compensator.read(hidden, features)
+        return (memory, hidden, compensator.next_error(hidden, error)), error
+
+    _, errors = jax.lax.scan(advance, (memory, hidden, error), jnp.arange(1, horizon + 1))
+    return errors

@@ -1,0 +1,124 @@
+"""What a terminal shows: tables, notices, progress."""
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.table import Table as RichTable
+
+if TYPE_CHECKING:
+    from hitchid.identification import Identification
+    from hitchid.inspection import Inspection
+    from hitchid.validation import Validation
+
+Report = Callable[[str, float], None]
+
+
+@contextmanager
+def progress() -> Iterator[Report]:
+    """Give a function that shows progress on stderr: a bar on a terminal, a line a stage elsewhere."""
+    if not sys.stderr.isatty():
+        yield _plain_lines()
+        return
+    columns = (BarColumn(30), TaskProgressColumn(), TimeRemainingColumn(), TextColumn("{task.description}"))
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=1.0)
+        yield lambda stage, fraction: bar.update(task, description=stage, completed=fraction)
+
+
+def _plain_lines() -> Report:
+    last = ""
+
+    def report(stage: str, fraction: float) -> None:
+        nonlocal last
+        name = stage.partition(", epoch")[0]
+        if name != last:
+            last = name
+            sys.stderr.write(f"{fraction:4.0%}  {name}\n")
+            sys.stderr.flush()
+
+    return report
+
+
+def show_inspection(found: "Inspection") -> None:
+    """Print what was found in logs."""
+    if found.records:
+        table = _table("record", "kind", "samples", "step / s", "duration / s", "signals")
+        for record in found.records:
+            signals = record["signals"]
+            assert isinstance(signals, dict)  # noqa: S101
+            ranges = [
+                f"{role} {signal['lowest']:.4g} … {signal['highest']:.4g} {signal['unit']}"
+                for role, signal in signals.items()
+            ]
+            kind = f"{record['kind']}, held out" if record["held_out"] else str(record["kind"])
+            table.add_row(
+                str(record["name"]),
+                kind,
+                str(record["samples"]),
+                f"{record['step_s']:.4g}",
+                f"{record['duration_s']:.4g}",
+                "\n".join(ranges),
+            )
+        _out().print(table)
+    _say("notice", found.notices)
+    _say("fault", found.faults)
+
+
+def show_identification(found: "Identification") -> None:
+    """Print dead zones, parameters with their standard errors, and notices."""
+    for mode, trace in found.channels.items():
+        table = _table(mode, "value", "± standard error", "unit", "verdict")
+        zone = trace.dead_zone
+        spread = "" if zone.spread is None else f"{zone.spread:.2g}"
+        unit = found.model.units[f"{mode}_command"]
+        table.add_row("dead zone", f"{zone.value:.4g}", spread, unit, f"from {zone.count} {zone.origin}")
+        for estimate in trace.phase1.estimates:
+            sure = estimate.verdict == "determined"
+            table.add_row(
+                estimate.name.replace("_", " "),
+                f"{estimate.value:.4g}",
+                f"{estimate.error:.2g}" if sure else "",
+                estimate.unit,
+                estimate.verdict,
+            )
+        for name, (value, unit) in trace.phase1.derived.items():
+            table.add_row(name, f"{value:.4g}", "", unit, "derived")
+        _out().print(table)
+        displacement = found.model.units["displacement"]
+        rmse = f"RMSE {trace.phase1.rmse:.4g} {displacement}"
+        _out().print(f"transfer function, free run over the identification tests: {rmse}")
+        _say(f"{mode}, notice", trace.notices)
+
+
+def show_validation(result: "Validation") -> None:
+    """Print every table of a validation."""
+    from hitchid.validation import tables
+
+    for content in tables(result.metrics):
+        table = RichTable(title=content.title, title_justify="left", title_style="bold")
+        for number, name in enumerate(content.header):
+            table.add_column(name, justify="right" if number else "left")
+        for row in content.rows:
+            table.add_row(*row)
+        _out().print(table)
+    _say("notice", result.notices)
+
+
+def _table(*header: str) -> RichTable:
+    table = RichTable()
+    for name in header:
+        table.add_column(name)
+    return table
+
+
+def _out() -> Console:
+    return Console(width=None if sys.stdout.isatty() else 120)
+
+
+def _say(kind: str, sentences: tuple[str, ...]) -> None:
+    for sentence in sentences:
+        sys.stderr.write(f"{kind}: {sentence}\n")

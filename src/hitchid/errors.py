@@ -1,0 +1,47 @@
+"""Everything `hitchid` raises on purpose.
+
+HitchError                  the root: catch this one to catch them all
+├── InputError              what was handed in cannot be used (exit code 2)
+│   ├── LogError            a log: names the file, the line, the column
+│   ├── SettingsError       `campaign.toml` or a settings file: names the key
+│   ├── ModelFolderError    a model folder that is cut short, edited or too new
+│   └── OutputError         a place to write that is taken or cannot be written
+└── FitError                an identification that could not be carried out (exit code 1)
+"""
+
+
+class HitchError(Exception):
+    """The root of everything this package raises on purpose."""
+
+
+class InputError(HitchError):
+    """Something handed in cannot be used: the message says what came and what was required."""
+
+
+class LogError(InputError):
+    """A log cannot be used; the message names the file and, where known, line and column."""
+
+    def __init__(self, source: object, problem: str, *, line: int | None = None, column: str | None = None):
+        """Compose `source: line N: column 'C': problem`, leaving out what is not known."""
+        place = [str(source)]
+        if line is not None:
+            place.append(f"line {line}")
+        if column is not None:
+            place.append(f"column '{column}'")
+        super().__init__(": ".join([*place, problem]))
+
+
+class SettingsError(InputError):
+    """A settings file or a setting is wrong; the message names the key."""
+
+
+class ModelFolderError(InputError):
+    """A model folder is incomplete, was edited, or was written by a newer version."""
+
+
+class OutputError(InputError):
+    """A result cannot be written where it was asked for."""
+
+
+class FitError(HitchError):
+    """The identification could not be carried out on these data."""

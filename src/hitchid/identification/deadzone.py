@@ -1,0 +1,152 @@
+"""The command at which the piston begins to move, from slow ramps or, without them, from dynamic tests."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import nnls
+from scipy.signal import lfilter
+
+from hitchid.errors import LogError
+from hitchid.modes import ACTIVE_FRACTION, effective_command
+from hitchid.record import Record
+
+CANDIDATES = 400
+FLAT = 1e-3
+MOVED = 0.2
+LAGS_S = (0.03, 0.1, 0.3, 1.0)
+
+
+@dataclass(frozen=True)
+class DeadZone:
+    """Dead zone of one command.
+
+    Attributes:
+        value: dead zone, in the command's unit.
+        spread: standard deviation over repeated ramps, or the jackknife's standard error over dynamic tests,
+            in the command's unit; None where it is not known.
+        count: ramps or tests it was found from.
+        origin: `ramps`, `tests`, `given` or `none` (not determined by the data, taken as zero).
+    """
+
+    value: float
+    spread: float | None
+    count: int
+    origin: str
+
+
+def from_ramps(ramps: Sequence[Record], mode: str, direction: int) -> DeadZone:
+    """Return mean and spread of the command at which each slow ramp sets the piston in motion.
+
+    Sun et al. 2025, sec. 2.3.1: one ramp from zero, repeated three times.
+
+    Raises:
+        LogError: a ramp ends before the piston moves.
+    """
+    values = np.array([_ramp_onset(record, mode, direction) for record in ramps])
+    spread = float(values.std(ddof=1)) if values.size > 1 else None
+    return DeadZone(float(values.mean()), spread, values.size, "ramps")
+
+
+def _ramp_onset(record: Record, mode: str, direction: int) -> float:
+    """Return the command d that best explains a ramp as drift, then motion.
+
+    x(t) = x₀ + c t + b₂ w² + b₃ w³ with w = max(u(t) − d, 0), b ≥ 0: leakage lets the piston creep before
+    the valve opens, and an opening valve's speed grows from zero, so a threshold on displacement would be
+    early in the first case and late in the second.
+    """
+    command = record.command(mode)
+    stop = int(np.argmax(command)) + 1
+    active = np.flatnonzero(command[:stop] > ACTIVE_FRACTION * command.max())
+    time_s = record.step_s * np.arange(stop)
+    slope, offset = np.polyfit(time_s[active], command[active], 1)
+    ramp = slope * time_s + offset
+    travel = direction * (record.displacement[:stop] - record.displacement[0])
+
+    drift, _ = np.linalg.qr(np.column_stack([np.ones(stop), time_s]))
+
+    def without_drift(columns: np.ndarray) -> np.ndarray:
+        return columns - drift @ (drift.T @ columns)
+
+    target = without_drift(travel)
+    candidates = np.linspace(ramp.max() * ACTIVE_FRACTION, ramp.max(), CANDIDATES, endpoint=False)
+
+    def misfit(dead_zone: float) -> float:
+        beyond = np.maximum(ramp - dead_zone, 0.0) / ramp.max()
+        return float(nnls(without_drift(np.column_stack([beyond**2, beyond**3])), target)[1])
+
+    misfits = np.array([misfit(candidate) for candidate in candidates])
+    if misfits.min() > (1 - MOVED) * float(np.linalg.norm(target)):
+        raise LogError(
+            record.source or record.name,
+            f"the ramp reaches {command.max():.4g} {record.units[f'{mode}_command']} and the piston does not "
+            "move; required a ramp that goes on until it does",
+        )
+    return _vertex(candidates, misfits**2)
+
+
+def from_tests(tests: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], step_s: float) -> DeadZone:
+    """Return the dead zone with which an integrator explains dynamic tests best.
+
+    w = Σ gᵢ ∫ uᵢ dt, where uᵢ is u = sign(c)·max(|c| − d, 0) behind a lag of 0, 0.03, 0.1, 0.3 and 1 s: for
+    each candidate d the gains gᵢ ≥ 0 follow by least squares over all tests, and together they stand for any
+    short lag or dead time. The standard error is the jackknife's over tests.
+
+    Args:
+        tests: command, travel and which samples count, arrays of shape [N_i] for each test.
+        step_s: sampling time, s.
+
+    Returns:
+        The dead zone; zero with origin `none` where all candidates explain the tests equally well, as with
+        one constant command.
+    """
+    largest = max(float(np.abs(command).max()) for command, _, _ in tests)
+    candidates = np.linspace(0.0, 0.95 * largest, CANDIDATES)
+    normal = np.stack(
+        [[_normal_equations(*test, candidate, step_s) for candidate in candidates] for test in tests]
+    )
+    misfits = _misfits(normal.sum(axis=0))
+    if misfits.max() - misfits.min() <= FLAT * misfits.max():
+        return DeadZone(0.0, None, len(tests), "none")
+    best = _vertex(candidates, misfits)
+    if len(tests) < 3:
+        return DeadZone(best, None, len(tests), "tests")
+    left_out = np.array([_vertex(candidates, _misfits(normal.sum(axis=0) - each)) for each in normal])
+    error = np.sqrt((len(tests) - 1) / len(tests) * np.sum((left_out - left_out.mean()) ** 2))
+    return DeadZone(best, float(error), len(tests), "tests")
+
+
+def _normal_equations(
+    command: np.ndarray, travel: np.ndarray, counted: np.ndarray, dead_zone: float, step_s: float
+) -> np.ndarray:
+    """Return Σ of products of [∫u₁ … ∫u₅, w] with themselves over the samples that count, shape [6, 6]."""
+    effective = effective_command(command, dead_zone)
+    covered = step_s * (np.cumsum(effective) - effective)
+    columns = [covered]
+    for lag in LAGS_S:
+        pole = np.exp(-step_s / lag)
+        columns.append(np.asarray(lfilter([1 - pole], [1, -pole], covered)))
+    rows = np.column_stack([*columns, travel])[counted]
+    return rows.T @ rows
+
+
+def _misfits(products: np.ndarray) -> np.ndarray:
+    """Return the residual sum of squares for each candidate's products, shape [C]."""
+    misfits = []
+    for product in products:
+        # Any square root of the products is as good as the rows themselves.
+        values, vectors = np.linalg.eigh(product)
+        root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+        misfits.append(nnls(root[:, :-1], root[:, -1])[1] ** 2)
+    return np.array(misfits)
+
+
+def _vertex(candidates: np.ndarray, misfits: np.ndarray) -> float:
+    """Return the minimum between candidates by a parabola through the three lowest neighbours."""
+    lowest = int(np.argmin(misfits))
+    if lowest in (0, candidates.size - 1):
+        return float(candidates[lowest])
+    left, middle, right = misfits[lowest - 1 : lowest + 2]
+    bend = left - 2 * middle + right
+    shift = 0.5 * (left - right) / bend if bend > 0 else 0.0
+    return float(candidates[lowest] + shift * (candidates[1] - candidates[0]))

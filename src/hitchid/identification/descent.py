@@ -1,0 +1,126 @@
+"""Adam with early stopping: one compiled program an epoch."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from typing import TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jaxtyping import Array, Float, PRNGKeyArray, PyTree
+
+Network = TypeVar("Network")
+Progress = Callable[[int, float, float], None]
+
+
+class Ending(Enum):
+    """Why a training stopped, with what to try."""
+
+    PATIENCE = "the validation loss no longer improved"
+    EPOCHS = "all epochs were run; more of them may still improve the fit"
+    FAILED = "the loss was not finite; lower the learning rate"
+
+
+@dataclass(frozen=True)
+class Descent:
+    """Settings of a training.
+
+    Attributes:
+        epochs: largest number of passes over the training data.
+        patience: epochs without a better validation loss after which to stop.
+        batch: sequences in one gradient step.
+        learning_rate: Adam's, at the start; it falls to a tenth along a cosine.
+    """
+
+    epochs: int = 300
+    patience: int = 40
+    batch: int = 32
+    learning_rate: float = 3e-3
+
+
+@dataclass(frozen=True)
+class DescentTrace:
+    """Both losses, an entry an epoch, root mean square in the scale of the target.
+
+    Attributes:
+        training, validation: losses, shape [E].
+        best_epoch: the epoch whose weights were kept; 0 stands for the untrained network.
+        ending: why the training stopped.
+    """
+
+    training: np.ndarray
+    validation: np.ndarray
+    best_epoch: int
+    ending: Ending
+
+
+def descend(
+    network: Network,
+    error: Callable[[Network, PyTree], tuple[Float[Array, ""], Float[Array, ""]]],
+    training: PyTree,
+    validation: PyTree,
+    settings: Descent,
+    key: PRNGKeyArray,
+    progress: Progress | None = None,
+) -> tuple[Network, DescentTrace]:
+    """Train a network and return the weights of the epoch with the smallest validation loss.
+
+    Args:
+        network: what to train; all its floating-point arrays are.
+        error: from network and data to the sum of squared errors and the number of them.
+        training, validation: arrays whose first axis runs over sequences.
+        settings: epochs, patience, batch, learning rate.
+        key: shuffles the sequences.
+        progress: called after each epoch with its number, training and validation loss.
+    """
+    sequences = jax.tree.leaves(training)[0].shape[0]
+    batch = min(settings.batch, sequences)
+    batches = sequences // batch
+    schedule = optax.cosine_decay_schedule(settings.learning_rate, settings.epochs * batches, alpha=0.1)
+    optimiser = optax.chain(optax.clip_by_global_norm(1.0), optax.adam(schedule))
+
+    def loss(network: Network, data: PyTree) -> Array:
+        squares, count = error(network, data)
+        return squares / jnp.maximum(count, 1)
+
+    @eqx.filter_jit
+    def epoch(network: Network, state: PyTree, data: PyTree, held: PyTree, key: PRNGKeyArray) -> tuple:
+        weights, fixed = eqx.partition(network, eqx.is_inexact_array)
+        order = jax.random.permutation(key, sequences)[: batches * batch].reshape(batches, batch)
+
+        def step(carry: tuple, rows: Array) -> tuple[tuple, Array]:
+            weights, state = carry
+            chosen = jax.tree.map(lambda array: array[rows], data)
+            value, slope = jax.value_and_grad(lambda w: loss(eqx.combine(w, fixed), chosen))(weights)
+            change, state = optimiser.update(slope, state, weights)
+            return (optax.apply_updates(weights, change), state), value
+
+        (weights, state), values = jax.lax.scan(step, (weights, state), order)
+        network = eqx.combine(weights, fixed)
+        return network, state, jnp.sqrt(jnp.mean(values)), jnp.sqrt(loss(network, held))
+
+    state = optimiser.init(eqx.filter(network, eqx.is_inexact_array))
+    best = network
+    best_loss = float(jnp.sqrt(eqx.filter_jit(loss)(network, validation)))
+    best_epoch, ending = 0, Ending.EPOCHS
+    trained, validated = [], []
+    for number in range(1, settings.epochs + 1):
+        network, state, train_loss, held_loss = epoch(
+            network, state, training, validation, jax.random.fold_in(key, number)
+        )
+        trained.append(float(train_loss))
+        validated.append(float(held_loss))
+        if progress is not None:
+            progress(number, trained[-1], validated[-1])
+        if not np.isfinite(trained[-1]):
+            ending = Ending.FAILED
+            break
+        if validated[-1] < best_loss:
+            best, best_loss, best_epoch = network, validated[-1], number
+        elif number - best_epoch >= settings.patience:
+            ending = Ending.PATIENCE
+            break
+    return best, DescentTrace(np.asarray(trained), np.asarray(validated), best_epoch, ending)

@@ -1,0 +1,231 @@
+"""Campaign in, model and trace out: dead zones, then phase 1, then phase 2, for each direction."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import jax
+
+from hitchid.benchmark import structure_named
+from hitchid.campaign import Campaign
+from hitchid.errors import InputError
+from hitchid.identification.baselines import fit_arx, fit_black_box
+from hitchid.identification.deadzone import DeadZone
+from hitchid.identification.descent import DescentTrace
+from hitchid.identification.phase1 import Form, Phase1, identify_benchmark
+from hitchid.identification.phase2 import Training, train_compensator
+from hitchid.identification.preparation import Prepared, mixed_dead_zones, prepare
+from hitchid.identification.search import Search, Whale
+from hitchid.identification.trace import describe_channel
+from hitchid.model import Channel, Hitch, Provenance, save
+from hitchid.precision import double_precision
+from hitchid.record import COMMAND, CYCLE, DISPLACEMENT, LIFTING, LOWERING, MODES
+
+Progress = Callable[[str, float], None]
+PACKAGES = ("hitchid", "jax", "equinox", "optax", "numpy", "scipy")
+PAPER_FORMS: Mapping[str, Form] = {
+    LIFTING: Form(structure_named("integrator-second-order")),
+    LOWERING: Form(structure_named("first-order-lag")),
+}
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What may be chosen of an identification; the defaults follow the paper where it says.
+
+    Attributes:
+        forms: mode to benchmark structure, dead time and bounds.
+        search: the global search of phase 1.
+        training: phase 2; None identifies benchmarks alone.
+        dead_zones: mode to dead zone, in the command's unit, where it is known.
+        seed: every random draw comes from it.
+    """
+
+    forms: Mapping[str, Form] = field(default_factory=lambda: dict(PAPER_FORMS))
+    search: Search = field(default_factory=Whale)
+    training: Training | None = field(default_factory=Training)
+    dead_zones: Mapping[str, float] = field(default_factory=dict)
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class ChannelTrace:
+    """How one direction was identified.
+
+    Attributes:
+        dead_zone: the dead zone and where it came from.
+        phase1: benchmark, parameters, search.
+        phase2: losses of the compensator's training; None where none was trained.
+        notices: what the user should know of the data and of the choices made for them.
+    """
+
+    dead_zone: DeadZone
+    phase1: Phase1
+    phase2: DescentTrace | None
+    notices: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Identification:
+    """An identified model and how it came about.
+
+    Attributes:
+        model: the grey box.
+        channels: mode to trace.
+    """
+
+    model: Hitch
+    channels: Mapping[str, ChannelTrace]
+
+    def save(self, folder: str | Path, *, force: bool = False) -> None:
+        """Write the model folder with its traces.
+
+        Raises:
+            OutputError: the folder exists and `force` is not given, or it cannot be written.
+        """
+        save(self.model, folder, trace=self.describe(), force=force)
+
+    def describe(self) -> dict[str, dict]:
+        """Return mode to trace as JSON can hold it."""
+        return {
+            mode: describe_channel(trace.dead_zone, trace.phase1, trace.phase2, trace.notices)
+            for mode, trace in self.channels.items()
+        }
+
+
+@double_precision
+def identify(
+    campaign: Campaign, settings: Settings | None = None, *, progress: Progress | None = None
+) -> Identification:
+    """Identify a grey-box model from the tests of a campaign that are not held out.
+
+    Phase 1 finds each benchmark by a global search and least squares, phase 2 trains each compensator on what
+    its frozen benchmark misses (Sun et al. 2025, sec. 2.4.2). Single-direction tests are used where there are
+    any; a campaign of mixed cycles alone is cut into strokes.
+
+    Args:
+        campaign: tests; ramps, where there are any, give the dead zones.
+        settings: what may be chosen.
+        progress: called with what is being done and the fraction of all work that is done.
+
+    Raises:
+        InputError: there is no test of one direction, all are held out, or a setting does not fit.
+        LogError: a ramp ends before the piston moves.
+        FitError: the identification could not be carried out on these data.
+    """
+    asked = settings or Settings()
+    report = progress or (lambda stage, fraction: None)
+    zones = {mode: DeadZone(value, None, 0, "given") for mode, value in asked.dead_zones.items()}
+    cut_at: dict[str, float] = {}
+    seen = {record.fingerprint for mode in campaign.modes for record in campaign.identification(mode)}
+    if not campaign.modes:
+        cut_at = {mode: zone.value for mode, zone in {**mixed_dead_zones(campaign), **zones}.items()}
+        seen |= {record.fingerprint for record in campaign.identification(CYCLE)}
+        campaign = campaign.segmented(cut_at)
+        seen |= {record.fingerprint for mode in campaign.modes for record in campaign.identification(mode)}
+    if not campaign.modes:
+        raise InputError("no test moves the piston one way, and no cycle holds a stroke to identify from")
+    channels, traces, prepared = {}, {}, {}
+    for number, mode in enumerate(campaign.modes):
+
+        def step(stage: str, fraction: float, *, mode: str = mode, before: int = number) -> None:
+            report(f"{mode}: {stage}", (before + fraction) / len(campaign.modes))
+
+        step("dead zone", 0.0)
+        prepared[mode] = prepare(campaign, mode, zones.get(mode))
+        units = {"x": campaign.units[DISPLACEMENT], "u": campaign.units[COMMAND[mode]]}
+        channels[mode], traces[mode] = _identify_channel(prepared[mode], asked, units, step)
+    provenance = Provenance(
+        identification={mode: _names(campaign.identification(mode)) for mode in campaign.modes},
+        validation={mode: prepared[mode].validation_names for mode in campaign.modes},
+        held_out={mode: _names(campaign.held_out(mode)) for mode in campaign.modes},
+        seen=frozenset(seen),
+        cut_at=cut_at,
+        seed=asked.seed,
+        settings=_describe_settings(asked),
+        versions=_versions(),
+    )
+    roles = (DISPLACEMENT, *COMMAND.values())
+    units = {role: campaign.units[role] for role in roles if role in campaign.units}
+    return Identification(Hitch(channels, campaign.step_s, units, provenance), traces)
+
+
+def _identify_channel(
+    tests: Prepared, asked: Settings, units: Mapping[str, str], progress: Progress
+) -> tuple[Channel, ChannelTrace]:
+    progress(f"phase 1, {asked.search.name}", 0.02)
+    phase1 = identify_benchmark(
+        tests.everything, asked.forms[tests.mode], asked.search, asked.seed, units=units
+    )
+    vague = [f"{e.name} is {e.verdict}" for e in phase1.estimates if e.verdict != "determined"]
+    channel = Channel(
+        mode=tests.mode,
+        direction=tests.direction,
+        dead_zone=tests.dead_zone.value,
+        end_stop=tests.end_stop,
+        benchmark=phase1.benchmark,
+        arx=fit_arx(tests.training, tests.validation),
+    )
+    trace = ChannelTrace(tests.dead_zone, phase1, None, (*tests.notices, *vague))
+    training = asked.training
+    if training is None:
+        return channel, trace
+
+    def epoch(stage: str, start: float, width: float) -> Callable[[int, float, float], None]:
+        def show(number: int, trained: float, held: float) -> None:
+            done = start + width * number / training.descent.epochs
+            progress(f"{stage}, epoch {number}, loss {trained:.3f} / {held:.3f}", done)
+
+        return show
+
+    key = jax.random.fold_in(jax.random.key(asked.seed), MODES.index(tests.mode))
+    network_key, black_box_key = jax.random.split(key)
+    compensator, losses = train_compensator(
+        (tests.training, channel.simulate_benchmark(tests.training)),
+        (tests.validation, channel.simulate_benchmark(tests.validation)),
+        training,
+        network_key,
+        epoch("phase 2", 0.2, 0.5),
+    )
+    black_box = fit_black_box(
+        tests.training,
+        tests.validation,
+        hidden=training.hidden,
+        descent=training.descent,
+        key=black_box_key,
+        progress=epoch("black-box baseline", 0.7, 0.3),
+    )
+    grey = replace(channel, compensator=compensator, black_box=black_box)
+    return grey, replace(trace, phase2=losses)
+
+
+def _names(records: tuple) -> tuple[str, ...]:
+    return tuple(record.name for record in records)
+
+
+def _describe_settings(asked: Settings) -> dict[str, object]:
+    described: dict[str, object] = {
+        "forms": {
+            mode: {
+                "structure": form.structure.name,
+                "dead_time": form.dead_time,
+                "bounds": {name: list(pair) for name, pair in form.bounds.items()},
+            }
+            for mode, form in asked.forms.items()
+        },
+        "search": {"name": asked.search.name, "settings": repr(asked.search)},
+        "training": None if asked.training is None else repr(asked.training),
+        "dead_zones": dict(asked.dead_zones),
+    }
+    return described
+
+
+def _versions() -> dict[str, str]:
+    def installed(package: str) -> str:
+        try:
+            return version(package)
+        except PackageNotFoundError:
+            return "unknown"
+
+    return {package: installed(package) for package in PACKAGES}

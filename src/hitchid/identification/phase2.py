@@ -1,0 +1,154 @@
+"""Phase 2: the benchmark is frozen and the compensator learns its error by gradient descent."""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Float32, PRNGKeyArray
+
+from hitchid.benchmark import Batch
+from hitchid.compensator import FEATURES, Compensator, Sample, measured_features
+from hitchid.identification.descent import Descent, DescentTrace, Progress, descend
+from hitchid.lstm import SINGLE, Hidden, Lstm
+
+
+@dataclass(frozen=True)
+class Training:
+    """Settings of the compensator, Sun et al. 2025, sec. 2.2.3 and 2.3.3, and what the paper leaves open.
+
+    Attributes:
+        hidden: cells of the LSTM.
+        window: features read before a prediction.
+        descent: Adam and early stopping.
+    """
+
+    hidden: int = 32
+    window: int = 50
+    descent: Descent = field(default_factory=Descent)
+
+
+class Sequences(NamedTuple):
+    """Stretches of twice the window, the second half of which is predicted.
+
+    Attributes:
+        features: scaled features, shape [C, 2 L, 10].
+        valid: which samples exist, shape [C, 2 L].
+        target: (e(k) − e(k−1)) / σ for the sample after each of the last L positions, shape [C, L].
+        counted: which targets exist, shape [C, L].
+    """
+
+    features: Float32[Array, "c w 10"]
+    valid: Bool[Array, "c w"]
+    target: Float32[Array, "c l"]
+    counted: Bool[Array, "c l"]
+
+
+def train_compensator(
+    training: tuple[Batch, Float[Array, "t n"]],
+    validation: tuple[Batch, Float[Array, "v n"]],
+    settings: Training,
+    key: PRNGKeyArray,
+    progress: Progress | None = None,
+) -> tuple[Compensator, DescentTrace]:
+    """Train a compensator on the errors of a frozen benchmark.
+
+    Scaling comes from the training tests alone. A prediction in training reads between L and 2 L − 1
+    features, because stretches share them; afterwards it reads exactly L.
+
+    Args:
+        training, validation: tests and the displacement the benchmark gives for them, shape [T, N].
+        settings: size, window, optimiser.
+        key: initial weights and shuffling.
+        progress: see `descend`.
+
+    Returns:
+        The compensator of the epoch with the smallest validation loss, and both losses.
+    """
+    init_key, key = jax.random.split(key)
+    features, errors = _features(*training)
+    batch = training[0]
+    seen = np.asarray(batch.counted)
+    rows = np.asarray(features)[seen]
+    moved = np.diff(np.asarray(errors), axis=1)[seen[:, 1:]]
+    compensator = Compensator(
+        network=Lstm.fresh(init_key, len(FEATURES), settings.hidden),
+        centre=jnp.asarray(rows.mean(axis=0)),
+        spread=jnp.asarray(_spread(rows)),
+        error_step=jnp.asarray(max(float(moved.std()), np.finfo(np.float32).tiny)),
+        window=settings.window,
+    )
+    sequences = _sequences(compensator, features, errors, batch)
+    held = _sequences(compensator, *_features(*validation), validation[0])
+    network, trace = descend(
+        compensator.network, _squared_error, sequences, held, settings.descent, key, progress
+    )
+    trained = Compensator(
+        network, compensator.centre, compensator.spread, compensator.error_step, settings.window
+    )
+    return trained, trace
+
+
+def _features(batch: Batch, benchmark: Float[Array, "t n"]) -> tuple[Array, Array]:
+    """Return features, shape [T, N, 10], and errors, shape [T, N]."""
+    time_s = batch.step_s * jnp.arange(batch.command.shape[1])
+    samples = Sample(
+        jnp.broadcast_to(time_s[:, None], batch.command.T.shape),
+        batch.command.T,
+        benchmark.T,
+        batch.displacement.T,
+    )
+    _, features = jax.jit(measured_features, static_argnums=1)(samples, batch.step_s)
+    return jnp.swapaxes(features, 0, 1), batch.displacement - benchmark
+
+
+def _spread(rows: np.ndarray) -> np.ndarray:
+    """Return the standard deviation of each feature, 1 where it is constant."""
+    spread = rows.std(axis=0)
+    return np.where(spread > 1e-12 * np.maximum(1.0, np.abs(rows).max(axis=0)), spread, 1.0)
+
+
+def _sequences(compensator: Compensator, features: Array, errors: Array, batch: Batch) -> Sequences:
+    """Cut tests into stretches of 2 L samples, L apart, the first beginning L before the test."""
+    window = compensator.window
+    count = features.shape[1]
+    stretches = -(-count // window)
+    behind = ((0, 0), (window, stretches * window - count))
+    scaled = jnp.pad(compensator.scale(features), (*behind, (0, 0)))
+    valid = jnp.pad(batch.counted, behind)
+    steps = jnp.pad(jnp.diff(errors, axis=1) / compensator.error_step, ((0, 0), (1, 0)))
+    targets = jnp.pad(steps, behind).astype(SINGLE)
+
+    starts = window * np.arange(stretches)
+    positions = starts[:, None] + np.arange(2 * window)
+    # The prediction for sample k is made after reading sample k − 1, so targets lie one behind features.
+    reading, predicted = positions - 1, positions[:, window:]
+
+    def flat(array: Array) -> Array:
+        return array.reshape(-1, *array.shape[2:])
+
+    counted = valid[:, predicted] & valid[:, predicted - 1]
+    keep = np.asarray(flat(counted).any(axis=1))
+    return Sequences(
+        features=flat(scaled[:, np.maximum(reading, 0)])[keep],
+        valid=flat(valid[:, np.maximum(reading, 0)] & (reading >= 0))[keep],
+        target=flat(targets[:, predicted])[keep],
+        counted=flat(counted)[keep],
+    )
+
+
+def _squared_error(network: Lstm, sequences: Sequences) -> tuple[Array, Array]:
+    window = sequences.target.shape[1]
+
+    def advance(hidden: Hidden, inputs: tuple[Array, Array]) -> tuple[Hidden, Array]:
+        features, valid = inputs
+        read = network.read(hidden, features)
+        hidden = jax.tree.map(lambda new, old: jnp.where(valid[:, None], new, old), read, hidden)
+        return hidden, network.output(hidden)
+
+    start = network.blank((sequences.target.shape[0],))
+    inputs = (jnp.swapaxes(sequences.features, 0, 1), sequences.valid.T)
+    _, outputs = jax.lax.scan(advance, start, inputs)
+    misses = (outputs[window:].T - sequences.target) * sequences.counted
+    return jnp.sum(misses**2), jnp.sum(sequences.counted)

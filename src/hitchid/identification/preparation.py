@@ -1,0 +1,176 @@
+"""From the tests of one direction to what both phases work on: direction, end stop, dead zone, validation."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+
+from hitchid.benchmark import Batch, before_end_stop
+from hitchid.campaign import Campaign
+from hitchid.errors import InputError
+from hitchid.identification.deadzone import DeadZone, from_ramps, from_tests
+from hitchid.modes import end_stop_contact, mode_changes
+from hitchid.record import CYCLE, LIFTING, MODES, Record
+
+VALIDATION_EVERY = 4
+VALIDATION_FRACTION = 0.25
+STOP_AGREEMENT = 0.02
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """The identification tests of one direction.
+
+    Attributes:
+        mode: the direction.
+        direction: +1 where the displacement grows with the command, −1 where it falls.
+        end_stop: displacement the piston did not pass, None where no test met an end stop.
+        dead_zone: dead zone of the command.
+        everything: all identification tests, for phase 1.
+        training, validation: those that train and those that stop the training, for phase 2.
+        validation_names: names of the latter.
+        notices: what the user should know.
+    """
+
+    mode: str
+    direction: int
+    end_stop: float | None
+    dead_zone: DeadZone
+    everything: Batch
+    training: Batch
+    validation: Batch
+    validation_names: tuple[str, ...]
+    notices: tuple[str, ...]
+
+
+def prepare(campaign: Campaign, mode: str, dead_zone: DeadZone | None) -> Prepared:
+    """Prepare the identification tests of one direction.
+
+    Args:
+        campaign: tests, of one direction each.
+        mode: the direction.
+        dead_zone: where it is known already; otherwise found from ramps, or else from the tests.
+
+    Raises:
+        InputError: every test of the direction is held out.
+        LogError: a ramp ends before the piston moves.
+    """
+    records = campaign.identification(mode)
+    if not records:
+        raise InputError(
+            f"all {len(campaign.of_kind(mode))} {mode} tests are held out; none is left to identify from"
+        )
+    notices = []
+    direction = _direction(records, mode)
+    if direction != _usual(mode):
+        notices.append(
+            f"the displacement {'grows' if direction > 0 else 'falls'} in {mode}: taken as measured"
+        )
+    end_stop, contacts = _end_stop(records, mode, direction)
+    if end_stop is not None:
+        notices.append(
+            f"end stop at {end_stop:.4g} {records[0].unit}, met in {contacts} of {len(records)} tests; "
+            "samples at it are left out"
+        )
+    ramps = campaign.ramps(mode)
+    if dead_zone is None:
+        dead_zone = (
+            from_ramps(ramps, mode, direction)
+            if ramps
+            else from_tests([_travelled(r, mode, direction, end_stop) for r in records], campaign.step_s)
+        )
+    if dead_zone.origin == "none":
+        notices.append("the dead zone cannot be told from one level of command: taken as zero")
+    everything = Batch.of(records, mode, dead_zone=dead_zone.value, direction=direction, end_stop=end_stop)
+    training, validation, chosen = _divide(everything, len(records))
+    if len(records) == 1:
+        notices.append("one test only: its last quarter stops the training, so validation is not by test")
+    return Prepared(
+        mode=mode,
+        direction=direction,
+        end_stop=end_stop,
+        dead_zone=dead_zone,
+        everything=everything,
+        training=training,
+        validation=validation,
+        validation_names=tuple(records[row].name for row in chosen),
+        notices=tuple(notices),
+    )
+
+
+def mixed_dead_zones(campaign: Campaign) -> dict[str, DeadZone]:
+    """Return a first dead zone of each direction, to cut the cycles of a campaign that has nothing else.
+
+    Every stretch with a command of one direction counts as a test. Held-out cycles are not looked at.
+    """
+    cycles = campaign.identification(CYCLE)
+    found = {}
+    for mode in MODES:
+        ramps = campaign.ramps(mode)
+        if ramps:
+            found[mode] = from_ramps(ramps, mode, _usual(mode))
+            continue
+        stretches = [
+            record.slice(stroke.start, stroke.stop)
+            for record in cycles
+            for stroke in mode_changes(record, {})
+            if stroke.mode == mode and mode in record.modes and stroke.stop - stroke.start > 1
+        ]
+        if stretches:
+            direction = _direction(stretches, mode)
+            found[mode] = from_tests(
+                [_travelled(r, mode, direction, None) for r in stretches], campaign.step_s
+            )
+    return found
+
+
+def _usual(mode: str) -> int:
+    return 1 if mode == LIFTING else -1
+
+
+def _travelled(
+    record: Record, mode: str, direction: int, end_stop: float | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return command, travel, and which samples come before the end stop is met."""
+    travel = direction * (record.displacement - record.displacement[0])
+    return record.command(mode), travel, before_end_stop(record.displacement, direction, end_stop)
+
+
+def _direction(records: Sequence[Record], mode: str) -> int:
+    """Return the sign with which displacement follows the integral of the command."""
+    together = sum(
+        float(np.dot(record.displacement - record.displacement[0], np.cumsum(record.command(mode))))
+        for record in records
+    )
+    return 1 if together >= 0 else -1
+
+
+def _end_stop(records: Sequence[Record], mode: str, direction: int) -> tuple[float | None, int]:
+    """Return the displacement at which tests come to stand under command, and in how many they do.
+
+    An end stop is one place, and the farthest: at least two tests must stand within 2 % of the range of all
+    displacements of their median, and none may go farther beyond it.
+    """
+    contacts = [(record, end_stop_contact(record, mode)) for record in records]
+    levels = np.array([np.median(record.displacement[at:]) for record, at in contacts if at is not None])
+    if levels.size < 2:
+        return None, 0
+    farthest = max(float(np.max(direction * record.displacement)) for record in records)
+    nearest = min(float(np.min(direction * record.displacement)) for record in records)
+    near = STOP_AGREEMENT * (farthest - nearest)
+    level = float(np.median(levels))
+    agreeing = int(np.sum(np.abs(levels - level) <= near))
+    at_the_end = farthest - direction * level <= near
+    return (level, agreeing) if agreeing >= 2 and at_the_end else (None, 0)
+
+
+def _divide(batch: Batch, tests: int) -> tuple[Batch, Batch, list[int]]:
+    """Return training and validation tests: every fourth, of few the last, of one its last quarter."""
+    if tests == 1:
+        ends = jnp.cumsum(batch.counted, axis=1)
+        early = ends <= (1 - VALIDATION_FRACTION) * ends[:, -1:]
+        return batch.counting(early), batch.counting(~early), [0]
+    chosen = list(range(VALIDATION_EVERY - 1, tests, VALIDATION_EVERY)) or [tests - 1]
+    rest = [row for row in range(tests) if row not in chosen]
+    return batch.take(rest), batch.take(chosen), chosen

@@ -1,0 +1,261 @@
+"""Global searches of the unit cube on one budget of evaluations, and the least-squares polish."""
+
+import abc
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy.optimize import differential_evolution, least_squares
+from scipy.stats import qmc
+
+from hitchid import whale
+from hitchid.errors import FitError
+
+EVALUATIONS = 3000
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is minimised: the root mean square of residuals over the unit cube.
+
+    Attributes:
+        dimensions: D.
+        fitness: from positions of shape [P, D] to fitness of shape [P], fit for jit.
+        residuals: from a position of shape [D] to residuals of shape [M], compiled.
+        jacobian: from a position of shape [D] to their derivative of shape [M, D], compiled.
+    """
+
+    dimensions: int
+    fitness: Callable[[Float[Array, "p d"]], Float[Array, " p"]]
+    residuals: Callable[[np.ndarray], np.ndarray]
+    jacobian: Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a search found.
+
+    Attributes:
+        best: position in the unit cube, shape [D].
+        best_fitness: root mean square of the residuals there.
+        evaluations: simulations of all tests that were run.
+        failures: how many of them were not finite.
+        reason: why the search stopped, with what to try.
+        fitness_trace: best fitness so far, an entry a generation or start, shape [G].
+        best_trace: its position, shape [G, D].
+    """
+
+    best: np.ndarray
+    best_fitness: float
+    evaluations: int
+    failures: int
+    reason: str
+    fitness_trace: np.ndarray
+    best_trace: np.ndarray
+
+
+class Search(abc.ABC):
+    """A global search; `name` is how settings and reports call it."""
+
+    name: str
+
+    @abc.abstractmethod
+    def minimise(self, problem: Problem, seed: int) -> Found:
+        """Search the unit cube.
+
+        Raises:
+            FitError: no position gave a finite error.
+        """
+
+
+@dataclass(frozen=True)
+class Whale(Search):
+    """Whale optimisation, the search of Sun et al. 2025, sec. 2.4.2.
+
+    Attributes:
+        swarm: settings of the swarm.
+    """
+
+    swarm: whale.Swarm = field(default_factory=lambda: whale.Swarm(evaluations=EVALUATIONS))
+    name: str = field(default="whale", init=False)
+
+    def minimise(self, problem: Problem, seed: int) -> Found:
+        """Search with a swarm of whales, in one compiled program."""
+        run = jax.jit(lambda key: whale.minimise(problem.fitness, problem.dimensions, self.swarm, key))
+        outcome = run(jax.random.key(seed))
+        generations = int(outcome.generations)
+        reason = whale.Reason.ITERATIONS
+        if bool(outcome.settled):
+            reason = whale.Reason.STAGNATION
+        elif self.swarm.generations < self.swarm.iterations:
+            reason = whale.Reason.BUDGET
+        return _checked(
+            Found(
+                best=np.asarray(outcome.best),
+                best_fitness=float(outcome.best_fitness),
+                evaluations=generations * self.swarm.population,
+                failures=int(np.sum(outcome.trace.failures)),
+                reason=reason.value,
+                fitness_trace=np.asarray(outcome.trace.best_fitness)[:generations],
+                best_trace=np.asarray(outcome.trace.best)[:generations],
+            )
+        )
+
+
+@dataclass(frozen=True)
+class DifferentialEvolution(Search):
+    """Differential evolution as `scipy.optimize` has it.
+
+    Attributes:
+        evaluations: largest number of simulations of all tests.
+        population: members for each dimension.
+    """
+
+    evaluations: int = EVALUATIONS
+    population: int = 10
+    name: str = field(default="differential-evolution", init=False)
+
+    def minimise(self, problem: Problem, seed: int) -> Found:
+        """Search by differential evolution, a generation at a time."""
+        compiled = jax.jit(problem.fitness)
+        best: list[np.ndarray] = []
+        trace: list[float] = []
+        failures = 0
+
+        def generation(positions: np.ndarray) -> np.ndarray:
+            nonlocal failures
+            population = np.atleast_2d(positions.T)
+            fitness = np.asarray(compiled(jnp.asarray(population)))
+            failures += int(np.sum(~np.isfinite(fitness)))
+            fitness = np.where(np.isfinite(fitness), fitness, np.inf)
+            leader = int(np.argmin(fitness))
+            improved = not trace or fitness[leader] < trace[-1]
+            best.append(population[leader] if improved else best[-1])
+            trace.append(float(fitness[leader]) if improved else trace[-1])
+            return fitness
+
+        members = self.population * problem.dimensions
+        outcome = differential_evolution(
+            generation,
+            [(0.0, 1.0)] * problem.dimensions,
+            popsize=self.population,
+            maxiter=max(1, self.evaluations // members - 1),
+            tol=0.0,
+            atol=0,
+            polish=False,
+            vectorized=True,
+            updating="deferred",
+            rng=np.random.default_rng(seed),
+        )
+        return _checked(
+            Found(
+                best=best[-1],
+                best_fitness=trace[-1],
+                evaluations=int(outcome.nfev),
+                failures=failures,
+                reason=whale.Reason.BUDGET.value,
+                fitness_trace=np.array(trace),
+                best_trace=np.array(best),
+            )
+        )
+
+
+@dataclass(frozen=True)
+class MultiStart(Search):
+    """Least squares from many starting points spread as a Sobol' sequence.
+
+    Attributes:
+        evaluations: largest number of simulations of all tests; a Jacobian counts as one for each dimension.
+        starts: largest number of starting points, None for as many as the budget allows.
+    """
+
+    evaluations: int = EVALUATIONS
+    starts: int | None = None
+    name: str = field(default="multi-start", init=False)
+
+    def minimise(self, problem: Problem, seed: int) -> Found:
+        """Run least squares from one start after the other until the budget is spent."""
+        points = qmc.Sobol(problem.dimensions, rng=np.random.default_rng(seed))
+        best: list[np.ndarray] = []
+        trace: list[float] = []
+        spent = failures = 0
+        while spent < self.evaluations and (self.starts is None or len(trace) < self.starts):
+            start = points.random(1)[0]
+            per_round = 1 + problem.dimensions
+            try:
+                local = polish(problem, start, limit=max(1, (self.evaluations - spent) // per_round))
+            except FitError:
+                failures += 1
+                spent += 1
+                continue
+            spent += local.evaluations
+            improved = not trace or local.fitness < trace[-1]
+            best.append(local.position if improved else best[-1])
+            trace.append(local.fitness if improved else trace[-1])
+        whole = self.starts is not None and len(trace) == self.starts
+        reason = whale.Reason.ITERATIONS if whole else whale.Reason.BUDGET
+        return _checked(
+            Found(
+                best=best[-1] if best else np.zeros(problem.dimensions),
+                best_fitness=trace[-1] if trace else np.inf,
+                evaluations=spent,
+                failures=failures,
+                reason=reason.value,
+                fitness_trace=np.array(trace),
+                best_trace=np.array(best).reshape(-1, problem.dimensions),
+            )
+        )
+
+
+@dataclass(frozen=True)
+class Polished:
+    """Where least squares ended.
+
+    Attributes:
+        position: in the unit cube, shape [D].
+        fitness: root mean square of the residuals.
+        evaluations: simulations of all tests, a Jacobian counting one for each dimension.
+        jacobian: derivative of the residuals there, shape [M, D].
+    """
+
+    position: np.ndarray
+    fitness: float
+    evaluations: int
+    jacobian: np.ndarray
+
+
+def polish(problem: Problem, start: np.ndarray, *, limit: int = 200) -> Polished:
+    """Descend from a position to the bottom of its valley by bounded nonlinear least squares.
+
+    Raises:
+        FitError: the residuals at the start are not finite.
+    """
+    first = problem.residuals(np.asarray(start))
+    if not np.all(np.isfinite(first)):
+        raise FitError("the simulation failed at the start of the least squares; narrow the bounds")
+    outcome = least_squares(
+        problem.residuals,
+        start,
+        jac=problem.jacobian,  # pyright: ignore[reportArgumentType]
+        bounds=(0.0, 1.0),
+        xtol=1e-14,
+        ftol=1e-14,
+        gtol=1e-14,
+        x_scale="jac",
+        max_nfev=limit,
+    )
+    return Polished(
+        position=outcome.x,
+        fitness=float(np.sqrt(np.mean(outcome.fun**2))),
+        evaluations=int(outcome.nfev + problem.dimensions * outcome.njev),
+        jacobian=np.asarray(outcome.jac),
+    )
+
+
+def _checked(found: Found) -> Found:
+    if not np.isfinite(found.best_fitness):
+        raise FitError(f"{whale.Reason.FAILED.value} ({found.evaluations} evaluations, all failed)")
+    return found

@@ -1,0 +1,120 @@
+"""The settings file of `hitchid identify --config`."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field, PositiveFloat, PositiveInt
+
+from hitchid import whale
+from hitchid.benchmark import structure_named
+from hitchid.errors import InputError, SettingsError
+from hitchid.identification.descent import Descent
+from hitchid.identification.identify import PAPER_FORMS, Settings
+from hitchid.identification.phase1 import Form
+from hitchid.identification.phase2 import Training
+from hitchid.identification.search import EVALUATIONS, DifferentialEvolution, MultiStart, Search, Whale
+from hitchid.record import MODES
+from hitchid.signals import Strict, parse_settings
+
+
+class ChannelSection(Strict):
+    """`[lifting]` and `[lowering]`."""
+
+    structure: str | None = None
+    dead_time: bool = False
+    dead_zone: float | None = Field(default=None, ge=0)
+    bounds: dict[str, tuple[float, float]] = Field(default_factory=dict)
+
+
+class SearchSection(Strict):
+    """`[search]`."""
+
+    method: Literal["whale", "differential-evolution", "multi-start"] = "whale"
+    evaluations: int = Field(default=EVALUATIONS, ge=1)
+    population: PositiveInt | None = None
+    stagnation: PositiveInt | None = None
+    per_dimension: bool = True
+
+    def search(self) -> Search:
+        """Return the search asked for."""
+        if self.method == "multi-start":
+            return MultiStart(evaluations=self.evaluations)
+        if self.method == "differential-evolution":
+            members = self.population or DifferentialEvolution.population
+            return DifferentialEvolution(evaluations=self.evaluations, population=members)
+        population = self.population or whale.Swarm.population
+        return Whale(
+            whale.Swarm(
+                population=population,
+                iterations=max(1, self.evaluations // population),
+                evaluations=self.evaluations,
+                stagnation=self.stagnation,
+                per_dimension=self.per_dimension,
+            )
+        )
+
+
+class TrainingSection(Strict):
+    """`[training]`."""
+
+    compensator: bool = True
+    hidden: PositiveInt = Training.hidden
+    window: int = Field(default=Training.window, ge=2)
+    epochs: PositiveInt = Descent.epochs
+    patience: PositiveInt = Descent.patience
+    batch: PositiveInt = Descent.batch
+    learning_rate: PositiveFloat = Descent.learning_rate
+
+    def training(self) -> Training | None:
+        """Return the training asked for, None for benchmarks alone."""
+        if not self.compensator:
+            return None
+        descent = Descent(self.epochs, self.patience, self.batch, self.learning_rate)
+        return Training(self.hidden, self.window, descent)
+
+
+class IdentifyFile(Strict):
+    """All of the file."""
+
+    seed: int = Field(default=0, ge=0)
+    lifting: ChannelSection = ChannelSection()
+    lowering: ChannelSection = ChannelSection()
+    search: SearchSection = SearchSection()
+    training: TrainingSection = TrainingSection()
+
+    def settings(self) -> Settings:
+        """Return the settings of an identification.
+
+        Raises:
+            InputError: there is no structure of a name.
+        """
+        sections: Mapping[str, ChannelSection] = {mode: getattr(self, mode) for mode in MODES}
+        return Settings(
+            forms={mode: _form(mode, section) for mode, section in sections.items()},
+            search=self.search.search(),
+            training=self.training.training(),
+            dead_zones={mode: s.dead_zone for mode, s in sections.items() if s.dead_zone is not None},
+            seed=self.seed,
+        )
+
+
+def read_settings(path: Path) -> Settings:
+    """Read the settings of an identification from a TOML file.
+
+    Raises:
+        SettingsError: the file cannot be read, is not TOML, or has a key or value that is not understood.
+    """
+    try:
+        return parse_settings(path, IdentifyFile).settings()
+    except SettingsError:
+        raise
+    except InputError as error:
+        raise SettingsError(f"{path}: {error}") from error
+
+
+def _form(mode: str, section: ChannelSection) -> Form:
+    structure = (
+        PAPER_FORMS[mode].structure if section.structure is None else structure_named(section.structure)
+    )
+    return Form(structure, section.dead_time, section.bounds)

@@ -1,0 +1,64 @@
+"""The trace of an identification as JSON can hold it."""
+
+import math
+
+import numpy as np
+
+from hitchid.identification.deadzone import DeadZone
+from hitchid.identification.descent import DescentTrace
+from hitchid.identification.phase1 import Phase1
+
+
+def describe_channel(
+    dead_zone: DeadZone, phase1: Phase1, phase2: DescentTrace | None, notices: tuple[str, ...]
+) -> dict:
+    """Return how one direction was identified: dead zone, parameters, search, losses, notices.
+
+    What is not finite (the standard error of an undetermined parameter) is null.
+    """
+    lower = np.log([estimate.lower for estimate in phase1.estimates])
+    upper = np.log([estimate.upper for estimate in phase1.estimates])
+    found = phase1.found
+    return {
+        "dead_zone": {
+            "value": dead_zone.value,
+            "spread": dead_zone.spread,
+            "count": dead_zone.count,
+            "origin": dead_zone.origin,
+        },
+        "phase1": {
+            "parameters": {
+                estimate.name: {
+                    "value": estimate.value,
+                    "unit": estimate.unit,
+                    "standard_error": _finite(estimate.error),
+                    "bounds": [estimate.lower, estimate.upper],
+                    "verdict": estimate.verdict,
+                }
+                for estimate in phase1.estimates
+            },
+            "derived": {
+                name: {"value": value, "unit": unit} for name, (value, unit) in phase1.derived.items()
+            },
+            "rmse": phase1.rmse,
+            "rmse_before_polish": phase1.search_rmse,
+            "evaluations": found.evaluations,
+            "failures": found.failures,
+            "reason": found.reason,
+            "fitness": [_finite(value) for value in found.fitness_trace],
+            "values": np.exp(lower + found.best_trace * (upper - lower)).tolist(),
+        },
+        "phase2": None
+        if phase2 is None
+        else {
+            "training_loss": [_finite(value) for value in phase2.training],
+            "validation_loss": [_finite(value) for value in phase2.validation],
+            "best_epoch": phase2.best_epoch,
+            "reason": phase2.ending.value,
+        },
+        "notices": list(notices),
+    }
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

@@ -1,0 +1,99 @@
+"""A look at logs before any fit: what each one is, how it was sampled, what is wrong with it."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hitchid.errors import HitchError, LogError
+from hitchid.modes import ACTIVE_FRACTION
+from hitchid.readers import assemble, find_logs, read_log, settings_of
+from hitchid.record import IDLE, MODES, Record
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """What was found in a folder of logs.
+
+    Attributes:
+        records: one entry a record: name, kind, held out or not, samples, step, duration, and each signal's
+            unit and range.
+        notices: what is odd but can be worked with, each naming its record.
+        faults: why a log cannot be used, each naming file, line, column.
+    """
+
+    records: tuple[Mapping[str, object], ...]
+    notices: tuple[str, ...]
+    faults: tuple[str, ...]
+
+    def describe(self) -> dict[str, list]:
+        """Return everything as JSON can hold it."""
+        return {"records": list(self.records), "notices": list(self.notices), "faults": list(self.faults)}
+
+
+def inspect(logs: str | Path | Iterable[str | Path], *, signals: str | Path | None = None) -> Inspection:
+    """Look at logs one by one, going on past those that cannot be used; changes nothing.
+
+    Args:
+        logs: files and folders.
+        signals: a file like `campaign.toml`; without it each folder's own counts.
+
+    Raises:
+        InputError: there are no logs.
+        SettingsError: a settings file cannot be used.
+    """
+    paths = find_logs(logs)
+    settings = settings_of(paths, signals)
+    records: list[Record] = []
+    faults: list[str] = []
+    for path in paths:
+        try:
+            records += read_log(path, settings[path.parent].signals)
+        except LogError as error:
+            faults.append(str(error))
+    if not records:
+        return Inspection((), (), tuple(faults))
+    try:
+        campaign = assemble(records, settings.values())
+    except HitchError as error:
+        return Inspection(tuple(_entry(record, False) for record in records), (), (*faults, str(error)))
+    held_out = {record.name for mode in MODES for record in campaign.held_out(mode)}
+    scale = max(float(np.max(np.abs(r.command(m)))) for r in campaign.records for m in r.modes)
+    return Inspection(
+        records=tuple(_entry(record, record.name in held_out) for record in campaign.records),
+        notices=tuple(notice for record in campaign.records for notice in _notices(record, scale)),
+        faults=tuple(faults),
+    )
+
+
+def _entry(record: Record, held_out: bool) -> dict[str, object]:
+    return {
+        "name": record.name,
+        "kind": record.kind,
+        "held_out": held_out,
+        "samples": len(record),
+        "step_s": record.step_s,
+        "duration_s": round((len(record) - 1) * record.step_s, 6),
+        "signals": {
+            role: {
+                "unit": record.units[role],
+                "lowest": float(np.min(samples)),
+                "highest": float(np.max(samples)),
+            }
+            for role, samples in record.signals.items()
+        },
+    }
+
+
+def _notices(record: Record, full_scale: float) -> list[str]:
+    found = [f"{record.name}: {notice}" for notice in record.notices]
+    if record.kind == IDLE:
+        found.append(f"{record.name}: no command is active; the record is not used")
+    if len(record.modes) == 2:
+        threshold = ACTIVE_FRACTION * full_scale
+        both = np.all([np.abs(record.command(mode)) > threshold for mode in MODES], axis=0)
+        if both.any():
+            at = record.time_s[int(np.flatnonzero(both)[0])]
+            found.append(f"{record.name}: both valves are on in {both.sum()} samples, first at {at:g} s")
+    return found

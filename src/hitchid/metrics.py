@@ -1,0 +1,53 @@
+"""Errors of a prediction against what was measured: pure functions of arrays."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+
+class ErrorFigures(NamedTuple):
+    """How far predictions lie from measurements, pooled over tests.
+
+    Attributes:
+        rmse: root mean square error, in the displacement's unit.
+        mae: mean absolute error, in the displacement's unit.
+        r2: coefficient of determination, a fraction; the spread is taken about each test's own mean.
+        fit: 100 (1 − ‖y − ŷ‖ / ‖y − ȳ‖), percent; ȳ is each test's own mean.
+        max_abs: largest absolute error, in the displacement's unit.
+        within_1: fraction of samples whose absolute error is below one unit.
+    """
+
+    rmse: float
+    mae: float
+    r2: float
+    fit: float
+    max_abs: float
+    within_1: float
+
+
+def error_figures(actual: Sequence[np.ndarray], predicted: Sequence[np.ndarray]) -> ErrorFigures:
+    """Compare predictions with measurements, test by test, pooled over all samples.
+
+    R² = 1 − Σ(y − ŷ)² / Σ(y − ȳ)². The mean is each test's own, so tests that start at different heights do
+    not lend each other spread.
+
+    Args:
+        actual: measured displacement, one array of shape [N_i] for each test.
+        predicted: predicted displacement, of the same shapes and unit.
+
+    Returns:
+        The pooled figures; `r2` and `fit` are 0 and the error counts in full where nothing moved.
+    """
+    error = np.concatenate([np.asarray(p) - np.asarray(a) for a, p in zip(actual, predicted, strict=True)])
+    spread = float(sum(np.sum((np.asarray(a) - np.mean(a)) ** 2) for a in actual))
+    lost = float(np.sum(error**2))
+    ratio = lost / spread if spread > 0 else 1.0
+    return ErrorFigures(
+        rmse=float(np.sqrt(np.mean(error**2))),
+        mae=float(np.mean(np.abs(error))),
+        r2=1.0 - ratio,
+        fit=100.0 * (1.0 - float(np.sqrt(ratio))),
+        max_abs=float(np.max(np.abs(error))),
+        within_1=float(np.mean(np.abs(error) < 1.0)),
+    )

@@ -1,0 +1,8 @@
+"""The identified plant: channels, the hitch they make up, and its folder on disk."""
+
+from hitchid.model.artifact import load as load
+from hitchid.model.artifact import save as save
+from hitchid.model.channel import Channel as Channel
+from hitchid.model.channel import unpadded as unpadded
+from hitchid.model.hitch import Hitch as Hitch
+from hitchid.model.hitch import Provenance as Provenance

@@ -1,0 +1,247 @@
+"""A model as a folder: `model.json` (canonical JSON), `weights.safetensors`, `trace.json`."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from safetensors import SafetensorError
+from safetensors.numpy import load as load_tensors
+from safetensors.numpy import save as save_tensors
+
+from hitchid.baselines import Arx, BlackBox
+from hitchid.benchmark import Benchmark, structure_named
+from hitchid.compensator import FEATURES, Compensator
+from hitchid.errors import HitchError, ModelFolderError
+from hitchid.lstm import Lstm
+from hitchid.model.channel import Channel
+from hitchid.model.hitch import Hitch, Provenance
+from hitchid.precision import double_precision
+from hitchid.storage import canonical_json, digest, write_folder
+
+SCHEMA = 1
+MODEL_FILE = "model.json"
+WEIGHTS_FILE = "weights.safetensors"
+TRACE_FILE = "trace.json"
+
+
+def save(
+    hitch: Hitch, folder: str | Path, *, trace: Mapping[str, object] | None = None, force: bool = False
+) -> None:
+    """Write a model folder, whole or not at all.
+
+    Args:
+        hitch: the model.
+        folder: where to; must not exist unless `force`.
+        trace: search and training traces, as JSON can hold them.
+        force: replace a model folder that is there.
+
+    Raises:
+        OutputError: the folder exists, or cannot be written.
+    """
+    weights = save_tensors(_tensors(hitch))
+    traces = canonical_json(trace or {})
+    content = _description(hitch)
+    content["files"] = {WEIGHTS_FILE: digest(weights), TRACE_FILE: digest(traces)}
+    content["digest"] = digest(canonical_json(content))
+
+    def write(place: Path) -> None:
+        (place / WEIGHTS_FILE).write_bytes(weights)
+        (place / TRACE_FILE).write_bytes(traces)
+        (place / MODEL_FILE).write_bytes(canonical_json(content))
+
+    write_folder(Path(folder), write, mark=MODEL_FILE, force=force)
+
+
+@double_precision
+def load(folder: str | Path) -> Hitch:
+    """Read a model folder, checking schema and digests.
+
+    Raises:
+        ModelFolderError: the folder or a file is missing, was cut short or edited, or is of a newer schema.
+    """
+    place = Path(folder)
+    content = _read_description(place)
+    weights = _read_checked(place / WEIGHTS_FILE, content)
+    _read_checked(place / TRACE_FILE, content)
+    try:
+        tensors = load_tensors(weights)
+        return _hitch(content, tensors)
+    except (SafetensorError, KeyError, TypeError, ValueError, HitchError) as error:
+        raise ModelFolderError(f"{place}: cannot be understood: {error!r}") from error
+
+
+def _description(hitch: Hitch) -> dict:
+    provenance = hitch.provenance
+    return {
+        "schema": SCHEMA,
+        "kind": "hitchid model",
+        "step_s": hitch.step_s,
+        "units": dict(hitch.units),
+        "channels": {mode: _describe_channel(channel) for mode, channel in hitch.channels.items()},
+        "split": {
+            part: {mode: list(names) for mode, names in getattr(provenance, part).items()}
+            for part in ("identification", "validation", "held_out")
+        },
+        "seen": sorted(provenance.seen),
+        "cut_at": dict(provenance.cut_at),
+        "seed": provenance.seed,
+        "settings": dict(provenance.settings),
+        "versions": dict(provenance.versions),
+    }
+
+
+def _describe_channel(channel: Channel) -> dict:
+    benchmark = channel.benchmark
+    described: dict = {
+        "direction": channel.direction,
+        "dead_zone": channel.dead_zone,
+        "end_stop": channel.end_stop,
+        "structure": benchmark.structure.name,
+        "values": [float(value) for value in benchmark.values],
+        "dead_time_s": float(benchmark.dead_time_s),
+        "compensator": None,
+    }
+    if channel.compensator is not None:
+        described["compensator"] = {
+            "window": channel.compensator.window,
+            "hidden": channel.compensator.network.cell.hidden_size,
+            "features": list(FEATURES),
+        }
+    if channel.black_box is not None:
+        described["black_box"] = {"hidden": channel.black_box.network.cell.hidden_size}
+    if channel.arx is not None:
+        described["arx"] = {"order": channel.arx.past.size}
+    return described
+
+
+_TRAINED = ("compensator", "black_box", "arx")
+
+
+def _tensors(hitch: Hitch) -> dict[str, np.ndarray]:
+    """Return every array of the trained parts under `mode/part/path`."""
+    tensors = {}
+    for mode, channel in hitch.channels.items():
+        for part in _TRAINED:
+            leaves = jax.tree_util.tree_leaves_with_path(getattr(channel, part))
+            for path, leaf in leaves:
+                tensors[_tensor_name(mode, part, path)] = np.array(leaf, order="C")
+    return tensors
+
+
+def _tensor_name(mode: str, part: str, path: tuple) -> str:
+    return f"{mode}/{part}/{jax.tree_util.keystr(path, simple=True, separator='/')}"
+
+
+def _hitch(content: dict, tensors: dict[str, np.ndarray]) -> Hitch:
+    channels = {mode: _channel(mode, described, tensors) for mode, described in content["channels"].items()}
+    split = {
+        part: {mode: tuple(names) for mode, names in content["split"][part].items()}
+        for part in ("identification", "validation", "held_out")
+    }
+    provenance = Provenance(
+        **split,
+        seen=frozenset(content["seen"]),
+        cut_at=content["cut_at"],
+        seed=content["seed"],
+        settings=content["settings"],
+        versions=content["versions"],
+    )
+    return Hitch(channels, content["step_s"], content["units"], provenance)
+
+
+def _channel(mode: str, described: dict, tensors: dict[str, np.ndarray]) -> Channel:
+    def filled(part: str, skeleton):
+        def leaf(path: tuple, like) -> object:
+            name = _tensor_name(mode, part, path)
+            stored = tensors[name]
+            if stored.shape != like.shape or stored.dtype != like.dtype:
+                raise ValueError(f"{name} has shape {stored.shape} and type {stored.dtype}")
+            return stored if isinstance(like, np.ndarray) else jnp.asarray(stored)
+
+        return jax.tree_util.tree_map_with_path(leaf, skeleton)
+
+    structure = structure_named(described["structure"])
+    channel = Channel(
+        mode=mode,
+        direction=int(described["direction"]),
+        dead_zone=float(described["dead_zone"]),
+        end_stop=described["end_stop"],
+        benchmark=Benchmark(
+            structure, jnp.asarray(described["values"]), jnp.asarray(float(described["dead_time_s"]))
+        ),
+    )
+    parts: dict = {}
+    if described["compensator"] is not None:
+        asked = described["compensator"]
+        if asked["features"] != list(FEATURES):
+            raise ValueError("the compensator's features are not those of this version")
+        parts["compensator"] = filled("compensator", _blank_compensator(asked["hidden"], asked["window"]))
+    if "black_box" in described:
+        parts["black_box"] = filled("black_box", _blank_black_box(described["black_box"]["hidden"]))
+    if "arx" in described:
+        order = described["arx"]["order"]
+        parts["arx"] = filled("arx", Arx(np.zeros(order), np.zeros(order)))
+    return eqx.tree_at(
+        lambda c: [getattr(c, part) for part in parts],
+        channel,
+        list(parts.values()),
+        is_leaf=lambda leaf: leaf is None,
+    )
+
+
+def _blank_compensator(hidden: int, window: int) -> Compensator:
+    count = len(FEATURES)
+    return Compensator(
+        Lstm.fresh(jax.random.key(0), count, hidden),
+        jnp.zeros(count),
+        jnp.ones(count),
+        jnp.ones(()),
+        window,
+    )
+
+
+def _blank_black_box(hidden: int) -> BlackBox:
+    return BlackBox(Lstm.fresh(jax.random.key(0), 2, hidden), *(jnp.ones(()) for _ in range(4)))
+
+
+def _read_description(folder: Path) -> dict:
+    path = folder / MODEL_FILE
+    try:
+        content = json.loads(path.read_bytes())
+    except OSError as error:
+        raise ModelFolderError(
+            f"{path}: cannot be read: {error.strerror}; required a model folder"
+        ) from error
+    except ValueError as error:
+        raise ModelFolderError(f"{path}: was cut short or edited: {error}") from error
+    if not isinstance(content, dict) or content.get("kind") != "hitchid model":
+        raise ModelFolderError(f"{path}: is not the description of a hitchid model")
+    if content.get("schema") != SCHEMA:
+        raise ModelFolderError(
+            f"{path}: has schema {content.get('schema')!r}, required {SCHEMA}; "
+            "was it written by another version of hitchid?"
+        )
+    claimed = content.pop("digest", None)
+    if claimed != digest(canonical_json(content)):
+        raise ModelFolderError(f"{path}: was edited: its digest does not match; identify again")
+    return content
+
+
+def _read_checked(path: Path, content: dict) -> bytes:
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ModelFolderError(
+            f"{path}: cannot be read: {error.strerror}; required with model.json"
+        ) from error
+    claimed = content["files"].get(path.name)
+    if digest(data) != claimed:
+        raise ModelFolderError(
+            f"{path}: was cut short or edited: its SHA-256 is {digest(data)[:12]}…, "
+            f"required {str(claimed)[:12]}…"
+        )
+    return data

@@ -1,0 +1,185 @@
+"""One test: a uniform clock, named signals with units, and where they came from."""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+
+from hitchid.errors import InputError
+from hitchid.units import conversion_factor
+
+DISPLACEMENT = "displacement"
+LIFTING = "lifting"
+LOWERING = "lowering"
+MODES = (LIFTING, LOWERING)
+COMMAND = MappingProxyType({LIFTING: "lifting_command", LOWERING: "lowering_command"})
+
+RAMP = "ramp"
+CYCLE = "cycle"
+IDLE = "idle"
+KINDS = (LIFTING, LOWERING, RAMP, CYCLE, IDLE)
+
+
+@dataclass(frozen=True)
+class Record:
+    """One test on a uniform clock.
+
+    Attributes:
+        name: the log's file name without its endings.
+        step_s: sampling time, s.
+        signals: role to samples, each of shape [N]: `displacement`, `lifting_command`, `lowering_command`,
+            and covariates under their own names. A plant with one channel has one command.
+        units: role to unit.
+        kind: `lifting`, `lowering`, `ramp`, `cycle` or `idle`.
+        start_s: time of the first sample in the log, s.
+        source: the file it was read from.
+        notices: what was done to the log on the way in.
+    """
+
+    name: str
+    step_s: float
+    signals: Mapping[str, np.ndarray]
+    units: Mapping[str, str]
+    kind: str = IDLE
+    start_s: float = 0.0
+    source: Path | None = None
+    notices: tuple[str, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        """Check what every later room relies on, and freeze the samples."""
+        if DISPLACEMENT not in self.signals:
+            raise InputError(
+                f"record '{self.name}': a displacement signal is required, came {sorted(self.signals)}"
+            )
+        if not any(role in self.signals for role in COMMAND.values()):
+            raise InputError(f"record '{self.name}': at least one command signal is required, none came")
+        if not self.step_s > 0:
+            raise InputError(
+                f"record '{self.name}': the sampling time must be positive, came {self.step_s} s"
+            )
+        frozen = {}
+        for role, samples in self.signals.items():
+            array = np.array(samples, dtype=np.float64)
+            array.setflags(write=False)
+            if array.shape != (len(self),):
+                raise InputError(
+                    f"record '{self.name}': '{role}' has shape {array.shape}, required ({len(self)},)"
+                )
+            if not np.all(np.isfinite(array)):
+                row = int(np.flatnonzero(~np.isfinite(array))[0])
+                raise InputError(f"record '{self.name}': '{role}' is {array[row]} at sample {row}")
+            frozen[role] = array
+        object.__setattr__(self, "signals", MappingProxyType(frozen))
+        object.__setattr__(self, "units", MappingProxyType(dict(self.units)))
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return len(self.signals[DISPLACEMENT])
+
+    @property
+    def time_s(self) -> np.ndarray:
+        """Time of each sample in the log, s, shape [N]."""
+        return self.start_s + self.step_s * np.arange(len(self))
+
+    @property
+    def displacement(self) -> np.ndarray:
+        """Measured displacement, in `units["displacement"]`, shape [N]."""
+        return self.signals[DISPLACEMENT]
+
+    @property
+    def unit(self) -> str:
+        """Unit of the displacement, and so of every error and prediction."""
+        return self.units[DISPLACEMENT]
+
+    @property
+    def modes(self) -> tuple[str, ...]:
+        """The modes this record has a command for."""
+        return tuple(mode for mode in MODES if COMMAND[mode] in self.signals)
+
+    def command(self, mode: str) -> np.ndarray:
+        """Return the command of a mode, shape [N].
+
+        Raises:
+            InputError: the record has no such command.
+        """
+        role = COMMAND[mode]
+        if role not in self.signals:
+            raise InputError(
+                f"record '{self.name}': there is no {mode} command; signals: {', '.join(self.signals)}"
+            )
+        return self.signals[role]
+
+    @property
+    def fingerprint(self) -> str:
+        """SHA-256 over sampling time and measured samples: equal for equal data, whatever the name."""
+        digest = hashlib.sha256(np.float64(self.step_s).tobytes())
+        for role in (DISPLACEMENT, *COMMAND.values()):
+            if role in self.signals:
+                digest.update(role.encode())
+                digest.update(self.signals[role].tobytes())
+        return digest.hexdigest()
+
+    def slice(self, start: int, stop: int, *, name: str | None = None, kind: str | None = None) -> "Record":
+        """Return samples `start:stop` as a record of its own."""
+        return replace(
+            self,
+            name=self.name if name is None else name,
+            kind=self.kind if kind is None else kind,
+            signals={role: samples[start:stop] for role, samples in self.signals.items()},
+            start_s=self.start_s + start * self.step_s,
+        )
+
+    def resample(self, step_s: float) -> "Record":
+        """Return the record on a clock of `step_s`; see `resampled`."""
+        count = int(np.floor((len(self) - 1) * self.step_s / step_s * (1 + 1e-12))) + 1
+        wanted = step_s * np.arange(count)
+        had = self.step_s * np.arange(len(self))
+        return replace(
+            self,
+            step_s=step_s,
+            signals=resampled(self.signals, had, wanted),
+            notices=(*self.notices, f"resampled from {self.step_s:.4g} s to {step_s:.4g} s"),
+        )
+
+    def convert(self, units: Mapping[str, str]) -> "Record":
+        """Return the record in other units of the same dimensions.
+
+        Raises:
+            SettingsError: a unit is of another dimension.
+        """
+        factors = {
+            role: conversion_factor(self.units[role], unit, f"record '{self.name}', {role}")
+            for role, unit in units.items()
+            if role in self.signals
+        }
+        return replace(
+            self,
+            signals={role: samples * factors.get(role, 1.0) for role, samples in self.signals.items()},
+            units={**self.units, **{role: units[role] for role in factors}},
+        )
+
+
+def resampled(
+    signals: Mapping[str, np.ndarray], had_s: np.ndarray, wanted_s: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Take signals from one time base to another.
+
+    Commands are piecewise constant, so the nearest sample is taken; everything measured is interpolated.
+
+    Args:
+        signals: role to samples, each of shape [N].
+        had_s: time of the samples, s, shape [N], increasing.
+        wanted_s: time of the wanted samples, s, shape [M].
+
+    Returns:
+        Role to samples, each of shape [M].
+    """
+    middle = (had_s[1:] + had_s[:-1]) / 2
+    nearest = np.searchsorted(middle, wanted_s)
+    return {
+        role: samples[nearest] if role in COMMAND.values() else np.interp(wanted_s, had_s, samples)
+        for role, samples in signals.items()
+    }

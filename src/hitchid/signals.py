@@ -1,0 +1,135 @@
+"""The settings file of a campaign: which column is which signal, which test is what, which are held out."""
+
+import tomllib
+from pathlib import Path
+from typing import Literal, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+
+from hitchid.errors import SettingsError
+from hitchid.units import check_unit, conversion_factor, unit_of_column
+
+CAMPAIGN_FILE = "campaign.toml"
+
+
+class Strict(BaseModel):
+    """Settings read from a file: a misspelt key is an error."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Column(Strict):
+    """A column of the log and the unit it is in."""
+
+    column: str
+    unit: str
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_name(cls, given: object) -> object:
+        if isinstance(given, str):
+            unit = unit_of_column(given)
+            if unit is None:
+                raise ValueError(
+                    f"the name '{given}' does not end in a known unit; "
+                    f'required {{ column = "{given}", unit = "…" }}'
+                )
+            return {"column": given, "unit": unit}
+        return given
+
+    @field_validator("unit")
+    @classmethod
+    def _known(cls, unit: str) -> str:
+        try:
+            return check_unit(unit, "unit")
+        except SettingsError as error:
+            raise ValueError(str(error)) from error
+
+
+class SignalMap(Strict):
+    """Which column of a log holds which signal.
+
+    Either one signed `command`, positive lifting and negative lowering, or `lifting_command` and
+    `lowering_command`; one of these alone describes a plant with one channel, whose command may take both
+    signs.
+    """
+
+    time: Column = Column(column="time_s", unit="s")
+    displacement: Column = Column(column="displacement_mm", unit="mm")
+    command: Column | None = None
+    lifting_command: Column | None = None
+    lowering_command: Column | None = None
+    covariates: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _commands(self) -> "SignalMap":
+        if self.command and (self.lifting_command or self.lowering_command):
+            raise ValueError("required either command or lifting_command and lowering_command, not both")
+        if not (self.command or self.lifting_command or self.lowering_command):
+            raise ValueError("required at least one of command, lifting_command, lowering_command")
+        conversion_factor(self.time.unit, "s", "time")
+        return self
+
+
+DEFAULT_SIGNALS = SignalMap(
+    lifting_command=Column(column="current_up_A", unit="A"),
+    lowering_command=Column(column="current_down_A", unit="A"),
+)
+
+
+class Split(Strict):
+    """Which tests are held out: patterns on their names."""
+
+    test: tuple[str, ...] = Field(min_length=1)
+
+
+class CampaignFile(Strict):
+    """All of `campaign.toml`."""
+
+    signals: SignalMap = DEFAULT_SIGNALS
+    split: Split | None = None
+    tests: dict[str, Literal["lifting", "lowering", "ramp", "cycle"]] = {}
+
+
+def read_campaign_file(path: Path) -> CampaignFile:
+    """Read a `campaign.toml`.
+
+    Raises:
+        SettingsError: the file cannot be read, is not TOML, or has a key or value that is not understood.
+    """
+    return parse_settings(path, CampaignFile)
+
+
+Settings = TypeVar("Settings", bound=Strict)
+
+
+def parse_settings(path: Path, model: type[Settings]) -> Settings:
+    """Read a TOML file into settings, naming file and key of whatever does not fit.
+
+    Raises:
+        SettingsError: as `read_campaign_file`.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise SettingsError(f"{path}: cannot be read: {error}") from error
+    try:
+        return model.model_validate(tomllib.loads(text))
+    except tomllib.TOMLDecodeError as error:
+        raise SettingsError(f"{path}: is not valid TOML: {error}") from error
+    except ValidationError as error:
+        raise SettingsError(f"{path}: {describe(error)}") from error
+    except SettingsError as error:
+        raise SettingsError(f"{path}: {error}") from error
+
+
+def describe(error: ValidationError) -> str:
+    """Put the first complaint of a validation into one sentence that names the key."""
+    first = error.errors()[0]
+    key = ".".join(str(part) for part in first["loc"]) or "settings"
+    if first["type"] == "extra_forbidden":
+        return f"key '{key}' is not known; check its spelling"
+    message = first["msg"].removeprefix("Value error, ")
+    given = first.get("input")
+    came = f", came {given!r}" if isinstance(given, str | int | float | bool) else ""
+    return f"key '{key}': {message}{came}"

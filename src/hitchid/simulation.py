@@ -1,0 +1,65 @@
+"""A log in, the same log out with the predicted displacement beside its columns."""
+
+from pathlib import Path
+
+import numpy as np
+
+from hitchid.model import Hitch
+from hitchid.readers import assemble, format_of, read_log, settings_of
+from hitchid.readers.csv import write_rows
+from hitchid.storage import write_file
+from hitchid.units import conversion_factor
+
+
+def simulate_log(
+    model: Hitch,
+    log: Path,
+    out: Path,
+    *,
+    horizon: int | None = None,
+    signals: Path | None = None,
+    force: bool = False,
+) -> None:
+    """Write a log's columns and the displacement a model predicts for each of its rows.
+
+    A log with gaps is predicted stretch by stretch; rows of no usable stretch get an empty cell.
+
+    Args:
+        model: an identified hitch.
+        log: one log of any known format.
+        out: CSV file to write.
+        horizon: samples to look ahead, None for free run.
+        signals: a file like `campaign.toml`.
+        force: replace a file that is there.
+
+    Raises:
+        InputError: the log, its signal map or the place to write cannot be used.
+    """
+    settings = settings_of([log], signals)
+    signal_map = settings[log.parent].signals
+    campaign = assemble(read_log(log, signal_map), settings.values())
+    header, rows = format_of(log).read_rows(log, signal_map.time.column)
+    column = header.index(signal_map.time.column)
+    factor = conversion_factor(signal_map.time.unit, "s", "time")
+    time_s = factor * np.array([float(row[column]) for row in rows])
+    predicted = np.full(time_s.size, np.nan)
+    for record in campaign.records:
+        values = model.simulate(record) if horizon is None else model.predict(record, horizon=horizon)
+        edge = record.step_s / 2
+        inside = (time_s > record.time_s[0] - edge) & (time_s < record.time_s[-1] + edge)
+        predicted[inside] = np.interp(time_s[inside], record.time_s, values)
+    cells = ["" if np.isnan(value) else repr(value) for value in predicted.tolist()]
+    name = predicted_name(signal_map.displacement.column)
+    write_file(
+        out,
+        lambda path: write_rows(
+            path, [*header, name], [[*row, cell] for row, cell in zip(rows, cells, strict=True)]
+        ),
+        force=force,
+    )
+
+
+def predicted_name(column: str) -> str:
+    """Return the name of the predicted column: `displacement_predicted_mm`, else `<name>_predicted`."""
+    stem, separator, unit = column.partition("displacement_")
+    return f"displacement_predicted_{unit}" if separator and not stem else f"{column}_predicted"

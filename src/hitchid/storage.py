@@ -1,0 +1,101 @@
+"""Results on disk: canonical JSON, digests, and folders that appear whole or not at all."""
+
+import hashlib
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+from hitchid.errors import OutputError
+
+
+def canonical_json(content: object) -> bytes:
+    """Return JSON with sorted keys and one form for each value: equal content gives equal bytes.
+
+    Raises:
+        ValueError: a number is not finite.
+    """
+    text = json.dumps(content, sort_keys=True, indent=1, ensure_ascii=False, allow_nan=False)
+    return f"{text}\n".encode()
+
+
+def write_folder(folder: Path, write: Callable[[Path], None], *, mark: str, force: bool) -> None:
+    """Write a folder beside its place and move it there, so that it appears whole or not at all.
+
+    Args:
+        folder: where to.
+        write: fills a folder.
+        mark: a file that an older result of this kind holds; `force` replaces nothing else.
+        force: replace an older result.
+
+    Raises:
+        OutputError: something stands there already, or it cannot be written.
+    """
+    check_folder(folder, mark=mark, force=force)
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        beside = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+        try:
+            write(beside)
+            os.chmod(beside, 0o755)  # noqa: S103
+            if folder.exists():
+                shutil.rmtree(folder)
+            beside.rename(folder)
+        finally:
+            shutil.rmtree(beside, ignore_errors=True)
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be written: {error}") from error
+
+
+def digest(data: bytes) -> str:
+    """Return the SHA-256 of some bytes, in hexadecimal."""
+    return hashlib.sha256(data).hexdigest()
+
+
+def check_folder(folder: Path, *, mark: str, force: bool) -> None:
+    """Complain early about a place where `write_folder` would not write.
+
+    Raises:
+        OutputError: something stands there that must not be replaced.
+    """
+    occupied = folder.exists() and not (folder.is_dir() and not any(folder.iterdir()))
+    if occupied and not force:
+        raise OutputError(f"{folder}: exists already; required a new folder, or --force to replace it")
+    if occupied and not (folder / mark).is_file():
+        raise OutputError(
+            f"{folder}: holds no {mark}, so --force does not replace it; required another place"
+        )
+
+
+def check_file(path: Path, *, force: bool) -> None:
+    """Complain early about a place where `write_file` would not write.
+
+    Raises:
+        OutputError: something stands there that must not be replaced.
+    """
+    if path.exists() and not (force and path.is_file()):
+        raise OutputError(f"{path}: exists already; required a new file, or --force to replace one")
+
+
+def write_file(path: Path, write: Callable[[Path], None], *, force: bool) -> None:
+    """Write a file beside its place and move it there, so that it appears whole or not at all.
+
+    Args:
+        path: where to.
+        write: writes the file it is given, whose name ends as `path` does.
+        force: replace a file that is there.
+
+    Raises:
+        OutputError: something stands there already, or it cannot be written.
+    """
+    check_file(path, force=force)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=f".{path.name}-", dir=path.parent) as beside:
+            fresh = Path(beside) / path.name
+            write(fresh)
+            fresh.replace(path)
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error}") from error

@@ -1,0 +1,61 @@
+"""The units a log may carry, and conversion between those of one dimension."""
+
+from typing import NamedTuple
+
+from hitchid.errors import SettingsError
+
+
+class _Unit(NamedTuple):
+    dimension: str
+    factor: float
+
+
+_DEGREE = 3.141592653589793 / 180.0
+
+UNITS: dict[str, _Unit] = {
+    "A": _Unit("current", 1.0),
+    "mA": _Unit("current", 1e-3),
+    "V": _Unit("voltage", 1.0),
+    "percent": _Unit("ratio", 1e-2),
+    "1": _Unit("ratio", 1.0),
+    "m": _Unit("length", 1.0),
+    "cm": _Unit("length", 1e-2),
+    "mm": _Unit("length", 1e-3),
+    "in": _Unit("length", 0.0254),
+    "deg": _Unit("angle", _DEGREE),
+    "rad": _Unit("angle", 1.0),
+    "bar": _Unit("pressure", 1e5),
+    "MPa": _Unit("pressure", 1e6),
+    "Pa": _Unit("pressure", 1.0),
+    "psi": _Unit("pressure", 6894.757293168361),
+    "s": _Unit("time", 1.0),
+    "ms": _Unit("time", 1e-3),
+}
+
+
+def check_unit(unit: str, where: str) -> str:
+    """Return `unit` if it is known, else raise `SettingsError` naming `where` it stands."""
+    if unit not in UNITS:
+        raise SettingsError(f"{where}: unit '{unit}' is not known; required one of {', '.join(UNITS)}")
+    return unit
+
+
+def unit_of_column(column: str) -> str | None:
+    """Return the unit a column name ends in (`stroke_mm` gives `mm`), or None."""
+    _, separator, suffix = column.rpartition("_")
+    return suffix if separator and suffix in UNITS else None
+
+
+def conversion_factor(unit: str, target: str, where: str) -> float:
+    """Return the factor that takes a number in `unit` to `target`.
+
+    Raises:
+        SettingsError: one of the two is unknown, or their dimensions differ.
+    """
+    source, wanted = UNITS[check_unit(unit, where)], UNITS[check_unit(target, where)]
+    if source.dimension != wanted.dimension:
+        raise SettingsError(
+            f"{where}: '{unit}' is a unit of {source.dimension}, "
+            f"required one of {wanted.dimension} like '{target}'"
+        )
+    return 1.0 if unit == target else source.factor / wanted.factor

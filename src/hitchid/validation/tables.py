@@ -1,0 +1,114 @@
+"""The tables of a validation, for Markdown and for the terminal."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+NAMES = {
+    "persistence": "persistence",
+    "arx": "ARX",
+    "lstm": "black-box LSTM",
+    "benchmark": "transfer function",
+    "greybox": "grey box",
+}
+
+
+class Table(NamedTuple):
+    """One table: a title, a header, and rows of text, the first column being names."""
+
+    title: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+def tables(metrics: Mapping[str, Any]) -> list[Table]:
+    """Return for each direction accuracy, horizons and single tests, and the cycles at the end."""
+    unit = metrics["unit"]
+    found = []
+    for mode, channel in metrics["channels"].items():
+        found += [
+            _accuracy(mode, channel, unit),
+            _horizons(mode, channel, unit),
+            _single_tests(mode, channel["per_test"], unit),
+        ]
+    if metrics["cycles"]["tests"]:
+        found += _cycles(metrics["cycles"], unit)
+    return found
+
+
+def markdown(content: Sequence[Table], notices: Sequence[str]) -> str:
+    """Return tables, and before them what a reader should not miss, as Markdown."""
+    lines = ["# Validation", ""]
+    if notices:
+        lines += [*(f"- {notice}" for notice in notices), ""]
+    for table in content:
+        lines += [
+            f"## {table.title}",
+            "",
+            _line(table.header),
+            _line(("---", *("---:" for _ in table.header[1:]))),
+            *(_line(row) for row in table.rows),
+            "",
+        ]
+    return "\n".join(lines)
+
+
+def digits(value: float | None) -> str:
+    """Return a number with four significant digits; what is not finite reads 'diverged'."""
+    return "diverged" if value is None else f"{value:.4g}"
+
+
+def _line(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def _accuracy(mode: str, channel: Mapping[str, Any], unit: str) -> Table:
+    models = {**channel["baselines"], "benchmark": channel["benchmark"], "greybox": channel["greybox"]}
+    rows = [
+        (NAMES[name], kind.replace("_", " "), *_cells(figures))
+        for kind in ("one_step", "free_run")
+        for name, model in models.items()
+        if (figures := model.get(kind)) is not None
+    ]
+    count = len(channel["tests"])
+    tests = f"{count} unseen test{'s' if count != 1 else ''}"
+    return Table(f"{mode}: accuracy on {tests}", _header(unit, "model", "run"), tuple(rows))
+
+
+def _header(unit: str, *names: str) -> tuple[str, ...]:
+    errors = (f"RMSE / {unit}", f"MAE / {unit}", "R²", "fit / %", f"max abs / {unit}", f"below 1 {unit} / %")
+    return (*names, *errors)
+
+
+def _cells(figures: Mapping[str, float | None]) -> tuple[str, ...]:
+    within = figures["within_1"]
+    r2 = figures["r2"]
+    return (
+        digits(figures["rmse"]),
+        digits(figures["mae"]),
+        "diverged" if r2 is None else f"{r2:.4f}",
+        "diverged" if figures["fit"] is None else f"{figures['fit']:.2f}",
+        digits(figures["max_abs"]),
+        "diverged" if within is None else f"{100 * within:.1f}",
+    )
+
+
+def _horizons(mode: str, channel: Mapping[str, Any], unit: str) -> Table:
+    horizons = channel["horizons"]
+    rows = [
+        (NAMES[name], *(digits(value) for value in horizons[name]))
+        for name in ("persistence", "benchmark", "greybox")
+    ]
+    header = ("model", *(str(step) for step in horizons["steps"]))
+    return Table(f"{mode}: RMSE / {unit} over the horizon in samples", header, tuple(rows))
+
+
+def _single_tests(title: str, per_test: Mapping[str, Any], unit: str) -> Table:
+    rows = [(name, *_cells(test["free_run"])) for name, test in per_test.items()]
+    return Table(f"{title}: grey box in free run, test by test", _header(unit, "test"), tuple(rows))
+
+
+def _cycles(cycles: Mapping[str, Any], unit: str) -> list[Table]:
+    count = len(cycles["tests"])
+    rows = tuple((NAMES[name], *_cells(cycles[name]["free_run"])) for name in ("benchmark", "greybox"))
+    title = f"cycles: free run over {count} unseen cycle{'s' if count != 1 else ''}"
+    return [Table(title, _header(unit, "model"), rows), _single_tests("cycles", cycles["per_test"], unit)]

@@ -1,0 +1,207 @@
+"""Whale optimisation: a swarm that encircles, spirals around and wanders from its best member.
+
+Mirjalili & Lewis 2016, Advances in Engineering Software 95, 51-67. The search runs in the unit cube, one
+compiled program for the whole population and every iteration.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, PRNGKeyArray
+
+Objective = Callable[[Float[Array, "p d"]], Float[Array, " p"]]
+
+
+class Reason(Enum):
+    """Why a search stopped, with what to try."""
+
+    ITERATIONS = "all iterations were run; more of them may still improve the fit"
+    BUDGET = "the budget of evaluations was spent; a larger one may still improve the fit"
+    STAGNATION = "the best fitness no longer improved; the search has settled"
+    FAILED = "no whale gave a finite error; widen or move the bounds"
+
+
+@dataclass(frozen=True)
+class Swarm:
+    """Settings of the swarm.
+
+    Attributes:
+        population: whales.
+        iterations: generations evaluated, the first random one included.
+        evaluations: largest number of objective evaluations, None for as many as the iterations take.
+        stagnation: generations without a relative improvement of `tolerance` after which to stop, None never.
+        tolerance: relative improvement that counts.
+        per_dimension: draw A, C, p and l for each coordinate; False draws one of each for a whale, as older
+            codes do, which restricts its moves.
+        spiral: the constant b of the logarithmic spiral.
+    """
+
+    population: int = 30
+    iterations: int = 100
+    evaluations: int | None = None
+    stagnation: int | None = None
+    tolerance: float = 1e-6
+    per_dimension: bool = True
+    spiral: float = 1.0
+
+    @property
+    def generations(self) -> int:
+        """Generations that iterations and budget allow."""
+        if self.evaluations is None:
+            return self.iterations
+        return max(1, min(self.iterations, self.evaluations // self.population))
+
+
+class State(eqx.Module):
+    """The swarm between two generations.
+
+    Attributes:
+        population: positions in the unit cube, shape [P, D].
+        best: position of the best whale so far, shape [D].
+        best_fitness: its fitness, +inf while none was finite, shape [].
+        generation: generations told so far, shape [].
+        improved: the generation that last improved by more than the tolerance, shape [].
+    """
+
+    population: Float[Array, "p d"]
+    best: Float[Array, " d"]
+    best_fitness: Float[Array, ""]
+    generation: Int[Array, ""]
+    improved: Int[Array, ""]
+
+
+class Trace(eqx.Module):
+    """The whole search, one row a generation; rows past `generations` are unused and hold +inf.
+
+    Attributes:
+        best_fitness: best fitness so far, shape [G].
+        best: its position in the unit cube, shape [G, D].
+        fitness: fitness of every whale, +inf for a failed simulation, shape [G, P].
+        failures: whales whose objective was not finite, shape [G].
+    """
+
+    best_fitness: Float[Array, " g"]
+    best: Float[Array, "g d"]
+    fitness: Float[Array, "g p"]
+    failures: Int[Array, " g"]
+
+
+class Outcome(eqx.Module):
+    """What a search found.
+
+    Attributes:
+        best: best position in the unit cube, shape [D].
+        best_fitness: its fitness, shape [].
+        generations: generations evaluated, shape [].
+        settled: whether stagnation ended the search, shape [].
+        trace: the whole search.
+    """
+
+    best: Float[Array, " d"]
+    best_fitness: Float[Array, ""]
+    generations: Int[Array, ""]
+    settled: Array
+    trace: Trace
+
+
+def init(key: PRNGKeyArray, dimensions: int, swarm: Swarm) -> State:
+    """Return a swarm spread evenly at random over the unit cube."""
+    population = jax.random.uniform(key, (swarm.population, dimensions))
+    return State(
+        population=population,
+        best=population[0],
+        best_fitness=jnp.asarray(jnp.inf, population.dtype),
+        generation=jnp.asarray(0),
+        improved=jnp.asarray(0),
+    )
+
+
+def ask(key: PRNGKeyArray, state: State, swarm: Swarm) -> Float[Array, "p d"]:
+    """Return where the whales move next; the first generation stays where it was put.
+
+    X' = X* − A |C X* − X| where |A| < 1, X' = X_r − A |C X_r − X| with a random member r elsewhere, and with
+    probability ½ the spiral X' = |X* − X| e^(b l) cos 2π l + X*; A = 2 a r₁ − a, C = 2 r₂, a from 2 to 0.
+    Mirjalili & Lewis 2016, eq. 2.1-2.8. Whales are stopped at the walls of the cube.
+    """
+    whales, dimensions = state.population.shape
+    drawn = (whales, dimensions if swarm.per_dimension else 1)
+    key_a, key_c, key_p, key_l, key_member = jax.random.split(key, 5)
+    shrink = 2.0 * (1.0 - state.generation / max(1, swarm.generations))
+    a = shrink * (2.0 * jax.random.uniform(key_a, drawn) - 1.0)
+    c = 2.0 * jax.random.uniform(key_c, drawn)
+    spirals = jax.random.uniform(key_p, drawn) >= 0.5
+    along = jax.random.uniform(key_l, drawn, minval=-1.0, maxval=1.0)
+    member = state.population[jax.random.randint(key_member, (whales,), 0, whales)]
+
+    target = jnp.where(jnp.abs(a) < 1.0, state.best, member)
+    encircling = target - a * jnp.abs(c * target - state.population)
+    reach = jnp.exp(swarm.spiral * along) * jnp.cos(2.0 * jnp.pi * along)
+    spiralling = jnp.abs(state.best - state.population) * reach + state.best
+    moved = jnp.clip(jnp.where(spirals, spiralling, encircling), 0.0, 1.0)
+    return jnp.where(state.generation == 0, state.population, moved)
+
+
+def tell(state: State, population: Float[Array, "p d"], fitness: Float[Array, " p"], swarm: Swarm) -> State:
+    """Take in the fitness of a generation; what is not finite counts as +inf and is never best."""
+    finite = jnp.where(jnp.isfinite(fitness), fitness, jnp.inf)
+    leader = jnp.argmin(finite)
+    better = finite[leader] < state.best_fitness
+    enough = finite[leader] < state.best_fitness * (1.0 - swarm.tolerance)
+    return State(
+        population=population,
+        best=jnp.where(better, population[leader], state.best),
+        best_fitness=jnp.where(better, finite[leader], state.best_fitness),
+        generation=state.generation + 1,
+        improved=jnp.where(enough | (state.generation == 0), state.generation, state.improved),
+    )
+
+
+def minimise(objective: Objective, dimensions: int, swarm: Swarm, key: PRNGKeyArray) -> Outcome:
+    """Minimise an objective over the unit cube; pure, so it may be compiled and mapped.
+
+    Args:
+        objective: from positions of shape [P, D] to fitness of shape [P]; NaN marks a failed simulation.
+        dimensions: D.
+        swarm: settings.
+        key: every random draw comes from it.
+    """
+    generations = swarm.generations
+    start_key, key = jax.random.split(key)
+    state = init(start_key, dimensions, swarm)
+    empty = Trace(
+        best_fitness=jnp.full((generations,), jnp.inf),
+        best=jnp.zeros((generations, dimensions)),
+        fitness=jnp.full((generations, swarm.population), jnp.inf),
+        failures=jnp.zeros((generations,), jnp.int32),
+    )
+
+    def settled(state: State) -> Array:
+        if swarm.stagnation is None:
+            return jnp.asarray(False)
+        return state.generation - 1 - state.improved >= swarm.stagnation
+
+    def going(carry: tuple[State, Trace]) -> Array:
+        state, _ = carry
+        return (state.generation < generations) & ~settled(state)
+
+    def generation(carry: tuple[State, Trace]) -> tuple[State, Trace]:
+        state, trace = carry
+        row = state.generation
+        population = ask(jax.random.fold_in(key, row), state, swarm)
+        fitness = objective(population)
+        state = tell(state, population, fitness, swarm)
+        failed = ~jnp.isfinite(fitness)
+        trace = Trace(
+            best_fitness=trace.best_fitness.at[row].set(state.best_fitness),
+            best=trace.best.at[row].set(state.best),
+            fitness=trace.fitness.at[row].set(jnp.where(failed, jnp.inf, fitness)),
+            failures=trace.failures.at[row].set(jnp.sum(failed, dtype=jnp.int32)),
+        )
+        return state, trace
+
+    state, trace = jax.lax.while_loop(going, generation, (state, empty))
+    return Outcome(state.best, state.best_fitness, state.generation, settled(state), trace)

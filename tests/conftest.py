@@ -1,0 +1,111 @@
+"""What every test shares: double precision, checked shapes, made-up benches, measured data."""
+
+import os
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from jaxtyping import install_import_hook
+
+jax.config.update("jax_enable_x64", True)
+
+install_import_hook("hitchid", "beartype.beartype")
+
+from hitchid.readers import write_table  # noqa: E402
+from hitchid.record import Record  # noqa: E402
+
+DATA = Path(os.environ.get("HITCHID_DATA", Path(__file__).parents[2] / "shared" / "data"))
+
+
+@pytest.fixture
+def data():
+    """Return a function that gives the folder of a measured data set, or skips the test."""
+
+    def folder(name: str) -> Path:
+        if not (DATA / name).is_dir():
+            pytest.skip(f"{DATA / name} is missing; set HITCHID_DATA to the folder of measured data")
+        return DATA / name
+
+    return folder
+
+
+def binary_command(rng: np.random.Generator, samples: int, low: float, high: float) -> np.ndarray:
+    """Return a random binary command, shape [N], that holds a level for 0.2 to 1 s at 100 Hz, after rest."""
+    holds = rng.integers(20, 100, samples // 20)
+    levels = rng.choice([low, high], holds.size)
+    return np.concatenate([np.zeros(5), np.repeat(levels, holds)])[:samples]
+
+
+def lagged_integrator(
+    command: np.ndarray, *, gain: float, time_constant: float, dead_zone: float, step_s: float = 0.01
+) -> np.ndarray:
+    """Return the travel of K/(s(τs+1)) behind a dead zone, by its closed-form step from sample to sample."""
+    decay = np.exp(-step_s / time_constant)
+    travel = np.zeros(command.size)
+    speed = 0.0
+    for k, effective in enumerate(np.maximum(command - dead_zone, 0.0)[:-1]):
+        final = gain * effective
+        travel[k + 1] = travel[k] + final * step_s + (speed - final) * time_constant * (1 - decay)
+        speed = final + (speed - final) * decay
+    return travel
+
+
+@pytest.fixture
+def bench(tmp_path):
+    """Return a function that writes a folder of made-up logs of a two-way plant and returns it."""
+
+    def write(
+        *, tests: int = 5, samples: int = 400, noise: float = 0.02, seed: int = 0, folder: str = "logs"
+    ) -> Path:
+        rng = np.random.default_rng(seed)
+        place = tmp_path / folder
+        place.mkdir()
+        time_s = 0.01 * np.arange(samples)
+        for mode, direction, start in (("lifting", 1, 0.0), ("lowering", -1, 200.0)):
+            for number in range(1, tests + 1):
+                command = binary_command(rng, samples, 0.45, rng.uniform(0.5, 0.7))
+                travel = lagged_integrator(command, gain=30.0, time_constant=0.08, dead_zone=0.35)
+                measured = start + direction * travel + noise * rng.standard_normal(samples)
+                up, down = (command, 0 * command) if direction > 0 else (0 * command, command)
+                write_table(
+                    place / f"{mode}-{number:02d}.csv",
+                    {
+                        "time_s": np.round(time_s, 4),
+                        "current_up_A": up,
+                        "current_down_A": down,
+                        "displacement_mm": measured,
+                    },
+                )
+        return place
+
+    return write
+
+
+@pytest.fixture
+def make_record():
+    """Return a function that makes a record of given signals at 100 Hz in mm and A."""
+
+    def make(
+        displacement, lifting=None, lowering=None, *, name: str = "test", step_s: float = 0.01
+    ) -> Record:
+        signals = {"displacement": np.asarray(displacement, dtype=float)}
+        if lifting is not None:
+            signals["lifting_command"] = np.asarray(lifting, dtype=float)
+        if lowering is not None:
+            signals["lowering_command"] = np.asarray(lowering, dtype=float)
+        units = {role: "mm" if role == "displacement" else "A" for role in signals}
+        return Record(name=name, step_s=step_s, signals=signals, units=units)
+
+    return make
+
+
+@pytest.fixture
+def quick_settings():
+    """Return settings of an identification that takes seconds."""
+    from hitchid.identification import Descent, MultiStart, Settings, Training
+
+    return Settings(
+        search=MultiStart(evaluations=60),
+        training=Training(hidden=6, window=20, descent=Descent(epochs=8, patience=8)),
+    )
