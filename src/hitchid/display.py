@@ -100,12 +100,16 @@ def show_validation(result: "Validation") -> None:
 
     for content in tables(result.metrics):
         table = RichTable(title=content.title, title_justify="left", title_style="bold")
-        for number, name in enumerate(content.header):
-            table.add_column(name, justify="right" if number else "left")
+        for name, first in zip(content.header, content.rows[0], strict=True):
+            table.add_column(name, justify="right" if _numeric(first) else "left")
         for row in content.rows:
             table.add_row(*row)
         _out().print(table)
     _say("notice", result.notices)
+
+
+def _numeric(cell: str) -> bool:
+    return cell == "diverged" or not any(letter.isalpha() for letter in cell.replace("e", ""))
 
 
 def _table(*header: str) -> RichTable:

@@ -57,7 +57,8 @@ def inspect(logs: str | Path | Iterable[str | Path], *, signals: str | Path | No
     try:
         campaign = assemble(records, settings.values())
     except HitchError as error:
-        return Inspection(tuple(_entry(record, False) for record in records), (), (*faults, str(error)))
+        entries = tuple({**_entry(record, False), "kind": "not told"} for record in records)
+        return Inspection(entries, (), (*faults, str(error)))
     held_out = {record.name for mode in MODES for record in campaign.held_out(mode)}
     scale = max(float(np.max(np.abs(r.command(m)))) for r in campaign.records for m in r.modes)
     return Inspection(

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import partial
 
 import equinox as eqx
 import jax
@@ -16,6 +15,7 @@ from hitchid.identification.search import Found, Problem, Search, polish
 
 AT_BOUND = 1e-3
 VAGUE = 0.5
+SINGULAR = 1e-14
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Estimate:
     Attributes:
         name, unit: as in the structure, the unit in the log's units.
         value: the estimate.
-        error: standard error, assuming white residuals; infinite where the data do not determine it.
+        error: standard error, residuals of one test taken as correlated; infinite where not determined.
         lower, upper: bounds of the search.
         verdict: `determined`, `at its lower bound`, `at its upper bound` or `not determined`.
     """
@@ -98,20 +98,15 @@ def identify_benchmark(
     lower, upper = _bounds(parameters, form.bounds, batch)
     low = jnp.log(jnp.asarray(lower))
     span = jnp.log(jnp.asarray(upper)) - low
-    residuals = partial(_residuals, batch, form.structure, form.dead_time, low, span)
-    count = int(np.sum(np.asarray(batch.counted)))
-    present = np.asarray(batch.counted).ravel()
-    compiled = eqx.filter_jit(residuals)
-    slope = eqx.filter_jit(jax.jacfwd(residuals))
-
-    def fitness(positions: Float[Array, "p d"]) -> Float[Array, " p"]:
-        return jax.vmap(lambda position: jnp.sqrt(jnp.sum(residuals(position) ** 2) / count))(positions)
-
+    misfit = _Misfit(batch, form.structure, form.dead_time, low, span)
+    counted = np.asarray(batch.counted)
+    present = counted.ravel()
+    test = np.repeat(np.arange(len(counted)), counted.sum(axis=1))
     problem = Problem(
         dimensions=len(parameters),
-        fitness=fitness,
-        residuals=lambda position: np.asarray(compiled(jnp.asarray(position)))[present],
-        jacobian=lambda position: np.asarray(slope(jnp.asarray(position)))[present],
+        fitness=misfit,
+        residuals=lambda position: np.asarray(_residuals(misfit, jnp.asarray(position)))[present],
+        jacobian=lambda position: np.asarray(_jacobian(misfit, jnp.asarray(position)))[present],
     )
     found = search.minimise(problem, seed)
     best = polish(problem, found.best)
@@ -121,7 +116,7 @@ def identify_benchmark(
         else (found.best, found.best_fitness)
     )
     values = np.exp(np.asarray(low) + position * np.asarray(span))
-    errors = values * np.asarray(span) * _standard_errors(best.jacobian, rmse)
+    errors = values * np.asarray(span) * _standard_errors(best.jacobian, best.residuals, test)
     estimates = tuple(
         Estimate(
             name=parameter.name,
@@ -146,17 +141,34 @@ def identify_benchmark(
     return Phase1(benchmark, estimates, derived, rmse, found.best_fitness, found)
 
 
-def _residuals(
-    batch: Batch,
-    structure: Structure,
-    dead_time: bool,
-    low: Float[Array, " d"],
-    span: Float[Array, " d"],
-    position: Float[Array, " d"],
-) -> Float[Array, " m"]:
-    benchmark = Benchmark.of(structure, jnp.exp(low + position * span), dead_time=dead_time)
-    misses = benchmark.response(batch.command, batch.step_s) - batch.travel
-    return jnp.where(batch.counted, misses, 0.0).ravel()
+class _Misfit(eqx.Module):
+    """From a position in the unit cube to residuals over all tests, zero where samples do not count."""
+
+    batch: Batch
+    structure: Structure
+    dead_time: bool = eqx.field(static=True)
+    low: Float[Array, " d"]
+    span: Float[Array, " d"]
+
+    def residuals(self, position: Float[Array, " d"]) -> Float[Array, " m"]:
+        values = jnp.exp(self.low + position * self.span)
+        benchmark = Benchmark.of(self.structure, values, dead_time=self.dead_time)
+        misses = benchmark.response(self.batch.command, self.batch.step_s) - self.batch.travel
+        return jnp.where(self.batch.counted, misses, 0.0).ravel()
+
+    def __call__(self, positions: Float[Array, "p d"]) -> Float[Array, " p"]:
+        squares = jax.vmap(lambda position: jnp.sum(self.residuals(position) ** 2))(positions)
+        return jnp.sqrt(squares / jnp.sum(self.batch.counted))
+
+
+@eqx.filter_jit
+def _residuals(misfit: _Misfit, position: Float[Array, " d"]) -> Float[Array, " m"]:
+    return misfit.residuals(position)
+
+
+@eqx.filter_jit
+def _jacobian(misfit: _Misfit, position: Float[Array, " d"]) -> Float[Array, "m d"]:
+    return jax.jacfwd(misfit.residuals)(position)
 
 
 def _bounds(
@@ -190,16 +202,34 @@ def _speed_per_command(batch: Batch) -> float:
     return distance / driven
 
 
-def _standard_errors(jacobian: np.ndarray, rmse: float) -> np.ndarray:
-    """Return each coordinate's Gauss-Newton standard error, √diag(s² (JᵀJ)⁻¹), infinite where singular."""
-    singular = np.linalg.svd(jacobian, full_matrices=False)
-    _, values, vectors = singular
-    keep = values > values[0] * 1e-12
-    with np.errstate(divide="ignore"):
-        inverse = np.where(keep, 1.0 / np.where(keep, values, 1.0), np.inf)
-    spread = np.abs(vectors.T) * inverse
-    spread = np.where(np.isnan(spread), 0.0, spread)
-    return rmse * np.sqrt(np.sum(spread**2, axis=1))
+def _standard_errors(jacobian: np.ndarray, residuals: np.ndarray, test: np.ndarray) -> np.ndarray:
+    """Return each coordinate's standard error, infinite where the tests do not determine it.
+
+    cov = H⁻¹ (Σ gₜ gₜᵀ) H⁻¹ · T/(T − D) with H = JᵀJ and gₜ = Jₜᵀ rₜ of each test: residuals of one test may
+    be correlated in any way, tests are independent of each other. The textbook s² H⁻¹, which takes every
+    sample for independent, stands in where there are no more tests than parameters, and is its floor.
+
+    Args:
+        jacobian: derivative of the residuals, shape [M, D].
+        residuals: shape [M].
+        test: which test each residual belongs to, shape [M].
+    """
+    samples, dimensions = jacobian.shape
+    curvature = jacobian.T @ jacobian
+    scale = np.sqrt(np.diag(curvature))
+    if not np.all(scale > 0):
+        return np.full(dimensions, np.inf)
+    values, vectors = np.linalg.eigh(curvature / np.outer(scale, scale))
+    if values[0] <= SINGULAR * values[-1]:
+        return np.full(dimensions, np.inf)
+    inverse = (vectors / values) @ vectors.T / np.outer(scale, scale)
+    white = float(residuals @ residuals) / max(1, samples - dimensions) * inverse
+    slopes = np.stack([jacobian[test == each].T @ residuals[test == each] for each in np.unique(test)])
+    tests = len(slopes)
+    if tests <= dimensions:
+        return np.sqrt(np.diag(white))
+    clustered = inverse @ (slopes.T @ slopes) @ inverse * tests / (tests - dimensions)
+    return np.sqrt(np.maximum(np.diag(white), np.diag(clustered)))
 
 
 def _verdict(place: float, relative_error: float) -> str:

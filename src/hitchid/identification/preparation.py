@@ -61,7 +61,7 @@ def prepare(campaign: Campaign, mode: str, dead_zone: DeadZone | None) -> Prepar
         raise InputError(
             f"all {len(campaign.of_kind(mode))} {mode} tests are held out; none is left to identify from"
         )
-    notices = []
+    notices = [f"{record.name}: {notice}" for record in records for notice in record.notices]
     direction = _direction(records, mode)
     if direction != _usual(mode):
         notices.append(

@@ -4,6 +4,7 @@ import abc
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,6 +14,7 @@ from scipy.stats import qmc
 
 from hitchid import whale
 from hitchid.errors import FitError
+from hitchid.whale import Objective
 
 EVALUATIONS = 3000
 
@@ -23,13 +25,14 @@ class Problem:
 
     Attributes:
         dimensions: D.
-        fitness: from positions of shape [P, D] to fitness of shape [P], fit for jit.
+        fitness: from positions of shape [P, D] to fitness of shape [P], fit for jit; as a module it is
+            compiled once for all searches over tests of one shape.
         residuals: from a position of shape [D] to residuals of shape [M], compiled.
         jacobian: from a position of shape [D] to their derivative of shape [M, D], compiled.
     """
 
     dimensions: int
-    fitness: Callable[[Float[Array, "p d"]], Float[Array, " p"]]
+    fitness: Objective
     residuals: Callable[[np.ndarray], np.ndarray]
     jacobian: Callable[[np.ndarray], np.ndarray]
 
@@ -84,8 +87,8 @@ class Whale(Search):
 
     def minimise(self, problem: Problem, seed: int) -> Found:
         """Search with a swarm of whales, in one compiled program."""
-        run = jax.jit(lambda key: whale.minimise(problem.fitness, problem.dimensions, self.swarm, key))
-        outcome = run(jax.random.key(seed))
+        key = jax.random.key(seed)
+        outcome = eqx.filter_jit(whale.minimise)(problem.fitness, problem.dimensions, self.swarm, key)
         generations = int(outcome.generations)
         reason = whale.Reason.ITERATIONS
         if bool(outcome.settled):
@@ -120,7 +123,6 @@ class DifferentialEvolution(Search):
 
     def minimise(self, problem: Problem, seed: int) -> Found:
         """Search by differential evolution, a generation at a time."""
-        compiled = jax.jit(problem.fitness)
         best: list[np.ndarray] = []
         trace: list[float] = []
         failures = 0
@@ -128,7 +130,7 @@ class DifferentialEvolution(Search):
         def generation(positions: np.ndarray) -> np.ndarray:
             nonlocal failures
             population = np.atleast_2d(positions.T)
-            fitness = np.asarray(compiled(jnp.asarray(population)))
+            fitness = np.asarray(_evaluate(problem.fitness, jnp.asarray(population)))
             failures += int(np.sum(~np.isfinite(fitness)))
             fitness = np.where(np.isfinite(fitness), fitness, np.inf)
             leader = int(np.argmin(fitness))
@@ -218,12 +220,14 @@ class Polished:
         position: in the unit cube, shape [D].
         fitness: root mean square of the residuals.
         evaluations: simulations of all tests, a Jacobian counting one for each dimension.
-        jacobian: derivative of the residuals there, shape [M, D].
+        residuals: residuals there, shape [M].
+        jacobian: their derivative, shape [M, D].
     """
 
     position: np.ndarray
     fitness: float
     evaluations: int
+    residuals: np.ndarray
     jacobian: np.ndarray
 
 
@@ -251,8 +255,14 @@ def polish(problem: Problem, start: np.ndarray, *, limit: int = 200) -> Polished
         position=outcome.x,
         fitness=float(np.sqrt(np.mean(outcome.fun**2))),
         evaluations=int(outcome.nfev + problem.dimensions * outcome.njev),
+        residuals=np.asarray(outcome.fun),
         jacobian=np.asarray(outcome.jac),
     )
+
+
+@eqx.filter_jit
+def _evaluate(fitness: Objective, population: Float[Array, "p d"]) -> Float[Array, " p"]:
+    return fitness(population)
 
 
 def _checked(found: Found) -> Found:

@@ -10,6 +10,7 @@ NAMES = {
     "benchmark": "transfer function",
     "greybox": "grey box",
 }
+RUNS = {"one_step": "one step", "free_run": "free run"}
 
 
 class Table(NamedTuple):
@@ -64,10 +65,10 @@ def _line(cells: Sequence[str]) -> str:
 def _accuracy(mode: str, channel: Mapping[str, Any], unit: str) -> Table:
     models = {**channel["baselines"], "benchmark": channel["benchmark"], "greybox": channel["greybox"]}
     rows = [
-        (NAMES[name], kind.replace("_", " "), *_cells(figures))
-        for kind in ("one_step", "free_run")
+        (NAMES[name], label, *_cells(figures))
+        for run, label in RUNS.items()
         for name, model in models.items()
-        if (figures := model.get(kind)) is not None
+        if (figures := model.get(run)) is not None
     ]
     count = len(channel["tests"])
     tests = f"{count} unseen test{'s' if count != 1 else ''}"

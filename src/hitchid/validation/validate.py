@@ -18,7 +18,7 @@ from hitchid.precision import double_precision
 from hitchid.record import CYCLE, DISPLACEMENT, Record
 from hitchid.storage import canonical_json, write_folder
 from hitchid.units import conversion_factor
-from hitchid.validation.tables import markdown, tables
+from hitchid.validation.tables import NAMES, RUNS, markdown, tables
 
 HORIZONS = (1, 2, 5, 10, 20, 50, 100)
 METRICS_FILE = "metrics.json"
@@ -197,19 +197,21 @@ def _figures(actual: Sequence[np.ndarray], predicted: Sequence[np.ndarray]) -> d
 
 
 def _channel_notices(mode: str, metrics: dict) -> list[str]:
-    grey, benchmark = metrics["greybox"], metrics["benchmark"]
-    persistence = metrics["baselines"]["persistence"]["one_step"]
+    rivals = {**metrics["baselines"], "benchmark": metrics["benchmark"]}
     said = []
-    if not _better(grey["one_step"], persistence):
-        said.append(f"{mode}: one step ahead the grey box is no better than persistence")
-    if not _better(grey["free_run"], benchmark["free_run"]):
-        said.append(f"{mode}: in free run the grey box is no better than its transfer function")
+    for run in ("one_step", "free_run"):
+        figures = metrics["greybox"][run]
+        better = [
+            NAMES[name] for name, rival in rivals.items() if run in rival and not _better(figures, rival[run])
+        ]
+        if better:
+            said.append(f"{mode}: in {RUNS[run]} the grey box is no better than {' and '.join(better)}")
     return said
 
 
 def _cycle_notices(cycles: dict) -> list[str]:
     if cycles["tests"] and not _better(cycles["greybox"]["free_run"], cycles["benchmark"]["free_run"]):
-        return ["cycles: in free run the grey box is no better than its transfer functions"]
+        return [f"cycles: in free run the grey box is no better than {NAMES['benchmark']}"]
     return []
 
 
