@@ -1,5 +1,6 @@
 """All tests of one plant, and which of them are held out."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
@@ -8,7 +9,7 @@ from glob import escape
 import numpy as np
 
 from hitchid.errors import InputError, LogError
-from hitchid.modes import detect_kind, ramp_mode, strokes
+from hitchid.modes import detect_kind, full_scales, ramp_mode, strokes
 from hitchid.record import CYCLE, IDLE, KINDS, MODES, RAMP, Record
 
 HELD_OUT_FRACTION = 0.2
@@ -52,7 +53,7 @@ class Campaign:
         for name in names:
             if names.count(name) > 1:
                 raise InputError(f"two records are called '{name}'; names must differ")
-        ordered = sorted(records, key=lambda record: record.name)
+        ordered = sorted(records, key=lambda record: _natural(record.name))
         first = ordered[0]
         for record in ordered:
             if record.modes != first.modes:
@@ -64,8 +65,8 @@ class Campaign:
             record if record.units == first.units else record.convert(first.units) for record in ordered
         ]
         on_clock = [_on_clock(record, _common_step(ordered)) for record in same_units]
-        scale = max(float(np.max(np.abs(r.command(m)))) for r in on_clock for m in r.modes)
-        told = tuple(replace(record, kind=_kind(record, scale, kinds or {})) for record in on_clock)
+        scales = full_scales(on_clock)
+        told = tuple(replace(record, kind=_kind(record, scales, kinds or {})) for record in on_clock)
         for record in told:
             if record.kind != IDLE and np.ptp(record.displacement) == 0:
                 raise LogError(
@@ -139,6 +140,11 @@ class Campaign:
         return Campaign(tuple(cut), patterns)
 
 
+def _natural(name: str) -> list[tuple[int, str]]:
+    """Return a sorting key that puts test-2 before test-10."""
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name)]
+
+
 def _common_step(records: Sequence[Record]) -> float:
     return float(f"{np.median([record.step_s for record in records]):.4g}")
 
@@ -149,10 +155,10 @@ def _on_clock(record: Record, step_s: float) -> Record:
     return replace(record, step_s=step_s) if drift <= 0.05 * step_s else record.resample(step_s)
 
 
-def _kind(record: Record, full_scale: float, kinds: Mapping[str, str]) -> str:
+def _kind(record: Record, scales: Mapping[str, float], kinds: Mapping[str, str]) -> str:
     for pattern, kind in kinds.items():
         if fnmatchcase(record.name, pattern):
             if kind not in KINDS:
                 raise InputError(f"tests: '{kind}' is no kind of test; required one of {', '.join(KINDS)}")
             return kind
-    return detect_kind(record, full_scale)
+    return detect_kind(record, scales)

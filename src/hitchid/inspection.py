@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from hitchid.errors import HitchError, LogError
-from hitchid.modes import ACTIVE_FRACTION
+from hitchid.modes import ACTIVE_FRACTION, full_scales
 from hitchid.readers import assemble, find_logs, read_log, settings_of
 from hitchid.record import IDLE, MODES, Record
 
@@ -60,10 +60,10 @@ def inspect(logs: str | Path | Iterable[str | Path], *, signals: str | Path | No
         entries = tuple({**_entry(record, False), "kind": "not told"} for record in records)
         return Inspection(entries, (), (*faults, str(error)))
     held_out = {record.name for mode in MODES for record in campaign.held_out(mode)}
-    scale = max(float(np.max(np.abs(r.command(m)))) for r in campaign.records for m in r.modes)
+    scales = full_scales(campaign.records)
     return Inspection(
         records=tuple(_entry(record, record.name in held_out) for record in campaign.records),
-        notices=tuple(notice for record in campaign.records for notice in _notices(record, scale)),
+        notices=tuple(notice for record in campaign.records for notice in _notices(record, scales)),
         faults=tuple(faults),
     )
 
@@ -87,13 +87,13 @@ def _entry(record: Record, held_out: bool) -> dict[str, object]:
     }
 
 
-def _notices(record: Record, full_scale: float) -> list[str]:
+def _notices(record: Record, scales: Mapping[str, float]) -> list[str]:
     found = [f"{record.name}: {notice}" for notice in record.notices]
     if record.kind == IDLE:
         found.append(f"{record.name}: no command is active; the record is not used")
     if len(record.modes) == 2:
-        threshold = ACTIVE_FRACTION * full_scale
-        both = np.all([np.abs(record.command(mode)) > threshold for mode in MODES], axis=0)
+        active = [np.abs(record.command(mode)) > ACTIVE_FRACTION * scales[mode] for mode in MODES]
+        both = np.all(active, axis=0)
         if both.any():
             at = record.time_s[int(np.flatnonzero(both)[0])]
             found.append(f"{record.name}: both valves are on in {both.sum()} samples, first at {at:g} s")

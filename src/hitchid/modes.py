@@ -1,11 +1,11 @@
 """What a record is, found from its commands: its kind, its strokes, and where it stands at an end stop."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from hitchid.record import CYCLE, IDLE, LIFTING, LOWERING, RAMP, Record
+from hitchid.record import COMMAND, CYCLE, IDLE, LIFTING, LOWERING, RAMP, Record
 
 ACTIVE_FRACTION = 0.05
 RAMP_CORRELATION = 0.99
@@ -40,20 +40,38 @@ def effective_command(command: np.ndarray, dead_zone: float) -> np.ndarray:
     return np.sign(command) * np.maximum(np.abs(command) - dead_zone, 0.0)
 
 
-def detect_kind(record: Record, full_scale: float) -> str:
+def full_scales(records: Iterable[Record]) -> dict[str, float]:
+    """Return mode to the largest command among all commands of its unit.
+
+    The noise on a valve that is off must be judged by the commands of the valve that is on.
+    """
+    largest: dict[str, float] = {}
+    units: dict[str, str] = {}
+    for record in records:
+        for mode in record.modes:
+            units[mode] = record.units[COMMAND[mode]]
+            top = float(np.max(np.abs(record.command(mode))))
+            largest[units[mode]] = max(largest.get(units[mode], 0.0), top)
+    return {mode: largest[unit] for mode, unit in units.items()}
+
+
+def detect_kind(record: Record, scales: Mapping[str, float]) -> str:
     """Tell from its commands what a record is: lifting, lowering, ramp, cycle or idle.
 
-    A command counts as active above 5 % of `full_scale`, the largest command of the campaign.
+    A command counts as active above 5 % of full scale; see `full_scales`.
     """
-    threshold = ACTIVE_FRACTION * full_scale
+    thresholds = {mode: ACTIVE_FRACTION * scales[mode] for mode in record.modes}
     active = [
-        mode for mode in record.modes if np.count_nonzero(np.abs(record.command(mode)) > threshold) >= 3
+        mode
+        for mode in record.modes
+        if np.count_nonzero(np.abs(record.command(mode)) > thresholds[mode]) >= 3
     ]
     if not active:
         return IDLE
     if len(active) == 2:
         return CYCLE
-    return RAMP if _is_ramp(record.command(active[0]), record.step_s, threshold) else active[0]
+    (mode,) = active
+    return RAMP if _is_ramp(record.command(mode), record.step_s, thresholds[mode]) else mode
 
 
 def _is_ramp(command: np.ndarray, step_s: float, threshold: float) -> bool:
@@ -73,13 +91,15 @@ def directions(record: Record, dead_zones: Mapping[str, float]) -> np.ndarray:
     """Tell sample by sample which mode's command is effective: +1 lifting, −1 lowering, 0 neither; shape [N].
 
     Where both are effective lowering counts, as in Sun et al. 2025, sec. 2.2.1: lifting demands that the
-    lowering command be zero.
+    lowering command be zero. What stays below 5 % of the record's largest command is noise, even where the
+    dead zone is smaller.
     """
+    scales = full_scales([record])
     direction = np.zeros(len(record), dtype=np.int64)
     for mode, sign in ((LIFTING, 1), (LOWERING, -1)):
         if mode in record.modes:
-            effective = effective_command(record.command(mode), dead_zones.get(mode, 0.0))
-            direction[effective != 0] = sign
+            threshold = max(dead_zones.get(mode, 0.0), ACTIVE_FRACTION * scales[mode])
+            direction[np.abs(record.command(mode)) > threshold] = sign
     return direction
 
 

@@ -48,7 +48,7 @@ def simulate_log(
         edge = record.step_s / 2
         inside = (time_s > record.time_s[0] - edge) & (time_s < record.time_s[-1] + edge)
         predicted[inside] = np.interp(time_s[inside], record.time_s, values)
-    cells = ["" if np.isnan(value) else repr(value) for value in predicted.tolist()]
+    cells = ["" if np.isnan(value) else f"{value:.9g}" for value in predicted.tolist()]
     name = predicted_name(signal_map.displacement.column)
     write_file(
         out,

@@ -13,6 +13,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
+from hitchid.errors import InputError
+
 Objective = Callable[[Float[Array, "p d"]], Float[Array, " p"]]
 
 
@@ -48,12 +50,25 @@ class Swarm:
     per_dimension: bool = True
     spiral: float = 1.0
 
+    def __post_init__(self) -> None:
+        """Refuse what no search could run with."""
+        if self.population < 2 or self.iterations < 1:
+            raise InputError(
+                f"whale: required at least 2 whales and 1 iteration, came {self.population} "
+                f"and {self.iterations}"
+            )
+        if self.evaluations is not None and self.evaluations < self.population:
+            raise InputError(
+                f"whale: required evaluations for one generation of {self.population} whales, "
+                f"came {self.evaluations}"
+            )
+
     @property
     def generations(self) -> int:
         """Generations that iterations and budget allow."""
         if self.evaluations is None:
             return self.iterations
-        return max(1, min(self.iterations, self.evaluations // self.population))
+        return min(self.iterations, self.evaluations // self.population)
 
 
 class State(eqx.Module):

@@ -96,49 +96,38 @@ def identify_benchmark(
     """
     parameters = searched_parameters(form.structure, dead_time=form.dead_time)
     lower, upper = _bounds(parameters, form.bounds, batch)
-    low = jnp.log(jnp.asarray(lower))
-    span = jnp.log(jnp.asarray(upper)) - low
-    misfit = _Misfit(batch, form.structure, form.dead_time, low, span)
-    counted = np.asarray(batch.counted)
-    present = counted.ravel()
-    test = np.repeat(np.arange(len(counted)), counted.sum(axis=1))
-    problem = Problem(
-        dimensions=len(parameters),
-        fitness=misfit,
-        residuals=lambda position: np.asarray(_residuals(misfit, jnp.asarray(position)))[present],
-        jacobian=lambda position: np.asarray(_jacobian(misfit, jnp.asarray(position)))[present],
-    )
+    low, span = np.log(lower), np.log(upper / lower)
+    misfit = _Misfit(batch, form.structure, form.dead_time, jnp.asarray(low), jnp.asarray(span))
+    problem, test = _problem(misfit, len(parameters))
     found = search.minimise(problem, seed)
     best = polish(problem, found.best)
-    position, rmse = (
-        (best.position, best.fitness)
-        if best.fitness <= found.best_fitness
-        else (found.best, found.best_fitness)
-    )
-    values = np.exp(np.asarray(low) + position * np.asarray(span))
-    errors = values * np.asarray(span) * _standard_errors(best.jacobian, best.residuals, test)
+    # Least squares starts strictly inside the bounds: a search that ended on one may be a trifle better.
+    improved = best.fitness <= found.best_fitness
+    position = best.position if improved else found.best
+    values = np.exp(low + position * span)
+    errors = values * span * _standard_errors(best.jacobian, best.residuals, test)
     estimates = tuple(
         Estimate(
             name=parameter.name,
             unit=parameter.unit.format(**units),
-            value=float(value),
-            error=float(error),
-            lower=float(least),
-            upper=float(most),
-            verdict=_verdict(float(place), float(error / value)),
+            value=float(values[i]),
+            error=float(errors[i]),
+            lower=float(lower[i]),
+            upper=float(upper[i]),
+            verdict=_verdict(float(position[i]), float(errors[i] / values[i])),
         )
-        for parameter, value, error, least, most, place in zip(
-            parameters, values, errors, lower, upper, position, strict=True
-        )
+        for i, parameter in enumerate(parameters)
     )
-    benchmark = Benchmark.of(form.structure, jnp.asarray(values), dead_time=form.dead_time)
-    derived = {
-        name: (value, unit.format(**units))
-        for name, (value, unit) in form.structure.derived(
-            tuple(map(float, values[: len(form.structure.parameters)]))
-        ).items()
-    }
-    return Phase1(benchmark, estimates, derived, rmse, found.best_fitness, found)
+    count = len(form.structure.parameters)
+    derived = form.structure.derived(tuple(map(float, values[:count])))
+    return Phase1(
+        benchmark=Benchmark.of(form.structure, jnp.asarray(values), dead_time=form.dead_time),
+        estimates=estimates,
+        derived={name: (value, unit.format(**units)) for name, (value, unit) in derived.items()},
+        rmse=best.fitness if improved else found.best_fitness,
+        search_rmse=found.best_fitness,
+        found=found,
+    )
 
 
 class _Misfit(eqx.Module):
@@ -169,6 +158,19 @@ def _residuals(misfit: _Misfit, position: Float[Array, " d"]) -> Float[Array, " 
 @eqx.filter_jit
 def _jacobian(misfit: _Misfit, position: Float[Array, " d"]) -> Float[Array, "m d"]:
     return jax.jacfwd(misfit.residuals)(position)
+
+
+def _problem(misfit: _Misfit, dimensions: int) -> tuple[Problem, np.ndarray]:
+    """Return the search problem over the samples that count, and which test each of them belongs to."""
+    counted = np.asarray(misfit.batch.counted)
+    present = counted.ravel()
+    problem = Problem(
+        dimensions=dimensions,
+        fitness=misfit,
+        residuals=lambda position: np.asarray(_residuals(misfit, jnp.asarray(position)))[present],
+        jacobian=lambda position: np.asarray(_jacobian(misfit, jnp.asarray(position)))[present],
+    )
+    return problem, np.repeat(np.arange(len(counted)), counted.sum(axis=1))
 
 
 def _bounds(

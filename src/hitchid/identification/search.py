@@ -13,7 +13,7 @@ from scipy.optimize import differential_evolution, least_squares
 from scipy.stats import qmc
 
 from hitchid import whale
-from hitchid.errors import FitError
+from hitchid.errors import FitError, InputError
 from hitchid.whale import Objective
 
 EVALUATIONS = 3000
@@ -71,6 +71,7 @@ class Search(abc.ABC):
 
         Raises:
             FitError: no position gave a finite error.
+            InputError: the budget does not allow one round.
         """
 
 
@@ -140,11 +141,16 @@ class DifferentialEvolution(Search):
             return fitness
 
         members = self.population * problem.dimensions
+        if self.evaluations < 2 * members:
+            raise InputError(
+                f"differential evolution: required evaluations for two generations of {members} members, "
+                f"came {self.evaluations}"
+            )
         outcome = differential_evolution(
             generation,
             [(0.0, 1.0)] * problem.dimensions,
             popsize=self.population,
-            maxiter=max(1, self.evaluations // members - 1),
+            maxiter=self.evaluations // members - 1,
             tol=0.0,
             atol=0,
             polish=False,

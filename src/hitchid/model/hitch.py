@@ -9,9 +9,9 @@ import numpy as np
 from hitchid.benchmark import Batch
 from hitchid.errors import InputError
 from hitchid.model.channel import Channel
-from hitchid.modes import Stroke, effective_command, mode_changes
+from hitchid.modes import Stroke, mode_changes
 from hitchid.precision import double_precision
-from hitchid.record import COMMAND, DISPLACEMENT, Record
+from hitchid.record import CYCLE, DISPLACEMENT, MODES, Record
 from hitchid.units import conversion_factor
 
 
@@ -128,9 +128,12 @@ class Hitch:
             )
         told = record.convert({role: unit for role, unit in self.units.items() if role in record.signals})
         on_clock = told if _same_clock(told.step_s, self.step_s, len(told)) else told.resample(self.step_s)
-        for mode in record.modes:
-            if mode not in self.channels and record.kind == mode:
-                raise InputError(f"record '{record.name}': the model has no {mode} channel")
+        needed = record.modes if record.kind == CYCLE else (record.kind,)
+        for mode in MODES:
+            if mode in needed and mode not in self.channels:
+                raise InputError(
+                    f"record '{record.name}' is a {record.kind}: the model has no {mode} channel"
+                )
         return on_clock
 
     def _over_strokes(
@@ -157,12 +160,6 @@ class Hitch:
     def _strokes(self, record: Record) -> list[Stroke]:
         if len(self.channels) == 1:
             (mode,) = self.channels
-            for other in record.modes:
-                if other != mode and np.any(effective_command(record.command(other), 0.0)):
-                    raise InputError(
-                        f"record '{record.name}': its {COMMAND[other]} is not zero; "
-                        f"the model has a {mode} channel only"
-                    )
             return [Stroke(mode, 0, len(record))]
         return mode_changes(record, self.dead_zones)
 
