@@ -7,9 +7,11 @@ from typing import Literal, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from hitchid.errors import SettingsError
-from hitchid.units import check_unit, conversion_factor, unit_of_column
+from hitchid.units import UNITS, check_unit, conversion_factor, unit_of_column
 
 CAMPAIGN_FILE = "campaign.toml"
+POSITIONS = ("length", "angle", "voltage", "ratio")
+COMMANDS = ("current", "voltage", "ratio")
 
 
 class Strict(BaseModel):
@@ -68,6 +70,14 @@ class SignalMap(Strict):
         if not (self.command or self.lifting_command or self.lowering_command):
             raise ValueError("required at least one of command, lifting_command, lowering_command")
         conversion_factor(self.time.unit, "s", "time")
+        commands = {name: getattr(self, name) for name in ("command", "lifting_command", "lowering_command")}
+        for name, column in {"displacement": self.displacement, **commands}.items():
+            admitted = POSITIONS if name == "displacement" else COMMANDS
+            if column is not None and UNITS[column.unit].dimension not in admitted:
+                raise ValueError(
+                    f"{name}: '{column.unit}' is a unit of {UNITS[column.unit].dimension}, "
+                    f"required one of {', '.join(admitted)}"
+                )
         return self
 
 

@@ -32,6 +32,23 @@ class Form:
     dead_time: bool = False
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        """Refuse bounds for a parameter that does not exist, or not 0 < lower < upper."""
+        names = [parameter.name for parameter in self.parameters]
+        for name, (least, most) in self.bounds.items():
+            if name not in names:
+                known = ", ".join(names)
+                raise InputError(f"bounds: there is no parameter '{name}'; required one of {known}")
+            if not 0 < least < most < np.inf:
+                raise InputError(
+                    f"bounds of '{name}': required 0 < lower < upper, came {least:g} and {most:g}"
+                )
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The parameters that are searched, in their order."""
+        return searched_parameters(self.structure, dead_time=self.dead_time)
+
 
 @dataclass(frozen=True)
 class Estimate:
@@ -91,11 +108,10 @@ def identify_benchmark(
         units: `x` and `u` to the units of displacement and command.
 
     Raises:
-        InputError: bounds for a parameter that does not exist, or not lower < upper, positive.
         FitError: nothing moves, or no parameters give a finite error.
     """
-    parameters = searched_parameters(form.structure, dead_time=form.dead_time)
-    lower, upper = _bounds(parameters, form.bounds, batch)
+    parameters = form.parameters
+    lower, upper = _bounds(form, batch)
     low, span = np.log(lower), np.log(upper / lower)
     misfit = _Misfit(batch, form.structure, form.dead_time, jnp.asarray(low), jnp.asarray(span))
     problem, test = _problem(misfit, len(parameters))
@@ -173,19 +189,11 @@ def _problem(misfit: _Misfit, dimensions: int) -> tuple[Problem, np.ndarray]:
     return problem, np.repeat(np.arange(len(counted)), counted.sum(axis=1))
 
 
-def _bounds(
-    parameters: tuple[Parameter, ...], asked: Mapping[str, tuple[float, float]], batch: Batch
-) -> tuple[np.ndarray, np.ndarray]:
-    names = [parameter.name for parameter in parameters]
-    for name, (least, most) in asked.items():
-        if name not in names:
-            raise InputError(f"bounds: there is no parameter '{name}'; required one of {', '.join(names)}")
-        if not 0 < least < most < np.inf:
-            raise InputError(f"bounds of '{name}': required 0 < lower < upper, came {least:g} and {most:g}")
+def _bounds(form: Form, batch: Batch) -> tuple[np.ndarray, np.ndarray]:
     scale = _speed_per_command(batch)
     bounds = [
-        asked.get(p.name, (p.lower * scale, p.upper * scale) if p.relative else (p.lower, p.upper))
-        for p in parameters
+        form.bounds.get(p.name, (p.lower * scale, p.upper * scale) if p.relative else (p.lower, p.upper))
+        for p in form.parameters
     ]
     lower, upper = np.array(bounds).T
     return lower, upper

@@ -26,9 +26,9 @@ def read_table(path: Path, wanted: Sequence[str]) -> Table:
     names = _header(path, text)
     for name in wanted:
         if name not in names:
-            raise LogError(
-                path, f"there is no such column; required it, found {', '.join(names)}", line=1, column=name
-            )
+            hint = "" if "," in text.partition("\n")[0] else " (required commas between columns)"
+            found = f"there is no such column; required it, found {', '.join(names)}{hint}"
+            raise LogError(path, found, line=1, column=name)
     indices = [names.index(name) for name in wanted]
     body = io.StringIO(text)
     body.readline()
