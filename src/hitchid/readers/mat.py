@@ -5,13 +5,11 @@ from pathlib import Path
 
 import numpy as np
 from scipy.io import loadmat, whosmat
-from scipy.io.matlab import MatReadError
 
 from hitchid.errors import LogError
 from hitchid.readers.table import Table
 
 SUFFIXES = (".mat",)
-_BROKEN = (MatReadError, ValueError, OSError, NotImplementedError, TypeError, EOFError)
 
 
 def column_names(path: Path) -> list[str]:
@@ -22,7 +20,7 @@ def column_names(path: Path) -> list[str]:
     """
     try:
         shapes = whosmat(path)
-    except _BROKEN as error:
+    except Exception as error:  # scipy raises whatever a damaged file leads it to
         raise LogError(path, f"cannot be read as a MATLAB file up to version 7: {error}") from error
     return [name for name, shape, kind in shapes if _is_vector(shape) and kind != "char"]
 
@@ -41,7 +39,7 @@ def read_table(path: Path, wanted: Sequence[str]) -> Table:
             )
     try:
         content = loadmat(path, variable_names=list(wanted))
-    except _BROKEN as error:
+    except Exception as error:  # scipy raises whatever a damaged file leads it to
         raise LogError(path, f"cannot be read as a MATLAB file up to version 7: {error}") from error
     columns = {}
     for name in wanted:
