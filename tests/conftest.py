@@ -102,10 +102,10 @@ def make_record():
 
 @pytest.fixture
 def quick_settings():
-    """Return settings of an identification that takes seconds."""
-    from hitchid.identification import Descent, MultiStart, Settings, Training
+    """Return arguments of an identification that takes seconds."""
+    from hitchid.identification import Descent, MultiStart, Training
 
-    return Settings(
-        search=MultiStart(evaluations=60),
-        training=Training(hidden=6, window=20, descent=Descent(epochs=8, patience=8)),
-    )
+    return {
+        "search": MultiStart(evaluations=60),
+        "training": Training(hidden=6, window=20, descent=Descent(epochs=8, patience=8)),
+    }

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 from hitchid import identify, read, validate
-from hitchid.identification import Descent, MultiStart, Settings, Training, Whale
+from hitchid.identification import Descent, MultiStart, Training, Whale
 from hitchid.identification.identify import PAPER_FORMS
 from hitchid.identification.phase1 import identify_benchmark
 from hitchid.identification.preparation import prepare
 
-BRIEF = Settings(
-    search=MultiStart(evaluations=200),
-    training=Training(hidden=8, window=20, descent=Descent(epochs=4, patience=4)),
-)
+BRIEF = {
+    "search": MultiStart(evaluations=200),
+    "training": Training(hidden=8, window=20, descent=Descent(epochs=4, patience=4)),
+}
 EMPS = """
 [signals]
 time = { column = "t", unit = "s" }
@@ -68,7 +68,7 @@ def test_ramps_and_dynamic_tests_agree_on_the_dead_zone_of_rig_a(data):
 )
 def test_real_logs_of_two_way_plants_are_identified_and_validated(data, name, modes):
     campaign = read(data(name))
-    metrics = validate(identify(campaign, BRIEF).model, campaign).metrics
+    metrics = validate(identify(campaign, **BRIEF).model, campaign).metrics
     assert tuple(metrics["channels"]) == modes
     for channel in metrics["channels"].values():
         assert np.isfinite(channel["benchmark"]["free_run"]["rmse"])
@@ -78,7 +78,7 @@ def test_real_logs_of_two_way_plants_are_identified_and_validated(data, name, mo
 def test_a_real_plant_with_one_signed_channel_is_identified_from_matlab_files(data, tmp_path):
     (tmp_path / "emps.toml").write_text(EMPS)
     campaign = read(data("emps"), signals=tmp_path / "emps.toml")
-    metrics = validate(identify(campaign, BRIEF).model, campaign).metrics
+    metrics = validate(identify(campaign, **BRIEF).model, campaign).metrics
     assert list(metrics["channels"]) == ["lifting"]
     assert metrics["unit"] == "m"
     assert np.isfinite(metrics["channels"]["lifting"]["benchmark"]["free_run"]["rmse"])

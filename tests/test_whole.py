@@ -10,7 +10,7 @@ import hitchid
 
 def test_five_lines_take_a_user_from_a_folder_to_a_validated_model(bench, quick_settings, tmp_path):
     campaign = hitchid.read(bench())
-    found = hitchid.identify(campaign, quick_settings)
+    found = hitchid.identify(campaign, **quick_settings)
     found.save(tmp_path / "model")
     model = hitchid.load(tmp_path / "model")
     result = hitchid.validate(model, campaign)
@@ -26,7 +26,7 @@ def test_five_lines_take_a_user_from_a_folder_to_a_validated_model(bench, quick_
 
 def test_a_loaded_model_gives_the_same_numbers(bench, quick_settings, tmp_path):
     campaign = hitchid.read(bench())
-    found = hitchid.identify(campaign, quick_settings)
+    found = hitchid.identify(campaign, **quick_settings)
     found.save(tmp_path / "model")
     model = hitchid.load(tmp_path / "model")
     for record in campaign.records[:1] + campaign.records[-1:]:
@@ -39,7 +39,7 @@ def test_a_loaded_model_gives_the_same_numbers(bench, quick_settings, tmp_path):
 def test_one_seed_gives_one_model_bit_for_bit(bench, quick_settings, tmp_path):
     campaign = hitchid.read(bench())
     for name in ("one", "two"):
-        hitchid.identify(campaign, quick_settings).save(tmp_path / name)
+        hitchid.identify(campaign, **quick_settings).save(tmp_path / name)
     for file in ("model.json", "weights.safetensors", "trace.json"):
         assert (tmp_path / "one" / file).read_bytes() == (tmp_path / "two" / file).read_bytes()
 

@@ -13,7 +13,6 @@ from hitchid.errors import HitchError as HitchError
 
 if TYPE_CHECKING:
     from hitchid.campaign import Campaign as Campaign
-    from hitchid.identification import Settings as Settings
     from hitchid.identification import identify as identify
     from hitchid.model import Hitch as Hitch
     from hitchid.model import load as load
@@ -25,14 +24,13 @@ _HOME = {
     "Campaign": "hitchid.campaign",
     "Hitch": "hitchid.model",
     "Record": "hitchid.record",
-    "Settings": "hitchid.identification",
     "identify": "hitchid.identification",
     "load": "hitchid.model",
     "read": "hitchid.readers",
     "validate": "hitchid.validation",
 }
 
-__all__ = ["Campaign", "Hitch", "HitchError", "Record", "Settings", "identify", "load", "read", "validate"]
+__all__ = ["Campaign", "Hitch", "HitchError", "Record", "identify", "load", "read", "validate"]
 
 
 def __getattr__(name: str) -> object:

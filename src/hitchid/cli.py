@@ -55,8 +55,6 @@ def identify(
     as_json: AsJson = False,
 ) -> None:
     """Identify a model from logs: dead zones, benchmarks, compensators."""
-    from dataclasses import replace
-
     from hitchid import display
     from hitchid.storage import check_folder
 
@@ -66,12 +64,12 @@ def identify(
     from hitchid.identification import identify as run
     from hitchid.readers import read
 
-    settings = read_settings(config) if config is not None else Settings()
+    settings: Settings = {} if config is None else read_settings(config)
     if seed is not None:
-        settings = replace(settings, seed=seed)
+        settings["seed"] = seed
     campaign = read(logs, signals=signals)
     with display.progress() as report:
-        found = run(campaign, settings, progress=report)
+        found = run(campaign, **settings, progress=report)
     found.save(out, force=force)
     if as_json:
         typer.echo(json.dumps(found.describe(), indent=1))

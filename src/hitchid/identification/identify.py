@@ -1,9 +1,10 @@
 """Campaign in, model and trace out: dead zones, then phase 1, then phase 2, for each direction."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from types import MappingProxyType
 
 import jax
 
@@ -24,29 +25,15 @@ from hitchid.record import COMMAND, CYCLE, DISPLACEMENT, LIFTING, LOWERING, MODE
 
 Progress = Callable[[str, float], None]
 PACKAGES = ("hitchid", "jax", "equinox", "optax", "numpy", "scipy")
-PAPER_FORMS: Mapping[str, Form] = {
-    LIFTING: Form(structure_named("integrator-second-order")),
-    LOWERING: Form(structure_named("first-order-lag")),
-}
-
-
-@dataclass(frozen=True)
-class Settings:
-    """What may be chosen of an identification; the defaults follow the paper where it says.
-
-    Attributes:
-        forms: mode to benchmark structure, dead time and bounds.
-        search: the global search of phase 1.
-        training: phase 2; None identifies benchmarks alone.
-        dead_zones: mode to dead zone, in the command's unit, where it is known.
-        seed: every random draw comes from it.
-    """
-
-    forms: Mapping[str, Form] = field(default_factory=lambda: dict(PAPER_FORMS))
-    search: Search = field(default_factory=Whale)
-    training: Training | None = field(default_factory=Training)
-    dead_zones: Mapping[str, float] = field(default_factory=dict)
-    seed: int = 0
+PAPER_FORMS: Mapping[str, Form] = MappingProxyType(
+    {
+        LIFTING: Form(structure_named("integrator-second-order")),
+        LOWERING: Form(structure_named("first-order-lag")),
+    }
+)
+WHALE = Whale()
+TRAINING = Training()
+NONE_KNOWN: Mapping[str, float] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
@@ -96,7 +83,14 @@ class Identification:
 
 @double_precision
 def identify(
-    campaign: Campaign, settings: Settings | None = None, *, progress: Progress | None = None
+    campaign: Campaign,
+    *,
+    structure: Mapping[str, Form] = PAPER_FORMS,
+    search: Search = WHALE,
+    training: Training | None = TRAINING,
+    dead_zones: Mapping[str, float] = NONE_KNOWN,
+    seed: int = 0,
+    progress: Progress | None = None,
 ) -> Identification:
     """Identify a grey-box model from the tests of a campaign that are not held out.
 
@@ -106,7 +100,11 @@ def identify(
 
     Args:
         campaign: tests; ramps, where there are any, give the dead zones.
-        settings: what may be chosen.
+        structure: mode to benchmark structure, dead time and bounds; for a mode left out, the paper's.
+        search: the global search of phase 1: `Whale`, `DifferentialEvolution` or `MultiStart`.
+        training: settings of phase 2; None identifies benchmarks alone.
+        dead_zones: mode to dead zone, in the command's unit, where it is known.
+        seed: every random draw comes from it.
         progress: called with what is being done and the fraction of all work that is done.
 
     Raises:
@@ -114,9 +112,9 @@ def identify(
         LogError: a ramp ends before the piston moves.
         FitError: the identification could not be carried out on these data.
     """
-    asked = settings or Settings()
     report = progress or (lambda stage, fraction: None)
-    zones = {mode: DeadZone(value, None, 0, "given") for mode, value in asked.dead_zones.items()}
+    forms = {**PAPER_FORMS, **structure}
+    zones = {mode: DeadZone(value, None, 0, "given") for mode, value in dead_zones.items()}
     cut_at: dict[str, float] = {}
     seen = {record.fingerprint for mode in campaign.modes for record in campaign.identification(mode)}
     if not campaign.modes:
@@ -135,15 +133,17 @@ def identify(
         step("dead zone", 0.0)
         prepared[mode] = prepare(campaign, mode, zones.get(mode))
         units = {"x": campaign.units[DISPLACEMENT], "u": campaign.units[COMMAND[mode]]}
-        channels[mode], traces[mode] = _identify_channel(prepared[mode], asked, units, step)
+        channels[mode], traces[mode] = _identify_channel(
+            prepared[mode], forms[mode], search, training, seed, units, step
+        )
     provenance = Provenance(
         identification={mode: _names(campaign.identification(mode)) for mode in campaign.modes},
         validation={mode: prepared[mode].validation_names for mode in campaign.modes},
         held_out={mode: _names(campaign.held_out(mode)) for mode in campaign.modes},
         seen=frozenset(seen),
         cut_at=cut_at,
-        seed=asked.seed,
-        settings=_describe_settings(asked),
+        seed=seed,
+        settings=_describe(forms, search, training, dead_zones),
         versions=_versions(),
     )
     roles = (DISPLACEMENT, *COMMAND.values())
@@ -152,12 +152,16 @@ def identify(
 
 
 def _identify_channel(
-    tests: Prepared, asked: Settings, units: Mapping[str, str], progress: Progress
+    tests: Prepared,
+    form: Form,
+    search: Search,
+    training: Training | None,
+    seed: int,
+    units: Mapping[str, str],
+    progress: Progress,
 ) -> tuple[Channel, ChannelTrace]:
-    progress(f"phase 1, {asked.search.name}", 0.02)
-    phase1 = identify_benchmark(
-        tests.everything, asked.forms[tests.mode], asked.search, asked.seed, units=units
-    )
+    progress(f"phase 1, {search.name}", 0.02)
+    phase1 = identify_benchmark(tests.everything, form, search, seed, units=units)
     vague = [f"{e.name} is {e.verdict}" for e in phase1.estimates if e.verdict != "determined"]
     channel = Channel(
         mode=tests.mode,
@@ -168,7 +172,6 @@ def _identify_channel(
         arx=fit_arx(tests.training, tests.validation),
     )
     trace = ChannelTrace(tests.dead_zone, phase1, None, (*tests.notices, *vague))
-    training = asked.training
     if training is None:
         return channel, trace
 
@@ -179,7 +182,7 @@ def _identify_channel(
 
         return show
 
-    key = jax.random.fold_in(jax.random.key(asked.seed), MODES.index(tests.mode))
+    key = jax.random.fold_in(jax.random.key(seed), MODES.index(tests.mode))
     network_key, black_box_key = jax.random.split(key)
     compensator, losses = train_compensator(
         (tests.training, channel.simulate_benchmark(tests.training)),
@@ -204,21 +207,23 @@ def _names(records: tuple) -> tuple[str, ...]:
     return tuple(record.name for record in records)
 
 
-def _describe_settings(asked: Settings) -> dict[str, object]:
-    described: dict[str, object] = {
-        "forms": {
+def _describe(
+    forms: Mapping[str, Form], search: Search, training: Training | None, dead_zones: Mapping[str, float]
+) -> dict[str, object]:
+    """Return what was asked for as JSON can hold it."""
+    return {
+        "structure": {
             mode: {
                 "structure": form.structure.name,
                 "dead_time": form.dead_time,
                 "bounds": {name: list(pair) for name, pair in form.bounds.items()},
             }
-            for mode, form in asked.forms.items()
+            for mode, form in forms.items()
         },
-        "search": {"name": asked.search.name, "settings": repr(asked.search)},
-        "training": None if asked.training is None else repr(asked.training),
-        "dead_zones": dict(asked.dead_zones),
+        "search": repr(search),
+        "training": None if training is None else repr(training),
+        "dead_zones": dict(dead_zones),
     }
-    return described
 
 
 def _versions() -> dict[str, str]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypedDict
 
 from pydantic import Field, PositiveFloat, PositiveInt
 
@@ -10,12 +10,22 @@ from hitchid import whale
 from hitchid.benchmark import structure_named
 from hitchid.errors import InputError, SettingsError
 from hitchid.identification.descent import Descent
-from hitchid.identification.identify import PAPER_FORMS, Settings
+from hitchid.identification.identify import PAPER_FORMS
 from hitchid.identification.phase1 import Form
 from hitchid.identification.phase2 import Training
 from hitchid.identification.search import EVALUATIONS, DifferentialEvolution, MultiStart, Search, Whale
 from hitchid.record import MODES
 from hitchid.signals import Strict, parse_settings
+
+
+class Settings(TypedDict, total=False):
+    """Arguments of `identify`."""
+
+    structure: Mapping[str, Form]
+    search: Search
+    training: Training | None
+    dead_zones: Mapping[str, float]
+    seed: int
 
 
 class ChannelSection(Strict):
@@ -84,23 +94,23 @@ class IdentifyFile(Strict):
     training: TrainingSection = TrainingSection()
 
     def settings(self) -> Settings:
-        """Return the settings of an identification.
+        """Return the arguments of `identify` that the file gives.
 
         Raises:
-            InputError: there is no structure of a name.
+            InputError: there is no structure of a name, or bounds or budget do not fit.
         """
         sections: Mapping[str, ChannelSection] = {mode: getattr(self, mode) for mode in MODES}
-        return Settings(
-            forms={mode: _form(mode, section) for mode, section in sections.items()},
-            search=self.search.search(),
-            training=self.training.training(),
-            dead_zones={mode: s.dead_zone for mode, s in sections.items() if s.dead_zone is not None},
-            seed=self.seed,
-        )
+        return {
+            "structure": {mode: _form(mode, section) for mode, section in sections.items()},
+            "search": self.search.search(),
+            "training": self.training.training(),
+            "dead_zones": {mode: s.dead_zone for mode, s in sections.items() if s.dead_zone is not None},
+            "seed": self.seed,
+        }
 
 
 def read_settings(path: Path) -> Settings:
-    """Read the settings of an identification from a TOML file.
+    """Read the arguments of `identify` from a TOML file.
 
     Raises:
         SettingsError: the file cannot be read, is not TOML, or has a key or value that is not understood.
