@@ -51,35 +51,45 @@ def lagged_integrator(
     return travel
 
 
+def write_bench(
+    place: Path, *, tests: int = 5, samples: int = 400, noise: float = 0.02, seed: int = 0
+) -> Path:
+    """Write a folder of made-up logs of a two-way plant and return it."""
+    rng = np.random.default_rng(seed)
+    place.mkdir()
+    time_s = 0.01 * np.arange(samples)
+    for mode, direction, start in (("lifting", 1, 0.0), ("lowering", -1, 200.0)):
+        for number in range(1, tests + 1):
+            command = binary_command(rng, samples, 0.45, rng.uniform(0.5, 0.7))
+            travel = lagged_integrator(command, gain=30.0, time_constant=0.08, dead_zone=0.35)
+            measured = start + direction * travel + noise * rng.standard_normal(samples)
+            up, down = (command, 0 * command) if direction > 0 else (0 * command, command)
+            write_table(
+                place / f"{mode}-{number:02d}.csv",
+                {
+                    "time_s": np.round(time_s, 4),
+                    "current_up_A": up,
+                    "current_down_A": down,
+                    "displacement_mm": measured,
+                },
+            )
+    return place
+
+
 @pytest.fixture
 def bench(tmp_path):
     """Return a function that writes a folder of made-up logs of a two-way plant and returns it."""
 
-    def write(
-        *, tests: int = 5, samples: int = 400, noise: float = 0.02, seed: int = 0, folder: str = "logs"
-    ) -> Path:
-        rng = np.random.default_rng(seed)
-        place = tmp_path / folder
-        place.mkdir()
-        time_s = 0.01 * np.arange(samples)
-        for mode, direction, start in (("lifting", 1, 0.0), ("lowering", -1, 200.0)):
-            for number in range(1, tests + 1):
-                command = binary_command(rng, samples, 0.45, rng.uniform(0.5, 0.7))
-                travel = lagged_integrator(command, gain=30.0, time_constant=0.08, dead_zone=0.35)
-                measured = start + direction * travel + noise * rng.standard_normal(samples)
-                up, down = (command, 0 * command) if direction > 0 else (0 * command, command)
-                write_table(
-                    place / f"{mode}-{number:02d}.csv",
-                    {
-                        "time_s": np.round(time_s, 4),
-                        "current_up_A": up,
-                        "current_down_A": down,
-                        "displacement_mm": measured,
-                    },
-                )
-        return place
+    def write(*, folder: str = "logs", **options) -> Path:
+        return write_bench(tmp_path / folder, **options)
 
     return write
+
+
+@pytest.fixture(scope="session")
+def bench_folder(tmp_path_factory):
+    """Return one small folder of made-up logs of a two-way plant, for tests that only read it."""
+    return write_bench(tmp_path_factory.mktemp("bench") / "logs", tests=3, samples=250)
 
 
 @pytest.fixture

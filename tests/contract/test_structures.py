@@ -1,0 +1,245 @@
+"""One protocol over every benchmark structure."""
+
+import warnings
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import signal
+
+from hitchid.benchmark import STRUCTURES, Benchmark, discretise, searched_parameters, structure_named
+from hitchid.errors import InputError
+from truth import STEP_S, held, levels, shifted
+
+EPS = np.finfo(np.float64).eps
+SAMPLES = 200
+TYPICAL = {
+    "gain": 21.0,
+    "time_constant": 0.3,
+    "natural_frequency": 18.0,
+    "damping_ratio": 0.4,
+    "dead_time": 0.037,
+}
+
+every_structure = pytest.mark.parametrize("structure", STRUCTURES.values(), ids=STRUCTURES.keys())
+
+
+def typical(structure, dead_time_s=0.0):
+    values = jnp.array([TYPICAL[parameter.name] for parameter in structure.parameters])
+    return Benchmark(structure, values, jnp.asarray(dead_time_s))
+
+
+def drawn(data, structure):
+    """Draw values over six decades around the typical ones, on a logarithmic scale."""
+    exponents = [data.draw(st.floats(-1.5, 1.5), label=p.name) for p in structure.parameters]
+    return np.array([TYPICAL[p.name] for p in structure.parameters]) * 10.0 ** np.array(exponents)
+
+
+@eqx.filter_jit
+def respond(benchmark, command):
+    return benchmark.response(command, STEP_S)
+
+
+def response(benchmark, *commands):
+    return np.asarray(respond(benchmark, jnp.asarray(np.stack(commands))))
+
+
+@pytest.fixture
+def command():
+    return levels(np.random.default_rng(0), SAMPLES, low=-0.5, high=1.0)
+
+
+def largest(*arrays):
+    return max(float(np.abs(array).max()) for array in arrays)
+
+
+@every_structure
+@settings(deadline=None, max_examples=20)
+@given(data=st.data())
+def test_state_space_and_transfer_function_describe_one_system(structure, data):
+    values = drawn(data, structure)
+    a, b = (np.asarray(part) for part in structure.state_space(jnp.asarray(values)))
+    numerator, denominator = structure.transfer_function(tuple(values.tolist()))
+    for frequency in (0.01, 0.3, 2.0, 20.0, 500.0):
+        s = 1j * frequency
+        resolvent = s * np.eye(len(b)) - a
+        by_states = np.linalg.solve(resolvent, b)[0]
+        by_fraction = np.polyval(numerator, s) / np.polyval(denominator, s)
+        # Solving loses the condition number, a polynomial near a resonance what its terms cancel.
+        terms = np.polyval(np.abs(denominator), frequency) / abs(np.polyval(denominator, s))
+        lost = len(b) * np.linalg.cond(resolvent) + 2 * len(denominator) * terms
+        assert abs(by_states - by_fraction) <= 4 * EPS * lost * abs(by_fraction)
+
+
+@every_structure
+@settings(deadline=None, max_examples=20)
+@given(data=st.data())
+def test_discretisation_agrees_with_scipy_for_any_parameters(structure, data):
+    values = jnp.asarray(drawn(data, structure))
+    step_s = data.draw(st.floats(1e-3, 0.1), label="step_s")
+    found = _discretise(structure, values, jnp.asarray(step_s))
+    a, b = (np.asarray(part) for part in structure.state_space(values))
+    n = len(b)
+    phi, gamma, *_ = signal.cont2discrete(
+        (a, b[:, None], np.eye(1, n), np.zeros((1, 1))), step_s, method="zoh"
+    )
+    assert int(found.whole) == 0
+    assert np.all(np.asarray(found.before) == 0.0)
+    assert largest(found.transition - phi) <= 1e-12 * largest(phi)
+    assert largest(found.now - gamma[:, 0]) <= 1e-12 * largest(gamma)
+
+
+@eqx.filter_jit
+def _discretise(structure, values, step_s):
+    return discretise(structure, values, jnp.asarray(0.0), step_s)
+
+
+@every_structure
+def test_response_agrees_with_scipy(structure, command):
+    model = typical(structure)
+    expected = held(*structure.transfer_function(tuple(model.values.tolist())), command)
+    found = response(model, command, 2.0 * command)
+    assert largest(found[0] - expected) <= 1e-10 * largest(expected)
+    assert largest(found[1] - 2.0 * expected) <= 2e-10 * largest(expected)
+    assert found[0, 0] == 0.0
+
+
+@every_structure
+def test_dead_time_of_whole_samples_only_delays_the_response(structure, command):
+    prompt = response(typical(structure), command, command)[0]
+    for samples in (1, 3, 7):
+        late = response(typical(structure, samples * STEP_S), command, command)[0]
+        # 0.07 s / 0.01 s is 7 to rounding only; what is left is a command late by as little.
+        assert largest(late - shifted(prompt, samples)) <= SAMPLES * EPS * largest(prompt)
+        assert np.all(late[: samples + 6] == 0.0)
+
+
+@every_structure
+def test_fractional_dead_time_agrees_with_a_grid_ten_times_as_fine(structure, command):
+    fine_command = shifted(np.repeat(command, 10), 37)
+    values = tuple(typical(structure).values.tolist())
+    fine = held(*structure.transfer_function(values), fine_command, STEP_S / 10)
+    late = response(typical(structure, 3.7 * STEP_S), command, command)[0]
+    # Both are exact for a held command; 2000 additions of rounding errors remain.
+    assert largest(late - fine[::10]) <= 2000 * EPS * largest(fine)
+
+
+@every_structure
+@pytest.mark.parametrize("dead_time_s", [0.0, 0.03, 0.037])
+@pytest.mark.filterwarnings("ignore::scipy.signal.BadCoefficients")
+def test_discrete_transfer_function_reproduces_the_response(structure, dead_time_s, command):
+    model = typical(structure, dead_time_s)
+    fraction = model.to_scipy(STEP_S)
+    found = signal.lfilter(*_same_length(fraction.num, fraction.den), command)
+    expected = response(model, command, command)[0]
+    # A polynomial with three roots near 1 amplifies rounding by up to 1/(1 − |p|)³ ≈ 20³.
+    assert largest(found - expected) <= SAMPLES * 20**3 * EPS * largest(expected)
+    assert fraction.dt == STEP_S
+
+
+def _same_length(numerator, denominator):
+    """Return a fraction in z as one in z⁻¹."""
+    return np.concatenate([np.zeros(len(denominator) - len(numerator)), numerator]), denominator
+
+
+@every_structure
+def test_continuous_transfer_function_is_handed_over_unless_there_is_a_dead_time(structure):
+    fraction = typical(structure).to_scipy()
+    numerator, denominator = structure.transfer_function(tuple(typical(structure).values.tolist()))
+    # scipy makes the leading coefficient of the denominator one.
+    np.testing.assert_allclose(fraction.num, np.array(numerator) / denominator[0], rtol=4 * EPS)
+    np.testing.assert_allclose(fraction.den, np.array(denominator) / denominator[0], rtol=4 * EPS)
+    with pytest.raises(InputError, match=r"dead time of 0\.037 s.*sampling time"):
+        typical(structure, 0.037).to_scipy()
+    with pytest.raises(InputError, match=r"dead time of 0\.037 s.*sampling time"):
+        typical(structure, 0.037).to_control()
+
+
+@every_structure
+@pytest.mark.parametrize("dead_time_s", [0.0, 0.03, 0.037])
+def test_discrete_transfer_function_is_handed_over_without_a_warning(structure, dead_time_s):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        typical(structure, dead_time_s).to_scipy(STEP_S)
+
+
+@every_structure
+@pytest.mark.parametrize(("step_s", "dead_time_s"), [(None, 0.0), (STEP_S, 0.0), (STEP_S, 0.037)])
+@pytest.mark.filterwarnings("ignore::scipy.signal.BadCoefficients")
+def test_python_control_gets_what_scipy_gets(structure, step_s, dead_time_s):
+    model = typical(structure, dead_time_s)
+    ours, theirs = model.to_scipy(step_s), model.to_control(step_s)
+    for frequency in (0.3, 2.0, 20.0, 200.0):
+        point = 1j * frequency if step_s is None else np.exp(1j * frequency * step_s)
+        expected = np.polyval(ours.num, point) / np.polyval(ours.den, point)
+        # The same coefficients up to one common factor.
+        np.testing.assert_allclose(theirs(point), expected, rtol=1e-9)
+    assert (theirs.dt or None) == step_s
+
+
+@every_structure
+@settings(deadline=None, max_examples=15)
+@given(
+    data=st.data(),
+    seed=st.integers(0, 2**16),
+    weights=st.tuples(st.floats(-3, 3), st.floats(-3, 3)),
+    delay=st.integers(0, 50),
+)
+def test_response_is_linear_and_time_invariant(structure, data, seed, weights, delay):
+    model = Benchmark(structure, jnp.asarray(drawn(data, structure)), jnp.asarray(0.0137))
+    rng = np.random.default_rng(seed)
+    one, other = levels(rng, SAMPLES, low=-1.0), levels(rng, SAMPLES, low=-1.0)
+    mixed = weights[0] * one + weights[1] * other
+    parts = response(model, one, other)
+    together = response(model, mixed, shifted(one, delay))
+    scale = largest(*parts) * (1 + abs(weights[0]) + abs(weights[1]))
+    assert largest(weights[0] * parts[0] + weights[1] * parts[1] - together[0]) <= 1e-12 * scale
+    assert largest(shifted(parts[0], delay) - together[1]) <= 1e-12 * scale
+
+
+def _second_order_step(t, gain, omega, damping):
+    """Return K ∫ (1 − e^(−ξ ωh t) (cos ωd t + ξ/√(1−ξ²) sin ωd t)) dt, underdamped."""
+    ringing = omega * np.sqrt(1 - damping**2)
+    decay = np.exp(-damping * omega * t)
+    cosine, sine = np.cos(ringing * t), np.sin(ringing * t)
+    lag = 2 * damping / omega
+    return gain * (t - lag + decay * (lag * cosine + (2 * damping**2 - 1) / ringing * sine))
+
+
+CLOSED_FORMS = {
+    "integrator": lambda t, gain: gain * t,
+    "integrator-first-order": lambda t, gain, tau: gain * (t - tau * (1 - np.exp(-t / tau))),
+    "first-order-lag": lambda t, gain, tau: gain * tau * (1 - np.exp(-t / tau)),
+    "integrator-second-order": _second_order_step,
+}
+
+
+@every_structure
+def test_step_response_is_the_closed_form(structure):
+    model = typical(structure)
+    found = response(model, np.ones(SAMPLES), np.zeros(SAMPLES))
+    expected = CLOSED_FORMS[structure.name](STEP_S * np.arange(SAMPLES), *model.values.tolist())
+    # 200 additions of rounding errors.
+    assert largest(found[0] - expected) <= SAMPLES * EPS * largest(expected)
+    assert np.all(found[1] == 0.0)
+
+
+@every_structure
+def test_searched_values_are_told_apart_from_the_dead_time(structure):
+    parameters = searched_parameters(structure, dead_time=True)
+    assert parameters[:-1] == searched_parameters(structure, dead_time=False) == structure.parameters
+    values = jnp.array([TYPICAL[parameter.name] for parameter in parameters])
+    with_delay = Benchmark.of(structure, values, dead_time=True)
+    assert with_delay.named_values() == {p.name: TYPICAL[p.name] for p in parameters}
+    without = Benchmark.of(structure, values[:-1], dead_time=False)
+    assert without.named_values() == {p.name: TYPICAL[p.name] for p in structure.parameters}
+
+
+@every_structure
+def test_structures_are_found_by_name_and_nothing_else_is(structure):
+    assert structure_named(structure.name) is structure
+    with pytest.raises(InputError, match=f"'{structure.name}s'.*{structure.name}"):
+        structure_named(f"{structure.name}s")

@@ -1,0 +1,73 @@
+"""Models put together by hand, so that a test need not identify one."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from hitchid.baselines import Arx, BlackBox
+from hitchid.benchmark import Benchmark, structure_named
+from hitchid.compensator import FEATURES, Compensator
+from hitchid.lstm import Lstm
+from hitchid.model import Channel, Hitch, Provenance
+from hitchid.record import LIFTING, LOWERING
+
+UNITS = {"displacement": "mm", "lifting_command": "A", "lowering_command": "A"}
+DIRECTIONS = {LIFTING: 1, LOWERING: -1}
+DEAD_ZONES = {LIFTING: 0.35, LOWERING: 0.25}
+GAINS = {LIFTING: 30.0, LOWERING: 20.0}
+VALUES = {
+    "integrator": (),
+    "integrator-first-order": (0.08,),
+    "first-order-lag": (5.0,),
+    "integrator-second-order": (18.0, 0.6),
+}
+HIDDEN, WINDOW, ERROR_STEP = 4, 10, 0.02
+
+
+def network(inputs, seed, *, trained=True):
+    """Return a small LSTM; untrained, its output is zero, as that of a fresh one is."""
+    fresh = Lstm.fresh(jax.random.key(seed), inputs, HIDDEN)
+    if not trained:
+        return fresh
+    weights = np.random.default_rng(seed).normal(size=(1, HIDDEN))
+    return eqx.tree_at(lambda n: n.head.weight, fresh, jnp.asarray(weights, jnp.float32))
+
+
+def compensator(seed=0, *, trained=True):
+    """Return a compensator for displacements around 100 mm."""
+    centre = np.array([2.0, 0.2, 0.0, 100.0, 0.0, 100.0, 0.0, 0.0, 0.0, 0.0])
+    spread = np.array([1.0, 0.2, 0.1, 20.0, 0.1, 20.0, 10.0, 0.5, 0.1, 0.5])
+    return Compensator(
+        network(len(FEATURES), seed, trained=trained),
+        jnp.asarray(centre),
+        jnp.asarray(spread),
+        jnp.asarray(ERROR_STEP),
+        WINDOW,
+    )
+
+
+def channel(
+    mode, structure="integrator", *, compensated=None, baselines=False, end_stop=None, dead_time_s=0.0
+):
+    """Return a channel; `compensated`: None for none, False for an untrained one, True for a trained one."""
+    values = jnp.array([GAINS[mode], *VALUES[structure]])
+    parts = {} if compensated is None else {"compensator": compensator(3, trained=compensated)}
+    if baselines:
+        scales = [jnp.asarray(scale) for scale in (1.0, 100.0, 20.0, 0.1)]
+        parts["black_box"] = BlackBox(network(2, 5), *scales)
+        parts["arx"] = Arx(np.array([1.5, -0.5]), np.array([0.1, 0.05]))
+    return Channel(
+        mode=mode,
+        direction=DIRECTIONS[mode],
+        dead_zone=DEAD_ZONES[mode],
+        end_stop=end_stop,
+        benchmark=Benchmark(structure_named(structure), values, jnp.asarray(dead_time_s)),
+        **parts,
+    )
+
+
+def hitch(structure="integrator", *, modes=(LIFTING, LOWERING), provenance=None, **options):
+    """Return a model of one or two like channels at 100 Hz in mm and A."""
+    channels = {mode: channel(mode, structure, **options) for mode in modes}
+    return Hitch(channels, 0.01, UNITS, provenance or Provenance())

@@ -1,0 +1,134 @@
+"""Dead zones found again from made-up ramps and dynamic tests."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from hitchid.errors import LogError
+from hitchid.identification.deadzone import CANDIDATES, from_ramps, from_tests
+from hitchid.record import LIFTING, LOWERING
+from truth import STEP_S, held, levels, shifted
+
+# The current sensor of the bench: 0.3 % of 3 A. Nobody can read a dead zone better off its logs.
+SENSOR_A = 0.009
+SAMPLES = 1000
+
+
+@pytest.fixture
+def ramp(make_record):
+    """Return a function that makes a ramp from 0 to 1 A in 10 s over a valve with a given flow."""
+
+    def make(dead_zone, *, power=1.0, drift=0.0, direction=1, noise=0.0, seed=0, mode=LIFTING):
+        time_s = STEP_S * np.arange(SAMPLES)
+        command = time_s / time_s[-1]
+        # ∫ 30 (u − d)^p dt of a straight ramp, in closed form.
+        beyond = np.maximum(command - dead_zone, 0.0)
+        travel = 30.0 * beyond ** (power + 1) / (power + 1) * time_s[-1]
+        displacement = 80.0 + direction * travel + drift * time_s
+        displacement += noise * np.random.default_rng(seed).standard_normal(SAMPLES)
+        commands = {mode: command, (LOWERING if mode == LIFTING else LIFTING): 0 * command}
+        return make_record(displacement, commands[LIFTING], commands[LOWERING])
+
+    return make
+
+
+@pytest.mark.parametrize("drift", [0.0, -0.5])
+@pytest.mark.parametrize("power", [1.0, 1.5, 2.0])
+@pytest.mark.parametrize("dead_zone", [0.2, 0.5])
+def test_the_onset_of_a_ramp_is_found_through_drift_and_whatever_shape_the_flow_has(
+    ramp, dead_zone, power, drift
+):
+    found = from_ramps([ramp(dead_zone, power=power, drift=drift, noise=0.01)], LIFTING, 1)
+    assert abs(found.value - dead_zone) <= SENSOR_A
+    assert (found.spread, found.count, found.origin) == (None, 1, "ramps")
+
+
+@pytest.mark.parametrize("drift", [0.0, -0.5])
+def test_a_valve_of_linear_flow_gives_its_dead_zone_to_the_grid(ramp, drift):
+    found = from_ramps([ramp(0.35, drift=drift)], LIFTING, 1)
+    # The model holds the truth, so the candidate next to it is the lowest: half the spacing at most.
+    assert abs(found.value - 0.35) <= 0.5 * 0.95 / CANDIDATES
+
+
+def test_lowering_ramps_are_read_in_the_direction_they_move(ramp):
+    found = from_ramps([ramp(0.35, direction=-1, mode=LOWERING)], LOWERING, -1)
+    assert abs(found.value - 0.35) <= SENSOR_A
+
+
+def test_repeats_give_their_mean_and_their_spread(ramp):
+    zones = (0.33, 0.35, 0.40)
+    found = from_ramps([ramp(zone) for zone in zones], LIFTING, 1)
+    half = 0.5 * 0.95 / CANDIDATES
+    assert found.value == pytest.approx(np.mean(zones), abs=half)
+    # Three errors of at most half a spacing change a deviation over √2 by √3/√2 of that at most.
+    assert found.spread == pytest.approx(np.std(zones, ddof=1), abs=1.23 * half)
+    assert found.count == 3
+
+
+@pytest.mark.parametrize(("drift", "noise"), [(0.0, 0.0), (0.5, 0.01), (0.0, 0.01)])
+def test_a_ramp_that_ends_before_the_piston_moves_is_refused(ramp, drift, noise):
+    with pytest.raises(LogError, match="reaches 1 A and the piston does not move"):
+        from_ramps([ramp(1.5, drift=drift, noise=noise)], LIFTING, 1)
+
+
+def dynamic(rng, dead_zone, *, time_constant=0.0, dead_samples=0, noise=0.0, signed=False):
+    """Return command, travel and which samples count of one test of K/(s(τs+1)) behind a dead zone."""
+    command = levels(rng, SAMPLES, low=-1.0 if signed else 0.1, high=1.0)
+    effective = np.sign(command) * np.maximum(np.abs(command) - dead_zone, 0.0)
+    denominator = [time_constant, 1.0, 0.0] if time_constant else [1.0, 0.0]
+    travel = shifted(held([30.0], denominator, effective), dead_samples)
+    return command, travel + noise * rng.standard_normal(SAMPLES), np.ones(SAMPLES, dtype=bool)
+
+
+@pytest.mark.parametrize("dead_zone", [0.2, 0.35, 0.5])
+@pytest.mark.parametrize("signed", [False, True])
+def test_dynamic_tests_of_an_integrator_give_its_dead_zone_to_the_grid(dead_zone, signed):
+    rng = np.random.default_rng(0)
+    found = from_tests([dynamic(rng, dead_zone, signed=signed) for _ in range(4)], STEP_S)
+    assert abs(found.value - dead_zone) <= 0.95 / CANDIDATES
+    assert (found.count, found.origin) == (4, "tests")
+
+
+@pytest.mark.parametrize(("time_constant", "dead_samples"), [(0.08, 0), (0.5, 0), (0.05, 5)])
+def test_a_lag_or_a_dead_time_does_not_pass_for_a_dead_zone(time_constant, dead_samples):
+    rng = np.random.default_rng(0)
+    tests = [dynamic(rng, 0.35, time_constant=time_constant, dead_samples=dead_samples) for _ in range(4)]
+    assert abs(from_tests(tests, STEP_S).value - 0.35) <= SENSOR_A
+
+
+def test_the_standard_error_over_tests_tells_how_far_off_the_dead_zone_is():
+    rng = np.random.default_rng(0)
+    found = [from_tests([dynamic(rng, 0.35, noise=3.0) for _ in range(4)], STEP_S) for _ in range(10)]
+    errors = np.array([each.spread for each in found])
+    misses = np.array([each.value - 0.35 for each in found])
+    # Ten estimates have ten degrees of freedom about the truth, ten jackknifes over four tests thirty.
+    least, most = np.sqrt(stats.f.ppf([0.0005, 0.9995], 10, 30))
+    assert least <= np.sqrt(np.mean(misses**2) / np.mean(errors**2)) <= most
+
+
+def test_samples_that_do_not_count_are_not_looked_at():
+    rng = np.random.default_rng(0)
+    tests = []
+    for _ in range(3):
+        command, travel, counted = dynamic(rng, 0.35)
+        counted[600:] = False
+        tests.append((command, np.where(counted, travel, -1e3), counted))
+    assert abs(from_tests(tests, STEP_S).value - 0.35) <= 0.95 / CANDIDATES
+
+
+def test_two_tests_give_no_standard_error():
+    rng = np.random.default_rng(0)
+    assert from_tests([dynamic(rng, 0.35) for _ in range(2)], STEP_S).spread is None
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.05])
+def test_one_level_of_command_does_not_tell_the_dead_zone(noise):
+    rng = np.random.default_rng(0)
+    tests = []
+    for _ in range(3):
+        command = np.where(levels(rng, SAMPLES) > 0.5, 0.8, 0.0)
+        travel = held([30.0], [1.0, 0.0], np.maximum(command - 0.35, 0.0))
+        travel += noise * rng.standard_normal(SAMPLES)
+        tests.append((command, travel, np.ones(SAMPLES, dtype=bool)))
+    found = from_tests(tests, STEP_S)
+    assert (found.value, found.spread, found.count, found.origin) == (0.0, None, 3, "none")

@@ -1,0 +1,210 @@
+"""Phase 1 finds the parameters of plants simulated by scipy, and tells how well."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from hitchid.benchmark import Batch, structure_named
+from hitchid.errors import FitError, InputError
+from hitchid.identification import Form, MultiStart, Whale
+from hitchid.identification.phase1 import identify_benchmark
+from hitchid.record import LIFTING
+from hitchid.whale import Swarm
+from truth import STEP_S, held, lag, levels, second_order, shifted
+
+UNITS = {"x": "mm", "u": "A"}
+SAMPLES = 250
+SECOND_ORDER = structure_named("integrator-second-order")
+LAG = structure_named("first-order-lag")
+INTEGRATOR = structure_named("integrator")
+
+
+def plants(fraction, *, tests=2, dead_samples=0.0):
+    """Return commands and travels of tests of one plant, each of shape [N], dead time in tenths exact."""
+    rng = np.random.default_rng(0)
+    commands = [levels(rng, SAMPLES, low=0.2) for _ in range(tests)]
+    fine = [shifted(np.repeat(command, 10), round(10 * dead_samples)) for command in commands]
+    return [(u, held(*fraction, v, STEP_S / 10)[::10]) for u, v in zip(commands, fine, strict=True)]
+
+
+@pytest.fixture
+def batch_of(make_record):
+    def make(tests, *, direction=1, noise=0.0, rng=None, end_stop=None, start=None):
+        records = []
+        for command, travel in tests:
+            shown = travel if end_stop is None else np.minimum(travel, end_stop)
+            noisy = shown + (noise * rng.standard_normal(travel.size) if rng else 0.0)
+            records.append(make_record(80.0 + direction * noisy, command))
+        stop = None if end_stop is None else 80.0 + direction * end_stop
+        initial = None if start is None else [start] * len(records)
+        return Batch.of(records, LIFTING, dead_zone=0.0, direction=direction, end_stop=stop, initial=initial)
+
+    return make
+
+
+def identified(batch, structure, *, search=None, seed=0, **form):
+    return identify_benchmark(
+        batch, Form(structure, **form), search or MultiStart(evaluations=150), seed, units=UNITS
+    )
+
+
+def values(phase1):
+    return {estimate.name: estimate.value for estimate in phase1.estimates}
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+@pytest.mark.parametrize(("omega", "damping"), [(18.0, 0.3), (25.0, 0.8), (18.0, 1.8)])
+def test_gain_natural_frequency_and_damping_are_found_again(batch_of, direction, omega, damping):
+    batch = batch_of(plants(second_order(21.0, omega, damping)), direction=direction)
+    found = identified(batch, SECOND_ORDER)
+    expected = {"gain": 21.0, "natural_frequency": omega, "damping_ratio": damping}
+    assert values(found) == pytest.approx(expected, rel=1e-6)
+    assert {estimate.verdict for estimate in found.estimates} == {"determined"}
+    # Rounding of displacements of 80 mm and of sums over 250 samples.
+    assert found.rmse <= 250 * np.finfo(float).eps * 100.0
+    assert found.rmse <= found.search_rmse
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_initial_speed_and_time_constant_of_a_lag_are_found_again(batch_of, direction):
+    found = identified(batch_of(plants(lag(15.0, 0.7)), direction=direction), LAG)
+    assert values(found) == pytest.approx({"gain": 15.0, "time_constant": 0.7}, rel=1e-6)
+    assert found.derived["alpha2 = K"] == (pytest.approx(15.0 * 0.7, rel=1e-6), "mm/A")
+    assert found.derived["beta4 = tau"] == (pytest.approx(0.7, rel=1e-6), "s")
+    assert found.estimates[0].unit == "mm/(s·A)"
+
+
+def test_whales_and_the_polish_find_a_lag_again(batch_of):
+    search = Whale(Swarm(population=10, evaluations=200))
+    found = identified(batch_of(plants(lag(15.0, 0.7))), LAG, search=search)
+    assert values(found) == pytest.approx({"gain": 15.0, "time_constant": 0.7}, rel=1e-6)
+    assert found.rmse < found.search_rmse
+
+
+@pytest.mark.parametrize("dead_samples", [3.7, 12.4])
+def test_a_dead_time_is_found_again(batch_of, dead_samples):
+    batch = batch_of(plants(lag(15.0, 0.7), dead_samples=dead_samples))
+    found = identified(batch, LAG, dead_time=True, search=MultiStart(evaluations=600))
+    expected = {"gain": 15.0, "time_constant": 0.7, "dead_time": dead_samples * STEP_S}
+    assert values(found) == pytest.approx(expected, rel=1e-6)
+    assert found.benchmark.named_values() == pytest.approx(expected, rel=1e-6)
+
+
+def test_samples_at_an_end_stop_do_not_spoil_the_parameters(batch_of):
+    tests = plants(lag(15.0, 0.7))
+    stop = 0.6 * max(float(travel.max()) for _, travel in tests)
+    found = identified(batch_of(tests, end_stop=stop), LAG)
+    assert values(found) == pytest.approx({"gain": 15.0, "time_constant": 0.7}, rel=1e-6)
+
+
+def test_the_reported_error_is_the_root_mean_square_over_all_samples(batch_of):
+    tests = plants(second_order(21.0, 18.0, 0.3))
+    found = identified(batch_of(tests), LAG)
+    fraction = lag(*values(found).values())
+    misses = np.concatenate([held(*fraction, command) - travel for command, travel in tests])
+    assert found.rmse == pytest.approx(np.sqrt(np.mean(misses**2)), rel=1e-9)
+
+
+def chi_bounds(count):
+    """Return between what factors a standard deviation of `count` draws lies, but for 1 in 1000 cases."""
+    return np.sqrt(stats.chi2.ppf([0.0005, 0.9995], count - 1) / (count - 1))
+
+
+@pytest.mark.parametrize(
+    ("tests", "start"), [(2, 80.0), (2, None), (12, 80.0), (12, None)], ids=lambda each: str(each)
+)
+def test_standard_errors_under_white_noise_are_the_scatter_over_repetitions(batch_of, tests, start):
+    # Where the start is not known, it is the mean of six noisy samples: one more error in every residual.
+    made, found = plants(lag(15.0, 0.7), tests=tests), []
+    for seed in range(30):
+        batch = batch_of(made, noise=0.3, rng=np.random.default_rng(seed), start=start)
+        found.append(identified(batch, LAG, search=MultiStart(20, starts=1)))
+    least, most = chi_bounds(30)
+    for column, truth in enumerate((15.0, 0.7)):
+        estimates = [each.estimates[column] for each in found]
+        scatter = np.std([estimate.value for estimate in estimates], ddof=1)
+        reported = np.mean([estimate.error for estimate in estimates])
+        # Between the textbook's error and that by test the larger is reported. The latter has ten degrees of
+        # freedom and scatters by √(1/20), so the larger is 1 + √(1/20)/√(2π) = 1.09 times too large.
+        assert least / 1.09 <= scatter / reported <= most
+        middle = np.mean([estimate.value for estimate in estimates])
+        # 3.3 standard errors of the mean: 1 in 1000.
+        assert abs(middle - truth) <= 3.3 * scatter / np.sqrt(30)
+
+
+def test_standard_errors_cover_plants_that_differ_from_test_to_test(batch_of):
+    # The gain varies by 5 % from test to test: residuals of one test hang together, and one estimate from
+    # eight tests scatters by what the textbook's white residuals would understate many times.
+    found, rng = [], np.random.default_rng(1)
+    tests = plants(([1.0], [1.0, 0.0]), tests=8)
+    for _ in range(30):
+        varied = [(command, 15.0 * (1 + 0.05 * rng.standard_normal()) * travel) for command, travel in tests]
+        batch = batch_of(varied, noise=0.05, rng=rng)
+        found.append(identified(batch, INTEGRATOR, search=MultiStart(20, starts=1)).estimates[0])
+    scatter = np.std([estimate.value for estimate in found], ddof=1)
+    reported = np.sqrt(np.mean([estimate.error**2 for estimate in found]))
+    least, most = chi_bounds(30)
+    # The mean square of 30 errors of 7 degrees of freedom each scatters by √(2/210) more.
+    assert least / 1.2 <= scatter / reported <= most * 1.2
+
+
+def test_a_lag_without_end_is_at_its_upper_bound(batch_of):
+    found = identified(batch_of(plants(([15.0], [1.0, 0.0]))), LAG)
+    estimates = {estimate.name: estimate for estimate in found.estimates}
+    assert estimates["time_constant"].verdict == "at its upper bound"
+    assert estimates["gain"].verdict == "determined"
+    assert found.benchmark.named_values()["gain"] == pytest.approx(15.0, rel=0.01)
+
+
+def test_a_lag_far_longer_than_the_tests_is_not_called_determined(batch_of):
+    # With τ = 500 s a test of 2.5 s bends by K u t²/2τ ≈ 0.05 mm, below the 0.1 mm by which the start, a mean
+    # of six samples, is uncertain: a standard error of 1/τ of more than 1/τ itself. That an estimate lies two
+    # standard errors out, which is 50 % of itself, has probability 0.023 for a normal distribution and 0.12
+    # for four degrees of freedom (one-sided 0.06); more than five of twenty seeds, less than 0.001.
+    tests = plants(lag(15.0, 500.0), tests=6)
+    called = []
+    for seed in range(20):
+        batch = batch_of(tests, noise=0.3, rng=np.random.default_rng(seed))
+        found = identified(batch, LAG, search=MultiStart(evaluations=60))
+        called.append(found.estimates[1].verdict)
+    assert set(called) <= {"determined", "not determined", "at its upper bound"}
+    assert called.count("determined") <= 5
+
+
+@pytest.mark.parametrize(
+    ("bounds", "verdict"),
+    [((1.0, 2.0), "at its lower bound"), ((0.1, 0.5), "at its upper bound"), ((0.5, 1.0), "determined")],
+)
+def test_bounds_are_kept_and_a_parameter_at_one_is_said_to_be(batch_of, bounds, verdict):
+    found = identified(batch_of(plants(lag(15.0, 0.7))), LAG, bounds={"time_constant": bounds})
+    estimate = found.estimates[1]
+    assert (estimate.lower, estimate.upper) == pytest.approx(bounds)
+    assert bounds[0] <= estimate.value * (1 + 1e-12)
+    assert estimate.value <= bounds[1] * (1 + 1e-12)
+    assert estimate.verdict == verdict
+
+
+@pytest.mark.parametrize(
+    ("bounds", "complaint"),
+    [
+        ({"tau": (0.1, 1.0)}, "no parameter 'tau'; required one of gain, time_constant"),
+        ({"dead_time": (0.1, 1.0)}, "no parameter 'dead_time'"),
+        ({"gain": (2.0, 1.0)}, "'gain': required 0 < lower < upper, came 2 and 1"),
+        ({"gain": (1.0, 1.0)}, "required 0 < lower < upper"),
+        ({"gain": (0.0, 1.0)}, "required 0 < lower < upper"),
+        ({"gain": (-1.0, 1.0)}, "required 0 < lower < upper"),
+        ({"gain": (1.0, float("inf"))}, "required 0 < lower < upper"),
+        ({"gain": (float("nan"), 1.0)}, "required 0 < lower < upper"),
+    ],
+)
+def test_bounds_that_make_no_sense_are_refused(batch_of, bounds, complaint):
+    with pytest.raises(InputError, match=complaint):
+        identified(batch_of(plants(lag(15.0, 0.7))), LAG, bounds=bounds)
+
+
+def test_tests_in_which_nothing_happens_are_refused(batch_of):
+    ((command, travel), _) = plants(lag(15.0, 0.7))
+    with pytest.raises(FitError, match="command never leaves the dead zone"):
+        identified(batch_of([(0 * command, travel)]), LAG)
+    with pytest.raises(FitError, match="piston does not move"):
+        identified(batch_of([(command, 0 * travel)]), LAG)

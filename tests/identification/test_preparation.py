@@ -1,0 +1,202 @@
+"""From tests to what the phases work on: direction, end stop, dead zone, validation."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hitchid.campaign import Campaign
+from hitchid.errors import InputError
+from hitchid.identification.deadzone import DeadZone
+from hitchid.identification.preparation import mixed_dead_zones, prepare
+from hitchid.record import LIFTING, LOWERING
+from truth import STEP_S, held, levels
+
+SAMPLES = 300
+GIVEN = DeadZone(0.35, None, 0, "given")
+
+
+@pytest.fixture
+def tests_of(make_record):
+    """Return a function that makes moving tests of one mode."""
+
+    def make(count, mode=LIFTING, *, direction=1, samples=SAMPLES, seed=0):
+        rng = np.random.default_rng(seed)
+        records = []
+        for number in range(count):
+            command = levels(rng, samples, low=0.2)
+            travel = held([30.0], [1.0, 0.0], np.maximum(command - 0.35, 0.0))
+            displacement = 80.0 + direction * travel + 0.02 * rng.standard_normal(samples)
+            commands = (command, 0 * command) if mode == LIFTING else (0 * command, command)
+            records.append(make_record(displacement, *commands, name=f"{mode}-{number:02d}"))
+        return records
+
+    return make
+
+
+def everything(records, **options):
+    """Return a campaign that holds one test more back than is asked about."""
+    return Campaign.of(records, **{"test_patterns": [records[-1].name], **options})
+
+
+def told(notices, words):
+    return [notice for notice in notices if words in notice]
+
+
+@pytest.mark.parametrize("mode", [LIFTING, LOWERING])
+@pytest.mark.parametrize("direction", [1, -1])
+def test_the_direction_is_found_and_an_unusual_one_told(tests_of, mode, direction):
+    found = prepare(everything(tests_of(4, mode, direction=direction)), mode, GIVEN)
+    assert found.direction == found.everything.direction == direction
+    usual = direction == (1 if mode == LIFTING else -1)
+    words = "grows" if direction > 0 else "falls"
+    assert bool(told(found.notices, f"the displacement {words} in {mode}: taken as measured")) != usual
+    # Whichever way the sensor counts, travel is positive where the command drives.
+    assert np.all(np.asarray(found.everything.travel)[:, SAMPLES - 1] > 0)
+
+
+def stopping(make_record, stops, *, direction=1):
+    """Return tests that run at 30 mm/s to their stops, in mm, and stand there under command, and one more."""
+    records = []
+    for number, stop in enumerate([*stops, 1.0]):
+        command = np.where(np.arange(SAMPLES) < 5, 0.0, 0.8)
+        way = np.minimum(30.0 * STEP_S * np.arange(SAMPLES), stop)
+        records.append(make_record(20.0 + direction * way, command, 0 * command, name=f"test-{number}"))
+    return records
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_an_end_stop_is_the_place_where_tests_agree_to_stand(make_record, direction):
+    records = stopping(make_record, [50.0, 50.1, 50.0], direction=direction)
+    found = prepare(everything(records), LIFTING, GIVEN)
+    assert found.end_stop == pytest.approx(20.0 + direction * 50.0)
+    assert told(found.notices, "end stop at")
+    assert told(found.notices, "met in 3 of 3 tests")
+    counted = np.asarray(found.everything.counted)
+    # The stop is met after 50 mm / 30 mm/s = 1.67 s; what counts ends 1 % of the way before.
+    np.testing.assert_array_equal(counted.sum(axis=1), [165, 165, 165])
+
+
+@pytest.mark.parametrize(
+    ("stops", "reason"),
+    [
+        ([50.0, 1e3, 1e3], "one stands, the others pass"),
+        ([30.0, 50.0, 70.0], "no two stand in one place"),
+        ([50.0, 50.0, 1e3], "two stand in one place, a third passes it"),
+        ([1e3, 1e3, 1e3], "none stands"),
+    ],
+)
+def test_there_is_no_end_stop_where_tests_do_not_agree(make_record, stops, reason):
+    found = prepare(everything(stopping(make_record, stops)), LIFTING, GIVEN)
+    assert found.end_stop is None, reason
+    assert not told(found.notices, "end stop")
+    assert np.asarray(found.everything.counted).sum() == 3 * SAMPLES
+
+
+@pytest.mark.parametrize(
+    ("count", "validating"), [(2, [1]), (3, [2]), (4, [3]), (7, [3]), (8, [3, 7]), (9, [3, 7])]
+)
+def test_whole_tests_are_set_aside_to_stop_the_training(tests_of, count, validating):
+    records = tests_of(count + 1, samples=100)
+    found = prepare(everything(records), LIFTING, GIVEN)
+    names = [record.name for record in records]
+    assert found.validation_names == tuple(names[row] for row in validating)
+    parts = {
+        "everything": range(count),
+        "training": [row for row in range(count) if row not in validating],
+        "validation": validating,
+    }
+    for part, rows in parts.items():
+        batch = getattr(found, part)
+        measured = np.stack([records[row].displacement for row in rows])
+        np.testing.assert_array_equal(np.asarray(batch.displacement)[:, :100], measured)
+        assert np.asarray(batch.counted).sum() == 100 * len(measured)
+
+
+def test_the_last_quarter_of_a_single_test_stops_its_training(tests_of):
+    found = prepare(everything(tests_of(2)), LIFTING, GIVEN)
+    assert told(found.notices, "one test only: its last quarter stops the training")
+    sample = np.arange(found.everything.counted.shape[1])
+    np.testing.assert_array_equal(found.training.counted[0], sample < 225)
+    np.testing.assert_array_equal(found.validation.counted[0], (sample >= 225) & (sample < 300))
+    assert found.validation_names == ("lifting-00",)
+
+
+def ramps(make_record, zones):
+    time_s = STEP_S * np.arange(1000)
+    command = time_s / time_s[-1]
+    return [
+        make_record(15.0 * np.maximum(command - zone, 0) ** 2, command, 0 * command, name=f"ramp-{number}")
+        for number, zone in enumerate(zones)
+    ]
+
+
+def test_ramps_give_the_dead_zone_where_there_are_any_and_tests_otherwise(make_record, tests_of):
+    records = tests_of(5)
+    with_ramps = prepare(everything([*ramps(make_record, [0.3, 0.32]), *records]), LIFTING, None).dead_zone
+    assert (with_ramps.origin, with_ramps.count) == ("ramps", 2)
+    # Half a candidate spacing; see test_deadzone.
+    assert with_ramps.value == pytest.approx(0.31, abs=0.0012)
+    without = prepare(everything(records), LIFTING, None).dead_zone
+    assert (without.origin, without.count) == ("tests", 4)
+    assert without.value == pytest.approx(0.35, abs=0.0024)
+
+
+def test_a_given_dead_zone_is_taken_and_applied(make_record, tests_of):
+    records = [*ramps(make_record, [0.3]), *tests_of(3)]
+    found = prepare(everything(records), LIFTING, DeadZone(0.5, None, 0, "given"))
+    assert found.dead_zone == DeadZone(0.5, None, 0, "given")
+    commands = np.stack([record.command(LIFTING) for record in records[1:3]])
+    beyond = np.maximum(commands - 0.5, 0)
+    np.testing.assert_allclose(np.asarray(found.everything.command)[:, :SAMPLES], beyond, atol=1e-15)
+
+
+def test_a_dead_zone_that_cannot_be_told_is_zero_with_a_notice(make_record):
+    rng = np.random.default_rng(0)
+    records = []
+    for number in range(3):
+        command = np.where(np.arange(SAMPLES) < 5, 0.0, 0.8)
+        displacement = 13.5 * STEP_S * np.arange(SAMPLES) + 0.02 * rng.standard_normal(SAMPLES)
+        records.append(make_record(displacement, command, 0 * command, name=f"test-{number}"))
+    found = prepare(everything(records), LIFTING, None)
+    assert (found.dead_zone.value, found.dead_zone.origin) == (0.0, "none")
+    assert told(found.notices, "cannot be told from one level of command: taken as zero")
+
+
+def test_what_was_done_to_a_log_is_passed_on(tests_of):
+    records = tests_of(3)
+    records[1] = replace(records[1], notices=("resampled: the clock jitters",))
+    found = prepare(everything(records), LIFTING, GIVEN)
+    assert told(found.notices, "lifting-01: resampled: the clock jitters")
+
+
+def test_held_out_tests_are_not_looked_at_and_one_must_be_left(tests_of):
+    records = tests_of(4)
+    before = prepare(everything(records), LIFTING, None)
+    spoilt = records[-1].displacement[::-1] * 7.0
+    records[-1] = replace(records[-1], signals={**records[-1].signals, "displacement": spoilt})
+    after = prepare(everything(records), LIFTING, None)
+    assert after.dead_zone == before.dead_zone
+    np.testing.assert_array_equal(after.everything.displacement, before.everything.displacement)
+    with pytest.raises(InputError, match=r"all 4 lifting tests are held out"):
+        prepare(everything(records, test_patterns=["lifting-*"]), LIFTING, None)
+
+
+def cycle(make_record, rng, name):
+    """Return one stroke up and one down over dead zones of 0.35 and 0.25, each led in by a second of rest."""
+    up, down = (np.concatenate([np.zeros(100), levels(rng, SAMPLES, low=0.4)]) for _ in range(2))
+    lifting, lowering = np.concatenate([up, 0 * down]), np.concatenate([0 * up, down])
+    speed = np.maximum(lifting - 0.35, 0) - np.maximum(lowering - 0.25, 0)
+    return make_record(80.0 + held([30.0], [1.0, 0.0], speed), lifting, lowering, name=name)
+
+
+def test_cycles_alone_give_a_first_dead_zone_of_each_direction_but_not_the_held_out_ones(make_record):
+    rng = np.random.default_rng(0)
+    records = [cycle(make_record, rng, f"cycle-{number}") for number in range(4)]
+    found = mixed_dead_zones(everything(records))
+    assert set(found) == {LIFTING, LOWERING}
+    assert found[LIFTING].value == pytest.approx(0.35, abs=0.0024)
+    assert found[LOWERING].value == pytest.approx(0.25, abs=0.0024)
+    spoilt = records[-1].displacement[::-1] * 7.0
+    records[-1] = replace(records[-1], signals={**records[-1].signals, "displacement": spoilt})
+    assert mixed_dead_zones(everything(records)) == found

@@ -1,0 +1,263 @@
+"""CSV logs: every number bit for bit, and every other file refused by file, line and column."""
+
+import csv
+import gzip
+import io
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from hitchid.errors import LogError
+from hitchid.readers.csv import read_rows, read_table, write_rows, write_table
+
+NAMES = ("time_s", "current_up_A", "displacement_mm")
+HEADER = ",".join(NAMES)
+ROWS = tuple(f"{k / 100},{k % 3},{k * 1.5}" for k in range(30))
+PLAIN = "\n".join([HEADER, *ROWS]) + "\n"
+WANTED = {
+    "time_s": np.arange(30) / 100,
+    "current_up_A": np.arange(30) % 3,
+    "displacement_mm": np.arange(30) * 1.5,
+}
+
+with_folder = settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+finite = st.floats(allow_nan=False, allow_infinity=False)
+
+
+@pytest.fixture
+def log(tmp_path):
+    """Return a function that writes text or bytes to a log and returns its path."""
+
+    def write(content, name="log.csv"):
+        path = tmp_path / name
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        return path
+
+    return write
+
+
+def with_cell(cell, row=9, column=1):
+    """Return the plain log with one cell changed; row 9 stands in line 11."""
+    cells = ROWS[row].split(",")
+    cells[column] = cell
+    return "\n".join([HEADER, *ROWS[:row], ",".join(cells), *ROWS[row + 1 :]]) + "\n"
+
+
+def same_bits(one, other):
+    return np.asarray(one, dtype=float).tobytes() == np.asarray(other, dtype=float).tobytes()
+
+
+@with_folder
+@given(numbers=arrays(np.float64, st.tuples(st.integers(1, 20), st.just(3)), elements=finite))
+@pytest.mark.parametrize("name", ["log.csv", "log.csv.gz"])
+def test_any_finite_number_reads_back_bit_for_bit(tmp_path, name, numbers):
+    path = tmp_path / name
+    write_table(path, dict(zip(NAMES, numbers.T, strict=True)))
+    table = read_table(path, NAMES)
+    assert (table.source, table.first_line) == (path, 2)
+    for column, samples in zip(NAMES, numbers.T, strict=True):
+        assert same_bits(table.columns[column], samples)
+
+
+def test_the_same_table_gives_the_same_bytes_compressed_or_not(tmp_path):
+    for name in ("a.csv", "a.csv.gz", "b.csv.gz"):
+        write_table(tmp_path / name, WANTED)
+    assert (tmp_path / "a.csv.gz").read_bytes() == (tmp_path / "b.csv.gz").read_bytes()
+    assert gzip.decompress((tmp_path / "a.csv.gz").read_bytes()) == (tmp_path / "a.csv").read_bytes()
+
+
+GOOD = {
+    "plain": PLAIN,
+    "no line end at the end": PLAIN.rstrip("\n"),
+    "windows line ends": PLAIN.replace("\n", "\r\n"),
+    "byte order mark": b"\xef\xbb\xbf" + PLAIN.encode(),
+    "spaces about names": PLAIN.replace(",", " , ", 2),
+    "spaces about numbers": PLAIN.replace(",", " , "),
+    "quoted names": PLAIN.replace(HEADER, '"' + HEADER.replace(",", '","') + '"'),
+    "quoted numbers": PLAIN.replace("0.05,2,7.5", '"0.05","2","7.5"'),
+    "blank lines": PLAIN.replace("\n", "\n\n"),
+    "a comma more in every line": PLAIN.replace("\n", ",\n"),
+    "a comma more in every row": HEADER + "\n" + ",\n".join(ROWS) + ",\n",
+    "text beside": PLAIN.replace("\n", ",5 mm\n").replace("5 mm", "note", 1),
+    "an inch sign beside": PLAIN.replace("\n", ',5" pipe\n').replace('5" pipe', "note", 1),
+    "line ends in quotes beside": PLAIN.replace("\n", ',"a\nb"\n').replace('"a\nb"', "note", 1),
+    "columns in another order": "\n".join(",".join(line.split(",")[::-1]) for line in PLAIN.splitlines()),
+}
+
+
+@pytest.mark.parametrize("content", GOOD.values(), ids=GOOD.keys())
+def test_however_a_log_is_written_its_numbers_are_read(log, content):
+    table = read_table(log(content), NAMES)
+    for name, samples in WANTED.items():
+        assert same_bits(table.columns[name], samples)
+
+
+@with_folder
+@given(notes=st.lists(st.text(st.characters(codec="utf-8")), min_size=3, max_size=3))
+def test_whatever_text_stands_quoted_beside_does_no_harm(log, notes):
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, quoting=csv.QUOTE_ALL, lineterminator="\n")
+    writer.writerow(["note", *NAMES, "more"])
+    writer.writerows([[note, k, -k, 0.1 * k, note] for k, note in enumerate(notes)])
+    path = log(text.getvalue())
+    table = read_table(path, NAMES)
+    for name, samples in zip(NAMES, ([0, 1, 2], [0, -1, -2], [0.0, 0.1, 0.2]), strict=True):
+        assert same_bits(table.columns[name], samples)
+    header, rows = read_rows(path, "time_s")
+    assert header == ["note", *NAMES, "more"]
+    assert [row[0] for row in rows] == notes
+
+
+def test_text_and_commas_are_written_so_that_they_read_back(tmp_path):
+    rows = [["a,b", '"', "x\ny", " ", ""], ["", "'", "\u2212", "\t", "0.10"]]
+    write_rows(tmp_path / "a.csv", list("vwxyz"), rows)
+    assert read_rows(tmp_path / "a.csv", "v") == (list("vwxyz"), rows)
+
+
+# What may be taken for a number somewhere, and what cannot.
+cells = st.text(
+    st.sampled_from("0123456789.+-eEinfatyNxX_ dD\t\u2212\u0661\uff11\xa0\x00\x0c%'"), max_size=12
+)
+
+
+@settings(parent=with_folder, max_examples=400)
+@given(cell=cells | st.text(st.characters(codec="utf-8", exclude_characters=',"\n\r'), max_size=8))
+def test_a_cell_is_the_number_it_says_or_is_refused_by_line_and_column(log, cell):
+    path = log(with_cell(cell))
+    try:
+        read = read_table(path, NAMES).columns["current_up_A"][9]
+    except LogError as error:
+        message = str(error)
+        assert message.startswith(f"{path}: line 11: column 'current_up_A': ")
+        assert "required a number" in message
+        return
+    np.testing.assert_array_equal(read, float(cell))
+
+
+@pytest.mark.parametrize(
+    "cell",
+    ["", "  ", "abc", "\u22121", "0x10", "1_000", "\uff11", "1 2", "1d5", "1+2j", "True", "1.2.3", "12%"],
+)
+def test_what_is_no_number_is_named_with_line_and_column(log, cell):
+    with pytest.raises(LogError) as caught:
+        read_table(log(with_cell(cell)), NAMES)
+    message = str(caught.value)
+    assert "line 11: column 'current_up_A'" in message
+    assert (f"'{cell}'" if cell.strip() else "an empty cell") in message
+
+
+BAD = {
+    "empty": ("", ["empty"]),
+    "line ends only": ("\n\n", ["empty"]),
+    "header only": (HEADER, ["line 1", "no samples"]),
+    "header and a line end": (HEADER + "\n", ["line 1", "no samples"]),
+    "semicolons": (PLAIN.replace(",", ";"), ["line 1", "'time_s'", "comma"]),
+    "tabs": (PLAIN.replace(",", "\t"), ["line 1", "'time_s'"]),
+    "no header": ("\n".join(ROWS[1:]), ["line 1", "'time_s'", "0.01"]),
+    "a comment first": ("# bench 3\n" + PLAIN, ["line 1", "'time_s'", "# bench 3"]),
+    "a column too few": (PLAIN.replace("current_up_A", "current_A"), ["'current_up_A'", "current_A"]),
+    "another case": (PLAIN.replace("time_s", "Time_s"), ["'time_s'", "Time_s"]),
+    "a name twice": (PLAIN.replace("\n", ",1\n").replace(",1", ",time_s", 1), ["'time_s'", "twice"]),
+    "a line of units": (PLAIN.replace("\n", "\ns,A,mm\n", 1), ["line 2", "'time_s'", "'s'"]),
+    "a short row": (PLAIN.replace(ROWS[9], "0.09,0"), ["line 11", "'displacement_mm'", "2 cells", "3"]),
+    "a cut last row": (PLAIN.removesuffix(",43.5\n"), ["line 31", "'displacement_mm'"]),
+    "a line of spaces": (PLAIN.replace(ROWS[9], "   "), ["line 11"]),
+    "a bad cell after blank lines": (
+        PLAIN.replace(ROWS[2], ROWS[2] + "\n\n").replace(ROWS[9], "0.09,x,1"),
+        ["line 13", "'current_up_A'", "'x'"],
+    ),
+    "a bad cell after lines in quotes": (
+        with_cell("x").replace("\n", ',"a\nb"\n').replace('"a\nb"', "note", 1),
+        ["line 2", "'current_up_A'", "'x'"],
+    ),
+    "utf-16": (PLAIN.encode("utf-16"), ["UTF-8"]),
+    "latin-1": (PLAIN.replace("displacement_mm", "höhe_mm").encode("latin-1"), ["UTF-8"]),
+    "noise": (bytes(range(256)) * 4, ["UTF-8"]),
+    "a matlab file": (b"MATLAB 5.0 MAT-file\x00\x01IM\xff", ["UTF-8"]),
+}
+
+
+@pytest.mark.parametrize(("content", "said"), BAD.values(), ids=BAD.keys())
+def test_what_cannot_be_used_is_refused_by_name(log, content, said):
+    path = log(content)
+    with pytest.raises(LogError) as caught:
+        read_table(path, NAMES)
+    message = str(caught.value)
+    assert message.startswith(f"{path}: ")
+    for word in said:
+        assert word in message
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        PLAIN.replace("\n", "\r"),
+        PLAIN.replace("\n", ",a\rb\n"),
+        PLAIN.replace("\n", ",a\rb\r\n"),
+        PLAIN.replace(HEADER, HEADER + "," + "x" * 200_000),
+        with_cell("x").replace("\n", "," + "x" * 200_000 + "\n"),
+        with_cell('"1'),
+        with_cell("\x00"),
+        b"\x00" * 1000,
+        "," * 10_000,
+        '"' * 1001,
+        PLAIN * 2,
+    ],
+    ids=[
+        "old macintosh line ends",
+        "stray carriage returns",
+        "stray carriage returns before windows line ends",
+        "a name of 200 000 letters",
+        "cells of 200 000 letters",
+        "a quote that is never closed",
+        "a nul",
+        "nuls",
+        "commas",
+        "quotes",
+        "two files in one",
+    ],
+)
+def test_whatever_stands_in_a_file_it_is_read_or_refused_in_one_line(log, content):
+    try:
+        table = read_table(log(content), NAMES)
+    except LogError as error:
+        assert "\n" not in str(error)  # noqa: PT017
+        return
+    for name, samples in WANTED.items():
+        assert same_bits(table.columns[name], samples)
+
+
+@pytest.mark.parametrize("cell", ["nan", "inf", "-inf", "1e999"])
+def test_what_is_not_finite_is_read_as_it_stands(log, cell):
+    assert same_bits(read_table(log(with_cell(cell)), NAMES).columns["current_up_A"][9], float(cell))
+
+
+def test_a_damaged_archive_is_refused(log):
+    packed = gzip.compress(PLAIN.encode())
+    flipped = bytes(byte ^ (255 if at == len(packed) // 2 else 0) for at, byte in enumerate(packed))
+    cut = [packed[:size] for size in range(1, len(packed), 7)]
+    for content in [*cut, flipped, packed + b"more", PLAIN.encode(), PLAIN.encode() + packed]:
+        with pytest.raises(LogError, match="cannot be read"):
+            read_table(log(content, "log.csv.gz"), NAMES)
+    with pytest.raises(LogError, match="empty"):
+        read_table(log(b"", "log.csv.gz"), NAMES)
+
+
+def test_what_is_no_file_is_refused(tmp_path):
+    (tmp_path / "folder.csv").mkdir()
+    (tmp_path / "loop.csv").symlink_to(tmp_path / "loop.csv")
+    for name in ("folder.csv", "loop.csv", "missing.csv", "a" * 300 + ".csv"):
+        with pytest.raises(LogError, match="cannot be read"):
+            read_table(tmp_path / name, NAMES)
+
+
+@pytest.mark.parametrize(
+    "content", [GOOD[name] for name in ("plain", "spaces about names", "byte order mark")]
+)
+def test_rows_come_under_the_names_the_table_knows(log, content):
+    header, rows = read_rows(log(content), "time_s")
+    assert header == list(NAMES)
+    assert rows == [row.split(",") for row in ROWS]

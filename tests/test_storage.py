@@ -1,0 +1,166 @@
+"""Results on disk: one form for equal content, whole or not at all, nothing replaced unasked."""
+
+import hashlib
+import json
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hitchid.errors import OutputError
+from hitchid.storage import canonical_json, check_file, check_folder, digest, write_file, write_folder
+
+characters = st.text(st.characters(codec="utf-8"))
+numbers = st.floats(allow_nan=False, allow_infinity=False) | st.integers()
+contents = st.recursive(
+    st.none() | st.booleans() | numbers | characters,
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(characters, inner, max_size=4),
+    max_leaves=12,
+)
+
+
+def turned_round(content):
+    """Return equal content whose keys stand in the reverse order."""
+    if isinstance(content, dict):
+        return {key: turned_round(content[key]) for key in reversed(content)}
+    return [turned_round(item) for item in content] if isinstance(content, list) else content
+
+
+@given(contents)
+def test_equal_content_gives_equal_bytes(content):
+    assert canonical_json(turned_round(content)) == canonical_json(content)
+
+
+@given(contents)
+def test_what_was_written_reads_back_as_it_was(content):
+    assert json.loads(canonical_json(content)) == content
+    assert canonical_json(json.loads(canonical_json(content))) == canonical_json(content)
+
+
+@pytest.mark.parametrize("number", [float("nan"), float("inf"), -float("inf")])
+def test_a_number_that_is_not_finite_is_no_json(number):
+    with pytest.raises(ValueError, match="JSON"):
+        canonical_json({"a": [number]})
+
+
+def test_the_digest_is_sha_256():
+    assert digest(b"abc") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+    assert digest(b"") == hashlib.sha256().hexdigest()
+
+
+def fill(text):
+    return lambda place: (place / "mark.json").write_text(text) and None
+
+
+def fail(place):
+    (place / "mark.json").write_text("half")
+    raise RuntimeError("stopped half-way")
+
+
+def left_in(folder):
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
+
+
+@pytest.mark.parametrize("before", ["nothing", "empty folder", "missing parents"])
+def test_a_folder_appears_with_what_was_written(tmp_path, before):
+    folder = tmp_path / "a" / "b" if before == "missing parents" else tmp_path / "a"
+    if before == "empty folder":
+        folder.mkdir()
+    write_folder(folder, fill("new"), mark="mark.json", force=False)
+    assert (folder / "mark.json").read_text() == "new"
+    assert left_in(folder.parent) == [folder.name, f"{folder.name}/mark.json"]
+
+
+def test_a_folder_that_is_there_is_replaced_whole_and_only_by_force(tmp_path):
+    folder = tmp_path / "a"
+    write_folder(folder, fill("old"), mark="mark.json", force=False)
+    (folder / "more").write_text("old")
+    with pytest.raises(OutputError, match=r"a: exists already.*--force"):
+        write_folder(folder, fill("new"), mark="mark.json", force=False)
+    assert (folder / "mark.json").read_text() == "old"
+    write_folder(folder, fill("new"), mark="mark.json", force=True)
+    assert left_in(tmp_path) == ["a", "a/mark.json"]
+    assert (folder / "mark.json").read_text() == "new"
+
+
+@pytest.mark.parametrize("foreign", ["a folder", "a file"])
+def test_force_replaces_nothing_of_another_kind(tmp_path, foreign):
+    precious = tmp_path / "a" / "precious" if foreign == "a folder" else tmp_path / "a"
+    precious.parent.mkdir(exist_ok=True)
+    precious.write_text("mine")
+    with pytest.raises(OutputError, match=r"holds no mark.json.*another place"):
+        write_folder(tmp_path / "a", fill("new"), mark="mark.json", force=True)
+    assert precious.read_text() == "mine"
+
+
+@pytest.mark.parametrize("force", [False, True])
+def test_a_folder_that_could_not_be_filled_leaves_all_as_it_was(tmp_path, force):
+    if force:
+        write_folder(tmp_path / "a", fill("old"), mark="mark.json", force=False)
+    before = left_in(tmp_path)
+    with pytest.raises(RuntimeError, match="half-way"):
+        write_folder(tmp_path / "a", fail, mark="mark.json", force=force)
+    assert left_in(tmp_path) == before
+    assert not force or (tmp_path / "a" / "mark.json").read_text() == "old"
+
+
+def test_a_place_inside_a_file_is_refused_before_any_work(tmp_path):
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(OutputError, match="file"):
+        check_folder(tmp_path / "file" / "a", mark="mark.json", force=False)
+    with pytest.raises(OutputError, match="file"):
+        check_file(tmp_path / "file" / "a", force=False)
+
+
+def test_a_place_that_cannot_be_written_is_named(tmp_path):
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(OutputError, match=f"^{tmp_path}/file/a: "):
+        write_folder(tmp_path / "file" / "a", fill("new"), mark="mark.json", force=False)
+    with pytest.raises(OutputError, match=f"^{tmp_path}/file/a: "):
+        write_file(tmp_path / "file" / "a", lambda path: path.touch(), force=False)
+
+
+def test_a_name_too_long_for_a_file_is_refused_by_name(tmp_path):
+    long = tmp_path / ("a" * 300)
+    with pytest.raises(OutputError, match="aaa"):
+        check_file(long, force=False)
+    with pytest.raises(OutputError, match="aaa"):
+        check_folder(long, mark="mark.json", force=False)
+
+
+def test_a_file_appears_with_what_was_written_and_keeps_its_ending(tmp_path):
+    seen = []
+    path = tmp_path / "deep" / "log.csv.gz"
+    write_file(path, lambda fresh: (seen.append(fresh.name), fresh.write_text("new"))[0], force=False)
+    assert seen == ["log.csv.gz"]
+    assert path.read_text() == "new"
+    assert left_in(tmp_path) == ["deep", "deep/log.csv.gz"]
+
+
+def test_a_file_that_is_there_is_replaced_only_by_force(tmp_path):
+    path = tmp_path / "a"
+    path.write_text("old")
+    with pytest.raises(OutputError, match=r"a: exists already.*--force"):
+        write_file(path, lambda fresh: fresh.write_text("new") and None, force=False)
+    assert path.read_text() == "old"
+    write_file(path, lambda fresh: fresh.write_text("new") and None, force=True)
+    assert path.read_text() == "new"
+
+
+def test_a_folder_is_never_replaced_by_a_file(tmp_path):
+    (tmp_path / "a").mkdir()
+    with pytest.raises(OutputError, match="exists already"):
+        write_file(tmp_path / "a", lambda fresh: fresh.touch(), force=True)
+
+
+def test_a_file_that_could_not_be_written_leaves_all_as_it_was(tmp_path):
+    (tmp_path / "a").write_text("old")
+
+    def half(path):
+        path.write_text("half")
+        raise RuntimeError("stopped half-way")
+
+    with pytest.raises(RuntimeError, match="half-way"):
+        write_file(tmp_path / "a", half, force=True)
+    assert left_in(tmp_path) == ["a"]
+    assert (tmp_path / "a").read_text() == "old"

@@ -1,0 +1,207 @@
+"""Validation: figures by hand, on tests the identification has not seen, in the unit of the log."""
+
+import json
+from dataclasses import replace
+
+import equinox as eqx
+import numpy as np
+import pytest
+
+from handmade import DEAD_ZONES, GAINS, hitch
+from hitchid.campaign import Campaign
+from hitchid.errors import InputError, OutputError
+from hitchid.model import Provenance
+from hitchid.record import LIFTING, LOWERING
+from hitchid.validation import HORIZONS, validate
+from hitchid.validation.tables import NAMES
+from truth import STEP_S, levels
+
+SIZES = (200, 150, 180)
+MODELS = hitch(compensated=True, baselines=True)
+
+
+def exact(lifting, lowering, start=100.0):
+    """Return the displacement the handmade integrators give, shape [N]."""
+    up = GAINS[LIFTING] * np.maximum(lifting - DEAD_ZONES[LIFTING], 0)
+    down = GAINS[LOWERING] * np.maximum(lowering - DEAD_ZONES[LOWERING], 0)
+    return start + STEP_S * np.concatenate([[0.0], np.cumsum(up - down)[:-1]])
+
+
+@pytest.fixture
+def tests_of(make_record):
+    def make(mode=LIFTING, sizes=SIZES, seed=0):
+        rng, records = np.random.default_rng(seed), []
+        for number, size in enumerate(sizes):
+            command = levels(rng, size, low=0.4)
+            commands = (command, 0 * command) if mode == LIFTING else (0 * command, command)
+            # A random walk, so that no model is right, and rest where the start is found.
+            wandering = np.concatenate([np.zeros(6), np.cumsum(0.05 * rng.standard_normal(size - 6))])
+            records.append(make_record(exact(*commands) + wandering, *commands, name=f"{mode}-{number:02d}"))
+        return records
+
+    return make
+
+
+@pytest.fixture
+def cycle(make_record):
+    def make(name, seed=0):
+        rng = np.random.default_rng(seed)
+        up, down = (np.concatenate([np.zeros(70), levels(rng, 130, low=0.5)]) for _ in range(2))
+        lifting, lowering = np.concatenate([up, 0 * down]), np.concatenate([0 * up, down])
+        noise = 0.02 * rng.standard_normal(lifting.size)
+        return make_record(exact(lifting, lowering) + noise, lifting, lowering, name=name)
+
+    return make
+
+
+def by_hand(actual, predicted):
+    """Return the figures of metrics.json for pairs of arrays, by their definitions."""
+    misses = np.concatenate([p - a for a, p in zip(actual, predicted, strict=True)])
+    spread = sum(float(((a - a.mean()) ** 2).sum()) for a in actual)
+    lost = float((misses**2).sum())
+    return {
+        "rmse": np.sqrt(lost / misses.size),
+        "mae": np.abs(misses).sum() / misses.size,
+        "r2": 1 - lost / spread,
+        "fit": 100 * (1 - np.sqrt(lost / spread)),
+        "max_abs": np.abs(misses).max(),
+        "within_1": np.count_nonzero(np.abs(misses) < 1) / misses.size,
+    }
+
+
+def test_persistence_is_the_displacement_measured_before(tests_of):
+    records = tests_of()
+    channel = validate(MODELS, Campaign.of(records)).metrics["channels"][LIFTING]
+    measured = [record.displacement for record in records]
+    expected = by_hand([y[1:] for y in measured], [y[:-1] for y in measured])
+    assert channel["baselines"]["persistence"]["one_step"] == pytest.approx(expected, rel=1e-12)
+    horizons = channel["horizons"]
+    assert horizons["steps"] == list(HORIZONS)
+    for step, found in zip(horizons["steps"], horizons["persistence"], strict=True):
+        rmse = by_hand([y[step:] for y in measured], [y[:-step] for y in measured])["rmse"]
+        assert found == pytest.approx(rmse, rel=1e-12)
+
+
+@pytest.mark.parametrize("mode", [LIFTING, LOWERING])
+def test_the_benchmark_is_judged_in_free_run_and_from_the_last_measurement(tests_of, mode):
+    records = tests_of(mode)
+    channel = validate(MODELS, Campaign.of(records)).metrics["channels"][mode]
+    measured = [record.displacement for record in records]
+    starts = [y[:6].mean() for y in measured]
+    free = [
+        exact(record.command(LIFTING), record.command(LOWERING), start)
+        for record, start in zip(records, starts, strict=True)
+    ]
+    assert channel["benchmark"]["free_run"] == pytest.approx(by_hand(measured, free), rel=1e-9)
+    for step, found in zip(channel["horizons"]["steps"], channel["horizons"]["benchmark"], strict=True):
+        anchored = [y[:-step] + f[step:] - f[:-step] for y, f in zip(measured, free, strict=True)]
+        assert found == pytest.approx(by_hand([y[step:] for y in measured], anchored)["rmse"], rel=1e-9)
+
+
+def test_the_grey_box_is_judged_by_what_it_gives_for_each_test(tests_of):
+    records = tests_of()
+    channel = validate(MODELS, Campaign.of(records)).metrics["channels"][LIFTING]
+    measured = [record.displacement for record in records]
+    free = [MODELS.simulate(record) for record in records]
+    ahead = [MODELS.predict(record)[1:] for record in records]
+    # Tests alone and side by side: single precision of a compensator of σ = 0.02 over 200 samples.
+    close = {"rel": 1e-4}
+    grey = channel["greybox"]
+    assert grey["free_run"] == pytest.approx(by_hand(measured, free), **close)
+    assert grey["one_step"] == pytest.approx(by_hand([y[1:] for y in measured], ahead), **close)
+    assert channel["horizons"]["greybox"][0] == pytest.approx(grey["one_step"]["rmse"], rel=1e-12)
+    assert list(channel["per_test"]) == channel["tests"] == [record.name for record in records]
+    for record, y, f in zip(records, measured, free, strict=True):
+        assert channel["per_test"][record.name]["free_run"] == pytest.approx(by_hand([y], [f]), **close)
+
+
+def test_tests_of_the_identification_are_never_evaluated_whatever_they_are_called(tests_of):
+    records = tests_of()
+    seen = frozenset(record.fingerprint for record in records[:2])
+    model = hitch(compensated=True, baselines=True, provenance=Provenance(seen=seen))
+    renamed = [replace(record, name=f"new-{number}") for number, record in enumerate(records)]
+    metres = [record.convert({"displacement": "m", "lifting_command": "mA"}) for record in renamed]
+    for campaign in (records, renamed, metres):
+        metrics = validate(model, Campaign.of(campaign)).metrics
+        assert metrics["channels"][LIFTING]["tests"] == [campaign[2].name]
+
+
+def test_a_campaign_of_nothing_new_is_refused(tests_of):
+    records = tests_of()
+    seen = frozenset(record.fingerprint for record in records)
+    model = hitch(compensated=True, baselines=True, provenance=Provenance(seen=seen))
+    with pytest.raises(InputError, match="identification used every test"):
+        validate(model, Campaign.of(records))
+
+
+def test_figures_are_in_the_unit_of_the_log(tests_of, cycle):
+    records = [*tests_of(), cycle("cycle")]
+    ours = validate(MODELS, Campaign.of(records)).metrics
+    units = {"displacement": "m", "lifting_command": "mA", "lowering_command": "mA"}
+    theirs = validate(MODELS, Campaign.of([record.convert(units) for record in records])).metrics
+    assert (ours["unit"], theirs["unit"]) == ("mm", "m")
+    one, other = ours["channels"][LIFTING], theirs["channels"][LIFTING]
+    pairs = [
+        (ours["cycles"]["greybox"]["free_run"], theirs["cycles"]["greybox"]["free_run"]),
+        (one["greybox"]["one_step"], other["greybox"]["one_step"]),
+        (one["benchmark"]["free_run"], other["benchmark"]["free_run"]),
+        (one["baselines"]["arx"]["free_run"], other["baselines"]["arx"]["free_run"]),
+        (one["per_test"]["lifting-00"]["free_run"], other["per_test"]["lifting-00"]["free_run"]),
+    ]
+    for first, second in pairs:
+        for key in ("rmse", "mae", "max_abs"):
+            assert 1000 * second[key] == pytest.approx(first[key], rel=1e-4)
+        assert second["r2"] == pytest.approx(first["r2"], abs=1e-4)
+        # No sample is a metre off.
+        assert second["within_1"] == 1.0
+    np.testing.assert_allclose(
+        1000 * np.array(other["horizons"]["persistence"]), one["horizons"]["persistence"], rtol=1e-9
+    )
+
+
+def test_cycles_are_judged_apart_in_free_run(tests_of, cycle):
+    records = [*tests_of(), cycle("cycle-1", 1), cycle("cycle-2", 2)]
+    cycles = validate(MODELS, Campaign.of(records)).metrics["cycles"]
+    assert cycles["tests"] == ["cycle-1", "cycle-2"]
+    measured = [record.displacement for record in records[3:]]
+    free = [
+        exact(record.command(LIFTING), record.command(LOWERING), record.displacement[:50].mean())
+        for record in records[3:]
+    ]
+    assert cycles["benchmark"]["free_run"] == pytest.approx(by_hand(measured, free), rel=1e-9)
+    grey = [MODELS.simulate(record) for record in records[3:]]
+    assert cycles["greybox"]["free_run"] == pytest.approx(by_hand(measured, grey), rel=1e-9)
+
+
+def test_the_tables_name_every_model_and_every_test(tests_of, cycle):
+    records = [*tests_of(), *tests_of(LOWERING), cycle("cycle-1")]
+    text = validate(MODELS, Campaign.of(records)).markdown()
+    for name in [*NAMES.values(), *(record.name for record in records)]:
+        assert f"| {name} |" in text
+    assert set(NAMES) == {"persistence", "arx", "lstm", "benchmark", "greybox"}
+
+
+def test_tests_of_a_direction_without_a_channel_are_left_out_with_a_notice(tests_of):
+    model = hitch(modes=(LIFTING,), compensated=True, baselines=True)
+    result = validate(model, Campaign.of([*tests_of(), *tests_of(LOWERING)]))
+    assert list(result.metrics["channels"]) == [LIFTING]
+    assert any("3 lowering tests are left out" in notice for notice in result.notices)
+
+
+@pytest.mark.filterwarnings("ignore:overflow:RuntimeWarning")
+def test_what_diverges_is_null_in_the_figures_and_said_in_the_tables(tests_of, tmp_path):
+    wild = eqx.tree_at(
+        lambda c: c.benchmark.values,
+        MODELS.channels[LIFTING],
+        MODELS.channels[LIFTING].benchmark.values * 1e200,
+    )
+    model = replace(MODELS, channels={**MODELS.channels, LIFTING: wild})
+    result = validate(model, Campaign.of(tests_of()))
+    assert result.metrics["channels"][LIFTING]["benchmark"]["free_run"]["rmse"] is None
+    assert "diverged" in result.markdown()
+    result.write(tmp_path / "results")
+    read = json.loads((tmp_path / "results" / "metrics.json").read_text())
+    assert read["channels"][LIFTING]["benchmark"]["free_run"]["rmse"] is None
+    assert (tmp_path / "results" / "tables.md").read_text() == result.markdown()
+    with pytest.raises(OutputError, match="exists already"):
+        result.write(tmp_path / "results")
