@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from hitchid.rig.bench import Rig
+from hitchid.rig.bench import Rig, hold_pressure
 from hitchid.rig.linkage import Load
 from hitchid.rig.oil import TANK_PRESSURE_PA, Scalar
 from hitchid.rig.valves import SpoolState, SpoolStep
@@ -75,9 +75,14 @@ def steps_of(rig: Rig, dt: Scalar) -> Steps:
     )
 
 
-def at_rest(rig: Rig, displacement: Scalar, pressure: Scalar) -> State:
-    """Return the bench holding its load at a displacement, valves closed, pump on relief."""
+def at_rest(rig: Rig, displacement: Scalar, load_force: Scalar) -> State:
+    """Return the bench holding its load at a displacement, valves closed, pump on relief.
+
+    It was lifted there, so friction is still deflected against lifting: (p − p₀) A = W + F_load dh/dx + F_c.
+    """
     zero = jnp.zeros_like(displacement)
+    friction = rig.cylinder.friction
+    pressure = hold_pressure(rig, displacement, load_force) + friction.coulomb / rig.cylinder.area
     supply_pressure = rig.supply.idle_pressure()
     return State(
         lifting=rig.lifting_valve.spool.rest(),
@@ -87,7 +92,7 @@ def at_rest(rig: Rig, displacement: Scalar, pressure: Scalar) -> State:
         pressure=pressure,
         displacement=displacement,
         speed=zero,
-        bristle=zero,
+        bristle=friction.coulomb / friction.bristle_stiffness,
         oils=Oils(zero, zero, zero, zero, zero, zero),
         supply_oil=rig.supply.amount(rig.oil, supply_pressure),
         cylinder_oil=rig.oil.amount(pressure, rig.cylinder.volume(displacement), rig.cylinder.yielding),

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from hitchid.errors import InputError, SettingsError
 from hitchid.precision import double_precision
-from hitchid.rig.bench import Rig, adjusted, hold_pressure
+from hitchid.rig.bench import Rig, adjusted
 from hitchid.rig.oil import Scalar
 from hitchid.rig.plant import (
     Inputs,
@@ -174,7 +174,7 @@ def _test(
 
         return jax.lax.fori_loop(0, substeps, substep, state), state
 
-    first = at_rest(rig, initial, hold_pressure(rig, initial, load_force[0]))
+    first = at_rest(rig, initial, load_force[0])
     numbers = jnp.arange(load_force.shape[0], dtype=jnp.float64)
     _, states = jax.lax.scan(sample, first, (currents, load_force, numbers))
     return _motion(states)
