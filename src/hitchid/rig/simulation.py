@@ -22,7 +22,7 @@ from hitchid.rig.plant import (
 )
 
 SAMPLE_S = 0.01
-SUBSTEPS = 25
+SUBSTEPS = 10
 
 
 class Motion(eqx.Module):
