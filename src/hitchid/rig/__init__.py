@@ -1,4 +1,4 @@
-"""The virtual test bench: a tractor's electro-hydraulic hitch as physics, the truth that models are held to."""
+"""The virtual test bench: a tractor's electro-hydraulic hitch as physics, the truth for models."""
 
 from hitchid.rig.bench import Limits as Limits
 from hitchid.rig.bench import Rig as Rig

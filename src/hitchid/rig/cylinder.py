@@ -3,7 +3,7 @@
 import equinox as eqx
 import jax.numpy as jnp
 
-from hitchid.rig.oil import Scalar
+from hitchid.rig.oil import Scalar, Values
 from hitchid.rig.quantities import quantity
 
 
@@ -29,7 +29,7 @@ class Friction(eqx.Module):
     bristle_damping: Scalar = quantity("N·s/m", 0.0, 1e7)
     viscous: Scalar = quantity("N·s/m", 0.0, 1e7)
 
-    def level(self, speed: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+    def level(self, speed: Values) -> tuple[Values, Values, Values]:
         """Return E(v), g(v) in N and dg/dv in N·s/m."""
         fade = jnp.exp(-((speed / self.stribeck_speed) ** 2))
         excess = (self.static - self.coulomb) * fade
@@ -62,20 +62,20 @@ class Cylinder(eqx.Module):
     stop_damping: Scalar = quantity("s/m", 0.0, 100.0)
 
     @property
-    def area(self) -> Scalar:
+    def area(self) -> Values:
         """Piston area, m²."""
         return jnp.pi / 4 * self.bore**2
 
     @property
-    def yielding(self) -> Scalar:
+    def yielding(self) -> Values:
         """Widening of the hose, m³/Pa."""
         return self.hose_volume / self.hose_bulk_modulus
 
-    def volume(self, displacement: Scalar) -> Scalar:
+    def volume(self, displacement: Values) -> Values:
         """Return the volume of chamber and hose, m³."""
         return self.dead_volume + self.hose_volume + self.area * displacement
 
-    def stop_force(self, displacement: Scalar, speed: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+    def stop_force(self, displacement: Values, speed: Values) -> tuple[Values, Values, Values]:
         """Return the end stops' force on the piston, N, and its derivatives by displacement and speed."""
         above = jnp.maximum(displacement - self.stroke, 0.0)
         below = jnp.maximum(-displacement, 0.0)

@@ -1,4 +1,4 @@
-"""Three-point linkage: piston stroke to lift-arm angle to implement height, and what it weighs at the piston."""
+"""Three-point linkage: piston stroke to lift-arm angle to implement height, and the load at the piston."""
 
 from typing import NamedTuple
 
@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from hitchid.rig.oil import Scalar
+from hitchid.rig.oil import Scalar, Values
 from hitchid.rig.quantities import quantity
 
 GRAVITY = 9.80665
@@ -24,12 +24,12 @@ class Load(NamedTuple):
         lever_slope: 1/m.
     """
 
-    weight: Scalar
-    weight_slope: Scalar
-    mass: Scalar
-    mass_slope: Scalar
-    lever: Scalar
-    lever_slope: Scalar
+    weight: Values
+    weight_slope: Values
+    mass: Values
+    mass_slope: Values
+    lever: Values
+    lever_slope: Values
 
 
 class Linkage(eqx.Module):
@@ -72,48 +72,48 @@ class Linkage(eqx.Module):
     moving_mass: Scalar = quantity("kg", 0.0, 1e4)
     implement_mass: Scalar = quantity("kg", 0.0, 1e5)
 
-    def cylinder_cosine(self, displacement: Scalar) -> Scalar:
+    def cylinder_cosine(self, displacement: Values) -> Values:
         """Return cos γ by the law of cosines; beyond ±1 the triangle does not close."""
         a, c, length = self.cylinder_arm, self.cylinder_base, self.retracted_length + displacement
         return (a**2 + c**2 - length**2) / (2 * a * c)
 
-    def rod_cosine(self, arm_angle: Scalar) -> Scalar:
+    def rod_cosine(self, arm_angle: Values) -> Values:
         """Return the cosine of the angle between lower link and diagonal; beyond ±1 the four-bar is open."""
         diagonal = self._diagonal(arm_angle)
         square = diagonal[0] ** 2 + diagonal[1] ** 2
         return (self.rod_joint**2 + square - self.lift_rod**2) / (2 * self.rod_joint * jnp.sqrt(square))
 
-    def _diagonal(self, arm_angle: Scalar) -> tuple[Scalar, Scalar]:
+    def _diagonal(self, arm_angle: Values) -> tuple[Values, Values]:
         """Return the vector from the lower link's pivot to the end of the lift arm, m."""
         return (
             self.lift_arm * jnp.cos(arm_angle) - self.pivot_x,
             self.lift_arm * jnp.sin(arm_angle) - self.pivot_y,
         )
 
-    def arm_angle(self, displacement: Scalar) -> Scalar:
+    def arm_angle(self, displacement: Values) -> Values:
         """Return ψ, rad."""
         return jnp.arccos(self.cylinder_cosine(displacement)) - self.arm_offset
 
-    def sensor_angle(self, displacement: Scalar) -> Scalar:
+    def sensor_angle(self, displacement: Values) -> Values:
         """Return what an ideal angle sensor on the lift arm reads, rad."""
         return jnp.arccos(self.cylinder_cosine(displacement)) - self.sensor_offset
 
-    def displacement(self, sensor_angle: Scalar) -> Scalar:
+    def displacement(self, sensor_angle: Values) -> Values:
         """Return the displacement that belongs to a sensor angle, m; the inverse of `sensor_angle`."""
         a, c = self.cylinder_arm, self.cylinder_base
         square = a**2 + c**2 - 2 * a * c * jnp.cos(sensor_angle + self.sensor_offset)
         return jnp.sqrt(square) - self.retracted_length
 
-    def link_angle(self, arm_angle: Scalar) -> Scalar:
+    def link_angle(self, arm_angle: Values) -> Values:
         """Return φ of the lower link above the horizontal, rad; the link hangs below the diagonal."""
         along, up = self._diagonal(arm_angle)
         return jnp.arctan2(up, along) - jnp.arccos(self.rod_cosine(arm_angle))
 
-    def height(self, displacement: Scalar) -> Scalar:
+    def height(self, displacement: Values) -> Values:
         """Return the height of hitch point and implement above the lower link's pivot, m."""
         return self.lower_link * jnp.sin(self.link_angle(self.arm_angle(displacement)))
 
-    def rates(self, displacement: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+    def rates(self, displacement: Values) -> tuple[Values, Values, Values]:
         """Return dψ/dx and dφ/dx, rad/m, and dh/dx.
 
         dψ/dx = ℓ/(a c sin γ); of the four-bar, dφ/dψ = L₁ sin(ψ − χ)/(d sin(φ − χ)), χ the lift rod's angle.
@@ -128,7 +128,7 @@ class Linkage(eqx.Module):
         ratio = self.lift_arm * jnp.sin(psi - chi) / (self.rod_joint * jnp.sin(phi - chi))
         return turned, turned * ratio, turned * ratio * self.lower_link * jnp.cos(phi)
 
-    def reduced(self, displacement: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+    def reduced(self, displacement: Values) -> tuple[Values, Values, Values]:
         """Return weight, N, equivalent mass, kg, and lever dh/dx, all at the piston.
 
         m_eq = m_p + J (dψ/dx)² + (m_i + m_l/3) L₃² (dφ/dx)², W = (m_i + m_l/2) g dh/dx.
@@ -138,8 +138,8 @@ class Linkage(eqx.Module):
         mass = mass + (self.implement_mass + self.link_mass / 3) * (self.lower_link * swung) ** 2
         return (self.implement_mass + self.link_mass / 2) * GRAVITY * lever, mass, lever
 
-    def load(self, displacement: Scalar) -> Load:
-        """Return weight, mass and lever at the piston with their slopes, these by automatic differentiation."""
+    def load(self, displacement: Values) -> Load:
+        """Return weight, mass and lever at the piston with their slopes, by automatic differentiation."""
         one = jnp.ones_like(displacement)
         values, slopes = jax.jvp(self.reduced, (displacement,), (one,))
         (weight, mass, lever), (weight_slope, mass_slope, lever_slope) = values, slopes

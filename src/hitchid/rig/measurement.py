@@ -13,13 +13,14 @@ from hitchid.rig.sensors import Curve
 from hitchid.rig.simulation import SAMPLE_S, Motion
 
 LARGEST_JITTER = 0.1
+COLUMNS = ("time_s", "current_up_A", "current_down_A", "displacement_mm")
 
 
 @double_precision
 def measure(
     rig: Rig,
     motion: Motion,
-    currents: Float[Array, "t n 2"] | Float[np.ndarray, "t n 2"],
+    currents: Float[Array, "..."] | Float[np.ndarray, "..."],
     key: PRNGKeyArray,
     *,
     jitter: float = 0.0,
@@ -33,7 +34,7 @@ def measure(
     Args:
         rig: the bench.
         motion: what `simulate` returned.
-        currents: what it was given, A.
+        currents: what it was given, A, shape [T, N, 2].
         key: noise and jitter.
         jitter: standard deviation of the clock over its period, at most 0.1; clipped at four times that. The
             stamps tell when the samples were truly taken.
@@ -48,7 +49,7 @@ def measure(
     if not 0 <= jitter <= LARGEST_JITTER:
         raise SettingsError(f"jitter: came {jitter:g}, required 0 to {LARGEST_JITTER:g}")
     columns = _measure(rig, motion.displacement_m, jnp.asarray(currents, jnp.float64), key, jitter)
-    return {name: np.asarray(column) for name, column in columns.items()}
+    return {name: np.asarray(columns[name]) for name in COLUMNS}  # jit sorts the keys
 
 
 @eqx.filter_jit

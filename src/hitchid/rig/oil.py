@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 from hitchid.rig.quantities import quantity
 
 Scalar = Float[Array, ""]
+Values = Float[Array, "..."]
 
 TANK_PRESSURE_PA = 101325.0
 
@@ -37,24 +38,22 @@ class Oil(eqx.Module):
     reference_temperature: Scalar = quantity("degC", -30.0, 110.0)
     viscosity_slope: Scalar = quantity("1/K", 0.0, 0.1)
 
-    def specific_volume(self, pressure: Scalar) -> Scalar:
+    def specific_volume(self, pressure: Values) -> Values:
         """Return σ(p), the volume of a unit amount."""
         oil = (1 - self.air_fraction) * (1 - (pressure - TANK_PRESSURE_PA) / self.bulk_modulus)
         return oil + self.air_fraction * TANK_PRESSURE_PA / pressure
 
-    def amount(self, pressure: Scalar, volume: Scalar, yielding: Scalar) -> Scalar:
+    def amount(self, pressure: Values, volume: Values, yielding: Values) -> Values:
         """Return what a volume, m³, with walls that yield, m³/Pa, holds: M = (V + h (p − p₀))/σ(p)."""
         return (volume + yielding * (pressure - TANK_PRESSURE_PA)) / self.specific_volume(pressure)
 
-    def capacity(self, pressure: Scalar, amount: Scalar, yielding: Scalar) -> Scalar:
+    def capacity(self, pressure: Values, amount: Values, yielding: Values) -> Values:
         """Return ∂M/∂p at constant volume, m³/Pa; V over the effective bulk modulus."""
         softness = (1 - self.air_fraction) / self.bulk_modulus
         softness = softness + self.air_fraction * TANK_PRESSURE_PA / pressure**2
         return (yielding + amount * softness) / self.specific_volume(pressure)
 
-    def pressure(
-        self, amount: Scalar, volume: Scalar, yielding: Scalar, gas: Scalar | float = 0.0
-    ) -> Scalar:
+    def pressure(self, amount: Values, volume: Values, yielding: Values, gas: Values | float = 0.0) -> Values:
         """Return the pressure at which an amount fills a volume; the inverse of `amount`, always positive.
 
         M σ(p) = V + h (p − p₀) − G/p is a quadratic in p; its positive root.
@@ -72,14 +71,12 @@ class Oil(eqx.Module):
         root = jnp.sqrt(b * b + 4 * a * c)
         return jnp.where(b > 0, (root + jnp.abs(b)) / (2 * a), 2 * c / (root + jnp.abs(b)))
 
-    def viscosity_ratio(self, temperature: Scalar) -> Scalar:
+    def viscosity_ratio(self, temperature: Values) -> Values:
         """Return μ(T)/μ(T_ref)."""
         return jnp.exp(-self.viscosity_slope * (temperature - self.reference_temperature))
 
 
-def turbulent(
-    conductance: Scalar, drop: Scalar, laminar_drop: Scalar | float = 2e4
-) -> tuple[Scalar, Scalar]:
+def turbulent(conductance: Values, drop: Values, laminar_drop: Values | float = 2e4) -> tuple[Values, Values]:
     """Return the flow through an orifice, m³/s, and its derivative by the pressure drop, m³/(s·Pa).
 
     Q = g Δp/(Δp² + Δp_l²)^¼, which is g √Δp but linear within Δp_l, so that it can be differentiated at zero.

@@ -57,7 +57,9 @@ def _quantities(table: str) -> dict[str, Range]:
 
 
 def _model(name: str, fields: dict[str, type[BaseModel]]) -> type[BaseModel]:
-    definitions: dict[str, tuple[type[BaseModel], object]] = {key: (kind, ...) for key, kind in fields.items()}
+    definitions: dict[str, tuple[type[BaseModel], object]] = {
+        key: (kind, ...) for key, kind in fields.items()
+    }
     return create_model(name, __config__=ConfigDict(extra="forbid"), **definitions)  # pyright: ignore[reportCallIssue, reportArgumentType]
 
 
@@ -108,7 +110,9 @@ def build_rig(tables: dict[str, object]) -> Rig:
         raise SettingsError(_complaint(error)) from error
     values = {
         table: {
-            key: jnp.asarray(admitted(entry["value"], entry["unit"], ranges[key], f"key '{table}.{key}'"))
+            key: jnp.asarray(
+                admitted(entry["value"], entry["unit"], ranges[key], f"key '{table}.{key}'"), jnp.float64
+            )
             for key, entry in parsed[table].items()
         }
         for table, ranges in ((table, _quantities(table)) for table in PARTS)
@@ -145,12 +149,15 @@ def _with_spool(values: dict) -> dict:
 
 def _sensors(values: dict) -> Sensors:
     rng = np.random.default_rng(int(values["calibration_seed"]))
-    curves = [Curve.drawn(rng, float(values["curve_error"])) for _ in range(3)]
-    return Sensors(*curves, **values)
+    angle, lifting, lowering = (Curve.drawn(rng, float(values["curve_error"])) for _ in range(3))
+    return Sensors(angle_curve=angle, lifting_curve=lifting, lowering_curve=lowering, **values)
 
 
 def _check_valves(rig: Rig) -> None:
-    for table, spool in (("lifting_valve", rig.lifting_valve.spool), ("lowering_valve", rig.lowering_valve.spool)):
+    for table, spool in (
+        ("lifting_valve", rig.lifting_valve.spool),
+        ("lowering_valve", rig.lowering_valve.spool),
+    ):
         if not spool.dead_zone < spool.saturation:
             raise SettingsError(
                 f"key '{table}.saturation': came {float(spool.saturation):g} A, "

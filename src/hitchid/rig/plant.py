@@ -13,59 +13,59 @@ import jax.numpy as jnp
 
 from hitchid.rig.bench import Rig, hold_pressure
 from hitchid.rig.linkage import Load
-from hitchid.rig.oil import TANK_PRESSURE_PA, Scalar
+from hitchid.rig.oil import TANK_PRESSURE_PA, Values
 from hitchid.rig.valves import SpoolState, SpoolStep
 
 
 class Oils(NamedTuple):
     """Volumes at tank pressure that have flowed since the start, m³."""
 
-    pumped: Scalar
-    relieved: Scalar
-    lifted: Scalar
-    lowered: Scalar
-    leaked: Scalar
-    secured: Scalar
+    pumped: Values
+    relieved: Values
+    lifted: Values
+    lowered: Values
+    leaked: Values
+    secured: Values
 
 
 class State(NamedTuple):
     """The bench at one instant: SI units, absolute pressures.
 
-    `bristle` is the deflection z of the LuGre model; `supply_oil` and `cylinder_oil` are the amounts of oil at
-    the start, so that what is there now is they plus the accounts.
+    `bristle` is the deflection z of the LuGre model; `supply_oil` and `cylinder_oil` are what was there at
+    the start; what is there now is that plus the accounts.
     """
 
     lifting: SpoolState
     lowering: SpoolState
-    compensator: Scalar
-    supply_pressure: Scalar
-    pressure: Scalar
-    displacement: Scalar
-    speed: Scalar
-    bristle: Scalar
+    compensator: Values
+    supply_pressure: Values
+    pressure: Values
+    displacement: Values
+    speed: Values
+    bristle: Values
     oils: Oils
-    supply_oil: Scalar
-    cylinder_oil: Scalar
+    supply_oil: Values
+    cylinder_oil: Values
 
 
 class Inputs(NamedTuple):
     """What is held during a step: currents, A, and the load at the implement, N, downward."""
 
-    lifting: Scalar
-    lowering: Scalar
-    load_force: Scalar
+    lifting: Values
+    lowering: Values
+    load_force: Values
 
 
 class Steps(NamedTuple):
     """What depends on the step's length alone."""
 
-    dt: Scalar
+    dt: Values
     lifting: SpoolStep
     lowering: SpoolStep
-    compensator: Scalar
+    compensator: Values
 
 
-def steps_of(rig: Rig, dt: Scalar) -> Steps:
+def steps_of(rig: Rig, dt: Values) -> Steps:
     """Return the exact factors of the linear parts for a step, s."""
     return Steps(
         dt,
@@ -75,7 +75,7 @@ def steps_of(rig: Rig, dt: Scalar) -> Steps:
     )
 
 
-def at_rest(rig: Rig, displacement: Scalar, load_force: Scalar) -> State:
+def at_rest(rig: Rig, displacement: Values, load_force: Values) -> State:
     """Return the bench holding its load at a displacement, valves closed, pump on relief.
 
     It was lifted there, so friction is still deflected against lifting: (p − p₀) A = W + F_load dh/dx + F_c.
@@ -99,19 +99,19 @@ def at_rest(rig: Rig, displacement: Scalar, load_force: Scalar) -> State:
     )
 
 
-def supply_amount(state: State) -> Scalar:
+def supply_amount(state: State) -> Values:
     """Return the oil in the supply line now, m³ at tank pressure."""
     return state.supply_oil + state.oils.pumped - state.oils.relieved - state.oils.lifted
 
 
-def cylinder_amount(state: State) -> Scalar:
+def cylinder_amount(state: State) -> Values:
     """Return the oil in chamber and hose now, m³ at tank pressure."""
     oils = state.oils
     return state.cylinder_oil + oils.lifted - oils.lowered - oils.leaked - oils.secured
 
 
 def advance(
-    rig: Rig, load: Load, origin: Scalar, state: State, inputs: Inputs, ripple: Scalar, steps: Steps
+    rig: Rig, load: Load, origin: Values, state: State, inputs: Inputs, ripple: Values, steps: Steps
 ) -> State:
     """Advance the bench by one step.
 

@@ -12,7 +12,7 @@ HARMONICS = np.array([0.5, 1.0, 1.5])
 
 
 class Curve(eqx.Module):
-    """Calibration error over the range, e(r) = Σ a_k sin(2π f_k r + φ_k), over full scale, r the reading over it.
+    """Calibration error e(r) = Σ a_k sin(2π f_k r + φ_k), error and reading r over full scale.
 
     Attributes:
         amplitudes: a_k; they add up to the largest error.

@@ -1,9 +1,12 @@
 """Simulated tests: currents in, true motion out."""
 
+from functools import partial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from hitchid.errors import InputError, SettingsError
@@ -40,7 +43,7 @@ class Motion(eqx.Module):
         pumped_m3, relieved_m3, lifted_m3, lowered_m3, leaked_m3, secured_m3: what has flowed since the start
             from the pump, over the relief valve, to the cylinder, back to tank through the lowering valve,
             past the piston, and over the safety valve.
-        supply_oil_m3, cylinder_oil_m3: what is in the supply line with its accumulator, and in chamber and hose.
+        supply_oil_m3, cylinder_oil_m3: what is in the supply line and its accumulator, in chamber and hose.
     """
 
     displacement_m: Float[Array, "t n"]
@@ -66,7 +69,7 @@ class Motion(eqx.Module):
 @double_precision
 def simulate(
     rig: Rig,
-    currents: Float[Array, "t n 2"] | Float[np.ndarray, "t n 2"],
+    currents: Float[Array, "..."] | Float[np.ndarray, "..."],
     *,
     initial_displacement_m: object,
     load_force_n: object = None,
@@ -77,7 +80,7 @@ def simulate(
 
     Args:
         rig: the bench.
-        currents: coil currents, lifting and lowering, A; one row holds for 10 ms.
+        currents: coil currents, lifting and lowering, A, shape [T, N, 2]; one row holds for 10 ms.
         initial_displacement_m: m, one for all tests or one each, shape [T].
         load_force_n: soil resistance at the implement, downward, N: shapes [], [T, 1] or [T, N]; none by
             default. The load is held at its first value before the start.
@@ -107,7 +110,14 @@ def simulate(
         _check(name, array, -np.inf, np.inf)
     _check("currents", given["currents"], 0.0, np.inf)
     _check("initial_displacement_m", given["initial_displacement_m"], 0.0, rig.cylinder.stroke)
-    return _simulate(rig, *given.values(), substeps)
+    return _simulate(
+        rig,
+        given["currents"],
+        given["initial_displacement_m"],
+        given["load_force_n"],
+        given["oil_temperature_c"],
+        substeps,
+    )
 
 
 def _spread(name: str, given: object, shape: tuple[int, ...]) -> Array:
@@ -119,7 +129,7 @@ def _spread(name: str, given: object, shape: tuple[int, ...]) -> Array:
 
 
 def _check(name: str, array: Array, low: float, high: object) -> None:
-    if isinstance(array, jax.core.Tracer) or isinstance(high, jax.core.Tracer):
+    if isinstance(array, Tracer) or isinstance(high, Tracer):
         return
     values, top = np.asarray(array), float(np.asarray(high))
     if not np.all(np.isfinite(values)):
@@ -138,11 +148,8 @@ def _simulate(
     temperature: Float[Array, " t"],
     substeps: int,
 ) -> Motion:
-    motion = jax.vmap(lambda *test: _test(rig, *test, substeps))(currents, initial, load_force, temperature)
-    lifted, lowered = motion.lifted_m3, motion.lowered_m3
-    return eqx.tree_at(
-        lambda m: (m.lifting_flow_m3_s, m.lowering_flow_m3_s), motion, (_mean_flow(lifted), _mean_flow(lowered))
-    )
+    states = jax.vmap(partial(_test, rig, substeps))(currents, initial, load_force, temperature)
+    return _motion(states)
 
 
 def _mean_flow(volume: Float[Array, "t n"]) -> Float[Array, "t n"]:
@@ -151,12 +158,12 @@ def _mean_flow(volume: Float[Array, "t n"]) -> Float[Array, "t n"]:
 
 def _test(
     rig: Rig,
+    substeps: int,
     currents: Float[Array, "n 2"],
     initial: Scalar,
     load_force: Float[Array, " n"],
     temperature: Scalar,
-    substeps: int,
-) -> Motion:
+) -> State:
     rig = adjusted(rig, temperature)
     steps = steps_of(rig, jnp.asarray(SAMPLE_S / substeps))
     turned = rig.supply.ripple_frequency * steps.dt
@@ -177,7 +184,7 @@ def _test(
     first = at_rest(rig, initial, load_force[0])
     numbers = jnp.arange(load_force.shape[0], dtype=jnp.float64)
     _, states = jax.lax.scan(sample, first, (currents, load_force, numbers))
-    return _motion(states)
+    return states
 
 
 def _motion(states: State) -> Motion:
@@ -191,8 +198,8 @@ def _motion(states: State) -> Motion:
         lifting_spool=states.lifting.position,
         lowering_spool=states.lowering.position,
         compensator_m2=states.compensator,
-        lifting_flow_m3_s=oils.lifted,
-        lowering_flow_m3_s=oils.lowered,
+        lifting_flow_m3_s=_mean_flow(oils.lifted),
+        lowering_flow_m3_s=_mean_flow(oils.lowered),
         pumped_m3=oils.pumped,
         relieved_m3=oils.relieved,
         lifted_m3=oils.lifted,

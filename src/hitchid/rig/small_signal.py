@@ -37,20 +37,23 @@ class SmallSignal(NamedTuple):
 def small_signal(rig: Rig, operating_point: OperatingPoint) -> SmallSignal:
     """Return gain, natural frequency and damping of the lifting chain, spool current to displacement.
 
-    With flow gain k_q k_v, flow-pressure coefficient k_c, leakage C_p, C = V/β_e, piston area A, effective mass
-    m and B = σ₂ + dg/dv, Sun et al. 2025, sec. 2.2.2:
+    With flow gain k_q k_v, flow-pressure coefficient k_c, leakage C_p, C = V/β_e, piston area A, effective
+    mass m, B = σ₂ + dg/dv and load stiffness k = dW/dx, Sun et al. 2025, sec. 2.2.2, but for k, which they
+    drop:
 
-        D = A + B (C_p + k_c)/A,  K = k_q k_v/D,  ωh² = A D/(m C),  2 ξh/ωh = (B C/A + m (C_p + k_c)/A)/D
+        D = A + B (C_p + k_c)/A + k C/A
+        K = k_q k_v/D,  ωh² = A D/(m C),  2 ξh/ωh = (B C/A + m (C_p + k_c)/A)/D
 
-    Solenoid, spool and compensator lags are no part of it. Flows are counted at tank pressure, hence A/σ(p)
-    for A in continuity.
+    k (C_p + k_c), which bends the integrator far below 0.1 rad/s, is left out. The lags of solenoid, spool
+    and compensator are no part of it. Flows are counted at tank pressure, hence A/σ(p) for A in continuity.
     """
     temperature = rig.oil.temperature
     if operating_point.oil_temperature_c is not None:
         temperature = jnp.asarray(operating_point.oil_temperature_c)
     warm = adjusted(rig, temperature)
     displacement = jnp.asarray(operating_point.displacement_m)
-    _, mass, _ = rig.linkage.reduced(displacement)
+    load = rig.linkage.load(displacement)
+    mass, stiffness = load.mass, load.weight_slope + operating_point.load_force_n * load.lever_slope
     pressure, speed, gain, flow_pressure = _steady(warm, operating_point)
 
     cylinder, area = warm.cylinder, warm.cylinder.area
@@ -60,7 +63,7 @@ def small_signal(rig: Rig, operating_point: OperatingPoint) -> SmallSignal:
     losses = cylinder.leakage + flow_pressure
     damping = cylinder.friction.viscous + cylinder.friction.level(speed)[2]
 
-    divisor = swept + damping * losses / area
+    divisor = swept + (damping * losses + stiffness * capacity) / area
     omega = jnp.sqrt(area * divisor / (mass * capacity))
     lag = (damping * capacity + mass * losses) / area / divisor
     return SmallSignal(float(1e3 * gain / divisor), float(omega), float(0.5 * lag * omega))

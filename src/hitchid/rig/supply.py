@@ -3,7 +3,7 @@
 import equinox as eqx
 import jax.numpy as jnp
 
-from hitchid.rig.oil import TANK_PRESSURE_PA, Oil, Scalar
+from hitchid.rig.oil import TANK_PRESSURE_PA, Oil, Scalar, Values
 from hitchid.rig.quantities import quantity
 
 
@@ -37,48 +37,48 @@ class Supply(eqx.Module):
     accumulator_precharge: Scalar = quantity("Pa", 1e5, 5e7)
 
     @property
-    def yielding(self) -> Scalar:
+    def yielding(self) -> Values:
         """Widening of the line, m³/Pa."""
         return self.line_volume / self.line_bulk_modulus
 
     @property
-    def ripple_frequency(self) -> Scalar:
+    def ripple_frequency(self) -> Values:
         """Angular frequency of the flow ripple, rad/s."""
         return self.shaft_speed * self.displacements
 
-    def delivered(self, pressure: Scalar, ripple: Scalar) -> tuple[Scalar, Scalar]:
+    def delivered(self, pressure: Values, ripple: Values) -> tuple[Values, Values]:
         """Return the pump's flow, m³/s, and its derivative by pressure; `ripple` is 1 on average."""
         slope = -self.pump_flow * self.pump_slip * ripple
         return self.pump_flow * ripple + slope * (pressure - TANK_PRESSURE_PA), slope
 
-    def relieved(self, pressure: Scalar) -> tuple[Scalar, Scalar]:
+    def relieved(self, pressure: Values) -> tuple[Values, Values]:
         """Return the relief valve's flow, m³/s, and its derivative by pressure."""
         over = pressure - TANK_PRESSURE_PA - self.relief_pressure
         return self.relief_gain * jnp.maximum(over, 0.0), jnp.where(over > 0, self.relief_gain, 0.0)
 
-    def idle_pressure(self) -> Scalar:
+    def idle_pressure(self) -> Values:
         """Return the pressure at which the relief valve takes all the pump gives, Pa."""
         excess = self.pump_flow * (1 - self.pump_slip * self.relief_pressure)
         slope = self.relief_gain + self.pump_flow * self.pump_slip
         return TANK_PRESSURE_PA + self.relief_pressure + excess / slope
 
-    def _gas(self) -> Scalar:
+    def _gas(self) -> Values:
         return self.accumulator_volume * (self.accumulator_precharge + TANK_PRESSURE_PA)
 
-    def amount(self, oil: Oil, pressure: Scalar) -> Scalar:
+    def amount(self, oil: Oil, pressure: Values) -> Values:
         """Return the oil held at a pressure, m³ at tank pressure; the gas is compressed isothermally."""
         precharge = self.accumulator_precharge + TANK_PRESSURE_PA
         taken = self.accumulator_volume * jnp.maximum(1 - precharge / pressure, 0.0)
         return oil.amount(pressure, self.line_volume + taken, self.yielding)
 
-    def pressure(self, oil: Oil, amount: Scalar) -> Scalar:
+    def pressure(self, oil: Oil, amount: Values) -> Values:
         """Return the pressure at which an amount is held, Pa; the inverse of `amount`."""
         alone = oil.pressure(amount, self.line_volume, self.yielding)
         volume = self.line_volume + self.accumulator_volume
         charged = oil.pressure(amount, volume, self.yielding, self._gas())
         return jnp.where(alone > self.accumulator_precharge + TANK_PRESSURE_PA, charged, alone)
 
-    def capacity(self, oil: Oil, pressure: Scalar, amount: Scalar) -> Scalar:
+    def capacity(self, oil: Oil, pressure: Values, amount: Values) -> Values:
         """Return ∂M/∂p, m³/Pa."""
         gas = jnp.where(
             pressure > self.accumulator_precharge + TANK_PRESSURE_PA, self._gas() / pressure**2, 0.0

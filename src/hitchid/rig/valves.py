@@ -5,29 +5,29 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 
-from hitchid.rig.oil import TANK_PRESSURE_PA, Scalar, turbulent
+from hitchid.rig.oil import TANK_PRESSURE_PA, Scalar, Values, turbulent
 from hitchid.rig.quantities import quantity
 
 TINY_AREA = 1e-12
 
 
 class SpoolState(NamedTuple):
-    """Lagged current, A; current behind the hysteresis, A; spool position over its travel, and its speed, 1/s."""
+    """Lagged current, A; current behind the hysteresis, A; spool position over its travel; its speed, 1/s."""
 
-    force: Scalar
-    held: Scalar
-    position: Scalar
-    speed: Scalar
+    force: Values
+    held: Values
+    position: Values
+    speed: Values
 
 
 class SpoolStep(NamedTuple):
     """Exact step of solenoid lag and spool for a fixed time: decay, and the entries of exp(A dt)."""
 
-    decay: Scalar
-    pp: Scalar
-    pv: Scalar
-    vp: Scalar
-    vv: Scalar
+    decay: Values
+    pp: Values
+    pv: Values
+    vp: Values
+    vv: Values
 
 
 class Spool(eqx.Module):
@@ -60,7 +60,7 @@ class Spool(eqx.Module):
         zero = jnp.zeros_like(self.dead_zone)
         return SpoolState(zero, zero, zero, zero)
 
-    def discretised(self, step_s: Scalar | float) -> SpoolStep:
+    def discretised(self, step_s: Values | float) -> SpoolStep:
         """Return the exact step: exp(A dt) by its closed form with μ = ωn √(ζ² − 1), real or imaginary."""
         omega, damped = self.natural_frequency, self.damping_ratio * self.natural_frequency
         mu = omega * jnp.sqrt(jnp.asarray(self.damping_ratio**2 - 1 + 1e-12, dtype=jnp.complex128))
@@ -75,7 +75,7 @@ class Spool(eqx.Module):
             cosine - damped * sine,
         )
 
-    def advance(self, state: SpoolState, current: Scalar, step: SpoolStep) -> SpoolState:
+    def advance(self, state: SpoolState, current: Values, step: SpoolStep) -> SpoolState:
         """Advance by one step under a constant current.
 
         The play operator h ← min(max(h, i − w), i + w) (Brokate & Sprekels 1996) is taken at the step's end,
@@ -89,8 +89,8 @@ class Spool(eqx.Module):
         speed = step.vp * away + step.vv * state.speed
         return SpoolState(force, held, position, speed)
 
-    def area(self, position: Scalar) -> Scalar:
-        """Return the opening, m²: a₁ (√(y² + y₀²) − y₀)/(√(1 + y₀²) − y₀), y the travel beyond the overlap."""
+    def area(self, position: Values) -> Values:
+        """Return the opening, m²: a₁ (√(y² + y₀²) − y₀)/(√(1 + y₀²) − y₀), y the travel past the overlap."""
         overlap = self.dead_zone / self.saturation
         travel = jnp.clip((position - overlap) / (1 - overlap), 0.0, 1.0)
         shape = jnp.sqrt(travel**2 + self.notch**2) - self.notch
@@ -116,11 +116,11 @@ class LiftingValve(eqx.Module):
     compensator_area: Scalar = quantity("m2", 1e-8, 1e-2)
     check_pressure: Scalar = quantity("Pa", 0.0, 2e6)
 
-    def metering_drop(self, compensator: Scalar) -> Scalar:
+    def metering_drop(self, compensator: Values) -> Values:
         """Return the drop the spring demands, Pa: Δp₀ (1 + d (1 − a_k/a_k,max))."""
         return self.offset_pressure * (1 + self.droop * (1 - compensator / self.compensator_area))
 
-    def balanced(self, area: Scalar, compensator: Scalar, drop: Scalar) -> Scalar:
+    def balanced(self, area: Values, compensator: Values, drop: Values) -> Values:
         """Return the compensator's opening in balance, m².
 
         Two orifices in series share the whole drop as the inverse squares of their areas, so the metering one
@@ -130,9 +130,7 @@ class LiftingValve(eqx.Module):
         rest = jnp.maximum(drop - metering, 1e-3 * metering)
         return jnp.minimum(area * jnp.sqrt(metering / rest), self.compensator_area)
 
-    def flow(
-        self, area: Scalar, compensator: Scalar, drop: Scalar, density: Scalar
-    ) -> tuple[Scalar, Scalar]:
+    def flow(self, area: Values, compensator: Values, drop: Values, density: Values) -> tuple[Values, Values]:
         """Return flow, m³/s, and its derivative by the drop from supply to cylinder; never backward."""
         conductance = series(area, compensator) * self.spool.discharge * jnp.sqrt(2 / density)
         return turbulent(conductance, jnp.maximum(drop - self.check_pressure, 0.0))
@@ -153,17 +151,17 @@ class LoweringValve(eqx.Module):
     safety_pressure: Scalar = quantity("Pa", 1e6, 1e8)
     safety_gain: Scalar = quantity("m3/(s·Pa)", 1e-12, 1e-8)
 
-    def flow(self, area: Scalar, pressure: Scalar, density: Scalar) -> tuple[Scalar, Scalar]:
+    def flow(self, area: Values, pressure: Values, density: Values) -> tuple[Values, Values]:
         """Return flow to tank, m³/s, and its derivative by pressure; Q = C_d a √(2 (p − p₀)/ρ)."""
         conductance = series(area, self.damper_area) * self.spool.discharge * jnp.sqrt(2 / density)
         return turbulent(conductance, pressure - TANK_PRESSURE_PA)
 
-    def safety(self, pressure: Scalar) -> tuple[Scalar, Scalar]:
+    def safety(self, pressure: Values) -> tuple[Values, Values]:
         """Return the safety valve's flow, m³/s, and its derivative by pressure."""
         over = pressure - TANK_PRESSURE_PA - self.safety_pressure
         return self.safety_gain * jnp.maximum(over, 0.0), jnp.where(over > 0, self.safety_gain, 0.0)
 
 
-def series(first: Scalar, second: Scalar) -> Scalar:
+def series(first: Values, second: Values) -> Values:
     """Return the area of one orifice that stands for two in series: a₁ a₂/√(a₁² + a₂²)."""
     return first * second / jnp.sqrt(first**2 + second**2 + TINY_AREA**2)
