@@ -1,0 +1,110 @@
+"""Logs of simulated tests, as the bench's data acquisition would write them."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from hitchid.errors import InputError, SettingsError
+from hitchid.precision import double_precision
+from hitchid.rig.bench import Rig
+from hitchid.rig.sensors import Curve
+from hitchid.rig.simulation import SAMPLE_S, Motion
+
+LARGEST_JITTER = 0.1
+COLUMNS = ("time_s", "current_up_A", "current_down_A", "displacement_mm")
+
+
+@double_precision
+def measure(
+    rig: Rig,
+    motion: Motion,
+    currents: Float[Array, "..."] | Float[np.ndarray, "..."],
+    key: PRNGKeyArray,
+    *,
+    jitter: float = 0.0,
+) -> dict[str, np.ndarray]:
+    """Return the columns `time_s`, `current_up_A`, `current_down_A`, `displacement_mm`, each of shape [T, N].
+
+    Angle: lift-arm angle, first-order filter (exact for an input that runs straight between samples),
+    calibration error, noise, converter; the displacement follows from it by the linkage's geometry.
+    Currents: a row of currents is read back at the end of its 10 ms, through the same filter.
+
+    Args:
+        rig: the bench.
+        motion: what `simulate` returned.
+        currents: what it was given, A, shape [T, N, 2].
+        key: noise and jitter.
+        jitter: standard deviation of the clock over its period, at most 0.1; clipped at four times that. The
+            stamps tell when the samples were truly taken.
+
+    Raises:
+        InputError: motion and currents are of different tests.
+        SettingsError: the jitter is out of range.
+    """
+    shape = motion.displacement_m.shape
+    if np.shape(currents) != (*shape, 2):
+        raise InputError(f"currents: came shape {np.shape(currents)}, required {(*shape, 2)}")
+    if not 0 <= jitter <= LARGEST_JITTER:
+        raise SettingsError(f"jitter: came {jitter:g}, required 0 to {LARGEST_JITTER:g}")
+    columns = _measure(rig, motion.displacement_m, jnp.asarray(currents, jnp.float64), key, jitter)
+    return {name: np.asarray(columns[name]) for name in COLUMNS}  # jit sorts the keys
+
+
+@eqx.filter_jit
+def _measure(
+    rig: Rig,
+    displacement: Float[Array, "t n"],
+    currents: Float[Array, "t n 2"],
+    key: PRNGKeyArray,
+    jitter: float,
+) -> dict[str, Array]:
+    clock, angle_key, lifting_key, lowering_key = jax.random.split(key, 4)
+    sensors, shape = rig.sensors, displacement.shape
+    nominal = jnp.broadcast_to(SAMPLE_S * jnp.arange(shape[1]), shape)
+    spread = jnp.clip(jitter * jax.random.normal(clock, shape), -4 * jitter, 4 * jitter)
+    time = (nominal + SAMPLE_S * spread).at[:, 0].set(0.0)
+    corner = sensors.filter_frequency * SAMPLE_S
+    angle = _lagged(rig.linkage.sensor_angle(displacement), corner)
+    angle = jax.vmap(jnp.interp)(time, nominal, angle)
+
+    def read(value: Array, full: Array, curve: Curve, noise: Array, key: PRNGKeyArray) -> Array:
+        reading = value / full
+        error = curve.error(reading) + noise * jax.random.normal(key, shape)
+        return full * sensors.quantised(reading + error)
+
+    angle = read(angle, sensors.angle_range, sensors.angle_curve, sensors.angle_noise, angle_key)
+    held = _settled(currents, corner)
+    full, noise = sensors.current_range, sensors.current_noise
+    return {
+        "time_s": time,
+        "current_up_A": read(held[..., 0], full, sensors.lifting_curve, noise, lifting_key),
+        "current_down_A": read(held[..., 1], full, sensors.lowering_curve, noise, lowering_key),
+        "displacement_mm": 1e3 * rig.linkage.displacement(angle),
+    }
+
+
+def _lagged(signal: Float[Array, "t n"], corner: Array) -> Float[Array, "t n"]:
+    """Return a signal behind a first-order filter, exact where it runs straight from sample to sample."""
+    decay = jnp.exp(-corner)
+    share = 1 - (1 - decay) / corner
+
+    def step(last: tuple[Array, Array], now: Array) -> tuple[tuple[Array, Array], Array]:
+        output, before = last
+        output = decay * output + (1 - decay - share) * before + share * now
+        return (output, now), output
+
+    first = signal[:, 0]
+    return jax.lax.scan(step, (first, first), signal.T)[1].T
+
+
+def _settled(signal: Float[Array, "t n 2"], corner: Array) -> Float[Array, "t n 2"]:
+    """Return a signal that is held between samples as a first-order filter shows it at each hold's end."""
+    decay = jnp.exp(-corner)
+
+    def step(output: Array, now: Array) -> tuple[Array, Array]:
+        output = now + (output - now) * decay
+        return output, output
+
+    return jnp.moveaxis(jax.lax.scan(step, jnp.zeros_like(signal[:, 0]), jnp.moveaxis(signal, 1, 0))[1], 0, 1)

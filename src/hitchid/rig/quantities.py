@@ -1,0 +1,74 @@
+"""Quantities of a rig: the unit each is kept in, what may be given instead, and the admissible range."""
+
+import math
+from typing import Any, NamedTuple
+
+import equinox as eqx
+
+from hitchid.errors import SettingsError
+from hitchid.units import UNITS
+
+_LITRE = 1e-3
+_MINUTE = 60.0
+_RPM = 2 * math.pi / _MINUTE
+_BASE = {"current": "A", "ratio": "1", "length": "m", "angle": "rad", "pressure": "Pa", "time": "s"}
+
+FACTORS: dict[str, tuple[str, float]] = {
+    **{name: (_BASE[unit.dimension], unit.factor) for name, unit in UNITS.items() if unit.dimension in _BASE},
+    "m2": ("m2", 1.0),
+    "mm2": ("m2", 1e-6),
+    "m3": ("m3", 1.0),
+    "L": ("m3", _LITRE),
+    "m3/s": ("m3/s", 1.0),
+    "L/min": ("m3/s", _LITRE / _MINUTE),
+    "m3/(s·Pa)": ("m3/(s·Pa)", 1.0),
+    "L/(min·MPa)": ("m3/(s·Pa)", _LITRE / _MINUTE * 1e-6),
+    "1/Pa": ("1/Pa", 1.0),
+    "1/MPa": ("1/Pa", 1e-6),
+    "kg": ("kg", 1.0),
+    "kg·m2": ("kg·m2", 1.0),
+    "kg/m3": ("kg/m3", 1.0),
+    "N": ("N", 1.0),
+    "kN": ("N", 1e3),
+    "N/m": ("N/m", 1.0),
+    "N·s/m": ("N·s/m", 1.0),
+    "m/s": ("m/s", 1.0),
+    "mm/s": ("m/s", 1e-3),
+    "s/m": ("s/m", 1.0),
+    "rad/s": ("rad/s", 1.0),
+    "Hz": ("rad/s", 2 * math.pi),
+    "rpm": ("rad/s", _RPM),
+    "degC": ("degC", 1.0),
+    "1/K": ("1/K", 1.0),
+}
+"""Unit to the unit it is kept in and the factor between them."""
+
+
+class Range(NamedTuple):
+    """Unit a quantity is kept in, and the closed interval it must lie in, in that unit."""
+
+    unit: str
+    low: float
+    high: float
+
+
+def quantity(unit: str, low: float, high: float) -> Any:
+    """Declare a field of a part: kept in `unit`, between `low` and `high`, a scalar once inside jit."""
+    return eqx.field(metadata={"range": Range(unit, low, high)})
+
+
+def admitted(value: float, unit: str, wanted: Range, where: str) -> float:
+    """Return a value in the unit it is kept in.
+
+    Raises:
+        SettingsError: the unit is unknown or of another dimension, or the value is out of range.
+    """
+    known = [name for name, (base, _) in FACTORS.items() if base == wanted.unit]
+    if unit not in known:
+        raise SettingsError(f"{where}: came {value:g} {unit}, required a unit among {', '.join(known)}")
+    kept = value * FACTORS[unit][1]
+    if not wanted.low <= kept <= wanted.high:
+        raise SettingsError(
+            f"{where}: came {value:g} {unit}, required {wanted.low:g} to {wanted.high:g} {wanted.unit}"
+        )
+    return kept

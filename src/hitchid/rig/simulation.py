@@ -1,0 +1,211 @@
+"""Simulated tests: currents in, true motion out."""
+
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Float
+
+from hitchid.errors import InputError, SettingsError
+from hitchid.precision import double_precision
+from hitchid.rig.bench import Rig, adjusted
+from hitchid.rig.oil import Scalar
+from hitchid.rig.plant import (
+    Inputs,
+    Oils,
+    State,
+    advance,
+    at_rest,
+    cylinder_amount,
+    steps_of,
+    supply_amount,
+)
+
+SAMPLE_S = 0.01
+SUBSTEPS = 10
+
+
+class Motion(eqx.Module):
+    """What the bench truly did, sampled every 10 ms; each sample stands before its row of currents acts.
+
+    All arrays have the shape [T, N]; pressures are absolute, volumes are of oil at tank pressure.
+
+    Attributes:
+        displacement_m, speed_m_s: of the piston, positive lifting.
+        supply_pressure_pa, pressure_pa: in the supply line and in the cylinder.
+        bristle_m: deflection of the friction model's bristles.
+        lifting_spool, lowering_spool: spool positions over their travel.
+        compensator_m2: opening of the pressure compensator.
+        lifting_flow_m3_s, lowering_flow_m3_s: mean flows over the 10 ms before the sample.
+        pumped_m3, relieved_m3, lifted_m3, lowered_m3, leaked_m3, secured_m3: what has flowed since the start
+            from the pump, over the relief valve, to the cylinder, back to tank through the lowering valve,
+            past the piston, and over the safety valve.
+        supply_oil_m3, cylinder_oil_m3: what is in the supply line and its accumulator, in chamber and hose.
+    """
+
+    displacement_m: Float[Array, "t n"]
+    speed_m_s: Float[Array, "t n"]
+    supply_pressure_pa: Float[Array, "t n"]
+    pressure_pa: Float[Array, "t n"]
+    bristle_m: Float[Array, "t n"]
+    lifting_spool: Float[Array, "t n"]
+    lowering_spool: Float[Array, "t n"]
+    compensator_m2: Float[Array, "t n"]
+    lifting_flow_m3_s: Float[Array, "t n"]
+    lowering_flow_m3_s: Float[Array, "t n"]
+    pumped_m3: Float[Array, "t n"]
+    relieved_m3: Float[Array, "t n"]
+    lifted_m3: Float[Array, "t n"]
+    lowered_m3: Float[Array, "t n"]
+    leaked_m3: Float[Array, "t n"]
+    secured_m3: Float[Array, "t n"]
+    supply_oil_m3: Float[Array, "t n"]
+    cylinder_oil_m3: Float[Array, "t n"]
+
+
+@double_precision
+def simulate(
+    rig: Rig,
+    currents: Float[Array, "..."] | Float[np.ndarray, "..."],
+    *,
+    initial_displacement_m: object,
+    load_force_n: object = None,
+    oil_temperature_c: object = None,
+    substeps: int = SUBSTEPS,
+) -> Motion:
+    """Simulate tests that start at rest, the valves closed and the load held.
+
+    Args:
+        rig: the bench.
+        currents: coil currents, lifting and lowering, A, shape [T, N, 2]; one row holds for 10 ms.
+        initial_displacement_m: m, one for all tests or one each, shape [T].
+        load_force_n: soil resistance at the implement, downward, N: shapes [], [T, 1] or [T, N]; none by
+            default. The load is held at its first value before the start.
+        oil_temperature_c: °C, one for all tests or one each; the rig's own by default.
+        substeps: integration steps a sample.
+
+    Raises:
+        InputError: an array has not the required shape or is not finite.
+        SettingsError: a test starts outside the stroke, a current is negative, or there are no substeps.
+    """
+    shape = np.shape(currents)
+    if len(shape) != 3 or shape[2] != 2 or 0 in shape:
+        raise InputError(f"currents: came shape {shape}, required [tests, samples, 2]")
+    if substeps < 1:
+        raise SettingsError(f"substeps: came {substeps}, required at least 1")
+    tests, samples, _ = shape
+    temperature = rig.oil.temperature if oil_temperature_c is None else oil_temperature_c
+    given = {
+        "currents": jnp.asarray(currents, jnp.float64),
+        "initial_displacement_m": _spread("initial_displacement_m", initial_displacement_m, (tests,)),
+        "load_force_n": _spread(
+            "load_force_n", 0.0 if load_force_n is None else load_force_n, (tests, samples)
+        ),
+        "oil_temperature_c": _spread("oil_temperature_c", temperature, (tests,)),
+    }
+    for name, array in given.items():
+        _check(name, array, -np.inf, np.inf)
+    _check("currents", given["currents"], 0.0, np.inf)
+    _check("initial_displacement_m", given["initial_displacement_m"], 0.0, rig.cylinder.stroke)
+    return _simulate(
+        rig,
+        given["currents"],
+        given["initial_displacement_m"],
+        given["load_force_n"],
+        given["oil_temperature_c"],
+        substeps,
+    )
+
+
+def _spread(name: str, given: object, shape: tuple[int, ...]) -> Array:
+    array = jnp.asarray(given, jnp.float64)
+    try:
+        return jnp.broadcast_to(array, shape)
+    except ValueError as error:
+        raise InputError(f"{name}: came shape {array.shape}, required one that spreads to {shape}") from error
+
+
+def _check(name: str, array: Array, low: float, high: object) -> None:
+    if isinstance(array, Tracer) or isinstance(high, Tracer):
+        return
+    values, top = np.asarray(array), float(np.asarray(high))
+    if not np.all(np.isfinite(values)):
+        raise InputError(f"{name}: a value is not finite")
+    if np.any(values < low) or np.any(values > top):
+        worst = values[(values < low) | (values > top)].flat[0]
+        raise SettingsError(f"{name}: came {worst:g}, required {low:g} to {top:g}")
+
+
+@eqx.filter_jit
+def _simulate(
+    rig: Rig,
+    currents: Float[Array, "t n 2"],
+    initial: Float[Array, " t"],
+    load_force: Float[Array, "t n"],
+    temperature: Float[Array, " t"],
+    substeps: int,
+) -> Motion:
+    states = jax.vmap(partial(_test, rig, substeps))(currents, initial, load_force, temperature)
+    return _motion(states)
+
+
+def _mean_flow(volume: Float[Array, "t n"]) -> Float[Array, "t n"]:
+    return jnp.diff(volume, axis=1, prepend=volume[:, :1]) / SAMPLE_S
+
+
+def _test(
+    rig: Rig,
+    substeps: int,
+    currents: Float[Array, "n 2"],
+    initial: Scalar,
+    load_force: Float[Array, " n"],
+    temperature: Scalar,
+) -> State:
+    rig = adjusted(rig, temperature)
+    steps = steps_of(rig, jnp.asarray(SAMPLE_S / substeps))
+    turned = rig.supply.ripple_frequency * steps.dt
+    swing = rig.supply.ripple * jnp.sinc(turned / (2 * jnp.pi))
+
+    def sample(state: State, row: tuple[Array, Array, Array]) -> tuple[State, State]:
+        current, force, number = row
+        load, origin = rig.linkage.load(state.displacement), state.displacement
+        inputs = Inputs(current[0], current[1], force)
+        start = rig.supply.ripple_frequency * SAMPLE_S * number
+
+        def substep(index: Array, now: State) -> State:
+            ripple = 1 + swing * jnp.sin(start + (index + 0.5) * turned)
+            return advance(rig, load, origin, now, inputs, ripple, steps)
+
+        return jax.lax.fori_loop(0, substeps, substep, state), state
+
+    first = at_rest(rig, initial, load_force[0])
+    numbers = jnp.arange(load_force.shape[0], dtype=jnp.float64)
+    _, states = jax.lax.scan(sample, first, (currents, load_force, numbers))
+    return states
+
+
+def _motion(states: State) -> Motion:
+    oils: Oils = states.oils
+    return Motion(
+        displacement_m=states.displacement,
+        speed_m_s=states.speed,
+        supply_pressure_pa=states.supply_pressure,
+        pressure_pa=states.pressure,
+        bristle_m=states.bristle,
+        lifting_spool=states.lifting.position,
+        lowering_spool=states.lowering.position,
+        compensator_m2=states.compensator,
+        lifting_flow_m3_s=_mean_flow(oils.lifted),
+        lowering_flow_m3_s=_mean_flow(oils.lowered),
+        pumped_m3=oils.pumped,
+        relieved_m3=oils.relieved,
+        lifted_m3=oils.lifted,
+        lowered_m3=oils.lowered,
+        leaked_m3=oils.leaked,
+        secured_m3=oils.secured,
+        supply_oil_m3=supply_amount(states),
+        cylinder_oil_m3=cylinder_amount(states),
+    )

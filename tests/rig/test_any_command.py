@@ -1,0 +1,43 @@
+"""Whatever is commanded, the bench stays within physics."""
+
+import jax
+import numpy as np
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from hitchid.rig import load_rig, parameter_sets, simulate
+
+RIGS = [load_rig(name) for name in parameter_sets()]
+SAMPLES = 1001
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(
+    rig=st.sampled_from(RIGS),
+    seed=st.integers(0, 2**31),
+    start=st.floats(0.0, 0.25),
+    load=st.floats(-3000.0, 8000.0),
+    temperature=st.floats(-20.0, 100.0),
+)
+def test_random_commands_stay_within_physics(rig, seed, start, load, temperature):
+    rng = np.random.default_rng(seed)
+    levels = rng.uniform(0, 3, (4, SAMPLES, 2)) * (rng.random((4, SAMPLES, 2)) < 0.7)
+    hold = rng.integers(1, 80, 4)
+    currents = np.stack([np.repeat(row, n, axis=0)[:SAMPLES] for row, n in zip(levels, hold, strict=True)])
+    motion = simulate(
+        rig,
+        currents,
+        initial_displacement_m=start,
+        load_force_n=load * rng.uniform(0, 1, (4, SAMPLES)),
+        oil_temperature_c=temperature,
+    )
+    assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(motion))
+    assert np.all(np.asarray(motion.pressure_pa) > 0)
+    assert np.all(np.asarray(motion.supply_pressure_pa) > 0)
+    assert np.all(np.asarray(motion.pressure_pa) < 3e7)
+    displacement = np.asarray(motion.displacement_m)
+    yielded = 2e5 / float(rig.cylinder.stop_stiffness)
+    assert displacement.min() > -yielded
+    assert displacement.max() < 0.25 + yielded
+    for volume in (motion.pumped_m3, motion.relieved_m3, motion.lifted_m3, motion.secured_m3):
+        assert np.all(np.diff(np.asarray(volume)) >= -1e-9)
