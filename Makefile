@@ -1,7 +1,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup lint test study pins clean
+.PHONY: setup lint test reproduce bench study pins clean
 
 setup: .venv/.ready
 
@@ -19,6 +19,12 @@ lint: setup
 
 test: setup lint
 	$(BIN)/python -m pytest -n 2
+
+reproduce: setup
+	$(BIN)/hitchid reproduce --out build/reproduce --force
+
+bench: setup
+	$(BIN)/python benchmarks/rig_speed.py
 
 study: setup
 	$(BIN)/python benchmarks/study.py

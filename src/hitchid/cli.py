@@ -2,6 +2,7 @@
 
 import json
 import sys
+from enum import Enum
 from pathlib import Path
 from typing import Annotated
 
@@ -17,6 +18,30 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
+
+
+class Protocol(Enum):
+    """What the virtual bench runs."""
+
+    PRBS = "prbs"
+    RAMP = "ramp"
+    CYCLE = "cycle"
+
+
+class Direction(Enum):
+    """Which direction the virtual bench excites."""
+
+    LIFTING = "lifting"
+    LOWERING = "lowering"
+    BOTH = "both"
+
+
+class LogFormat(Enum):
+    """Formats the virtual bench writes."""
+
+    CSV = "csv"
+    GZIP = "csv.gz"
+
 
 Logs = Annotated[list[Path], typer.Argument(help="Log files or folders of logs.", show_default=False)]
 Signals = Annotated[
@@ -129,6 +154,63 @@ def simulate(
     from hitchid.simulation import simulate_log
 
     simulate_log(load(model), log, out, horizon=steps, signals=signals, force=force)
+
+
+@app.command(epilog="Example: hitchid bench logs --protocol prbs --tests 20")
+def bench(
+    out: Annotated[Path, typer.Argument(help="Folder to write.", show_default=False)],
+    tests: Annotated[int, typer.Option("--tests", min=1, help="Tests a direction, or cycles.")] = 20,
+    protocol: Annotated[Protocol, typer.Option("--protocol", help="What is run.")] = Protocol.PRBS,
+    mode: Annotated[Direction, typer.Option("--mode", help="Which direction is excited.")] = Direction.BOTH,
+    rig: Annotated[str, typer.Option("--rig", help="Parameter set: a name or a TOML file.")] = "nominal",
+    log_format: Annotated[LogFormat, typer.Option("--format", help="Format of the logs.")] = LogFormat.CSV,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of every random draw.")] = 0,
+    force: Force = False,
+) -> None:
+    """Run tests on the virtual test bench; write one log a test and campaign.toml."""
+    from hitchid.storage import check_folder
+
+    check_folder(out, mark="campaign.toml", force=force)
+    _prepare_jax()
+    from hitchid.bench import write_campaign
+    from hitchid.record import MODES
+
+    write_campaign(
+        out,
+        rig,
+        protocols=(protocol.value,),
+        modes=MODES if mode is Direction.BOTH else (mode.value,),
+        tests=tests,
+        suffix=log_format.value,
+        seed=seed,
+        force=force,
+    )
+
+
+@app.command(epilog="Example: hitchid reproduce --out study --quick")
+def reproduce(
+    out: Annotated[Path, typer.Option("--out", help="Folder to write.")],
+    quick: Annotated[
+        bool, typer.Option("--quick", help="A first look: fewer tests, short training.")
+    ] = False,
+    rig: Annotated[str, typer.Option("--rig", help="Parameter set: a name or a TOML file.")] = "nominal",
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of every random draw.")] = 0,
+    force: Force = False,
+) -> None:
+    """Redo the study of Sun et al. 2025 on the virtual bench, every table and figure."""
+    from hitchid import display
+    from hitchid.storage import check_folder
+
+    check_folder(out, mark="study.md", force=force)
+    _prepare_jax()
+    from hitchid.study import Plan, quick_plan
+    from hitchid.study import reproduce as run
+
+    with display.progress() as report:
+        study = run(
+            out, rig=rig, plan=quick_plan() if quick else Plan(), seed=seed, force=force, progress=report
+        )
+    display.show_study(study)
 
 
 def _horizon(text: str) -> int | None:

@@ -1,7 +1,7 @@
 """What a terminal shows: tables, notices, progress."""
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -12,7 +12,8 @@ from rich.table import Table as RichTable
 if TYPE_CHECKING:
     from hitchid.identification import Identification
     from hitchid.inspection import Inspection
-    from hitchid.validation import Validation
+    from hitchid.study import Study
+    from hitchid.validation import Table, Validation
 
 Report = Callable[[str, float], None]
 
@@ -94,18 +95,28 @@ def show_identification(found: "Identification") -> None:
         _say(f"{mode}, notice", trace.notices)
 
 
+def show_study(study: "Study") -> None:
+    """Print the tables of the study, and what a reader should not miss."""
+    _show_tables(study.tables)
+    _say("notice", study.validation.notices)
+
+
 def show_validation(result: "Validation") -> None:
     """Print every table of a validation."""
     from hitchid.validation import tables
 
-    for content in tables(result.metrics):
+    _show_tables(tables(result.metrics))
+    _say("notice", result.notices)
+
+
+def _show_tables(tables: Iterable["Table"]) -> None:
+    for content in tables:
         table = RichTable(title=content.title, title_justify="left", title_style="bold")
         for name, first in zip(content.header, content.rows[0], strict=True):
             table.add_column(name, justify="right" if _numeric(first) else "left")
         for row in content.rows:
             table.add_row(*row)
         _out().print(table)
-    _say("notice", result.notices)
 
 
 def _numeric(cell: str) -> bool:

@@ -36,9 +36,9 @@ def tables(metrics: Mapping[str, Any]) -> list[Table]:
     return found
 
 
-def markdown(content: Sequence[Table], notices: Sequence[str]) -> str:
+def markdown(content: Sequence[Table], notices: Sequence[str], *, title: str = "Validation") -> str:
     """Return tables, and before them what a reader should not miss, as Markdown."""
-    lines = ["# Validation", ""]
+    lines = [f"# {title}", ""]
     if notices:
         lines += [*(f"- {notice}" for notice in notices), ""]
     for table in content:

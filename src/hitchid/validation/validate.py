@@ -50,11 +50,12 @@ class Validation:
             OutputError: the folder exists and `force` is not given, or it cannot be written.
         """
 
-        def fill(place: Path) -> None:
-            (place / METRICS_FILE).write_bytes(canonical_json(self.metrics))
-            (place / TABLES_FILE).write_text(self.markdown(), encoding="utf-8")
+        write_folder(Path(folder), self.fill, mark=METRICS_FILE, force=force)
 
-        write_folder(Path(folder), fill, mark=METRICS_FILE, force=force)
+    def fill(self, folder: Path) -> None:
+        """Write both files into a folder that is being filled."""
+        (folder / METRICS_FILE).write_bytes(canonical_json(self.metrics))
+        (folder / TABLES_FILE).write_text(self.markdown(), encoding="utf-8")
 
 
 @double_precision

@@ -1,0 +1,177 @@
+"""Test signals: ramps, maximum-length and random binary sequences, multi-level steps, mixed duty cycles.
+
+Every signal is an effective command; `precompensated` adds the dead zone found in the static test (Sun et al.
+2025, sec. 2.3.1). Commands are held between samples.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+from scipy.signal import max_len_seq
+
+from hitchid.errors import InputError
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """A test signal and how it was made.
+
+    Attributes:
+        command: effective command, shape [N].
+        step_s: sampling time, s.
+        description: name of the signal and the numbers it was made from.
+    """
+
+    command: np.ndarray
+    step_s: float
+    description: Mapping[str, object] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Freeze the description."""
+        object.__setattr__(self, "description", MappingProxyType(dict(self.description)))
+
+
+def precompensated(command: np.ndarray, dead_zone: float) -> np.ndarray:
+    """Return the command that is effective as u behind a dead zone: c = u + d where u > 0, else 0."""
+    return np.where(command > 0, command + dead_zone, 0.0)
+
+
+def ramp(*, top: float, duration_s: float, step_s: float = 0.01) -> Excitation:
+    """Return a slow rise from zero to `top`: the static test.
+
+    Args:
+        top: last command.
+        duration_s: length, s.
+        step_s: sampling time, s.
+    """
+    count = _count(duration_s, step_s)
+    return Excitation(
+        np.linspace(0.0, top, count), step_s, {"signal": "ramp", "top": top, "duration_s": duration_s}
+    )
+
+
+def prbs(
+    *,
+    low: float,
+    high: float,
+    clock_s: float,
+    duration_s: float,
+    seed: int,
+    rest_s: float = 0.05,
+    step_s: float = 0.01,
+) -> Excitation:
+    """Return a maximum-length pseudo-random binary sequence between two levels, after a short rest.
+
+    The shift register is the shortest whose period 2ⁿ − 1 covers the test; the seed chooses its phase.
+
+    Args:
+        low, high: the two levels.
+        clock_s: shortest time a level is held, s.
+        duration_s: length, s.
+        seed: phase of the sequence.
+        rest_s: time at zero before the sequence, s.
+        step_s: sampling time, s.
+    """
+    if not 0 <= low < high:
+        raise InputError(f"prbs: required 0 ≤ low < high, came {low:g} and {high:g}")
+    count, hold = _count(duration_s, step_s), max(1, round(clock_s / step_s))
+    rest = round(rest_s / step_s)
+    clocks = -(-(count - rest) // hold)
+    bits = max(4, int(np.ceil(np.log2(clocks + 1))))
+    state = np.random.default_rng(seed).integers(0, 2, bits)
+    state[0] |= not state.any()
+    sequence = max_len_seq(bits, state=state, length=clocks)[0]
+    levels = np.repeat(np.where(sequence > 0, high, low), hold)
+    command = np.concatenate([np.zeros(rest), levels])[:count]
+    description = {"signal": "prbs", "low": low, "high": high, "clock_s": clock_s, "bits": bits, "seed": seed}
+    return Excitation(command, step_s, description)
+
+
+def random_hold(
+    *,
+    levels: Sequence[float],
+    shortest_s: float,
+    longest_s: float,
+    duration_s: float,
+    seed: int,
+    rest_s: float = 0.05,
+    step_s: float = 0.01,
+) -> Excitation:
+    """Return levels drawn at random and held for a random time: binary with two of them, else multi-level.
+
+    Args:
+        levels: the commands to draw from.
+        shortest_s, longest_s: range of the hold time, s.
+        duration_s: length, s.
+        seed: draws levels and times.
+        rest_s: time at zero before the first level, s.
+        step_s: sampling time, s.
+    """
+    if not 0 < shortest_s <= longest_s:
+        raise InputError(f"hold: required 0 < shortest ≤ longest, came {shortest_s:g} and {longest_s:g} s")
+    rng = np.random.default_rng(seed)
+    count = _count(duration_s, step_s)
+    command = np.zeros(count)
+    start = round(rest_s / step_s)
+    while start < count:
+        stop = start + max(1, round(rng.uniform(shortest_s, longest_s) / step_s))
+        command[start:stop] = rng.choice(np.asarray(levels))
+        start = stop
+    description = {"signal": "random hold", "levels": list(levels), "seed": seed}
+    return Excitation(command, step_s, description)
+
+
+def duty_cycle(
+    *,
+    levels: tuple[tuple[float, float], tuple[float, float]],
+    speeds: tuple[float, float],
+    start: float,
+    room: tuple[float, float],
+    duration_s: float,
+    seed: int,
+    step_s: float = 0.01,
+) -> tuple[Excitation, Excitation]:
+    """Return lift, hold and lower strokes at random that keep within a range of displacement.
+
+    Where a stroke would lead is reckoned with the speed per effective command of its direction; the more room
+    a direction has left, the likelier it is drawn.
+
+    Args:
+        levels: lowest and highest effective command, lifting and lowering.
+        speeds: speed per effective command, lifting and lowering, displacement per second and command.
+        start: initial displacement.
+        room: lowest and highest displacement to stay between.
+        duration_s: length, s.
+        seed: draws directions, levels and times.
+        step_s: sampling time, s.
+
+    Returns:
+        The lifting and the lowering command.
+    """
+    rng = np.random.default_rng(seed)
+    count = _count(duration_s, step_s)
+    commands = np.zeros((2, count))
+    height, at = start, round(0.5 / step_s)
+    while at < count:
+        up = bool(rng.random() < (room[1] - height) / (room[1] - room[0]))
+        level = rng.uniform(*levels[0 if up else 1])
+        speed = level * speeds[0 if up else 1]
+        left = (room[1] - height) if up else (height - room[0])
+        held_s = min(rng.uniform(1.0, 3.0), max(left, 0.0) / speed)
+        stop = at + round(held_s / step_s)
+        commands[0 if up else 1, at:stop] = level
+        height += (1 if up else -1) * speed * held_s
+        at = stop + round(rng.uniform(0.2, 1.5) / step_s)
+    description = {"signal": "duty cycle", "seed": seed}
+    return Excitation(commands[0], step_s, description), Excitation(commands[1], step_s, description)
+
+
+def _count(duration_s: float, step_s: float) -> int:
+    """Return the samples of a test, both ends included: 10 s at 0.01 s gives 1001."""
+    if not (duration_s > 0 and step_s > 0 and duration_s >= step_s):
+        raise InputError(
+            f"excitation: required a duration of at least one step, came {duration_s:g} s and {step_s:g} s"
+        )
+    return round(duration_s / step_s) + 1

@@ -1,0 +1,150 @@
+"""The whole study of Sun et al. 2025 on the virtual bench, in one call."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hitchid.bench import write_campaign
+from hitchid.identification import Descent, Identification, Search, Training, Whale, identify
+from hitchid.identification.identify import TRAINING, WHALE
+from hitchid.readers import read, write_table
+from hitchid.storage import write_folder
+from hitchid.study.figures import Drawn, figures
+from hitchid.study.results import DirectionResult, direction_result
+from hitchid.study.tables import study_tables
+from hitchid.validation import Table, Validation, markdown, tables, validate
+from hitchid.whale import Swarm
+
+Progress = Callable[[str, float], None]
+LOGS, MODEL, FIGURES, DATA = "logs", "model", "figures", "data"
+STUDY_FILE = "study.md"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How much of the study is done.
+
+    Attributes:
+        tests: dynamic tests a direction.
+        cycles: mixed cycles.
+        search, training: of the identification.
+    """
+
+    tests: int = 20
+    cycles: int = 4
+    search: Search = WHALE
+    training: Training = TRAINING
+
+
+def quick_plan() -> Plan:
+    """Return a plan for a first look: fewer tests, a smaller search and a shorter training."""
+    training = Training(hidden=16, descent=Descent(epochs=40, patience=20))
+    search = Whale(Swarm(iterations=40, evaluations=1200))
+    return Plan(tests=8, cycles=1, search=search, training=training)
+
+
+@dataclass(frozen=True)
+class Study:
+    """Everything the study found.
+
+    Attributes:
+        found: the identified model and its traces.
+        results: mode to predictions and sensitivity.
+        validation: all figures beside their baselines.
+        drawn: the figures of the paper.
+        tables: Tables 2 to 4 of the paper and what its text names.
+    """
+
+    found: Identification
+    results: Mapping[str, DirectionResult]
+    validation: Validation
+    drawn: tuple[Drawn, ...]
+    tables: tuple[Table, ...]
+
+
+def reproduce(
+    out: str | Path,
+    *,
+    rig: str | Path = "nominal",
+    plan: Plan | None = None,
+    seed: int = 0,
+    force: bool = False,
+    progress: Progress | None = None,
+) -> Study:
+    """Redo the study: static tests, dynamic tests, identification, validation, tables and figures.
+
+    Args:
+        out: folder to write: `logs/`, `model/`, `figures/` (SVG and PNG), `data/` (CSV behind each figure),
+            `metrics.json`, `tables.md` and `study.md`.
+        rig: parameter set of the virtual bench.
+        plan: how much is done; all of the paper's programme by default.
+        seed: every random draw comes from it.
+        force: replace an older study.
+        progress: called with what is being done and the fraction of all work that is done.
+
+    Raises:
+        OutputError: the folder exists and `force` is not given, or it cannot be written.
+        SettingsError: the rig's parameters cannot be used.
+    """
+    asked = plan or Plan()
+    report = progress or (lambda stage, fraction: None)
+    kept: list[Study] = []
+
+    def fill(place: Path) -> None:
+        report("virtual bench", 0.0)
+        write_campaign(place / LOGS, rig, protocols=("ramp", "prbs"), tests=asked.tests, seed=seed)
+        write_campaign(place / "cycles", rig, protocols=("cycle",), tests=asked.cycles, seed=seed)
+        campaign = read([place / LOGS, place / "cycles"])
+        found = identify(
+            campaign,
+            search=asked.search,
+            training=asked.training,
+            seed=seed,
+            progress=lambda stage, fraction: report(stage, 0.15 + 0.6 * fraction),
+        )
+        found.save(place / MODEL)
+        report("validation", 0.75)
+        checked = validate(found.model, campaign)
+        report("figures and tables", 0.9)
+        results = {mode: direction_result(found, campaign, mode) for mode in found.channels}
+        unit = campaign.records[0].unit
+        drawn = tuple(
+            each for mode in results for each in figures(mode, found.channels[mode], results[mode], unit)
+        )
+        summary = tuple(study_tables(found.channels, results, unit))
+        kept.append(Study(found, results, checked, drawn, summary))
+        _write(place, kept[0])
+
+    write_folder(Path(out), fill, mark=STUDY_FILE, force=force)
+    return kept[0]
+
+
+def _write(place: Path, study: Study) -> None:
+    (place / FIGURES).mkdir()
+    (place / DATA).mkdir()
+    ordered = sorted(study.drawn, key=lambda each: each.number)
+    for each in ordered:
+        name = f"figure-{each.number:02d}"
+        each.figure.savefig(place / FIGURES / f"{name}.svg", metadata={"Date": None})
+        each.figure.savefig(place / FIGURES / f"{name}.png")
+        write_table(place / DATA / f"{name}.csv", _equal_lengths(each.data))
+    study.validation.fill(place)
+    text = markdown(
+        (*study.tables, *tables(study.validation.metrics)), study.validation.notices, title="Study"
+    )
+    pictures = [
+        f"## Figure {each.number}. {each.title}\n\n![{each.title}](figures/figure-{each.number:02d}.svg)\n"
+        for each in ordered
+    ]
+    (place / STUDY_FILE).write_text("\n".join([text, *pictures]), encoding="utf-8")
+
+
+def _equal_lengths(data: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return columns padded with NaN to the longest, so that one file holds them."""
+    longest = max(column.size for column in data.values())
+    return {
+        name: np.pad(column.astype(float), (0, longest - column.size), constant_values=np.nan)
+        for name, column in data.items()
+    }

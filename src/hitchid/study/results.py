@@ -1,0 +1,134 @@
+"""What the study reports of one direction: predictions on each part of the data, and sensitivity."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import equinox as eqx
+import numpy as np
+
+from hitchid.benchmark import Batch
+from hitchid.campaign import Campaign
+from hitchid.identification import Identification
+from hitchid.metrics import error_figures
+from hitchid.model import Channel, unpadded
+from hitchid.precision import double_precision
+from hitchid.record import Record
+
+PERTURBATION = 0.01
+
+
+@dataclass(frozen=True)
+class Predictions:
+    """Tests of one part of the data and what the models say of them, one array of shape [N_i] for each test.
+
+    Attributes:
+        names: the tests.
+        time_s: time since the start of each test, s.
+        actual: measured displacement.
+        benchmark: the transfer function's free run.
+        one_step: the grey box one step ahead.
+        free_run: the grey box's free run.
+    """
+
+    names: tuple[str, ...]
+    time_s: tuple[np.ndarray, ...]
+    actual: tuple[np.ndarray, ...]
+    benchmark: tuple[np.ndarray, ...]
+    one_step: tuple[np.ndarray, ...]
+    free_run: tuple[np.ndarray, ...]
+
+    def of(self, model: str) -> tuple[np.ndarray, ...]:
+        """Return the predictions of `benchmark`, `one_step` or `free_run`."""
+        return getattr(self, model)
+
+    def errors(self, model: str) -> np.ndarray:
+        """Return actual minus predicted over all tests, without the first sample of each, shape [M]."""
+        return np.concatenate([a[1:] - p[1:] for a, p in zip(self.actual, self.of(model), strict=True)])
+
+
+@dataclass(frozen=True)
+class DirectionResult:
+    """One direction of the study.
+
+    Attributes:
+        training, validation, test: predictions on the three parts of the data.
+        sensitivity: parameter to the mean relative change of the identification RMSE for ±1 % of it.
+    """
+
+    training: Predictions
+    validation: Predictions
+    test: Predictions
+    sensitivity: Mapping[str, float]
+
+
+@double_precision
+def direction_result(found: Identification, campaign: Campaign, mode: str) -> DirectionResult:
+    """Run one channel of an identified model over the tests it was identified, validated and tested on."""
+    channel = found.model.channels[mode]
+    validating = set(found.model.provenance.validation[mode])
+    identification = campaign.identification(mode)
+    parts = {
+        "training": [record for record in identification if record.name not in validating],
+        "validation": [record for record in identification if record.name in validating],
+        "test": list(campaign.held_out(mode)),
+    }
+    return DirectionResult(
+        **{part: _predictions(channel, records) for part, records in parts.items()},
+        sensitivity=sensitivity(channel, channel.batch(identification)),
+    )
+
+
+def sensitivity(channel: Channel, batch: Batch) -> dict[str, float]:
+    """Return the mean relative change of the free-run RMSE for ±1 % of each parameter.
+
+    Sun et al. 2025, sec. 3.1.1.
+    """
+    benchmark = channel.benchmark
+
+    def rmse(values: np.ndarray) -> float:
+        changed = eqx.tree_at(lambda c: c.benchmark.values, channel, values)
+        rows = np.asarray(changed.simulate_benchmark(batch) - batch.displacement)
+        return float(np.sqrt(np.mean(rows[np.asarray(batch.counted)] ** 2)))
+
+    values = np.asarray(benchmark.values)
+    reference = rmse(values)
+    changes = {}
+    for index, parameter in enumerate(benchmark.structure.parameters):
+        moved = []
+        for sign in (-1, 1):
+            other = values.copy()
+            other[index] *= 1 + sign * PERTURBATION
+            moved.append(abs(rmse(other) - reference) / reference)
+        changes[parameter.name] = float(np.mean(moved))
+    return changes
+
+
+def summary(predictions: Predictions, model: str) -> dict[str, float]:
+    """Return RMSE, MAE, R², the share of samples within 1 mm, and mean and spread of the error."""
+    figures = error_figures([a[1:] for a in predictions.actual], [p[1:] for p in predictions.of(model)])
+    errors = predictions.errors(model)
+    return {
+        "rmse": figures.rmse,
+        "mae": figures.mae,
+        "r2": figures.r2,
+        "within_1": figures.within_1,
+        "mean": float(errors.mean()),
+        "std": float(errors.std()),
+        "max_abs": figures.max_abs,
+    }
+
+
+def _predictions(channel: Channel, records: Sequence[Record]) -> Predictions:
+    batch = channel.batch(records)
+
+    def rows(padded: object) -> tuple[np.ndarray, ...]:
+        return tuple(unpadded(np.asarray(padded), records))
+
+    return Predictions(
+        names=tuple(record.name for record in records),
+        time_s=tuple(record.step_s * np.arange(len(record)) for record in records),
+        actual=tuple(record.displacement for record in records),
+        benchmark=rows(channel.simulate_benchmark(batch)),
+        one_step=rows(channel.predict(batch, (1,))[0]),
+        free_run=rows(channel.simulate(batch)),
+    )
