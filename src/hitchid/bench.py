@@ -70,8 +70,8 @@ def run(
     """Run tests on a rig and return their logs.
 
     Static tests are three ramps a direction (Sun et al. 2025, sec. 2.3.1). Dynamic tests begin with them, to
-    find dead zones and speeds, from which levels within stroke and pump flow follow. Levels are effective: the
-    dead zone is added (sec. 2.3.2).
+    find dead zones and speeds, from which levels within stroke and pump flow follow. Levels are effective;
+    the dead zone is added (sec. 2.3.2).
 
     Args:
         rig: the virtual bench.
