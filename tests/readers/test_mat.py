@@ -34,7 +34,7 @@ def test_vectors_are_read_however_they_were_saved(log, way):
     path = log(**way)
     table = read_table(path, ["x", "t"])
     assert list(table.columns) == ["x", "t"]
-    assert (table.source, table.first_line) == (path, None)
+    assert (table.source, table.line_of(0)) == (path, None)
     for name in ("x", "t"):
         np.testing.assert_array_equal(table.columns[name], SIGNALS[name])
 
