@@ -52,9 +52,9 @@ def from_ramps(ramps: Sequence[Record], mode: str, direction: int) -> DeadZone:
 def _ramp_onset(record: Record, mode: str, direction: int) -> float:
     """Return the command d that best explains a ramp as drift, then motion.
 
-    x(t) = x₀ + c t + Σ bₙ wⁿ, n = 2, 2.5, 3, w = max(u(t) − d, 0), b ≥ 0: leakage lets the piston creep
-    before the valve opens, and an opening valve's speed grows from zero, so a threshold on displacement would be
-    early in the first case and late in the second.
+    x(t) = x₀ + c t + Σ bₙ wⁿ, n = 2, 2.5, 3, w = max(u(t) − d, 0), b ≥ 0. Leakage lets the piston creep
+    before the valve opens, and an opening valve's speed grows from zero, so a threshold on displacement would
+    be early in the first case and late in the second.
     """
     command = record.command(mode)
     stop = int(np.argmax(command)) + 1

@@ -98,7 +98,8 @@ def read_text(path: Path) -> str:
         data = path.read_bytes()
         if path.suffix.lower() == ".gz":
             data = gzip.decompress(data)
-        return data.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
+        text = data.decode("utf-8-sig")
+        return text if "\n" in text else text.replace("\r", "\n")
     except UnicodeDecodeError as error:
         raise LogError(path, f"is not UTF-8 text: {error}; required a CSV log") from error
     except (OSError, EOFError, zlib.error) as error:
