@@ -562,13 +562,3 @@ def test_a_run_that_fails_has_exit_code_1_and_leaves_nothing(bench_folder, tmp_p
     assert result.code == 1
     assert result.err.splitlines()[-1].startswith("hitchid: the command never leaves the dead zone")
     assert not out.exists()
-
-
-def test_an_interrupt_is_told_in_a_line(monkeypatch, bench_folder):
-    def interrupted(*_, **__):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("hitchid.inspection.inspect", interrupted)
-    result = hitchid("inspect", bench_folder)
-    assert result.code == 130
-    assert result.err == "hitchid: interrupted; nothing was written\n"

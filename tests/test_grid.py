@@ -14,7 +14,10 @@ STEP_S = 0.01
 
 
 def found(time_s, first_line=2):
-    return sections(np.asarray(time_s, dtype=float), "log.csv", column="time_s", first_line=first_line)
+    def line_of(row):
+        return None if first_line is None else first_line + row
+
+    return sections(np.asarray(time_s, dtype=float), "log.csv", column="time_s", line_of=line_of)
 
 
 def swinging(fraction, samples=201):

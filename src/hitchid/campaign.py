@@ -23,10 +23,12 @@ class Campaign:
         records: the tests, in the order of their names.
         test_patterns: patterns on names that mark the held-out tests; without any, the last 20 % of each
             mode's tests are held out.
+        unmatched: patterns of a settings file that match no test here; only an identification minds.
     """
 
     records: tuple[Record, ...]
     test_patterns: tuple[str, ...] | None = None
+    unmatched: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -80,7 +82,7 @@ class Campaign:
                 raise InputError(
                     f"split.test: the pattern '{pattern}' matches none of the {len(names)} tests"
                 )
-        return cls(told, tuple(test_patterns) if test_patterns else None)
+        return cls(told, None if test_patterns is None else tuple(test_patterns))
 
     @property
     def step_s(self) -> float:

@@ -75,7 +75,9 @@ def identify(
         Path | None, typer.Option("--config", help="Settings in TOML: structures, search, training.")
     ] = None,
     signals: Signals = None,
-    seed: Annotated[int | None, typer.Option("--seed", min=0, help="Seed of every random draw [0].")] = None,
+    seed: Annotated[
+        int | None, typer.Option("--seed", min=0, max=2**32 - 1, help="Seed of every random draw [0].")
+    ] = None,
     force: Force = False,
     as_json: AsJson = False,
 ) -> None:
@@ -242,6 +244,3 @@ def main() -> None:
     except HitchError as error:
         sys.stderr.write(f"hitchid: {error}\n")
         sys.exit(1)
-    except KeyboardInterrupt:
-        sys.stderr.write("hitchid: interrupted; nothing was written\n")
-        sys.exit(130)

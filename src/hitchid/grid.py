@@ -1,5 +1,6 @@
 """From the time stamps of a logger to a uniform grid: kept, resampled, or split at gaps."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -7,6 +8,7 @@ import numpy as np
 
 from hitchid.errors import LogError
 
+LineOf = Callable[[int], int | None]
 KEPT_DEVIATION = 0.02
 LARGEST_JITTER = 0.20
 GAP = 1.5
@@ -30,7 +32,7 @@ class Section:
     notice: str
 
 
-def sections(time_s: np.ndarray, source: object, *, column: str, first_line: int | None) -> list[Section]:
+def sections(time_s: np.ndarray, source: object, *, column: str, line_of: LineOf) -> list[Section]:
     """Cut a time column into stretches with a uniform clock.
 
     An interval beyond 1.5 times the median is a gap and splits the log; a stretch whose stamps stay within
@@ -41,14 +43,11 @@ def sections(time_s: np.ndarray, source: object, *, column: str, first_line: int
         time_s: time stamps, s, shape [N].
         source: the log's name, for messages.
         column: the time column's name, for messages.
-        first_line: line of the first sample in the file, None where the format has no lines.
+        line_of: from a row to its line in the file, None where the format has no lines.
 
     Raises:
         LogError: time does not increase, or jitters by 20 % of the sampling time or more.
     """
-
-    def line(row: int) -> int | None:
-        return None if first_line is None else first_line + row
 
     intervals = np.diff(time_s)
     if intervals.size == 0:
@@ -59,7 +58,7 @@ def sections(time_s: np.ndarray, source: object, *, column: str, first_line: int
         raise LogError(
             source,
             f"time must increase from sample to sample; {time_s[row]:g} s came after {time_s[row - 1]:g} s",
-            line=line(row),
+            line=line_of(row),
             column=column,
         )
     median = float(np.median(intervals))
@@ -73,7 +72,7 @@ def sections(time_s: np.ndarray, source: object, *, column: str, first_line: int
         if start > 0:
             gap = time_s[start] - time_s[start - 1]
             notice = f"split at {time_s[start]:g} s: a gap of {gap:.3g} s, {gap / median:.1f} sampling times"
-        found.append(_section(time_s, start, stop, notice, source, column, line(start)))
+        found.append(_section(time_s, start, stop, notice, source, column, line_of(start)))
     return found
 
 

@@ -55,7 +55,7 @@ def inspect(logs: str | Path | Iterable[str | Path], *, signals: str | Path | No
     if not records:
         return Inspection((), (), tuple(faults))
     try:
-        campaign = assemble(records, settings.values())
+        campaign = assemble(records, settings)
     except HitchError as error:
         entries = tuple({**_entry(record, False), "kind": "not told"} for record in records)
         return Inspection(entries, (), (*faults, str(error)))

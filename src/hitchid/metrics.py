@@ -40,7 +40,8 @@ def error_figures(actual: Sequence[np.ndarray], predicted: Sequence[np.ndarray])
         The pooled figures; `r2` and `fit` are 0 and the error counts in full where nothing moved.
     """
     error = np.concatenate([np.asarray(p) - np.asarray(a) for a, p in zip(actual, predicted, strict=True)])
-    spread = float(sum(np.sum((np.asarray(a) - np.mean(a)) ** 2) for a in actual))
+    moving = [np.asarray(a) for a in actual if np.ptp(a) > 0]
+    spread = float(sum(np.sum((a - np.mean(a)) ** 2) for a in moving))
     lost = float(np.sum(error**2))
     ratio = lost / spread if spread > 0 else 1.0
     return ErrorFigures(

@@ -133,17 +133,15 @@ def strokes(record: Record, dead_zones: Mapping[str, float]) -> list[Stroke]:
     if moving.size == 0:
         return []
     rest = round(REST_S / record.step_s)
-    fresh = np.ones(moving.size, dtype=bool)
-    fresh[1:] = (np.diff(moving) > rest) | (direction[moving[1:]] != direction[moving[:-1]])
-    onsets = moving[fresh]
-    ends = [*onsets[1:], len(record)]
     lead, shortest = round(LEAD_IN_S / record.step_s), SHORTEST_STROKE_S / record.step_s
+    rested = np.diff(moving, prepend=-rest - 1) > rest
+    turned = np.diff(direction[moving], prepend=direction[moving[0]]) != 0
+    fresh = rested | turned
+    onsets = moving[fresh]
+    leads = np.where(rested[fresh], lead, 0)
+    starts = [max(0, int(onset) - int(ahead)) for onset, ahead in zip(onsets, leads, strict=True)]
     found = []
-    last_stop = 0
-    for onset, end in zip(onsets, ends, strict=True):
-        start = max(last_stop, int(onset) - lead)
-        stop = int(end) if end == len(record) else max(int(onset) + 1, int(end) - lead)
-        last_stop = stop
+    for onset, start, stop in zip(onsets, starts, [*starts[1:], len(record)], strict=True):
         if stop - start >= shortest:
             found.append(Stroke(LIFTING if direction[onset] > 0 else LOWERING, start, stop))
     return found

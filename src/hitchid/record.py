@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 
 from hitchid.errors import InputError
-from hitchid.units import conversion_factor
+from hitchid.units import UNITS, conversion_factor
 
 DISPLACEMENT = "displacement"
 LIFTING = "lifting"
@@ -117,14 +117,17 @@ class Record:
     def fingerprint(self) -> str:
         """SHA-256 of the shape of the displacement, by which a test is known again.
 
-        The samples are taken relative to the first and to their range and rounded to 10⁻⁶ of it, so neither
-        the file's name, nor the unit, nor which commands are mapped makes a test look new.
+        The samples are taken relative to the first and to their range and rounded to 10⁻⁶ of it, and so is
+        the range in SI units: neither the file's name, nor the unit, nor which commands are mapped makes a
+        test look new.
         """
         moved = self.displacement - self.displacement[0]
-        shape = moved / (np.ptp(moved) or 1.0)
+        reach = float(np.ptp(moved))
+        shape = moved / (reach or 1.0)
         # The irrational offset keeps round decimals off the edges at which rounding would tip.
         steps = np.round(shape / FINGERPRINT_STEP + 1 / np.pi).astype(np.int64)
-        return hashlib.sha256(steps.tobytes()).hexdigest()
+        size = f"{reach * UNITS[self.unit].factor:.6e}"
+        return hashlib.sha256(size.encode() + steps.tobytes()).hexdigest()
 
     def slice(self, start: int, stop: int, *, name: str | None = None, kind: str | None = None) -> "Record":
         """Return samples `start:stop` as a record of its own."""

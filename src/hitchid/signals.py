@@ -69,6 +69,9 @@ class SignalMap(Strict):
             raise ValueError("required either command or lifting_command and lowering_command, not both")
         if not (self.command or self.lifting_command or self.lowering_command):
             raise ValueError("required at least one of command, lifting_command, lowering_command")
+        taken = {"displacement", "lifting_command", "lowering_command"}.intersection(self.covariates)
+        if taken:
+            raise ValueError(f"covariates: '{taken.pop()}' is the name of a signal; rename the column")
         conversion_factor(self.time.unit, "s", "time")
         commands = {name: getattr(self, name) for name in ("command", "lifting_command", "lowering_command")}
         for name, column in {"displacement": self.displacement, **commands}.items():

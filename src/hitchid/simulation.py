@@ -37,7 +37,7 @@ def simulate_log(
     """
     settings = settings_of([log], signals)
     signal_map = settings[log.parent].signals
-    campaign = assemble(read_log(log, signal_map), settings.values())
+    campaign = assemble(read_log(log, signal_map), settings)
     header, rows = format_of(log).read_rows(log, signal_map.time.column)
     column = header.index(signal_map.time.column)
     factor = conversion_factor(signal_map.time.unit, "s", "time")

@@ -17,7 +17,7 @@ def canonical_json(content: object) -> bytes:
     Raises:
         ValueError: a number is not finite.
     """
-    text = json.dumps(content, sort_keys=True, indent=1, ensure_ascii=False, allow_nan=False)
+    text = json.dumps(content, sort_keys=True, indent=1, allow_nan=False)
     return f"{text}\n".encode()
 
 
@@ -40,9 +40,16 @@ def write_folder(folder: Path, write: Callable[[Path], None], *, mark: str, forc
         try:
             write(beside)
             os.chmod(beside, 0o755)  # noqa: S103
+            older = beside.with_name(f"{beside.name}-older")
             if folder.exists():
-                shutil.rmtree(folder)
-            beside.rename(folder)
+                folder.rename(older)
+            try:
+                beside.rename(folder)
+            except OSError:
+                if older.exists():
+                    older.rename(folder)
+                raise
+            shutil.rmtree(older, ignore_errors=True)
         finally:
             shutil.rmtree(beside, ignore_errors=True)
     except OSError as error:
@@ -60,6 +67,7 @@ def check_folder(folder: Path, *, mark: str, force: bool) -> None:
     Raises:
         OutputError: something stands there that must not be replaced.
     """
+    _check_place(folder)
     occupied = folder.exists() and not (folder.is_dir() and not any(folder.iterdir()))
     if occupied and not force:
         raise OutputError(f"{folder}: exists already; required a new folder, or --force to replace it")
@@ -69,12 +77,24 @@ def check_folder(folder: Path, *, mark: str, force: bool) -> None:
         )
 
 
+def _check_place(path: Path) -> None:
+    """Refuse a name no file can have, and a place inside something that is no folder."""
+    try:
+        ancestor = next(parent for parent in path.absolute().parents if parent.exists())
+        path.exists()
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
+    if not ancestor.is_dir():
+        raise OutputError(f"{path}: cannot be written: {ancestor} is not a folder")
+
+
 def check_file(path: Path, *, force: bool) -> None:
     """Complain early about a place where `write_file` would not write.
 
     Raises:
         OutputError: something stands there that must not be replaced.
     """
+    _check_place(path)
     if path.exists() and not (force and path.is_file()):
         raise OutputError(f"{path}: exists already; required a new file, or --force to replace one")
 

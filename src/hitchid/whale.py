@@ -165,7 +165,8 @@ def tell(state: State, population: Float[Array, "p d"], fitness: Float[Array, " 
     finite = jnp.where(jnp.isfinite(fitness), fitness, jnp.inf)
     leader = jnp.argmin(finite)
     better = finite[leader] < state.best_fitness
-    enough = finite[leader] < state.best_fitness * (1.0 - swarm.tolerance)
+    gain = jnp.where(jnp.isfinite(state.best_fitness), state.best_fitness - finite[leader], jnp.inf)
+    enough = better & (gain > swarm.tolerance * jnp.abs(finite[leader]))
     return State(
         population=population,
         best=jnp.where(better, population[leader], state.best),

@@ -57,7 +57,7 @@ def test_any_finite_number_reads_back_bit_for_bit(tmp_path, name, numbers):
     path = tmp_path / name
     write_table(path, dict(zip(NAMES, numbers.T, strict=True)))
     table = read_table(path, NAMES)
-    assert (table.source, table.first_line) == (path, 2)
+    assert (table.source, table.line_of(0)) == (path, 2)
     for column, samples in zip(NAMES, numbers.T, strict=True):
         assert same_bits(table.columns[column], samples)
 

@@ -34,7 +34,7 @@ def test_vectors_are_read_however_they_were_saved(log, way):
     path = log(**way)
     table = read_table(path, ["x", "t"])
     assert list(table.columns) == ["x", "t"]
-    assert (table.source, table.first_line) == (path, None)
+    assert (table.source, table.line_of(0)) == (path, None)
     for name in ("x", "t"):
         np.testing.assert_array_equal(table.columns[name], SIGNALS[name])
 
@@ -125,8 +125,8 @@ def test_a_file_cut_short_anywhere_is_refused(log, way):
             read_table(path, NAMES)
 
 
-def test_a_damaged_compressed_file_is_refused_or_read_as_it_was(log):
-    # Compressed parts carry a checksum, so damage in them cannot pass for data.
+def test_a_damaged_compressed_file_is_refused(log):
+    # Compressed parts carry a checksum: damage in them cannot pass for data.
     path = log(do_compression=True)
     whole = path.read_bytes()
     for at in range(144, len(whole), 13):

@@ -173,9 +173,9 @@ def test_cycles_are_judged_apart_in_free_run(tests_of, cycle):
     assert cycles["greybox"]["free_run"] == pytest.approx(by_hand(measured, grey), rel=1e-9)
 
 
-def test_the_tables_name_every_model_and_every_test(tests_of, cycle):
-    records = [*tests_of(), *tests_of(LOWERING), cycle("cycle-1")]
-    text = validate(MODELS, Campaign.of(records)).markdown()
+def test_the_tables_name_every_model_and_every_test_of_one_direction(tests_of, cycle):
+    records = [*tests_of(), *tests_of(LOWERING)]
+    text = validate(MODELS, Campaign.of([*records, cycle("cycle-1")])).markdown()
     for name in [*NAMES.values(), *(record.name for record in records)]:
         assert f"| {name} |" in text
     assert set(NAMES) == {"persistence", "arx", "lstm", "benchmark", "greybox"}

@@ -126,7 +126,7 @@ class Benchmark(eqx.Module):
         shift = np.zeros(int(model.whole) + 2)
         shift[0] = 1.0
         if not float(self.dead_time_s):
-            return now, np.asarray(denominator)
+            return np.trim_zeros(now, "f"), np.asarray(denominator)
         return np.trim_zeros(numerator, "f"), np.polymul(denominator, shift)
 
 

@@ -13,6 +13,7 @@ from hitchid.record import Record
 
 CANDIDATES = 400
 FLAT = 1e-3
+ROUNDING = 1e-6
 MOVED = 0.2
 LAGS_S = (0.03, 0.1, 0.3, 1.0)
 
@@ -51,9 +52,9 @@ def from_ramps(ramps: Sequence[Record], mode: str, direction: int) -> DeadZone:
 def _ramp_onset(record: Record, mode: str, direction: int) -> float:
     """Return the command d that best explains a ramp as drift, then motion.
 
-    x(t) = x₀ + c t + b₂ w² + b₃ w³ with w = max(u(t) − d, 0), b ≥ 0: leakage lets the piston creep before
-    the valve opens, and an opening valve's speed grows from zero, so a threshold on displacement would be
-    early in the first case and late in the second.
+    x(t) = x₀ + c t + Σ bₙ wⁿ, n = 2, 2.5, 3, w = max(u(t) − d, 0), b ≥ 0. Leakage lets the piston creep
+    before the valve opens, and an opening valve's speed grows from zero, so a threshold on displacement would
+    be early in the first case and late in the second.
     """
     command = record.command(mode)
     stop = int(np.argmax(command)) + 1
@@ -73,10 +74,10 @@ def _ramp_onset(record: Record, mode: str, direction: int) -> float:
 
     def misfit(dead_zone: float) -> float:
         beyond = np.maximum(ramp - dead_zone, 0.0) / ramp.max()
-        return float(nnls(without_drift(np.column_stack([beyond**2, beyond**3])), target)[1])
+        return float(nnls(without_drift(np.column_stack([beyond**2, beyond**2.5, beyond**3])), target)[1])
 
     misfits = np.array([misfit(candidate) for candidate in candidates])
-    if misfits.min() > (1 - MOVED) * float(np.linalg.norm(target)):
+    if misfits.min() >= (1 - MOVED) * float(np.linalg.norm(target)):
         raise LogError(
             record.source or record.name,
             f"the ramp reaches {command.max():.4g} {record.units[f'{mode}_command']} and the piston does not "
@@ -106,7 +107,8 @@ def from_tests(tests: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], step_
         [[_normal_equations(*test, candidate, step_s) for candidate in candidates] for test in tests]
     )
     misfits = _misfits(normal.sum(axis=0))
-    if misfits.max() - misfits.min() <= FLAT * misfits.max():
+    energy = float(normal[:, 0, -1, -1].sum())
+    if misfits.max() - misfits.min() <= FLAT * max(misfits.max(), ROUNDING * energy):
         return DeadZone(0.0, None, len(tests), "none")
     best = _vertex(candidates, misfits)
     if len(tests) < 3:

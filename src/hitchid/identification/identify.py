@@ -112,6 +112,11 @@ def identify(
         LogError: a ramp ends before the piston moves.
         FitError: the identification could not be carried out on these data.
     """
+    if campaign.unmatched:
+        pattern = campaign.unmatched[0]
+        raise InputError(
+            f"split.test: the pattern '{pattern}' matches none of the {len(campaign.records)} tests"
+        )
     report = progress or (lambda stage, fraction: None)
     forms = {**PAPER_FORMS, **structure}
     zones = {mode: DeadZone(value, None, 0, "given") for mode, value in dead_zones.items()}

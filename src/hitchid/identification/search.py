@@ -126,11 +126,12 @@ class DifferentialEvolution(Search):
         """Search by differential evolution, a generation at a time."""
         best: list[np.ndarray] = []
         trace: list[float] = []
-        failures = 0
+        simulated = failures = 0
 
         def generation(positions: np.ndarray) -> np.ndarray:
-            nonlocal failures
+            nonlocal simulated, failures
             population = np.atleast_2d(positions.T)
+            simulated += len(population)
             fitness = np.asarray(_evaluate(problem.fitness, jnp.asarray(population)))
             failures += int(np.sum(~np.isfinite(fitness)))
             fitness = np.where(np.isfinite(fitness), fitness, np.inf)
@@ -146,7 +147,7 @@ class DifferentialEvolution(Search):
                 f"differential evolution: required evaluations for two generations of {members} members, "
                 f"came {self.evaluations}"
             )
-        outcome = differential_evolution(
+        differential_evolution(
             generation,
             [(0.0, 1.0)] * problem.dimensions,
             popsize=self.population,
@@ -162,7 +163,7 @@ class DifferentialEvolution(Search):
             Found(
                 best=best[-1],
                 best_fitness=trace[-1],
-                evaluations=int(outcome.nfev),
+                evaluations=simulated,
                 failures=failures,
                 reason=whale.Reason.BUDGET.value,
                 fitness_trace=np.array(trace),
@@ -194,7 +195,7 @@ class MultiStart(Search):
             start = points.random(1)[0]
             per_round = 1 + problem.dimensions
             try:
-                local = polish(problem, start, limit=max(1, (self.evaluations - spent) // per_round))
+                local = polish(problem, start, limit=max(1, (self.evaluations - spent - 1) // per_round))
             except FitError:
                 failures += 1
                 spent += 1
@@ -260,7 +261,7 @@ def polish(problem: Problem, start: np.ndarray, *, limit: int = 200) -> Polished
     return Polished(
         position=outcome.x,
         fitness=float(np.sqrt(np.mean(outcome.fun**2))),
-        evaluations=int(outcome.nfev + problem.dimensions * outcome.njev),
+        evaluations=int(1 + outcome.nfev + problem.dimensions * outcome.njev),
         residuals=np.asarray(outcome.fun),
         jacobian=np.asarray(outcome.jac),
     )

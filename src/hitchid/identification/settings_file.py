@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal, TypedDict
 
-from pydantic import Field, PositiveFloat, PositiveInt
+from pydantic import Field, PositiveInt
 
 from hitchid import whale
 from hitchid.benchmark import structure_named
@@ -16,6 +16,8 @@ from hitchid.identification.phase2 import Training
 from hitchid.identification.search import EVALUATIONS, DifferentialEvolution, MultiStart, Search, Whale
 from hitchid.record import MODES
 from hitchid.signals import Strict, parse_settings
+
+LARGEST_SEED = 2**32 - 1
 
 
 class Settings(TypedDict, total=False):
@@ -74,7 +76,7 @@ class TrainingSection(Strict):
     epochs: PositiveInt = Descent.epochs
     patience: PositiveInt = Descent.patience
     batch: PositiveInt = Descent.batch
-    learning_rate: PositiveFloat = Descent.learning_rate
+    learning_rate: float = Field(default=Descent.learning_rate, gt=0, le=1)
 
     def training(self) -> Training | None:
         """Return the training asked for, None for benchmarks alone."""
@@ -87,7 +89,7 @@ class TrainingSection(Strict):
 class IdentifyFile(Strict):
     """All of the file."""
 
-    seed: int = Field(default=0, ge=0)
+    seed: int = Field(default=0, ge=0, le=LARGEST_SEED)
     lifting: ChannelSection = ChannelSection()
     lowering: ChannelSection = ChannelSection()
     search: SearchSection = SearchSection()

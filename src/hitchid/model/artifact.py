@@ -165,6 +165,8 @@ def _channel(mode: str, described: dict, tensors: dict[str, np.ndarray]) -> Chan
         return jax.tree_util.tree_map_with_path(leaf, skeleton)
 
     structure = structure_named(described["structure"])
+    if len(described["values"]) != len(structure.parameters):
+        raise ValueError(f"{structure.name} has {len(structure.parameters)} parameters")
     channel = Channel(
         mode=mode,
         direction=int(described["direction"]),
@@ -211,13 +213,16 @@ def _blank_black_box(hidden: int) -> BlackBox:
 def _read_description(folder: Path) -> dict:
     path = folder / MODEL_FILE
     try:
-        content = json.loads(path.read_bytes())
+        data = path.read_bytes()
     except OSError as error:
         raise ModelFolderError(
             f"{path}: cannot be read: {error.strerror}; required a model folder"
         ) from error
-    except ValueError as error:
-        raise ModelFolderError(f"{path}: was cut short or edited: {error}") from error
+    try:
+        content = json.loads(data)
+        canonical = canonical_json(content)
+    except (ValueError, RecursionError) as error:
+        raise ModelFolderError(f"{path}: was cut short or edited: {type(error).__name__}") from error
     if not isinstance(content, dict) or content.get("kind") != "hitchid model":
         raise ModelFolderError(f"{path}: is not the description of a hitchid model")
     if content.get("schema") != SCHEMA:
@@ -226,8 +231,10 @@ def _read_description(folder: Path) -> dict:
             "was it written by another version of hitchid?"
         )
     claimed = content.pop("digest", None)
-    if claimed != digest(canonical_json(content)):
+    if canonical != data or claimed != digest(canonical_json(content)):
         raise ModelFolderError(f"{path}: was edited: its digest does not match; identify again")
+    if not isinstance(content.get("files"), dict):
+        raise ModelFolderError(f"{path}: cannot be understood: it lists no files")
     return content
 
 

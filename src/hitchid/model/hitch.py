@@ -9,9 +9,9 @@ import numpy as np
 from hitchid.benchmark import Batch
 from hitchid.errors import InputError
 from hitchid.model.channel import Channel
-from hitchid.modes import Stroke, mode_changes
+from hitchid.modes import ACTIVE_FRACTION, Stroke, full_scales, mode_changes
 from hitchid.precision import double_precision
-from hitchid.record import CYCLE, DISPLACEMENT, MODES, Record
+from hitchid.record import DISPLACEMENT, Record
 from hitchid.units import conversion_factor
 
 
@@ -110,7 +110,7 @@ class Hitch:
             raise InputError(f"horizon: required at least 1 sample, came {horizon}")
 
         def run(channel: Channel, batch: Batch) -> np.ndarray:
-            return np.asarray(channel.predict(batch, (horizon,)))[0, 0]
+            return np.asarray(channel.predict(batch, (min(horizon, batch.command.shape[1]),)))[0, 0]
 
         return self._over_strokes(record, run, measured=True)
 
@@ -128,32 +128,31 @@ class Hitch:
             )
         told = record.convert({role: unit for role, unit in self.units.items() if role in record.signals})
         on_clock = told if _same_clock(told.step_s, self.step_s, len(told)) else told.resample(self.step_s)
-        needed = record.modes if record.kind == CYCLE else (record.kind,)
-        for mode in MODES:
-            if mode in needed and mode not in self.channels:
+        scales = full_scales([record])
+        for mode in record.modes:
+            active = np.abs(record.command(mode)) > ACTIVE_FRACTION * scales[mode]
+            if mode not in self.channels and np.any(active):
                 raise InputError(
-                    f"record '{record.name}' is a {record.kind}: the model has no {mode} channel"
+                    f"record '{record.name}': its {mode} command is not zero; the model has no {mode} channel"
                 )
         return on_clock
 
     def _over_strokes(
         self, record: Record, run: Callable[[Channel, Batch], np.ndarray], *, measured: bool
     ) -> np.ndarray:
-        """Run each stroke through its channel, joined at the last sample of the stroke before."""
+        """Run each stroke through its channel; where a mode ends the next one starts."""
         own = self.adopt(record)
         predicted = np.empty(len(own))
         for stroke in self._strokes(own):
             channel = self.channels[stroke.mode]
-            joint = max(0, stroke.start - 1)
-            part = own.slice(joint, stroke.stop)
-            initial = None
-            if stroke.start > 0:
-                initial = [float((own.displacement if measured else predicted)[joint])]
-            batch = channel.batch([part], initial)
-            rows = run(channel, batch)[: len(part)]
-            predicted[stroke.start : stroke.stop] = rows[stroke.start - joint :]
+            part = own.slice(stroke.start, min(stroke.stop + 1, len(own)))
+            first = stroke.start == 0
+            start = (own.displacement if measured else predicted)[stroke.start]
+            batch = channel.batch([part], None if first else [float(start)])
+            new = slice(0 if first else 1, len(part))
+            predicted[stroke.start : stroke.start + len(part)][new] = run(channel, batch)[new]
         unit = conversion_factor(self.units[DISPLACEMENT], record.unit, record.name)
-        if len(own) != len(record):
+        if own.step_s != record.step_s:
             predicted = np.interp(record.time_s, own.time_s, predicted)
         return predicted * unit
 

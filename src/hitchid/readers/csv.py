@@ -13,6 +13,7 @@ from hitchid.errors import LogError
 from hitchid.readers.table import Table
 
 SUFFIXES = (".csv", ".csv.gz")
+LONGEST_SHOWN = 40
 
 
 def read_table(path: Path, wanted: Sequence[str]) -> Table:
@@ -38,18 +39,27 @@ def read_table(path: Path, wanted: Sequence[str]) -> Table:
         rows = np.loadtxt(body, delimiter=",", usecols=indices, ndmin=2, comments=None, quotechar='"')
     except ValueError:
         raise _fault(path, text, names, wanted) from None
-    return Table(path, {name: rows[:, i] for i, name in enumerate(wanted)}, first_line=2)
+    lines = [number for number, line in enumerate(text.split("\n"), start=1) if line.strip()]
+    return Table(
+        path, {name: rows[:, i] for i, name in enumerate(wanted)}, np.array(lines[1 : len(rows) + 1])
+    )
 
 
 def read_rows(path: Path, like: str) -> tuple[list[str], list[list[str]]]:
-    """Return header and rows of a CSV log as text, exactly as they stand in the file.
+    """Return header and rows of a CSV log as text; every row has as many cells as the header.
 
     Args:
         path: the log.
         like: a column that every sample has; a CSV log has all of them.
     """
-    rows = [row for row in csv.reader(io.StringIO(read_text(path))) if row]
-    return rows[0], rows[1:]
+    text = read_text(path)
+    header = _header(path, text)
+    try:
+        rows = [row for row in csv.reader(io.StringIO(text)) if row][1:]
+    except csv.Error as error:
+        raise LogError(path, f"cannot be understood as comma-separated text: {error}") from error
+    width = len(header)
+    return header, [row[:width] + [""] * (width - len(row)) for row in rows]
 
 
 def write_table(path: Path, columns: Mapping[str, np.ndarray]) -> None:
@@ -75,7 +85,7 @@ def write_rows(path: Path, header: Sequence[str], rows: Sequence[Sequence[str]])
     writer.writerow(header)
     writer.writerows(rows)
     data = text.getvalue().encode()
-    path.write_bytes(gzip.compress(data, mtime=0) if path.suffix == ".gz" else data)
+    path.write_bytes(gzip.compress(data, mtime=0) if path.suffix.lower() == ".gz" else data)
 
 
 def read_text(path: Path) -> str:
@@ -86,9 +96,10 @@ def read_text(path: Path) -> str:
     """
     try:
         data = path.read_bytes()
-        if path.suffix == ".gz":
+        if path.suffix.lower() == ".gz":
             data = gzip.decompress(data)
-        return data.decode("utf-8-sig")
+        text = data.decode("utf-8-sig")
+        return text if "\n" in text else text.replace("\r", "\n")
     except UnicodeDecodeError as error:
         raise LogError(path, f"is not UTF-8 text: {error}; required a CSV log") from error
     except (OSError, EOFError, zlib.error) as error:
@@ -98,7 +109,10 @@ def read_text(path: Path) -> str:
 def _header(path: Path, text: str) -> list[str]:
     if not text.strip():
         raise LogError(path, "the file is empty; required a header line and samples")
-    names = [name.strip() for name in next(csv.reader([text.partition("\n")[0]]))]
+    try:
+        names = [name.strip() for name in next(csv.reader([text.partition("\n")[0]]), [])]
+    except csv.Error as error:
+        raise LogError(path, f"cannot be understood as a header line: {error}", line=1) from error
     for name in names:
         if name and names.count(name) > 1:
             raise LogError(path, "this column name stands twice", line=1, column=name)
@@ -108,20 +122,28 @@ def _header(path: Path, text: str) -> list[str]:
 def _fault(path: Path, text: str, names: list[str], wanted: Sequence[str]) -> LogError:
     """Find the first cell of the wanted columns that is no number."""
     reader = csv.reader(io.StringIO(text))
-    next(reader)
-    for row in reader:
-        for name in wanted if row else ():
-            index = names.index(name)
-            if index >= len(row):
-                return LogError(
-                    path,
-                    f"the line has {len(row)} cells, required {len(names)}",
-                    line=reader.line_num,
-                    column=name,
-                )
-            try:
-                float(row[index])
-            except ValueError:
-                came = f"'{row[index]}'" if row[index].strip() else "an empty cell"
-                return LogError(path, f"required a number, came {came}", line=reader.line_num, column=name)
+    try:
+        next(reader)
+        for row in reader:
+            for name in wanted if row else ():
+                problem = _problem(row, names.index(name), len(names))
+                if problem is not None:
+                    return LogError(path, problem, line=reader.line_num, column=name)
+    except csv.Error as error:
+        return LogError(path, f"cannot be understood: {error}", line=reader.line_num)
     return LogError(path, "cannot be understood as comma-separated numbers")
+
+
+def _problem(row: Sequence[str], index: int, width: int) -> str | None:
+    if index >= len(row):
+        return f"the line has {len(row)} cells, required {width}"
+    cell = row[index].strip()
+    try:
+        float(cell)
+    except ValueError:
+        pass
+    else:
+        if cell.isascii() and "_" not in cell:
+            return None
+    shown = repr(cell if len(cell) <= LONGEST_SHOWN else f"{cell[:LONGEST_SHOWN]}…")
+    return f"required a number, came {shown if cell else 'an empty cell'}"

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TypeGuard
 
 import numpy as np
 from scipy.io import loadmat, whosmat
@@ -37,14 +38,11 @@ def read_table(path: Path, wanted: Sequence[str]) -> Table:
             raise LogError(
                 path, f"there is no such vector; required it, found {', '.join(names)}", column=name
             )
-    try:
-        content = loadmat(path, variable_names=list(wanted))
-    except Exception as error:  # scipy raises whatever a damaged file leads it to
-        raise LogError(path, f"cannot be read as a MATLAB file up to version 7: {error}") from error
+    content = _load(path, wanted)
     columns = {}
     for name in wanted:
         values = content.get(name)
-        if values is None or not np.issubdtype(values.dtype, np.number) or np.iscomplexobj(values):
+        if not _is_real(values):
             raise LogError(path, "required a real numeric vector", column=name)
         columns[name] = values.astype(np.float64).ravel()
         if columns[name].size != columns[wanted[0]].size:
@@ -58,11 +56,25 @@ def read_table(path: Path, wanted: Sequence[str]) -> Table:
 
 def read_rows(path: Path, like: str) -> tuple[list[str], list[list[str]]]:
     """Return the vectors as long as `like`, as a header and rows of text."""
-    shapes = {name: max(shape) for name, shape, _ in whosmat(path) if _is_vector(shape)}
-    names = [name for name in column_names(path) if shapes[name] == shapes[like]]
-    table = read_table(path, names)
-    columns = [table.columns[name].tolist() for name in names]
-    return names, [[repr(value) for value in row] for row in zip(*columns, strict=True)]
+    length = read_table(path, [like]).columns[like].size
+    content = _load(path, column_names(path))
+    columns = {
+        name: values.ravel().tolist()
+        for name, values in content.items()
+        if _is_real(values) and _is_vector(values.shape) and values.size == length
+    }
+    return list(columns), [[repr(value) for value in row] for row in zip(*columns.values(), strict=True)]
+
+
+def _load(path: Path, names: Sequence[str]) -> dict:
+    try:
+        return loadmat(path, variable_names=list(names))
+    except Exception as error:  # scipy raises whatever a damaged file leads it to
+        raise LogError(path, f"cannot be read as a MATLAB file up to version 7: {error}") from error
+
+
+def _is_real(values: object) -> TypeGuard[np.ndarray]:
+    return isinstance(values, np.ndarray) and values.dtype.kind in "fiub"
 
 
 def _is_vector(shape: tuple[int, ...]) -> bool:

@@ -1,7 +1,9 @@
 """The one way in: `read` takes files and folders and returns a campaign."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from fnmatch import fnmatchcase
+from glob import escape
 from pathlib import Path
 from typing import NamedTuple
 
@@ -58,19 +60,30 @@ def read(logs: str | Path | Iterable[str | Path], *, signals: str | Path | None 
     paths = find_logs(logs)
     settings = settings_of(paths, signals)
     records = [record for path in paths for record in read_log(path, settings[path.parent].signals)]
-    return assemble(records, settings.values())
+    return assemble(records, settings)
 
 
-def assemble(records: Sequence[Record], settings: Iterable[CampaignFile]) -> Campaign:
-    """Make a campaign of records and what their folders' settings say of split and kinds.
+def assemble(records: Sequence[Record], settings: Mapping[Path, CampaignFile]) -> Campaign:
+    """Make a campaign of records and what the settings of each one's folder say of split and kinds.
 
     Raises:
         InputError, LogError: as `Campaign.of`.
     """
-    said = list(settings)
-    patterns = dict.fromkeys(pattern for each in said if each.split for pattern in each.split.test)
-    kinds = {pattern: kind for each in said for pattern, kind in each.tests.items()}
-    return Campaign.of(_distinct(records), test_patterns=list(patterns) or None, kinds=kinds)
+    named = _distinct(records)
+    held_out, kinds, matched = [], {}, set()
+    for record, own in zip(records, named, strict=True):
+        said = settings[record.source.parent] if record.source is not None else CampaignFile()
+        for pattern in said.split.test if said.split else ():
+            if fnmatchcase(record.name, pattern):
+                held_out.append(escape(own.name))
+                matched.add(pattern)
+        for pattern, kind in said.tests.items():
+            if fnmatchcase(record.name, pattern):
+                kinds.setdefault(escape(own.name), kind)
+    splits = [each.split for each in settings.values() if each.split]
+    campaign = Campaign.of(named, test_patterns=held_out if splits else None, kinds=kinds)
+    unmatched = {pattern for split in splits for pattern in split.test} - matched
+    return replace(campaign, unmatched=tuple(sorted(unmatched)))
 
 
 def find_logs(logs: str | Path | Iterable[str | Path]) -> list[Path]:
@@ -82,7 +95,7 @@ def find_logs(logs: str | Path | Iterable[str | Path]) -> list[Path]:
     given = [logs] if isinstance(logs, str | Path) else list(logs)
     found: dict[Path, None] = {}
     for path in map(Path, given):
-        if path.is_dir():
+        if _is_folder(path):
             inside = sorted(child for child in path.iterdir() if child.is_file() and _format(child))
             if not inside:
                 raise InputError(f"{path}: no log in this folder; required files ending in {_endings()}")
@@ -95,6 +108,13 @@ def find_logs(logs: str | Path | Iterable[str | Path]) -> list[Path]:
     if not found:
         raise InputError("no logs were named; required files or folders")
     return list(found)
+
+
+def _is_folder(path: Path) -> bool:
+    try:
+        return path.is_dir()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
 
 
 def format_of(path: Path) -> Format:
@@ -136,7 +156,7 @@ def read_log(path: Path, signals: SignalMap) -> list[Record]:
     for name, values in table.columns.items():
         _check_finite(table, name, values)
     time_s = table.columns[signals.time.column] * conversion_factor(signals.time.unit, "s", f"{path}: time")
-    parts = sections(time_s, path, column=signals.time.column, first_line=table.first_line)
+    parts = sections(time_s, path, column=signals.time.column, line_of=table.line_of)
     usable = [part for part in parts if part.stop - part.start >= SHORTEST]
     if not usable:
         longest = max((part.stop - part.start for part in parts), default=time_s.size)
@@ -146,8 +166,12 @@ def read_log(path: Path, signals: SignalMap) -> list[Record]:
     records = []
     for number, part in enumerate(usable, start=1):
         records.append(
-            _record(name if len(parts) == 1 else f"{name}@{number}", path, time_s, roles, part, signals)
+            _record(name if len(usable) == 1 else f"{name}@{number}", path, time_s, roles, part, signals)
         )
+    left_out = time_s.size - sum(part.stop - part.start for part in usable)
+    if left_out:
+        said = f"{left_out} of {time_s.size} samples are left out: fewer than {SHORTEST} in a row"
+        records[0] = replace(records[0], notices=(*records[0].notices, said))
     return records
 
 
@@ -222,12 +246,11 @@ def _units(signals: SignalMap) -> dict[str, str]:
 def _check_finite(table: Table, name: str, values: np.ndarray) -> None:
     bad = np.flatnonzero(~np.isfinite(values))
     if bad.size:
-        line = None if table.first_line is None else table.first_line + int(bad[0])
         raise LogError(
             table.source,
             f"required finite numbers, came {values[bad[0]]} ({bad.size} such of {values.size} samples, "
             f"the first at sample {bad[0]})",
-            line=line,
+            line=table.line_of(int(bad[0])),
             column=name,
         )
 

@@ -14,9 +14,13 @@ class Table:
     Attributes:
         source: the file.
         columns: name to numbers, each of shape [N].
-        first_line: line of the first sample, None where the format has no lines.
+        lines: line of each sample, shape [N], None where the format has no lines.
     """
 
     source: Path
     columns: Mapping[str, np.ndarray]
-    first_line: int | None = None
+    lines: np.ndarray | None = None
+
+    def line_of(self, row: int) -> int | None:
+        """Return the line a sample stands on, None where the format has no lines."""
+        return None if self.lines is None else int(self.lines[row])

@@ -55,7 +55,7 @@ class Validation:
     def fill(self, folder: Path) -> None:
         """Write both files into a folder that is being filled."""
         (folder / METRICS_FILE).write_bytes(canonical_json(self.metrics))
-        (folder / TABLES_FILE).write_text(self.markdown(), encoding="utf-8")
+        (folder / TABLES_FILE).write_text(self.markdown(), encoding="utf-8", errors="backslashreplace")
 
 
 @double_precision
@@ -145,11 +145,8 @@ def _channel_metrics(channel: Channel, tests: Sequence[Record], factor: float) -
         "per_test": {
             record.name: {
                 "free_run": _figures([a], [factor * f]),
-                "one_step": _figures([a[1:]], [factor * o[1:]]),
             }
-            for record, a, f, o in zip(
-                tests, actual, unpadded(free, tests), unpadded(ahead[0], tests), strict=True
-            )
+            for record, a, f in zip(tests, actual, unpadded(free, tests), strict=True)
         },
     }
 
@@ -185,10 +182,6 @@ def _cycle_metrics(model: Hitch, cycles: Sequence[Record]) -> dict:
         "tests": [record.name for record in cycles],
         "greybox": {"free_run": _figures(actual, grey)},
         "benchmark": {"free_run": _figures(actual, benchmark)},
-        "per_test": {
-            record.name: {"free_run": _figures([a], [g])}
-            for record, a, g in zip(cycles, actual, grey, strict=True)
-        },
     }
 
 
