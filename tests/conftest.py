@@ -18,6 +18,13 @@ from hitchid.record import Record  # noqa: E402
 DATA = Path(os.environ.get("HITCHID_DATA", Path(__file__).parents[2] / "shared" / "data"))
 
 
+@pytest.fixture(autouse=True, scope="module")
+def compiled_programs_are_dropped():
+    """Drop compiled programs after each file: a process may map only so many of them into memory."""
+    yield
+    jax.clear_caches()
+
+
 @pytest.fixture
 def data():
     """Return a function that gives the folder of a measured data set, or skips the test."""

@@ -65,9 +65,8 @@ def test_a_duty_cycle_never_commands_both_ways_and_stays_in_its_room(seed):
 
 
 def test_precompensation_adds_the_dead_zone_only_where_something_is_commanded():
-    np.testing.assert_array_equal(
-        excitation.precompensated(np.array([0.0, 0.1, 0.2]), 0.35), [0.0, 0.45, 0.55]
-    )
+    command = excitation.precompensated(np.array([0.0, 0.1, 0.2]), 0.35)
+    np.testing.assert_array_equal(command, [0.0, 0.1 + 0.35, 0.2 + 0.35])
 
 
 def test_levels_the_wrong_way_round_are_refused():
