@@ -25,6 +25,12 @@ def compiled_programs_are_dropped():
     jax.clear_caches()
 
 
+@pytest.fixture(autouse=True)
+def no_program_is_kept_on_disk(monkeypatch):
+    """Leave the user's cache of compiled programs alone when the command line is called within a test."""
+    monkeypatch.setattr("hitchid.cli._prepare_jax", lambda: None)
+
+
 @pytest.fixture
 def data():
     """Return a function that gives the folder of a measured data set, or skips the test."""
