@@ -25,10 +25,12 @@ def compiled_programs_are_dropped():
     jax.clear_caches()
 
 
-@pytest.fixture(autouse=True)
-def no_program_is_kept_on_disk(monkeypatch):
-    """Leave the user's cache of compiled programs alone when the command line is called within a test."""
-    monkeypatch.setattr("hitchid.cli._prepare_jax", lambda: None)
+@pytest.fixture(autouse=True, scope="session")
+def no_program_is_kept_on_disk():
+    """Let no test, nor a fixture of a whole file, write compiled programs to disk."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("hitchid.cli._prepare_jax", lambda: None)
+        yield
 
 
 @pytest.fixture
