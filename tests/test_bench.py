@@ -13,7 +13,7 @@ from hitchid.rig import limits, load_rig
 @pytest.fixture(scope="module")
 def campaign_folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("bench") / "logs"
-    write_campaign(folder, protocols=("ramp", "prbs"), tests=3, seed=1)
+    write_campaign(folder, tests={"ramp": 3, "prbs": 3}, seed=1)
     return folder
 
 
@@ -46,11 +46,11 @@ def test_dynamic_tests_stay_within_the_stroke(campaign_folder):
 
 
 def test_one_seed_gives_one_campaign_bit_for_bit(campaign_folder, tmp_path):
-    write_campaign(tmp_path / "again", protocols=("ramp", "prbs"), tests=3, seed=1)
+    write_campaign(tmp_path / "again", tests={"ramp": 3, "prbs": 3}, seed=1)
     for path in sorted(campaign_folder.glob("*.csv")):
         assert path.read_bytes() == (tmp_path / "again" / path.name).read_bytes()
 
 
 def test_a_campaign_that_stands_is_not_overwritten(campaign_folder):
     with pytest.raises(OutputError, match="exists already"):
-        write_campaign(campaign_folder, tests=1)
+        write_campaign(campaign_folder, tests={"prbs": 1})

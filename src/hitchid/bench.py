@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Literal
 
 import jax
@@ -17,6 +18,7 @@ from hitchid.storage import write_folder
 
 Protocol = Literal["prbs", "ramp", "cycle"]
 REPEATS = 3
+TESTS: Mapping[Protocol, int] = MappingProxyType({"prbs": 20})
 RAMP_S = 30.0
 DYNAMIC_S = 10.0
 CYCLE_S = 60.0
@@ -41,7 +43,7 @@ class Static:
     """What the static test of one direction found.
 
     Attributes:
-        dead_zone: mean over three ramps, A.
+        dead_zone: mean over the ramps, A.
         speed_per_command: speed at the end of the ramps over the effective command there, mm/(s·A).
     """
 
@@ -65,48 +67,54 @@ class Log:
 
 
 def run(
-    rig: Rig, protocol: Protocol, modes: Sequence[str] = MODES, *, tests: int = 20, seed: int = 0
+    rig: Rig, tests: Mapping[Protocol, int] = TESTS, modes: Sequence[str] = MODES, *, seed: int = 0
 ) -> list[Log]:
     """Run tests on a rig and return their logs.
 
-    Static tests are three ramps a direction (Sun et al. 2025, sec. 2.3.1). Dynamic tests begin with them, to
-    find dead zones and speeds, from which levels within stroke and pump flow follow. Levels are effective;
-    the dead zone is added (sec. 2.3.2).
+    Static tests are ramps (Sun et al. 2025, sec. 2.3.1). They are always run, to find dead zones and speeds,
+    from which the levels of dynamic tests within stroke and pump flow follow. Levels are effective; the dead
+    zone is added (sec. 2.3.2).
 
     Args:
         rig: the virtual bench.
-        protocol: `ramp`, `prbs` or `cycle`.
+        tests: protocol to number: ramps and `prbs` tests of each direction, cycles.
         modes: directions to excite; cycles excite both.
-        tests: dynamic tests a direction, or cycles.
         seed: every random draw comes from it.
     """
-    if protocol == "ramp":
-        return [log for mode in modes for log in _ramps(rig, mode, seed)]
-    static = {mode: _static(rig, mode, seed) for mode in (MODES if protocol == "cycle" else modes)}
-    if protocol == "cycle":
-        return _cycles(rig, static, tests, seed)
-    return [log for mode in modes for log in _dynamic(rig, mode, static[mode], tests, seed)]
+    excited = MODES if "cycle" in tests else modes
+    ramps = {mode: _ramps(rig, mode, tests.get("ramp", REPEATS), seed) for mode in excited}
+    static = {mode: _static(logs, mode) for mode, logs in ramps.items()}
+    logs = [log for mode in modes for log in ramps[mode]] if "ramp" in tests else []
+    if "prbs" in tests:
+        for mode in modes:
+            logs += _dynamic(rig, mode, static[mode], tests["prbs"], seed)
+    return logs + (_cycles(rig, static, tests["cycle"], seed) if "cycle" in tests else [])
 
 
 def write_campaign(
     out: str | Path,
     rig: str | Path = "nominal",
     *,
-    protocols: Sequence[Protocol] = ("prbs",),
+    tests: Mapping[Protocol, int] = TESTS,
     modes: Sequence[str] = MODES,
-    tests: int = 20,
     suffix: Literal["csv", "csv.gz"] = "csv",
     seed: int = 0,
     force: bool = False,
 ) -> None:
     """Run tests and write one log each, the true displacements beside them, and `campaign.toml`.
 
+    Args:
+        out: folder to write.
+        rig: name or file of a parameter set.
+        tests, modes, seed: see `run`.
+        suffix: format of the logs.
+        force: replace an older campaign.
+
     Raises:
         OutputError: the folder exists and `force` is not given, or it cannot be written.
         SettingsError: the rig's parameters cannot be used.
     """
-    bench = load_rig(rig)
-    logs = [log for protocol in protocols for log in run(bench, protocol, modes, tests=tests, seed=seed)]
+    logs = run(load_rig(rig), tests, modes, seed=seed)
 
     def fill(place: Path) -> None:
         (place / TRUTH).mkdir()
@@ -119,24 +127,23 @@ def write_campaign(
     write_folder(Path(out), fill, mark="campaign.toml", force=force)
 
 
-def _ramps(rig: Rig, mode: str, seed: int) -> list[Log]:
-    command = excitation.ramp(top=_ramp_top(rig, mode), duration_s=RAMP_S).command
-    names = [f"ramp-{mode}-{number:02d}" for number in range(1, REPEATS + 1)]
-    return _logs(rig, names, [_both(mode, command)] * REPEATS, [_start(rig, mode)] * REPEATS, seed)
-
-
-def _ramp_top(rig: Rig, mode: str) -> float:
-    """Return the current of a slow ramp at which the piston has gone 20 mm, where the operator ends it, A."""
-    top = _saturation(rig, mode)
+def _ramps(rig: Rig, mode: str, repeats: int, seed: int) -> list[Log]:
+    """Return slow ramps up to the current at which the piston has gone 20 mm, where the operator ends them."""
+    top, start = _saturation(rig, mode), _start(rig, mode)
     command = excitation.ramp(top=top, duration_s=RAMP_S).command
-    start = _start(rig, mode)
-    motion = simulate(rig, _both(mode, command)[None], initial_displacement_m=np.array([start]))
+    # As many at once as the ramps that follow, so that one compiled program serves both.
+    currents = np.stack([_both(mode, command)] * repeats)
+    motion = simulate(rig, currents, initial_displacement_m=start)
     gone = np.abs(np.asarray(motion.displacement_m)[0] - start)
-    return float(command[np.argmax(gone >= RAMP_TRAVEL_M)]) if gone.max() >= RAMP_TRAVEL_M else top
+    if gone.max() >= RAMP_TRAVEL_M:
+        top = float(command[np.argmax(gone >= RAMP_TRAVEL_M)])
+    command = excitation.ramp(top=top, duration_s=RAMP_S).command
+    names = [f"ramp-{mode}-{number:02d}" for number in range(1, repeats + 1)]
+    return _logs(rig, names, [_both(mode, command)] * repeats, [start] * repeats, seed)
 
 
-def _static(rig: Rig, mode: str, seed: int) -> Static:
-    records = [_record(log) for log in _ramps(rig, mode, seed)]
+def _static(ramps: Sequence[Log], mode: str) -> Static:
+    records = [_record(log) for log in ramps]
     direction = 1 if mode == LIFTING else -1
     zone = from_ramps(records, mode, direction).value
     tail = slice(-round(RAMP_TAIL_S / records[0].step_s), None)

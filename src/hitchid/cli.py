@@ -161,7 +161,10 @@ def simulate(
 @app.command(epilog="Example: hitchid bench logs --protocol prbs --tests 20")
 def bench(
     out: Annotated[Path, typer.Argument(help="Folder to write.", show_default=False)],
-    tests: Annotated[int, typer.Option("--tests", min=1, help="Tests a direction, or cycles.")] = 20,
+    tests: Annotated[
+        int | None,
+        typer.Option("--tests", min=1, help="Tests a direction, or cycles [20]; ramps a direction [3]."),
+    ] = None,
     protocol: Annotated[Protocol, typer.Option("--protocol", help="What is run.")] = Protocol.PRBS,
     mode: Annotated[Direction, typer.Option("--mode", help="Which direction is excited.")] = Direction.BOTH,
     rig: Annotated[str, typer.Option("--rig", help="Parameter set: a name or a TOML file.")] = "nominal",
@@ -174,15 +177,16 @@ def bench(
 
     check_folder(out, mark="campaign.toml", force=force)
     _prepare_jax()
-    from hitchid.bench import write_campaign
+    from hitchid.bench import REPEATS, TESTS, write_campaign
     from hitchid.record import MODES
+
+    usual = REPEATS if protocol is Protocol.RAMP else TESTS["prbs"]
 
     write_campaign(
         out,
         rig,
-        protocols=(protocol.value,),
+        tests={protocol.value: usual if tests is None else tests},
         modes=MODES if mode is Direction.BOTH else (mode.value,),
-        tests=tests,
         suffix=log_format.value,
         seed=seed,
         force=force,

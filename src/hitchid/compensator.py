@@ -140,6 +140,7 @@ def measured_features(samples: Sample, step_s: float) -> tuple[Memory, Float[Arr
     return stacked
 
 
+@eqx.filter_jit
 def free_run(
     compensator: Compensator, time_s: Array, command: Array, benchmark: Array, step_s: float
 ) -> Float[Array, "n t"]:
@@ -187,6 +188,45 @@ def warmed_up(compensator: Compensator, features: Float[Array, "n 10"], valid: B
         advance, compensator.network.blank((count,)), jnp.arange(compensator.window - 1, -1, -1)
     )
     return hidden
+
+
+@eqx.filter_jit
+def predicted_errors(
+    compensator: Compensator | None,
+    tests: Sample,
+    valid: Bool[Array, "t n"],
+    horizons: tuple[int, ...],
+    step_s: float,
+) -> Float[Array, "h t n"]:
+    """Return ê at every sample, predicted from what was measured h samples before and earlier, for each h.
+
+    Near the start of a test, sample k < h is predicted from the initial displacement. Without a compensator
+    the last known error stands.
+
+    Args:
+        compensator: a trained compensator, or None.
+        tests: arrays of shape [T, N].
+        valid: which samples exist.
+        horizons: the h asked for, in samples.
+        step_s: sampling time, s.
+    """
+
+    def of_test(given: tuple[Sample, Array]) -> Float[Array, "h n"]:
+        test, exists = given
+        error = test.displacement - test.benchmark
+        if compensator is None:
+            ahead = jnp.broadcast_to(error, (max(horizons), error.size))
+        else:
+            ahead = rolled_out(compensator, test, exists, max(horizons), step_s)
+        # ahead[h − 1, i] is for sample i + h; the origin of the first samples is sample 0.
+        sample = jnp.arange(error.size)
+        rows = []
+        for horizon in horizons:
+            steps = jnp.minimum(sample, horizon)
+            rows.append(jnp.where(sample > 0, ahead[jnp.maximum(steps - 1, 0), sample - steps], 0.0))
+        return jnp.stack(rows)
+
+    return jnp.moveaxis(jax.lax.map(of_test, (tests, valid)), 1, 0)
 
 
 def rolled_out(

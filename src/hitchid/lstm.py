@@ -5,6 +5,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float32, PRNGKeyArray
 
 SINGLE = jnp.float32
@@ -25,11 +26,20 @@ class Lstm(eqx.Module):
 
     @classmethod
     def fresh(cls, key: PRNGKeyArray, inputs: int, hidden: int) -> "Lstm":
-        """Return a network with a random cell whose output is zero."""
-        cell = eqx.nn.LSTMCell(inputs, hidden, dtype=SINGLE, key=key)
-        head = eqx.nn.Linear(hidden, 1, dtype=SINGLE, key=key)
-        zero = eqx.tree_at(lambda h: (h.weight, h.bias), head, replace_fn=jnp.zeros_like)
-        return cls(cell, zero)
+        """Return a network whose cell is drawn from ±1/√H and whose output is zero."""
+        # Drawn on the host: a compiler takes longer over the generator than over the network.
+        rng = np.random.default_rng(np.asarray(jax.random.key_data(key)))
+        bound = 1 / np.sqrt(hidden)
+
+        def drawn(array: jax.ShapeDtypeStruct) -> Array:
+            return jnp.asarray(rng.uniform(-bound, bound, array.shape), SINGLE)
+
+        def zero(array: jax.ShapeDtypeStruct) -> Array:
+            return jnp.asarray(np.zeros(array.shape), SINGLE)
+
+        cell = eqx.filter_eval_shape(eqx.nn.LSTMCell, inputs, hidden, dtype=SINGLE, key=key)
+        head = eqx.filter_eval_shape(eqx.nn.Linear, hidden, 1, dtype=SINGLE, key=key)
+        return cls(jax.tree.map(drawn, cell), jax.tree.map(zero, head))
 
     def blank(self, shape: tuple[int, ...]) -> Hidden:
         """Return the LSTM's state before it has read anything."""

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float
 from hitchid.modes import effective_command
 from hitchid.record import Record
 
-BUCKET = 256
+BUCKETS = (256, 512, 1024)
 REST_SAMPLES = 50
 STOP_FRACTION = 0.01
 
@@ -48,7 +48,9 @@ class Batch(eqx.Module):
         end_stop: float | None = None,
         initial: Sequence[float] | None = None,
     ) -> "Batch":
-        """Lay records side by side, padded to a multiple of 256 samples so that like shapes compile once.
+        """Lay records side by side, padded so that like shapes compile once.
+
+        The padded length is 256, 512 or a multiple of 1024 samples.
 
         Args:
             records: tests of one clock.
@@ -63,7 +65,7 @@ class Batch(eqx.Module):
         if initial is None:
             initial = [initial_displacement(x, u) for x, u in zip(displacements, commands, strict=True)]
         counted = [before_end_stop(x, direction, end_stop) for x in displacements]
-        width = -(-max(map(len, records)) // BUCKET) * BUCKET
+        width = _padded(max(map(len, records)))
 
         def stack(rows: Sequence[np.ndarray], dtype: type) -> Array:
             padded = np.zeros((len(rows), width), dtype=dtype)
@@ -97,7 +99,12 @@ class Batch(eqx.Module):
     def take(self, indices: Sequence[int]) -> "Batch":
         """Return some of the tests."""
         rows = np.asarray(indices, dtype=np.int64)
-        return jax.tree.map(lambda array: array[rows], self)
+        return jax.tree.map(lambda array: jnp.asarray(np.asarray(array)[rows]), self)
+
+
+def _padded(samples: int) -> int:
+    largest = BUCKETS[-1]
+    return next((size for size in BUCKETS if samples <= size), -(-samples // largest) * largest)
 
 
 def initial_displacement(displacement: np.ndarray, effective: np.ndarray) -> float:

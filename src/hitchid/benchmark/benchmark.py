@@ -3,13 +3,12 @@
 from typing import TYPE_CHECKING
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from scipy import signal
 
-from hitchid.benchmark.discretise import discretise
+from hitchid.benchmark.discretise import Discrete, discretise, driven
 from hitchid.benchmark.structure import DEAD_TIME, Parameter, Structure
 from hitchid.errors import InputError
 
@@ -49,22 +48,11 @@ class Benchmark(eqx.Module):
         Returns:
             Displacement away from the start, shape [T, N], in the unit of gain × command × s.
         """
-        model = discretise(self.structure, self.values, self.dead_time_s, step_s)
+        return driven(self.discretised(step_s), command)
 
-        def delayed(samples: Array) -> Float[Array, "t n"]:
-            index = jnp.arange(command.shape[1]) - samples
-            return jnp.where(index >= 0, command[:, jnp.maximum(index, 0)], 0.0)
-
-        driven = (
-            delayed(model.whole)[..., None] * model.now + delayed(model.whole + 1)[..., None] * model.before
-        )
-
-        def advance(state: Array, drive: Array) -> tuple[Array, Array]:
-            return state @ model.transition.T + drive, state[:, 0]
-
-        rest = jnp.zeros((command.shape[0], model.now.shape[0]), command.dtype)
-        _, output = jax.lax.scan(advance, rest, jnp.moveaxis(driven, 1, 0), unroll=4)
-        return output.T
+    def discretised(self, step_s: float) -> Discrete:
+        """Return the exact discrete model for a command held between samples."""
+        return _discretised(self, step_s)
 
     def named_values(self) -> dict[str, float]:
         """Return parameter name to value, with `dead_time` where there is one."""
@@ -112,7 +100,7 @@ class Benchmark(eqx.Module):
                 )
             numerator, denominator = self.structure.transfer_function(tuple(map(float, self.values)))
             return np.asarray(numerator), np.asarray(denominator)
-        model = discretise(self.structure, self.values, self.dead_time_s, step_s)
+        model = self.discretised(step_s)
         n = model.now.shape[0]
         transition, pick = np.asarray(model.transition), np.eye(1, n)
         parts = [
@@ -128,6 +116,11 @@ class Benchmark(eqx.Module):
         if not float(self.dead_time_s):
             return np.trim_zeros(now, "f"), np.asarray(denominator)
         return np.trim_zeros(numerator, "f"), np.polymul(denominator, shift)
+
+
+@eqx.filter_jit
+def _discretised(benchmark: Benchmark, step_s: float) -> Discrete:
+    return discretise(benchmark.structure, benchmark.values, benchmark.dead_time_s, step_s)
 
 
 def searched_parameters(structure: Structure, *, dead_time: bool) -> tuple[Parameter, ...]:

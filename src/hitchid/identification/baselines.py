@@ -65,16 +65,18 @@ def fit_black_box(
         return (
             fresh.inputs(jnp.asarray(commands), jnp.asarray(initial)),
             jnp.asarray(travel / float(fresh.change), SINGLE),
-            jnp.asarray(counted),
+            jnp.asarray(counted / size, SINGLE),
         )
 
-    def squared_error(network: Lstm, part: tuple) -> tuple[Array, Array]:
-        inputs, travel, counted = part
-        misses = (accumulated(speeds(network, inputs)) - travel) / size * counted
-        return jnp.sum(misses**2), jnp.sum(counted)
-
-    network, _ = descend(fresh.network, squared_error, data(train), data(held), descent, key, progress)
+    network, _ = descend(fresh.network, _squared_error, data(train), data(held), descent, key, progress)
     return BlackBox(network, fresh.command_scale, fresh.initial_centre, fresh.initial_scale, fresh.change)
+
+
+def _squared_error(network: Lstm, part: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+    """Return the sum of squares of the misses, each weighted, and how many count."""
+    inputs, travel, weight = part
+    misses = (accumulated(speeds(network, inputs)) - travel) * weight
+    return jnp.sum(misses**2), jnp.sum(weight > 0)
 
 
 def _tests(batch: Batch) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -14,6 +14,7 @@ from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
 Network = TypeVar("Network")
 Progress = Callable[[int, float, float], None]
+SquaredError = Callable[[Any, PyTree], tuple[Float[Array, ""], Float[Array, ""]]]
 
 
 class Ending(Enum):
@@ -59,7 +60,7 @@ class DescentTrace:
 
 def descend(
     network: Network,
-    error: Callable[[Network, PyTree], tuple[Float[Array, ""], Float[Array, ""]]],
+    error: SquaredError,
     training: PyTree,
     validation: PyTree,
     settings: Descent,
@@ -70,46 +71,23 @@ def descend(
 
     Args:
         network: what to train; all its floating-point arrays are.
-        error: from network and data to the sum of squared errors and the number of them.
+        error: from network and data to the sum of squared errors and the number of them; one function for
+            trainings that are to share a compiled program.
         training, validation: arrays whose first axis runs over sequences.
         settings: epochs, patience, batch, learning rate.
         key: shuffles the sequences.
         progress: called after each epoch with its number, training and validation loss.
     """
     sequences = jax.tree.leaves(training)[0].shape[0]
-    batch = min(settings.batch, sequences)
-    batches = sequences // batch
-    schedule = optax.cosine_decay_schedule(settings.learning_rate, settings.epochs * batches, alpha=0.1)
-    optimiser = optax.chain(optax.clip_by_global_norm(1.0), optax.adam(schedule))
-
-    def loss(network: Network, data: PyTree) -> Array:
-        squares, count = error(network, data)
-        return squares / jnp.maximum(count, 1)
-
-    @eqx.filter_jit
-    def epoch(network: Network, state: PyTree, data: PyTree, held: PyTree, key: PRNGKeyArray) -> tuple:
-        weights, fixed = eqx.partition(network, eqx.is_inexact_array)
-        order = jax.random.permutation(key, sequences)[: batches * batch].reshape(batches, batch)
-
-        def step(carry: tuple, rows: Array) -> tuple[tuple, Array]:
-            weights, state = carry
-            chosen = jax.tree.map(lambda array: array[rows], data)
-            value, slope = jax.value_and_grad(lambda w: loss(eqx.combine(w, fixed), chosen))(weights)
-            change, state = optimiser.update(slope, state, weights)
-            return (optax.apply_updates(weights, change), state), value
-
-        (weights, state), values = jax.lax.scan(step, (weights, state), order)
-        network = eqx.combine(weights, fixed)
-        return network, state, jnp.sqrt(jnp.mean(values)), jnp.sqrt(loss(network, held))
-
-    state = optimiser.init(eqx.filter(network, eqx.is_inexact_array))
+    batches = sequences // min(settings.batch, sequences)
+    state = _optimiser(settings, batches).init(eqx.filter(network, eqx.is_inexact_array))
     best = network
-    best_loss = float(jnp.sqrt(eqx.filter_jit(loss)(network, validation)))
+    best_loss = float(jnp.sqrt(_loss(error, network, validation)))
     best_epoch, ending = 0, Ending.EPOCHS
     trained, validated = [], []
     for number in range(1, settings.epochs + 1):
-        network, state, train_loss, held_loss = epoch(
-            network, state, training, validation, jax.random.fold_in(key, number)
+        network, state, train_loss, held_loss = _epoch(
+            error, settings, network, state, training, validation, jax.random.fold_in(key, number)
         )
         trained.append(float(train_loss))
         validated.append(float(held_loss))
@@ -124,3 +102,48 @@ def descend(
             ending = Ending.PATIENCE
             break
     return best, DescentTrace(np.asarray(trained), np.asarray(validated), best_epoch, ending)
+
+
+def _optimiser(settings: Descent, batches: int) -> optax.GradientTransformation:
+    schedule = optax.cosine_decay_schedule(settings.learning_rate, settings.epochs * batches, alpha=0.1)
+    return optax.chain(optax.clip_by_global_norm(1.0), optax.adam(schedule))
+
+
+@eqx.filter_jit
+def _loss(error: SquaredError, network: PyTree, data: PyTree) -> Float[Array, ""]:
+    squares, count = error(network, data)
+    return jnp.sqrt(squares / jnp.maximum(count, 1))
+
+
+@eqx.filter_jit
+def _epoch(
+    error: SquaredError,
+    settings: Descent,
+    network: PyTree,
+    state: PyTree,
+    data: PyTree,
+    held: PyTree,
+    key: PRNGKeyArray,
+) -> tuple[PyTree, PyTree, Array, Array]:
+    """Return network and optimiser state after one pass, and the losses of training and validation data."""
+    sequences = jax.tree.leaves(data)[0].shape[0]
+    batch = min(settings.batch, sequences)
+    batches = sequences // batch
+    optimiser = _optimiser(settings, batches)
+    weights, fixed = eqx.partition(network, eqx.is_inexact_array)
+    order = jax.random.permutation(key, sequences)[: batches * batch].reshape(batches, batch)
+
+    def mean_square(weights: PyTree, rows: Array) -> Array:
+        chosen = jax.tree.map(lambda array: array[rows], data)
+        squares, count = error(eqx.combine(weights, fixed), chosen)
+        return squares / jnp.maximum(count, 1)
+
+    def step(carry: tuple, rows: Array) -> tuple[tuple, Array]:
+        weights, state = carry
+        value, slope = jax.value_and_grad(mean_square)(weights, rows)
+        change, state = optimiser.update(slope, state, weights)
+        return (optax.apply_updates(weights, change), state), value
+
+    (weights, state), values = jax.lax.scan(step, (weights, state), order)
+    network = eqx.combine(weights, fixed)
+    return network, state, jnp.sqrt(jnp.mean(values)), _loss(error, network, held)

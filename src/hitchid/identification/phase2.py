@@ -28,6 +28,8 @@ class Training:
     window: int = 50
     descent: Descent = field(default_factory=Descent)
 
+_measured_features = jax.jit(measured_features, static_argnums=1)
+
 
 class Sequences(NamedTuple):
     """Stretches of twice the window, the second half of which is predicted.
@@ -70,8 +72,8 @@ def train_compensator(
     features, errors = _features(*training)
     batch = training[0]
     seen = np.asarray(batch.counted)
-    rows = np.asarray(features)[seen]
-    moved = np.diff(np.asarray(errors), axis=1)[seen[:, 1:]]
+    rows = features[seen]
+    moved = np.diff(errors, axis=1)[seen[:, 1:]]
     compensator = Compensator(
         network=Lstm.fresh(init_key, len(FEATURES), settings.hidden),
         centre=jnp.asarray(rows.mean(axis=0)),
@@ -90,17 +92,14 @@ def train_compensator(
     return trained, trace
 
 
-def _features(batch: Batch, benchmark: Float[Array, "t n"]) -> tuple[Array, Array]:
+def _features(batch: Batch, benchmark: Float[Array, "t n"]) -> tuple[np.ndarray, np.ndarray]:
     """Return features, shape [T, N, 10], and errors, shape [T, N]."""
-    time_s = batch.step_s * jnp.arange(batch.command.shape[1])
-    samples = Sample(
-        jnp.broadcast_to(time_s[:, None], batch.command.T.shape),
-        batch.command.T,
-        benchmark.T,
-        batch.displacement.T,
-    )
-    _, features = jax.jit(measured_features, static_argnums=1)(samples, batch.step_s)
-    return jnp.swapaxes(features, 0, 1), batch.displacement - benchmark
+    command, displacement = np.asarray(batch.command), np.asarray(batch.displacement)
+    modelled = np.asarray(benchmark)
+    time_s = np.broadcast_to(batch.step_s * np.arange(command.shape[1]), command.shape)
+    samples = Sample(*(each.T for each in (time_s, command, modelled, displacement)))
+    _, features = _measured_features(samples, batch.step_s)
+    return np.swapaxes(np.asarray(features), 0, 1), displacement - modelled
 
 
 def _spread(rows: np.ndarray) -> np.ndarray:
@@ -109,32 +108,34 @@ def _spread(rows: np.ndarray) -> np.ndarray:
     return np.where(spread > 1e-12 * np.maximum(1.0, np.abs(rows).max(axis=0)), spread, 1.0)
 
 
-def _sequences(compensator: Compensator, features: Array, errors: Array, batch: Batch) -> Sequences:
+def _sequences(
+    compensator: Compensator, features: np.ndarray, errors: np.ndarray, batch: Batch
+) -> Sequences:
     """Cut tests into stretches of 2 L samples, L apart, the first beginning L before the test."""
-    window = compensator.window
+    window, counts = compensator.window, np.asarray(batch.counted)
     count = features.shape[1]
     stretches = -(-count // window)
     behind = ((0, 0), (window, stretches * window - count))
-    scaled = jnp.pad(compensator.scale(features), (*behind, (0, 0)))
-    valid = jnp.pad(batch.counted, behind)
-    steps = jnp.pad(jnp.diff(errors, axis=1) / compensator.error_step, ((0, 0), (1, 0)))
-    targets = jnp.pad(steps, behind).astype(SINGLE)
+    scaled = np.pad(np.asarray(compensator.scale(jnp.asarray(features))), (*behind, (0, 0)))
+    valid = np.pad(counts, behind)
+    steps = np.diff(errors, axis=1, prepend=errors[:, :1]) / float(compensator.error_step)
+    targets = np.pad(steps, behind).astype(np.float32)
 
     starts = window * np.arange(stretches)
     positions = starts[:, None] + np.arange(2 * window)
     # The prediction for sample k is made after reading sample k − 1, so targets lie one behind features.
     reading, predicted = positions - 1, positions[:, window:]
-
-    def flat(array: Array) -> Array:
-        return array.reshape(-1, *array.shape[2:])
-
     counted = valid[:, predicted] & valid[:, predicted - 1]
-    keep = np.asarray(flat(counted).any(axis=1))
+    keep = counted.any(axis=2)
+
+    def stacked(array: np.ndarray) -> Array:
+        return jnp.asarray(array[keep])
+
     return Sequences(
-        features=flat(scaled[:, np.maximum(reading, 0)])[keep],
-        valid=flat(valid[:, np.maximum(reading, 0)] & (reading >= 0))[keep],
-        target=flat(targets[:, predicted])[keep],
-        counted=flat(counted)[keep],
+        features=stacked(scaled[:, np.maximum(reading, 0)]),
+        valid=stacked(valid[:, np.maximum(reading, 0)] & (reading >= 0)),
+        target=stacked(targets[:, predicted]),
+        counted=stacked(counted),
     )
 
 

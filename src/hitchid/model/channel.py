@@ -3,14 +3,13 @@
 from collections.abc import Sequence
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from hitchid.baselines import Arx, BlackBox
 from hitchid.benchmark import Batch, Benchmark
-from hitchid.compensator import Compensator, Sample, free_run, rolled_out
+from hitchid.compensator import Compensator, Sample, free_run, predicted_errors
 from hitchid.record import Record
 
 
@@ -47,7 +46,6 @@ class Channel(eqx.Module):
             initial=initial,
         )
 
-    @eqx.filter_jit
     def simulate_benchmark(self, batch: Batch) -> Float[Array, "t n"]:
         """Return the benchmark's free run from commands and initial displacement, shape [T, N]."""
         travel = self.benchmark.response(batch.command, batch.step_s)
@@ -56,7 +54,6 @@ class Channel(eqx.Module):
             travel = jnp.minimum(travel, room[:, None])
         return batch.displaced(travel)
 
-    @eqx.filter_jit
     def simulate(self, batch: Batch) -> Float[Array, "t n"]:
         """Return the grey box's free run from commands and initial displacement, shape [T, N]."""
         benchmark = self.simulate_benchmark(batch)
@@ -66,7 +63,6 @@ class Channel(eqx.Module):
         errors = free_run(self.compensator, time_s, batch.command.T, benchmark.T, batch.step_s)
         return benchmark + errors.T
 
-    @eqx.filter_jit
     def predict(self, batch: Batch, horizons: tuple[int, ...]) -> Float[Array, "h t n"]:
         """Return predictions that may use the measured displacement up to h samples before.
 
@@ -80,30 +76,10 @@ class Channel(eqx.Module):
             Predictions, shape [len(horizons), T, N].
         """
         benchmark = self.simulate_benchmark(batch)
-        errors = jax.lax.map(
-            lambda test: self._errors_ahead(
-                Sample(_clock(batch), *test[:3]), test[3], horizons, batch.step_s
-            ),
-            (batch.command, benchmark, batch.displacement, batch.valid),
-        )
-        return benchmark + jnp.moveaxis(errors, 1, 0)
-
-    def _errors_ahead(
-        self, test: Sample, valid: Array, horizons: tuple[int, ...], step_s: float
-    ) -> Float[Array, "h n"]:
-        """Return the predicted error of the benchmark at each sample, for each horizon."""
-        error = test.displacement - test.benchmark
-        if self.compensator is None:
-            ahead = jnp.broadcast_to(error, (max(horizons), error.size))
-        else:
-            ahead = rolled_out(self.compensator, test, valid, max(horizons), step_s)
-        # ahead[h − 1, i] is for sample i + h; the origin of the first samples is sample 0.
-        sample = jnp.arange(error.size)
-        rows = []
-        for horizon in horizons:
-            steps = jnp.minimum(sample, horizon)
-            rows.append(jnp.where(sample > 0, ahead[jnp.maximum(steps - 1, 0), sample - steps], 0.0))
-        return jnp.stack(rows)
+        time_s = jnp.broadcast_to(_clock(batch), benchmark.shape)
+        tests = Sample(time_s, batch.command, benchmark, batch.displacement)
+        errors = predicted_errors(self.compensator, tests, batch.valid, horizons, batch.step_s)
+        return benchmark + errors
 
 
 def _clock(batch: Batch) -> Float[Array, " n"]:

@@ -48,7 +48,10 @@ def measure(
         raise InputError(f"currents: came shape {np.shape(currents)}, required {(*shape, 2)}")
     if not 0 <= jitter <= LARGEST_JITTER:
         raise SettingsError(f"jitter: came {jitter:g}, required 0 to {LARGEST_JITTER:g}")
-    columns = _measure(rig, motion.displacement_m, jnp.asarray(currents, jnp.float64), key, jitter)
+    # Drawn on the host: a compiler takes longer over the generator than over all the rest.
+    rng = np.random.default_rng(np.asarray(jax.random.key_data(key)))
+    drawn = jnp.asarray(rng.standard_normal((4, *shape)))
+    columns = _measure(rig, motion.displacement_m, jnp.asarray(currents, jnp.float64), drawn, jitter)
     return {name: np.asarray(columns[name]) for name in COLUMNS}  # jit sorts the keys
 
 
@@ -57,30 +60,30 @@ def _measure(
     rig: Rig,
     displacement: Float[Array, "t n"],
     currents: Float[Array, "t n 2"],
-    key: PRNGKeyArray,
+    drawn: Float[Array, "4 t n"],
     jitter: float,
 ) -> dict[str, Array]:
-    clock, angle_key, lifting_key, lowering_key = jax.random.split(key, 4)
     sensors, shape = rig.sensors, displacement.shape
+    clock, of_angle, of_lifting, of_lowering = drawn
     nominal = jnp.broadcast_to(SAMPLE_S * jnp.arange(shape[1]), shape)
-    spread = jnp.clip(jitter * jax.random.normal(clock, shape), -4 * jitter, 4 * jitter)
-    time = (nominal + SAMPLE_S * spread).at[:, 0].set(0.0)
+    shaken = jnp.clip(jitter * clock, -4 * jitter, 4 * jitter)
+    time = (nominal + SAMPLE_S * shaken).at[:, 0].set(0.0)
     corner = sensors.filter_frequency * SAMPLE_S
     angle = _lagged(rig.linkage.sensor_angle(displacement), corner)
     angle = jax.vmap(jnp.interp)(time, nominal, angle)
 
-    def read(value: Array, full: Array, curve: Curve, noise: Array, key: PRNGKeyArray) -> Array:
+    def read(value: Array, full: Array, curve: Curve, spread: Array, noise: Array) -> Array:
         reading = value / full
-        error = curve.error(reading) + noise * jax.random.normal(key, shape)
+        error = curve.error(reading) + spread * noise
         return full * sensors.quantised(reading + error)
 
-    angle = read(angle, sensors.angle_range, sensors.angle_curve, sensors.angle_noise, angle_key)
+    angle = read(angle, sensors.angle_range, sensors.angle_curve, sensors.angle_noise, of_angle)
     held = _settled(currents, corner)
-    full, noise = sensors.current_range, sensors.current_noise
+    full, spread = sensors.current_range, sensors.current_noise
     return {
         "time_s": time,
-        "current_up_A": read(held[..., 0], full, sensors.lifting_curve, noise, lifting_key),
-        "current_down_A": read(held[..., 1], full, sensors.lowering_curve, noise, lowering_key),
+        "current_up_A": read(held[..., 0], full, sensors.lifting_curve, spread, of_lifting),
+        "current_down_A": read(held[..., 1], full, sensors.lowering_curve, spread, of_lowering),
         "displacement_mm": 1e3 * rig.linkage.displacement(angle),
     }
 

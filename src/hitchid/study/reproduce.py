@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hitchid.bench import write_campaign
+from hitchid.bench import REPEATS, write_campaign
 from hitchid.identification import Descent, Identification, Search, Training, Whale, identify
 from hitchid.identification.identify import TRAINING, WHALE
 from hitchid.readers import read, write_table
@@ -94,9 +94,9 @@ def reproduce(
 
     def fill(place: Path) -> None:
         report("virtual bench", 0.0)
-        write_campaign(place / LOGS, rig, protocols=("ramp", "prbs"), tests=asked.tests, seed=seed)
-        write_campaign(place / "cycles", rig, protocols=("cycle",), tests=asked.cycles, seed=seed)
-        campaign = read([place / LOGS, place / "cycles"])
+        tests = {"ramp": REPEATS, "prbs": asked.tests, "cycle": asked.cycles}
+        write_campaign(place / LOGS, rig, tests=tests, seed=seed)
+        campaign = read([place / LOGS])
         found = identify(
             campaign,
             search=asked.search,
@@ -128,6 +128,7 @@ def _write(place: Path, study: Study) -> None:
     for each in ordered:
         name = f"figure-{each.number:02d}"
         each.figure.savefig(place / FIGURES / f"{name}.svg", metadata={"Date": None})
+        each.figure.set_layout_engine("none")  # laid out once; the second file takes it as it is
         each.figure.savefig(place / FIGURES / f"{name}.png")
         write_table(place / DATA / f"{name}.csv", _equal_lengths(each.data))
     study.validation.fill(place)

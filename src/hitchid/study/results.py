@@ -1,7 +1,7 @@
 """What the study reports of one direction: predictions on each part of the data, and sensitivity."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields
 
 import equinox as eqx
 import numpy as np
@@ -41,6 +41,11 @@ class Predictions:
         """Return the predictions of `benchmark`, `one_step` or `free_run`."""
         return getattr(self, model)
 
+    def take(self, indices: Iterable[int]) -> "Predictions":
+        """Return some of the tests."""
+        rows = list(indices)
+        return Predictions(**{f.name: tuple(getattr(self, f.name)[i] for i in rows) for f in fields(self)})
+
     def errors(self, model: str) -> np.ndarray:
         """Return actual minus predicted over all tests, without the first sample of each, shape [M]."""
         return np.concatenate([a[1:] - p[1:] for a, p in zip(self.actual, self.of(model), strict=True)])
@@ -66,14 +71,14 @@ def direction_result(found: Identification, campaign: Campaign, mode: str) -> Di
     """Run one channel of an identified model over the tests it was identified, validated and tested on."""
     channel = found.model.channels[mode]
     validating = set(found.model.provenance.validation[mode])
-    identification = campaign.identification(mode)
-    parts = {
-        "training": [record for record in identification if record.name not in validating],
-        "validation": [record for record in identification if record.name in validating],
-        "test": list(campaign.held_out(mode)),
-    }
+    identification, held_out = campaign.identification(mode), campaign.held_out(mode)
+    everything = _predictions(channel, [*identification, *held_out])
+    count = len(identification)
+    held = [i for i, record in enumerate(identification) if record.name in validating]
     return DirectionResult(
-        **{part: _predictions(channel, records) for part, records in parts.items()},
+        training=everything.take([i for i in range(count) if i not in held]),
+        validation=everything.take(held),
+        test=everything.take(range(count, count + len(held_out))),
         sensitivity=sensitivity(channel, channel.batch(identification)),
     )
 
