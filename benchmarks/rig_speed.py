@@ -7,6 +7,7 @@ import jax
 import numpy as np
 
 from hitchid.rig import load_rig, simulate
+from hitchid.rig.simulation import SUBSTEPS
 
 SAMPLES = 1001
 REPEATS = 5
@@ -19,7 +20,7 @@ def main() -> None:
     for tests in (1, 40):
         levels = rng.uniform(0.35, 0.7, (tests, 20, 2)) * np.array([1.0, 0.0])
         currents = np.repeat(levels, 51, axis=1)[:, :SAMPLES]
-        for substeps in (10, 20, 40):
+        for substeps in (SUBSTEPS, 2 * SUBSTEPS, 4 * SUBSTEPS):
             spent = []
             for _ in range(REPEATS + 1):
                 start = time.perf_counter()

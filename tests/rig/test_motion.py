@@ -9,6 +9,7 @@ import pytest
 from hitchid.errors import InputError, SettingsError
 from hitchid.rig import limits, simulate
 from hitchid.rig.oil import TANK_PRESSURE_PA
+from hitchid.rig.simulation import SUBSTEPS
 
 
 def test_no_oil_is_made_or_lost(any_rig, binary):
@@ -89,7 +90,7 @@ def test_halving_the_step_changes_nothing_that_matters(any_rig, binary):
     currents = binary()
     start = np.where(np.arange(4) % 2 == 0, 0.03, 0.22)
     coarse = simulate(any_rig, currents, initial_displacement_m=start)
-    fine = simulate(any_rig, currents, initial_displacement_m=start, substeps=20)
+    fine = simulate(any_rig, currents, initial_displacement_m=start, substeps=2 * SUBSTEPS)
     away = np.abs(np.asarray(coarse.displacement_m) - np.asarray(fine.displacement_m))
     assert away.max() < 1e-5
     assert np.ptp(np.asarray(fine.displacement_m), axis=1).min() > 0.01

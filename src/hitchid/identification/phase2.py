@@ -28,6 +28,7 @@ class Training:
     window: int = 50
     descent: Descent = field(default_factory=Descent)
 
+
 _measured_features = jax.jit(measured_features, static_argnums=1)
 
 
@@ -108,9 +109,7 @@ def _spread(rows: np.ndarray) -> np.ndarray:
     return np.where(spread > 1e-12 * np.maximum(1.0, np.abs(rows).max(axis=0)), spread, 1.0)
 
 
-def _sequences(
-    compensator: Compensator, features: np.ndarray, errors: np.ndarray, batch: Batch
-) -> Sequences:
+def _sequences(compensator: Compensator, features: np.ndarray, errors: np.ndarray, batch: Batch) -> Sequences:
     """Cut tests into stretches of 2 L samples, L apart, the first beginning L before the test."""
     window, counts = compensator.window, np.asarray(batch.counted)
     count = features.shape[1]

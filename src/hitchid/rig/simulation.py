@@ -25,7 +25,7 @@ from hitchid.rig.plant import (
 )
 
 SAMPLE_S = 0.01
-SUBSTEPS = 10
+SUBSTEPS = 8
 
 
 class Motion(eqx.Module):

@@ -1,11 +1,12 @@
 """The paper's Figures 5 to 12, each with the data behind it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 
 from hitchid.identification import ChannelTrace
 from hitchid.record import LIFTING, LOWERING
@@ -53,9 +54,17 @@ def convergence(mode: str, trace: ChannelTrace, unit: str) -> Drawn:
     axes[0].set_yscale("log")
     for axis, estimate, column in zip(axes[1:], estimates, values.T, strict=True):
         axis.plot(iteration, column, color=COLOURS["one_step"])
-        axis.axhline(estimate.value, color=MEASURED, linewidth=0.7, linestyle="--")
+        axis.axhline(
+            estimate.value, color=MEASURED, linewidth=0.7, linestyle="--", label="after least squares"
+        )
         axis.set_ylabel(f"{estimate.name.replace('_', ' ')}\n/ {estimate.unit}")
         axis.set_yscale("log")
+    for axis in axes:
+        low, high = axis.get_ylim()
+        axis.yaxis.set_major_locator(LogLocator(subs=(1.0,) if high > 100 * low else (1.0, 2.0, 5.0)))
+        axis.yaxis.set_minor_locator(NullLocator())
+        axis.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes[1].legend(loc="best")
     axes[-1].set_xlabel("iteration")
     names = {estimate.name: column for estimate, column in zip(estimates, values.T, strict=True)}
     data = {"iteration": iteration, f"rmse_{unit}": found.fitness_trace, **names}
@@ -68,16 +77,15 @@ def predicted_errors(mode: str, result: DirectionResult, unit: str) -> Drawn:
     data: dict[str, np.ndarray] = {}
     for axis, part in zip(figure.subplots(2, 1), ("training", "validation"), strict=True):
         predictions: Predictions = getattr(result, part)
-        actual = predictions.errors("benchmark")[:SHOWN]
-        missed = predictions.errors("one_step")[:SHOWN]
+        measured = _end_to_end(predictions.actual)[:SHOWN]
+        actual = measured - _end_to_end(predictions.benchmark)[:SHOWN]
+        predicted = actual - (measured - _end_to_end(predictions.one_step)[:SHOWN])
         sample = np.arange(actual.size)
         axis.plot(sample, actual, color=MEASURED, label="actual")
-        axis.plot(
-            sample, actual - missed, color=PARTS[part], linestyle="--", label="predicted one step ahead"
-        )
+        axis.plot(sample, predicted, color=PARTS[part], linestyle="--", label="predicted one step ahead")
         axis.set_ylabel(f"error, {part} / {unit}")
-        axis.legend(ncols=2, loc="best")
-        data |= {f"{part}_actual_{unit}": actual, f"{part}_predicted_{unit}": actual - missed}
+        _legend_above(axis)
+        data |= {f"{part}_actual_{unit}": actual, f"{part}_predicted_{unit}": predicted}
         axis.set_xlabel("sample")
     return Drawn(TRAINING[mode], f"transfer function's error, actual and predicted, {mode}", figure, data)
 
@@ -104,23 +112,31 @@ def test_set(mode: str, test: Predictions, unit: str) -> Drawn:
     grid = figure.add_gridspec(3, 2)
     outputs, errors = figure.add_subplot(grid[0, :]), figure.add_subplot(grid[1, :])
     left, right = figure.add_subplot(grid[2, 0]), figure.add_subplot(grid[2, 1])
-    time_s = _joined_time(test)
-    outputs.plot(time_s, np.concatenate(test.actual), color=MEASURED, label="measured")
-    data = {"time_s": time_s, f"measured_{unit}": np.concatenate(test.actual)}
+    time_s, measured = _joined_time(test), _end_to_end(test.actual)
+    outputs.plot(time_s, measured, color=MEASURED, label="measured")
+    data = {"time_s": time_s, f"measured_{unit}": measured}
     for model, label in LABELS.items():
-        predicted = np.concatenate(test.of(model))
-        missed = np.concatenate(test.actual) - predicted
+        predicted = _end_to_end(test.of(model))
         outputs.plot(time_s, predicted, color=COLOURS[model], linestyle="--", label=label)
-        errors.plot(time_s, missed, color=COLOURS[model], linewidth=0.8)
+        errors.plot(time_s, measured - predicted, color=COLOURS[model], linewidth=0.8)
         _histogram(left, test.errors(model), COLOURS[model], label)
         _cumulative(right, test.errors(model), COLOURS[model], label)
         data[f"{model}_{unit}"] = predicted
     outputs.set_ylabel(f"displacement / {unit}")
     errors.set_ylabel(f"error / {unit}")
     errors.set_xlabel("time, test after test / s")
-    outputs.legend(fontsize=7, ncols=2)
+    _legend_above(outputs)
     _distribution_labels(left, right, unit)
     return Drawn(TEST[mode], f"test set, {mode}", figure, data)
+
+
+def _end_to_end(tests: Sequence[np.ndarray]) -> np.ndarray:
+    """Return tests one after another; NaN in place of the first sample, which is given, parts them."""
+    return np.concatenate([np.append(np.nan, test[1:]) for test in tests])
+
+
+def _legend_above(axis: Axes) -> None:
+    axis.legend(ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=7)
 
 
 def _joined_time(test: Predictions) -> np.ndarray:

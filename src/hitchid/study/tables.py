@@ -62,11 +62,32 @@ def _parameters(traces: Mapping[str, ChannelTrace]) -> Table:
             )
             for name, estimate in values.items()
         ]
+        rows += [
+            (f"{mode}: {name}", f"{value:.4g} {unit}", f"{PAPER_COEFFICIENTS[mode][name]:.4g}", "")
+            for name, (value, unit) in _coefficients(mode, trace).items()
+        ]
     return Table(
         "Table 2. Parameters of the transfer functions",
         ("parameter", "here", "paper", "verdict"),
         tuple(rows),
     )
+
+
+def _coefficients(mode: str, trace: ChannelTrace) -> dict[str, tuple[float, str]]:
+    """Return the paper's α and β for one direction, with the free common scale of lifting set by its β₃."""
+    values = {estimate.name: (estimate.value, estimate.unit) for estimate in trace.phase1.estimates}
+    gain, unit = values["gain"]
+    if mode == LOWERING:
+        tau, second = values["time_constant"]
+        return {"alpha2": (gain * tau, unit.replace("(s·", "").rstrip(")")), "beta4": (tau, second)}
+    beta3 = PAPER_COEFFICIENTS[LIFTING]["beta3"]
+    omega, damping = values["natural_frequency"][0], values["damping_ratio"][0]
+    return {
+        "alpha1": (beta3 * gain, unit),
+        "beta1": (beta3 / omega**2, "s²"),
+        "beta2": (2 * beta3 * damping / omega, "s"),
+        "beta3": (beta3, "1, as the paper has it"),
+    }
 
 
 def _equivalent(mode: str, name: str) -> str:
