@@ -128,7 +128,7 @@ def write_campaign(
 
 
 def _ramps(rig: Rig, mode: str, repeats: int, seed: int) -> list[Log]:
-    """Return slow ramps up to the current at which the piston has gone 20 mm, where the operator ends them."""
+    """Return slow ramps that end at the current at which the piston has gone 20 mm, as an operator would."""
     top, start = _saturation(rig, mode), _start(rig, mode)
     command = excitation.ramp(top=top, duration_s=RAMP_S).command
     # As many at once as the ramps that follow, so that one compiled program serves both.

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Float32, PRNGKeyArray
 from hitchid.benchmark import Batch
 from hitchid.compensator import FEATURES, Compensator, Sample, measured_features
 from hitchid.identification.descent import Descent, DescentTrace, Progress, descend
-from hitchid.lstm import SINGLE, Hidden, Lstm
+from hitchid.lstm import Hidden, Lstm
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ def _features(batch: Batch, benchmark: Float[Array, "t n"]) -> tuple[np.ndarray,
     command, displacement = np.asarray(batch.command), np.asarray(batch.displacement)
     modelled = np.asarray(benchmark)
     time_s = np.broadcast_to(batch.step_s * np.arange(command.shape[1]), command.shape)
-    samples = Sample(*(each.T for each in (time_s, command, modelled, displacement)))
+    samples = Sample(*(jnp.asarray(each.T) for each in (time_s, command, modelled, displacement)))
     _, features = _measured_features(samples, batch.step_s)
     return np.swapaxes(np.asarray(features), 0, 1), displacement - modelled
 

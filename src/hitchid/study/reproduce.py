@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hitchid.bench import REPEATS, write_campaign
+from hitchid.bench import REPEATS, Protocol, write_campaign
 from hitchid.identification import Descent, Identification, Search, Training, Whale, identify
 from hitchid.identification.identify import TRAINING, WHALE
 from hitchid.readers import read, write_table
@@ -94,7 +94,7 @@ def reproduce(
 
     def fill(place: Path) -> None:
         report("virtual bench", 0.0)
-        tests = {"ramp": REPEATS, "prbs": asked.tests, "cycle": asked.cycles}
+        tests: Mapping[Protocol, int] = {"ramp": REPEATS, "prbs": asked.tests, "cycle": asked.cycles}
         write_campaign(place / LOGS, rig, tests=tests, seed=seed)
         campaign = read([place / LOGS])
         found = identify(
