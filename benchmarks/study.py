@@ -11,8 +11,9 @@ from pathlib import Path
 import jax
 import numpy as np
 
+from hitchid.benchmark import Form
 from hitchid.identification.identify import PAPER_FORMS
-from hitchid.identification.phase1 import Form, identify_benchmark
+from hitchid.identification.phase1 import identify_benchmark
 from hitchid.identification.preparation import prepare
 from hitchid.identification.search import EVALUATIONS, DifferentialEvolution, MultiStart, Search, Whale
 from hitchid.readers import read

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hitchid.baselines import Arx, BlackBox
-from hitchid.benchmark import Benchmark, structure_named
+from hitchid.benchmark import Benchmark, Scales, Shape, structure_named
 from hitchid.compensator import FEATURES, Compensator
 from hitchid.lstm import Lstm
 from hitchid.model import Channel, Hitch, Provenance
@@ -47,10 +47,27 @@ def compensator(seed=0, *, trained=True):
     )
 
 
+SHAPED = (
+    Shape(
+        jnp.array([0.1, 1.5, 2.0, 0.2, -0.1, 0.05, 0.3]),
+        Scales(*(jnp.asarray(scale) for scale in (1.2, 100.0, 60.0, 120.0, 25.0))),
+    ),
+    "pressure",
+)
+
+
 def channel(
-    mode, structure="integrator", *, compensated=None, baselines=False, end_stop=None, dead_time_s=0.0
+    mode,
+    structure="integrator",
+    *,
+    compensated=None,
+    baselines=False,
+    end_stop=None,
+    dead_time_s=0.0,
+    shape=False,
 ):
     """Return a channel; `compensated`: None for none, False for an untrained one, True for a trained one."""
+    curves = SHAPED if shape else (None, None)
     values = jnp.array([GAINS[mode], *VALUES[structure]])
     parts = {} if compensated is None else {"compensator": compensator(3, trained=compensated)}
     if baselines:
@@ -62,7 +79,7 @@ def channel(
         direction=DIRECTIONS[mode],
         dead_zone=DEAD_ZONES[mode],
         end_stop=end_stop,
-        benchmark=Benchmark(structure_named(structure), values, jnp.asarray(dead_time_s)),
+        benchmark=Benchmark(structure_named(structure), values, jnp.asarray(dead_time_s), *curves),
         **parts,
     )
 

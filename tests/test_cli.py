@@ -348,8 +348,8 @@ BAD_MODELS = {
     "description of something else": (lambda f: (f / "model.json").write_text("{}") and None, ["model.json"]),
     "trace edited": (edited("trace.json", "{", "{ "), ["trace.json", "edited"]),
     "a newer schema": (
-        edited("model.json", '"schema": 1', '"schema": 2'),
-        ["model.json", "schema 2", "required 1"],
+        edited("model.json", '"schema": 2', '"schema": 3'),
+        ["model.json", "schema 3", "required 2"],
     ),
 }
 

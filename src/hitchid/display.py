@@ -90,8 +90,14 @@ def show_identification(found: "Identification") -> None:
             table.add_row(name, f"{value:.4g}", "", unit, "derived")
         _out().print(table)
         displacement = found.model.units["displacement"]
+        if trace.candidates:
+            compared = _table("form", "parameters", f"RMSE / {displacement}", "held-out levels")
+            for each in trace.candidates:
+                count = str(len(each.form.parameters))
+                compared.add_row(each.name, count, f"{each.rmse:.4g}", f"{each.held_out:.4g}")
+            _out().print(compared)
         rmse = f"RMSE {trace.phase1.rmse:.4g} {displacement}"
-        _out().print(f"transfer function, free run over the identification tests: {rmse}")
+        _out().print(f"benchmark, free run over the identification tests: {rmse}")
         _say(f"{mode}, notice", trace.notices)
 
 

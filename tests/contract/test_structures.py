@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
 
-from hitchid.benchmark import STRUCTURES, Benchmark, discretise, searched_parameters, structure_named
+from hitchid.benchmark import SHAPE, STRUCTURES, Benchmark, Form, Scales, discretise, structure_named
 from hitchid.errors import InputError
 from truth import STEP_S, held, levels, shifted
 
@@ -23,6 +23,8 @@ TYPICAL = {
     "damping_ratio": 0.4,
     "dead_time": 0.037,
 }
+
+UNIT = Scales(*(jnp.asarray(scale) for scale in (1.0, 0.0, 1.0, 0.0, 1.0)))
 
 every_structure = pytest.mark.parametrize("structure", STRUCTURES.values(), ids=STRUCTURES.keys())
 
@@ -229,13 +231,22 @@ def test_step_response_is_the_closed_form(structure):
 
 @every_structure
 def test_searched_values_are_told_apart_from_the_dead_time(structure):
-    parameters = searched_parameters(structure, dead_time=True)
-    assert parameters[:-1] == searched_parameters(structure, dead_time=False) == structure.parameters
-    values = jnp.array([TYPICAL[parameter.name] for parameter in parameters])
-    with_delay = Benchmark.of(structure, values, dead_time=True)
-    assert with_delay.named_values() == {p.name: TYPICAL[p.name] for p in parameters}
-    without = Benchmark.of(structure, values[:-1], dead_time=False)
+    late, prompt = Form(structure, dead_time=True), Form(structure)
+    assert late.parameters[:-1] == prompt.parameters == structure.parameters
+    values = jnp.array([TYPICAL[parameter.name] for parameter in late.parameters])
+    assert late.benchmark(values, UNIT).named_values() == {p.name: TYPICAL[p.name] for p in late.parameters}
+    without = prompt.benchmark(values[:-1], UNIT)
     assert without.named_values() == {p.name: TYPICAL[p.name] for p in structure.parameters}
+
+
+@every_structure
+def test_a_benchmark_with_curves_has_no_transfer_function(structure):
+    form = Form(structure, curve=True, position=True, load="pressure", dead_time=True)
+    assert form.parameters == (*structure.parameters, *SHAPE, form.parameters[-1])
+    curved = form.benchmark(jnp.linspace(0.1, 0.9, len(form.parameters)), UNIT)
+    assert list(curved.named_values().values()) == pytest.approx(np.linspace(0.1, 0.9, len(form.parameters)))
+    with pytest.raises(InputError, match="without them"):
+        curved.to_scipy(STEP_S)
 
 
 @every_structure

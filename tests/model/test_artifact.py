@@ -47,8 +47,9 @@ def folder(tmp_path_factory):
         hitch("first-order-lag", modes=(LIFTING,), end_stop=120.5, dead_time_s=0.037),
         hitch("integrator-first-order", compensated=True),
         hitch("integrator", baselines=True),
+        hitch("integrator", shape=True),
     ],
-    ids=["everything", "one-channel", "compensator", "baselines"],
+    ids=["everything", "one-channel", "compensator", "baselines", "shape"],
 )
 def test_a_model_comes_back_as_it_was(model, tmp_path):
     save(model, tmp_path / "model")
@@ -149,10 +150,10 @@ def redescribed(folder, place, change):
     return place
 
 
-@pytest.mark.parametrize("schema", [0, 2, 99, "1", None])
+@pytest.mark.parametrize("schema", [0, 1, 99, "2", None])
 def test_another_schema_is_refused_with_both_numbers(folder, tmp_path, schema):
     place = redescribed(folder, tmp_path / "model", lambda content: content.update(schema=schema))
-    with pytest.raises(ModelFolderError, match=f"has schema {schema!r}, required 1"):
+    with pytest.raises(ModelFolderError, match=f"has schema {schema!r}, required 2"):
         load(place)
 
 

@@ -3,10 +3,13 @@
 from hitchid.benchmark.batch import Batch as Batch
 from hitchid.benchmark.batch import before_end_stop as before_end_stop
 from hitchid.benchmark.benchmark import Benchmark as Benchmark
-from hitchid.benchmark.benchmark import searched_parameters as searched_parameters
 from hitchid.benchmark.discretise import discretise as discretise
+from hitchid.benchmark.form import Form as Form
 from hitchid.benchmark.registry import STRUCTURES as STRUCTURES
 from hitchid.benchmark.registry import structure_named as structure_named
+from hitchid.benchmark.shape import SHAPE as SHAPE
+from hitchid.benchmark.shape import Scales as Scales
+from hitchid.benchmark.shape import Shape as Shape
 from hitchid.benchmark.structure import DEAD_TIME as DEAD_TIME
 from hitchid.benchmark.structure import Parameter as Parameter
 from hitchid.benchmark.structure import Structure as Structure

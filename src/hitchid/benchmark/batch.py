@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from hitchid.errors import InputError
 from hitchid.modes import effective_command
 from hitchid.record import Record
 
@@ -25,6 +26,7 @@ class Batch(eqx.Module):
         valid: which samples exist, shape [T, N].
         counted: which samples errors are taken over (those before an end stop is met), shape [T, N].
         initial: displacement before motion, shape [T].
+        load: second measured input, zero where there is none, shape [T, N].
         step_s: sampling time, s.
         direction: +1 where the displacement grows with the command, −1 where it falls.
     """
@@ -34,6 +36,7 @@ class Batch(eqx.Module):
     valid: Bool[Array, "t n"]
     counted: Bool[Array, "t n"]
     initial: Float[Array, " t"]
+    load: Float[Array, "t n"]
     step_s: float = eqx.field(static=True)
     direction: int = eqx.field(static=True)
 
@@ -47,6 +50,7 @@ class Batch(eqx.Module):
         direction: int,
         end_stop: float | None = None,
         initial: Sequence[float] | None = None,
+        load: str | None = None,
     ) -> "Batch":
         """Lay records side by side, padded so that like shapes compile once.
 
@@ -59,7 +63,14 @@ class Batch(eqx.Module):
             direction: +1 where the displacement grows with the command, −1 where it falls.
             end_stop: displacement at which the piston meets its end stop, None where it never did.
             initial: displacement before motion; by default found by `initial_displacement`.
+            load: name of the second measured input, None for none.
+
+        Raises:
+            InputError: a record lacks the second input.
         """
+        lacking = [record.name for record in records if load is not None and load not in record.signals]
+        if lacking:
+            raise InputError(f"record '{lacking[0]}' has no '{load}'; the model hears it as a second input")
         commands = [effective_command(record.command(mode), dead_zone) for record in records]
         displacements = [record.displacement for record in records]
         if initial is None:
@@ -79,6 +90,7 @@ class Batch(eqx.Module):
             valid=stack([np.ones(len(record), dtype=bool) for record in records], np.bool_),
             counted=stack(counted, np.bool_),
             initial=jnp.asarray(np.asarray(initial, dtype=np.float64)),
+            load=stack([np.zeros(len(r)) if load is None else r.signals[load] for r in records], np.float64),
             step_s=records[0].step_s,
             direction=direction,
         )

@@ -3,13 +3,14 @@
 from typing import TYPE_CHECKING
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from scipy import signal
 
+from hitchid.benchmark.batch import Batch
 from hitchid.benchmark.discretise import Discrete, discretise, driven
-from hitchid.benchmark.structure import DEAD_TIME, Parameter, Structure
+from hitchid.benchmark.shape import SHAPE, Shape
+from hitchid.benchmark.structure import DEAD_TIME, Structure
 from hitchid.errors import InputError
 
 if TYPE_CHECKING:
@@ -23,18 +24,23 @@ class Benchmark(eqx.Module):
         structure: its form.
         values: its parameters, shape [p], in the order of `structure.parameters`.
         dead_time_s: dead time, s, shape [].
+        shape: curves of valve, stroke and load around the linear model; None for the linear model alone.
+        load: name of the second measured input; None where there is none.
     """
 
     structure: Structure
     values: Float[Array, " p"]
     dead_time_s: Float[Array, ""]
+    shape: Shape | None = None
+    load: str | None = eqx.field(default=None, static=True)
 
-    @classmethod
-    def of(cls, structure: Structure, values: Float[Array, " q"], *, dead_time: bool) -> "Benchmark":
-        """Build a benchmark from searched values: the structure's parameters, then any dead time."""
-        count = len(structure.parameters)
-        zero = jnp.zeros((), values.dtype)
-        return cls(structure, values[:count], values[count] if dead_time else zero)
+    def travel(self, batch: Batch) -> Float[Array, "t n"]:
+        """Simulate tests from commands, initial displacement and any second input: travel, shape [T, N]."""
+        if self.shape is None:
+            return self.response(batch.command, batch.step_s)
+        flow = _flow(self.shape, batch.command, batch.load)
+        linear = self.response(flow, batch.step_s)
+        return _shaped(self.shape, linear, batch.load, batch.initial, batch.direction)
 
     def response(self, command: Float[Array, "t n"], step_s: float) -> Float[Array, "t n"]:
         """Simulate from rest: y[0] = 0, then y of the command held between samples.
@@ -57,6 +63,8 @@ class Benchmark(eqx.Module):
     def named_values(self) -> dict[str, float]:
         """Return parameter name to value, with `dead_time` where there is one."""
         named = {p.name: float(v) for p, v in zip(self.structure.parameters, self.values, strict=True)}
+        if self.shape is not None:
+            named |= {p.name: float(v) for p, v in zip(SHAPE, self.shape.values, strict=True)}
         return {**named, DEAD_TIME.name: float(self.dead_time_s)} if float(self.dead_time_s) else named
 
     def to_scipy(self, step_s: float | None = None) -> signal.TransferFunction:
@@ -92,6 +100,11 @@ class Benchmark(eqx.Module):
         return control.TransferFunction(numerator, denominator, step_s)
 
     def _transfer_function(self, step_s: float | None) -> tuple[np.ndarray, np.ndarray]:
+        if self.shape is not None:
+            raise InputError(
+                "a benchmark with curves of valve or stroke has no transfer function; "
+                "required one identified without them"
+            )
         if step_s is None:
             if float(self.dead_time_s):
                 raise InputError(
@@ -119,10 +132,21 @@ class Benchmark(eqx.Module):
 
 
 @eqx.filter_jit
+def _flow(shape: Shape, command: Float[Array, "t n"], load: Float[Array, "t n"]) -> Float[Array, "t n"]:
+    return shape.flow(command, load)
+
+
+@eqx.filter_jit
+def _shaped(
+    shape: Shape,
+    linear: Float[Array, "t n"],
+    load: Float[Array, "t n"],
+    initial: Float[Array, " t"],
+    sign: int,
+) -> Float[Array, "t n"]:
+    return shape.travel(linear, load, initial, sign)
+
+
+@eqx.filter_jit
 def _discretised(benchmark: Benchmark, step_s: float) -> Discrete:
     return discretise(benchmark.structure, benchmark.values, benchmark.dead_time_s, step_s)
-
-
-def searched_parameters(structure: Structure, *, dead_time: bool) -> tuple[Parameter, ...]:
-    """Return the parameters a search is over, in their order."""
-    return (*structure.parameters, DEAD_TIME) if dead_time else structure.parameters

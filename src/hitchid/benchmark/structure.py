@@ -16,6 +16,7 @@ class Parameter(NamedTuple):
         lower, upper: default search bounds; for a parameter in units of speed per command they are factors
             on the mean speed per command of the data, for a time or frequency they are absolute.
         relative: whether the bounds are such factors.
+        linear: whether it is searched between its bounds as it is, not by its logarithm.
     """
 
     name: str
@@ -23,6 +24,7 @@ class Parameter(NamedTuple):
     lower: float
     upper: float
     relative: bool = False
+    linear: bool = False
 
 
 DEAD_TIME = Parameter("dead_time", "s", 1e-4, 1.0)
@@ -31,7 +33,7 @@ DEAD_TIME = Parameter("dead_time", "s", 1e-4, 1.0)
 class Structure(eqx.Module):
     """A linear model from effective command to displacement away from its start.
 
-    Every parameter is positive and searched on a logarithmic scale. Output is the first state.
+    Every parameter is positive. Output is the first state.
     """
 
     name: ClassVar[str]

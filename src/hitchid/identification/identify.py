@@ -8,16 +8,17 @@ from types import MappingProxyType
 
 import jax
 
-from hitchid.benchmark import structure_named
+from hitchid.benchmark import Form, structure_named
 from hitchid.campaign import Campaign
 from hitchid.errors import InputError
 from hitchid.identification.baselines import fit_arx, fit_black_box
 from hitchid.identification.deadzone import DeadZone
 from hitchid.identification.descent import DescentTrace
-from hitchid.identification.phase1 import Form, Phase1, identify_benchmark
+from hitchid.identification.phase1 import Phase1, identify_benchmark
 from hitchid.identification.phase2 import Training, train_compensator
 from hitchid.identification.preparation import Prepared, mixed_dead_zones, prepare
 from hitchid.identification.search import Search, Whale
+from hitchid.identification.selection import Automatic, Candidate, choose_form
 from hitchid.identification.trace import describe_channel
 from hitchid.model import Channel, Hitch, Provenance, save
 from hitchid.precision import double_precision
@@ -45,12 +46,14 @@ class ChannelTrace:
         phase1: benchmark, parameters, search.
         phase2: losses of the compensator's training; None where none was trained.
         notices: what the user should know of the data and of the choices made for them.
+        candidates: the forms that were compared, where the form was chosen automatically.
     """
 
     dead_zone: DeadZone
     phase1: Phase1
     phase2: DescentTrace | None
     notices: tuple[str, ...]
+    candidates: tuple[Candidate, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -76,7 +79,9 @@ class Identification:
     def describe(self) -> dict[str, dict]:
         """Return mode to trace as JSON can hold it."""
         return {
-            mode: describe_channel(trace.dead_zone, trace.phase1, trace.phase2, trace.notices)
+            mode: describe_channel(
+                trace.dead_zone, trace.phase1, trace.phase2, trace.notices, trace.candidates
+            )
             for mode, trace in self.channels.items()
         }
 
@@ -85,7 +90,7 @@ class Identification:
 def identify(
     campaign: Campaign,
     *,
-    structure: Mapping[str, Form] = PAPER_FORMS,
+    structure: Mapping[str, Form | Automatic] = PAPER_FORMS,
     search: Search = WHALE,
     training: Training | None = TRAINING,
     dead_zones: Mapping[str, float] = NONE_KNOWN,
@@ -100,7 +105,8 @@ def identify(
 
     Args:
         campaign: tests; ramps, where there are any, give the dead zones.
-        structure: mode to benchmark structure, dead time and bounds; for a mode left out, the paper's.
+        structure: mode to the form of its benchmark, or `Automatic` to have it chosen by free run on
+            operating points held out in turn; for a mode left out, the paper's form.
         search: the global search of phase 1: `Whale`, `DifferentialEvolution` or `MultiStart`.
         training: settings of phase 2; None identifies benchmarks alone.
         dead_zones: mode to dead zone, in the command's unit, where it is known.
@@ -136,7 +142,7 @@ def identify(
             report(f"{mode}: {stage}", (before + fraction) / len(campaign.modes))
 
         step("dead zone", 0.0)
-        prepared[mode] = prepare(campaign, mode, zones.get(mode))
+        prepared[mode] = prepare(campaign, mode, zones.get(mode), load=forms[mode].load)
         units = {"x": campaign.units[DISPLACEMENT], "u": campaign.units[COMMAND[mode]]}
         channels[mode], traces[mode] = _identify_channel(
             prepared[mode], forms[mode], search, training, seed, units, step
@@ -151,14 +157,14 @@ def identify(
         settings=_describe(forms, search, training, dead_zones),
         versions=_versions(),
     )
-    roles = (DISPLACEMENT, *COMMAND.values())
+    roles = (DISPLACEMENT, *COMMAND.values(), *(form.load for form in forms.values() if form.load))
     units = {role: campaign.units[role] for role in roles if role in campaign.units}
     return Identification(Hitch(channels, campaign.step_s, units, provenance), traces)
 
 
 def _identify_channel(
     tests: Prepared,
-    form: Form,
+    form: Form | Automatic,
     search: Search,
     training: Training | None,
     seed: int,
@@ -166,7 +172,11 @@ def _identify_channel(
     progress: Progress,
 ) -> tuple[Channel, ChannelTrace]:
     progress(f"phase 1, {search.name}", 0.02)
-    phase1 = identify_benchmark(tests.everything, form, search, seed, units=units)
+    candidates: tuple[Candidate, ...] = ()
+    if isinstance(form, Automatic):
+        phase1, candidates = choose_form(tests.everything, form, search, seed, units=units)
+    else:
+        phase1 = identify_benchmark(tests.everything, form, search, seed, units=units)
     vague = [f"{e.name} is {e.verdict}" for e in phase1.estimates if e.verdict != "determined"]
     channel = Channel(
         mode=tests.mode,
@@ -176,7 +186,7 @@ def _identify_channel(
         benchmark=phase1.benchmark,
         arx=fit_arx(tests.training, tests.validation),
     )
-    trace = ChannelTrace(tests.dead_zone, phase1, None, (*tests.notices, *vague))
+    trace = ChannelTrace(tests.dead_zone, phase1, None, (*tests.notices, *vague), candidates)
     if training is None:
         return channel, trace
 
@@ -213,14 +223,22 @@ def _names(records: tuple) -> tuple[str, ...]:
 
 
 def _describe(
-    forms: Mapping[str, Form], search: Search, training: Training | None, dead_zones: Mapping[str, float]
+    forms: Mapping[str, Form | Automatic],
+    search: Search,
+    training: Training | None,
+    dead_zones: Mapping[str, float],
 ) -> dict[str, object]:
     """Return what was asked for as JSON can hold it."""
     return {
         "structure": {
-            mode: {
+            mode: {"automatic": True, "load": form.load}
+            if isinstance(form, Automatic)
+            else {
                 "structure": form.structure.name,
                 "dead_time": form.dead_time,
+                "curve": form.curve,
+                "position": form.position,
+                "load": form.load,
                 "bounds": {name: list(pair) for name, pair in form.bounds.items()},
             }
             for mode, form in forms.items()

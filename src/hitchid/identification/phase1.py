@@ -1,53 +1,21 @@
 """Phase 1: the benchmark's parameters by a global search and a least-squares polish."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
-from hitchid.benchmark import Batch, Benchmark, Parameter, Structure, searched_parameters
-from hitchid.errors import FitError, InputError
+from hitchid.benchmark import Batch, Benchmark, Form, Scales
+from hitchid.errors import FitError
 from hitchid.identification.search import Found, Problem, Search, polish
 
 AT_BOUND = 1e-3
 VAGUE = 0.5
 SINGULAR = 1e-14
-
-
-@dataclass(frozen=True)
-class Form:
-    """What is searched for one direction.
-
-    Attributes:
-        structure: the benchmark's form.
-        dead_time: whether a dead time is searched too.
-        bounds: parameter name to lower and upper bound, in its unit, where the default will not do.
-    """
-
-    structure: Structure
-    dead_time: bool = False
-    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        """Refuse bounds for a parameter that does not exist, or not 0 < lower < upper."""
-        names = [parameter.name for parameter in self.parameters]
-        for name, (least, most) in self.bounds.items():
-            if name not in names:
-                known = ", ".join(names)
-                raise InputError(f"bounds: there is no parameter '{name}'; required one of {known}")
-            if not 0 < least < most < np.inf:
-                raise InputError(
-                    f"bounds of '{name}': required 0 < lower < upper, came {least:g} and {most:g}"
-                )
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The parameters that are searched, in their order."""
-        return searched_parameters(self.structure, dead_time=self.dead_time)
 
 
 @dataclass(frozen=True)
@@ -60,6 +28,7 @@ class Estimate:
         error: standard error, residuals of one test taken as correlated; infinite where not determined.
         lower, upper: bounds of the search.
         verdict: `determined`, `at its lower bound`, `at its upper bound` or `not determined`.
+        linear: whether the search runs between the bounds as they are, not their logarithms.
     """
 
     name: str
@@ -69,6 +38,13 @@ class Estimate:
     lower: float
     upper: float
     verdict: str
+    linear: bool = False
+
+    def at(self, position: np.ndarray) -> np.ndarray:
+        """Return the values at positions between the bounds, 0 the lower and 1 the upper one."""
+        if self.linear:
+            return self.lower + position * (self.upper - self.lower)
+        return self.lower * (self.upper / self.lower) ** position
 
 
 @dataclass(frozen=True)
@@ -93,12 +69,19 @@ class Phase1:
 
 
 def identify_benchmark(
-    batch: Batch, form: Form, search: Search, seed: int, *, units: Mapping[str, str]
+    batch: Batch,
+    form: Form,
+    search: Search,
+    seed: int,
+    *,
+    units: Mapping[str, str],
+    start: np.ndarray | None = None,
 ) -> Phase1:
     """Find the parameters that minimise the free-run error over all tests.
 
     J(θ) = √(Σ (y − y_tf(θ))² / N) over the samples that count, Sun et al. 2025, sec. 2.4.1 and 2.4.2 phase 1
-    (ê = 0). The search runs over logarithms, scaled to the unit cube.
+    (ê = 0), where each test weighs the same however long it is. The search runs in the unit cube, over
+    logarithms of what is positive.
 
     Args:
         batch: identification tests.
@@ -106,38 +89,40 @@ def identify_benchmark(
         search: global search; least squares follows it whatever it is.
         seed: every random draw comes from it.
         units: `x` and `u` to the units of displacement and command.
+        start: a position in the unit cube from which least squares starts too.
 
     Raises:
         FitError: nothing moves, or no parameters give a finite error.
     """
-    parameters = form.parameters
-    lower, upper = _bounds(form, batch)
-    low, span = np.log(lower), np.log(upper / lower)
-    misfit = _Misfit(batch, form.structure, form.dead_time, jnp.asarray(low), jnp.asarray(span))
-    problem, test = _problem(misfit, len(parameters))
+    misfit = Misfit.of(batch, form)
+    problem, test = misfit.problem()
     found = search.minimise(problem, seed)
-    best = polish(problem, found.best)
+    starts = [found.best] if start is None else [found.best, start]
+    best = min((polish(problem, each) for each in starts), key=lambda polished: polished.fitness)
     # Least squares starts strictly inside the bounds: a search that ended on one may be a trifle better.
     improved = best.fitness <= found.best_fitness
     position = best.position if improved else found.best
-    values = np.exp(low + position * span)
-    errors = values * span * _standard_errors(best.jacobian, best.residuals, test)
+    values, slopes = misfit.values(position), misfit.slopes(position)
+    errors = slopes * _standard_errors(best.jacobian, best.residuals, test)
+    # A parameter around zero is vague against the room between its bounds, any other against itself.
+    doubt = np.where(misfit.linear, 0.25 * slopes, values)
     estimates = tuple(
         Estimate(
             name=parameter.name,
             unit=parameter.unit.format(**units),
             value=float(values[i]),
             error=float(errors[i]),
-            lower=float(lower[i]),
-            upper=float(upper[i]),
-            verdict=_verdict(float(position[i]), float(errors[i] / values[i])),
+            lower=float(misfit.lower[i]),
+            upper=float(misfit.upper[i]),
+            verdict=_verdict(float(position[i]), float(errors[i] / doubt[i])),
+            linear=parameter.linear,
         )
-        for i, parameter in enumerate(parameters)
+        for i, parameter in enumerate(form.parameters)
     )
     count = len(form.structure.parameters)
     derived = form.structure.derived(tuple(map(float, values[:count])))
     return Phase1(
-        benchmark=Benchmark.of(form.structure, jnp.asarray(values), dead_time=form.dead_time),
+        benchmark=form.benchmark(jnp.asarray(values), misfit.scales),
         estimates=estimates,
         derived={name: (value, unit.format(**units)) for name, (value, unit) in derived.items()},
         rmse=best.fitness if improved else found.best_fitness,
@@ -146,47 +131,99 @@ def identify_benchmark(
     )
 
 
-class _Misfit(eqx.Module):
-    """From a position in the unit cube to residuals over all tests, zero where samples do not count."""
+class Misfit(eqx.Module):
+    """From a position in the unit cube to residuals over all tests, zero where samples do not count.
+
+    Attributes:
+        batch: tests.
+        form: what is searched.
+        scales: what the form's curves are measured in.
+        lower, upper: bounds of its parameters, shape [d].
+        linear: which of them are searched as they are, shape [d].
+    """
 
     batch: Batch
-    structure: Structure
-    dead_time: bool = eqx.field(static=True)
-    low: Float[Array, " d"]
-    span: Float[Array, " d"]
+    form: Form = eqx.field(static=True)
+    scales: Scales
+    lower: Float[Array, " d"]
+    upper: Float[Array, " d"]
+    linear: Bool[Array, " d"]
 
-    def residuals(self, position: Float[Array, " d"]) -> Float[Array, " m"]:
-        values = jnp.exp(self.low + position * self.span)
-        benchmark = Benchmark.of(self.structure, values, dead_time=self.dead_time)
-        misses = benchmark.response(self.batch.command, self.batch.step_s) - self.batch.travel
-        return jnp.where(self.batch.counted, misses, 0.0).ravel()
+    @classmethod
+    def of(cls, batch: Batch, form: Form) -> "Misfit":
+        """Set up the misfit of a form over tests.
+
+        Raises:
+            FitError: nothing moves.
+        """
+        lower, upper = _bounds(form, batch)
+        linear = np.array([parameter.linear for parameter in form.parameters])
+        return cls(batch, form, scales_of(batch), jnp.asarray(lower), jnp.asarray(upper), jnp.asarray(linear))
+
+    def _by_value(self, position: Float[Array, " d"]) -> tuple[Array, Array]:
+        """Return the values at a position and their derivatives by it."""
+        width = self.upper - self.lower
+        span = jnp.log(self.upper / jnp.where(self.linear, self.upper, self.lower))
+        logarithmic = jnp.where(self.linear, 1.0, self.lower) * jnp.exp(position * span)
+        values = jnp.where(self.linear, self.lower + position * width, logarithmic)
+        return values, jnp.where(self.linear, width, values * span)
+
+    def values(self, position: np.ndarray) -> np.ndarray:
+        """Return the parameters at a position."""
+        return np.asarray(self._by_value(jnp.asarray(position))[0])
+
+    def slopes(self, position: np.ndarray) -> np.ndarray:
+        """Return the parameters' derivatives by their place between the bounds."""
+        return np.asarray(self._by_value(jnp.asarray(position))[1])
+
+    def residuals(self, position: Float[Array, " d"]) -> Float[Array, "t n"]:
+        """Return misses weighted so that every test weighs the same: their mean square is J²."""
+        values, _ = self._by_value(position)
+        misses = self.form.benchmark(values, self.scales).travel(self.batch) - self.batch.travel
+        counts = jnp.sum(self.batch.counted, axis=1, keepdims=True)
+        tests = jnp.sum(counts > 0)
+        weight = jnp.sqrt(jnp.sum(counts) / (tests * jnp.maximum(counts, 1)))
+        return jnp.where(self.batch.counted, misses * weight, 0.0)
 
     def __call__(self, positions: Float[Array, "p d"]) -> Float[Array, " p"]:
+        """Return J at each of p positions."""
         squares = jax.vmap(lambda position: jnp.sum(self.residuals(position) ** 2))(positions)
         return jnp.sqrt(squares / jnp.sum(self.batch.counted))
 
+    def problem(self) -> tuple[Problem, np.ndarray]:
+        """Return the search problem over the samples that count, and which test each of them belongs to."""
+        counted = np.asarray(self.batch.counted)
+        problem = Problem(
+            dimensions=len(self.form.parameters),
+            fitness=self,
+            residuals=lambda position: np.asarray(_residuals(self, jnp.asarray(position)))[counted],
+            jacobian=lambda position: np.asarray(_jacobian(self, jnp.asarray(position)))[counted],
+        )
+        return problem, np.repeat(np.arange(len(counted)), counted.sum(axis=1))
+
 
 @eqx.filter_jit
-def _residuals(misfit: _Misfit, position: Float[Array, " d"]) -> Float[Array, " m"]:
+def _residuals(misfit: Misfit, position: Float[Array, " d"]) -> Float[Array, "t n"]:
     return misfit.residuals(position)
 
 
 @eqx.filter_jit
-def _jacobian(misfit: _Misfit, position: Float[Array, " d"]) -> Float[Array, "m d"]:
+def _jacobian(misfit: Misfit, position: Float[Array, " d"]) -> Float[Array, "t n d"]:
     return jax.jacfwd(misfit.residuals)(position)
 
 
-def _problem(misfit: _Misfit, dimensions: int) -> tuple[Problem, np.ndarray]:
-    """Return the search problem over the samples that count, and which test each of them belongs to."""
-    counted = np.asarray(misfit.batch.counted)
-    present = counted.ravel()
-    problem = Problem(
-        dimensions=dimensions,
-        fitness=misfit,
-        residuals=lambda position: np.asarray(_residuals(misfit, jnp.asarray(position)))[present],
-        jacobian=lambda position: np.asarray(_jacobian(misfit, jnp.asarray(position)))[present],
+def scales_of(batch: Batch) -> Scales:
+    """Return what a form's curves are measured in, from the samples of tests that count."""
+    counted = np.asarray(batch.counted)
+    displacement, load = np.asarray(batch.displacement)[counted], np.asarray(batch.load)[counted]
+    lowest, highest = float(displacement.min()), float(displacement.max())
+    return Scales(
+        command=jnp.asarray(float(np.abs(np.asarray(batch.command)[counted]).max()) or 1.0),
+        centre=jnp.asarray(0.5 * (lowest + highest)),
+        span=jnp.asarray(0.5 * (highest - lowest) or 1.0),
+        load_centre=jnp.asarray(float(load.mean())),
+        load_spread=jnp.asarray(float(load.std()) or 1.0),
     )
-    return problem, np.repeat(np.arange(len(counted)), counted.sum(axis=1))
 
 
 def _bounds(form: Form, batch: Batch) -> tuple[np.ndarray, np.ndarray]:

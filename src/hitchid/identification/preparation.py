@@ -44,16 +44,19 @@ class Prepared:
     notices: tuple[str, ...]
 
 
-def prepare(campaign: Campaign, mode: str, dead_zone: DeadZone | None) -> Prepared:
+def prepare(
+    campaign: Campaign, mode: str, dead_zone: DeadZone | None, *, load: str | None = None
+) -> Prepared:
     """Prepare the identification tests of one direction.
 
     Args:
         campaign: tests, of one direction each.
         mode: the direction.
         dead_zone: where it is known already; otherwise found from ramps, or else from the tests.
+        load: name of a second measured input.
 
     Raises:
-        InputError: every test of the direction is held out.
+        InputError: every test of the direction is held out, or one lacks the second input.
         LogError: a ramp ends before the piston moves.
     """
     records = campaign.identification(mode)
@@ -82,7 +85,9 @@ def prepare(campaign: Campaign, mode: str, dead_zone: DeadZone | None) -> Prepar
         )
     if dead_zone.origin == "none":
         notices.append("the dead zone cannot be told from one level of command: taken as zero")
-    everything = Batch.of(records, mode, dead_zone=dead_zone.value, direction=direction, end_stop=end_stop)
+    everything = Batch.of(
+        records, mode, dead_zone=dead_zone.value, direction=direction, end_stop=end_stop, load=load
+    )
     training, validation, chosen = _divide(everything, len(records))
     if len(records) == 1:
         notices.append("one test only: its last quarter stops the training, so validation is not by test")

@@ -238,8 +238,14 @@ class Polished:
     jacobian: np.ndarray
 
 
-def polish(problem: Problem, start: np.ndarray, *, limit: int = 200) -> Polished:
+def polish(problem: Problem, start: np.ndarray, *, limit: int = 200, tolerance: float = 1e-14) -> Polished:
     """Descend from a position to the bottom of its valley by bounded nonlinear least squares.
+
+    Args:
+        problem: what to minimise.
+        start: a position in the unit cube.
+        limit: largest number of steps.
+        tolerance: relative change of fitness or position below which to stop.
 
     Raises:
         FitError: the residuals at the start are not finite.
@@ -252,9 +258,9 @@ def polish(problem: Problem, start: np.ndarray, *, limit: int = 200) -> Polished
         start,
         jac=problem.jacobian,  # pyright: ignore[reportArgumentType]
         bounds=(0.0, 1.0),
-        xtol=1e-14,
-        ftol=1e-14,
-        gtol=1e-14,
+        xtol=tolerance,
+        ftol=tolerance,
+        gtol=tolerance,
         x_scale="jac",
         max_nfev=limit,
     )

@@ -7,23 +7,24 @@ from typing import Literal, TypedDict
 from pydantic import Field, PositiveInt
 
 from hitchid import whale
-from hitchid.benchmark import structure_named
+from hitchid.benchmark import Form, structure_named
 from hitchid.errors import InputError, SettingsError
 from hitchid.identification.descent import Descent
 from hitchid.identification.identify import PAPER_FORMS
-from hitchid.identification.phase1 import Form
 from hitchid.identification.phase2 import Training
 from hitchid.identification.search import EVALUATIONS, DifferentialEvolution, MultiStart, Search, Whale
+from hitchid.identification.selection import Automatic
 from hitchid.record import MODES
 from hitchid.signals import Strict, parse_settings
 
+AUTOMATIC = "automatic"
 LARGEST_SEED = 2**32 - 1
 
 
 class Settings(TypedDict, total=False):
     """Arguments of `identify`."""
 
-    structure: Mapping[str, Form]
+    structure: Mapping[str, Form | Automatic]
     search: Search
     training: Training | None
     dead_zones: Mapping[str, float]
@@ -35,6 +36,9 @@ class ChannelSection(Strict):
 
     structure: str | None = None
     dead_time: bool = False
+    curve: bool = False
+    position: bool = False
+    load: str | None = None
     dead_zone: float | None = Field(default=None, ge=0)
     bounds: dict[str, tuple[float, float]] = Field(default_factory=dict)
 
@@ -125,8 +129,22 @@ def read_settings(path: Path) -> Settings:
         raise SettingsError(f"{path}: {error}") from error
 
 
-def _form(mode: str, section: ChannelSection) -> Form:
+def _form(mode: str, section: ChannelSection) -> Form | Automatic:
+    if section.structure == AUTOMATIC:
+        if section.dead_time or section.curve or section.position or section.bounds:
+            raise InputError(
+                f"{mode}: structure '{AUTOMATIC}' decides on dead_time, curve and position itself; "
+                "required no such key beside it"
+            )
+        return Automatic(PAPER_FORMS[mode], section.load)
     structure = (
         PAPER_FORMS[mode].structure if section.structure is None else structure_named(section.structure)
     )
-    return Form(structure, section.dead_time, section.bounds)
+    return Form(
+        structure,
+        section.dead_time,
+        section.bounds,
+        curve=section.curve,
+        position=section.position,
+        load=section.load,
+    )

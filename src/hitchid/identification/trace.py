@@ -7,17 +7,20 @@ import numpy as np
 from hitchid.identification.deadzone import DeadZone
 from hitchid.identification.descent import DescentTrace
 from hitchid.identification.phase1 import Phase1
+from hitchid.identification.selection import Candidate
 
 
 def describe_channel(
-    dead_zone: DeadZone, phase1: Phase1, phase2: DescentTrace | None, notices: tuple[str, ...]
+    dead_zone: DeadZone,
+    phase1: Phase1,
+    phase2: DescentTrace | None,
+    notices: tuple[str, ...],
+    candidates: tuple[Candidate, ...] = (),
 ) -> dict:
     """Return how one direction was identified: dead zone, parameters, search, losses, notices.
 
     What is not finite (the standard error of an undetermined parameter) is null.
     """
-    lower = np.log([estimate.lower for estimate in phase1.estimates])
-    upper = np.log([estimate.upper for estimate in phase1.estimates])
     found = phase1.found
     return {
         "dead_zone": {
@@ -46,7 +49,12 @@ def describe_channel(
             "failures": found.failures,
             "reason": found.reason,
             "fitness": [_finite(value) for value in found.fitness_trace],
-            "values": np.exp(lower + found.best_trace * (upper - lower)).tolist(),
+            "values": np.column_stack(
+                [
+                    estimate.at(column)
+                    for estimate, column in zip(phase1.estimates, found.best_trace.T, strict=True)
+                ]
+            ).tolist(),
         },
         "phase2": None
         if phase2 is None
@@ -56,6 +64,15 @@ def describe_channel(
             "best_epoch": phase2.best_epoch,
             "reason": phase2.ending.value,
         },
+        "candidates": [
+            {
+                "name": candidate.name,
+                "parameters": len(candidate.form.parameters),
+                "rmse": candidate.rmse,
+                "held_out_rmse": candidate.held_out,
+            }
+            for candidate in candidates
+        ],
         "notices": list(notices),
     }
 

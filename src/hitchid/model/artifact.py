@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping
+from dataclasses import fields
 from pathlib import Path
 
 import equinox as eqx
@@ -13,7 +14,7 @@ from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
 from hitchid.baselines import Arx, BlackBox
-from hitchid.benchmark import Benchmark, structure_named
+from hitchid.benchmark import SHAPE, Benchmark, Scales, Shape, structure_named
 from hitchid.compensator import FEATURES, Compensator
 from hitchid.errors import HitchError, ModelFolderError
 from hitchid.lstm import Lstm
@@ -22,7 +23,7 @@ from hitchid.model.hitch import Hitch, Provenance
 from hitchid.precision import double_precision
 from hitchid.storage import canonical_json, digest, write_folder
 
-SCHEMA = 1
+SCHEMA = 2
 MODEL_FILE = "model.json"
 WEIGHTS_FILE = "weights.safetensors"
 TRACE_FILE = "trace.json"
@@ -103,6 +104,13 @@ def _describe_channel(channel: Channel) -> dict:
         "structure": benchmark.structure.name,
         "values": [float(value) for value in benchmark.values],
         "dead_time_s": float(benchmark.dead_time_s),
+        "load": benchmark.load,
+        "shape": None
+        if benchmark.shape is None
+        else {
+            "values": [float(value) for value in benchmark.shape.values],
+            "scales": {f.name: float(getattr(benchmark.shape.scales, f.name)) for f in fields(Scales)},
+        },
         "compensator": None,
     }
     if channel.compensator is not None:
@@ -173,7 +181,11 @@ def _channel(mode: str, described: dict, tensors: dict[str, np.ndarray]) -> Chan
         dead_zone=float(described["dead_zone"]),
         end_stop=described["end_stop"],
         benchmark=Benchmark(
-            structure, jnp.asarray(described["values"]), jnp.asarray(float(described["dead_time_s"]))
+            structure,
+            jnp.asarray(described["values"]),
+            jnp.asarray(float(described["dead_time_s"])),
+            _shape(described["shape"]),
+            described["load"],
         ),
     )
     parts: dict = {}
@@ -193,6 +205,15 @@ def _channel(mode: str, described: dict, tensors: dict[str, np.ndarray]) -> Chan
         list(parts.values()),
         is_leaf=lambda leaf: leaf is None,
     )
+
+
+def _shape(described: dict | None) -> Shape | None:
+    if described is None:
+        return None
+    if len(described["values"]) != len(SHAPE):
+        raise ValueError(f"the curves have {len(SHAPE)} parameters")
+    scales = Scales(**{name: jnp.asarray(float(value)) for name, value in described["scales"].items()})
+    return Shape(jnp.asarray(described["values"]), scales)
 
 
 def _blank_compensator(hidden: int, window: int) -> Compensator:

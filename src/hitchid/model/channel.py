@@ -44,11 +44,12 @@ class Channel(eqx.Module):
             direction=self.direction,
             end_stop=self.end_stop,
             initial=initial,
+            load=self.benchmark.load,
         )
 
     def simulate_benchmark(self, batch: Batch) -> Float[Array, "t n"]:
         """Return the benchmark's free run from commands and initial displacement, shape [T, N]."""
-        travel = self.benchmark.response(batch.command, batch.step_s)
+        travel = self.benchmark.travel(batch)
         if self.end_stop is not None:
             room = jnp.maximum(self.direction * (self.end_stop - batch.initial), 0.0)
             travel = jnp.minimum(travel, room[:, None])

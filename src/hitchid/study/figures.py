@@ -43,9 +43,9 @@ def figures(mode: str, trace: ChannelTrace, result: DirectionResult, unit: str) 
 def convergence(mode: str, trace: ChannelTrace, unit: str) -> Drawn:
     """Return best fitness and each parameter over the iterations of the search (paper, Fig. 5 and 6)."""
     found, estimates = trace.phase1.found, trace.phase1.estimates
-    lower = np.array([estimate.lower for estimate in estimates])
-    upper = np.array([estimate.upper for estimate in estimates])
-    values = lower * (upper / lower) ** found.best_trace
+    values = np.column_stack(
+        [estimate.at(column) for estimate, column in zip(estimates, found.best_trace.T, strict=True)]
+    )
     iteration = np.arange(1, found.fitness_trace.size + 1)
     figure = Figure(figsize=(6.4, 1.7 * (1 + len(estimates))))
     axes = figure.subplots(1 + len(estimates), 1, sharex=True)

@@ -92,6 +92,9 @@ def validate(model: Hitch, campaign: Campaign, *, progress: Progress | None = No
             own = [model.adopt(record) for record in tests]
             channels[mode] = _channel_metrics(model.channels[mode], own, factor)
             notices += _channel_notices(mode, channels[mode])
+            heard = model.channels[mode].benchmark.load
+            if heard is not None:
+                notices.append(f"{mode}: in free run too the model hears the measured '{heard}'")
     report("cycles", len(campaign.modes) / (len(campaign.modes) + 1))
     unseen = [record for record in whole.of_kind(CYCLE) if not _seen(model, record)]
     cycles = _cycle_metrics(model, unseen) if len(model.channels) > 1 else {"tests": []}

@@ -1,0 +1,75 @@
+"""What is searched for one direction: a structure, and which curves stand around it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hitchid.benchmark.benchmark import Benchmark
+from hitchid.benchmark.shape import CURVE, LOAD, NEUTRAL, POSITION, SHAPE, Scales, Shape
+from hitchid.benchmark.structure import DEAD_TIME, Parameter, Structure
+from hitchid.errors import InputError
+
+
+@dataclass(frozen=True)
+class Form:
+    """What is searched for one direction.
+
+    Attributes:
+        structure: the benchmark's form.
+        dead_time: whether a dead time is searched too.
+        curve: whether the valve's opening, exponent and saturation are.
+        position: whether a gain that varies along the stroke is.
+        load: name of a second measured input that shifts the opening and scales the gain; None for none.
+        bounds: parameter name to lower and upper bound, in its unit, where the default will not do.
+    """
+
+    structure: Structure
+    dead_time: bool = False
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict, hash=False)
+    curve: bool = False
+    position: bool = False
+    load: str | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse bounds for a parameter that does not exist, or not lower < upper, or not positive."""
+        known = {parameter.name: parameter for parameter in self.parameters}
+        for name, (least, most) in self.bounds.items():
+            if name not in known:
+                raise InputError(
+                    f"bounds: there is no parameter '{name}'; required one of {', '.join(known)}"
+                )
+            if not (known[name].linear or least > 0) or not -np.inf < least < most < np.inf:
+                raise InputError(
+                    f"bounds of '{name}': required 0 < lower < upper, came {least:g} and {most:g}"
+                )
+
+    @property
+    def shaped(self) -> tuple[Parameter, ...]:
+        """The parameters of the curves that are searched."""
+        parts = ((self.curve, CURVE), (self.position, POSITION), (self.load is not None, LOAD))
+        return tuple(parameter for asked, part in parts if asked for parameter in part)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The parameters that are searched, in their order."""
+        late = (DEAD_TIME,) if self.dead_time else ()
+        return (*self.structure.parameters, *self.shaped, *late)
+
+    def benchmark(self, values: Float[Array, " q"], scales: Scales) -> Benchmark:
+        """Return the benchmark with searched values; curves that are not searched are neutral.
+
+        Args:
+            values: of `parameters`, in their order.
+            scales: what the curves are measured in.
+        """
+        count, shaped = len(self.structure.parameters), self.shaped
+        dead_time = values[-1] if self.dead_time else jnp.zeros((), values.dtype)
+        if not shaped:
+            return Benchmark(self.structure, values[:count], dead_time)
+        found = {parameter: values[count + place] for place, parameter in enumerate(shaped)}
+        neutral = {parameter: NEUTRAL.get(parameter.name, 0.0) for parameter in SHAPE}
+        curves = jnp.stack([jnp.asarray(found.get(p, neutral[p]), values.dtype) for p in SHAPE])
+        return Benchmark(self.structure, values[:count], dead_time, Shape(curves, scales), self.load)

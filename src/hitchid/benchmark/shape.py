@@ -1,0 +1,101 @@
+"""What a linear model leaves out: the valve's opening curve, the gain along the stroke, the load."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from hitchid.benchmark.structure import Parameter
+
+SHARPNESS = 4
+REACH = 1.5
+CURVE = (
+    Parameter("opening", "1", -0.6, 0.9, linear=True),
+    Parameter("exponent", "1", 1 / 3, 3.0),
+    Parameter("saturation", "1", 0.05, 1e4),
+)
+POSITION = (
+    Parameter("position_slope", "1", -2.0, 2.0, linear=True),
+    Parameter("position_curve", "1", -2.0, 2.0, linear=True),
+)
+LOAD = (
+    Parameter("load_shift", "1", -0.3, 0.3, linear=True),
+    Parameter("load_gain", "1", -1.0, 1.0, linear=True),
+)
+SHAPE = (*CURVE, *POSITION, *LOAD)
+NEUTRAL = {"opening": 0.0, "exponent": 1.0, "saturation": 1e4}
+
+
+class Scales(eqx.Module):
+    """What the shape's parameters are measured in, taken from the identification tests.
+
+    Attributes:
+        command: largest effective command.
+        centre, span: middle and half of the range of displacement.
+        load_centre, load_spread: mean and standard deviation of the second measured input.
+    """
+
+    command: Float[Array, ""]
+    centre: Float[Array, ""]
+    span: Float[Array, ""]
+    load_centre: Float[Array, ""]
+    load_spread: Float[Array, ""]
+
+
+class Shape(eqx.Module):
+    """Static curves around a linear model: u → w(u, c) → linear dynamics → gain g(x, c).
+
+    With z = u/U and the second input c in its own spread, v = max(z − s c − d, 0)ⁿ and
+    w = U v/(1 + (v/σ)⁴)^¼: beyond the opening d flow grows with the power n of the command until it
+    saturates. A negative opening says that the valve opens below the dead zone. Where the effective command
+    is zero, so is the flow. Travel grows by g = exp(a ξ + b (ξ² − ⅓) + γ c) times what the
+    linear model's does, ξ the displacement within its range, held at 1½ of it beyond.
+
+    Attributes:
+        values: d, n, σ, a, b, s, γ, shape [7].
+        scales: U, and those of ξ and c.
+    """
+
+    values: Float[Array, "7"]
+    scales: Scales
+
+    def flow(self, command: Float[Array, "t n"], load: Float[Array, "t n"]) -> Float[Array, "t n"]:
+        """Return w, in the command's unit.
+
+        Args:
+            command: effective command.
+            load: second input as measured.
+        """
+        opening, exponent, saturation, _, _, shift, _ = self.values
+        size = jnp.abs(command) / self.scales.command
+        beyond = size - opening - shift * self._load(load)
+        open_ = (command != 0) & (beyond > 0)
+        grown = jnp.where(open_, jnp.where(open_, beyond, 1.0) ** exponent, 0.0)
+        limited = grown / (1 + (grown / saturation) ** SHARPNESS) ** (1 / SHARPNESS)
+        return jnp.sign(command) * self.scales.command * limited
+
+    def travel(
+        self, linear: Float[Array, "t n"], load: Float[Array, "t n"], initial: Float[Array, " t"], sign: int
+    ) -> Float[Array, "t n"]:
+        """Return travel from the linear model's.
+
+        Args:
+            linear: travel of the linear model.
+            load: second input as measured.
+            initial: displacement before motion.
+            sign: +1 where displacement grows with travel, −1 where it falls.
+        """
+        *_, slope, curve, _, gain = self.values
+        steps = jnp.diff(linear, axis=1, prepend=jnp.zeros_like(linear[:, :1]))
+        steps = steps * jnp.exp(gain * self._load(load))
+
+        def advance(travel: Array, step: Array) -> tuple[Array, Array]:
+            place = (initial + sign * travel - self.scales.centre) / self.scales.span
+            place = jnp.clip(place, -REACH, REACH)
+            travel = travel + jnp.exp(slope * place + curve * (place**2 - 1 / 3)) * step
+            return travel, travel
+
+        return jax.lax.scan(advance, jnp.zeros_like(initial), steps.T)[1].T
+
+    def _load(self, load: Float[Array, "t n"]) -> Float[Array, "t n"]:
+        return jnp.clip((load - self.scales.load_centre) / self.scales.load_spread, -3.0, 3.0)
