@@ -10,7 +10,7 @@ import numpy as np
 
 from hitchid.errors import InputError, LogError
 from hitchid.modes import detect_kind, full_scales, ramp_mode, strokes
-from hitchid.record import CYCLE, IDLE, KINDS, MODES, RAMP, Record
+from hitchid.record import COMMAND, CYCLE, DISPLACEMENT, IDLE, KINDS, MODES, RAMP, Record
 
 HELD_OUT_FRACTION = 0.2
 
@@ -93,6 +93,13 @@ class Campaign:
     def units(self) -> Mapping[str, str]:
         """Role to unit, the same for every record."""
         return self.records[0].units
+
+    @property
+    def covariates(self) -> tuple[str, ...]:
+        """Names of the further measured inputs that every record has."""
+        known = {DISPLACEMENT, *COMMAND.values()}
+        first, *rest = (set(record.signals) - known for record in self.records)
+        return tuple(sorted(first.intersection(*rest)))
 
     @property
     def modes(self) -> tuple[str, ...]:

@@ -147,6 +147,7 @@ def simulate(
     force: Force = False,
 ) -> None:
     """Write the predicted displacement beside a log's columns."""
+    from hitchid import display
     from hitchid.storage import check_file
 
     check_file(out, force=force)
@@ -155,7 +156,7 @@ def simulate(
     from hitchid.model import load
     from hitchid.simulation import simulate_log
 
-    simulate_log(load(model), log, out, horizon=steps, signals=signals, force=force)
+    display.say("notice", simulate_log(load(model), log, out, horizon=steps, signals=signals, force=force))
 
 
 @app.command(epilog="Example: hitchid bench logs --protocol prbs --tests 20")

@@ -65,8 +65,8 @@ def show_inspection(found: "Inspection") -> None:
                 "\n".join(ranges),
             )
         _out().print(table)
-    _say("notice", found.notices)
-    _say("fault", found.faults)
+    say("notice", found.notices)
+    say("fault", found.faults)
 
 
 def show_identification(found: "Identification") -> None:
@@ -94,17 +94,21 @@ def show_identification(found: "Identification") -> None:
             compared = _table("form", "parameters", f"RMSE / {displacement}", "held-out levels")
             for each in trace.candidates:
                 count = str(len(each.form.parameters))
-                compared.add_row(each.name, count, f"{each.rmse:.4g}", f"{each.held_out:.4g}")
+                name = f"{each.name} (taken)" if each.chosen else each.name
+                compared.add_row(name, count, f"{each.rmse:.4g}", f"{each.held_out_rmse:.4g}")
             _out().print(compared)
+        if trace.seconds:
+            spent = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in trace.seconds.items())
+            _out().print(f"fitted in: {spent}")
         rmse = f"RMSE {trace.phase1.rmse:.4g} {displacement}"
         _out().print(f"benchmark, free run over the identification tests: {rmse}")
-        _say(f"{mode}, notice", trace.notices)
+        say(f"{mode}, notice", trace.notices)
 
 
 def show_study(study: "Study") -> None:
     """Print the tables of the study, and what a reader should not miss."""
     _show_tables(study.tables)
-    _say("notice", study.validation.notices)
+    say("notice", study.validation.notices)
 
 
 def show_validation(result: "Validation") -> None:
@@ -112,7 +116,7 @@ def show_validation(result: "Validation") -> None:
     from hitchid.validation import tables
 
     _show_tables(tables(result.metrics))
-    _say("notice", result.notices)
+    say("notice", result.notices)
 
 
 def _show_tables(tables: Iterable["Table"]) -> None:
@@ -140,6 +144,7 @@ def _out() -> Console:
     return Console(width=None if sys.stdout.isatty() else 120)
 
 
-def _say(kind: str, sentences: tuple[str, ...]) -> None:
+def say(kind: str, sentences: Iterable[str]) -> None:
+    """Write sentences to stderr, each after what kind it is."""
     for sentence in sentences:
         sys.stderr.write(f"{kind}: {sentence}\n")

@@ -19,7 +19,7 @@ def simulate_log(
     horizon: int | None = None,
     signals: Path | None = None,
     force: bool = False,
-) -> None:
+) -> tuple[str, ...]:
     """Write a log's columns and the displacement a model predicts for each of its rows.
 
     A log with gaps is predicted stretch by stretch; rows of no usable stretch get an empty cell.
@@ -32,6 +32,9 @@ def simulate_log(
         signals: a file like `campaign.toml`.
         force: replace a file that is there.
 
+    Returns:
+        Where the free run leaves what the model's identification covered, in words.
+
     Raises:
         InputError: the log, its signal map or the place to write cannot be used.
     """
@@ -42,9 +45,10 @@ def simulate_log(
     column = header.index(signal_map.time.column)
     factor = conversion_factor(signal_map.time.unit, "s", "time")
     time_s = factor * np.array([float(row[column]) for row in rows])
-    predicted = np.full(time_s.size, np.nan)
+    predicted, beyond = np.full(time_s.size, np.nan), []
     for record in campaign.records:
         values = model.simulate(record) if horizon is None else model.predict(record, horizon=horizon)
+        beyond += [] if horizon is not None else model.extrapolation(record)
         edge = record.step_s / 2
         inside = (time_s > record.time_s[0] - edge) & (time_s < record.time_s[-1] + edge)
         predicted[inside] = np.interp(time_s[inside], record.time_s, values)
@@ -57,6 +61,7 @@ def simulate_log(
         ),
         force=force,
     )
+    return tuple(beyond)
 
 
 def predicted_name(column: str) -> str:

@@ -22,21 +22,25 @@ class Batch(eqx.Module):
 
     Attributes:
         command: effective command, shape [T, N].
+        logged: the command as logged, shape [T, N].
+        dead_zone: dead zone of the command, in its unit, shape [T].
         displacement: measured displacement, shape [T, N].
         valid: which samples exist, shape [T, N].
         counted: which samples errors are taken over (those before an end stop is met), shape [T, N].
         initial: displacement before motion, shape [T].
-        load: second measured input, zero where there is none, shape [T, N].
+        load: second measured input before motion, zero where there is none, shape [T].
         step_s: sampling time, s.
         direction: +1 where the displacement grows with the command, −1 where it falls.
     """
 
     command: Float[Array, "t n"]
+    logged: Float[Array, "t n"]
+    dead_zone: Float[Array, " t"]
     displacement: Float[Array, "t n"]
     valid: Bool[Array, "t n"]
     counted: Bool[Array, "t n"]
     initial: Float[Array, " t"]
-    load: Float[Array, "t n"]
+    load: Float[Array, " t"]
     step_s: float = eqx.field(static=True)
     direction: int = eqx.field(static=True)
 
@@ -62,8 +66,8 @@ class Batch(eqx.Module):
             dead_zone: dead zone of that command, in its unit.
             direction: +1 where the displacement grows with the command, −1 where it falls.
             end_stop: displacement at which the piston meets its end stop, None where it never did.
-            initial: displacement before motion; by default found by `initial_displacement`.
-            load: name of the second measured input, None for none.
+            initial: displacement before motion; by default found by `mean_before_motion`.
+            load: name of the second measured input, of which the mean before motion counts; None for none.
 
         Raises:
             InputError: a record lacks the second input.
@@ -74,7 +78,11 @@ class Batch(eqx.Module):
         commands = [effective_command(record.command(mode), dead_zone) for record in records]
         displacements = [record.displacement for record in records]
         if initial is None:
-            initial = [initial_displacement(x, u) for x, u in zip(displacements, commands, strict=True)]
+            initial = [mean_before_motion(x, u) for x, u in zip(displacements, commands, strict=True)]
+        loads = [
+            0.0 if load is None else mean_before_motion(record.signals[load], command)
+            for record, command in zip(records, commands, strict=True)
+        ]
         counted = [before_end_stop(x, direction, end_stop) for x in displacements]
         width = _padded(max(map(len, records)))
 
@@ -86,11 +94,13 @@ class Batch(eqx.Module):
 
         return cls(
             command=stack(commands, np.float64),
+            logged=stack([record.command(mode) for record in records], np.float64),
+            dead_zone=jnp.full(len(records), dead_zone, dtype=np.float64),
             displacement=stack(displacements, np.float64),
             valid=stack([np.ones(len(record), dtype=bool) for record in records], np.bool_),
             counted=stack(counted, np.bool_),
             initial=jnp.asarray(np.asarray(initial, dtype=np.float64)),
-            load=stack([np.zeros(len(r)) if load is None else r.signals[load] for r in records], np.float64),
+            load=jnp.asarray(loads, dtype=np.float64),
             step_s=records[0].step_s,
             direction=direction,
         )
@@ -108,6 +118,37 @@ class Batch(eqx.Module):
         """Return the tests with errors taken over fewer samples."""
         return eqx.tree_at(lambda batch: batch.counted, self, self.counted & counted)
 
+    def thinned(self, samples: int) -> "Batch":
+        """Return the tests on a coarser clock, with no more than so many samples each.
+
+        A command is the mean over its new, longer interval, so that its integral stays.
+
+        Args:
+            samples: largest number of samples, that of the padding included.
+        """
+        width = self.command.shape[1]
+        step = -(-width // samples)
+        if step == 1:
+            return self
+        blocks = -(-width // step)
+
+        def mean(array: Float[Array, "t n"]) -> Float[Array, "t m"]:
+            padded = jnp.pad(array, ((0, 0), (0, blocks * step - width)), mode="edge")
+            return padded.reshape(-1, blocks, step).mean(axis=2)
+
+        return Batch(
+            command=mean(self.command),
+            logged=mean(self.logged),
+            dead_zone=self.dead_zone,
+            displacement=self.displacement[:, ::step],
+            valid=self.valid[:, ::step],
+            counted=self.counted[:, ::step],
+            initial=self.initial,
+            load=self.load,
+            step_s=step * self.step_s,
+            direction=self.direction,
+        )
+
     def take(self, indices: Sequence[int]) -> "Batch":
         """Return some of the tests."""
         rows = np.asarray(indices, dtype=np.int64)
@@ -119,18 +160,18 @@ def _padded(samples: int) -> int:
     return next((size for size in BUCKETS if samples <= size), -(-samples // largest) * largest)
 
 
-def initial_displacement(displacement: np.ndarray, effective: np.ndarray) -> float:
+def mean_before_motion(samples: np.ndarray, effective: np.ndarray) -> float:
     """Return the mean of the first samples before motion: up to the first effective command, at most 50.
 
     The sample at which a command first becomes effective still shows the piston at rest.
 
     Args:
-        displacement: measured displacement, shape [N].
+        samples: a measured signal, shape [N].
         effective: effective command, shape [N].
     """
     moving = np.flatnonzero(effective)
-    at_rest = int(moving[0]) + 1 if moving.size else displacement.size
-    return float(np.mean(displacement[: min(at_rest, REST_SAMPLES)]))
+    at_rest = int(moving[0]) + 1 if moving.size else samples.size
+    return float(np.mean(samples[: min(at_rest, REST_SAMPLES)]))
 
 
 def before_end_stop(displacement: np.ndarray, direction: int, end_stop: float | None) -> np.ndarray:

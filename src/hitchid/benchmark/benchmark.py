@@ -9,8 +9,9 @@ from scipy import signal
 
 from hitchid.benchmark.batch import Batch
 from hitchid.benchmark.discretise import Discrete, discretise, driven
+from hitchid.benchmark.nonlinear import NonlinearStructure, simulated
 from hitchid.benchmark.shape import SHAPE, Shape
-from hitchid.benchmark.structure import DEAD_TIME, Structure
+from hitchid.benchmark.structure import DEAD_TIME, LinearStructure, Structure
 from hitchid.errors import InputError
 
 if TYPE_CHECKING:
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class Benchmark(eqx.Module):
-    """A linear benchmark model of one direction.
+    """A benchmark model of one direction.
 
     Attributes:
         structure: its form.
@@ -36,9 +37,12 @@ class Benchmark(eqx.Module):
 
     def travel(self, batch: Batch) -> Float[Array, "t n"]:
         """Simulate tests from commands, initial displacement and any second input: travel, shape [T, N]."""
+        if isinstance(self.structure, NonlinearStructure):
+            displacement = simulated(self.structure, self.values, batch.logged, batch.initial, batch.step_s)
+            return batch.direction * (displacement - batch.initial[:, None])
         if self.shape is None:
             return self.response(batch.command, batch.step_s)
-        flow = _flow(self.shape, batch.command, batch.load)
+        flow = _flow(self.shape, batch.logged, batch.dead_zone, batch.load, batch.step_s)
         linear = self.response(flow, batch.step_s)
         return _shaped(self.shape, linear, batch.load, batch.initial, batch.direction)
 
@@ -57,8 +61,12 @@ class Benchmark(eqx.Module):
         return driven(self.discretised(step_s), command)
 
     def discretised(self, step_s: float) -> Discrete:
-        """Return the exact discrete model for a command held between samples."""
-        return _discretised(self, step_s)
+        """Return the exact discrete model for a command held between samples.
+
+        Raises:
+            InputError: the structure is not linear.
+        """
+        return _discretised(self._linear(), self.values, self.dead_time_s, step_s)
 
     def named_values(self) -> dict[str, float]:
         """Return parameter name to value, with `dead_time` where there is one."""
@@ -99,7 +107,13 @@ class Benchmark(eqx.Module):
             return control.TransferFunction(numerator, denominator)
         return control.TransferFunction(numerator, denominator, step_s)
 
+    def _linear(self) -> LinearStructure:
+        if not isinstance(self.structure, LinearStructure):
+            raise InputError(f"'{self.structure.name}' is not linear; required a structure that is")
+        return self.structure
+
     def _transfer_function(self, step_s: float | None) -> tuple[np.ndarray, np.ndarray]:
+        structure = self._linear()
         if self.shape is not None:
             raise InputError(
                 "a benchmark with curves of valve or stroke has no transfer function; "
@@ -111,7 +125,7 @@ class Benchmark(eqx.Module):
                     f"a dead time of {float(self.dead_time_s):.4g} s has no rational G(s); required a "
                     "sampling time, for the exact G(z)"
                 )
-            numerator, denominator = self.structure.transfer_function(tuple(map(float, self.values)))
+            numerator, denominator = structure.transfer_function(tuple(map(float, self.values)))
             return np.asarray(numerator), np.asarray(denominator)
         model = self.discretised(step_s)
         n = model.now.shape[0]
@@ -132,15 +146,21 @@ class Benchmark(eqx.Module):
 
 
 @eqx.filter_jit
-def _flow(shape: Shape, command: Float[Array, "t n"], load: Float[Array, "t n"]) -> Float[Array, "t n"]:
-    return shape.flow(command, load)
+def _flow(
+    shape: Shape,
+    logged: Float[Array, "t n"],
+    dead_zone: Float[Array, " t"],
+    load: Float[Array, " t"],
+    step_s: float,
+) -> Float[Array, "t n"]:
+    return shape.flow(shape.effective(logged, dead_zone, step_s), load)
 
 
 @eqx.filter_jit
 def _shaped(
     shape: Shape,
     linear: Float[Array, "t n"],
-    load: Float[Array, "t n"],
+    load: Float[Array, " t"],
     initial: Float[Array, " t"],
     sign: int,
 ) -> Float[Array, "t n"]:
@@ -148,5 +168,7 @@ def _shaped(
 
 
 @eqx.filter_jit
-def _discretised(benchmark: Benchmark, step_s: float) -> Discrete:
-    return discretise(benchmark.structure, benchmark.values, benchmark.dead_time_s, step_s)
+def _discretised(
+    structure: LinearStructure, values: Float[Array, " p"], dead_time_s: Float[Array, ""], step_s: float
+) -> Discrete:
+    return discretise(structure, values, dead_time_s, step_s)

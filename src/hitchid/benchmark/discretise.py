@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from hitchid.benchmark.structure import Structure
+from hitchid.benchmark.structure import LinearStructure
 
 Scalar = Float[Array, ""] | float
 TERMS = 18
@@ -67,7 +67,7 @@ def exponential(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
 
 
 def discretise(
-    structure: Structure, values: Float[Array, " p"], dead_time_s: Scalar, step_s: Scalar
+    structure: LinearStructure, values: Float[Array, " p"], dead_time_s: Scalar, step_s: Scalar
 ) -> Discrete:
     """Discretise a structure exactly for a command held between samples and delayed by any dead time.
 

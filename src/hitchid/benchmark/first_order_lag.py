@@ -5,10 +5,10 @@ from typing import ClassVar
 from jaxtyping import Array, Float
 
 from hitchid.benchmark.integrator import GAIN
-from hitchid.benchmark.structure import Parameter, Structure
+from hitchid.benchmark.structure import LinearStructure, Parameter
 
 
-class FirstOrderLag(Structure):
+class FirstOrderLag(LinearStructure):
     """First-order lag, G(s) = K / (τ s + 1), searched in its initial speed per command K/τ and in τ.
 
     In a test much shorter than τ only K/τ can be determined (Sun et al. 2025, sec. 2.2.2, with τ ≈ 43 s in

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hitchid.benchmark.benchmark import Benchmark
-from hitchid.benchmark.shape import CURVE, LOAD, NEUTRAL, POSITION, SHAPE, Scales, Shape
-from hitchid.benchmark.structure import DEAD_TIME, Parameter, Structure
+from hitchid.benchmark.shape import CURVE, LOAD, NEUTRAL, POSITION, SHAPE, SPOOL, Scales, Shape
+from hitchid.benchmark.structure import DEAD_TIME, LinearStructure, Parameter, Structure
 from hitchid.errors import InputError
 
 
@@ -21,6 +21,7 @@ class Form:
         structure: the benchmark's form.
         dead_time: whether a dead time is searched too.
         curve: whether the valve's opening, exponent and saturation are.
+        spool: whether hysteresis and lag of the valve's spool are.
         position: whether a gain that varies along the stroke is.
         load: name of a second measured input that shifts the opening and scales the gain; None for none.
         bounds: parameter name to lower and upper bound, in its unit, where the default will not do.
@@ -30,11 +31,18 @@ class Form:
     dead_time: bool = False
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict, hash=False)
     curve: bool = False
+    spool: bool = False
     position: bool = False
     load: str | None = None
 
     def __post_init__(self) -> None:
-        """Refuse bounds for a parameter that does not exist, or not lower < upper, or not positive."""
+        """Refuse curves around what is not linear, and bounds that do not fit."""
+        around = self.dead_time or bool(self.shaped)
+        if around and not isinstance(self.structure, LinearStructure):
+            raise InputError(
+                f"'{self.structure.name}' stands alone; required no dead time, curve, spool, position or "
+                "load beside it"
+            )
         known = {parameter.name: parameter for parameter in self.parameters}
         for name, (least, most) in self.bounds.items():
             if name not in known:
@@ -49,7 +57,12 @@ class Form:
     @property
     def shaped(self) -> tuple[Parameter, ...]:
         """The parameters of the curves that are searched."""
-        parts = ((self.curve, CURVE), (self.position, POSITION), (self.load is not None, LOAD))
+        parts = (
+            (self.curve, CURVE),
+            (self.spool, SPOOL),
+            (self.position, POSITION),
+            (self.load is not None, LOAD),
+        )
         return tuple(parameter for asked, part in parts if asked for parameter in part)
 
     @property

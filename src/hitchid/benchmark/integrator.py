@@ -5,12 +5,12 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from hitchid.benchmark.structure import Parameter, Structure
+from hitchid.benchmark.structure import LinearStructure, Parameter, Scale
 
-GAIN = Parameter("gain", "{x}/(s·{u})", 1 / 100, 100.0, relative=True)
+GAIN = Parameter("gain", "{x}/(s·{u})", 1 / 100, 100.0, scale=Scale.SPEED)
 
 
-class Integrator(Structure):
+class Integrator(LinearStructure):
     """Integrator with gain, G(s) = K / s."""
 
     name: ClassVar[str] = "integrator"

@@ -6,10 +6,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from hitchid.benchmark.integrator import GAIN
-from hitchid.benchmark.structure import Parameter, Structure
+from hitchid.benchmark.structure import LinearStructure, Parameter
 
 
-class IntegratorFirstOrder(Structure):
+class IntegratorFirstOrder(LinearStructure):
     """Integrator with first-order lag, G(s) = K / (s (τ s + 1))."""
 
     name: ClassVar[str] = "integrator-first-order"

@@ -6,10 +6,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from hitchid.benchmark.integrator import GAIN
-from hitchid.benchmark.structure import Parameter, Structure
+from hitchid.benchmark.structure import LinearStructure, Parameter
 
 
-class IntegratorSecondOrder(Structure):
+class IntegratorSecondOrder(LinearStructure):
     """Integrator with second-order lag, G(s) = K / (s (s²/ωh² + 2 ξh s/ωh + 1)).
 
     Of the four coefficients α₁ / (β₁ s³ + β₂ s² + β₃ s) of Sun et al. 2025, sec. 2.2.2, one is a free

@@ -2,7 +2,9 @@
 
 from types import MappingProxyType
 
+from hitchid.benchmark.cascaded_tanks import CascadedTanks
 from hitchid.benchmark.first_order_lag import FirstOrderLag
+from hitchid.benchmark.inertia_with_friction import InertiaWithFriction
 from hitchid.benchmark.integrator import Integrator
 from hitchid.benchmark.integrator_first_order import IntegratorFirstOrder
 from hitchid.benchmark.integrator_second_order import IntegratorSecondOrder
@@ -17,6 +19,8 @@ STRUCTURES = MappingProxyType(
             FirstOrderLag(),
             IntegratorFirstOrder(),
             Integrator(),
+            InertiaWithFriction(),
+            CascadedTanks(),
         )
     }
 )

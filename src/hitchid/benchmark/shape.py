@@ -14,6 +14,10 @@ CURVE = (
     Parameter("exponent", "1", 1 / 3, 3.0),
     Parameter("saturation", "1", 0.05, 1e4),
 )
+SPOOL = (
+    Parameter("hysteresis", "1", 0.0, 1.0, linear=True),
+    Parameter("spool_lag", "s", 1e-3, 0.5),
+)
 POSITION = (
     Parameter("position_slope", "1", -2.0, 2.0, linear=True),
     Parameter("position_curve", "1", -2.0, 2.0, linear=True),
@@ -22,8 +26,8 @@ LOAD = (
     Parameter("load_shift", "1", -0.3, 0.3, linear=True),
     Parameter("load_gain", "1", -1.0, 1.0, linear=True),
 )
-SHAPE = (*CURVE, *POSITION, *LOAD)
-NEUTRAL = {"opening": 0.0, "exponent": 1.0, "saturation": 1e4}
+SHAPE = (*CURVE, *SPOOL, *POSITION, *LOAD)
+NEUTRAL = {"opening": 0.0, "exponent": 1.0, "saturation": 1e4, "spool_lag": 1e-9}
 
 
 class Scales(eqx.Module):
@@ -45,49 +49,73 @@ class Scales(eqx.Module):
 class Shape(eqx.Module):
     """Static curves around a linear model: u → w(u, c) → linear dynamics → gain g(x, c).
 
+    The spool follows the command with a lag, ṡ = (c − s)/τ, and with play: p(k) = p(k−1) held within
+    s̄(k) ± h d₀/2, where s̄ is the mean of s over a sampling interval, d₀ the dead zone and h d₀ the width of
+    the hysteresis. Beyond the dead zone lies u = sign(p)·max(|p| − d₀ + h d₀/2, 0), which without lag and
+    hysteresis is the effective command.
+
     With z = u/U and the second input c in its own spread, v = max(z − s c − d, 0)ⁿ and
     w = U v/(1 + (v/σ)⁴)^¼: beyond the opening d flow grows with the power n of the command until it
-    saturates. A negative opening says that the valve opens below the dead zone. Where the effective command
-    is zero, so is the flow. Travel grows by g = exp(a ξ + b (ξ² − ⅓) + γ c) times what the
-    linear model's does, ξ the displacement within its range, held at 1½ of it beyond.
+    saturates. A negative opening says that the valve opens below the dead zone. Where u is zero, so is the
+    flow, as h ≤ 1 makes sure for a command of zero. Travel grows by g = exp(a ξ + b (ξ² − ⅓) + γ c) times
+    what the linear model's does, ξ the displacement within its range, held at 1½ of it beyond.
 
     Attributes:
-        values: d, n, σ, a, b, s, γ, shape [7].
+        values: d, n, σ, h, τ, a, b, s, γ, shape [9].
         scales: U, and those of ξ and c.
     """
 
-    values: Float[Array, "7"]
+    values: Float[Array, "9"]
     scales: Scales
 
-    def flow(self, command: Float[Array, "t n"], load: Float[Array, "t n"]) -> Float[Array, "t n"]:
+    def effective(
+        self, logged: Float[Array, "t n"], dead_zone: Float[Array, " t"], step_s: float
+    ) -> Float[Array, "t n"]:
+        """Return u, in the command's unit, from the command as logged; before its first sample it is zero."""
+        hysteresis, lag = self._named("hysteresis", "spool_lag")
+        half = 0.5 * hysteresis * dead_zone
+        left = jnp.exp(-step_s / lag)
+        mean_left = lag / step_s * (1 - left)
+
+        def follow(carry: tuple[Array, Array], command: Array) -> tuple[tuple[Array, Array], Array]:
+            lagged, spool = carry
+            mean = command + mean_left * (lagged - command)
+            spool = jnp.clip(spool, mean - half, mean + half)
+            return (command + left * (lagged - command), spool), spool
+
+        rest = jnp.zeros_like(logged[:, 0])
+        spool = jax.lax.scan(follow, (rest, rest), logged.T)[1].T
+        return jnp.sign(spool) * jnp.maximum(jnp.abs(spool) - (dead_zone - half)[:, None], 0.0)
+
+    def flow(self, command: Float[Array, "t n"], load: Float[Array, " t"]) -> Float[Array, "t n"]:
         """Return w, in the command's unit.
 
         Args:
-            command: effective command.
-            load: second input as measured.
+            command: u, what lies beyond the dead zone.
+            load: second input before motion.
         """
-        opening, exponent, saturation, _, _, shift, _ = self.values
+        opening, exponent, saturation, shift = self._named("opening", "exponent", "saturation", "load_shift")
         size = jnp.abs(command) / self.scales.command
-        beyond = size - opening - shift * self._load(load)
+        beyond = size - opening - shift * self._load(load)[:, None]
         open_ = (command != 0) & (beyond > 0)
         grown = jnp.where(open_, jnp.where(open_, beyond, 1.0) ** exponent, 0.0)
         limited = grown / (1 + (grown / saturation) ** SHARPNESS) ** (1 / SHARPNESS)
         return jnp.sign(command) * self.scales.command * limited
 
     def travel(
-        self, linear: Float[Array, "t n"], load: Float[Array, "t n"], initial: Float[Array, " t"], sign: int
+        self, linear: Float[Array, "t n"], load: Float[Array, " t"], initial: Float[Array, " t"], sign: int
     ) -> Float[Array, "t n"]:
         """Return travel from the linear model's.
 
         Args:
             linear: travel of the linear model.
-            load: second input as measured.
+            load: second input before motion.
             initial: displacement before motion.
             sign: +1 where displacement grows with travel, −1 where it falls.
         """
-        *_, slope, curve, _, gain = self.values
+        slope, curve, gain = self._named("position_slope", "position_curve", "load_gain")
         steps = jnp.diff(linear, axis=1, prepend=jnp.zeros_like(linear[:, :1]))
-        steps = steps * jnp.exp(gain * self._load(load))
+        steps = steps * jnp.exp(gain * self._load(load))[:, None]
 
         def advance(travel: Array, step: Array) -> tuple[Array, Array]:
             place = (initial + sign * travel - self.scales.centre) / self.scales.span
@@ -97,5 +125,9 @@ class Shape(eqx.Module):
 
         return jax.lax.scan(advance, jnp.zeros_like(initial), steps.T)[1].T
 
-    def _load(self, load: Float[Array, "t n"]) -> Float[Array, "t n"]:
+    def _named(self, *names: str) -> tuple[Array, ...]:
+        order = [parameter.name for parameter in SHAPE]
+        return tuple(self.values[order.index(name)] for name in names)
+
+    def _load(self, load: Float[Array, " t"]) -> Float[Array, " t"]:
         return jnp.clip((load - self.scales.load_centre) / self.scales.load_spread, -3.0, 3.0)

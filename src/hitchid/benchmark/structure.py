@@ -1,10 +1,21 @@
 """What a benchmark structure is: identifiable parameters, a state space, a transfer function."""
 
 import abc
+from enum import Enum
 from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 from jaxtyping import Array, Float
+
+
+class Scale(Enum):
+    """What the data say of the size of a parameter, by which its default bounds are multiplied."""
+
+    NONE = "nothing: the bounds are absolute"
+    SPEED = "mean speed per command"
+    COMMAND = "largest command"
+    TRAVEL = "range of the displacement"
+    HIGHEST = "highest displacement"
 
 
 class Parameter(NamedTuple):
@@ -13,9 +24,8 @@ class Parameter(NamedTuple):
     Attributes:
         name: the field's word for it.
         unit: unit with `{x}` for the displacement's and `{u}` for the command's.
-        lower, upper: default search bounds; for a parameter in units of speed per command they are factors
-            on the mean speed per command of the data, for a time or frequency they are absolute.
-        relative: whether the bounds are such factors.
+        lower, upper: default search bounds, factors on `scale`.
+        scale: what they are factors on.
         linear: whether it is searched between its bounds as it is, not by its logarithm.
     """
 
@@ -23,7 +33,7 @@ class Parameter(NamedTuple):
     unit: str
     lower: float
     upper: float
-    relative: bool = False
+    scale: Scale = Scale.NONE
     linear: bool = False
 
 
@@ -31,14 +41,22 @@ DEAD_TIME = Parameter("dead_time", "s", 1e-4, 1.0)
 
 
 class Structure(eqx.Module):
-    """A linear model from effective command to displacement away from its start.
-
-    Every parameter is positive. Output is the first state.
-    """
+    """A model from command to displacement."""
 
     name: ClassVar[str]
     formula: ClassVar[str]
     parameters: ClassVar[tuple[Parameter, ...]]
+
+    def derived(self, values: tuple[float, ...]) -> dict[str, tuple[float, str]]:
+        """Return quantities computed from the parameters: name to value and unit template."""
+        return {}
+
+
+class LinearStructure(Structure):
+    """A linear model from effective command to displacement away from its start.
+
+    Every parameter is positive. Output is the first state.
+    """
 
     @abc.abstractmethod
     def state_space(self, values: Float[Array, " p"]) -> tuple[Float[Array, "n n"], Float[Array, " n"]]:
@@ -47,7 +65,3 @@ class Structure(eqx.Module):
     @abc.abstractmethod
     def transfer_function(self, values: tuple[float, ...]) -> tuple[list[float], list[float]]:
         """Return numerator and denominator of G(s), highest power first."""
-
-    def derived(self, values: tuple[float, ...]) -> dict[str, tuple[float, str]]:
-        """Return quantities computed from the parameters: name to value and unit template."""
-        return {}

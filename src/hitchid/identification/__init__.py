@@ -2,10 +2,12 @@
 
 from hitchid.benchmark import Form as Form
 from hitchid.identification.descent import Descent as Descent
-from hitchid.identification.identify import ChannelTrace as ChannelTrace
+from hitchid.identification.direction import ChannelTrace as ChannelTrace
 from hitchid.identification.identify import Identification as Identification
 from hitchid.identification.identify import identify as identify
 from hitchid.identification.phase2 import Training as Training
+from hitchid.identification.rollouts import Gate as Gate
+from hitchid.identification.rollouts import Rollouts as Rollouts
 from hitchid.identification.search import DifferentialEvolution as DifferentialEvolution
 from hitchid.identification.search import MultiStart as MultiStart
 from hitchid.identification.search import Search as Search

@@ -6,23 +6,20 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import MappingProxyType
 
-import jax
-
 from hitchid.benchmark import Form, structure_named
+from hitchid.benchmark.nonlinear import NonlinearStructure
 from hitchid.campaign import Campaign
 from hitchid.errors import InputError
-from hitchid.identification.baselines import fit_arx, fit_black_box
 from hitchid.identification.deadzone import DeadZone
-from hitchid.identification.descent import DescentTrace
-from hitchid.identification.phase1 import Phase1, identify_benchmark
-from hitchid.identification.phase2 import Training, train_compensator
-from hitchid.identification.preparation import Prepared, mixed_dead_zones, prepare
+from hitchid.identification.direction import Asked, ChannelTrace, identify_direction
+from hitchid.identification.phase2 import Training
+from hitchid.identification.preparation import mixed_dead_zones, prepare
 from hitchid.identification.search import Search, Whale
-from hitchid.identification.selection import Automatic, Candidate, choose_form
+from hitchid.identification.selection import Automatic
 from hitchid.identification.trace import describe_channel
-from hitchid.model import Channel, Hitch, Provenance, save
+from hitchid.model import Hitch, Provenance, save
 from hitchid.precision import double_precision
-from hitchid.record import COMMAND, CYCLE, DISPLACEMENT, LIFTING, LOWERING, MODES
+from hitchid.record import COMMAND, CYCLE, DISPLACEMENT, LIFTING, LOWERING
 
 Progress = Callable[[str, float], None]
 PACKAGES = ("hitchid", "jax", "equinox", "optax", "numpy", "scipy")
@@ -32,28 +29,16 @@ PAPER_FORMS: Mapping[str, Form] = MappingProxyType(
         LOWERING: Form(structure_named("first-order-lag")),
     }
 )
+# Where nothing else is asked for, the choice starts from what holds its place without a command.
+CHOSEN: Mapping[str, Automatic] = MappingProxyType(
+    {
+        LIFTING: Automatic(PAPER_FORMS[LIFTING]),
+        LOWERING: Automatic(Form(structure_named("integrator-first-order"))),
+    }
+)
 WHALE = Whale()
 TRAINING = Training()
 NONE_KNOWN: Mapping[str, float] = MappingProxyType({})
-
-
-@dataclass(frozen=True)
-class ChannelTrace:
-    """How one direction was identified.
-
-    Attributes:
-        dead_zone: the dead zone and where it came from.
-        phase1: benchmark, parameters, search.
-        phase2: losses of the compensator's training; None where none was trained.
-        notices: what the user should know of the data and of the choices made for them.
-        candidates: the forms that were compared, where the form was chosen automatically.
-    """
-
-    dead_zone: DeadZone
-    phase1: Phase1
-    phase2: DescentTrace | None
-    notices: tuple[str, ...]
-    candidates: tuple[Candidate, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -78,19 +63,14 @@ class Identification:
 
     def describe(self) -> dict[str, dict]:
         """Return mode to trace as JSON can hold it."""
-        return {
-            mode: describe_channel(
-                trace.dead_zone, trace.phase1, trace.phase2, trace.notices, trace.candidates
-            )
-            for mode, trace in self.channels.items()
-        }
+        return {mode: describe_channel(trace) for mode, trace in self.channels.items()}
 
 
 @double_precision
 def identify(
     campaign: Campaign,
     *,
-    structure: Mapping[str, Form | Automatic] = PAPER_FORMS,
+    structure: Mapping[str, Form | Automatic] = CHOSEN,
     search: Search = WHALE,
     training: Training | None = TRAINING,
     dead_zones: Mapping[str, float] = NONE_KNOWN,
@@ -106,7 +86,7 @@ def identify(
     Args:
         campaign: tests; ramps, where there are any, give the dead zones.
         structure: mode to the form of its benchmark, or `Automatic` to have it chosen by free run on
-            operating points held out in turn; for a mode left out, the paper's form.
+            operating points held out in turn, as it is for a mode left out; `PAPER_FORMS` are the paper's.
         search: the global search of phase 1: `Whale`, `DifferentialEvolution` or `MultiStart`.
         training: settings of phase 2; None identifies benchmarks alone.
         dead_zones: mode to dead zone, in the command's unit, where it is known.
@@ -124,8 +104,9 @@ def identify(
             f"split.test: the pattern '{pattern}' matches none of the {len(campaign.records)} tests"
         )
     report = progress or (lambda stage, fraction: None)
-    forms = {**PAPER_FORMS, **structure}
-    zones = {mode: DeadZone(value, None, 0, "given") for mode, value in dead_zones.items()}
+    forms = {mode: _loaded(form, campaign) for mode, form in {**CHOSEN, **structure}.items()}
+    zones = {mode: DeadZone(0.0, None, 0, "structure") for mode, form in forms.items() if _whole(form)}
+    zones |= {mode: DeadZone(value, None, 0, "given") for mode, value in dead_zones.items()}
     cut_at: dict[str, float] = {}
     seen = {record.fingerprint for mode in campaign.modes for record in campaign.identification(mode)}
     if not campaign.modes:
@@ -144,9 +125,8 @@ def identify(
         step("dead zone", 0.0)
         prepared[mode] = prepare(campaign, mode, zones.get(mode), load=forms[mode].load)
         units = {"x": campaign.units[DISPLACEMENT], "u": campaign.units[COMMAND[mode]]}
-        channels[mode], traces[mode] = _identify_channel(
-            prepared[mode], forms[mode], search, training, seed, units, step
-        )
+        asked = Asked(forms[mode], PAPER_FORMS[mode], search, training, seed, units)
+        channels[mode], traces[mode] = identify_direction(prepared[mode], asked, step)
     provenance = Provenance(
         identification={mode: _names(campaign.identification(mode)) for mode in campaign.modes},
         validation={mode: prepared[mode].validation_names for mode in campaign.modes},
@@ -162,60 +142,16 @@ def identify(
     return Identification(Hitch(channels, campaign.step_s, units, provenance), traces)
 
 
-def _identify_channel(
-    tests: Prepared,
-    form: Form | Automatic,
-    search: Search,
-    training: Training | None,
-    seed: int,
-    units: Mapping[str, str],
-    progress: Progress,
-) -> tuple[Channel, ChannelTrace]:
-    progress(f"phase 1, {search.name}", 0.02)
-    candidates: tuple[Candidate, ...] = ()
-    if isinstance(form, Automatic):
-        phase1, candidates = choose_form(tests.everything, form, search, seed, units=units)
-    else:
-        phase1 = identify_benchmark(tests.everything, form, search, seed, units=units)
-    vague = [f"{e.name} is {e.verdict}" for e in phase1.estimates if e.verdict != "determined"]
-    channel = Channel(
-        mode=tests.mode,
-        direction=tests.direction,
-        dead_zone=tests.dead_zone.value,
-        end_stop=tests.end_stop,
-        benchmark=phase1.benchmark,
-        arx=fit_arx(tests.training, tests.validation),
-    )
-    trace = ChannelTrace(tests.dead_zone, phase1, None, (*tests.notices, *vague), candidates)
-    if training is None:
-        return channel, trace
+def _whole(form: Form | Automatic) -> bool:
+    """Tell whether a form hears the whole command, dead zone and all."""
+    return isinstance(form, Form) and isinstance(form.structure, NonlinearStructure)
 
-    def epoch(stage: str, start: float, width: float) -> Callable[[int, float, float], None]:
-        def show(number: int, trained: float, held: float) -> None:
-            done = start + width * number / training.descent.epochs
-            progress(f"{stage}, epoch {number}, loss {trained:.3f} / {held:.3f}", done)
 
-        return show
-
-    key = jax.random.fold_in(jax.random.key(seed), MODES.index(tests.mode))
-    network_key, black_box_key = jax.random.split(key)
-    compensator, losses = train_compensator(
-        (tests.training, channel.simulate_benchmark(tests.training)),
-        (tests.validation, channel.simulate_benchmark(tests.validation)),
-        training,
-        network_key,
-        epoch("phase 2", 0.2, 0.5),
-    )
-    black_box = fit_black_box(
-        tests.training,
-        tests.validation,
-        hidden=training.hidden,
-        descent=training.descent,
-        key=black_box_key,
-        progress=epoch("black-box baseline", 0.7, 0.3),
-    )
-    grey = replace(channel, compensator=compensator, black_box=black_box)
-    return grey, replace(trace, phase2=losses)
+def _loaded(form: Form | Automatic, campaign: Campaign) -> Form | Automatic:
+    """Return the choice with the campaign's first further input, where it names none itself."""
+    if isinstance(form, Automatic) and form.load is None and campaign.covariates:
+        return replace(form, load=campaign.covariates[0])
+    return form
 
 
 def _names(records: tuple) -> tuple[str, ...]:
@@ -237,6 +173,7 @@ def _describe(
                 "structure": form.structure.name,
                 "dead_time": form.dead_time,
                 "curve": form.curve,
+                "spool": form.spool,
                 "position": form.position,
                 "load": form.load,
                 "bounds": {name: list(pair) for name, pair in form.bounds.items()},

@@ -10,12 +10,15 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from hitchid.benchmark import Batch, Benchmark, Form, Scales
+from hitchid.benchmark.nonlinear import NonlinearStructure
+from hitchid.benchmark.structure import Scale
 from hitchid.errors import FitError
 from hitchid.identification.search import Found, Problem, Search, polish
 
 AT_BOUND = 1e-3
 VAGUE = 0.5
 SINGULAR = 1e-14
+SEARCHED = 8192
 
 
 @dataclass(frozen=True)
@@ -89,18 +92,20 @@ def identify_benchmark(
         search: global search; least squares follows it whatever it is.
         seed: every random draw comes from it.
         units: `x` and `u` to the units of displacement and command.
-        start: a position in the unit cube from which least squares starts too.
+        start: values of the form's parameters from which least squares starts too, shape [D].
 
     Raises:
         FitError: nothing moves, or no parameters give a finite error.
     """
     misfit = Misfit.of(batch, form)
+    coarse, _ = misfit.over(batch.thinned(SEARCHED)).problem()
+    found = search.minimise(coarse, seed)
+    starts = [found.best, *_restarts(form, seed), *([] if start is None else [misfit.position(start)])]
     problem, test = misfit.problem()
-    found = search.minimise(problem, seed)
-    starts = [found.best] if start is None else [found.best, start]
     best = min((polish(problem, each) for each in starts), key=lambda polished: polished.fitness)
     # Least squares starts strictly inside the bounds: a search that ended on one may be a trifle better.
-    improved = best.fitness <= found.best_fitness
+    searched = float(misfit(jnp.asarray(found.best)[None])[0])
+    improved = best.fitness <= searched
     position = best.position if improved else found.best
     values, slopes = misfit.values(position), misfit.slopes(position)
     errors = slopes * _standard_errors(best.jacobian, best.residuals, test)
@@ -121,12 +126,15 @@ def identify_benchmark(
     )
     count = len(form.structure.parameters)
     derived = form.structure.derived(tuple(map(float, values[:count])))
+    if form.spool:
+        share = {p.name: float(v) for p, v in zip(form.parameters, values, strict=True)}["hysteresis"]
+        derived["width of the hysteresis"] = (share * float(batch.dead_zone[0]), "{u}")
     return Phase1(
         benchmark=form.benchmark(jnp.asarray(values), misfit.scales),
         estimates=estimates,
         derived={name: (value, unit.format(**units)) for name, (value, unit) in derived.items()},
-        rmse=best.fitness if improved else found.best_fitness,
-        search_rmse=found.best_fitness,
+        rmse=best.fitness if improved else searched,
+        search_rmse=searched,
         found=found,
     )
 
@@ -160,6 +168,10 @@ class Misfit(eqx.Module):
         linear = np.array([parameter.linear for parameter in form.parameters])
         return cls(batch, form, scales_of(batch), jnp.asarray(lower), jnp.asarray(upper), jnp.asarray(linear))
 
+    def over(self, batch: Batch) -> "Misfit":
+        """Return the misfit over other tests, its bounds and scales kept."""
+        return Misfit(batch, self.form, self.scales, self.lower, self.upper, self.linear)
+
     def _by_value(self, position: Float[Array, " d"]) -> tuple[Array, Array]:
         """Return the values at a position and their derivatives by it."""
         width = self.upper - self.lower
@@ -190,6 +202,21 @@ class Misfit(eqx.Module):
         squares = jax.vmap(lambda position: jnp.sum(self.residuals(position) ** 2))(positions)
         return jnp.sqrt(squares / jnp.sum(self.batch.counted))
 
+    def position(self, values: np.ndarray) -> np.ndarray:
+        """Return where between their bounds values lie; the inverse of `values`."""
+        bounds = zip(np.asarray(self.lower), np.asarray(self.upper), np.asarray(self.linear), strict=True)
+        places = [
+            (value - lower) / (upper - lower) if linear else np.log(value / lower) / np.log(upper / lower)
+            for value, (lower, upper, linear) in zip(values, bounds, strict=True)
+        ]
+        return np.clip(places, 0.0, 1.0)
+
+    def by_test(self, position: np.ndarray) -> np.ndarray:
+        """Return the root mean square error of each test, shape [T]."""
+        squares = np.sum(np.asarray(_residuals(self, jnp.asarray(position))) ** 2, axis=1)
+        counts = np.asarray(self.batch.counted).sum(axis=1)
+        return np.sqrt(squares * np.count_nonzero(counts) / counts.sum())
+
     def problem(self) -> tuple[Problem, np.ndarray]:
         """Return the search problem over the samples that count, and which test each of them belongs to."""
         counted = np.asarray(self.batch.counted)
@@ -215,7 +242,7 @@ def _jacobian(misfit: Misfit, position: Float[Array, " d"]) -> Float[Array, "t n
 def scales_of(batch: Batch) -> Scales:
     """Return what a form's curves are measured in, from the samples of tests that count."""
     counted = np.asarray(batch.counted)
-    displacement, load = np.asarray(batch.displacement)[counted], np.asarray(batch.load)[counted]
+    displacement, load = np.asarray(batch.displacement)[counted], np.asarray(batch.load)
     lowest, highest = float(displacement.min()), float(displacement.max())
     return Scales(
         command=jnp.asarray(float(np.abs(np.asarray(batch.command)[counted]).max()) or 1.0),
@@ -226,11 +253,25 @@ def scales_of(batch: Batch) -> Scales:
     )
 
 
+def _restarts(form: Form, seed: int) -> list[np.ndarray]:
+    """Return further positions to start least squares from, for a structure with more than one valley."""
+    if not isinstance(form.structure, NonlinearStructure):
+        return []
+    return list(np.random.default_rng(seed).random((form.structure.restarts, len(form.parameters))))
+
+
 def _bounds(form: Form, batch: Batch) -> tuple[np.ndarray, np.ndarray]:
-    scale = _speed_per_command(batch)
+    counted = np.asarray(batch.counted)
+    displacement = np.asarray(batch.displacement)[counted]
+    sizes = {
+        Scale.NONE: 1.0,
+        Scale.SPEED: _speed_per_command(batch),
+        Scale.COMMAND: float(np.abs(np.asarray(batch.logged)[counted]).max()),
+        Scale.TRAVEL: float(np.ptp(displacement)),
+        Scale.HIGHEST: float(displacement.max()),
+    }
     bounds = [
-        form.bounds.get(p.name, (p.lower * scale, p.upper * scale) if p.relative else (p.lower, p.upper))
-        for p in form.parameters
+        form.bounds.get(p.name, (p.lower * sizes[p.scale], p.upper * sizes[p.scale])) for p in form.parameters
     ]
     lower, upper = np.array(bounds).T
     return lower, upper

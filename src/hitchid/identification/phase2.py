@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float, Float32, PRNGKeyArray
 from hitchid.benchmark import Batch
 from hitchid.compensator import FEATURES, Compensator, Sample, measured_features
 from hitchid.identification.descent import Descent, DescentTrace, Progress, descend
+from hitchid.identification.rollouts import Rollouts
 from hitchid.lstm import Hidden, Lstm
 
 
@@ -22,11 +23,15 @@ class Training:
         hidden: cells of the LSTM.
         window: features read before a prediction.
         descent: Adam and early stopping.
+        rollouts: of the compensator for free run; None for none.
+        baselines: whether the baselines are fitted beside it.
     """
 
     hidden: int = 32
     window: int = 50
     descent: Descent = field(default_factory=Descent)
+    rollouts: Rollouts | None = field(default_factory=Rollouts)
+    baselines: bool = True
 
 
 _measured_features = jax.jit(measured_features, static_argnums=1)

@@ -1,6 +1,7 @@
 """The settings file of `hitchid identify --config`."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal, TypedDict
 
@@ -10,8 +11,9 @@ from hitchid import whale
 from hitchid.benchmark import Form, structure_named
 from hitchid.errors import InputError, SettingsError
 from hitchid.identification.descent import Descent
-from hitchid.identification.identify import PAPER_FORMS
+from hitchid.identification.identify import CHOSEN
 from hitchid.identification.phase2 import Training
+from hitchid.identification.rollouts import Rollouts
 from hitchid.identification.search import EVALUATIONS, DifferentialEvolution, MultiStart, Search, Whale
 from hitchid.identification.selection import Automatic
 from hitchid.record import MODES
@@ -34,9 +36,10 @@ class Settings(TypedDict, total=False):
 class ChannelSection(Strict):
     """`[lifting]` and `[lowering]`."""
 
-    structure: str | None = None
+    structure: str = AUTOMATIC
     dead_time: bool = False
     curve: bool = False
+    spool: bool = False
     position: bool = False
     load: str | None = None
     dead_zone: float | None = Field(default=None, ge=0)
@@ -81,13 +84,16 @@ class TrainingSection(Strict):
     patience: PositiveInt = Descent.patience
     batch: PositiveInt = Descent.batch
     learning_rate: float = Field(default=Descent.learning_rate, gt=0, le=1)
+    free_run: bool = True
+    baselines: bool = True
 
     def training(self) -> Training | None:
         """Return the training asked for, None for benchmarks alone."""
         if not self.compensator:
             return None
         descent = Descent(self.epochs, self.patience, self.batch, self.learning_rate)
-        return Training(self.hidden, self.window, descent)
+        rollouts = Rollouts() if self.free_run else None
+        return Training(self.hidden, self.window, descent, rollouts, self.baselines)
 
 
 class IdentifyFile(Strict):
@@ -131,20 +137,19 @@ def read_settings(path: Path) -> Settings:
 
 def _form(mode: str, section: ChannelSection) -> Form | Automatic:
     if section.structure == AUTOMATIC:
-        if section.dead_time or section.curve or section.position or section.bounds:
+        decided = {"dead_time", "curve", "spool", "position", "bounds"} & section.model_fields_set
+        if decided:
             raise InputError(
-                f"{mode}: structure '{AUTOMATIC}' decides on dead_time, curve and position itself; "
-                "required no such key beside it"
+                f"{mode}: structure '{AUTOMATIC}' decides on {' and '.join(sorted(decided))} itself; "
+                "required the name of a structure beside it"
             )
-        return Automatic(PAPER_FORMS[mode], section.load)
-    structure = (
-        PAPER_FORMS[mode].structure if section.structure is None else structure_named(section.structure)
-    )
+        return replace(CHOSEN[mode], load=section.load)
     return Form(
-        structure,
+        structure_named(section.structure),
         section.dead_time,
         section.bounds,
         curve=section.curve,
+        spool=section.spool,
         position=section.position,
         load=section.load,
     )

@@ -4,23 +4,15 @@ import math
 
 import numpy as np
 
-from hitchid.identification.deadzone import DeadZone
-from hitchid.identification.descent import DescentTrace
-from hitchid.identification.phase1 import Phase1
-from hitchid.identification.selection import Candidate
+from hitchid.identification.direction import ChannelTrace
 
 
-def describe_channel(
-    dead_zone: DeadZone,
-    phase1: Phase1,
-    phase2: DescentTrace | None,
-    notices: tuple[str, ...],
-    candidates: tuple[Candidate, ...] = (),
-) -> dict:
+def describe_channel(trace: ChannelTrace) -> dict:
     """Return how one direction was identified: dead zone, parameters, search, losses, notices.
 
     What is not finite (the standard error of an undetermined parameter) is null.
     """
+    dead_zone, phase1, phase2, gate = trace.dead_zone, trace.phase1, trace.phase2, trace.gate
     found = phase1.found
     return {
         "dead_zone": {
@@ -64,16 +56,28 @@ def describe_channel(
             "best_epoch": phase2.best_epoch,
             "reason": phase2.ending.value,
         },
+        "gate": None
+        if gate is None
+        else {
+            "open": gate.open,
+            "benchmark": gate.benchmark.tolist(),
+            "compensated": gate.compensated.tolist(),
+            "best_epochs": list(gate.best_epochs),
+            "training_loss": [[_finite(value) for value in row] for row in gate.training],
+            "validation_loss": [[_finite(value) for value in row] for row in gate.validation],
+        },
         "candidates": [
             {
                 "name": candidate.name,
                 "parameters": len(candidate.form.parameters),
                 "rmse": candidate.rmse,
-                "held_out_rmse": candidate.held_out,
+                "held_out_rmse": candidate.held_out_rmse,
+                "held_out_tests": candidate.held_out.tolist(),
+                "chosen": candidate.chosen,
             }
-            for candidate in candidates
+            for candidate in trace.candidates
         ],
-        "notices": list(notices),
+        "notices": list(trace.notices),
     }
 
 

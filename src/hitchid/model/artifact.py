@@ -16,14 +16,17 @@ from safetensors.numpy import save as save_tensors
 from hitchid.baselines import Arx, BlackBox
 from hitchid.benchmark import SHAPE, Benchmark, Scales, Shape, structure_named
 from hitchid.compensator import FEATURES, Compensator
+from hitchid.envelope import Envelope, Range
 from hitchid.errors import HitchError, ModelFolderError
 from hitchid.lstm import Lstm
 from hitchid.model.channel import Channel
 from hitchid.model.hitch import Hitch, Provenance
+from hitchid.narx import Narx
 from hitchid.precision import double_precision
+from hitchid.speed_compensator import INPUTS, SpeedCompensator
 from hitchid.storage import canonical_json, digest, write_folder
 
-SCHEMA = 2
+SCHEMA = 3
 MODEL_FILE = "model.json"
 WEIGHTS_FILE = "weights.safetensors"
 TRACE_FILE = "trace.json"
@@ -119,33 +122,46 @@ def _describe_channel(channel: Channel) -> dict:
             "hidden": channel.compensator.network.cell.hidden_size,
             "features": list(FEATURES),
         }
+    speed = channel.speed_compensator
+    if speed is not None:
+        members, hidden = speed.networks.cell.weight_hh.shape[0], speed.networks.cell.hidden_size
+        described["speed_compensator"] = {"members": members, "hidden": hidden, "every": speed.every}
+    if channel.envelope is not None:
+        described["envelope"] = {}
     if channel.black_box is not None:
         described["black_box"] = {"hidden": channel.black_box.network.cell.hidden_size}
     if channel.arx is not None:
         described["arx"] = {"order": channel.arx.past.size}
+    if channel.narx is not None:
+        described["narx"] = {"terms": list(channel.narx.terms.shape)}
+    if channel.paper is not None:
+        described["paper"] = _describe_channel(channel.paper)
     return described
 
 
-_TRAINED = ("compensator", "black_box", "arx")
+_TRAINED = ("compensator", "speed_compensator", "envelope", "black_box", "arx", "narx")
 
 
 def _tensors(hitch: Hitch) -> dict[str, np.ndarray]:
-    """Return every array of the trained parts under `mode/part/path`."""
+    """Return every array of the trained parts under `mode/part/path`, of the paper's under `mode/paper/…`."""
     tensors = {}
     for mode, channel in hitch.channels.items():
-        for part in _TRAINED:
-            leaves = jax.tree_util.tree_leaves_with_path(getattr(channel, part))
-            for path, leaf in leaves:
-                tensors[_tensor_name(mode, part, path)] = np.array(leaf, order="C")
+        owners = {mode: channel} | ({} if channel.paper is None else {f"{mode}/paper": channel.paper})
+        for owner, each in owners.items():
+            for part in _TRAINED:
+                for path, leaf in jax.tree_util.tree_leaves_with_path(getattr(each, part)):
+                    tensors[_tensor_name(owner, part, path)] = np.array(leaf, order="C")
     return tensors
 
 
-def _tensor_name(mode: str, part: str, path: tuple) -> str:
-    return f"{mode}/{part}/{jax.tree_util.keystr(path, simple=True, separator='/')}"
+def _tensor_name(owner: str, part: str, path: tuple) -> str:
+    return f"{owner}/{part}/{jax.tree_util.keystr(path, simple=True, separator='/')}"
 
 
 def _hitch(content: dict, tensors: dict[str, np.ndarray]) -> Hitch:
-    channels = {mode: _channel(mode, described, tensors) for mode, described in content["channels"].items()}
+    channels = {
+        mode: _channel(mode, described, tensors, mode) for mode, described in content["channels"].items()
+    }
     split = {
         part: {mode: tuple(names) for mode, names in content["split"][part].items()}
         for part in ("identification", "validation", "held_out")
@@ -161,10 +177,10 @@ def _hitch(content: dict, tensors: dict[str, np.ndarray]) -> Hitch:
     return Hitch(channels, content["step_s"], content["units"], provenance)
 
 
-def _channel(mode: str, described: dict, tensors: dict[str, np.ndarray]) -> Channel:
+def _channel(mode: str, described: dict, tensors: dict[str, np.ndarray], owner: str) -> Channel:
     def filled(part: str, skeleton):
         def leaf(path: tuple, like) -> object:
-            name = _tensor_name(mode, part, path)
+            name = _tensor_name(owner, part, path)
             stored = tensors[name]
             if stored.shape != like.shape or stored.dtype != like.dtype:
                 raise ValueError(f"{name} has shape {stored.shape} and type {stored.dtype}")
@@ -194,11 +210,21 @@ def _channel(mode: str, described: dict, tensors: dict[str, np.ndarray]) -> Chan
         if asked["features"] != list(FEATURES):
             raise ValueError("the compensator's features are not those of this version")
         parts["compensator"] = filled("compensator", _blank_compensator(asked["hidden"], asked["window"]))
+    if "speed_compensator" in described:
+        blank = _blank_speed_compensator(direction=channel.direction, **described["speed_compensator"])
+        parts["speed_compensator"] = filled("speed_compensator", blank)
+    if "envelope" in described:
+        parts["envelope"] = filled("envelope", _blank_envelope())
+    if "paper" in described:
+        parts["paper"] = _channel(mode, described["paper"], tensors, f"{owner}/paper")
     if "black_box" in described:
         parts["black_box"] = filled("black_box", _blank_black_box(described["black_box"]["hidden"]))
     if "arx" in described:
         order = described["arx"]["order"]
         parts["arx"] = filled("arx", Arx(np.zeros(order), np.zeros(order)))
+    if "narx" in described:
+        terms = np.zeros(described["narx"]["terms"], dtype=np.int64)
+        parts["narx"] = filled("narx", Narx(terms, np.zeros(len(terms)), np.zeros(()), np.zeros(())))
     return eqx.tree_at(
         lambda c: [getattr(c, part) for part in parts],
         channel,
@@ -225,6 +251,16 @@ def _blank_compensator(hidden: int, window: int) -> Compensator:
         jnp.ones(()),
         window,
     )
+
+
+def _blank_speed_compensator(*, members: int, hidden: int, every: int, direction: int) -> SpeedCompensator:
+    fresh = Lstm.fresh(jax.random.key(0), INPUTS, hidden)
+    networks = jax.tree.map(lambda leaf: jnp.stack([leaf] * members), fresh)
+    return SpeedCompensator(networks, jnp.ones(()), jnp.ones(()), _blank_envelope(), direction, every)
+
+
+def _blank_envelope() -> Envelope:
+    return Envelope(*(Range(jnp.ones(()), jnp.ones(())) for _ in range(3)))
 
 
 def _blank_black_box(hidden: int) -> BlackBox:

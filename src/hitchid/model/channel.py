@@ -1,6 +1,7 @@
-"""One direction of a hitch: dead zone, benchmark, compensator, and the baselines fitted beside them."""
+"""One direction of a hitch: dead zone, benchmark, compensators, and the baselines fitted beside them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Optional
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,20 +11,27 @@ from jaxtyping import Array, Float
 from hitchid.baselines import Arx, BlackBox
 from hitchid.benchmark import Batch, Benchmark
 from hitchid.compensator import Compensator, Sample, free_run, predicted_errors
+from hitchid.envelope import Envelope
+from hitchid.narx import Narx
 from hitchid.record import Record
+from hitchid.speed_compensator import SpeedCompensator, compensated
 
 
 class Channel(eqx.Module):
-    """A grey box for one direction: y = y_tf + ê.
+    """A grey box for one direction: a benchmark, a compensator for predictions and one for free run.
 
     Attributes:
         mode: whose command it hears.
         direction: +1 where the displacement grows with the command, −1 where it falls.
         dead_zone: dead zone of the command, in its unit.
         end_stop: displacement the piston cannot pass, in the displacement's unit; None where none was met.
-        benchmark: the transfer function.
-        compensator: what predicts the benchmark's error; None leaves the benchmark alone.
-        arx, black_box: baselines fitted on the same tests.
+        benchmark: the model from commands to displacement.
+        compensator: predicts the benchmark's error from what was measured before; None leaves it alone.
+        speed_compensator: corrects the benchmark in free run; None where it did not prove itself.
+        envelope: what the identification tests covered.
+        arx, narx, black_box: baselines fitted on the same tests.
+        paper: the method of Sun et al. 2025 fitted on the same tests, for comparison: a transfer function,
+            and a compensator that in free run hears itself; None where this channel is that.
     """
 
     mode: str = eqx.field(static=True)
@@ -32,8 +40,12 @@ class Channel(eqx.Module):
     end_stop: float | None = eqx.field(static=True)
     benchmark: Benchmark
     compensator: Compensator | None = None
+    speed_compensator: SpeedCompensator | None = None
+    envelope: Envelope | None = None
     arx: Arx | None = None
+    narx: Narx | None = None
     black_box: BlackBox | None = None
+    paper: Optional["Channel"] = None
 
     def batch(self, records: Sequence[Record], initial: Sequence[float] | None = None) -> Batch:
         """Lay records side by side as this channel hears them; see `Batch.of`."""
@@ -49,20 +61,53 @@ class Channel(eqx.Module):
 
     def simulate_benchmark(self, batch: Batch) -> Float[Array, "t n"]:
         """Return the benchmark's free run from commands and initial displacement, shape [T, N]."""
-        travel = self.benchmark.travel(batch)
-        if self.end_stop is not None:
-            room = jnp.maximum(self.direction * (self.end_stop - batch.initial), 0.0)
-            travel = jnp.minimum(travel, room[:, None])
-        return batch.displaced(travel)
+        return self._displaced(batch, self.benchmark.travel(batch))
 
     def simulate(self, batch: Batch) -> Float[Array, "t n"]:
         """Return the grey box's free run from commands and initial displacement, shape [T, N]."""
+        if self.speed_compensator is None:
+            return self.simulate_benchmark(batch)
+        travel = compensated(
+            self.speed_compensator, self.benchmark.travel(batch), batch.command, batch.initial, batch.load
+        )
+        return self._displaced(batch, travel)
+
+    def echo(self, batch: Batch) -> Float[Array, "t n"]:
+        """Return the free run of the compensator for predictions, which hears itself, shape [T, N].
+
+        This is what the method of Sun et al. 2025 gives where nothing is measured.
+        """
         benchmark = self.simulate_benchmark(batch)
         if self.compensator is None:
             return benchmark
         time_s = jnp.broadcast_to(_clock(batch)[:, None], benchmark.T.shape)
         errors = free_run(self.compensator, time_s, batch.command.T, benchmark.T, batch.step_s)
         return benchmark + errors.T
+
+    def outside(self, batch: Batch, displacement: Float[Array, "t n"]) -> Mapping[str, np.ndarray]:
+        """Tell where a simulation leaves what the identification tests covered.
+
+        Args:
+            batch: what was simulated.
+            displacement: the result, shape [T, N].
+
+        Returns:
+            `command`, `displacement` and `load` to whether each sample is outside, shape [T, N].
+        """
+        if self.envelope is None:
+            return {}
+        heard = {"command": jnp.abs(batch.command), "displacement": displacement, "load": batch.load[:, None]}
+        return {
+            name: np.asarray((getattr(self.envelope, name).trust(values) < 1) & batch.valid)
+            for name, values in heard.items()
+        }
+
+    def _displaced(self, batch: Batch, travel: Float[Array, "t n"]) -> Float[Array, "t n"]:
+        """Return the displacement that belongs to a travel, no farther than the end stop."""
+        if self.end_stop is not None:
+            room = jnp.maximum(self.direction * (self.end_stop - batch.initial), 0.0)
+            travel = jnp.minimum(travel, room[:, None])
+        return batch.displaced(travel)
 
     def predict(self, batch: Batch, horizons: tuple[int, ...]) -> Float[Array, "h t n"]:
         """Return predictions that may use the measured displacement up to h samples before.

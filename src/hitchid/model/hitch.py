@@ -11,7 +11,7 @@ from hitchid.errors import InputError
 from hitchid.model.channel import Channel
 from hitchid.modes import ACTIVE_FRACTION, Stroke, full_scales, mode_changes
 from hitchid.precision import double_precision
-from hitchid.record import DISPLACEMENT, Record
+from hitchid.record import COMMAND, DISPLACEMENT, Record
 from hitchid.units import conversion_factor
 
 
@@ -59,6 +59,45 @@ class Hitch:
         """Freeze the mappings."""
         object.__setattr__(self, "channels", MappingProxyType(dict(self.channels)))
         object.__setattr__(self, "units", MappingProxyType(dict(self.units)))
+
+    @double_precision
+    def extrapolation(self, record: Record) -> tuple[str, ...]:
+        """Tell in words where a free run leaves what the identification tests covered.
+
+        Beyond a tenth of a range the compensator for free run has faded out and the benchmark alone answers.
+
+        Args:
+            record: as `simulate` takes it.
+
+        Raises:
+            InputError, SettingsError: as `simulate`.
+        """
+        own = self.adopt(record)
+        found: dict[tuple[str, str], int] = {}
+
+        def count(channel: Channel, batch: Batch) -> np.ndarray:
+            rows = channel.simulate(batch)
+            for name, outside in channel.outside(batch, rows).items():
+                key = channel.mode, name
+                found[key] = found.get(key, 0) + int(outside[0].sum())
+            return np.asarray(rows)[0]
+
+        self._over_strokes(own, count, measured=False)
+        return tuple(
+            f"{mode}: the {name} leaves what the tests covered, {self._covered(mode, name)}, in "
+            f"{samples} of {len(own)} samples"
+            for (mode, name), samples in found.items()
+            if samples
+        )
+
+    def _covered(self, mode: str, name: str) -> str:
+        channel = self.channels[mode]
+        load = channel.benchmark.load or ""
+        role = {"command": COMMAND[mode], "displacement": DISPLACEMENT, "load": load}[name]
+        covered = getattr(channel.envelope, name)
+        beyond = " beyond the dead zone" if name == "command" else ""
+        ends = f"{float(covered.lowest):.4g} to {float(covered.highest):.4g}"
+        return f"{ends} {self.units.get(role, '')}{beyond}"
 
     @property
     def dead_zones(self) -> dict[str, float]:

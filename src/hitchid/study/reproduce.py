@@ -8,7 +8,7 @@ import numpy as np
 
 from hitchid.bench import REPEATS, Protocol, write_campaign
 from hitchid.identification import Descent, Identification, Search, Training, Whale, identify
-from hitchid.identification.identify import TRAINING, WHALE
+from hitchid.identification.identify import PAPER_FORMS, TRAINING, WHALE
 from hitchid.readers import read, write_table
 from hitchid.storage import write_folder
 from hitchid.study.figures import Drawn, figures
@@ -99,6 +99,7 @@ def reproduce(
         campaign = read([place / LOGS])
         found = identify(
             campaign,
+            structure=PAPER_FORMS,
             search=asked.search,
             training=asked.training,
             seed=seed,

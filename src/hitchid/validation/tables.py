@@ -6,8 +6,11 @@ from typing import Any, NamedTuple
 NAMES = {
     "persistence": "persistence",
     "arx": "ARX",
+    "narx": "NARX",
     "lstm": "black-box LSTM",
-    "benchmark": "transfer function",
+    "transfer_function": "transfer function, paper's",
+    "paper": "grey box, paper's",
+    "benchmark": "benchmark",
     "greybox": "grey box",
 }
 RUNS = {"one_step": "one step", "free_run": "free run"}
@@ -95,10 +98,7 @@ def _cells(figures: Mapping[str, float | None]) -> tuple[str, ...]:
 
 def _horizons(mode: str, channel: Mapping[str, Any], unit: str) -> Table:
     horizons = channel["horizons"]
-    rows = [
-        (NAMES[name], *(digits(value) for value in horizons[name]))
-        for name in ("persistence", "benchmark", "greybox")
-    ]
+    rows = [(NAMES[name], *(digits(value) for value in horizons[name])) for name in NAMES if name in horizons]
     header = ("model", *(str(step) for step in horizons["steps"]))
     return Table(f"{mode}: RMSE / {unit} over the horizon in samples", header, tuple(rows))
 

@@ -3,12 +3,13 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from hitchid.baselines import BlackBox
+from hitchid.baselines import BlackBox, ahead
 from hitchid.benchmark import Batch
 from hitchid.campaign import Campaign
 from hitchid.errors import InputError
@@ -64,8 +65,9 @@ def validate(model: Hitch, campaign: Campaign, *, progress: Progress | None = No
 
     Free run: commands and initial displacement only, for the whole test. One step and horizon h: measured
     displacement up to 1 and h samples before; the first h samples of a test are left out. Beside the grey box
-    stand persistence (the last measured displacement), ARX, a black-box LSTM, and the benchmark alone, which
-    over a horizon starts from the last measured displacement.
+    stand the benchmark alone, persistence (the last measured displacement), ARX, NARX, a black-box LSTM, and
+    the transfer function and the grey box of Sun et al. 2025. What only runs freely (benchmark, LSTM, transfer
+    function) starts over a horizon from the last measured displacement.
 
     Args:
         model: an identified hitch.
@@ -93,8 +95,9 @@ def validate(model: Hitch, campaign: Campaign, *, progress: Progress | None = No
             channels[mode] = _channel_metrics(model.channels[mode], own, factor)
             notices += _channel_notices(mode, channels[mode])
             heard = model.channels[mode].benchmark.load
+            notices += _outside_notices(mode, model.channels[mode], own)
             if heard is not None:
-                notices.append(f"{mode}: in free run too the model hears the measured '{heard}'")
+                notices.append(f"{mode}: in free run too the model hears '{heard}' as measured before motion")
     report("cycles", len(campaign.modes) / (len(campaign.modes) + 1))
     unseen = [record for record in whole.of_kind(CYCLE) if not _seen(model, record)]
     cycles = _cycle_metrics(model, unseen) if len(model.channels) > 1 else {"tests": []}
@@ -122,28 +125,42 @@ def _channel_metrics(channel: Channel, tests: Sequence[Record], factor: float) -
     benchmark = np.asarray(channel.simulate_benchmark(batch))
     free = np.asarray(channel.simulate(batch))
     steps = [h for h in HORIZONS if h < min(map(len, tests))]
-    ahead = np.asarray(channel.predict(batch, tuple(steps)))
     held = np.asarray(batch.displacement)
 
     def last_measured(h: int) -> np.ndarray:
         return np.concatenate([held[:, :h], held[:, :-h]], axis=1)
 
-    def re_anchored(h: int) -> np.ndarray:
-        return last_measured(h) + benchmark - np.concatenate([benchmark[:, :h], benchmark[:, :-h]], axis=1)
+    def re_anchored(simulated: np.ndarray) -> list[np.ndarray]:
+        return [
+            last_measured(h) + simulated - np.concatenate([simulated[:, :h], simulated[:, :-h]], axis=1)
+            for h in steps
+        ]
 
+    rivals = _rivals(channel, batch, steps)
+    predicted = {
+        "persistence": [last_measured(h) for h in steps],
+        "benchmark": re_anchored(benchmark),
+        "greybox": list(np.asarray(channel.predict(batch, tuple(steps)))),
+        **{name: rival.ahead or re_anchored(rival.free_run) for name, rival in rivals.items()},
+    }
     return {
         "tests": [record.name for record in tests],
         "benchmark": {"free_run": figures(benchmark)},
-        "greybox": {"one_step": figures(ahead[0], 1), "free_run": figures(free)},
+        "greybox": {"one_step": figures(predicted["greybox"][0], 1), "free_run": figures(free)},
         "baselines": {
             "persistence": {"one_step": figures(last_measured(1), 1)},
-            **_baseline_metrics(channel, batch, figures),
+            **{
+                name: ({"one_step": figures(rival.ahead[0], 1)} if rival.ahead else {})
+                | {"free_run": figures(rival.free_run)}
+                for name, rival in rivals.items()
+            },
         },
         "horizons": {
             "steps": steps,
-            "greybox": [figures(row, h)["rmse"] for h, row in zip(steps, ahead, strict=True)],
-            "benchmark": [figures(re_anchored(h), h)["rmse"] for h in steps],
-            "persistence": [figures(last_measured(h), h)["rmse"] for h in steps],
+            **{
+                name: [figures(row, h)["rmse"] for h, row in zip(steps, rows, strict=True)]
+                for name, rows in predicted.items()
+            },
         },
         "per_test": {
             record.name: {
@@ -154,25 +171,36 @@ def _channel_metrics(channel: Channel, tests: Sequence[Record], factor: float) -
     }
 
 
-def _baseline_metrics(channel: Channel, batch: Batch, figures: Callable[..., dict]) -> dict:
-    measured = {}
+class _Rival(NamedTuple):
+    """A baseline's displacement in free run, shape [T, N], and predicted h samples ahead where it can."""
+
+    free_run: np.ndarray
+    ahead: list[np.ndarray] | None = None
+
+
+def _rivals(channel: Channel, batch: Batch, steps: Sequence[int]) -> dict[str, _Rival]:
+    """Return the baselines that the model holds, by name."""
+    found = {}
+    commands, travels = np.asarray(batch.command), np.asarray(batch.travel)
 
     def of_travel(travel: np.ndarray) -> np.ndarray:
         return np.asarray(batch.displaced(jnp.asarray(travel)))
 
-    if channel.arx is not None:
-        arx = channel.arx
-        commands, travels = np.asarray(batch.command), np.asarray(batch.travel)
-        one = np.array([arx.one_step(u, w) for u, w in zip(commands, travels, strict=True)])
-        free = np.array([arx.free_run(u) for u in commands])
-        measured["arx"] = {
-            "one_step": figures(of_travel(one), 1),
-            "free_run": figures(of_travel(free)),
-        }
+    for name, model in (("arx", channel.arx), ("narx", channel.narx)):
+        if model is not None:
+            rows = [ahead(model, u, w, steps) for u, w in zip(commands, travels, strict=True)]
+            free = np.array([model.free_run(u) for u in commands])
+            found[name] = _Rival(of_travel(free), [of_travel(row) for row in np.swapaxes(rows, 0, 1)])
     if channel.black_box is not None:
         travel = eqx.filter_jit(BlackBox.free_run)(channel.black_box, batch.command, batch.initial)
-        measured["lstm"] = {"free_run": figures(of_travel(np.asarray(travel)))}
-    return measured
+        found["lstm"] = _Rival(of_travel(np.asarray(travel)))
+    paper = channel if channel.paper is None else channel.paper
+    if channel.arx is not None:
+        found["transfer_function"] = _Rival(np.asarray(paper.simulate_benchmark(batch)))
+        if paper.compensator is not None:
+            rows = list(np.asarray(paper.predict(batch, tuple(steps))))
+            found["paper"] = _Rival(np.asarray(paper.echo(batch)), rows)
+    return found
 
 
 def _cycle_metrics(model: Hitch, cycles: Sequence[Record]) -> dict:
@@ -193,9 +221,21 @@ def _figures(actual: Sequence[np.ndarray], predicted: Sequence[np.ndarray]) -> d
     return {name: value if np.isfinite(value) else None for name, value in figures._asdict().items()}
 
 
+def _outside_notices(mode: str, channel: Channel, tests: Sequence[Record]) -> list[str]:
+    batch = channel.batch(tests)
+    outside = channel.outside(batch, channel.simulate(batch))
+    return [
+        f"{mode}: in {int(rows.any(axis=1).sum())} of {len(tests)} tests the {name} leaves what the "
+        "identification covered"
+        for name, rows in outside.items()
+        if rows.any()
+    ]
+
+
 def _channel_notices(mode: str, metrics: dict) -> list[str]:
-    rivals = {**metrics["baselines"], "benchmark": metrics["benchmark"]}
-    said = []
+    same = metrics["greybox"]["free_run"] == metrics["benchmark"]["free_run"]
+    rivals = metrics["baselines"] | ({} if same else {"benchmark": metrics["benchmark"]})
+    said = [f"{mode}: in free run the grey box is the benchmark alone"] if same else []
     for run in ("one_step", "free_run"):
         figures = metrics["greybox"][run]
         better = [

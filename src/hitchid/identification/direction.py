@@ -1,0 +1,224 @@
+"""One direction from its tests to a channel: benchmark, compensators, and the baselines beside them."""
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import PRNGKeyArray
+
+from hitchid.benchmark import Batch, Form
+from hitchid.envelope import Envelope, Range
+from hitchid.identification.baselines import fit_arx, fit_black_box
+from hitchid.identification.deadzone import DeadZone
+from hitchid.identification.descent import DescentTrace
+from hitchid.identification.narx import fit_narx
+from hitchid.identification.phase1 import Phase1, identify_benchmark
+from hitchid.identification.phase2 import Training, train_compensator
+from hitchid.identification.preparation import Prepared
+from hitchid.identification.rollouts import Gate, train_on_rollouts
+from hitchid.identification.search import Search
+from hitchid.identification.selection import Automatic, Candidate, choose_form
+from hitchid.model import Channel
+from hitchid.record import MODES
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class ChannelTrace:
+    """How one direction was identified.
+
+    Attributes:
+        dead_zone: the dead zone and where it came from.
+        phase1: benchmark, parameters, search.
+        phase2: losses of the training of the compensator for predictions; None where none was trained.
+        gate: what decided on the compensator for free run; None where none was trained.
+        notices: what the user should know of the data and of the choices made for them.
+        candidates: the forms that were compared, where the form was chosen automatically.
+        seconds: what was fitted to the time it took, s.
+    """
+
+    dead_zone: DeadZone
+    phase1: Phase1
+    phase2: DescentTrace | None = None
+    gate: Gate | None = None
+    notices: tuple[str, ...] = ()
+    candidates: tuple[Candidate, ...] = ()
+    seconds: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What is asked of one direction.
+
+    Attributes:
+        form: of its benchmark, or how it is chosen.
+        paper: the paper's form, for the paper's method beside it.
+        search: of phase 1.
+        training: of phase 2; None for the benchmark alone.
+        seed: every random draw comes from it.
+        units: `x` and `u` to the units of displacement and command.
+    """
+
+    form: Form | Automatic
+    paper: Form
+    search: Search
+    training: Training | None
+    seed: int
+    units: Mapping[str, str]
+
+
+def identify_direction(tests: Prepared, asked: Asked, progress: Progress) -> tuple[Channel, ChannelTrace]:
+    """Identify one direction.
+
+    Args:
+        tests: its tests.
+        asked: what is asked for.
+        progress: called with what is being done and the fraction that is done.
+
+    Raises:
+        FitError: nothing moves, or no parameters give a finite error.
+    """
+    seconds: dict[str, float] = {}
+    progress(f"phase 1, {asked.search.name}", 0.02)
+    with _timed(seconds, "benchmark"):
+        phase1, candidates = _benchmark(tests.everything, asked)
+    channel = Channel(
+        mode=tests.mode,
+        direction=tests.direction,
+        dead_zone=tests.dead_zone.value,
+        end_stop=tests.end_stop,
+        benchmark=phase1.benchmark,
+        envelope=envelope_of(tests.everything),
+    )
+    notices = (*tests.notices, *_vague(phase1))
+    trace = ChannelTrace(tests.dead_zone, phase1, None, None, notices, candidates, seconds)
+    if asked.training is None:
+        return channel, trace
+    keys = jax.random.split(jax.random.fold_in(jax.random.key(asked.seed), MODES.index(tests.mode)), 4)
+    with _timed(seconds, "compensator"):
+        channel, losses = _compensated(
+            channel, tests, asked.training, keys[0], _epochs(progress, "phase 2", 0.2, 0.3)
+        )
+    trace = replace(trace, phase2=losses)
+    if asked.training.rollouts is not None:
+        progress("free runs", 0.5)
+        with _timed(seconds, "compensator for free run"):
+            travel = channel.benchmark.travel(tests.everything)
+            assert channel.envelope is not None  # noqa: S101 - given above
+            speed, gate = train_on_rollouts(
+                tests.everything, travel, channel.envelope, asked.training.rollouts, keys[1]
+            )
+        channel = replace(channel, speed_compensator=speed)
+        trace = replace(trace, gate=gate, notices=(*trace.notices, gate.sentence))
+    if asked.training.baselines:
+        channel = _with_baselines(channel, tests, asked, keys[2:], progress, seconds)
+    return channel, trace
+
+
+def envelope_of(batch: Batch) -> Envelope:
+    """Return the ranges that tests cover, over the samples that count."""
+    counted = np.asarray(batch.counted)
+
+    def spanned(values: np.ndarray) -> Range:
+        return Range(jnp.asarray(float(values.min())), jnp.asarray(float(values.max())))
+
+    return Envelope(
+        command=spanned(np.abs(np.asarray(batch.command))[counted]),
+        displacement=spanned(np.asarray(batch.displacement)[counted]),
+        load=spanned(np.asarray(batch.load)),
+    )
+
+
+def _vague(phase1: Phase1) -> list[str]:
+    """Return which parameters the tests do not determine, a sentence for each verdict."""
+    verdicts: dict[str, list[str]] = {}
+    for estimate in phase1.estimates:
+        if estimate.verdict != "determined":
+            verdicts.setdefault(estimate.verdict, []).append(estimate.name.replace("_", " "))
+    return [f"{verdict}: {', '.join(names)}" for verdict, names in verdicts.items()]
+
+
+def _benchmark(batch: Batch, asked: Asked) -> tuple[Phase1, tuple[Candidate, ...]]:
+    if isinstance(asked.form, Automatic):
+        return choose_form(batch, asked.form, asked.search, asked.seed, units=asked.units)
+    return identify_benchmark(batch, asked.form, asked.search, asked.seed, units=asked.units), ()
+
+
+def _compensated(
+    channel: Channel, tests: Prepared, training: Training, key: PRNGKeyArray, progress: Callable
+) -> tuple[Channel, DescentTrace]:
+    compensator, losses = train_compensator(
+        (tests.training, channel.simulate_benchmark(tests.training)),
+        (tests.validation, channel.simulate_benchmark(tests.validation)),
+        training,
+        key,
+        progress,
+    )
+    return replace(channel, compensator=compensator), losses
+
+
+def _with_baselines(
+    channel: Channel,
+    tests: Prepared,
+    asked: Asked,
+    keys: PRNGKeyArray,
+    progress: Progress,
+    seconds: dict[str, float],
+) -> Channel:
+    training = asked.training
+    assert training is not None  # noqa: S101 - baselines are fitted beside a compensator
+    with _timed(seconds, "ARX"):
+        arx = fit_arx(tests.training, tests.validation)
+    with _timed(seconds, "NARX"):
+        narx = fit_narx(tests.training, tests.validation)
+    with _timed(seconds, "black-box LSTM"):
+        black_box = fit_black_box(
+            tests.training,
+            tests.validation,
+            hidden=training.hidden,
+            descent=training.descent,
+            key=keys[0],
+            progress=_epochs(progress, "black-box baseline", 0.6, 0.2),
+        )
+    channel = replace(channel, arx=arx, narx=narx, black_box=black_box)
+    if asked.form == asked.paper:
+        return channel
+    with _timed(seconds, "paper's method"):
+        phase1 = identify_benchmark(
+            tests.everything, asked.paper, asked.search, asked.seed, units=asked.units
+        )
+        alone = Channel(
+            mode=tests.mode,
+            direction=tests.direction,
+            dead_zone=tests.dead_zone.value,
+            end_stop=tests.end_stop,
+            benchmark=phase1.benchmark,
+        )
+        paper, _ = _compensated(
+            alone, tests, training, keys[1], _epochs(progress, "paper's method", 0.8, 0.2)
+        )
+    return replace(channel, paper=paper)
+
+
+def _epochs(
+    progress: Progress, stage: str, start: float, width: float
+) -> Callable[[int, float, float], None]:
+    """Return what shows an epoch; a training stops early, so its length is not known before."""
+
+    def show(number: int, trained: float, held: float) -> None:
+        done = start + width * number / (number + 100)
+        progress(f"{stage}, epoch {number}, loss {trained:.3f} / {held:.3f}", done)
+
+    return show
+
+
+@contextmanager
+def _timed(seconds: dict[str, float], name: str) -> Iterator[None]:
+    started = time.perf_counter()
+    yield
+    seconds[name] = time.perf_counter() - started

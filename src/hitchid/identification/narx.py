@@ -1,0 +1,146 @@
+"""Fits a polynomial NARX by forward regression (FROLS of sysidentpy), where that is installed."""
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hitchid.benchmark import Batch
+from hitchid.narx import Narx
+
+DEGREE = 2
+LAGS = (1, 2, 3, 5, 8)
+TERMS = (2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 25, 30)
+ROWS = 20_000
+SECTION = 10_000
+COMPARED = 40_000
+
+
+class _Section(NamedTuple):
+    """Part of a test, with its past in front.
+
+    Attributes:
+        command, travel: of the past and the part, shape [P + N]; the past of a test is rest.
+        counted: which samples of the part count, shape [N].
+    """
+
+    command: np.ndarray
+    travel: np.ndarray
+    counted: np.ndarray
+
+
+def fit_narx(training: Batch, validation: Batch) -> Narx | None:
+    """Return the NARX model whose lags and number of terms predict the validation tests best in free run.
+
+    For each number of lags, candidates are all products of up to two of 1, w(k−i) and u(k−i), taken up in
+    the order of their error reduction ratio; coefficients by least squares. Each test has its own rows, from
+    rest; all rows are fitted together. Of more than 20 000 rows every m-th is fitted. Validation tests longer
+    than 10 000 samples are cut, each section going on from its measured past; of more than 40 000 samples
+    every m-th section is compared.
+
+    Args:
+        training, validation: the tests the compensator has too.
+
+    Returns:
+        The model; None where sysidentpy is not installed, or no sample of training counts.
+
+    Source: Billings, Nonlinear System Identification (2013), chapter 3; sysidentpy 0.9.
+    """
+    try:
+        import sysidentpy.model_structure_selection  # noqa: F401  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        return None
+    tests = _sections(training, longest=None)
+    if not tests:
+        return None
+    held = _thinned(_sections(validation, longest=SECTION))
+    scales = _scale([part.travel for part in tests]), _scale([part.command for part in tests])
+    models = (model for lags in LAGS for model in _candidates(tests, lags, scales))
+    return min(models, key=lambda model: _missed(model, held))
+
+
+def _candidates(tests: list[_Section], lags: int, scales: tuple[np.ndarray, np.ndarray]) -> Iterator[Narx]:
+    """Yield models of one number of lags, from few to many terms."""
+    from sysidentpy.basis_function import Polynomial  # pyright: ignore[reportMissingImports]
+    from sysidentpy.model_structure_selection import FROLS  # pyright: ignore[reportMissingImports]
+
+    method = FROLS(xlag=lags, ylag=lags, basis_function=Polynomial(degree=DEGREE))
+    rows, target = _regression(tests, lags, scales, method)
+    terms = _terms(method.regressor_space(1))
+    most = min(TERMS[-1], terms.shape[0], target.size - 1)
+    with np.errstate(all="ignore"):  # columns that depend on each other leave nothing to divide by
+        # The method leaves out as many targets as there are lags; rows here need none.
+        _, order, _ = method.error_reduction_ratio(rows, np.pad(target, (lags, 0))[:, None], most)
+    for size in dict.fromkeys(min(size, most) for size in TERMS):
+        chosen = order[:size]
+        coefficients = np.linalg.lstsq(rows[:, chosen], target, rcond=None)[0]
+        yield Narx(terms[chosen], coefficients, *scales)
+
+
+def _regression(
+    tests: list[_Section], lags: int, scales: tuple[np.ndarray, np.ndarray], method: Any
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return every candidate term at every sample that counts, shape [K, C], and its travel, shape [K].
+
+    Rows whose smallest lagged value is largest come first: the Householder reflections of sysidentpy 0.9 go
+    wrong where the first entry of a column is exactly zero, as commands are at rest.
+    """
+    from sysidentpy.utils.information_matrix import (  # pyright: ignore[reportMissingImports]
+        build_lagged_matrix,
+    )
+
+    every = -(-sum(int(part.counted.sum()) for part in tests) // ROWS)
+    travel_scale, command_scale = scales
+    lagged, target = [], []
+    for command, travel, counted in tests:
+        past = travel.size - counted.size - lags
+        outputs, inputs = travel[past:] / travel_scale, command[past:] / command_scale
+        chosen = np.flatnonzero(counted)[::every]
+        matrix = build_lagged_matrix(inputs[:, None], outputs[:, None], lags, lags, method.model_type)
+        lagged.append(matrix[lags:][chosen])
+        target.append(outputs[lags:][chosen])
+    stacked = np.concatenate(lagged)
+    order = np.argsort(-np.abs(stacked).min(axis=1), kind="stable")
+    return method.basis_function.fit(stacked[order], max_lag=0), np.concatenate(target)[order]
+
+
+def _terms(codes: np.ndarray) -> np.ndarray:
+    """Return sysidentpy's codes (1000 + i for w(k−i), 2000 + i for u(k−i)) as `Narx` has them."""
+    return np.where(codes > 2000, 2000 - codes, np.where(codes > 1000, codes - 1000, 0)).astype(np.int64)
+
+
+def _missed(model: Narx, held: list[_Section]) -> float:
+    """Return the sum of squared errors in free run, infinite for a model that diverges."""
+    missed = 0.0
+    with np.errstate(all="ignore"):
+        for command, travel, counted in held:
+            past = travel.size - counted.size
+            errors = model.resumed(command, travel[:past]) - travel[past:]
+            missed += float(np.sum(errors[counted] ** 2))
+    return missed if np.isfinite(missed) else np.inf
+
+
+def _sections(batch: Batch, *, longest: int | None) -> list[_Section]:
+    """Return the parts of all tests that have samples that count, each with the longest past in front."""
+    parts = []
+    deep = LAGS[-1]
+    for command, travel, counted, valid in zip(
+        batch.command, batch.travel, batch.counted, np.asarray(batch.valid), strict=True
+    ):
+        command, travel, counted = (np.asarray(array)[valid] for array in (command, travel, counted))
+        command, travel = np.pad(command, (deep, 0)), np.pad(travel, (deep, 0))
+        width = longest or counted.size
+        for first in range(0, counted.size, width):
+            samples = slice(first, first + width + deep)
+            parts.append(_Section(command[samples], travel[samples], counted[first : first + width]))
+    return [part for part in parts if part.counted.any()]
+
+
+def _thinned(parts: list[_Section]) -> list[_Section]:
+    """Return every m-th section, so that no more than 40 000 samples are left."""
+    return parts[:: max(1, -(-sum(part.counted.size for part in parts) // COMPARED))]
+
+
+def _scale(samples: list[np.ndarray]) -> np.ndarray:
+    """Return the largest value of all, shape []."""
+    return np.array(max(float(np.abs(array).max()) for array in samples) or 1.0)
