@@ -18,7 +18,8 @@ from hitchid.identification.search import Found, Problem, Search, polish
 AT_BOUND = 1e-3
 VAGUE = 0.5
 SINGULAR = 1e-14
-SEARCHED = 8192
+SEARCHED, COARSE = 8192, 2048
+ROUGH, ROUGH_STEPS, STEPS = 1e-9, 60, 60
 
 
 @dataclass(frozen=True)
@@ -98,14 +99,16 @@ def identify_benchmark(
         FitError: nothing moves, or no parameters give a finite error.
     """
     misfit = Misfit.of(batch, form)
-    coarse, _ = misfit.over(batch.thinned(SEARCHED)).problem()
-    found = search.minimise(coarse, seed)
+    searched, _ = misfit.over(batch.thinned(SEARCHED)).problem()
+    found = search.minimise(searched, seed)
     starts = [found.best, *_restarts(form, seed), *([] if start is None else [misfit.position(start)])]
+    coarse, _ = misfit.over(batch.thinned(COARSE)).problem()
+    rough = [polish(coarse, each, limit=ROUGH_STEPS, tolerance=ROUGH) for each in starts]
     problem, test = misfit.problem()
-    best = min((polish(problem, each) for each in starts), key=lambda polished: polished.fitness)
+    best = polish(problem, min(rough, key=lambda polished: polished.fitness).position, limit=STEPS)
     # Least squares starts strictly inside the bounds: a search that ended on one may be a trifle better.
-    searched = float(misfit(jnp.asarray(found.best)[None])[0])
-    improved = best.fitness <= searched
+    before = float(misfit(jnp.asarray(found.best)[None])[0])
+    improved = best.fitness <= before
     position = best.position if improved else found.best
     values, slopes = misfit.values(position), misfit.slopes(position)
     errors = slopes * _standard_errors(best.jacobian, best.residuals, test)
@@ -133,8 +136,8 @@ def identify_benchmark(
         benchmark=form.benchmark(jnp.asarray(values), misfit.scales),
         estimates=estimates,
         derived={name: (value, unit.format(**units)) for name, (value, unit) in derived.items()},
-        rmse=best.fitness if improved else searched,
-        search_rmse=searched,
+        rmse=best.fitness if improved else before,
+        search_rmse=before,
         found=found,
     )
 

@@ -10,6 +10,7 @@ from hitchid.rig.simulation import Motion as Motion
 from hitchid.rig.simulation import simulate as simulate
 from hitchid.rig.small_signal import OperatingPoint as OperatingPoint
 from hitchid.rig.small_signal import SmallSignal as SmallSignal
+from hitchid.rig.small_signal import lowering_small_signal as lowering_small_signal
 from hitchid.rig.small_signal import small_signal as small_signal
 
 __all__ = [
@@ -20,6 +21,7 @@ __all__ = [
     "SmallSignal",
     "limits",
     "load_rig",
+    "lowering_small_signal",
     "measure",
     "parameter_sets",
     "simulate",

@@ -1,20 +1,21 @@
-"""The lifting chain linearised by hand around steady lifting."""
+"""Lifting and lowering chain linearised around steady motion."""
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from hitchid.precision import double_precision
 from hitchid.rig.bench import Rig, adjusted, hold_pressure
-from hitchid.rig.oil import Scalar
+from hitchid.rig.oil import TANK_PRESSURE_PA, Scalar
 
 
 class OperatingPoint(NamedTuple):
-    """Steady lifting to linearise around.
+    """Steady lifting or lowering to linearise around.
 
     Attributes:
         displacement_m: m.
-        current_a: current in the lifting coil less the hysteresis, A.
+        current_a: current in the direction's coil less the hysteresis, A.
         load_force_n: at the implement, N.
         oil_temperature_c: °C, None for the rig's own.
     """
@@ -26,11 +27,22 @@ class OperatingPoint(NamedTuple):
 
 
 class SmallSignal(NamedTuple):
-    """K, mm/(s·A), ωh, rad/s, and ξh of K/(s (s²/ωh² + 2 ξh s/ωh + 1))."""
+    """K, mm/(s·A), ωh, rad/s, and ξh of K/(s (s²/ωh² + 2 ξh s/ωh + 1)), and the steady speed, mm/s."""
 
     gain: float
     natural_frequency: float
     damping_ratio: float
+    speed: float
+
+
+class Steady(NamedTuple):
+    """Pressure, Pa, speed, m/s, and oil flow, m³/s, of steady motion; k_q k_v, m³/(s·A); k_c, m³/(s·Pa)."""
+
+    pressure: Scalar
+    speed: Scalar
+    flow: Scalar
+    flow_gain: Scalar
+    flow_pressure: Scalar
 
 
 @double_precision
@@ -46,31 +58,75 @@ def small_signal(rig: Rig, operating_point: OperatingPoint) -> SmallSignal:
 
     k (C_p + k_c), which bends the integrator far below 0.1 rad/s, is left out. The lags of solenoid, spool
     and compensator are no part of it. Flows are counted at tank pressure, hence A/σ(p) for A in continuity.
+    The steady speed is v = (Q − C_p (p − p₀))/(A + k C/A).
     """
-    temperature = rig.oil.temperature
-    if operating_point.oil_temperature_c is not None:
-        temperature = jnp.asarray(operating_point.oil_temperature_c)
-    warm = adjusted(rig, temperature)
-    displacement = jnp.asarray(operating_point.displacement_m)
+    warm = _warm(rig, operating_point)
+    return _chain(warm, operating_point, _steady_lifting(warm, operating_point), leaks=-1.0)
+
+
+@double_precision
+def lowering_small_signal(rig: Rig, operating_point: OperatingPoint) -> SmallSignal:
+    """Return gain, natural frequency and damping of the lowering chain, spool current to downward travel.
+
+    Gravity drives the flow Q = C_d a(i) √(2 (p − p₀)/ρ) through notches and damper against p₀ of the tank, so
+
+        p − p₀ = (W − g(v) − σ₂ v)/A,  k_q k_v = ∂Q/∂i,  k_c = ∂Q/∂p = Q/(2 (p − p₀)),
+
+    and chamber, mass and friction are those of `small_signal`, with leakage on the valve's side:
+    v = (Q + C_p (p − p₀))/(A + k C/A). Two slow terms are left out: k (C_p + k_c), by which speed falls with
+    the load's pressure, and v C dk/dx, by which it rises again as the hose gives off less oil.
+    """
+    warm = _warm(rig, operating_point)
+    return _chain(warm, operating_point, _steady_lowering(warm, operating_point), leaks=1.0)
+
+
+def _warm(rig: Rig, point: OperatingPoint) -> Rig:
+    given = point.oil_temperature_c
+    return adjusted(rig, rig.oil.temperature if given is None else jnp.asarray(given))
+
+
+def _chain(rig: Rig, point: OperatingPoint, steady: Steady, leaks: float) -> SmallSignal:
+    displacement = jnp.asarray(point.displacement_m)
     load = rig.linkage.load(displacement)
-    mass, stiffness = load.mass, load.weight_slope + operating_point.load_force_n * load.lever_slope
-    pressure, speed, gain, flow_pressure = _steady(warm, operating_point)
+    mass, stiffness = load.mass, load.weight_slope + point.load_force_n * load.lever_slope
 
-    cylinder, area = warm.cylinder, warm.cylinder.area
-    swept = area / rig.oil.specific_volume(pressure)
-    amount = rig.oil.amount(pressure, cylinder.volume(displacement), cylinder.yielding)
-    capacity = rig.oil.capacity(pressure, amount, cylinder.yielding)
-    losses = cylinder.leakage + flow_pressure
-    damping = cylinder.friction.viscous + cylinder.friction.level(speed)[2]
+    cylinder, area = rig.cylinder, rig.cylinder.area
+    swept = area / rig.oil.specific_volume(steady.pressure)
+    amount = rig.oil.amount(steady.pressure, cylinder.volume(displacement), cylinder.yielding)
+    capacity = rig.oil.capacity(steady.pressure, amount, cylinder.yielding)
+    losses = cylinder.leakage + steady.flow_pressure
+    damping = cylinder.friction.viscous + cylinder.friction.level(steady.speed)[2]
 
-    divisor = swept + (damping * losses + stiffness * capacity) / area
+    taken = swept + stiffness * capacity / area
+    speed = (steady.flow + leaks * cylinder.leakage * (steady.pressure - TANK_PRESSURE_PA)) / taken
+    divisor = taken + damping * losses / area
     omega = jnp.sqrt(area * divisor / (mass * capacity))
     lag = (damping * capacity + mass * losses) / area / divisor
-    return SmallSignal(float(1e3 * gain / divisor), float(omega), float(0.5 * lag * omega))
+    return SmallSignal(
+        float(1e3 * steady.flow_gain / divisor), float(omega), float(0.5 * lag * omega), float(1e3 * speed)
+    )
 
 
-def _steady(rig: Rig, point: OperatingPoint) -> tuple[Scalar, Scalar, Scalar, Scalar]:
-    """Return pressure, Pa, speed, m/s, flow gain k_q k_v, m³/(s·A), and k_c, m³/(s·Pa), of steady lifting."""
+def _steady_lowering(rig: Rig, point: OperatingPoint) -> Steady:
+    valve, cylinder, density = rig.lowering_valve, rig.cylinder, rig.oil.density
+    current, load_force = jnp.asarray(point.current_a), jnp.asarray(point.load_force_n)
+    held = hold_pressure(rig, jnp.asarray(point.displacement_m), load_force)
+
+    def flow_at(coil: Scalar, pressure: Scalar) -> tuple[Scalar, Scalar]:
+        return valve.flow(valve.spool.area(coil / valve.spool.saturation), pressure, density)
+
+    pressure, speed = held, jnp.zeros_like(held)
+    for _ in range(20):  # friction carries part of the weight: a contraction
+        speed = flow_at(current, pressure)[0] * rig.oil.specific_volume(pressure) / cylinder.area
+        pressure = (
+            held - (cylinder.friction.level(speed)[1] + cylinder.friction.viscous * speed) / cylinder.area
+        )
+    flow, flow_pressure = flow_at(current, pressure)
+    flow_gain = jax.grad(lambda coil: flow_at(coil, pressure)[0])(current)
+    return Steady(pressure, speed, flow, flow_gain, flow_pressure)
+
+
+def _steady_lifting(rig: Rig, point: OperatingPoint) -> Steady:
     valve, cylinder, displacement = rig.lifting_valve, rig.cylinder, jnp.asarray(point.displacement_m)
     spool = valve.spool
     overlap = spool.dead_zone / spool.saturation
@@ -103,4 +159,4 @@ def _steady(rig: Rig, point: OperatingPoint) -> tuple[Scalar, Scalar, Scalar, Sc
     by_load = stiff * opening / (2 * rest) / (1 + stiff * by_metering)
     by_area = -stiff * (opening / area) / (1 + stiff * by_metering)
     flow_gain = flow / area + flow / (2 * metering) * by_area
-    return pressure, speed, flow_gain * area_slope, flow / (2 * metering) * by_load
+    return Steady(pressure, speed, flow, flow_gain * area_slope, flow / (2 * metering) * by_load)

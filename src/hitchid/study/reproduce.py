@@ -12,6 +12,7 @@ from hitchid.identification.identify import PAPER_FORMS, TRAINING, WHALE
 from hitchid.readers import read, write_table
 from hitchid.storage import write_folder
 from hitchid.study.figures import Drawn, figures
+from hitchid.study.mechanistic import mechanistic
 from hitchid.study.results import DirectionResult, direction_result
 from hitchid.study.tables import study_tables
 from hitchid.validation import Table, Validation, markdown, tables, validate
@@ -109,7 +110,9 @@ def reproduce(
         report("validation", 0.75)
         checked = validate(found.model, campaign)
         report("figures and tables", 0.9)
-        results = {mode: direction_result(found, campaign, mode) for mode in found.channels}
+        results = {
+            mode: direction_result(found, campaign, mode, mechanistic(rig, mode)) for mode in found.channels
+        }
         unit = campaign.records[0].unit
         drawn = tuple(
             each for mode in results for each in figures(mode, found.channels[mode], results[mode], unit)

@@ -1,7 +1,7 @@
 """What the study reports of one direction: predictions on each part of the data, and sensitivity."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import equinox as eqx
 import numpy as np
@@ -13,6 +13,7 @@ from hitchid.metrics import error_figures
 from hitchid.model import Channel, unpadded
 from hitchid.precision import double_precision
 from hitchid.record import Record
+from hitchid.study.mechanistic import Mechanistic
 
 PERTURBATION = 0.01
 
@@ -28,6 +29,7 @@ class Predictions:
         benchmark: the transfer function's free run.
         one_step: the grey box one step ahead.
         free_run: the grey box's free run.
+        mechanistic: the free run of the transfer function that the rig's parameters give.
     """
 
     names: tuple[str, ...]
@@ -36,9 +38,10 @@ class Predictions:
     benchmark: tuple[np.ndarray, ...]
     one_step: tuple[np.ndarray, ...]
     free_run: tuple[np.ndarray, ...]
+    mechanistic: tuple[np.ndarray, ...]
 
     def of(self, model: str) -> tuple[np.ndarray, ...]:
-        """Return the predictions of `benchmark`, `one_step` or `free_run`."""
+        """Return the predictions of `benchmark`, `one_step`, `free_run` or `mechanistic`."""
         return getattr(self, model)
 
     def take(self, indices: Iterable[int]) -> "Predictions":
@@ -58,21 +61,32 @@ class DirectionResult:
     Attributes:
         training, validation, test: predictions on the three parts of the data.
         sensitivity: parameter to the mean relative change of the identification RMSE for ±1 % of it.
+        mechanistic: the model that the rig's parameters give.
     """
 
     training: Predictions
     validation: Predictions
     test: Predictions
     sensitivity: Mapping[str, float]
+    mechanistic: Mechanistic
 
 
 @double_precision
-def direction_result(found: Identification, campaign: Campaign, mode: str) -> DirectionResult:
-    """Run one channel of an identified model over the tests it was identified, validated and tested on."""
+def direction_result(
+    found: Identification, campaign: Campaign, mode: str, known: Mechanistic
+) -> DirectionResult:
+    """Run one channel of an identified model over the tests it was identified, validated and tested on.
+
+    Args:
+        found: the identified model.
+        campaign: the tests.
+        mode: direction.
+        known: what the rig's parameters give instead, run over the same tests.
+    """
     channel = found.model.channels[mode]
     validating = set(found.model.provenance.validation[mode])
     identification, held_out = campaign.identification(mode), campaign.held_out(mode)
-    everything = _predictions(channel, [*identification, *held_out])
+    everything = _predictions(channel, known, [*identification, *held_out])
     count = len(identification)
     held = [i for i, record in enumerate(identification) if record.name in validating]
     return DirectionResult(
@@ -80,6 +94,7 @@ def direction_result(found: Identification, campaign: Campaign, mode: str) -> Di
         validation=everything.take(held),
         test=everything.take(range(count, count + len(held_out))),
         sensitivity=sensitivity(channel, channel.batch(identification)),
+        mechanistic=known,
     )
 
 
@@ -123,8 +138,15 @@ def summary(predictions: Predictions, model: str) -> dict[str, float]:
     }
 
 
-def _predictions(channel: Channel, records: Sequence[Record]) -> Predictions:
+def end_deviation(predictions: Predictions, model: str) -> float:
+    """Return the mean over tests of the error at a test's end over the way gone: |y − ŷ|/|y − y(0)|."""
+    pairs = zip(predictions.actual, predictions.of(model), strict=True)
+    return float(np.mean([abs(a[-1] - p[-1]) / abs(a[-1] - a[0]) for a, p in pairs]))
+
+
+def _predictions(channel: Channel, known: Mechanistic, records: Sequence[Record]) -> Predictions:
     batch = channel.batch(records)
+    unfitted = replace(channel, benchmark=known.benchmark, dead_zone=known.dead_zone)
 
     def rows(padded: object) -> tuple[np.ndarray, ...]:
         return tuple(unpadded(np.asarray(padded), records))
@@ -136,4 +158,5 @@ def _predictions(channel: Channel, records: Sequence[Record]) -> Predictions:
         benchmark=rows(channel.simulate_benchmark(batch)),
         one_step=rows(channel.predict(batch, (1,))[0]),
         free_run=rows(channel.simulate(batch)),
+        mechanistic=rows(unfitted.simulate_benchmark(unfitted.batch(records))),
     )

@@ -6,7 +6,7 @@ import numpy as np
 
 from hitchid.identification import ChannelTrace
 from hitchid.record import LIFTING, LOWERING
-from hitchid.study.results import DirectionResult, summary
+from hitchid.study.results import DirectionResult, end_deviation, summary
 from hitchid.validation import Table
 
 PAPER_COEFFICIENTS = {
@@ -29,7 +29,9 @@ PAPER_COMPENSATOR = {
     LOWERING: {"training": (0.147, 0.117), "validation": (0.160, 0.125), "p95": 0.35},
 }
 TABLE_OF = {LIFTING: 3, LOWERING: 4}
+PAPER_MECHANISTIC = {LIFTING: "", LOWERING: "12.5, of what is not said"}
 MODELS = {
+    "mechanistic": "mechanistic, free run",
     "benchmark": "transfer function, free run",
     "one_step": "grey box, one step",
     "free_run": "grey box, free run",
@@ -39,11 +41,12 @@ MODELS = {
 def study_tables(
     traces: Mapping[str, ChannelTrace], results: Mapping[str, DirectionResult], unit: str
 ) -> list[Table]:
-    """Return Table 2, Tables 3 and 4, and tables of fitness, compensator and sensitivity."""
+    """Return Table 2, Tables 3 and 4, and tables of fitness, compensator, mechanics and sensitivity."""
     return [
         _parameters(traces),
         *(_test_set(mode, result, unit) for mode, result in results.items()),
         _identification(traces, results, unit),
+        _mechanistic(traces, results, unit),
         _sensitivity(results),
     ]
 
@@ -170,6 +173,34 @@ def _settled(trace: ChannelTrace) -> int:
 
 def _paper_settled(mode: str) -> str:
     return "at most 15" if mode == LIFTING else "at most 10"
+
+
+def _mechanistic(
+    traces: Mapping[str, ChannelTrace], results: Mapping[str, DirectionResult], unit: str
+) -> Table:
+    """Return what data sheets give beside what tests give, and the deviation the paper's discussion names."""
+    rows = []
+    for mode, trace in traces.items():
+        (benchmark, dead_zone), test = results[mode].mechanistic, results[mode].test
+        units = {p.name: p.unit.format(x=unit, u="A") for p in benchmark.structure.parameters}
+        fitted = {estimate.name: estimate.value for estimate in trace.phase1.estimates}
+        rows.append((f"{mode}: dead zone / A", f"{dead_zone:.4g}", f"{trace.dead_zone.value:.4g}", ""))
+        rows += [
+            (
+                f"{mode}: {name.replace('_', ' ')} / {units[name]}",
+                f"{value:.4g}",
+                f"{fitted[name]:.4g}" if name in fitted else "",
+                "",
+            )
+            for name, value in benchmark.named_values().items()
+        ]
+        ends = [f"{100 * end_deviation(test, model):.1f}" for model in ("mechanistic", "benchmark")]
+        rows.append((f"{mode}: error at the end of a test / % of the way", *ends, PAPER_MECHANISTIC[mode]))
+    return Table(
+        "Mechanistic model from data sheets, nothing fitted",
+        ("figure", "data sheets", "transfer function", "paper's ref. 9"),
+        tuple(rows),
+    )
 
 
 def _sensitivity(results: Mapping[str, DirectionResult]) -> Table:

@@ -66,8 +66,8 @@ def validate(model: Hitch, campaign: Campaign, *, progress: Progress | None = No
     Free run: commands and initial displacement only, for the whole test. One step and horizon h: measured
     displacement up to 1 and h samples before; the first h samples of a test are left out. Beside the grey box
     stand the benchmark alone, persistence (the last measured displacement), ARX, NARX, a black-box LSTM, and
-    the transfer function and the grey box of Sun et al. 2025. What only runs freely (benchmark, LSTM, transfer
-    function) starts over a horizon from the last measured displacement.
+    the transfer function and the grey box of Sun et al. 2025. What only runs freely (benchmark, LSTM,
+    transfer function) starts over a horizon from the last measured displacement.
 
     Args:
         model: an identified hitch.

@@ -1,0 +1,132 @@
+"""Free run on measured data, over seeds: the figures of docs/free_run.md.
+
+    python benchmarks/free_run.py [SET ...] [--seeds 5]
+
+Sets are folders of HITCHID_DATA: rig-a, excavator-boom, hanging-load, emps, cascaded-tanks.
+"""
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from glob import escape
+from pathlib import Path
+
+import numpy as np
+from scipy.io import loadmat
+
+import hitchid
+from hitchid.benchmark import Form, structure_named
+from hitchid.identification import Training
+from hitchid.identification.preparation import mixed_dead_zones
+from hitchid.record import COMMAND, DISPLACEMENT, LIFTING, Record
+
+DATA = Path(os.environ.get("HITCHID_DATA", Path(__file__).parents[2] / "shared" / "data"))
+TRIAL = Training(baselines=False)
+
+
+@dataclass(frozen=True)
+class Set:
+    """One set of data: its campaign, the forms asked for, and the samples an official protocol leaves out."""
+
+    campaign: Callable[[], hitchid.Campaign]
+    forms: dict[str, Form] | None = None
+    skipped: int = 0
+
+
+def single(
+    names: Sequence[str], step_s: float, samples: Sequence[tuple], units: Sequence[str]
+) -> hitchid.Campaign:
+    """Return a campaign of one channel, its last record held out."""
+    records = [
+        Record(
+            name,
+            step_s,
+            {COMMAND[LIFTING]: u, DISPLACEMENT: y},
+            dict(zip((COMMAND[LIFTING], DISPLACEMENT), units, strict=True)),
+        )
+        for name, (u, y) in zip(names, samples, strict=True)
+    ]
+    return hitchid.Campaign.of(records, test_patterns=[names[-1]], kinds={"*": LIFTING})
+
+
+def emps() -> hitchid.Campaign:
+    """Return the positioning system's two records, in mm and V."""
+    names = ("DATA_EMPS", "DATA_EMPS_PULSES")
+    files = [loadmat(DATA / "emps" / f"{name}.mat") for name in names]
+    return single(names, 1e-3, [(f["vir"].ravel(), 1e3 * f["qm"].ravel()) for f in files], ("V", "mm"))
+
+
+def tanks() -> hitchid.Campaign:
+    """Return the tanks' two records, in V."""
+    table = np.genfromtxt(DATA / "cascaded-tanks" / "dataBenchmark.csv", delimiter=",", names=True)
+    names = ("Est", "Val")
+    return single(names, 4.0, [(table[f"u{name}"], table[f"y{name}"]) for name in names], ("V", "V"))
+
+
+def hanging_load() -> hitchid.Campaign:
+    """Return the strokes of the closed-loop log, the last third of each direction by time held out."""
+    whole = hitchid.read(DATA / "hanging-load")
+    cut = whole.segmented({mode: zone.value for mode, zone in mixed_dead_zones(whole).items()})
+    late = [r.name for mode in cut.modes for r in cut.of_kind(mode)[-(-2 * len(cut.of_kind(mode)) // 3) :]]
+    return hitchid.Campaign(cut.records, tuple(escape(name) for name in late))
+
+
+SETS = {
+    "rig-a": Set(lambda: hitchid.read(DATA / "rig-a")),
+    "excavator-boom": Set(lambda: hitchid.read(DATA / "excavator-boom")),
+    "hanging-load": Set(hanging_load),
+    "emps": Set(emps, {LIFTING: Form(structure_named("inertia-with-friction"))}, 20),
+    "cascaded-tanks": Set(tanks, {LIFTING: Form(structure_named("cascaded-tanks"))}, 50),
+}
+
+
+def figures(name: str, seed: int) -> dict[str, float]:
+    """Identify with one seed; return what is measured on the held-out tests to its value."""
+    chosen = SETS[name]
+    campaign = chosen.campaign()
+    started = time.perf_counter()
+    asked = {} if chosen.forms is None else {"structure": chosen.forms}
+    found = hitchid.identify(campaign, training=TRIAL, seed=seed, **asked)
+    measured = {"identification / s": time.perf_counter() - started}
+    if chosen.skipped:
+        record = campaign.held_out(LIFTING)[0]
+        error = (found.model.simulate(record) - record.displacement)[chosen.skipped :]
+        return measured | {
+            f"RMSE / {record.unit}, without {chosen.skipped} samples": float(np.sqrt(np.mean(error**2)))
+        }
+    metrics = hitchid.validate(found.model, campaign).metrics
+    for mode, channel in metrics["channels"].items():
+        worst = [test["free_run"]["r2"] for test in channel["per_test"].values()]
+        measured |= {
+            f"{mode}: free run RMSE / {metrics['unit']}": channel["greybox"]["free_run"]["rmse"],
+            f"{mode}: free run R², mean": float(np.mean(worst)),
+            f"{mode}: free run R², worst": float(np.min(worst)),
+            f"{mode}: one step RMSE / {metrics['unit']}": channel["greybox"]["one_step"]["rmse"],
+            f"{mode}: gate open": float(found.channels[mode].gate.open),
+            f"{mode}: channel / s": sum(found.channels[mode].seconds.values()),
+        }
+    return measured
+
+
+def main() -> None:
+    """Print, for each set, every figure's median, least and greatest over the seeds."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("sets", nargs="*", default=list(SETS), choices=[*SETS, []])
+    parser.add_argument("--seeds", type=int, default=5)
+    asked = parser.parse_args()
+    for name in asked.sets:
+        trials = [figures(name, seed) for seed in range(asked.seeds)]
+        header = "| figure | median | least | greatest |\n| --- | ---: | ---: | ---: |\n"
+        sys.stdout.write(f"\n{name}, {asked.seeds} seeds\n\n{header}")
+        for label in trials[0]:
+            values = [trial[label] for trial in trials]
+            cells = (np.median(values), min(values), max(values))
+            sys.stdout.write(f"| {label} | {' | '.join(f'{value:.5g}' for value in cells)} |\n")
+        sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()
