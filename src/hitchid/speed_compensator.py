@@ -37,8 +37,8 @@ class SpeedCompensator(eqx.Module):
     """An ensemble of LSTMs that scales the benchmark's speed by 1 ± ½.
 
     y(j+1) = y(j) + (y_tf(j+1) − y_tf(j)) (1 + ½ m(j) Σᵢ tanh fᵢ(x(0) … x(j))/M) over blocks j of some
-    samples; x is command, speed of the benchmark, own displacement and second input, and m the trust in them, 1 within
-    what the tests covered. Where the benchmark stands, the sum does.
+    samples; x is command, speed of the benchmark, own displacement and second input, and m the trust in
+    them, 1 within what the tests covered. Where the benchmark stands, the sum does.
 
     Attributes:
         networks: M networks, every array with a leading axis M.

@@ -87,14 +87,7 @@ def identify_direction(tests: Prepared, asked: Asked, progress: Progress) -> tup
     progress(f"phase 1, {asked.search.name}", 0.02)
     with _timed(seconds, "benchmark"):
         phase1, candidates = _benchmark(tests.everything, asked)
-    channel = Channel(
-        mode=tests.mode,
-        direction=tests.direction,
-        dead_zone=tests.dead_zone.value,
-        end_stop=tests.end_stop,
-        benchmark=phase1.benchmark,
-        envelope=envelope_of(tests.everything),
-    )
+    channel = replace(_uncompensated(tests, phase1), envelope=envelope_of(tests.everything))
     notices = (*tests.notices, *_vague(phase1))
     trace = ChannelTrace(tests.dead_zone, phase1, None, None, notices, candidates, seconds)
     if asked.training is None:
@@ -141,6 +134,16 @@ def _vague(phase1: Phase1) -> list[str]:
         if estimate.verdict != "determined":
             verdicts.setdefault(estimate.verdict, []).append(estimate.name.replace("_", " "))
     return [f"{verdict}: {', '.join(names)}" for verdict, names in verdicts.items()]
+
+
+def _uncompensated(tests: Prepared, phase1: Phase1) -> Channel:
+    return Channel(
+        mode=tests.mode,
+        direction=tests.direction,
+        dead_zone=tests.dead_zone.value,
+        end_stop=tests.end_stop,
+        benchmark=phase1.benchmark,
+    )
 
 
 def _benchmark(batch: Batch, asked: Asked) -> tuple[Phase1, tuple[Candidate, ...]]:
@@ -192,13 +195,7 @@ def _with_baselines(
         phase1 = identify_benchmark(
             tests.everything, asked.paper, asked.search, asked.seed, units=asked.units
         )
-        alone = Channel(
-            mode=tests.mode,
-            direction=tests.direction,
-            dead_zone=tests.dead_zone.value,
-            end_stop=tests.end_stop,
-            benchmark=phase1.benchmark,
-        )
+        alone = _uncompensated(tests, phase1)
         paper, _ = _compensated(
             alone, tests, training, keys[1], _epochs(progress, "paper's method", 0.8, 0.2)
         )

@@ -12,14 +12,13 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 from hitchid.benchmark import Batch
 from hitchid.envelope import Envelope
 from hitchid.lstm import Lstm
+from hitchid.metrics import proven_better
 from hitchid.speed_compensator import INPUTS, Drive, SpeedCompensator, driven_by
 
 MEMBERS = 4
 FEWEST_TESTS = 3
 CURRICULUM = (32, 128)
 BLOCKS = 512
-BETTER = 1.02
-MOST = 2 / 3
 
 
 @dataclass(frozen=True)
@@ -118,10 +117,8 @@ def train_on_rollouts(
     after = np.array([float(errors[fold[test], test]) for test in range(tests)])
     misses = jnp.where(counted, jnp.cumsum(drive.moved, axis=0) - drive.moved - measured, 0.0)
     before = np.sqrt(np.asarray(jnp.sum(misses**2, axis=0) / jnp.maximum(jnp.sum(counted, axis=0), 1)))
-    better = float(np.mean(after < before)) >= MOST
-    total = np.sqrt(np.mean(after**2)) * BETTER < np.sqrt(np.mean(before**2))
     gate = Gate(
-        open=bool(better and total),
+        open=proven_better(after, before),
         benchmark=before,
         compensated=after,
         best_epochs=tuple(int(epoch) for epoch in best_epochs),

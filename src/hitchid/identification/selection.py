@@ -11,11 +11,10 @@ from hitchid.benchmark import Batch, Form, structure_named
 from hitchid.benchmark.shape import CURVE, SPOOL
 from hitchid.identification.phase1 import Misfit, Phase1, identify_benchmark
 from hitchid.identification.search import Polished, Problem, Search, polish
+from hitchid.metrics import proven_better
 
 FOLDS = 4
 SAME_LEVEL = 0.01
-PARSIMONY = 1.02
-MOST = 2 / 3
 TOLERANCE = 1e-6
 STEPS = 40
 REFITTED = 15
@@ -74,11 +73,6 @@ class Candidate:
         """Free run over operating points held out in turn, each test weighing the same."""
         return float(np.sqrt(np.mean(self.held_out**2)))
 
-    def beats(self, other: "Candidate") -> bool:
-        """Tell whether it is better by 2 % over held-out tests, and on two thirds of them."""
-        most = float(np.mean(self.held_out < other.held_out)) >= MOST
-        return most and self.held_out_rmse * PARSIMONY < other.held_out_rmse
-
 
 def choose_form(
     batch: Batch, asked: Automatic, search: Search, seed: int, *, units: Mapping[str, str]
@@ -88,8 +82,7 @@ def choose_form(
     Tests are grouped by the level of their command and groups held out in turn, never samples; the lowest and
     the highest stay in, for what lies beyond the tests is not to be asked of a model. Forms nest: each starts
     its least squares from the optimum of the one before, its new curves from a few shapes. A larger form
-    takes the place of a smaller one where it is better by 2 % in all and on two thirds of the tests, so that no
-    single test decides. The one taken is identified as any other, by global search and least squares.
+    takes the place of a smaller one where held-out tests prove it better. The one taken is identified as any other, by global search and least squares.
 
     Args:
         batch: identification tests.
@@ -137,7 +130,7 @@ def choose_form(
         found.append(misfit.values(positions)[free])
     chosen = 0
     for number, candidate in enumerate(tried):
-        chosen = number if candidate.beats(tried[chosen]) else chosen
+        chosen = number if proven_better(candidate.held_out, tried[chosen].held_out) else chosen
     tried[chosen] = replace(tried[chosen], chosen=True)
     if chosen == 0:
         return plain, tuple(tried)
