@@ -82,7 +82,8 @@ def choose_form(
     Tests are grouped by the level of their command and groups held out in turn, never samples; the lowest and
     the highest stay in, for what lies beyond the tests is not to be asked of a model. Forms nest: each starts
     its least squares from the optimum of the one before, its new curves from a few shapes. A larger form
-    takes the place of a smaller one where held-out tests prove it better. The one taken is identified as any other, by global search and least squares.
+    takes the place of a smaller one where held-out tests prove it better. The one taken is identified as any
+    other, by global search and least squares.
 
     Args:
         batch: identification tests.
