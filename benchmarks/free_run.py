@@ -1,8 +1,10 @@
 """Free run on measured data, over seeds: the figures of docs/free_run.md.
 
     python benchmarks/free_run.py [SET ...] [--seeds 5]
+    python benchmarks/free_run.py [SET ...] --rivals
 
-Sets are folders of HITCHID_DATA: rig-a, excavator-boom, hanging-load, emps, cascaded-tanks.
+The second form prints every baseline, fitted to the same tests with one seed, beside the grey box. Sets are
+folders of HITCHID_DATA: rig-a, excavator-boom, hanging-load, emps, cascaded-tanks.
 """
 
 import argparse
@@ -25,6 +27,14 @@ from hitchid.record import COMMAND, DISPLACEMENT, LIFTING, Record
 
 DATA = Path(os.environ.get("HITCHID_DATA", Path(__file__).parents[2] / "shared" / "data"))
 TRIAL = Training(baselines=False)
+SHOWN = (1, 10, 100)
+PARTS = {
+    "greybox": ("benchmark", "compensator", "compensator for free run"),
+    "arx": ("ARX",),
+    "narx": ("NARX",),
+    "lstm": ("black-box LSTM",),
+    "paper": ("paper's method",),
+}
 
 
 @dataclass(frozen=True)
@@ -111,13 +121,43 @@ def figures(name: str, seed: int) -> dict[str, float]:
     return measured
 
 
+def rivals(name: str) -> list[list[str]]:
+    """Identify with every baseline; return a row of errors a model, on whole tests, and its training time."""
+    chosen = SETS[name]
+    campaign = chosen.campaign()
+    asked = {} if chosen.forms is None else {"structure": chosen.forms}
+    found = hitchid.identify(campaign, **asked)
+    metrics = hitchid.validate(found.model, campaign).metrics
+    rows = []
+    for mode, channel in metrics["channels"].items():
+        ahead = channel["horizons"]
+        places = [ahead["steps"].index(step) for step in SHOWN]
+        models = {"greybox": channel["greybox"], **channel["baselines"]}
+        for model, runs in models.items():
+            free = runs.get("free_run", {"rmse": None, "r2": None})
+            errors = [*(ahead[model][place] if model in ahead else None for place in places), free["rmse"]]
+            numbers = ["-" if value is None else f"{value:.3g}" for value in (*errors, free["r2"])]
+            spent = found.channels[mode].seconds
+            parts = [spent[part] for part in PARTS.get(model, ()) if part in spent]
+            rows.append([name, mode, model, *numbers, f"{sum(parts):.1f}"])
+    return rows
+
+
 def main() -> None:
-    """Print, for each set, every figure's median, least and greatest over the seeds."""
+    """Print, for each set, every figure's median, least and greatest over the seeds, or every rival."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("sets", nargs="*", default=list(SETS), choices=[*SETS, []])
+    parser.add_argument("sets", nargs="*", default=[], choices=[*SETS, []])
     parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--rivals", action="store_true")
     asked = parser.parse_args()
-    for name in asked.sets:
+    names = asked.sets or list(SETS)
+    if asked.rivals:
+        steps = [f"{step} ahead" for step in SHOWN]
+        header = ["data", "mode", "model", *steps, "free run", "R²", "trained / s"]
+        rows = [header, ["---"] * len(header), *(row for name in names for row in rivals(name))]
+        sys.stdout.write("".join(f"| {' | '.join(row)} |\n" for row in rows))
+        return
+    for name in names:
         trials = [figures(name, seed) for seed in range(asked.seeds)]
         header = "| figure | median | least | greatest |\n| --- | ---: | ---: | ---: |\n"
         sys.stdout.write(f"\n{name}, {asked.seeds} seeds\n\n{header}")

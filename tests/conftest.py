@@ -128,9 +128,11 @@ def make_record():
 @pytest.fixture
 def quick_settings():
     """Return arguments of an identification that takes seconds."""
-    from hitchid.identification import Descent, MultiStart, Training
+    from hitchid.identification import Descent, MultiStart, Rollouts, Training
 
     return {
         "search": MultiStart(evaluations=60),
-        "training": Training(hidden=6, window=20, descent=Descent(epochs=8, patience=8)),
+        "training": Training(
+            hidden=6, window=20, descent=Descent(epochs=8, patience=8), rollouts=Rollouts(hidden=4, epochs=10)
+        ),
     }

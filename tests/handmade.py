@@ -8,9 +8,12 @@ import numpy as np
 from hitchid.baselines import Arx, BlackBox
 from hitchid.benchmark import Benchmark, Scales, Shape, structure_named
 from hitchid.compensator import FEATURES, Compensator
+from hitchid.envelope import Envelope, Range
 from hitchid.lstm import Lstm
 from hitchid.model import Channel, Hitch, Provenance
+from hitchid.narx import Narx
 from hitchid.record import LIFTING, LOWERING
+from hitchid.speed_compensator import INPUTS, SpeedCompensator
 
 UNITS = {"displacement": "mm", "lifting_command": "A", "lowering_command": "A"}
 DIRECTIONS = {LIFTING: 1, LOWERING: -1}
@@ -23,6 +26,8 @@ VALUES = {
     "integrator-second-order": (18.0, 0.6),
 }
 HIDDEN, WINDOW, ERROR_STEP = 4, 10, 0.02
+COVERED = {"command": (0.0, 0.5), "displacement": (50.0, 150.0), "load": (0.0, 0.0)}
+MEMBERS, EVERY = 2, 3
 
 
 def network(inputs, seed, *, trained=True):
@@ -47,9 +52,30 @@ def compensator(seed=0, *, trained=True):
     )
 
 
+def envelope(**covered):
+    """Return the ranges of `COVERED`, or others: name to lowest and highest."""
+    ranges = {**COVERED, **covered}
+    return Envelope(**{name: Range(*map(jnp.asarray, ends)) for name, ends in ranges.items()})
+
+
+def speed_compensator(seed=7, *, trained=True, size=1.0, direction=1, every=EVERY, covered=None):
+    """Return a compensator for free run; untrained it says nothing, `size` is that of what it has learnt."""
+    members = [network(INPUTS, seed + member, trained=trained) for member in range(MEMBERS)]
+    networks = jax.tree.map(lambda *leaves: jnp.stack(leaves), *members)
+    networks = eqx.tree_at(lambda n: n.head.weight, networks, size * networks.head.weight)
+    return SpeedCompensator(
+        networks=networks,
+        command=jnp.asarray(0.5),
+        moved=jnp.asarray(0.15),
+        envelope=covered or envelope(),
+        direction=direction,
+        every=every,
+    )
+
+
 SHAPED = (
     Shape(
-        jnp.array([0.1, 1.5, 2.0, 0.2, -0.1, 0.05, 0.3]),
+        jnp.array([0.1, 1.5, 2.0, 0.15, 0.02, 0.2, -0.1, 0.05, 0.3]),
         Scales(*(jnp.asarray(scale) for scale in (1.2, 100.0, 60.0, 120.0, 25.0))),
     ),
     "pressure",
@@ -65,8 +91,10 @@ def channel(
     end_stop=None,
     dead_time_s=0.0,
     shape=False,
+    free_run=None,
+    covered=None,
 ):
-    """Return a channel; `compensated`: None for none, False for an untrained one, True for a trained one."""
+    """Return a channel; `compensated` and `free_run`: None for no compensator, False for an untrained one."""
     curves = SHAPED if shape else (None, None)
     values = jnp.array([GAINS[mode], *VALUES[structure]])
     parts = {} if compensated is None else {"compensator": compensator(3, trained=compensated)}
@@ -74,6 +102,14 @@ def channel(
         scales = [jnp.asarray(scale) for scale in (1.0, 100.0, 20.0, 0.1)]
         parts["black_box"] = BlackBox(network(2, 5), *scales)
         parts["arx"] = Arx(np.array([1.5, -0.5]), np.array([0.1, 0.05]))
+        terms, coefficients = np.array([[1, 0], [-1, 0], [-1, 1]]), np.array([1.0, 0.2, -0.05])
+        parts["narx"] = Narx(terms, coefficients, np.array(20.0), np.array(0.5))
+        parts["paper"] = channel(mode, "first-order-lag", compensated=True)
+    if free_run is not None:
+        direction = DIRECTIONS[mode]
+        parts["speed_compensator"] = speed_compensator(trained=free_run, direction=direction, covered=covered)
+    if free_run is not None or covered is not None:
+        parts["envelope"] = covered or envelope()
     return Channel(
         mode=mode,
         direction=DIRECTIONS[mode],

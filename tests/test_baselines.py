@@ -6,8 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hitchid.baselines import Arx, BlackBox, accumulated
+from hitchid.baselines import Arx, BlackBox, accumulated, ahead
 from hitchid.lstm import Lstm
+from hitchid.narx import Narx
 
 PAST, COMMAND = np.array([1.5, -0.3, -0.25]), np.array([0.2, -0.1, 0.4])
 SAMPLES = 120
@@ -66,6 +67,66 @@ def test_one_step_of_arx_uses_what_was_measured_up_to_the_sample_before(tests):
         expected = PAST[: len(before)] @ measured[before] + COMMAND[: len(before)] @ command[before]
         assert found[k] == pytest.approx(expected, abs=1e-13)
     np.testing.assert_allclose(model.one_step(command, travel), travel, atol=1e-12)
+
+
+AUTOREGRESSIONS = {
+    "arx": Arx(PAST, COMMAND),
+    "narx": Narx(
+        np.array([[1, 0], [2, 0], [-1, 0], [-2, -2], [-2, 1]]),
+        np.array([1.2, -0.3, 0.5, 0.1, -0.05]),
+        np.array(2.0),
+        np.array(0.5),
+    ),
+}
+
+every_autoregression = pytest.mark.parametrize("model", AUTOREGRESSIONS.values(), ids=AUTOREGRESSIONS.keys())
+
+
+@pytest.fixture
+def measured():
+    """Return a command and a travel that no model gives, from rest, shape [N] each."""
+    rng = np.random.default_rng(4)
+    command = np.concatenate([np.zeros(4), rng.uniform(-1.0, 1.0, SAMPLES - 4)])
+    return command, np.concatenate([np.zeros(4), np.cumsum(0.1 * rng.normal(size=SAMPLES - 4))])
+
+
+@every_autoregression
+def test_one_sample_ahead_is_one_step(model, measured):
+    command, travel = measured
+    (found,) = ahead(model, command, travel, [1])
+    assert found[0] == 0.0
+    np.testing.assert_allclose(found[1:], model.one_step(command, travel)[1:], rtol=0, atol=1e-13)
+
+
+@every_autoregression
+def test_from_the_first_sample_any_horizon_is_the_free_run(model, measured):
+    command, travel = measured
+    horizons = [1, 5, 30, SAMPLES - 1]
+    rows = ahead(model, command, travel, horizons)
+    free = model.free_run(command)
+    for horizon, row in zip(horizons, rows, strict=True):
+        np.testing.assert_array_equal(row[:horizon], 0.0)
+        assert row[horizon] == pytest.approx(free[horizon], abs=1e-12)
+    assert abs(free[30]) > 0.01
+
+
+@every_autoregression
+def test_between_them_it_is_the_recursion_from_what_was_measured_up_to_the_horizon_before(model, measured):
+    command, travel = measured
+    rows = ahead(model, command, travel, [2, 7])
+    for horizon, row in zip((2, 7), rows, strict=True):
+        for k in (10, 60, SAMPLES - 1):
+            known = list(travel[: k - horizon + 1])
+            for _ in range(horizon):
+                last = slice(len(known) - model.lag, len(known))
+                columns = command[last][::-1, None], np.array(known)[last][::-1, None]
+                known.append(float(model.following(*columns)[0]))
+            assert len(known) == k + 1
+            assert row[k] == pytest.approx(known[-1], abs=1e-13)
+    # What was measured later than that does not count.
+    later = np.where(np.arange(SAMPLES) > 60 - 7, 99.0, travel)
+    assert ahead(model, command, later, [7])[0, 60] == rows[1, 60]
+    assert ahead(model, command, later, [2])[0, 60] != rows[0, 60]
 
 
 @pytest.fixture(scope="module")

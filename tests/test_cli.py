@@ -269,9 +269,18 @@ BAD_CONFIGS = {
     "a misspelt section": ("[serch]\n", ["'serch'", "not known"]),
     "a misspelt key": ("[training]\nhiden = 3", ["'training.hiden'", "not known"]),
     "a structure nobody knows": ('[lifting]\nstructure = "triple"', ["'triple'", "integrator-first-order"]),
-    "bounds reversed": ("[lifting]\nbounds = { gain = [100, 5] }", ["gain", "100", "5", "required"]),
-    "bounds of no parameter": ("[lifting]\nbounds = { gian = [5, 100] }", ["gian", "gain"]),
-    "bounds without end": ("[lowering]\nbounds = { gain = [5, inf] }", ["gain", "inf"]),
+    "bounds reversed": (
+        '[lifting]\nstructure = "integrator"\nbounds = { gain = [100, 5] }',
+        ["gain", "100", "5", "required"],
+    ),
+    "bounds of no parameter": (
+        '[lifting]\nstructure = "integrator"\nbounds = { gian = [5, 100] }',
+        ["gian", "gain"],
+    ),
+    "bounds without end": (
+        '[lowering]\nstructure = "integrator"\nbounds = { gain = [5, inf] }',
+        ["gain", "inf"],
+    ),
     "a negative dead zone": ("[lifting]\ndead_zone = -1", ["'lifting.dead_zone'", "came -1"]),
     "a search nobody knows": ('[search]\nmethod = "fish"', ["'search.method'", "'whale'", "'fish'"]),
     "a window of one": ("[training]\nwindow = 1", ["'training.window'", "came 1"]),
@@ -348,8 +357,8 @@ BAD_MODELS = {
     "description of something else": (lambda f: (f / "model.json").write_text("{}") and None, ["model.json"]),
     "trace edited": (edited("trace.json", "{", "{ "), ["trace.json", "edited"]),
     "a newer schema": (
-        edited("model.json", '"schema": 2', '"schema": 3'),
-        ["model.json", "schema 3", "required 2"],
+        edited("model.json", '"schema": 3', '"schema": 4'),
+        ["model.json", "schema 4", "required 3"],
     ),
 }
 
@@ -445,6 +454,30 @@ def test_simulate_writes_what_the_model_predicts(bench_folder, tmp_path, horizon
     assert again.code == 0
 
 
+def test_simulate_says_on_stderr_where_it_leaves_what_the_tests_covered(bench_folder, tmp_path):
+    (record,) = read(bench_folder / "lifting-02.csv").records
+    effective = np.maximum(record.command("lifting") - handmade.DEAD_ZONES["lifting"], 0)
+    covered = handmade.envelope(command=(0.0, 0.05), displacement=(-50.0, 500.0))
+    save(handmade.hitch("integrator", free_run=True, covered=covered), tmp_path / "model")
+    arguments = (
+        "simulate",
+        tmp_path / "model",
+        bench_folder / "lifting-02.csv",
+        "--out",
+        tmp_path / "out.csv",
+    )
+    result = hitchid(*arguments)
+    assert (result.code, result.out) == (0, "")
+    samples = np.count_nonzero(effective > 0.05)
+    assert samples > 0
+    assert result.err == (
+        "notice: lifting: the command leaves what the tests covered, 0 to 0.05 A beyond the dead zone, "
+        f"in {samples} of {len(record)} samples\n"
+    )
+    ahead = hitchid(*arguments, "--force", "--horizon", "3")
+    assert (ahead.code, ahead.err) == (0, "")
+
+
 @pytest.fixture(scope="module")
 def tests_with_a_cycle(bench_folder, tmp_path_factory):
     """Return the bench's logs and one of both directions, up for a second and down for a second."""
@@ -494,18 +527,22 @@ def test_the_metrics_have_the_keys_of_the_contract(metrics):
         assert {name: shape(runs) for name, runs in channel["baselines"].items()} == {
             "persistence": {"one_step": FIGURES},
             "arx": {"one_step": FIGURES, "free_run": FIGURES},
+            "narx": {"one_step": FIGURES, "free_run": FIGURES},
             "lstm": {"free_run": FIGURES},
+            "transfer_function": {"free_run": FIGURES},
+            "paper": {"one_step": FIGURES, "free_run": FIGURES},
         }
 
 
 def test_the_horizons_of_the_contract_begin_with_one_step(metrics):
     for channel in metrics["channels"].values():
         horizons = channel["horizons"]
-        assert set(horizons) == {"steps", "greybox", "benchmark", "persistence"}
+        assert set(horizons) == {"steps", "greybox", "benchmark", *channel["baselines"]}
         assert horizons["steps"] == [1, 2, 5, 10, 20, 50, 100]
         assert {len(errors) for errors in horizons.values()} == {7}
         assert horizons["greybox"][0] == channel["greybox"]["one_step"]["rmse"]
-        assert horizons["persistence"][0] == channel["baselines"]["persistence"]["one_step"]["rmse"]
+        for name, baseline in channel["baselines"].items():
+            assert "one_step" not in baseline or horizons[name][0] == baseline["one_step"]["rmse"]
 
 
 def test_single_tests_have_the_keys_of_the_contract(metrics):

@@ -1,18 +1,29 @@
 """What must hold on measured data; skipped where the data are missing."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from hitchid import identify, read, validate
-from hitchid.identification import Descent, MultiStart, Training, Whale
+from hitchid.benchmark import Form, structure_named
+from hitchid.campaign import Campaign
+from hitchid.identification import Descent, MultiStart, Rollouts, Training, Whale
 from hitchid.identification.identify import PAPER_FORMS
 from hitchid.identification.phase1 import identify_benchmark
 from hitchid.identification.preparation import prepare
+from hitchid.record import Record
 
 BRIEF = {
     "search": MultiStart(evaluations=200),
-    "training": Training(hidden=8, window=20, descent=Descent(epochs=4, patience=4)),
+    "training": Training(
+        hidden=8,
+        window=20,
+        descent=Descent(epochs=4, patience=4),
+        rollouts=Rollouts(hidden=4, epochs=20),
+    ),
 }
+PAUSE_S = 60.0
 EMPS = """
 [signals]
 time = { column = "t", unit = "s" }
@@ -24,16 +35,39 @@ test = ["*PULSES"]
 """
 
 
-def test_one_step_ahead_the_grey_box_beats_persistence_and_65_micrometres_on_rig_a(data):
+def paused(record, mode):
+    """Return a record with a minute of no command in its middle, and where that begins."""
+    middle, pause = len(record) // 2, round(PAUSE_S / record.step_s)
+    commands = {role for role in record.signals if role.endswith("_command")}
+    signals = {
+        role: np.concatenate(
+            [samples[:middle], np.full(pause, 0.0 if role in commands else samples[middle]), samples[middle:]]
+        )
+        for role, samples in record.signals.items()
+    }
+    assert np.abs(record.command(mode)[:middle]).max() > 0
+    return replace(record, signals=signals), middle
+
+
+def test_the_default_model_of_rig_a_is_accurate_and_stands_where_it_is_not_driven(data):
+    """One identification, for it takes a minute: bounds of the goals set for this data."""
     campaign = read(data("rig-a"))
-    metrics = validate(identify(campaign).model, campaign).metrics
-    for mode in ("lifting", "lowering"):
+    model = identify(campaign, training=Training(baselines=False)).model
+    metrics = validate(model, campaign).metrics
+    for mode, free_run in (("lifting", 0.33), ("lowering", 0.48)):
         channel = metrics["channels"][mode]
         one_step = channel["greybox"]["one_step"]["rmse"]
-        assert one_step <= 0.065
+        assert one_step <= 0.0575
         assert one_step < channel["baselines"]["persistence"]["one_step"]["rmse"]
+        assert channel["greybox"]["free_run"]["rmse"] <= free_run
         assert np.isfinite(channel["benchmark"]["free_run"]["rmse"])
         assert channel["tests"] == [f"{mode}-{number}" for number in (17, 18, 19, 20)]
+        record, middle = paused(campaign.held_out(mode)[0], mode)
+        found = model.simulate(record)
+        settled = middle + round(1.0 / record.step_s)
+        standing = found[settled : middle + round(PAUSE_S / record.step_s)]
+        assert np.ptp(standing) < 0.05
+        assert abs(standing[0] - found[0]) > 1.0
     assert len(metrics["cycles"]["tests"]) == 4
 
 
@@ -68,7 +102,7 @@ def test_ramps_and_dynamic_tests_agree_on_the_dead_zone_of_rig_a(data):
 )
 def test_real_logs_of_two_way_plants_are_identified_and_validated(data, name, modes):
     campaign = read(data(name))
-    metrics = validate(identify(campaign, **BRIEF).model, campaign).metrics
+    metrics = validate(identify(campaign, structure=PAPER_FORMS, **BRIEF).model, campaign).metrics
     assert tuple(metrics["channels"]) == modes
     for channel in metrics["channels"].values():
         assert np.isfinite(channel["benchmark"]["free_run"]["rmse"])
@@ -82,3 +116,35 @@ def test_a_real_plant_with_one_signed_channel_is_identified_from_matlab_files(da
     assert list(metrics["channels"]) == ["lifting"]
     assert metrics["unit"] == "m"
     assert np.isfinite(metrics["channels"]["lifting"]["benchmark"]["free_run"]["rmse"])
+
+
+def root_mean_square(errors):
+    return float(np.sqrt(np.mean(errors**2)))
+
+
+def test_cascaded_tanks_are_identified_by_the_structure_that_knows_them(data):
+    columns = np.genfromtxt(data("cascaded-tanks") / "dataBenchmark.csv", delimiter=",", names=True)
+    units = {"displacement": "V", "lifting_command": "V"}
+    records = [
+        Record(
+            name, 4.0, {"displacement": columns[f"y{name}"], "lifting_command": columns[f"u{name}"]}, units
+        )
+        for name in ("Est", "Val")
+    ]
+    campaign = Campaign.of(records, test_patterns=["Val"], kinds={"*": "lifting"})
+    form = Form(structure_named("cascaded-tanks"))
+    model = identify(campaign, structure={"lifting": form}, training=None).model
+    (test,) = campaign.held_out("lifting")
+    # The first 50 samples are left out by the benchmark's rules: the upper level is not known at the start.
+    assert root_mean_square((model.simulate(test) - test.displacement)[50:]) <= 0.30
+
+
+def test_an_axis_with_friction_is_identified_by_the_structure_that_knows_it(data, tmp_path):
+    (tmp_path / "emps.toml").write_text(EMPS)
+    campaign = read(data("emps"), signals=tmp_path / "emps.toml")
+    form = Form(structure_named("inertia-with-friction"))
+    model = identify(campaign, structure={"lifting": form}, training=None).model
+    (test,) = campaign.held_out("lifting")
+    assert test.unit == "m"
+    # The first 20 samples are left out by the benchmark's rules.
+    assert root_mean_square((model.simulate(test) - test.displacement)[20:]) <= 4.6e-3

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from hitchid.metrics import error_figures
+from hitchid.metrics import error_figures, proven_better
 
 EPS = np.finfo(np.float64).eps
 
@@ -127,3 +127,39 @@ def test_tests_and_predictions_must_be_as_many():
         error_figures([np.zeros(3), np.zeros(3)], [np.zeros(3)])
     with pytest.raises(ValueError, match="shape"):
         error_figures([np.zeros(3)], [np.zeros(2)])
+
+
+@pytest.mark.parametrize(
+    ("errors", "proven"),
+    [
+        ([0.9, 0.9, 0.9], True),
+        # Two of three tests are enough, one is not, however much better it is there.
+        ([0.8, 0.8, 1.05], True),
+        ([0.1, 1.001, 1.001], False),
+        # Better on all tests, but by less than 2 % in all.
+        ([0.985, 0.985, 0.985], False),
+        ([0.975, 0.975, 0.975], True),
+        # Better on two of three, but not in all.
+        ([0.9, 0.9, 1.3], False),
+        ([1.0, 1.0, 1.0], False),
+    ],
+)
+def test_a_model_is_proven_better_by_two_percent_in_all_and_on_two_thirds_of_the_tests(errors, proven):
+    assert proven_better(np.array(errors), np.ones(3)) is proven
+
+
+@given(
+    errors=st.lists(st.floats(0.01, 10.0), min_size=1, max_size=9),
+    power=st.integers(-20, 20),
+    seed=st.integers(0, 99),
+)
+def test_of_two_models_at_most_one_is_proven_better_in_any_unit_and_order(errors, power, seed):
+    rng = np.random.default_rng(seed)
+    one = np.array(errors)
+    other = one * rng.uniform(0.5, 1.5, one.size)
+    found = proven_better(one, other)
+    assert not (found and proven_better(other, one))
+    assert not proven_better(one, one)
+    assert proven_better(2.0**power * one, 2.0**power * other) is found
+    # As many tests again, the same ones, prove neither more nor less.
+    assert proven_better(np.tile(one, 2), np.tile(other, 2)) is found

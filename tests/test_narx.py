@@ -54,11 +54,13 @@ def batch(commands, travels, *, until=None):
     counted = [np.arange(command.size) < (until or command.size) for command in commands]
     return Batch(
         command=stack(commands),
+        logged=stack(commands),
+        dead_zone=jnp.zeros(len(commands)),
         displacement=stack([40.0 - travel for travel in travels]),
         valid=stack([np.ones(command.size, dtype=bool) for command in commands]),
         counted=stack(counted),
         initial=jnp.full(len(commands), 40.0),
-        load=stack([np.zeros(command.size) for command in commands]),
+        load=jnp.zeros(len(commands)),
         step_s=0.01,
         direction=-1,
     )

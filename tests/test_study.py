@@ -4,9 +4,14 @@ import csv
 import json
 
 import numpy as np
+import pytest
 
+from hitchid.bench import DYNAMIC_S, HIGH, LOW, STROKE_FRACTION
 from hitchid.identification import Descent, MultiStart, Training
+from hitchid.record import LIFTING, MODES
+from hitchid.rig import load_rig, simulate
 from hitchid.study import Plan, reproduce
+from hitchid.study.mechanistic import mechanistic
 
 
 def test_a_small_study_writes_every_table_and_figure(tmp_path):
@@ -25,7 +30,7 @@ def test_a_small_study_writes_every_table_and_figure(tmp_path):
         assert len(header) >= 2
         assert len(rows) >= 1
     text = (tmp_path / "study" / "study.md").read_text()
-    for title in ("Table 2.", "Table 3.", "Table 4."):
+    for title in ("Table 2.", "Table 3.", "Table 4.", "mechanistic, free run", "Mechanistic model"):
         assert title in text
     metrics = json.loads((tmp_path / "study" / "metrics.json").read_text())
     # The study's own figures and the validation's are computed apart and must agree.
@@ -35,3 +40,32 @@ def test_a_small_study_writes_every_table_and_figure(tmp_path):
         )
         free_run = metrics["channels"][mode]["benchmark"]["free_run"]["rmse"]
         np.testing.assert_allclose(np.sqrt(np.mean(errors**2)), free_run, rtol=1e-9)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_the_mechanistic_gain_leads_to_the_speed_of_the_mean_test(mode):
+    """At u₀ = v₀/K beyond the dead zone the bench passes the middle of the way at v₀.
+
+    The speed is taken over ±5 mm, in which the load's pressure and the root of it, the speed, change by
+    k/(2 W) · 5 mm < 1 %; hence the tolerance.
+    """
+    rig = load_rig("nominal")
+    known = mechanistic(rig, mode)
+    stroke_mm = 1e3 * float(rig.cylinder.stroke)
+    speed = np.mean(LOW + HIGH) * STROKE_FRACTION * stroke_mm / DYNAMIC_S
+    gain = known.benchmark.named_values()["gain"]
+    currents = np.zeros((1, 1001, 2))
+    currents[:, 20:, MODES.index(mode)] = known.dead_zone + speed / gain
+    start = 0.0 if mode == LIFTING else float(rig.cylinder.stroke)
+    motion = simulate(rig, currents, initial_displacement_m=start)
+    travel = 1e3 * np.abs(np.asarray(motion.displacement_m)[0] - start)
+    near = np.flatnonzero(np.abs(travel - 0.5 * speed * DYNAMIC_S) < 5.0)
+    assert np.polyfit(0.01 * near, travel[near], 1)[0] == pytest.approx(speed, rel=0.01)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_the_mechanistic_dead_zone_is_the_data_sheet_s(mode):
+    """It is the valve's overlap with half the hysteresis, on a bench whose valves differ from the nominal."""
+    rig = load_rig("light-warm-worn")
+    spool = (rig.lifting_valve if mode == LIFTING else rig.lowering_valve).spool
+    assert mechanistic("light-warm-worn", mode).dead_zone == float(spool.dead_zone + spool.hysteresis)

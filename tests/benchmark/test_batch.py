@@ -1,5 +1,7 @@
 """Tests side by side: padding, selection, start, end stop."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -8,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hitchid.benchmark import Batch, Benchmark, before_end_stop, structure_named
-from hitchid.benchmark.batch import initial_displacement
+from hitchid.benchmark.batch import mean_before_motion
 from hitchid.record import LIFTING
 from truth import STEP_S, levels
 
@@ -66,7 +68,62 @@ def test_a_batch_holds_the_command_beyond_the_dead_zone_and_the_measured_displac
         beyond = np.maximum(record.command(LIFTING) - 0.2, 0.0)
         np.testing.assert_array_equal(batch.command[row, : len(record)], beyond)
         np.testing.assert_array_equal(batch.displacement[row, : len(record)], record.displacement)
+        np.testing.assert_array_equal(batch.logged[row, : len(record)], record.command(LIFTING))
+    np.testing.assert_array_equal(batch.dead_zone, [0.2, 0.2, 0.2])
     assert batch.step_s == STEP_S
+
+
+def test_the_second_input_counts_as_its_mean_before_motion(records):
+    # From each record's first effective command on, the second input is something else.
+    told = []
+    for level, record in zip((3.0, -7.0, 120.0), records, strict=True):
+        moving = int(np.flatnonzero(record.command(LIFTING) > 0.2)[0])
+        wobble = np.where(np.arange(len(record)) % 2 == 0, 0.5, -0.5)
+        pressure = np.where(np.arange(len(record)) <= moving, level + wobble, 1e6)
+        told.append(level + wobble[: min(moving + 1, 50)].mean())
+        signals = {**record.signals, "pressure": pressure}
+        records[records.index(record)] = replace(
+            record, signals=signals, units={**record.units, "pressure": "bar"}
+        )
+    batch = laid(records, load="pressure")
+    assert batch.load.shape == (3,)
+    np.testing.assert_allclose(batch.load, told, rtol=1e-12)
+    np.testing.assert_array_equal(laid(records).load, [0.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("most", [100, 171, 256, 512, 4096])
+def test_a_thinned_batch_keeps_the_integral_of_every_command_and_the_start(records, most):
+    batch = laid(records, end_stop=60.0)
+    thin = batch.thinned(most)
+    count = thin.command.shape[1]
+    assert count <= most
+    factor = round(thin.step_s / batch.step_s)
+    assert thin.step_s == pytest.approx(factor * STEP_S, rel=1e-15)
+    # No coarser than it must be.
+    assert factor == 1 or (factor - 1) * most < 512
+    for name in ("command", "logged"):
+        whole, rough = (np.asarray(getattr(each, name)) for each in (batch, thin))
+        expected = [
+            np.pad(row, (0, count * factor - 512)).reshape(count, factor).sum(axis=1) for row in whole
+        ]
+        np.testing.assert_allclose(factor * rough, expected, rtol=0, atol=factor * EPS)
+        np.testing.assert_allclose(
+            thin.step_s * rough.sum(axis=1), STEP_S * whole.sum(axis=1), rtol=512 * EPS, atol=0
+        )
+    for name in ("initial", "load", "dead_zone"):
+        np.testing.assert_array_equal(getattr(thin, name), getattr(batch, name))
+    for name in ("displacement", "valid", "counted"):
+        np.testing.assert_array_equal(getattr(thin, name), np.asarray(getattr(batch, name))[:, ::factor])
+    assert thin.direction == batch.direction
+
+
+def test_an_integrator_answers_a_thinned_batch_at_its_samples_as_the_whole_one(records):
+    """∫u dt at the coarse samples is the same sum, so that K/s has not lost anything."""
+    model = Benchmark(structure_named("integrator"), jnp.array([21.0]), jnp.asarray(0.0))
+    batch = laid(records)
+    found = np.asarray(model.travel(batch.thinned(128)))
+    whole = np.asarray(model.travel(batch))[:, ::4]
+    np.testing.assert_allclose(found, whole, rtol=0, atol=512 * EPS * whole.max())
 
 
 @pytest.mark.parametrize("direction", [1, -1])
@@ -81,7 +138,7 @@ def test_displaced_undoes_travel(records, direction):
 def test_take_keeps_whole_tests_in_the_order_asked_for(records):
     batch = laid(records, end_stop=60.0)
     some = batch.take([2, 0])
-    for name in ("command", "displacement", "valid", "counted", "initial"):
+    for name in ("command", "logged", "dead_zone", "displacement", "valid", "counted", "initial", "load"):
         np.testing.assert_array_equal(getattr(some, name), np.asarray(getattr(batch, name))[[2, 0]])
     assert (some.step_s, some.direction) == (batch.step_s, batch.direction)
 
@@ -104,13 +161,13 @@ def test_the_start_is_the_mean_of_the_samples_before_motion_at_most_fifty(rest, 
     effective = np.where(np.arange(size) < rest, 0.0, 0.3)
     at_rest = displacement[: min(rest + 1, 50)]
     expected = sum(at_rest.tolist()) / at_rest.size
-    assert initial_displacement(displacement, effective) == pytest.approx(expected, abs=1e-12)
+    assert mean_before_motion(displacement, effective) == pytest.approx(expected, abs=1e-12)
 
 
 def test_a_test_without_motion_starts_at_the_mean_of_its_first_fifty_samples():
     displacement = np.concatenate([np.full(50, 3.0), np.full(50, 99.0)])
-    assert initial_displacement(displacement, np.zeros(100)) == 3.0
-    assert initial_displacement(displacement[:20], np.zeros(20)) == 3.0
+    assert mean_before_motion(displacement, np.zeros(100)) == 3.0
+    assert mean_before_motion(displacement[:20], np.zeros(20)) == 3.0
 
 
 def test_a_given_start_is_taken_as_it_is(records):

@@ -1,4 +1,4 @@
-"""One protocol over every benchmark structure."""
+"""One protocol over every linear benchmark structure, and what holds for all of them."""
 
 import warnings
 
@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 from scipy import signal
 
 from hitchid.benchmark import SHAPE, STRUCTURES, Benchmark, Form, Scales, discretise, structure_named
+from hitchid.benchmark.nonlinear import NonlinearStructure
+from hitchid.benchmark.structure import LinearStructure
 from hitchid.errors import InputError
 from truth import STEP_S, held, levels, shifted
 
@@ -26,7 +28,10 @@ TYPICAL = {
 
 UNIT = Scales(*(jnp.asarray(scale) for scale in (1.0, 0.0, 1.0, 0.0, 1.0)))
 
+LINEAR = {name: each for name, each in STRUCTURES.items() if isinstance(each, LinearStructure)}
+
 every_structure = pytest.mark.parametrize("structure", STRUCTURES.values(), ids=STRUCTURES.keys())
+every_linear_structure = pytest.mark.parametrize("structure", LINEAR.values(), ids=LINEAR.keys())
 
 
 def typical(structure, dead_time_s=0.0):
@@ -58,7 +63,7 @@ def largest(*arrays):
     return max(float(np.abs(array).max()) for array in arrays)
 
 
-@every_structure
+@every_linear_structure
 @settings(deadline=None, max_examples=20)
 @given(data=st.data())
 def test_state_space_and_transfer_function_describe_one_system(structure, data):
@@ -76,7 +81,7 @@ def test_state_space_and_transfer_function_describe_one_system(structure, data):
         assert abs(by_states - by_fraction) <= 4 * EPS * lost * abs(by_fraction)
 
 
-@every_structure
+@every_linear_structure
 @settings(deadline=None, max_examples=20)
 @given(data=st.data())
 def test_discretisation_agrees_with_scipy_for_any_parameters(structure, data):
@@ -99,7 +104,7 @@ def _discretise(structure, values, step_s):
     return discretise(structure, values, jnp.asarray(0.0), step_s)
 
 
-@every_structure
+@every_linear_structure
 def test_response_agrees_with_scipy(structure, command):
     model = typical(structure)
     expected = held(*structure.transfer_function(tuple(model.values.tolist())), command)
@@ -109,7 +114,7 @@ def test_response_agrees_with_scipy(structure, command):
     assert found[0, 0] == 0.0
 
 
-@every_structure
+@every_linear_structure
 def test_dead_time_of_whole_samples_only_delays_the_response(structure, command):
     prompt = response(typical(structure), command, command)[0]
     for samples in (1, 3, 7):
@@ -119,7 +124,7 @@ def test_dead_time_of_whole_samples_only_delays_the_response(structure, command)
         assert np.all(late[: samples + 6] == 0.0)
 
 
-@every_structure
+@every_linear_structure
 def test_fractional_dead_time_agrees_with_a_grid_ten_times_as_fine(structure, command):
     fine_command = shifted(np.repeat(command, 10), 37)
     values = tuple(typical(structure).values.tolist())
@@ -129,7 +134,7 @@ def test_fractional_dead_time_agrees_with_a_grid_ten_times_as_fine(structure, co
     assert largest(late - fine[::10]) <= 2000 * EPS * largest(fine)
 
 
-@every_structure
+@every_linear_structure
 @pytest.mark.parametrize("dead_time_s", [0.0, 0.03, 0.037])
 @pytest.mark.filterwarnings("ignore::scipy.signal.BadCoefficients")
 def test_discrete_transfer_function_reproduces_the_response(structure, dead_time_s, command):
@@ -147,7 +152,7 @@ def _same_length(numerator, denominator):
     return np.concatenate([np.zeros(len(denominator) - len(numerator)), numerator]), denominator
 
 
-@every_structure
+@every_linear_structure
 def test_continuous_transfer_function_is_handed_over_unless_there_is_a_dead_time(structure):
     fraction = typical(structure).to_scipy()
     numerator, denominator = structure.transfer_function(tuple(typical(structure).values.tolist()))
@@ -160,7 +165,7 @@ def test_continuous_transfer_function_is_handed_over_unless_there_is_a_dead_time
         typical(structure, 0.037).to_control()
 
 
-@every_structure
+@every_linear_structure
 @pytest.mark.parametrize("dead_time_s", [0.0, 0.03, 0.037])
 def test_discrete_transfer_function_is_handed_over_without_a_warning(structure, dead_time_s):
     with warnings.catch_warnings():
@@ -168,7 +173,7 @@ def test_discrete_transfer_function_is_handed_over_without_a_warning(structure, 
         typical(structure, dead_time_s).to_scipy(STEP_S)
 
 
-@every_structure
+@every_linear_structure
 @pytest.mark.parametrize(("step_s", "dead_time_s"), [(None, 0.0), (STEP_S, 0.0), (STEP_S, 0.037)])
 @pytest.mark.filterwarnings("ignore::scipy.signal.BadCoefficients")
 def test_python_control_gets_what_scipy_gets(structure, step_s, dead_time_s):
@@ -182,7 +187,7 @@ def test_python_control_gets_what_scipy_gets(structure, step_s, dead_time_s):
     assert (theirs.dt or None) == step_s
 
 
-@every_structure
+@every_linear_structure
 @settings(deadline=None, max_examples=15)
 @given(
     data=st.data(),
@@ -219,7 +224,7 @@ CLOSED_FORMS = {
 }
 
 
-@every_structure
+@every_linear_structure
 def test_step_response_is_the_closed_form(structure):
     model = typical(structure)
     found = response(model, np.ones(SAMPLES), np.zeros(SAMPLES))
@@ -229,7 +234,7 @@ def test_step_response_is_the_closed_form(structure):
     assert np.all(found[1] == 0.0)
 
 
-@every_structure
+@every_linear_structure
 def test_searched_values_are_told_apart_from_the_dead_time(structure):
     late, prompt = Form(structure, dead_time=True), Form(structure)
     assert late.parameters[:-1] == prompt.parameters == structure.parameters
@@ -239,14 +244,24 @@ def test_searched_values_are_told_apart_from_the_dead_time(structure):
     assert without.named_values() == {p.name: TYPICAL[p.name] for p in structure.parameters}
 
 
-@every_structure
+@every_linear_structure
 def test_a_benchmark_with_curves_has_no_transfer_function(structure):
-    form = Form(structure, curve=True, position=True, load="pressure", dead_time=True)
+    form = Form(structure, curve=True, spool=True, position=True, load="pressure", dead_time=True)
     assert form.parameters == (*structure.parameters, *SHAPE, form.parameters[-1])
     curved = form.benchmark(jnp.linspace(0.1, 0.9, len(form.parameters)), UNIT)
     assert list(curved.named_values().values()) == pytest.approx(np.linspace(0.1, 0.9, len(form.parameters)))
     with pytest.raises(InputError, match="without them"):
         curved.to_scipy(STEP_S)
+
+
+@every_structure
+def test_a_structure_is_linear_or_nonlinear_and_its_bounds_enclose_something(structure):
+    assert isinstance(structure, LinearStructure) != isinstance(structure, NonlinearStructure)
+    for parameter in structure.parameters:
+        assert parameter.lower < parameter.upper
+        # What is searched by its logarithm is positive.
+        assert parameter.linear or parameter.lower > 0
+    assert len({parameter.name for parameter in structure.parameters}) == len(structure.parameters)
 
 
 @every_structure

@@ -30,7 +30,7 @@ PROVENANCE = Provenance(
 
 
 def whole():
-    return hitch(compensated=True, baselines=True, provenance=PROVENANCE)
+    return hitch(compensated=True, baselines=True, free_run=True, provenance=PROVENANCE)
 
 
 @pytest.fixture(scope="module")
@@ -48,8 +48,10 @@ def folder(tmp_path_factory):
         hitch("integrator-first-order", compensated=True),
         hitch("integrator", baselines=True),
         hitch("integrator", shape=True),
+        hitch("integrator", free_run=True),
+        hitch("integrator", compensated=True, baselines=True, free_run=True, shape=True),
     ],
-    ids=["everything", "one-channel", "compensator", "baselines", "shape"],
+    ids=["trained", "one-channel", "compensator", "baselines", "shape", "free-run", "everything"],
 )
 def test_a_model_comes_back_as_it_was(model, tmp_path):
     save(model, tmp_path / "model")
@@ -62,6 +64,25 @@ def test_a_model_comes_back_as_it_was(model, tmp_path):
         np.testing.assert_array_equal(ours, theirs)
     assert (back.step_s, dict(back.units)) == (model.step_s, dict(model.units))
     assert back.provenance == model.provenance
+
+
+def test_a_model_with_every_part_simulates_and_predicts_as_before(tmp_path, make_record):
+    options = {"compensated": True, "baselines": True, "free_run": True, "dead_time_s": 0.037}
+    model = hitch("integrator-second-order", provenance=PROVENANCE, **options)
+    save(model, tmp_path / "model")
+    back = load(tmp_path / "model")
+    up, down = np.repeat([0, 0.9, 0, 0], 60), np.repeat([0, 0, 0, 0.6], 60)
+    record = make_record(np.linspace(80.0, 90.0, 240), up, down)
+    np.testing.assert_array_equal(back.simulate(record), model.simulate(record))
+    np.testing.assert_array_equal(back.predict(record, horizon=3), model.predict(record, horizon=3))
+    assert np.abs(model.simulate(record) - model.simulate(record, compensated=False)).max() > 0.1
+    for mode, channel in model.channels.items():
+        ours, theirs = back.channels[mode], channel
+        assert ours.narx is not None
+        np.testing.assert_array_equal(ours.narx.free_run(up), theirs.narx.free_run(up))
+        batch = channel.batch([record])
+        np.testing.assert_array_equal(ours.paper.echo(batch), theirs.paper.echo(batch))
+    assert back.extrapolation(record) == model.extrapolation(record) != ()
 
 
 def test_saving_twice_gives_the_same_bytes(folder, tmp_path):
@@ -150,10 +171,10 @@ def redescribed(folder, place, change):
     return place
 
 
-@pytest.mark.parametrize("schema", [0, 1, 99, "2", None])
+@pytest.mark.parametrize("schema", [0, 2, 99, "3", None])
 def test_another_schema_is_refused_with_both_numbers(folder, tmp_path, schema):
     place = redescribed(folder, tmp_path / "model", lambda content: content.update(schema=schema))
-    with pytest.raises(ModelFolderError, match=f"has schema {schema!r}, required 2"):
+    with pytest.raises(ModelFolderError, match=f"has schema {schema!r}, required 3"):
         load(place)
 
 
@@ -183,9 +204,20 @@ def test_a_channel_that_cannot_be_is_refused(folder, tmp_path, key, value):
         load(redescribed(folder, tmp_path / "model", change))
 
 
-def test_a_compensator_of_another_size_than_its_weights_is_refused(folder, tmp_path):
+@pytest.mark.parametrize(
+    ("part", "key", "size"),
+    [
+        ("compensator", "hidden", 5),
+        ("speed_compensator", "hidden", 5),
+        ("speed_compensator", "members", 3),
+        ("black_box", "hidden", 5),
+        ("arx", "order", 3),
+        ("narx", "terms", [4, 2]),
+    ],
+)
+def test_a_part_of_another_size_than_its_weights_is_refused(folder, tmp_path, part, key, size):
     def change(content):
-        content["channels"]["lifting"]["compensator"]["hidden"] = 5
+        content["channels"]["lifting"][part][key] = size
 
     with pytest.raises(ModelFolderError, match="shape"):
         load(redescribed(folder, tmp_path / "model", change))

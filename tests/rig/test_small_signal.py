@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hitchid.rig import OperatingPoint, simulate, small_signal
+from hitchid.rig import OperatingPoint, lowering_small_signal, simulate, small_signal
 
 CURRENT_A = 0.62
 AMPLITUDE_A = 0.004
@@ -16,8 +16,11 @@ SAMPLE_S = 0.01
 @pytest.fixture(scope="module")
 def linear_rig(rig):
     """Return the nominal bench without hysteresis, without ripple."""
-    zero = jnp.asarray(0.0)
-    return eqx.tree_at(lambda r: (r.lifting_valve.spool.hysteresis, r.supply.ripple), rig, (zero, zero))
+    return eqx.tree_at(
+        lambda r: (r.lifting_valve.spool.hysteresis, r.lowering_valve.spool.hysteresis, r.supply.ripple),
+        rig,
+        (jnp.asarray(0.0),) * 3,
+    )
 
 
 def phasor(signal: np.ndarray, omega: float, time_s: np.ndarray) -> complex:
@@ -53,6 +56,24 @@ def _response(rig, motion, row: int, omega: float, time_s: np.ndarray) -> comple
     lag = float(valve.compensator_lag) * s
     # the metering edge acts at once on its share of the pressure drop, the compensator later on the rest
     return found / (chain.gain / (s * lagged) * (1 + share * lag) / (1 + lag))
+
+
+def test_small_motions_of_lowering_follow_theirs(linear_rig):
+    """The downward travel is K/(s(s²/ωh² + 2ξh s/ωh + 1)), up to, at and beyond its resonance."""
+    omegas, time_s = 2 * np.pi * np.array([0.5, 1.0, 1.5, 5.0]), SAMPLE_S * np.arange(1001)
+    currents = np.zeros((4, time_s.size, 2))
+    currents[..., 1] = CURRENT_A + AMPLITUDE_A * np.sin(omegas[:, None] * time_s)
+    motion = simulate(linear_rig, currents, initial_displacement_m=0.2, substeps=20)
+    # The swing at the start has died away by 4 s: exp(−ξh ωh · 4 s) < 1e-4.
+    late, saturation = slice(400, 800), float(linear_rig.lowering_valve.spool.saturation)
+    for row, omega in enumerate(omegas):
+        displacement = np.asarray(motion.displacement_m)[row, late]
+        current = saturation * np.asarray(motion.lowering_spool)[row, late]
+        found = -1e3 * phasor(displacement, omega, time_s[late]) / phasor(current, omega, time_s[late])
+        chain = lowering_small_signal(linear_rig, OperatingPoint(float(np.mean(displacement)), CURRENT_A))
+        s = 1j * omega
+        lagged = (s / chain.natural_frequency) ** 2 + 2 * chain.damping_ratio * s / chain.natural_frequency
+        assert abs(found / (chain.gain / (s * (lagged + 1))) - 1) < 0.05
 
 
 def test_gain_is_the_slope_of_steady_speed(linear_rig):

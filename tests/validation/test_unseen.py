@@ -11,7 +11,7 @@ from hitchid import identify, validate
 from hitchid.benchmark import structure_named
 from hitchid.campaign import Campaign
 from hitchid.errors import InputError
-from hitchid.identification import Descent, Form, MultiStart, Training
+from hitchid.identification import Descent, Form, MultiStart, Rollouts, Training
 from hitchid.record import LIFTING, LOWERING
 from truth import held, levels
 
@@ -19,7 +19,9 @@ FORM = Form(structure_named("integrator-first-order"))
 QUICK = {
     "structure": {LIFTING: FORM, LOWERING: FORM},
     "search": MultiStart(evaluations=30),
-    "training": Training(hidden=4, window=10, descent=Descent(epochs=5, patience=5)),
+    "training": Training(
+        hidden=4, window=10, descent=Descent(epochs=5, patience=5), rollouts=Rollouts(hidden=4, epochs=10)
+    ),
 }
 
 

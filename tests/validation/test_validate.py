@@ -7,10 +7,11 @@ import equinox as eqx
 import numpy as np
 import pytest
 
-from handmade import DEAD_ZONES, GAINS, hitch
+from handmade import DEAD_ZONES, GAINS, envelope, hitch
+from hitchid.baselines import ahead
 from hitchid.campaign import Campaign
 from hitchid.errors import InputError, OutputError
-from hitchid.model import Provenance
+from hitchid.model import Provenance, unpadded
 from hitchid.record import LIFTING, LOWERING
 from hitchid.validation import HORIZONS, validate
 from hitchid.validation.tables import NAMES
@@ -178,7 +179,89 @@ def test_the_tables_name_every_model_and_every_test_of_one_direction(tests_of, c
     text = validate(MODELS, Campaign.of([*records, cycle("cycle-1")])).markdown()
     for name in [*NAMES.values(), *(record.name for record in records)]:
         assert f"| {name} |" in text
-    assert set(NAMES) == {"persistence", "arx", "lstm", "benchmark", "greybox"}
+    baselines = {"persistence", "arx", "narx", "lstm", "transfer_function", "paper"}
+    assert set(NAMES) == baselines | {"benchmark", "greybox"}
+
+
+def test_over_a_horizon_every_model_has_as_many_figures_as_there_are_horizons(tests_of):
+    channel = validate(MODELS, Campaign.of(tests_of())).metrics["channels"][LIFTING]
+    horizons = channel["horizons"]
+    assert set(horizons) == {"steps", *NAMES}
+    assert {len(row) for row in horizons.values()} == {len(HORIZONS)}
+    for name, baseline in channel["baselines"].items():
+        assert set(baseline) == {
+            "persistence": {"one_step"},
+            "lstm": {"free_run"},
+            "transfer_function": {"free_run"},
+        }.get(name, {"one_step", "free_run"})
+        if "one_step" in baseline:
+            assert horizons[name][0] == baseline["one_step"]["rmse"]
+
+
+@pytest.mark.parametrize("name", ["arx", "narx"])
+def test_an_autoregression_is_iterated_over_a_horizon_from_what_was_measured(tests_of, name):
+    records = tests_of()
+    channel = validate(MODELS, Campaign.of(records)).metrics["channels"][LIFTING]
+    own = MODELS.channels[LIFTING]
+    measured = [record.displacement for record in records]
+    travels = [y - y[:6].mean() for y in measured]
+    commands = [np.maximum(record.command(LIFTING) - DEAD_ZONES[LIFTING], 0) for record in records]
+    model = getattr(own, name)
+    free = [y[:6].mean() + model.free_run(u) for y, u in zip(measured, commands, strict=True)]
+    assert channel["baselines"][name]["free_run"] == pytest.approx(by_hand(measured, free), rel=1e-9)
+    steps = [1, 5, 100]
+    rows = [ahead(model, u, w, steps) for u, w in zip(commands, travels, strict=True)]
+    for number, step in enumerate(steps):
+        predicted = [y[:6].mean() + row[number] for y, row in zip(measured, rows, strict=True)]
+        rmse = by_hand([y[step:] for y in measured], [p[step:] for p in predicted])["rmse"]
+        assert channel["horizons"][name][HORIZONS.index(step)] == pytest.approx(rmse, rel=1e-9)
+
+
+def test_the_papers_method_is_its_own_transfer_function_and_the_echo_of_its_compensator(tests_of):
+    records = tests_of()
+    channel = validate(MODELS, Campaign.of(records)).metrics["channels"][LIFTING]
+    paper = MODELS.channels[LIFTING].paper
+    measured = [record.displacement for record in records]
+    batch = paper.batch(records)
+    alone = replace(MODELS, channels={LIFTING: paper})
+    for name, rows in (
+        ("transfer_function", paper.simulate_benchmark(batch)),
+        ("paper", paper.echo(batch)),
+    ):
+        predicted = unpadded(np.asarray(rows), records)
+        expected = by_hand(measured, predicted)
+        assert channel["baselines"][name]["free_run"] == pytest.approx(expected, rel=1e-6)
+    one_step = [alone.predict(record)[1:] for record in map(one_way, records)]
+    expected = by_hand([y[1:] for y in measured], one_step)
+    # Tests alone and side by side, as above.
+    assert channel["baselines"]["paper"]["one_step"] == pytest.approx(expected, rel=1e-4)
+    assert channel["baselines"]["paper"] != channel["greybox"]
+
+
+def one_way(record):
+    """Return a record with its lifting command alone."""
+    signals = {role: samples for role, samples in record.signals.items() if role != "lowering_command"}
+    return replace(record, signals=signals)
+
+
+def test_a_model_that_is_the_papers_stands_for_the_papers_method(tests_of):
+    papers = {
+        mode: eqx.tree_at(lambda c: c.paper, channel, None) for mode, channel in MODELS.channels.items()
+    }
+    channel = validate(replace(MODELS, channels=papers), Campaign.of(tests_of())).metrics["channels"][LIFTING]
+    assert channel["baselines"]["paper"]["one_step"] == channel["greybox"]["one_step"]
+    assert channel["baselines"]["transfer_function"]["free_run"] == channel["benchmark"]["free_run"]
+
+
+def test_it_is_said_where_tests_leave_what_the_identification_covered(tests_of):
+    wide = envelope(displacement=(-1e3, 1e3), command=(0.0, 2.0))
+    narrow = envelope(displacement=(-1e3, 1e3), command=(0.0, 0.2))
+    told = {}
+    for name, covered in (("wide", wide), ("narrow", narrow)):
+        result = validate(hitch(free_run=False, covered=covered), Campaign.of(tests_of()))
+        told[name] = [notice for notice in result.notices if "leaves what the identification" in notice]
+    assert told["wide"] == []
+    assert told["narrow"] == ["lifting: in 3 of 3 tests the command leaves what the identification covered"]
 
 
 def test_tests_of_a_direction_without_a_channel_are_left_out_with_a_notice(tests_of):

@@ -53,7 +53,7 @@ def simulated(
     """
     width = step_s / structure.substeps
 
-    def step(_: int, held: tuple[Array, Array]) -> tuple[Array, Array]:
+    def step(_: Array, held: tuple[Array, Array]) -> tuple[Array, Array]:
         state, u = held
         first = structure.rate(values, state, u)
         second = structure.rate(values, state + 0.5 * width * first, u)

@@ -8,6 +8,7 @@ from jaxtyping import Array, Float
 from hitchid.benchmark.structure import Parameter
 
 SHARPNESS = 4
+SHUT = 1e-3
 REACH = 1.5
 CURVE = (
     Parameter("opening", "1", -0.6, 0.9, linear=True),
@@ -27,7 +28,7 @@ LOAD = (
     Parameter("load_gain", "1", -1.0, 1.0, linear=True),
 )
 SHAPE = (*CURVE, *SPOOL, *POSITION, *LOAD)
-NEUTRAL = {"opening": 0.0, "exponent": 1.0, "saturation": 1e4, "spool_lag": 1e-9}
+NEUTRAL = {"opening": 0.0, "exponent": 1.0, "saturation": 1e4, "spool_lag": 1e-15}
 
 
 class Scales(eqx.Module):
@@ -56,9 +57,10 @@ class Shape(eqx.Module):
 
     With z = u/U and the second input c in its own spread, v = max(z − s c − d, 0)ⁿ and
     w = U v/(1 + (v/σ)⁴)^¼: beyond the opening d flow grows with the power n of the command until it
-    saturates. A negative opening says that the valve opens below the dead zone. Where u is zero, so is the
-    flow, as h ≤ 1 makes sure for a command of zero. Travel grows by g = exp(a ξ + b (ξ² − ⅓) + γ c) times
-    what the linear model's does, ξ the displacement within its range, held at 1½ of it beyond.
+    saturates. A negative opening says that the valve opens below the dead zone. Where u is less than a
+    thousandth of U nothing flows: h ≤ 1 and the end of the lag make sure of that for a command of zero.
+    Travel grows by g = exp(a ξ + b (ξ² − ⅓) + γ c) times what the linear model's does, ξ the displacement
+    within its range, held at 1½ of it beyond.
 
     Attributes:
         values: d, n, σ, h, τ, a, b, s, γ, shape [9].
@@ -97,7 +99,7 @@ class Shape(eqx.Module):
         opening, exponent, saturation, shift = self._named("opening", "exponent", "saturation", "load_shift")
         size = jnp.abs(command) / self.scales.command
         beyond = size - opening - shift * self._load(load)[:, None]
-        open_ = (command != 0) & (beyond > 0)
+        open_ = (size > SHUT) & (beyond > 0)
         grown = jnp.where(open_, jnp.where(open_, beyond, 1.0) ** exponent, 0.0)
         limited = grown / (1 + (grown / saturation) ** SHARPNESS) ** (1 / SHARPNESS)
         return jnp.sign(command) * self.scales.command * limited

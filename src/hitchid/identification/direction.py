@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import PRNGKeyArray
+from jaxtyping import Array, Key, PRNGKeyArray
 
 from hitchid.benchmark import Batch, Form
 from hitchid.envelope import Envelope, Range
@@ -169,7 +169,7 @@ def _with_baselines(
     channel: Channel,
     tests: Prepared,
     asked: Asked,
-    keys: PRNGKeyArray,
+    keys: Key[Array, " k"],
     progress: Progress,
     seconds: dict[str, float],
 ) -> Channel:

@@ -40,8 +40,8 @@ class Plan:
 
 
 def quick_plan() -> Plan:
-    """Return a plan for a first look: fewer tests, a smaller search and a shorter training."""
-    training = Training(hidden=16, descent=Descent(epochs=40, patience=20))
+    """Return a plan for a first look: fewer tests, a smaller search, shorter training, none for free run."""
+    training = Training(hidden=16, descent=Descent(epochs=40, patience=20), rollouts=None)
     search = Whale(Swarm(iterations=40, evaluations=1200))
     return Plan(tests=8, cycles=1, search=search, training=training)
 

@@ -1,0 +1,150 @@
+"""One direction: its two compensators apart, what hears itself, and where a simulation leaves the tests."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from handmade import DEAD_ZONES, ERROR_STEP, WINDOW, channel, envelope, hitch
+from hitchid.record import LIFTING, LOWERING
+from truth import levels
+
+SAMPLES = 200
+SINGLE = float(np.finfo(np.float32).eps)
+
+
+@pytest.fixture
+def record(make_record):
+    rng = np.random.default_rng(0)
+    command = levels(rng, SAMPLES, low=0.3)
+    return make_record(100.0 + np.cumsum(0.2 * rng.uniform(size=SAMPLES)), command, 0 * command)
+
+
+def run(rows):
+    return np.asarray(rows)[0, :SAMPLES]
+
+
+@pytest.mark.parametrize("compensated", [None, False])
+def test_without_anything_learnt_the_echo_is_the_benchmark(record, compensated):
+    model = channel(LIFTING, "integrator-first-order", compensated=compensated)
+    batch = model.batch([record])
+    np.testing.assert_array_equal(model.echo(batch), model.simulate_benchmark(batch))
+
+
+def test_an_echo_that_is_measured_is_what_one_step_ahead_predicts(record):
+    """Where the model is right there is no difference between hearing itself and hearing what is measured."""
+    model = channel(LIFTING, "integrator-first-order", compensated=True)
+    echo = run(model.echo(model.batch([record], [100.0])))
+    heard = model.batch([echoed(record, echo)], [100.0])
+    predicted = run(model.predict(heard, (1,))[0])
+    # A prediction reads the last L features, the echo all of them: up to there they are the same, but for
+    # single precision in L steps of sums of 14 products.
+    same = slice(0, WINDOW)
+    rounding = WINDOW**2 * 14 * SINGLE * ERROR_STEP
+    np.testing.assert_allclose(predicted[same], echo[same], rtol=0, atol=rounding)
+    assert np.abs(echo - run(model.simulate_benchmark(heard)))[same].max() > 100 * rounding
+
+
+def echoed(record, displacement):
+    return type(record)(
+        name=record.name,
+        step_s=record.step_s,
+        signals={**record.signals, "displacement": displacement},
+        units=record.units,
+    )
+
+
+def test_in_free_run_the_compensator_for_predictions_is_silent(record):
+    both = channel(LIFTING, "integrator-first-order", compensated=True, free_run=True)
+    one = channel(LIFTING, "integrator-first-order", free_run=True)
+    batch = both.batch([record])
+    np.testing.assert_array_equal(both.simulate(batch), one.simulate(batch))
+    assert np.any(both.echo(batch) != both.simulate(batch))
+    alone = channel(LIFTING, "integrator-first-order", compensated=True)
+    np.testing.assert_array_equal(alone.simulate(batch), alone.simulate_benchmark(batch))
+
+
+def test_the_compensator_for_free_run_leaves_predictions_alone(record):
+    both = channel(LIFTING, "integrator-first-order", compensated=True, free_run=True)
+    alone = channel(LIFTING, "integrator-first-order", compensated=True)
+    batch = both.batch([record])
+    np.testing.assert_array_equal(both.predict(batch, (1, 5)), alone.predict(batch, (1, 5)))
+    assert np.any(both.simulate(batch) != both.simulate_benchmark(batch))
+
+
+def test_the_compensator_for_free_run_does_not_pass_the_end_stop(record):
+    model = channel(LIFTING, "integrator-first-order", free_run=True, end_stop=105.0)
+    found = run(model.simulate(model.batch([record], [100.0])))
+    assert found.max() == 105.0
+    free = channel(LIFTING, "integrator-first-order", free_run=True)
+    unbounded = run(free.simulate(free.batch([record], [100.0])))
+    np.testing.assert_allclose(found, np.minimum(unbounded, 105.0), rtol=0, atol=1e-12)
+
+
+def test_outside_is_where_a_range_is_left_and_never_in_the_padding(record):
+    covered = envelope(command=(0.0, 0.3), displacement=(100.0, 103.0))
+    model = channel(LIFTING, free_run=False, covered=covered)
+    batch = model.batch([record], [100.0])
+    displacement = model.simulate(batch)
+    found = model.outside(batch, displacement)
+    effective = np.maximum(record.command(LIFTING) - DEAD_ZONES[LIFTING], 0)
+    np.testing.assert_array_equal(found["command"][0, :SAMPLES], effective > 0.3)
+    np.testing.assert_array_equal(found["displacement"][0, :SAMPLES], run(displacement) > 103.0)
+    assert not found["load"].any()
+    for rows in found.values():
+        assert not rows[0, SAMPLES:].any()
+    assert found["command"].any()
+    assert found["displacement"].any()
+    assert channel(LIFTING).outside(batch, displacement) == {}
+
+
+def test_extrapolation_is_told_in_words_for_each_direction(make_record):
+    covered = envelope(command=(0.0, 0.3), displacement=(90.0, 103.0))
+    model = hitch(free_run=False, covered=covered)
+    up, down = (np.concatenate([np.zeros(10), np.full(60, level), np.zeros(30)]) for level in (0.8, 0.45))
+    lifting, lowering = np.concatenate([up, 0 * down]), np.concatenate([0 * up, down])
+    record = make_record(np.full(SAMPLES, 100.0), lifting, lowering)
+    simulated = model.simulate(record)
+    # The channel that lowers takes over where its command begins.
+    mine = np.arange(SAMPLES) < 110
+    high = simulated > 103.0
+    # The sample at which the mode changes belongs to both.
+    assert model.extrapolation(record) == (
+        "lifting: the command leaves what the tests covered, 0 to 0.3 A beyond the dead zone, in 60 of 200 "
+        "samples",
+        f"lifting: the displacement leaves what the tests covered, 90 to 103 mm, in "
+        f"{np.count_nonzero(high & mine) + int(high[110])} of 200 samples",
+        f"lowering: the displacement leaves what the tests covered, 90 to 103 mm, in "
+        f"{np.count_nonzero(high & ~mine)} of 200 samples",
+    )
+    within = make_record(np.full(SAMPLES, 100.0), 0 * lifting, 0 * lowering)
+    assert model.extrapolation(within) == ()
+    assert hitch().extrapolation(record) == ()
+
+
+def test_extrapolation_tells_of_the_second_input_by_its_unit(make_record):
+    model = hitch(shape=True, free_run=False, covered=envelope(load=(100.0, 110.0)))
+    model = type(model)(model.channels, model.step_s, {**model.units, "pressure": "bar"})
+    record = make_record(np.full(SAMPLES, 100.0), np.zeros(SAMPLES), np.zeros(SAMPLES))
+    told = {}
+    for pressure in (105.0, 111.0):
+        signals = {**record.signals, "pressure": np.full(SAMPLES, pressure)}
+        heard = type(record)(
+            name="test", step_s=0.01, signals=signals, units={**record.units, "pressure": "bar"}
+        )
+        told[pressure] = model.extrapolation(heard)
+    assert told == {
+        105.0: (),
+        111.0: ("lifting: the load leaves what the tests covered, 100 to 110 bar, in 200 of 200 samples",),
+    }
+
+
+@pytest.mark.parametrize("mode", [LIFTING, LOWERING])
+def test_a_standing_command_moves_nothing_whatever_was_learnt(make_record, mode):
+    model = hitch("integrator-second-order", compensated=True, free_run=True)
+    command = np.concatenate([np.zeros(10), np.full(100, 0.8), np.zeros(6200)])
+    commands = (command, 0 * command) if mode == LIFTING else (0 * command, command)
+    found = model.simulate(make_record(np.full(command.size, 100.0), *commands))
+    # After two seconds what is left of the benchmark's speed is exp(−ξ ωh t), some 4e-10 of 20 mm/s.
+    assert abs(found[109] - 100.0) > 5.0
+    assert np.ptp(found[310:]) < 1e-8
+    assert jnp.isfinite(found).all()
