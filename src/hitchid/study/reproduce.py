@@ -40,8 +40,9 @@ class Plan:
 
 
 def quick_plan() -> Plan:
-    """Return a plan for a first look: fewer tests, a smaller search, shorter training, none for free run."""
-    training = Training(hidden=16, descent=Descent(epochs=40, patience=20), rollouts=None)
+    """Return a plan for a first look: fewer tests, a smaller search, shorter training, no baselines fitted."""
+    descent = Descent(epochs=40, patience=20)
+    training = Training(hidden=16, descent=descent, rollouts=None, baselines=False)
     search = Whale(Swarm(iterations=40, evaluations=1200))
     return Plan(tests=8, cycles=1, search=search, training=training)
 
