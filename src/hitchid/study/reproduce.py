@@ -40,7 +40,7 @@ class Plan:
 
 
 def quick_plan() -> Plan:
-    """Return a plan for a first look: fewer tests, a smaller search, shorter training, no baselines fitted."""
+    """Return a plan for a first look: fewer tests, a smaller search, shorter training, no baselines."""
     descent = Descent(epochs=40, patience=20)
     training = Training(hidden=16, descent=descent, rollouts=None, baselines=False)
     search = Whale(Swarm(iterations=40, evaluations=1200))
