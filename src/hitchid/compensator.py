@@ -9,7 +9,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Float32
+from jaxtyping import Array, Float, Float32, Int
 
 from hitchid.lstm import SINGLE, Hidden, Lstm
 
@@ -43,7 +43,7 @@ class Sample(NamedTuple):
     displacement: Float[Array, "*b"]
 
 
-class Memory(eqx.Module):
+class Memory(NamedTuple):
     """What the features need of the past, each of shape [...].
 
     Attributes:
@@ -92,13 +92,13 @@ class Compensator(eqx.Module):
     """LSTM compensator with its scaling inside.
 
     ê(k) = e(k−1) + σ · (w · h(k) + b), where h(k) is the output of an LSTM that has read the scaled features
-    x(k−L) … x(k−1) of Sun et al. 2025, sec. 2.2.3.
+    up to x(k−1) of Sun et al. 2025, sec. 2.2.3, no fewer than L and fewer than 2 L; see `Listening`.
 
     Attributes:
         network: LSTM and output layer.
         centre, spread: scaling of the features, fitted on training tests, shape [10].
         error_step: σ, the spread of e(k) − e(k−1) over the training tests, shape [].
-        window: L, the features read before a prediction.
+        window: L, the fewest features read before a prediction.
     """
 
     network: Lstm
@@ -111,13 +111,50 @@ class Compensator(eqx.Module):
         """Return features in units of their spread over the training tests."""
         return ((features - self.centre) / self.spread).astype(SINGLE)
 
-    def read(self, hidden: Hidden, features: Float[Array, "b 10"]) -> Hidden:
-        """Let the LSTM read one feature vector for each of b sequences."""
-        return self.network.read(hidden, self.scale(features))
+    def begin(self, first: Sample) -> "Listening":
+        """Return what is carried before the first sample of a test, of any shape [b]."""
+        blank = self.network.blank((*first.command.shape, 2))
+        return Listening(Memory.at_rest(first), blank, jnp.zeros((), jnp.int32))
 
-    def next_error(self, hidden: Hidden, error: Float[Array, " b"]) -> Float[Array, " b"]:
-        """Return ê(k) from the LSTM's state and e(k−1), in the displacement's unit."""
-        return error + self.error_step * self.network.output(hidden).astype(error.dtype)
+    def listen(
+        self, listening: "Listening", sample: Sample, step_s: float
+    ) -> tuple["Listening", Float[Array, "*b"]]:
+        """Take in one sample of each of b tests.
+
+        Returns:
+            What is carried on, and the step σ (w · h + b) that the error takes to the next sample, in the
+            displacement's unit, shape [b].
+        """
+        memory, features = observe(listening.memory, sample, step_s)
+        place = (listening.place + 1) % self.window
+        hidden = jax.tree.map(lambda pair: jnp.where(place == 0, _handed_over(pair), pair), listening.hidden)
+        scaled = self.scale(features)
+        hidden = self.network.read(hidden, jnp.stack([scaled, scaled], axis=-2))
+        output = self.network.output(jax.tree.map(lambda pair: pair[..., 0, :], hidden))
+        step = self.error_step * output.astype(self.error_step.dtype)
+        return Listening(memory, hidden, place), step
+
+
+class Listening(NamedTuple):
+    """What a compensator carries from sample to sample.
+
+    Two states of the LSTM: one answers, the other has begun to read up to L samples later. Every L samples
+    the later one takes over and a blank one begins, so that a prediction has read L to 2 L − 1 samples (all
+    there are near the start), as in training.
+
+    Attributes:
+        memory: what the features need of the past.
+        hidden: the LSTM that answers and the one that follows, shape [..., 2, H].
+        place: samples read, modulo L.
+    """
+
+    memory: Memory
+    hidden: Hidden
+    place: Int[Array, ""]
+
+
+def _handed_over(pair: Float[Array, "*b 2 h"]) -> Float[Array, "*b 2 h"]:
+    return jnp.stack([pair[..., 1, :], jnp.zeros_like(pair[..., 1, :])], axis=-2)
 
 
 def measured_features(samples: Sample, step_s: float) -> tuple[Memory, Float[Array, "n *t 10"]]:
@@ -153,48 +190,22 @@ def free_run(
     """
     known = Sample(time_s, command, benchmark, benchmark)
     first = jax.tree.map(lambda array: array[0], known)
-    start = (Memory.at_rest(first), compensator.network.blank(command.shape[1:]), jnp.zeros_like(command[0]))
 
-    def advance(carry: tuple[Memory, Hidden, Array], sample: Sample) -> tuple[tuple, Array]:
-        memory, hidden, error = carry
+    def advance(carry: tuple[Listening, Array], sample: Sample) -> tuple[tuple, Array]:
+        listening, error = carry
         own = sample._replace(displacement=sample.benchmark + error)
-        memory, features = observe(memory, own, step_s)
-        hidden = compensator.read(hidden, features)
-        return (memory, hidden, compensator.next_error(hidden, error)), error
+        listening, step = compensator.listen(listening, own, step_s)
+        return (listening, error + step), error
 
-    _, errors = jax.lax.scan(advance, start, known)
+    _, errors = jax.lax.scan(advance, (compensator.begin(first), jnp.zeros_like(command[0])), known)
     return errors
-
-
-def warmed_up(compensator: Compensator, features: Float[Array, "n 10"], valid: Bool[Array, " n"]) -> Hidden:
-    """Return the LSTM's state at every sample of a test after reading the window that ends there.
-
-    Near the start the window is as long as the test so far; samples that do not exist are not read.
-
-    Args:
-        compensator: supplies network, scaling and window L.
-        features: features of one test, shape [N, 10].
-        valid: which samples exist, shape [N].
-    """
-    count = features.shape[0]
-
-    def advance(hidden: Hidden, back: Array) -> tuple[Hidden, None]:
-        index = jnp.arange(count) - back
-        exists = (index >= 0) & valid[jnp.maximum(index, 0)]
-        read = compensator.read(hidden, features[jnp.maximum(index, 0)])
-        return jax.tree.map(lambda new, old: jnp.where(exists[:, None], new, old), read, hidden), None
-
-    hidden, _ = jax.lax.scan(
-        advance, compensator.network.blank((count,)), jnp.arange(compensator.window - 1, -1, -1)
-    )
-    return hidden
 
 
 @eqx.filter_jit
 def predicted_errors(
     compensator: Compensator | None,
     tests: Sample,
-    valid: Bool[Array, "t n"],
+    trust: Float[Array, "t n"],
     horizons: tuple[int, ...],
     step_s: float,
 ) -> Float[Array, "h t n"]:
@@ -206,18 +217,18 @@ def predicted_errors(
     Args:
         compensator: a trained compensator, or None.
         tests: arrays of shape [T, N].
-        valid: which samples exist.
+        trust: factor on the compensator's steps, 0 to 1, shape [T, N].
         horizons: the h asked for, in samples.
         step_s: sampling time, s.
     """
 
     def of_test(given: tuple[Sample, Array]) -> Float[Array, "h n"]:
-        test, exists = given
+        test, trusted = given
         error = test.displacement - test.benchmark
         if compensator is None:
             ahead = jnp.broadcast_to(error, (max(horizons), error.size))
         else:
-            ahead = rolled_out(compensator, test, exists, max(horizons), step_s)
+            ahead = rolled_out(compensator, test, trusted, max(horizons), step_s)
         # ahead[h − 1, i] is for sample i + h; the origin of the first samples is sample 0.
         sample = jnp.arange(error.size)
         rows = []
@@ -226,11 +237,11 @@ def predicted_errors(
             rows.append(jnp.where(sample > 0, ahead[jnp.maximum(steps - 1, 0), sample - steps], 0.0))
         return jnp.stack(rows)
 
-    return jnp.moveaxis(jax.lax.map(of_test, (tests, valid)), 1, 0)
+    return jnp.moveaxis(jax.lax.map(of_test, (tests, trust)), 1, 0)
 
 
 def rolled_out(
-    compensator: Compensator, test: Sample, valid: Bool[Array, " n"], horizon: int, step_s: float
+    compensator: Compensator, test: Sample, trust: Float[Array, " n"], horizon: int, step_s: float
 ) -> Float[Array, "h n"]:
     """Return ê(i+h) for h = 1 … horizon from every origin i of one measured test.
 
@@ -239,22 +250,29 @@ def rolled_out(
     Args:
         compensator: a trained compensator.
         test: one test, arrays of shape [N].
-        valid: which samples exist, shape [N].
+        trust: factor on the compensator's steps, shape [N].
         horizon: steps to look ahead.
         step_s: sampling time, s.
     """
-    count = valid.shape[0]
-    memory, features = measured_features(test, step_s)
-    hidden = warmed_up(compensator, features, valid)
-    error = compensator.next_error(hidden, memory.error)
+    count = trust.shape[0]
 
-    def advance(carry: tuple[Memory, Hidden, Array], ahead: Array) -> tuple[tuple, Array]:
-        memory, hidden, error = carry
-        index = jnp.minimum(jnp.arange(count) + ahead, count - 1)
-        known = jax.tree.map(lambda array: array[index], test)
-        memory, features = observe(memory, known._replace(displacement=known.benchmark + error), step_s)
-        hidden = compensator.read(hidden, features)
-        return (memory, hidden, compensator.next_error(hidden, error)), error
+    def measured(listening: Listening, sample: Sample) -> tuple[Listening, tuple[Listening, Array]]:
+        listening, step = compensator.listen(listening, sample, step_s)
+        return listening, (listening, step)
 
-    _, errors = jax.lax.scan(advance, (memory, hidden, error), jnp.arange(1, horizon + 1))
-    return errors
+    first = jax.tree.map(lambda array: array[0], test)
+    _, (origins, steps) = jax.lax.scan(measured, compensator.begin(first), test)
+
+    def from_origin(listening: Listening, error: Array, origin: Array) -> Float[Array, " h"]:
+        def advance(carry: tuple[Listening, Array], ahead: Array) -> tuple[tuple, Array]:
+            listening, error = carry
+            index = jnp.minimum(origin + ahead, count - 1)
+            known = jax.tree.map(lambda array: array[index], test)
+            own = known._replace(displacement=known.benchmark + error)
+            listening, step = compensator.listen(listening, own, step_s)
+            return (listening, error + trust[index] * step), error
+
+        return jax.lax.scan(advance, (listening, error), jnp.arange(1, horizon + 1))[1]
+
+    errors = test.displacement - test.benchmark + trust * steps
+    return jax.vmap(from_origin, out_axes=1)(origins, errors, jnp.arange(count))

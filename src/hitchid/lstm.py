@@ -1,6 +1,6 @@
 """The one recurrent network of the house: an LSTM with a single linear output, in single precision."""
 
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import equinox as eqx
 import jax
@@ -46,10 +46,15 @@ class Lstm(eqx.Module):
         zeros = jnp.zeros((*shape, self.cell.hidden_size), SINGLE)
         return Hidden(zeros, zeros)
 
-    def read(self, hidden: Hidden, inputs: Float32[Array, "b i"]) -> Hidden:
-        """Let the LSTM read one input vector for each of b sequences."""
-        return Hidden(*jax.vmap(self.cell)(inputs, tuple(hidden)))
+    def read(self, hidden: Hidden, inputs: Float32[Array, "*b i"]) -> Hidden:
+        """Let the LSTM read one input vector for each sequence of any shape [b]."""
+        cell = self.cell
+        # Products of whole matrices: mapped over sequences the cell's own would be many small ones.
+        heard = inputs @ cell.weight_ih.T + hidden.output @ cell.weight_hh.T + cast(Array, cell.bias)
+        entry, kept, fresh, exit_ = jnp.split(heard, 4, axis=-1)
+        memory = jax.nn.sigmoid(kept) * hidden.cell + jax.nn.sigmoid(entry) * jnp.tanh(fresh)
+        return Hidden(jax.nn.sigmoid(exit_) * jnp.tanh(memory), memory)
 
-    def output(self, hidden: Hidden) -> Float32[Array, " b"]:
-        """Return the network's output for each of b sequences."""
-        return jax.vmap(self.head)(hidden.output)[:, 0]
+    def output(self, hidden: Hidden) -> Float32[Array, "*b"]:
+        """Return the network's output for each sequence."""
+        return hidden.output @ self.head.weight[0] + cast(Array, self.head.bias)[0]

@@ -21,13 +21,15 @@ class Drive(NamedTuple):
     """What a free run hears, block by block; B blocks of several samples each, T tests.
 
     Attributes:
-        command: effective command, mean over the block, shape [B, T].
+        command: effective command, mean over the block before, shape [B, T].
+        before: travel of the benchmark over the block before, shape [B, T].
         moved: travel of the benchmark over the block, shape [B, T].
         initial: displacement before motion, shape [T].
         load: second input, shape [T].
     """
 
     command: Float[Array, "b t"]
+    before: Float[Array, "b t"]
     moved: Float[Array, "b t"]
     initial: Float[Array, " t"]
     load: Float[Array, " t"]
@@ -37,8 +39,9 @@ class SpeedCompensator(eqx.Module):
     """An ensemble of LSTMs that scales the benchmark's speed by 1 ± ½.
 
     y(j+1) = y(j) + (y_tf(j+1) − y_tf(j)) (1 + ½ m(j) Σᵢ tanh fᵢ(x(0) … x(j))/M) over blocks j of some
-    samples; x is command, speed of the benchmark, own displacement and second input, and m the trust in
-    them, 1 within what the tests covered. Where the benchmark stands, the sum does.
+    samples; x is command and speed of the benchmark over the block before, own displacement and second input
+    at the start of the block, and m the trust in them, 1 within what the tests covered. Where the benchmark
+    stands, the sum does.
 
     Attributes:
         networks: M networks, every array with a leading axis M.
@@ -67,6 +70,23 @@ class SpeedCompensator(eqx.Module):
         ]
         return jnp.stack([command / self.command, moved / self.moved, *scaled], axis=-1).astype(SINGLE)
 
+    def hear(
+        self, networks: Lstm, hidden: Hidden, command: Array, before: Array, place: Array, load: Array
+    ) -> tuple[Hidden, Float[Array, " t"]]:
+        """Return the networks' state and the factor on the benchmark's speed in the block that begins.
+
+        Args:
+            networks: M networks; their mean counts.
+            hidden: their state, shape [M, T, H].
+            command, before: effective command and travel of the benchmark in the block before, shape [T].
+            place, load: displacement and second input, shape [T].
+        """
+        inputs = self.features(command, before, place, load)
+        hidden = jax.vmap(Lstm.read, in_axes=(0, 0, None))(networks, hidden, inputs)
+        share = jnp.mean(jnp.tanh(jax.vmap(Lstm.output)(networks, hidden)), axis=0)
+        trust = self.envelope.trust(jnp.abs(command), place, load)
+        return hidden, 1 + AUTHORITY * trust * share.astype(trust.dtype)
+
     def rollout(
         self,
         networks: Lstm,
@@ -91,21 +111,15 @@ class SpeedCompensator(eqx.Module):
             carry: tuple[Hidden, Array], block: tuple
         ) -> tuple[tuple[Hidden, Array], tuple[Array, Array]]:
             hidden, travel = carry
-            number, command, moved, known = block
+            number, command, before, moved, known = block
             if measured is not None:
                 travel = jnp.where(number % anchored_every == 0, known, travel)
             place = drive.initial + self.direction * travel
-            inputs = self.features(command, moved, place, drive.load)
-            hidden = jax.vmap(Lstm.read, in_axes=(0, 0, None))(networks, hidden, inputs)
-            share = jnp.mean(jnp.tanh(jax.vmap(Lstm.output)(networks, hidden)), axis=0)
-            trust = self.envelope.trust(jnp.abs(command), place, drive.load)
-            factor = 1 + AUTHORITY * trust * share.astype(travel.dtype)
+            hidden, factor = self.hear(networks, hidden, command, before, place, drive.load)
             return (hidden, travel + factor * moved), (travel, factor)
 
-        size = networks.cell.hidden_size
-        blank = jnp.zeros((members, tests, size), SINGLE)
-        start = (Hidden(blank, blank), jnp.zeros_like(drive.initial))
-        inputs = (jnp.arange(blocks), drive.command, drive.moved, given)
+        start = (networks.blank((members, tests)), jnp.zeros_like(drive.initial))
+        inputs = (jnp.arange(blocks), drive.command, drive.before, drive.moved, given)
         return jax.lax.scan(advance, start, inputs)[1]
 
 
@@ -130,7 +144,8 @@ def driven_by(
     held = jnp.pad(benchmark, wide, mode="edge")[:, ::every]
     moved = jnp.diff(held, axis=1, append=benchmark[:, -1:])
     means = jnp.pad(command, wide, mode="edge").reshape(tests, blocks, every).mean(axis=2)
-    return Drive(means.T, moved.T, initial, load)
+    command_before, before = (jnp.pad(each, ((0, 0), (1, 0)))[:, :-1].T for each in (means, moved))
+    return Drive(command_before, before, moved.T, initial, load)
 
 
 @eqx.filter_jit

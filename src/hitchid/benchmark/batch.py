@@ -84,7 +84,7 @@ class Batch(eqx.Module):
             for record, command in zip(records, commands, strict=True)
         ]
         counted = [before_end_stop(x, direction, end_stop) for x in displacements]
-        width = _padded(max(map(len, records)))
+        width = padded_length(max(map(len, records)))
 
         def stack(rows: Sequence[np.ndarray], dtype: type) -> Array:
             padded = np.zeros((len(rows), width), dtype=dtype)
@@ -155,7 +155,8 @@ class Batch(eqx.Module):
         return jax.tree.map(lambda array: jnp.asarray(np.asarray(array)[rows]), self)
 
 
-def _padded(samples: int) -> int:
+def padded_length(samples: int) -> int:
+    """Return the length that so many samples are padded to, so that like shapes compile once."""
     largest = BUCKETS[-1]
     return next((size for size in BUCKETS if samples <= size), -(-samples // largest) * largest)
 

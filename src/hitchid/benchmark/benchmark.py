@@ -66,7 +66,7 @@ class Benchmark(eqx.Module):
         Raises:
             InputError: the structure is not linear.
         """
-        return _discretised(self._linear(), self.values, self.dead_time_s, step_s)
+        return _discretised(self.linear, self.values, self.dead_time_s, step_s)
 
     def named_values(self) -> dict[str, float]:
         """Return parameter name to value, with `dead_time` where there is one."""
@@ -107,13 +107,15 @@ class Benchmark(eqx.Module):
             return control.TransferFunction(numerator, denominator)
         return control.TransferFunction(numerator, denominator, step_s)
 
-    def _linear(self) -> LinearStructure:
+    @property
+    def linear(self) -> LinearStructure:
+        """The structure where it is linear; raises InputError where it is not."""
         if not isinstance(self.structure, LinearStructure):
             raise InputError(f"'{self.structure.name}' is not linear; required a structure that is")
         return self.structure
 
     def _transfer_function(self, step_s: float | None) -> tuple[np.ndarray, np.ndarray]:
-        structure = self._linear()
+        structure = self.linear
         if self.shape is not None:
             raise InputError(
                 "a benchmark with curves of valve or stroke has no transfer function; "
@@ -153,7 +155,7 @@ def _flow(
     load: Float[Array, " t"],
     step_s: float,
 ) -> Float[Array, "t n"]:
-    return shape.flow(shape.effective(logged, dead_zone, step_s), load)
+    return shape.flow(shape.effective(logged, dead_zone, step_s), load[:, None])
 
 
 @eqx.filter_jit

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hitchid.benchmark.benchmark import Benchmark
-from hitchid.benchmark.shape import CURVE, LOAD, NEUTRAL, POSITION, SHAPE, SPOOL, Scales, Shape
+from hitchid.benchmark.shape import CURVE, LOAD, NEUTRAL, POSITION, SHAPE, SLOPE, SPOOL, Scales, Shape
 from hitchid.benchmark.structure import DEAD_TIME, LinearStructure, Parameter, Structure
 from hitchid.errors import InputError
 
@@ -22,7 +22,10 @@ class Form:
         dead_time: whether a dead time is searched too.
         curve: whether the valve's opening, exponent and saturation are.
         spool: whether hysteresis and lag of the valve's spool are.
-        position: whether a gain that varies along the stroke is.
+        slope: whether a gain that grows or falls evenly along the stroke is. Tests of one plant differ by
+            loads that nobody measures; so that these are not taken for it, each test may then be faster or
+            slower by a factor of its own while parameters are found.
+        position: whether a gain that varies along the stroke in any way is, slope and curve.
         load: name of a second measured input that shifts the opening and scales the gain; None for none.
         bounds: parameter name to lower and upper bound, in its unit, where the default will not do.
     """
@@ -32,6 +35,7 @@ class Form:
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict, hash=False)
     curve: bool = False
     spool: bool = False
+    slope: bool = False
     position: bool = False
     load: str | None = None
 
@@ -40,8 +44,8 @@ class Form:
         around = self.dead_time or bool(self.shaped)
         if around and not isinstance(self.structure, LinearStructure):
             raise InputError(
-                f"'{self.structure.name}' stands alone; required no dead time, curve, spool, position or "
-                "load beside it"
+                f"'{self.structure.name}' stands alone; required no dead time, curve, spool, slope, position "
+                "or load beside it"
             )
         known = {parameter.name: parameter for parameter in self.parameters}
         for name, (least, most) in self.bounds.items():
@@ -60,6 +64,7 @@ class Form:
         parts = (
             (self.curve, CURVE),
             (self.spool, SPOOL),
+            (self.slope and not self.position, SLOPE),
             (self.position, POSITION),
             (self.load is not None, LOAD),
         )

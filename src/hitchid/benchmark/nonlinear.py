@@ -51,6 +51,21 @@ def simulated(
         displacement: before the first sample, shape [T].
         step_s: sampling time, s.
     """
+
+    def advance(state: Array, u: Array) -> tuple[Array, Array]:
+        return advanced(structure, values, state, u, step_s), state[0]
+
+    return jax.lax.scan(advance, structure.start(values, displacement), command.T)[1].T
+
+
+def advanced(
+    structure: NonlinearStructure,
+    values: Float[Array, " p"],
+    state: Float[Array, "n t"],
+    command: Float[Array, " t"],
+    step_s: float,
+) -> Float[Array, "n t"]:
+    """Return the state one sample later, the command held; see `simulated`."""
     width = step_s / structure.substeps
 
     def step(_: Array, held: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -61,8 +76,4 @@ def simulated(
         fourth = structure.rate(values, state + width * third, u)
         return state + width / 6 * (first + 2 * (second + third) + fourth), u
 
-    def advance(state: Array, u: Array) -> tuple[Array, Array]:
-        after, _ = jax.lax.fori_loop(0, structure.substeps, step, (state, u))
-        return after, state[0]
-
-    return jax.lax.scan(advance, structure.start(values, displacement), command.T)[1].T
+    return jax.lax.fori_loop(0, structure.substeps, step, (state, command))[0]

@@ -1,5 +1,7 @@
 """What a linear model leaves out: the valve's opening curve, the gain along the stroke, the load."""
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -10,6 +12,7 @@ from hitchid.benchmark.structure import Parameter
 SHARPNESS = 4
 SHUT = 1e-3
 REACH = 1.5
+FARTHEST = 0.7
 CURVE = (
     Parameter("opening", "1", -0.6, 0.9, linear=True),
     Parameter("exponent", "1", 1 / 3, 3.0),
@@ -19,10 +22,8 @@ SPOOL = (
     Parameter("hysteresis", "1", 0.0, 1.0, linear=True),
     Parameter("spool_lag", "s", 1e-3, 0.5),
 )
-POSITION = (
-    Parameter("position_slope", "1", -2.0, 2.0, linear=True),
-    Parameter("position_curve", "1", -2.0, 2.0, linear=True),
-)
+SLOPE = (Parameter("position_slope", "1", -2.0, 2.0, linear=True),)
+POSITION = (*SLOPE, Parameter("position_curve", "1", -2.0, 2.0, linear=True))
 LOAD = (
     Parameter("load_shift", "1", -0.3, 0.3, linear=True),
     Parameter("load_gain", "1", -1.0, 1.0, linear=True),
@@ -47,6 +48,18 @@ class Scales(eqx.Module):
     load_spread: Float[Array, ""]
 
 
+class Spool(NamedTuple):
+    """State of a valve's spool, each of any one shape [...].
+
+    Attributes:
+        lagged: the command after the lag, s.
+        place: the same after play, p.
+    """
+
+    lagged: Float[Array, "*b"]
+    place: Float[Array, "*b"]
+
+
 class Shape(eqx.Module):
     """Static curves around a linear model: u → w(u, c) → linear dynamics → gain g(x, c).
 
@@ -60,7 +73,7 @@ class Shape(eqx.Module):
     saturates. A negative opening says that the valve opens below the dead zone. Where u is less than a
     thousandth of U nothing flows: h ≤ 1 and the end of the lag make sure of that for a command of zero.
     Travel grows by g = exp(a ξ + b (ξ² − ⅓) + γ c) times what the linear model's does, ξ the displacement
-    within its range, held at 1½ of it beyond.
+    within its range; farther out than 1½ of it b ξ² is held, and a ξ goes on to at most twice or half.
 
     Attributes:
         values: d, n, σ, h, τ, a, b, s, γ, shape [9].
@@ -74,22 +87,26 @@ class Shape(eqx.Module):
         self, logged: Float[Array, "t n"], dead_zone: Float[Array, " t"], step_s: float
     ) -> Float[Array, "t n"]:
         """Return u, in the command's unit, from the command as logged; before its first sample it is zero."""
+
+        def advance(spool: Spool, command: Array) -> tuple[Spool, Array]:
+            return self.follow(spool, command, dead_zone, step_s)
+
+        rest = jnp.zeros_like(logged[:, 0])
+        return jax.lax.scan(advance, Spool(rest, rest), logged.T)[1].T
+
+    def follow(
+        self, spool: Spool, command: Float[Array, "*b"], dead_zone: Float[Array, "*b"], step_s: float
+    ) -> tuple[Spool, Float[Array, "*b"]]:
+        """Let the spool follow the command over one sample; return it, and u in the command's unit."""
         hysteresis, lag = self._named("hysteresis", "spool_lag")
         half = 0.5 * hysteresis * dead_zone
         left = jnp.exp(-step_s / lag)
-        mean_left = lag / step_s * (1 - left)
+        mean = command + lag / step_s * (1 - left) * (spool.lagged - command)
+        place = jnp.clip(spool.place, mean - half, mean + half)
+        beyond = jnp.sign(place) * jnp.maximum(jnp.abs(place) - (dead_zone - half), 0.0)
+        return Spool(command + left * (spool.lagged - command), place), beyond
 
-        def follow(carry: tuple[Array, Array], command: Array) -> tuple[tuple[Array, Array], Array]:
-            lagged, spool = carry
-            mean = command + mean_left * (lagged - command)
-            spool = jnp.clip(spool, mean - half, mean + half)
-            return (command + left * (lagged - command), spool), spool
-
-        rest = jnp.zeros_like(logged[:, 0])
-        spool = jax.lax.scan(follow, (rest, rest), logged.T)[1].T
-        return jnp.sign(spool) * jnp.maximum(jnp.abs(spool) - (dead_zone - half)[:, None], 0.0)
-
-    def flow(self, command: Float[Array, "t n"], load: Float[Array, " t"]) -> Float[Array, "t n"]:
+    def flow(self, command: Float[Array, "*b"], load: Float[Array, "*#b"]) -> Float[Array, "*b"]:
         """Return w, in the command's unit.
 
         Args:
@@ -98,11 +115,24 @@ class Shape(eqx.Module):
         """
         opening, exponent, saturation, shift = self._named("opening", "exponent", "saturation", "load_shift")
         size = jnp.abs(command) / self.scales.command
-        beyond = size - opening - shift * self._load(load)[:, None]
+        beyond = size - opening - shift * self._load(load)
         open_ = (size > SHUT) & (beyond > 0)
         grown = jnp.where(open_, jnp.where(open_, beyond, 1.0) ** exponent, 0.0)
         limited = grown / (1 + (grown / saturation) ** SHARPNESS) ** (1 / SHARPNESS)
         return jnp.sign(command) * self.scales.command * limited
+
+    def gain(self, displacement: Float[Array, "*b"], load: Float[Array, "*b"]) -> Float[Array, "*b"]:
+        """Return g, what the linear model's speed is multiplied by.
+
+        Args:
+            displacement: where the piston is.
+            load: second input before motion.
+        """
+        slope, curve, gain = self._named("position_slope", "position_curve", "load_gain")
+        place = (displacement - self.scales.centre) / self.scales.span
+        near = jnp.clip(place, -REACH, REACH)
+        beyond = jnp.clip(slope * (place - near), -FARTHEST, FARTHEST)
+        return jnp.exp(slope * near + beyond + curve * (near**2 - 1 / 3) + gain * self._load(load))
 
     def travel(
         self, linear: Float[Array, "t n"], load: Float[Array, " t"], initial: Float[Array, " t"], sign: int
@@ -115,14 +145,10 @@ class Shape(eqx.Module):
             initial: displacement before motion.
             sign: +1 where displacement grows with travel, −1 where it falls.
         """
-        slope, curve, gain = self._named("position_slope", "position_curve", "load_gain")
         steps = jnp.diff(linear, axis=1, prepend=jnp.zeros_like(linear[:, :1]))
-        steps = steps * jnp.exp(gain * self._load(load))[:, None]
 
         def advance(travel: Array, step: Array) -> tuple[Array, Array]:
-            place = (initial + sign * travel - self.scales.centre) / self.scales.span
-            place = jnp.clip(place, -REACH, REACH)
-            travel = travel + jnp.exp(slope * place + curve * (place**2 - 1 / 3)) * step
+            travel = travel + self.gain(initial + sign * travel, load) * step
             return travel, travel
 
         return jax.lax.scan(advance, jnp.zeros_like(initial), steps.T)[1].T
@@ -131,5 +157,5 @@ class Shape(eqx.Module):
         order = [parameter.name for parameter in SHAPE]
         return tuple(self.values[order.index(name)] for name in names)
 
-    def _load(self, load: Float[Array, " t"]) -> Float[Array, " t"]:
+    def _load(self, load: Float[Array, "*b"]) -> Float[Array, "*b"]:
         return jnp.clip((load - self.scales.load_centre) / self.scales.load_spread, -3.0, 3.0)

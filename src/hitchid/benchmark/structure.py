@@ -5,6 +5,7 @@ from enum import Enum
 from typing import ClassVar, NamedTuple
 
 import equinox as eqx
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 
@@ -55,8 +56,13 @@ class Structure(eqx.Module):
 class LinearStructure(Structure):
     """A linear model from effective command to displacement away from its start.
 
-    Every parameter is positive. Output is the first state.
+    Every parameter is positive. Output is the first state; the second, where there is one, is its rate.
     """
+
+    def moving(self, values: Float[Array, " p"], speed: Float[Array, ""]) -> Float[Array, " n"]:
+        """Return the state at travel zero and a given speed; without a second state speed is none of it."""
+        count = self.state_space(values)[1].shape[0]
+        return jnp.zeros(count, values.dtype).at[1:2].set(speed)
 
     @abc.abstractmethod
     def state_space(self, values: Float[Array, " p"]) -> tuple[Float[Array, "n n"], Float[Array, " n"]]:

@@ -86,7 +86,7 @@ def identify_direction(tests: Prepared, asked: Asked, progress: Progress) -> tup
     seconds: dict[str, float] = {}
     progress(f"phase 1, {asked.search.name}", 0.02)
     with _timed(seconds, "benchmark"):
-        phase1, candidates = _benchmark(tests.everything, asked)
+        phase1, candidates = _benchmark(tests, asked)
     channel = replace(_uncompensated(tests, phase1), envelope=envelope_of(tests.everything))
     notices = (*tests.notices, *_vague(phase1))
     trace = ChannelTrace(tests.dead_zone, phase1, None, None, notices, candidates, seconds)
@@ -146,9 +146,12 @@ def _uncompensated(tests: Prepared, phase1: Phase1) -> Channel:
     )
 
 
-def _benchmark(batch: Batch, asked: Asked) -> tuple[Phase1, tuple[Candidate, ...]]:
+def _benchmark(tests: Prepared, asked: Asked) -> tuple[Phase1, tuple[Candidate, ...]]:
+    batch, ramped = tests.everything, tests.dead_zone.origin == "ramps"
     if isinstance(asked.form, Automatic):
-        return choose_form(batch, asked.form, asked.search, asked.seed, units=asked.units)
+        return choose_form(
+            batch, asked.form, asked.search, asked.seed, units=asked.units, opening_known=ramped
+        )
     return identify_benchmark(batch, asked.form, asked.search, asked.seed, units=asked.units), ()
 
 

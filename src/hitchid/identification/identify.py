@@ -174,6 +174,7 @@ def _describe(
                 "dead_time": form.dead_time,
                 "curve": form.curve,
                 "spool": form.spool,
+                "slope": form.slope,
                 "position": form.position,
                 "load": form.load,
                 "bounds": {name: list(pair) for name, pair in form.bounds.items()},

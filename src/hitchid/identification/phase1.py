@@ -1,7 +1,7 @@
 """Phase 1: the benchmark's parameters by a global search and a least-squares polish."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax
@@ -18,6 +18,8 @@ from hitchid.identification.search import Found, Problem, Search, polish
 AT_BOUND = 1e-3
 VAGUE = 0.5
 SINGULAR = 1e-14
+TIED = 0.01
+LEVELLINGS = 3
 SEARCHED, COARSE = 8192, 2048
 ROUGH, ROUGH_STEPS, STEPS = 1e-9, 60, 60
 
@@ -109,7 +111,7 @@ def identify_benchmark(
     # Least squares starts strictly inside the bounds: a search that ended on one may be a trifle better.
     before = float(misfit(jnp.asarray(found.best)[None])[0])
     improved = best.fitness <= before
-    position = best.position if improved else found.best
+    position = _levelled(misfit, best.position if improved else found.best)
     values, slopes = misfit.values(position), misfit.slopes(position)
     errors = slopes * _standard_errors(best.jacobian, best.residuals, test)
     # A parameter around zero is vague against the room between its bounds, any other against itself.
@@ -136,8 +138,8 @@ def identify_benchmark(
         benchmark=form.benchmark(jnp.asarray(values), misfit.scales),
         estimates=estimates,
         derived={name: (value, unit.format(**units)) for name, (value, unit) in derived.items()},
-        rmse=best.fitness if improved else before,
-        search_rmse=before,
+        rmse=_pooled(misfit, position),
+        search_rmse=_pooled(misfit, found.best),
         found=found,
     )
 
@@ -151,6 +153,7 @@ class Misfit(eqx.Module):
         scales: what the form's curves are measured in.
         lower, upper: bounds of its parameters, shape [d].
         linear: which of them are searched as they are, shape [d].
+        apart: whether each test may be faster or slower by a factor of its own.
     """
 
     batch: Batch
@@ -159,6 +162,7 @@ class Misfit(eqx.Module):
     lower: Float[Array, " d"]
     upper: Float[Array, " d"]
     linear: Bool[Array, " d"]
+    apart: bool = eqx.field(static=True, default=False)
 
     @classmethod
     def of(cls, batch: Batch, form: Form) -> "Misfit":
@@ -169,11 +173,16 @@ class Misfit(eqx.Module):
         """
         lower, upper = _bounds(form, batch)
         linear = np.array([parameter.linear for parameter in form.parameters])
-        return cls(batch, form, scales_of(batch), jnp.asarray(lower), jnp.asarray(upper), jnp.asarray(linear))
+        bounds = jnp.asarray(lower), jnp.asarray(upper), jnp.asarray(linear)
+        return cls(batch, form, scales_of(batch), *bounds, apart=form.slope)
 
     def over(self, batch: Batch) -> "Misfit":
         """Return the misfit over other tests, its bounds and scales kept."""
-        return Misfit(batch, self.form, self.scales, self.lower, self.upper, self.linear)
+        return replace(self, batch=batch)
+
+    def pooled(self) -> "Misfit":
+        """Return the misfit without factors of the tests' own."""
+        return replace(self, apart=False)
 
     def _by_value(self, position: Float[Array, " d"]) -> tuple[Array, Array]:
         """Return the values at a position and their derivatives by it."""
@@ -192,9 +201,17 @@ class Misfit(eqx.Module):
         return np.asarray(self._by_value(jnp.asarray(position))[1])
 
     def residuals(self, position: Float[Array, " d"]) -> Float[Array, "t n"]:
-        """Return misses weighted so that every test weighs the same: their mean square is J²."""
+        """Return misses weighted so that every test weighs the same: their mean square is J².
+
+        With a factor s of each test's own the misses are s ŷ − y with s = (ŷ·y + ρ y·y)/(ŷ·ŷ + ρ y·y), which
+        minimises (s ŷ − y)² + ρ y·y (s − 1)²: the smaller ρ, the freer the factors. The last term stands at
+        the test's first sample, where nothing has moved.
+        """
         values, _ = self._by_value(position)
-        misses = self.form.benchmark(values, self.scales).travel(self.batch) - self.batch.travel
+        measured = jnp.where(self.batch.counted, self.batch.travel, 0.0)
+        travel = self.form.benchmark(values, self.scales).travel(self.batch)
+        travel = jnp.where(self.batch.counted, travel, 0.0)
+        misses = _apart(travel, measured) if self.apart else travel - measured
         counts = jnp.sum(self.batch.counted, axis=1, keepdims=True)
         tests = jnp.sum(counts > 0)
         weight = jnp.sqrt(jnp.sum(counts) / (tests * jnp.maximum(counts, 1)))
@@ -230,6 +247,32 @@ class Misfit(eqx.Module):
             jacobian=lambda position: np.asarray(_jacobian(self, jnp.asarray(position)))[counted],
         )
         return problem, np.repeat(np.arange(len(counted)), counted.sum(axis=1))
+
+
+def _apart(travel: Float[Array, "t n"], measured: Float[Array, "t n"]) -> Float[Array, "t n"]:
+    """Return misses apart from a factor of each test's own; see `Misfit.residuals`."""
+    held = TIED * jnp.sum(measured**2, axis=1)
+    along = jnp.sum(travel * measured, axis=1) + held
+    own = along / jnp.maximum(jnp.sum(travel**2, axis=1) + held, jnp.finfo(travel.dtype).tiny)
+    tie = jnp.sqrt(held + jnp.finfo(travel.dtype).tiny) * (own - 1)
+    return (own[:, None] * travel - measured).at[:, 0].set(tie)
+
+
+def _levelled(misfit: Misfit, position: np.ndarray) -> np.ndarray:
+    """Return a position with the gain that fits all tests together, where each had a factor of its own."""
+    if not misfit.apart:
+        return position
+    measured = jnp.where(misfit.batch.counted, misfit.batch.travel, 0.0)
+    values = misfit.values(position).copy()
+    for _ in range(LEVELLINGS):
+        travel = misfit.form.benchmark(jnp.asarray(values), misfit.scales).travel(misfit.batch)
+        travel = jnp.where(misfit.batch.counted, travel, 0.0)
+        values[0] *= float(jnp.sum(travel * measured) / jnp.sum(travel**2))
+    return misfit.position(values)
+
+
+def _pooled(misfit: Misfit, position: np.ndarray) -> float:
+    return float(misfit.pooled()(jnp.asarray(position)[None])[0])
 
 
 @eqx.filter_jit

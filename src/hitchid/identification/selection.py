@@ -20,6 +20,7 @@ STEPS = 40
 REFITTED = 15
 SAMPLES = 2048
 RESIDUALS = 4000
+RAMPED = (-0.1, 0.1)
 NEUTRAL = {
     "opening": 0.4,
     "exponent": 0.5,
@@ -59,6 +60,7 @@ class Candidate:
         form: the form.
         rmse: free run over all identification tests, each weighing the same.
         held_out: the same of each test whose operating point was held out in turn, shape [H].
+        apart: likewise, apart from a factor on each test's speed, shape [H].
         chosen: whether it is the one that was taken.
     """
 
@@ -66,6 +68,7 @@ class Candidate:
     form: Form
     rmse: float
     held_out: np.ndarray
+    apart: np.ndarray
     chosen: bool = False
 
     @property
@@ -75,15 +78,23 @@ class Candidate:
 
 
 def choose_form(
-    batch: Batch, asked: Automatic, search: Search, seed: int, *, units: Mapping[str, str]
+    batch: Batch,
+    asked: Automatic,
+    search: Search,
+    seed: int,
+    *,
+    units: Mapping[str, str],
+    opening_known: bool = False,
 ) -> tuple[Phase1, tuple[Candidate, ...]]:
     """Identify the form that predicts operating points it was not fitted to best in free run.
 
     Tests are grouped by the level of their command and groups held out in turn, never samples; the lowest and
     the highest stay in, for what lies beyond the tests is not to be asked of a model. Forms nest: each starts
     its least squares from the optimum of the one before, its new curves from a few shapes. A larger form
-    takes the place of a smaller one where held-out tests prove it better. The one taken is identified as any
-    other, by global search and least squares.
+    takes the place of a smaller one where held-out tests prove it better; a gain that grows along the stroke,
+    where they do apart from a factor on the speed of each test, for a load that nobody measures differs from
+    test to test and weighs more than the gain. The one taken is identified as any other, by global search and
+    least squares.
 
     Args:
         batch: identification tests.
@@ -91,6 +102,8 @@ def choose_form(
         search: of the plain form and of the one chosen.
         seed: every random draw comes from it.
         units: see `identify_benchmark`.
+        opening_known: whether the dead zone is where a ramp showed the valve to open: tests at a few levels
+            of command say little about flow below the lowest.
 
     Raises:
         FitError: nothing moves, or no parameters give a finite error.
@@ -107,7 +120,7 @@ def choose_form(
         asked.plain,
         structure=structure_named("integrator-second-order"),
         dead_time=True,
-        bounds={},
+        bounds={"opening": RAMPED} if opening_known else {},
         curve=True,
         spool=True,
         position=True,
@@ -122,6 +135,7 @@ def choose_form(
     found: list[np.ndarray] = [np.array([])]
     for name, form in _larger(widest):
         free = [names.index(parameter.name) for parameter in form.parameters]
+        misfit = replace(misfit, apart=form.slope)
         fresh = _starts(form, [] if len(tried) == 1 else list(tried[-1].form.parameters))
         starts = [_with(positions, names, start) for start in fresh]
         best = min((_fitted(misfit, free, start, STEPS) for start in starts), key=lambda each: each.fitness)
@@ -131,7 +145,13 @@ def choose_form(
         found.append(misfit.values(positions)[free])
     chosen = 0
     for number, candidate in enumerate(tried):
-        chosen = number if proven_better(candidate.held_out, tried[chosen].held_out) else chosen
+        before = tried[chosen]
+        proven = (
+            proven_better(candidate.apart, before.apart)
+            if candidate.form.slope
+            else proven_better(candidate.held_out, before.held_out)
+        )
+        chosen = number if proven else chosen
     tried[chosen] = replace(tried[chosen], chosen=True)
     if chosen == 0:
         return plain, tuple(tried)
@@ -141,15 +161,17 @@ def choose_form(
 
 def _larger(widest: Form) -> list[tuple[str, Form]]:
     """Return names and forms from a dead time up to everything."""
-    late = replace(widest, curve=False, spool=False, position=False, load=None)
-    curved = replace(late, curve=True)
+    late = replace(widest, bounds={}, curve=False, spool=False, position=False, load=None)
+    curved = replace(late, bounds=widest.bounds, curve=True)
     played = replace(curved, spool=True)
+    sloped = replace(played, slope=True)
     placed = replace(played, position=True)
     forms = [
         ("second order, dead time", late),
         ("with valve curve", curved),
         ("with lag and hysteresis of the spool", played),
-        ("with gain along the stroke", placed),
+        ("with gain growing along the stroke", sloped),
+        ("with any gain along the stroke", placed),
         (f"with {widest.load}", widest),
     ]
     return forms[:1] + [larger for before, larger in pairwise(forms) if larger[1] != before[1]]
@@ -184,14 +206,16 @@ def _tried(
     folds: Sequence[np.ndarray],
     form: Form,
 ) -> Candidate:
-    whole = float(misfit(jnp.asarray(positions)[None])[0])
-    held_out = []
+    pooled, apart = misfit.pooled(), replace(misfit, apart=True)
+    whole = float(pooled(jnp.asarray(positions)[None])[0])
+    held_out, held_apart = [], []
     for held in folds:
         kept = _over(misfit, ~held)
         moved = positions.copy()
         moved[list(free)] = _fitted(kept, free, positions, REFITTED).position
-        held_out += list(misfit.by_test(moved)[held])
-    return Candidate(name, form, whole, np.array(held_out))
+        held_out += list(pooled.by_test(moved)[held])
+        held_apart += list(apart.by_test(moved)[held])
+    return Candidate(name, form, whole, np.array(held_out), np.array(held_apart))
 
 
 def _over(misfit: Misfit, tests: np.ndarray) -> Misfit:

@@ -40,6 +40,7 @@ class ChannelSection(Strict):
     dead_time: bool = False
     curve: bool = False
     spool: bool = False
+    slope: bool = False
     position: bool = False
     load: str | None = None
     dead_zone: float | None = Field(default=None, ge=0)
@@ -137,7 +138,7 @@ def read_settings(path: Path) -> Settings:
 
 def _form(mode: str, section: ChannelSection) -> Form | Automatic:
     if section.structure == AUTOMATIC:
-        decided = {"dead_time", "curve", "spool", "position", "bounds"} & section.model_fields_set
+        decided = {"dead_time", "curve", "spool", "slope", "position", "bounds"} & section.model_fields_set
         if decided:
             raise InputError(
                 f"{mode}: structure '{AUTOMATIC}' decides on {' and '.join(sorted(decided))} itself; "
@@ -150,6 +151,7 @@ def _form(mode: str, section: ChannelSection) -> Form | Automatic:
         section.bounds,
         curve=section.curve,
         spool=section.spool,
+        slope=section.slope,
         position=section.position,
         load=section.load,
     )

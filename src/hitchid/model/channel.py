@@ -124,8 +124,10 @@ class Channel(eqx.Module):
         benchmark = self.simulate_benchmark(batch)
         time_s = jnp.broadcast_to(_clock(batch), benchmark.shape)
         tests = Sample(time_s, batch.command, benchmark, batch.displacement)
-        errors = predicted_errors(self.compensator, tests, batch.valid, horizons, batch.step_s)
-        return benchmark + errors
+        trust = jnp.ones_like(benchmark)
+        if self.envelope is not None:
+            trust = self.envelope.trust(jnp.abs(batch.command), benchmark, batch.load[:, None])
+        return benchmark + predicted_errors(self.compensator, tests, trust, horizons, batch.step_s)
 
 
 def _clock(batch: Batch) -> Float[Array, " n"]:

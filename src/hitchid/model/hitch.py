@@ -1,18 +1,28 @@
 """The whole plant: one channel a direction, switched by the commands."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from types import MappingProxyType
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float, Int
 
-from hitchid.benchmark import Batch
+from hitchid.benchmark import Batch, mean_before_motion, padded_length
 from hitchid.errors import InputError
 from hitchid.model.channel import Channel
-from hitchid.modes import ACTIVE_FRACTION, Stroke, full_scales, mode_changes
+from hitchid.model.packing import Packed, Packing
+from hitchid.model.stepping import Motion, State
+from hitchid.modes import ACTIVE_FRACTION, effective_command, full_scales
 from hitchid.precision import double_precision
-from hitchid.record import COMMAND, DISPLACEMENT, Record
+from hitchid.record import COMMAND, DISPLACEMENT, MODES, Record
 from hitchid.units import conversion_factor
+
+AT_ONCE = 1024
 
 
 @dataclass(frozen=True)
@@ -48,16 +58,19 @@ class Hitch:
         step_s: sampling time, s.
         units: role to unit; what goes in and comes out of `simulate` is in these or converted to them.
         provenance: where the model comes from.
+        drift: speed of a piston that is held, in the displacement's unit/s.
     """
 
     channels: Mapping[str, Channel]
     step_s: float
     units: Mapping[str, str]
     provenance: Provenance = field(default_factory=Provenance)
+    drift: float = 0.0
 
     def __post_init__(self) -> None:
-        """Freeze the mappings."""
-        object.__setattr__(self, "channels", MappingProxyType(dict(self.channels)))
+        """Freeze the mappings, channels in the order of the modes."""
+        ordered = {mode: self.channels[mode] for mode in MODES if mode in self.channels}
+        object.__setattr__(self, "channels", MappingProxyType(ordered))
         object.__setattr__(self, "units", MappingProxyType(dict(self.units)))
 
     @double_precision
@@ -73,22 +86,20 @@ class Hitch:
             InputError, SettingsError: as `simulate`.
         """
         own = self.adopt(record)
-        found: dict[tuple[str, str], int] = {}
-
-        def count(channel: Channel, batch: Batch) -> np.ndarray:
-            rows = channel.simulate(batch)
-            for name, outside in channel.outside(batch, rows).items():
-                key = channel.mode, name
-                found[key] = found.get(key, 0) + int(outside[0].sum())
-            return np.asarray(rows)[0]
-
-        self._over_strokes(own, count, measured=False)
-        return tuple(
-            f"{mode}: the {name} leaves what the tests covered, {self._covered(mode, name)}, in "
-            f"{samples} of {len(own)} samples"
-            for (mode, name), samples in found.items()
-            if samples
-        )
+        displacement, charge = self._run_free(own, compensated=True)
+        found = []
+        for number, (mode, channel) in enumerate(self.channels.items()):
+            driven = charge == number
+            batch = channel.batch([own], [float(displacement[0])])
+            rows = channel.outside(batch, jnp.asarray(_widened(displacement, batch))[None])
+            for name, outside in rows.items():
+                samples = int(np.sum(outside[0, : len(own)] & driven))
+                if samples:
+                    found.append(
+                        f"{mode}: the {name} leaves what the tests covered, {self._covered(mode, name)}, in "
+                        f"{samples} of {len(own)} samples"
+                    )
+        return tuple(found)
 
     def _covered(self, mode: str, name: str) -> str:
         channel = self.channels[mode]
@@ -105,10 +116,51 @@ class Hitch:
         return {mode: channel.dead_zone for mode, channel in self.channels.items()}
 
     @double_precision
+    def initial(self, displacement: float, load: float = 0.0) -> Packed:
+        """Return the state of a hitch that stands, its valves shut.
+
+        Args:
+            displacement: in the model's unit.
+            load: second measured input before motion, in its unit, where a channel hears one.
+
+        Raises:
+            InputError: a value is not finite.
+        """
+        for name, value in (("displacement", displacement), ("load", load)):
+            if not np.isfinite(value):
+                raise InputError(f"{name}: required a finite number, came {value}")
+        return self._packing.pack(self._standing(displacement, load))
+
+    def step(
+        self, state: Packed, commands: ArrayLike, measured: ArrayLike | None = None
+    ) -> tuple[Packed, Array]:
+        """Return the state one sampling time later, and the displacement then: y(k+1) from c(k) and y(k).
+
+        Pure, and may be traced by `jax.jit`. What is missing is coasted over: a command that is not finite
+        keeps its last value, and without a measured displacement the model goes on from its own.
+
+        Args:
+            state: from `initial` or an earlier step; `situation` tells what is in it.
+            commands: lifting and lowering command over the coming interval, in the model's unit, shape [2];
+                a mode without a channel is not heard.
+            measured: displacement now, in the model's unit; None or NaN where there is none.
+
+        Returns:
+            The next state and its displacement, in the model's unit, shape [].
+        """
+        with jax.enable_x64(True):
+            return self._step(state, _number(commands), _number(np.nan if measured is None else measured))
+
+    def situation(self, state: Packed) -> State:
+        """Return what a state says: displacement, channel in charge, what is missing."""
+        with jax.enable_x64(True):
+            return self._packing.unpack(state)
+
+    @double_precision
     def simulate(self, record: Record, *, compensated: bool = True) -> np.ndarray:
         """Return the free run: displacement from the commands and the initial displacement alone.
 
-        Where the mode changes, the channel that takes over starts at rest from where the other one ended.
+        One `step` a sample; see there, and docs/switching.md for what happens where the mode changes.
 
         Args:
             record: supplies commands, and displacement for the mean of the first samples before motion.
@@ -121,18 +173,13 @@ class Hitch:
             InputError: a command is effective that the model has no channel for.
             SettingsError: a unit is of another dimension than the model's.
         """
+        own = self.adopt(record)
+        return self._given_back(self._run_free(own, compensated=compensated)[0], own, record)
 
-        def run(channel: Channel, batch: Batch) -> np.ndarray:
-            rows = channel.simulate(batch) if compensated else channel.simulate_benchmark(batch)
-            return np.asarray(rows)[0]
-
-        return self._over_strokes(record, run, measured=False)
-
-    @double_precision
     def predict(self, record: Record, *, horizon: int = 1) -> np.ndarray:
         """Return each sample predicted from the displacement measured `horizon` samples before and earlier.
 
-        Within `horizon` samples of the start of a stroke, the prediction is from the stroke's start.
+        The first `horizon` samples are predicted from the first one. Commands are known throughout.
 
         Args:
             record: supplies commands and displacement.
@@ -145,13 +192,24 @@ class Hitch:
             InputError: the horizon is below 1, or as `simulate`.
             SettingsError: a unit is of another dimension than the model's.
         """
-        if horizon < 1:
-            raise InputError(f"horizon: required at least 1 sample, came {horizon}")
+        return self.predictions(record, (horizon,))[0]
 
-        def run(channel: Channel, batch: Batch) -> np.ndarray:
-            return np.asarray(channel.predict(batch, (min(horizon, batch.command.shape[1]),)))[0, 0]
-
-        return self._over_strokes(record, run, measured=True)
+    @double_precision
+    def predictions(self, record: Record, horizons: Sequence[int]) -> np.ndarray:
+        """Return `predict` for several horizons at once, shape [H, N]."""
+        if min(horizons) < 1:
+            raise InputError(f"horizon: required at least 1 sample, came {min(horizons)}")
+        own = self.adopt(record)
+        farthest = min(max(horizons), len(own))
+        commands = _padded(_commands(own), farthest)
+        measured = _padded(own.displacement, farthest)
+        start = self._start(own)
+        ahead = np.asarray(_ahead(self._motion, start, commands, measured, farthest))
+        rows = [
+            _from_origins(ahead, float(start.displacement), min(each, farthest), len(own))
+            for each in horizons
+        ]
+        return np.stack([self._given_back(row, own, record) for row in rows])
 
     def adopt(self, record: Record) -> Record:
         """Return a record on the model's clock and in the model's units.
@@ -176,31 +234,122 @@ class Hitch:
                 )
         return on_clock
 
-    def _over_strokes(
-        self, record: Record, run: Callable[[Channel, Batch], np.ndarray], *, measured: bool
-    ) -> np.ndarray:
-        """Run each stroke through its channel; where a mode ends the next one starts."""
-        own = self.adopt(record)
-        predicted = np.empty(len(own))
-        for stroke in self._strokes(own):
-            channel = self.channels[stroke.mode]
-            part = own.slice(stroke.start, min(stroke.stop + 1, len(own)))
-            first = stroke.start == 0
-            start = (own.displacement if measured else predicted)[stroke.start]
-            batch = channel.batch([part], None if first else [float(start)])
-            new = slice(0 if first else 1, len(part))
-            predicted[stroke.start : stroke.start + len(part)][new] = run(channel, batch)[new]
+    @cached_property
+    def _motion(self) -> Motion:
+        return Motion.of(tuple(self.channels.values()), self.step_s, self.drift)
+
+    @cached_property
+    def _packing(self) -> Packing[State]:
+        return Packing(self._standing(0.0, 0.0))
+
+    @cached_property
+    def _step(self) -> Callable[..., tuple[Packed, Array]]:
+        return self._packing.stepping(self._motion.step)
+
+    def _standing(self, displacement: float, load: float) -> State:
+        return self._motion.initial(jnp.asarray(float(displacement)), jnp.asarray(float(load)))
+
+    def _start(self, record: Record) -> State:
+        """Return the state before a record: the means before any command becomes effective."""
+        effective = np.zeros(len(record))
+        for mode, channel in self.channels.items():
+            if mode in record.modes:
+                effective += np.abs(effective_command(record.command(mode), channel.dead_zone))
+        load = next((c.benchmark.load for c in self.channels.values() if c.benchmark.load), None)
+        if load is not None and load not in record.signals:
+            raise InputError(f"record '{record.name}' has no '{load}'; the model hears it as a second input")
+        return self._standing(
+            mean_before_motion(record.displacement, effective),
+            0.0 if load is None else mean_before_motion(record.signals[load], effective),
+        )
+
+    def _run_free(self, record: Record, *, compensated: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Return displacement and the channel in charge at every sample of a free run."""
+        alone = {"compensator": None} if compensated else {"compensator": None, "speed_compensator": None}
+        channels = [replace(channel, **alone) for channel in self.channels.values()]
+        motion = Motion.of(channels, self.step_s, self.drift)
+        start = self._start(record)
+        start = motion.initial(start.displacement, start.load)
+        displacement, charge = _free(motion, start, _padded(_commands(record), 1))
+        first = np.asarray(start.displacement)[None]
+        count = len(record) - 1
+        return (
+            np.concatenate([first, np.asarray(displacement)[:count]]),
+            np.concatenate([np.asarray(charge)[:count], np.asarray(charge)[count - 1 : count]]),
+        )
+
+    def _given_back(self, displacement: np.ndarray, own: Record, record: Record) -> np.ndarray:
+        """Return a displacement on the model's clock and in its unit on the record's, in the record's."""
         unit = conversion_factor(self.units[DISPLACEMENT], record.unit, record.name)
         if own.step_s != record.step_s:
-            predicted = np.interp(record.time_s, own.time_s, predicted)
-        return predicted * unit
-
-    def _strokes(self, record: Record) -> list[Stroke]:
-        if len(self.channels) == 1:
-            (mode,) = self.channels
-            return [Stroke(mode, 0, len(record))]
-        return mode_changes(record, self.dead_zones)
+            displacement = np.interp(record.time_s, own.time_s, displacement)
+        return displacement * unit
 
 
 def _same_clock(step_s: float, wanted_s: float, samples: int) -> bool:
     return abs(step_s - wanted_s) * samples <= 0.05 * wanted_s
+
+
+def _number(value: ArrayLike) -> Array | np.ndarray:
+    return value if isinstance(value, jax.Array) else np.asarray(value, dtype=np.float64)
+
+
+def _commands(record: Record) -> Float[np.ndarray, "n 2"]:
+    """Return lifting and lowering command, zero where there is none, shape [N, 2]."""
+    none = np.zeros(len(record))
+    return np.stack([record.command(mode) if mode in record.modes else none for mode in MODES], axis=1)
+
+
+def _padded(samples: np.ndarray, beyond: int) -> Array:
+    """Return samples with NaN behind them, so many at least and up to a length for which programs exist."""
+    width = padded_length(len(samples) + beyond)
+    behind = ((0, width - len(samples)), *((0, 0) for _ in samples.shape[1:]))
+    return jnp.asarray(np.pad(samples, behind, constant_values=np.nan))
+
+
+def _widened(samples: np.ndarray, batch: Batch) -> np.ndarray:
+    return np.pad(samples, (0, batch.command.shape[1] - samples.size), mode="edge")
+
+
+@eqx.filter_jit
+def _free(
+    motion: Motion, start: State, commands: Float[Array, "n 2"]
+) -> tuple[Float[Array, " n"], Int[Array, " n"]]:
+    def advance(state: State, command: Array) -> tuple[State, tuple[Array, Array]]:
+        state, displacement = motion.step(state, command, jnp.asarray(jnp.nan))
+        return state, (displacement, state.mode)
+
+    return jax.lax.scan(advance, start, commands)[1]
+
+
+@eqx.filter_jit
+def _ahead(
+    motion: Motion,
+    start: State,
+    commands: Float[Array, "n 2"],
+    measured: Float[Array, " n"],
+    horizon: int,
+) -> Float[Array, "h m"]:
+    """Return the displacement h = 1 … horizon samples after each sample that has so many behind it."""
+    count = commands.shape[0] - horizon + 1
+
+    def heard(state: State, given: tuple[Array, Array]) -> tuple[State, State]:
+        state, _ = motion.step(state, *given)
+        return state, state
+
+    _, states = jax.lax.scan(heard, start, (commands[:count], measured[:count]))
+
+    def coast(state: State, at: Array) -> Float[Array, " h"]:
+        def advance(state: State, ahead: Array) -> tuple[State, Array]:
+            after, _ = motion.step(state, commands[at + ahead], jnp.asarray(jnp.nan))
+            return after, state.displacement
+
+        return jax.lax.scan(advance, state, jnp.arange(1, horizon + 1))[1]
+
+    return jax.lax.map(lambda given: coast(*given), (states, jnp.arange(count)), batch_size=AT_ONCE).T
+
+
+def _from_origins(ahead: np.ndarray, initial: float, horizon: int, count: int) -> np.ndarray:
+    """Return the prediction of each sample from `horizon` before, of the first ones from sample 0."""
+    first = np.concatenate([[initial], ahead[: horizon - 1, 0]])[:count]
+    return np.concatenate([first, ahead[horizon - 1, : count - first.size]])
