@@ -19,6 +19,7 @@ UNITS = {"displacement": "mm", "lifting_command": "A", "lowering_command": "A"}
 DIRECTIONS = {LIFTING: 1, LOWERING: -1}
 DEAD_ZONES = {LIFTING: 0.35, LOWERING: 0.25}
 GAINS = {LIFTING: 30.0, LOWERING: 20.0}
+STEP_S = 0.01
 VALUES = {
     "integrator": (),
     "integrator-first-order": (0.08,),
@@ -123,4 +124,10 @@ def channel(
 def hitch(structure="integrator", *, modes=(LIFTING, LOWERING), provenance=None, **options):
     """Return a model of one or two like channels at 100 Hz in mm and A."""
     channels = {mode: channel(mode, structure, **options) for mode in modes}
-    return Hitch(channels, 0.01, UNITS, provenance or Provenance())
+    return Hitch(channels, STEP_S, UNITS, provenance or Provenance())
+
+
+def hitch_of(*channels, step_s=STEP_S, drift=0.0):
+    """Return a model of given channels, in mm, A and bar."""
+    units = {**UNITS, "pressure": "bar"}
+    return Hitch({each.mode: each for each in channels}, step_s, units, drift=drift)

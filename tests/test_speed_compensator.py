@@ -109,7 +109,7 @@ def by_hand(model, drive):
             place = float(drive.initial[test]) + model.direction * travel
             inputs = [
                 float(drive.command[block, test]) / float(model.command),
-                float(drive.moved[block, test]) / float(model.moved),
+                float(drive.before[block, test]) / float(model.moved),
                 2 * (place - lowest) / (highest - lowest) - 1,
                 2 * float(drive.load[test]) - 1,
             ]
@@ -140,19 +140,48 @@ def test_its_rollout_is_that_of_its_equations(direction):
 
 
 @pytest.mark.parametrize("every", [1, 3, 8])
-def test_what_it_hears_are_means_and_sums_over_its_blocks(every):
+def test_what_it_hears_are_means_and_sums_over_the_block_before(every):
     travel, *heard = made_up()
     drive = driven_by(travel, *heard, every)
     blocks = -(-SAMPLES // every)
-    assert drive.command.shape == drive.moved.shape == (blocks, TESTS)
+    assert drive.command.shape == drive.before.shape == drive.moved.shape == (blocks, TESTS)
     np.testing.assert_array_equal(drive.moved.sum(axis=0), travel[:, -1])
+    np.testing.assert_array_equal(drive.before[1:], drive.moved[:-1])
+    assert not np.any(drive.before[0])
+    assert not np.any(drive.command[0])
     for block in range(blocks):
-        samples = slice(block * every, (block + 1) * every)
-        command = np.asarray(heard[0])[:, samples]
-        if command.shape[1] == every:
-            np.testing.assert_allclose(drive.command[block], command.mean(axis=1), rtol=4 * EPS)
-        ends = np.asarray(travel)[:, [samples.start, min(samples.stop, SAMPLES - 1)]]
-        np.testing.assert_array_equal(drive.moved[block], ends[:, 1] - ends[:, 0])
+        start, stop = block * every, min((block + 1) * every, SAMPLES - 1)
+        np.testing.assert_array_equal(drive.moved[block], (travel[:, stop] - travel[:, start]))
+        if block:
+            mean = np.asarray(heard[0])[:, start - every : start].mean(axis=1)
+            np.testing.assert_allclose(drive.command[block], mean, rtol=4 * EPS)
+
+
+def changed_within(start, stop):
+    """Return travel and command, and those of a command that differs in samples `start:stop` alone."""
+    travel, command, *rest = made_up()
+    other = np.array(command)
+    other[:, start:stop] = 0.05
+    steps = np.diff(np.asarray(travel), axis=1)
+    steps[:, start:stop] = FINE
+    moved = np.concatenate([np.zeros((TESTS, 1)), np.cumsum(steps, axis=1)], axis=1)
+    return (travel, command, *rest), (jnp.asarray(moved), jnp.asarray(other), *rest)
+
+
+@pytest.mark.parametrize("every", [1, 3, 8])
+def test_within_a_block_a_command_changes_only_what_the_benchmark_does(every):
+    start, stop = 6 * every, 7 * every
+    model = speed_compensator(size=5.0, every=every)
+    one, other = changed_within(start, stop)
+    factors = [np.asarray(model.rollout(model.networks, driven_by(*each, every))[1]) for each in (one, other)]
+    np.testing.assert_array_equal(factors[0][:7], factors[1][:7])
+    assert np.all(factors[0][7] != factors[1][7])
+    found, changed = (np.asarray(compensated(model, *each)) for each in (one, other))
+    np.testing.assert_array_equal(found[:, : start + 1], changed[:, : start + 1])
+    ratio = np.diff(changed[:, start : stop + 1], axis=1) / FINE
+    # Steps of 1/1024 mm of a travel of up to 100 mm, rounded twice.
+    rounding = 8 * EPS * float(one[0].max()) / FINE
+    np.testing.assert_allclose(ratio, np.repeat(factors[0][6][:, None], every, axis=1), rtol=0, atol=rounding)
 
 
 @pytest.mark.parametrize("anchored_every", [1, 4, 10])

@@ -4,11 +4,16 @@ import json
 import sys
 from enum import Enum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from hitchid.errors import HitchError, InputError
+
+if TYPE_CHECKING:
+    from hitchid.inspection import Inspection
+
+PICTURES = (".png", ".svg", ".pdf")
 
 app = typer.Typer(
     name="hitchid",
@@ -52,13 +57,33 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON i
 Force = Annotated[bool, typer.Option("--force", help="Replace an older result.")]
 
 
-@app.command(epilog="Example: hitchid inspect logs/")
-def inspect(logs: Logs, signals: Signals = None, as_json: AsJson = False) -> None:
-    """Show what logs hold: signals, units, sampling, kinds of test, faults. Changes nothing."""
+@app.command(epilog="Example: hitchid inspect logs/ --draw logs.png")
+def inspect(
+    logs: Logs,
+    signals: Signals = None,
+    model: Annotated[
+        Path | None, typer.Option("--model", help="Model folder that knows dead zones and dead times.")
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option("--draw", help="Picture of the mixed logs to write: .png, .svg or .pdf.")
+    ] = None,
+    force: Force = False,
+    as_json: AsJson = False,
+) -> None:
+    """Show what logs hold: signals, units, sampling, kinds of test, what mixed logs do, faults."""
     from hitchid import display
     from hitchid.inspection import inspect as look
 
-    found = look(logs, signals=signals)
+    if picture is not None:
+        _check_picture(picture, force=force)
+    switches = None
+    if model is not None:
+        from hitchid.model import load
+
+        switches = load(model).switches
+    found = look(logs, signals=signals, switches=switches)
+    if picture is not None:
+        _draw(found, picture, force=force)
     if as_json:
         typer.echo(json.dumps(found.describe(), indent=1))
     else:
@@ -159,6 +184,27 @@ def simulate(
     display.say("notice", simulate_log(load(model), log, out, horizon=steps, signals=signals, force=force))
 
 
+@app.command(epilog="Example: recorder | hitchid run model | controller")
+def run(
+    model: Annotated[Path, typer.Argument(help="Model folder.", show_default=False)],
+    initial: Annotated[
+        float | None,
+        typer.Option("--initial", help="Displacement to start from, in the model's unit [first measured]."),
+    ] = None,
+    load: Annotated[float, typer.Option("--load", help="Second input before motion, if one is heard.")] = 0.0,
+) -> None:
+    """Answer samples from standard input, line by line, with the displacement one sample later (JSON)."""
+    _prepare_jax()
+    from hitchid.live import Live
+    from hitchid.model import load as load_model
+
+    live = Live(load_model(model), initial=initial, load=load)
+    for line in sys.stdin:
+        if line.strip():
+            sys.stdout.write(live.hear(line).line() + "\n")
+            sys.stdout.flush()
+
+
 @app.command(epilog="Example: hitchid bench logs --protocol prbs --tests 20")
 def bench(
     out: Annotated[Path, typer.Argument(help="Folder to write.", show_default=False)],
@@ -218,6 +264,22 @@ def reproduce(
             out, rig=rig, plan=quick_plan() if quick else Plan(), seed=seed, force=force, progress=report
         )
     display.show_study(study)
+
+
+def _check_picture(path: Path, *, force: bool) -> None:
+    from hitchid.storage import check_file
+
+    if path.suffix not in PICTURES:
+        raise InputError(f"--draw: required a name ending in {', '.join(PICTURES)}, came '{path.name}'")
+    check_file(path, force=force)
+
+
+def _draw(found: "Inspection", path: Path, *, force: bool) -> None:
+    if not found.mixed:
+        raise InputError("--draw: none of the logs moves both ways; there is nothing to draw")
+    from hitchid.timeline import draw
+
+    draw(found.mixed, path, force=force)
 
 
 def _horizon(text: str) -> int | None:

@@ -1,13 +1,15 @@
 """What a terminal shows: tables, notices, progress."""
 
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table as RichTable
+
+from hitchid.segments import LABELS
 
 if TYPE_CHECKING:
     from hitchid.identification import Identification
@@ -65,8 +67,25 @@ def show_inspection(found: "Inspection") -> None:
                 "\n".join(ranges),
             )
         _out().print(table)
+    if found.mixed:
+        labels = [label for label in LABELS if any(label in _durations(each) for each in found.records)]
+        table = _table("mixed record", *(f"{label} / s" for label in labels), "stretches")
+        for record in found.records:
+            spent = _durations(record)
+            if spent:
+                cells = [f"{spent[label]:.4g}" if label in spent else "" for label in labels]
+                stretches = record["segments"]
+                assert isinstance(stretches, list)  # noqa: S101
+                table.add_row(str(record["name"]), *cells, str(len(stretches)))
+        _out().print(table)
     say("notice", found.notices)
     say("fault", found.faults)
+
+
+def _durations(record: Mapping[str, object]) -> Mapping[str, float]:
+    spent = record.get("durations_s", {})
+    assert isinstance(spent, dict)  # noqa: S101
+    return spent
 
 
 def show_identification(found: "Identification") -> None:

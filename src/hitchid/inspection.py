@@ -1,6 +1,6 @@
 """A look at logs before any fit: what each one is, how it was sampled, what is wrong with it."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,7 +9,8 @@ import numpy as np
 from hitchid.errors import HitchError, LogError
 from hitchid.modes import ACTIVE_FRACTION, full_scales
 from hitchid.readers import assemble, find_logs, read_log, settings_of
-from hitchid.record import IDLE, MODES, Record
+from hitchid.record import CYCLE, IDLE, MODES, Record
+from hitchid.segments import Segment, Switch, durations_s, segments
 
 
 @dataclass(frozen=True)
@@ -17,27 +18,35 @@ class Inspection:
     """What was found in a folder of logs.
 
     Attributes:
-        records: one entry a record: name, kind, held out or not, samples, step, duration, and each signal's
-            unit and range.
+        records: one entry a record: name, kind, held out or not, samples, step, duration, each signal's unit
+            and range, and of a mixed one its stretches of lift, hold, lower and so on.
         notices: what is odd but can be worked with, each naming its record.
         faults: why a log cannot be used, each naming file, line, column.
+        mixed: the mixed records with their stretches.
     """
 
     records: tuple[Mapping[str, object], ...]
     notices: tuple[str, ...]
     faults: tuple[str, ...]
+    mixed: tuple[tuple[Record, tuple[Segment, ...]], ...] = ()
 
     def describe(self) -> dict[str, list]:
         """Return everything as JSON can hold it."""
         return {"records": list(self.records), "notices": list(self.notices), "faults": list(self.faults)}
 
 
-def inspect(logs: str | Path | Iterable[str | Path], *, signals: str | Path | None = None) -> Inspection:
+def inspect(
+    logs: str | Path | Iterable[str | Path],
+    *,
+    signals: str | Path | None = None,
+    switches: Mapping[str, Switch] | None = None,
+) -> Inspection:
     """Look at logs one by one, going on past those that cannot be used; changes nothing.
 
     Args:
         logs: files and folders.
         signals: a file like `campaign.toml`; without it each folder's own counts.
+        switches: mode to how it hears its command, in the logs' units, where a model tells.
 
     Raises:
         InputError: there are no logs.
@@ -61,11 +70,35 @@ def inspect(logs: str | Path | Iterable[str | Path], *, signals: str | Path | No
         return Inspection(entries, (), (*faults, str(error)))
     held_out = {record.name for mode in MODES for record in campaign.held_out(mode)}
     scales = full_scales(campaign.records)
+    mixed = {
+        record.name: (record, tuple(segments(record, scales, switches))) for record in campaign.of_kind(CYCLE)
+    }
     return Inspection(
-        records=tuple(_entry(record, record.name in held_out) for record in campaign.records),
+        records=tuple(
+            _entry(record, record.name in held_out) | _stretches(*mixed.get(record.name, (record, ())))
+            for record in campaign.records
+        ),
         notices=tuple(notice for record in campaign.records for notice in _notices(record, scales)),
         faults=tuple(faults),
+        mixed=tuple(mixed.values()),
     )
+
+
+def _stretches(record: Record, found: Sequence[Segment]) -> dict[str, object]:
+    if not found:
+        return {}
+    start, step = record.start_s, record.step_s
+    return {
+        "durations_s": durations_s(found, step),
+        "segments": [
+            {
+                "label": each.label,
+                "start_s": round(start + each.start * step, 6),
+                "stop_s": round(start + each.stop * step, 6),
+            }
+            for each in found
+        ],
+    }
 
 
 def _entry(record: Record, held_out: bool) -> dict[str, object]:

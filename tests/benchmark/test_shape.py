@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hitchid.benchmark import SHAPE, Batch, Form, Scales, Shape, structure_named
-from hitchid.benchmark.shape import NEUTRAL
+from hitchid.benchmark.shape import FARTHEST, NEUTRAL, REACH
 from hitchid.errors import InputError
 from hitchid.modes import effective_command
 from hitchid.record import LIFTING
@@ -197,6 +197,51 @@ def test_a_falling_displacement_sees_the_same_gain_where_it_is():
     mirrored = shape(position_slope=-0.5, position_curve=-0.4)
     down = mirrored.travel(linear, none, jnp.array([90.0]), -1)
     np.testing.assert_allclose(up, down, rtol=1e-12)
+
+
+compiled_gain = eqx.filter_jit(Shape.gain)
+
+
+def gain(curves, place):
+    """Return the gain at places in half ranges from the centre, 50 mm each, shape [N]."""
+    displacement = 50.0 + 50.0 * np.asarray(place)
+    return np.asarray(compiled_gain(curves, jnp.asarray(displacement), jnp.full(len(place), 120.0)))
+
+
+slopes = st.floats(-2.0, 2.0)
+
+
+@settings(deadline=None, max_examples=50)
+@given(slope=slopes, curve=slopes, place=st.floats(-REACH, REACH))
+def test_within_reach_the_gain_is_its_formula(slope, curve, place):
+    found = gain(shape(position_slope=slope, position_curve=curve), [place])
+    # Exponents up to 7 of places that round in 50 ± 75 mm.
+    expected = np.exp(slope * place + curve * (place**2 - 1 / 3))
+    np.testing.assert_allclose(found, expected, rtol=50 * EPS)
+
+
+@settings(deadline=None, max_examples=50)
+@given(slope=slopes, curve=slopes, beyond=st.floats(0.0, 1e4), side=st.sampled_from([-1.0, 1.0]))
+def test_beyond_reach_the_curve_is_held_and_the_slope_goes_on_to_a_factor_of_two(slope, curve, beyond, side):
+    curves = shape(position_slope=slope, position_curve=curve)
+    edge, far = gain(curves, [side * REACH, side * (REACH + beyond)])
+    went_on = float(np.clip(side * slope * beyond, -FARTHEST, FARTHEST))
+    # A place of up to 1e4 half ranges times a slope of two, of which up to 0.7 counts.
+    assert far / edge == pytest.approx(np.exp(went_on), rel=50 * EPS + 4 * EPS * abs(slope) * REACH)
+    assert FARTHEST == pytest.approx(np.log(2.0), abs=0.01)
+
+
+@pytest.mark.parametrize("slope", [-1.2, 0.4])
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_the_gain_has_no_step_where_the_reach_ends_and_at_last_stands(slope, side):
+    curves = shape(position_slope=slope, position_curve=0.3)
+    near = gain(curves, side * (REACH + np.array([-1e-9, 1e-9])))
+    # Steepest by slope and curve together: |a| + 2 b ξ, over 2e-9 half ranges.
+    assert abs(np.diff(np.log(near)).item()) <= 2e-9 * (abs(slope) + 2 * 0.3 * REACH) + 50 * EPS
+    last = REACH + FARTHEST / abs(slope)
+    found = gain(curves, side * np.array([last - 0.1, last, last + 1.0, 1e6]))
+    assert found[0] != found[1]
+    np.testing.assert_allclose(found[1:], found[1], rtol=50 * EPS)
 
 
 def test_the_load_scales_travel_and_shifts_the_opening():

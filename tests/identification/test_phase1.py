@@ -1,13 +1,16 @@
 """Phase 1 finds the parameters of plants simulated by scipy, and tells how well."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy import stats
 
 from hitchid.benchmark import Batch, structure_named
 from hitchid.errors import FitError, InputError
 from hitchid.identification import Form, MultiStart, Whale
-from hitchid.identification.phase1 import identify_benchmark
+from hitchid.identification.phase1 import TIED, Misfit, _apart, identify_benchmark
 from hitchid.record import LIFTING
 from hitchid.whale import Swarm
 from truth import STEP_S, held, lag, levels, second_order, shifted
@@ -207,3 +210,105 @@ def test_tests_in_which_nothing_happens_are_refused(batch_of):
         identified(batch_of([(0 * command, travel)]), LAG)
     with pytest.raises(FitError, match="piston does not move"):
         identified(batch_of([(command, 0 * travel)]), LAG)
+
+
+def sloping(slope, factors, *, gain=15.0):
+    """Return tests of an integrator whose gain grows by exp(slope · travel), each by a factor of its own.
+
+    Travel goes on by one step a sample, as the benchmark's does.
+    """
+    rng, tests = np.random.default_rng(0), []
+    for factor in factors:
+        command = levels(rng, SAMPLES, low=rng.uniform(0.2, 0.6))
+        travel = np.zeros(SAMPLES)
+        for k, u in enumerate(command[:-1]):
+            travel[k + 1] = travel[k] + factor * gain * np.exp(slope * travel[k]) * u * STEP_S
+        tests.append((command, travel))
+    return tests
+
+
+def half_range(batch):
+    """Return half of the range of displacement, in which a slope is measured, mm."""
+    return 0.5 * float(np.ptp(np.asarray(batch.displacement)[np.asarray(batch.counted)]))
+
+
+@pytest.mark.parametrize("slope", [0.015, -0.01])
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_slope_is_found_again_although_tests_are_faster_or_slower(batch_of, slope, seed):
+    rng = np.random.default_rng(seed)
+    tests = sloping(slope, 1 + 0.03 * rng.choice([-1.0, 1.0], 10))
+    batch = batch_of(tests, noise=0.02, rng=rng, start=80.0)
+    found = {each.name: each for each in identified(batch, INTEGRATOR, slope=True).estimates}
+    estimate = found["position_slope"]
+    # Noise of 0.02 mm at 2500 samples of some 15 mm of travel: the slope is known to a hundredth.
+    assert estimate.error < 0.05 * abs(slope) * half_range(batch)
+    # Four standard errors: 1 in 16000 for each.
+    assert abs(estimate.value - slope * half_range(batch)) <= 4 * estimate.error
+    assert estimate.verdict == "determined"
+
+
+def test_the_gain_beside_a_slope_is_that_which_fits_all_tests_together(batch_of):
+    tests = sloping(0.015, 1 + 0.03 * np.array([-1.0, 1.0, 1.0, 1.0, -1.0, 1.0]))
+    batch = batch_of(tests, start=80.0)
+    found = identified(batch, INTEGRATOR, slope=True)
+    pooled = Misfit.of(batch, Form(INTEGRATOR, slope=True)).pooled()
+    gain, slope = (estimate.value for estimate in found.estimates)
+
+    def rmse(factor):
+        return float(pooled(jnp.asarray(pooled.position([factor * gain, slope]))[None])[0])
+
+    assert rmse(1.0) == pytest.approx(found.rmse, rel=1e-9)
+    # Nothing is lost to a factor, but what the slope makes of it: of 3 % along exp(0.1).
+    assert rmse(1.0) < min(rmse(0.99), rmse(1.01))
+    assert found.rmse > 0.01 * float(np.abs(tests[0][1]).max())
+
+
+def test_where_tests_are_alike_and_nothing_slopes_a_factor_of_their_own_changes_nothing(batch_of):
+    batch = batch_of(sloping(0.0, np.ones(5)), start=80.0)
+    plain, sloped = (identified(batch, INTEGRATOR, slope=slope) for slope in (False, True))
+    assert values(plain)["gain"] == pytest.approx(15.0, rel=1e-6)
+    assert values(sloped) == {
+        "gain": pytest.approx(15.0, rel=1e-6),
+        "position_slope": pytest.approx(0.0, abs=1e-6),
+    }
+    # Rounding of displacements of 80 mm and of sums over 250 samples.
+    assert max(plain.rmse, sloped.rmse) <= 250 * np.finfo(float).eps * 100.0
+
+
+def test_only_a_slope_sets_tests_apart(batch_of):
+    batch = batch_of(plants(lag(15.0, 0.7)))
+    assert Misfit.of(batch, Form(INTEGRATOR, slope=True)).apart
+    assert not Misfit.of(batch, Form(INTEGRATOR, slope=True)).pooled().apart
+    assert not Misfit.of(batch, Form(INTEGRATOR)).apart
+    assert not Misfit.of(batch, Form(INTEGRATOR, position=True)).apart
+
+
+@settings(deadline=None, max_examples=50)
+@given(seed=st.integers(0, 2**16), size=st.floats(-2.0, 3.0), other=st.floats(-5.0, 5.0))
+def test_misses_apart_are_those_of_the_best_factor_of_each_test(seed, size, other):
+    rng = np.random.default_rng(seed)
+    measured = np.concatenate([np.zeros((3, 1)), rng.normal(size=(3, 20))], axis=1)
+    travel = size * measured + np.concatenate([np.zeros((3, 1)), rng.normal(size=(3, 20))], axis=1)
+    found = np.sum(np.asarray(_apart(jnp.asarray(travel), jnp.asarray(measured))) ** 2, axis=1)
+    held = TIED * np.sum(measured**2, axis=1)
+
+    def objective(factor):
+        return np.sum((factor * travel - measured) ** 2, axis=1) + held * (factor - 1) ** 2
+
+    best = (np.sum(travel * measured, axis=1) + held) / (np.sum(travel**2, axis=1) + held)
+    rounding = 1e-12 * np.sum(measured**2 + travel**2, axis=1)
+    exact = np.sum((best[:, None] * travel - measured) ** 2, axis=1) + held * (best - 1) ** 2
+    np.testing.assert_allclose(found, exact, rtol=0, atol=rounding.max())
+    assert np.all(found <= objective(other) + rounding * (1 + other**2))
+
+
+def test_a_test_that_is_only_faster_misses_by_what_ties_its_factor():
+    """With y = f ŷ and s = f (1 + ρ f)/(1 + ρ f²) all that is left is ρ y·y (s − 1)² and (s − f)² ŷ·ŷ."""
+    travel, factor = np.linspace(0.0, 10.0, 50)[None], 1.03
+    measured = factor * travel
+    squares = float(np.sum(np.asarray(_apart(jnp.asarray(travel), jnp.asarray(measured))) ** 2))
+    tied = TIED * factor**2
+    own = (factor + tied) / (1 + tied)
+    expected = ((own - factor) ** 2 + tied * (own - 1) ** 2) * float(np.sum(travel**2))
+    assert squares == pytest.approx(expected, rel=1e-9)
+    assert squares < 0.02 * float(np.sum((travel - measured) ** 2))

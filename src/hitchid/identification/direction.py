@@ -15,6 +15,7 @@ from hitchid.envelope import Envelope, Range
 from hitchid.identification.baselines import fit_arx, fit_black_box
 from hitchid.identification.deadzone import DeadZone
 from hitchid.identification.descent import DescentTrace
+from hitchid.identification.levelling import with_gain
 from hitchid.identification.narx import fit_narx
 from hitchid.identification.phase1 import Phase1, identify_benchmark
 from hitchid.identification.phase2 import Training, train_compensator
@@ -72,8 +73,8 @@ class Asked:
     units: Mapping[str, str]
 
 
-def identify_direction(tests: Prepared, asked: Asked, progress: Progress) -> tuple[Channel, ChannelTrace]:
-    """Identify one direction.
+def find_benchmark(tests: Prepared, asked: Asked, progress: Progress) -> tuple[Channel, ChannelTrace]:
+    """Carry out phase 1 for one direction.
 
     Args:
         tests: its tests.
@@ -89,9 +90,31 @@ def identify_direction(tests: Prepared, asked: Asked, progress: Progress) -> tup
         phase1, candidates = _benchmark(tests, asked)
     channel = replace(_uncompensated(tests, phase1), envelope=envelope_of(tests.everything))
     notices = (*tests.notices, *_vague(phase1))
-    trace = ChannelTrace(tests.dead_zone, phase1, None, None, notices, candidates, seconds)
+    return channel, ChannelTrace(tests.dead_zone, phase1, None, None, notices, candidates, seconds)
+
+
+def levelled(channel: Channel, trace: ChannelTrace, factor: float) -> tuple[Channel, ChannelTrace]:
+    """Return a channel with a factor on its gain, and its trace with it."""
+    channel = with_gain(channel, factor)
+    first, *others = trace.phase1.estimates
+    first = replace(first, value=factor * first.value, error=factor * first.error)
+    phase1 = replace(trace.phase1, benchmark=channel.benchmark, estimates=(first, *others))
+    said = f"gain times {factor:.4f}, so that whole mixed logs agree best in free run"
+    return channel, replace(trace, phase1=phase1, notices=(*trace.notices, said))
+
+
+def find_compensators(
+    channel: Channel, trace: ChannelTrace, tests: Prepared, asked: Asked, progress: Progress
+) -> tuple[Channel, ChannelTrace]:
+    """Carry out phase 2 for one direction, and fit the baselines.
+
+    Args:
+        channel, trace: of phase 1.
+        tests, asked, progress: as for `find_benchmark`.
+    """
     if asked.training is None:
         return channel, trace
+    seconds = dict(trace.seconds)
     keys = jax.random.split(jax.random.fold_in(jax.random.key(asked.seed), MODES.index(tests.mode)), 4)
     with _timed(seconds, "compensator"):
         channel, losses = _compensated(
@@ -110,7 +133,7 @@ def identify_direction(tests: Prepared, asked: Asked, progress: Progress) -> tup
         trace = replace(trace, gate=gate, notices=(*trace.notices, gate.sentence))
     if asked.training.baselines:
         channel = _with_baselines(channel, tests, asked, keys[2:], progress, seconds)
-    return channel, trace
+    return channel, replace(trace, seconds=seconds)
 
 
 def envelope_of(batch: Batch) -> Envelope:

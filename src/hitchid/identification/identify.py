@@ -11,15 +11,18 @@ from hitchid.benchmark.nonlinear import NonlinearStructure
 from hitchid.campaign import Campaign
 from hitchid.errors import InputError
 from hitchid.identification.deadzone import DeadZone
-from hitchid.identification.direction import Asked, ChannelTrace, identify_direction
+from hitchid.identification.direction import Asked, ChannelTrace, find_benchmark, find_compensators, levelled
+from hitchid.identification.holding import hold_drift
+from hitchid.identification.levelling import levelling
 from hitchid.identification.phase2 import Training
 from hitchid.identification.preparation import mixed_dead_zones, prepare
 from hitchid.identification.search import Search, Whale
 from hitchid.identification.selection import Automatic
 from hitchid.identification.trace import describe_channel
+from hitchid.identification.two_modes import compare_modes
 from hitchid.model import Hitch, Provenance, save
 from hitchid.precision import double_precision
-from hitchid.record import COMMAND, CYCLE, DISPLACEMENT, LIFTING, LOWERING
+from hitchid.record import COMMAND, CYCLE, DISPLACEMENT, LIFTING, LOWERING, Record
 
 Progress = Callable[[str, float], None]
 PACKAGES = ("hitchid", "jax", "equinox", "optax", "numpy", "scipy")
@@ -74,6 +77,7 @@ def identify(
     search: Search = WHALE,
     training: Training | None = TRAINING,
     dead_zones: Mapping[str, float] = NONE_KNOWN,
+    drift: bool = False,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Identification:
@@ -90,6 +94,7 @@ def identify(
         search: the global search of phase 1: `Whale`, `DifferentialEvolution` or `MultiStart`.
         training: settings of phase 2; None identifies benchmarks alone.
         dead_zones: mode to dead zone, in the command's unit, where it is known.
+        drift: whether the creep of a held piston is identified; otherwise a held piston stands.
         seed: every random draw comes from it.
         progress: called with what is being done and the fraction of all work that is done.
 
@@ -108,25 +113,45 @@ def identify(
     zones = {mode: DeadZone(0.0, None, 0, "structure") for mode, form in forms.items() if _whole(form)}
     zones |= {mode: DeadZone(value, None, 0, "given") for mode, value in dead_zones.items()}
     cut_at: dict[str, float] = {}
+    cycles: tuple[Record, ...] = ()
     seen = {record.fingerprint for mode in campaign.modes for record in campaign.identification(mode)}
     if not campaign.modes:
         cut_at = {mode: zone.value for mode, zone in {**mixed_dead_zones(campaign), **zones}.items()}
-        seen |= {record.fingerprint for record in campaign.identification(CYCLE)}
+        cycles = campaign.identification(CYCLE)
+        seen |= {record.fingerprint for record in cycles}
         campaign = campaign.segmented(cut_at)
         seen |= {record.fingerprint for mode in campaign.modes for record in campaign.identification(mode)}
     if not campaign.modes:
         raise InputError("no test moves the piston one way, and no cycle holds a stroke to identify from")
-    channels, traces, prepared = {}, {}, {}
+    channels, traces, prepared, questions = {}, {}, {}, {}
+
+    def stepping(mode: str, start: float) -> Progress:
+        def step(stage: str, fraction: float) -> None:
+            report(f"{mode}: {stage}", start + 0.5 * fraction / len(campaign.modes))
+
+        return step
+
     for number, mode in enumerate(campaign.modes):
-
-        def step(stage: str, fraction: float, *, mode: str = mode, before: int = number) -> None:
-            report(f"{mode}: {stage}", (before + fraction) / len(campaign.modes))
-
+        step = stepping(mode, 0.5 * number / len(campaign.modes))
         step("dead zone", 0.0)
         prepared[mode] = prepare(campaign, mode, zones.get(mode), load=forms[mode].load)
         units = {"x": campaign.units[DISPLACEMENT], "u": campaign.units[COMMAND[mode]]}
-        asked = Asked(forms[mode], PAPER_FORMS[mode], search, training, seed, units)
-        channels[mode], traces[mode] = identify_direction(prepared[mode], asked, step)
+        questions[mode] = Asked(forms[mode], PAPER_FORMS[mode], search, training, seed, units)
+        channels[mode], traces[mode] = find_benchmark(prepared[mode], questions[mode], step)
+    roles = (DISPLACEMENT, *COMMAND.values(), *(form.load for form in forms.values() if form.load))
+    units = {role: campaign.units[role] for role in roles if role in campaign.units}
+    zone_of = {mode: channel.dead_zone for mode, channel in channels.items()}
+    whole = cycles or tuple(r for mode in campaign.modes for r in campaign.identification(mode))
+    hitch = Hitch(channels, campaign.step_s, units, drift=hold_drift(whole, zone_of) if drift else 0.0)
+    if len(channels) > 1 and cut_at:
+        factors = levelling(hitch, cycles)
+        for mode, factor in factors.items():
+            channels[mode], traces[mode] = levelled(channels[mode], traces[mode], factor)
+    for number, mode in enumerate(campaign.modes):
+        step = stepping(mode, 0.5 + 0.5 * number / len(campaign.modes))
+        channels[mode], traces[mode] = find_compensators(
+            channels[mode], traces[mode], prepared[mode], questions[mode], step
+        )
     provenance = Provenance(
         identification={mode: _names(campaign.identification(mode)) for mode in campaign.modes},
         validation={mode: prepared[mode].validation_names for mode in campaign.modes},
@@ -134,12 +159,17 @@ def identify(
         seen=frozenset(seen),
         cut_at=cut_at,
         seed=seed,
-        settings=_describe(forms, search, training, dead_zones),
+        settings={**_describe(forms, search, training, dead_zones), "drift": drift},
         versions=_versions(),
     )
-    roles = (DISPLACEMENT, *COMMAND.values(), *(form.load for form in forms.values() if form.load))
-    units = {role: campaign.units[role] for role in roles if role in campaign.units}
-    return Identification(Hitch(channels, campaign.step_s, units, provenance), traces)
+    same_unit = len({campaign.units[COMMAND[mode]] for mode in campaign.modes}) == 1
+    hitch = replace(
+        hitch,
+        channels=channels,
+        provenance=provenance,
+        two_modes=compare_modes(prepared) if same_unit else None,
+    )
+    return Identification(hitch, traces)
 
 
 def _whole(form: Form | Automatic) -> bool:

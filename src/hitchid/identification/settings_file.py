@@ -30,6 +30,7 @@ class Settings(TypedDict, total=False):
     search: Search
     training: Training | None
     dead_zones: Mapping[str, float]
+    drift: bool
     seed: int
 
 
@@ -101,6 +102,7 @@ class IdentifyFile(Strict):
     """All of the file."""
 
     seed: int = Field(default=0, ge=0, le=LARGEST_SEED)
+    drift: bool = False
     lifting: ChannelSection = ChannelSection()
     lowering: ChannelSection = ChannelSection()
     search: SearchSection = SearchSection()
@@ -118,6 +120,7 @@ class IdentifyFile(Strict):
             "search": self.search.search(),
             "training": self.training.training(),
             "dead_zones": {mode: s.dead_zone for mode, s in sections.items() if s.dead_zone is not None},
+            "drift": self.drift,
             "seed": self.seed,
         }
 

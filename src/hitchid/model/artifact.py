@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import asdict, fields
 from pathlib import Path
 
 import equinox as eqx
@@ -20,13 +20,13 @@ from hitchid.envelope import Envelope, Range
 from hitchid.errors import HitchError, ModelFolderError
 from hitchid.lstm import Lstm
 from hitchid.model.channel import Channel
-from hitchid.model.hitch import Hitch, Provenance
+from hitchid.model.hitch import Hitch, Provenance, TwoModes
 from hitchid.narx import Narx
 from hitchid.precision import double_precision
 from hitchid.speed_compensator import INPUTS, SpeedCompensator
 from hitchid.storage import canonical_json, digest, write_folder
 
-SCHEMA = 3
+SCHEMA = 4
 MODEL_FILE = "model.json"
 WEIGHTS_FILE = "weights.safetensors"
 TRACE_FILE = "trace.json"
@@ -85,6 +85,8 @@ def _description(hitch: Hitch) -> dict:
         "kind": "hitchid model",
         "step_s": hitch.step_s,
         "units": dict(hitch.units),
+        "drift": hitch.drift,
+        "two_modes": None if hitch.two_modes is None else asdict(hitch.two_modes),
         "channels": {mode: _describe_channel(channel) for mode, channel in hitch.channels.items()},
         "split": {
             part: {mode: list(names) for mode, names in getattr(provenance, part).items()}
@@ -174,7 +176,15 @@ def _hitch(content: dict, tensors: dict[str, np.ndarray]) -> Hitch:
         settings=content["settings"],
         versions=content["versions"],
     )
-    return Hitch(channels, content["step_s"], content["units"], provenance)
+    compared = content["two_modes"]
+    return Hitch(
+        channels,
+        content["step_s"],
+        content["units"],
+        provenance,
+        content["drift"],
+        None if compared is None else TwoModes(**compared),
+    )
 
 
 def _channel(mode: str, described: dict, tensors: dict[str, np.ndarray], owner: str) -> Channel:

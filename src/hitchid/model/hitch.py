@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -20,6 +21,7 @@ from hitchid.model.stepping import Motion, State
 from hitchid.modes import ACTIVE_FRACTION, effective_command, full_scales
 from hitchid.precision import double_precision
 from hitchid.record import COMMAND, DISPLACEMENT, MODES, Record
+from hitchid.segments import Switch
 from hitchid.units import conversion_factor
 
 AT_ONCE = 1024
@@ -50,6 +52,49 @@ class Provenance:
 
 
 @dataclass(frozen=True)
+class TwoModes:
+    """Whether the plant needs two modes: one shared linear model against one for each direction.
+
+    Attributes:
+        needed: whether held-out tests prove two models better and the statistic is significant at 1 %.
+        shared_rmse, two_rmse: free run on tests held out in turn, each weighing the same, in the
+            displacement's unit.
+        f_statistic: of nested models, over the identification tests.
+        p_value: chance of one as large, if one model were enough.
+        tests: how many there were.
+    """
+
+    needed: bool
+    shared_rmse: float
+    two_rmse: float
+    f_statistic: float
+    p_value: float
+    tests: int
+
+    @property
+    def sentence(self) -> str:
+        """The finding in words."""
+        verdict = "the plant needs two modes" if self.needed else "one mode would do"
+        return (
+            f"{verdict}: free run on tests held out in turn {self.shared_rmse:.4g} with one shared model, "
+            f"{self.two_rmse:.4g} with two; F = {self.f_statistic:.3g}, p = {self.p_value:.2g}, "
+            f"{self.tests} tests"
+        )
+
+
+class FreeRun(NamedTuple):
+    """A free run on the model's clock and in its units.
+
+    Attributes:
+        displacement: at every sample, shape [N].
+        charge: place of the channel in charge from each sample to the next, −1 while none is yet, shape [N].
+    """
+
+    displacement: Float[np.ndarray, " n"]
+    charge: Int[np.ndarray, " n"]
+
+
+@dataclass(frozen=True)
 class Hitch:
     """A dual-mode grey box, or one with a single channel.
 
@@ -59,6 +104,7 @@ class Hitch:
         units: role to unit; what goes in and comes out of `simulate` is in these or converted to them.
         provenance: where the model comes from.
         drift: speed of a piston that is held, in the displacement's unit/s.
+        two_modes: whether the plant needs two modes; None where that could not be asked.
     """
 
     channels: Mapping[str, Channel]
@@ -66,6 +112,7 @@ class Hitch:
     units: Mapping[str, str]
     provenance: Provenance = field(default_factory=Provenance)
     drift: float = 0.0
+    two_modes: TwoModes | None = None
 
     def __post_init__(self) -> None:
         """Freeze the mappings, channels in the order of the modes."""
@@ -86,7 +133,7 @@ class Hitch:
             InputError, SettingsError: as `simulate`.
         """
         own = self.adopt(record)
-        displacement, charge = self._run_free(own, compensated=True)
+        displacement, charge = self.free_run(own)
         found = []
         for number, (mode, channel) in enumerate(self.channels.items()):
             driven = charge == number
@@ -114,6 +161,17 @@ class Hitch:
     def dead_zones(self) -> dict[str, float]:
         """Mode to dead zone, in the command's unit."""
         return {mode: channel.dead_zone for mode, channel in self.channels.items()}
+
+    @property
+    def switches(self) -> dict[str, Switch]:
+        """Mode to how it hears its command: dead zone, hysteresis, dead time."""
+        found = {}
+        for mode, channel in self.channels.items():
+            benchmark = channel.benchmark
+            share = benchmark.named_values().get("hysteresis", 0.0)
+            width = share * channel.dead_zone
+            found[mode] = Switch(channel.dead_zone, width, float(benchmark.dead_time_s))
+        return found
 
     @double_precision
     def initial(self, displacement: float, load: float = 0.0) -> Packed:
@@ -174,7 +232,7 @@ class Hitch:
             SettingsError: a unit is of another dimension than the model's.
         """
         own = self.adopt(record)
-        return self._given_back(self._run_free(own, compensated=compensated)[0], own, record)
+        return self._given_back(self.free_run(own, compensated=compensated).displacement, own, record)
 
     def predict(self, record: Record, *, horizon: int = 1) -> np.ndarray:
         """Return each sample predicted from the displacement measured `horizon` samples before and earlier.
@@ -195,8 +253,13 @@ class Hitch:
         return self.predictions(record, (horizon,))[0]
 
     @double_precision
-    def predictions(self, record: Record, horizons: Sequence[int]) -> np.ndarray:
-        """Return `predict` for several horizons at once, shape [H, N]."""
+    def predictions(self, record: Record, horizons: Sequence[int], *, every: int = 1) -> np.ndarray:
+        """Return `predict` for several horizons at once, shape [H, N].
+
+        Args:
+            record, horizons: as `predict` takes them.
+            every: predict from one sample in so many; what is not predicted is NaN.
+        """
         if min(horizons) < 1:
             raise InputError(f"horizon: required at least 1 sample, came {min(horizons)}")
         own = self.adopt(record)
@@ -204,9 +267,9 @@ class Hitch:
         commands = _padded(_commands(own), farthest)
         measured = _padded(own.displacement, farthest)
         start = self._start(own)
-        ahead = np.asarray(_ahead(self._motion, start, commands, measured, farthest))
+        ahead = np.asarray(_ahead(self._motion, start, commands, measured, farthest, every))
         rows = [
-            _from_origins(ahead, float(start.displacement), min(each, farthest), len(own))
+            _from_origins(ahead, float(start.displacement), min(each, farthest), len(own), every)
             for each in horizons
         ]
         return np.stack([self._given_back(row, own, record) for row in rows])
@@ -263,8 +326,14 @@ class Hitch:
             0.0 if load is None else mean_before_motion(record.signals[load], effective),
         )
 
-    def _run_free(self, record: Record, *, compensated: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Return displacement and the channel in charge at every sample of a free run."""
+    @double_precision
+    def free_run(self, record: Record, *, compensated: bool = True) -> FreeRun:
+        """Return the free run of an adopted record, and which channel is in charge.
+
+        Args:
+            record: on the model's clock and in its units; see `adopt`.
+            compensated: False leaves the compensators out.
+        """
         alone = {"compensator": None} if compensated else {"compensator": None, "speed_compensator": None}
         channels = [replace(channel, **alone) for channel in self.channels.values()]
         motion = Motion.of(channels, self.step_s, self.drift)
@@ -273,7 +342,7 @@ class Hitch:
         displacement, charge = _free(motion, start, _padded(_commands(record), 1))
         first = np.asarray(start.displacement)[None]
         count = len(record) - 1
-        return (
+        return FreeRun(
             np.concatenate([first, np.asarray(displacement)[:count]]),
             np.concatenate([np.asarray(charge)[:count], np.asarray(charge)[count - 1 : count]]),
         )
@@ -329,8 +398,9 @@ def _ahead(
     commands: Float[Array, "n 2"],
     measured: Float[Array, " n"],
     horizon: int,
+    every: int,
 ) -> Float[Array, "h m"]:
-    """Return the displacement h = 1 … horizon samples after each sample that has so many behind it."""
+    """Return the displacement h = 1 … horizon samples after samples that have so many behind them."""
     count = commands.shape[0] - horizon + 1
 
     def heard(state: State, given: tuple[Array, Array]) -> tuple[State, State]:
@@ -346,10 +416,13 @@ def _ahead(
 
         return jax.lax.scan(advance, state, jnp.arange(1, horizon + 1))[1]
 
-    return jax.lax.map(lambda given: coast(*given), (states, jnp.arange(count)), batch_size=AT_ONCE).T
+    origins = jax.tree.map(lambda array: array[::every], (states, jnp.arange(count)))
+    return jax.lax.map(lambda given: coast(*given), origins, batch_size=AT_ONCE).T
 
 
-def _from_origins(ahead: np.ndarray, initial: float, horizon: int, count: int) -> np.ndarray:
-    """Return the prediction of each sample from `horizon` before, of the first ones from sample 0."""
+def _from_origins(ahead: np.ndarray, initial: float, horizon: int, count: int, every: int) -> np.ndarray:
+    """Return the prediction of samples from `horizon` before, of the first ones from sample 0."""
     first = np.concatenate([[initial], ahead[: horizon - 1, 0]])[:count]
-    return np.concatenate([first, ahead[horizon - 1, : count - first.size]])
+    rest = np.full(count - first.size, np.nan)
+    rest[::every] = ahead[horizon - 1, : rest[::every].size]
+    return np.concatenate([first, rest])

@@ -4,6 +4,7 @@ The one definition of a hitch's motion. docs/switching.md has the state machine 
 """
 
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -20,6 +21,7 @@ from hitchid.record import MODES
 
 STANDING = -1
 COASTING = 100
+LARGEST = 1e9
 
 
 class Correction(NamedTuple):
@@ -138,9 +140,9 @@ class Motion(eqx.Module):
                 last one stands.
             measured: displacement at this sample; not finite where it was not measured.
         """
-        told = jnp.isfinite(commands)
+        told = jnp.abs(commands) < LARGEST
         commands = jnp.where(told, commands, state.commands)
-        known = jnp.isfinite(measured)
+        known = jnp.abs(measured) < LARGEST
         valves = tuple(
             sampled.hear(own.valve, commands[MODES.index(channel.mode)], state.load)
             for channel, sampled, own in zip(self.channels, self.sampled, state.channels, strict=True)
@@ -157,7 +159,7 @@ class Motion(eqx.Module):
                 known, 0, jnp.where(state.unmeasured >= 0, state.unmeasured + 1, state.unmeasured)
             ),
             commands=commands,
-            missing=~jnp.all(told),
+            missing=~jnp.all(jnp.stack([told[MODES.index(channel.mode)] for channel in self.channels])),
             both=jnp.sum(jnp.stack([valve.calls[0] for valve in valves])) > 1,
             channels=tuple(
                 own._replace(valve=valve) for own, valve in zip(state.channels, valves, strict=True)
@@ -167,12 +169,17 @@ class Motion(eqx.Module):
         entering = (mode != state.mode) & (state.mode != STANDING)
         speed = self._speed(state.mode, heard)
         newly = known & (state.unmeasured < 0)
-        branches = [
-            lambda given, number=number: self._in_charge(number, *given)
-            for number in range(len(self.channels))
-        ]
-        given = heard, entering, place, speed, newly
-        after = jax.lax.switch(mode + 1, [lambda given: self._standing(*given), *branches], given)
+        now = heard
+        for number in range(len(self.channels)):
+            now = self._entered(number, now, entering & (mode == number), place, speed)
+        listenings = tuple(own.listening for own in now.channels)
+        listening = [partial(self._listened, number, now, newly) for number in range(len(self.channels))]
+        listenings, error = jax.lax.switch(
+            mode + 1, [lambda given: (given, now.error), *listening], listenings
+        )
+        after = now._replace(error=error)
+        for number in range(len(self.channels)):
+            after = self._moved(number, after, listenings[number])
         crept = jnp.where(jnp.any(jnp.stack(calls)), 0.0, self.drift * self.step_s)
         after = after._replace(benchmark=after.benchmark + crept, free=after.free + crept)
         displacement = jnp.where(after.unmeasured >= 0, after.benchmark + after.error, after.free)
@@ -210,66 +217,59 @@ class Motion(eqx.Module):
             speed = jnp.where(mode == number, moving, speed)
         return speed
 
-    def _standing(
-        self,
-        state: State,
-        entering: Bool[Array, ""],
-        place: Float[Array, ""],
-        speed: Float[Array, ""],
-        newly: Bool[Array, ""],
-    ) -> State:
-        """Let every channel listen while none has been in charge yet."""
-        each = [
-            self._in_charge(number, state, entering, place, speed, newly)
-            for number in range(len(self.channels))
-        ]
-        return state._replace(
-            error=sum(after.error for after in each) / len(each),
-            channels=tuple(after.channels[number] for number, after in enumerate(each)),
-        )
-
-    def _in_charge(
+    def _entered(
         self,
         number: int,
         state: State,
         entering: Bool[Array, ""],
         place: Float[Array, ""],
         speed: Float[Array, ""],
-        newly: Bool[Array, ""],
     ) -> State:
-        """Move the piston by one channel."""
-        channel, sampled, own = self.channels[number], self.sampled[number], state.channels[number]
+        """Let a channel take charge, where it does, at the plant's displacement and speed."""
+        own = state.channels[number]
         fresh = self._started(number, own.valve, place, speed, state.load)
-        own = jax.tree.map(lambda new, old: jnp.where(entering, new, old), fresh, own)
-        at = jnp.where(entering, place, state.benchmark)
-        free = jnp.where(entering, place, state.free)
-        error = jnp.where(entering, 0.0, state.error)
-        plant, change = sampled.advance(own.plant, own.valve, at, state.load)
-        correction, factor = self._corrected(number, own, change, free, state.load)
-        listening, error = self._listened(number, state, own, at, error, newly)
-        channels = list(state.channels)
-        channels[number] = ChannelState(own.valve, plant, own.since + 1, listening, correction)
+        begun = jax.tree.map(lambda new, old: jnp.where(entering, new, old), fresh, own)
         return state._replace(
-            benchmark=at + _stopped(channel, at, change),
-            free=free + _stopped(channel, free, factor * change),
-            error=error,
-            channels=tuple(channels),
+            benchmark=jnp.where(entering, place, state.benchmark),
+            free=jnp.where(entering, place, state.free),
+            error=jnp.where(entering, 0.0, state.error),
+            channels=_with(state.channels, number, begun),
+        )
+
+    def _moved(self, number: int, state: State, listening: Listening | None) -> State:
+        """Move the piston by a channel where it is in charge; what corrects it hears it standing too."""
+        channel, sampled, own = self.channels[number], self.sampled[number], state.channels[number]
+        charged = state.mode == number
+        plant, change = sampled.advance(own.plant, own.valve, state.benchmark, state.load)
+        change = jnp.where(charged, change, 0.0)
+        heard = charged | (state.mode == STANDING)
+        correction, factor = self._corrected(number, own, heard, change, state)
+        after = ChannelState(
+            own.valve,
+            jnp.where(charged, plant, own.plant),
+            own.since + heard,
+            listening,
+            correction,
+        )
+        return state._replace(
+            benchmark=state.benchmark + _stopped(channel, state.benchmark, change),
+            free=state.free + _stopped(channel, state.free, factor * change),
+            channels=_with(state.channels, number, after),
         )
 
     def _corrected(
         self,
         number: int,
         own: ChannelState,
+        heard: Bool[Array, ""],
         change: Float[Array, ""],
-        free: Float[Array, ""],
-        load: Float[Array, ""],
+        state: State,
     ) -> tuple[Correction | None, Float[Array, ""]]:
         """Return the factor on the benchmark's speed; at a block's start the networks hear the last."""
         channel, correction = self.channels[number], own.correction
         compensator = channel.speed_compensator
         if compensator is None or correction is None:
             return None, jnp.ones(())
-        begins = own.since % compensator.every == 0
 
         def hear(_: None) -> Correction:
             hidden, factor = compensator.hear(
@@ -277,14 +277,16 @@ class Motion(eqx.Module):
                 correction.hidden,
                 correction.command[None] / compensator.every,
                 correction.moved[None],
-                free[None],
-                load[None],
+                state.free[None],
+                state.load[None],
             )
             return Correction(hidden, factor[0], jnp.zeros(()), jnp.zeros(()))
 
+        begins = heard & (own.since % compensator.every == 0)
         now = jax.lax.cond(begins, hear, lambda _: correction, None)
         summed = now._replace(
-            command=now.command + own.valve.effective, moved=now.moved + channel.direction * change
+            command=now.command + jnp.where(heard, own.valve.effective, 0.0),
+            moved=now.moved + channel.direction * change,
         )
         return summed, now.factor
 
@@ -292,18 +294,20 @@ class Motion(eqx.Module):
         self,
         number: int,
         state: State,
-        own: ChannelState,
-        at: Float[Array, ""],
-        error: Float[Array, ""],
         newly: Bool[Array, ""],
-    ) -> tuple[Listening | None, Float[Array, ""]]:
-        """Return the error predicted for the next sample; the last one where nothing was measured lately."""
-        channel, listening = self.channels[number], own.listening
+        listenings: tuple[Listening | None, ...],
+    ) -> tuple[tuple[Listening | None, ...], Float[Array, ""]]:
+        """Return what is carried on, and the error predicted for the next sample.
+
+        The last error stands where nothing was measured lately.
+        """
+        channel, own, listening = self.channels[number], state.channels[number], listenings[number]
         compensator = channel.compensator
         if compensator is None or listening is None:
-            return None, error
-        effective = own.valve.effective
-        sample = Sample(self.step_s * own.since.astype(at.dtype), effective, at, at + error)
+            return listenings, state.error
+        at, effective = state.benchmark, own.valve.effective
+        time_s = self.step_s * own.since.astype(at.dtype)
+        sample = Sample(time_s, effective, at, at + state.error)
         trust = jnp.ones(())
         if channel.envelope is not None:
             trust = channel.envelope.trust(jnp.abs(effective), at, state.load)
@@ -316,7 +320,12 @@ class Motion(eqx.Module):
 
         recent = (state.unmeasured >= 0) & (state.unmeasured < COASTING)
         listening, step = jax.lax.cond(recent, listen, lambda before: (before, jnp.zeros(())), listening)
-        return listening, error + trust * step
+        return _with(listenings, number, listening), state.error + trust * step
+
+
+def _with(parts: tuple, number: int, part: object) -> tuple:
+    """Return a tuple with one part in another's place."""
+    return (*parts[:number], part, *parts[number + 1 :])
 
 
 def _sampled(channel: Channel, step_s: float) -> Sampled:

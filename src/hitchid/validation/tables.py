@@ -35,7 +35,7 @@ def tables(metrics: Mapping[str, Any]) -> list[Table]:
             _single_tests(mode, channel["per_test"], unit),
         ]
     if metrics["cycles"]["tests"]:
-        found.append(_cycles(metrics["cycles"], unit))
+        found += _cycles(metrics["cycles"], unit)
     return found
 
 
@@ -108,8 +108,17 @@ def _single_tests(title: str, per_test: Mapping[str, Any], unit: str) -> Table:
     return Table(f"{title}: grey box in free run, test by test", _header(unit, "test"), tuple(rows))
 
 
-def _cycles(cycles: Mapping[str, Any], unit: str) -> Table:
+def _cycles(cycles: Mapping[str, Any], unit: str) -> list[Table]:
     count = len(cycles["tests"])
-    rows = tuple((NAMES[name], *_cells(cycles[name]["free_run"])) for name in ("benchmark", "greybox"))
-    title = f"cycles: free run over {count} unseen cycle{'s' if count != 1 else ''}"
-    return Table(title, _header(unit, "model"), rows)
+    rows = tuple(
+        (NAMES[name], label, *_cells(cycles[name][run]))
+        for run, label in RUNS.items()
+        for name in NAMES
+        if run in cycles.get(name, {})
+    )
+    title = f"cycles: accuracy over {count} unseen cycle{'s' if count != 1 else ''}"
+    return [
+        Table(title, _header(unit, "model", "run"), rows),
+        _horizons("cycles", cycles, unit),
+        _single_tests("cycles", cycles["per_test"], unit),
+    ]

@@ -1,7 +1,7 @@
 """Model and campaign in, one result out: every figure beside its baselines, on tests not seen before."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,6 +22,7 @@ from hitchid.units import conversion_factor
 from hitchid.validation.tables import NAMES, RUNS, markdown, tables
 
 HORIZONS = (1, 2, 5, 10, 20, 50, 100)
+ORIGINS = 5
 METRICS_FILE = "metrics.json"
 TABLES_FILE = "tables.md"
 Progress = Callable[[str, float], None]
@@ -107,7 +108,11 @@ def validate(model: Hitch, campaign: Campaign, *, progress: Progress | None = No
             "required tests it has not seen"
         )
     notices += _cycle_notices(cycles)
-    return Validation({"unit": unit, "channels": channels, "cycles": cycles}, tuple(notices))
+    metrics: dict[str, object] = {"unit": unit, "channels": channels, "cycles": cycles}
+    if model.two_modes is not None:
+        metrics["two_modes"] = asdict(model.two_modes)
+        notices.append(model.two_modes.sentence)
+    return Validation(metrics, tuple(notices))
 
 
 def _seen(model: Hitch, record: Record) -> bool:
@@ -207,13 +212,66 @@ def _cycle_metrics(model: Hitch, cycles: Sequence[Record]) -> dict:
     if not cycles:
         return {"tests": []}
     actual = [record.displacement for record in cycles]
+    paper = _papers(model)
     grey = [model.simulate(record) for record in cycles]
-    benchmark = [model.simulate(record, compensated=False) for record in cycles]
+    free = {
+        "greybox": grey,
+        "benchmark": [model.simulate(record, compensated=False) for record in cycles],
+        **({} if paper is None else {"transfer_function": [paper.simulate(record) for record in cycles]}),
+    }
+    steps = [h for h in HORIZONS if h < min(map(len, cycles))]
+    ahead = [model.predictions(record, steps, every=ORIGINS) for record in cycles]
+    held = {h: [np.concatenate([y[:h], y[:-h]]) for y in actual] for h in steps}
+
+    def figures(predicted: Sequence[np.ndarray], skip: int) -> dict[str, float | None]:
+        told = [np.isfinite(p) & (np.arange(p.size) >= skip) for p in predicted]
+        return _figures(
+            [y[here] for y, here in zip(actual, told, strict=True)],
+            [p[here] for p, here in zip(predicted, told, strict=True)],
+        )
+
+    found = {name: {"free_run": _figures(actual, rows)} for name, rows in free.items()}
+    found["greybox"]["one_step"] = figures([rows[0] for rows in ahead], 1)
     return {
         "tests": [record.name for record in cycles],
-        "greybox": {"free_run": _figures(actual, grey)},
-        "benchmark": {"free_run": _figures(actual, benchmark)},
+        **found,
+        "persistence": {"one_step": figures(held[1], 1)},
+        "horizons": {
+            "steps": steps,
+            "greybox": [figures([rows[i] for rows in ahead], h)["rmse"] for i, h in enumerate(steps)],
+            "persistence": [figures(held[h], h)["rmse"] for h in steps],
+        },
+        "per_test": {
+            record.name: {"free_run": _figures([y], [g])}
+            for record, y, g in zip(cycles, actual, grey, strict=True)
+        },
+        "max_jump": max(_largest_jump(model, record) for record in cycles),
     }
+
+
+def _papers(model: Hitch) -> Hitch | None:
+    """Return the transfer functions of Sun et al. 2025 as one hitch; None where they were not fitted."""
+    papers = {
+        mode: channel.paper or channel for mode, channel in model.channels.items() if channel.arx is not None
+    }
+    alone = {
+        mode: replace(channel, compensator=None, speed_compensator=None) for mode, channel in papers.items()
+    }
+    return replace(model, channels=alone) if len(alone) == len(model.channels) else None
+
+
+def _largest_jump(model: Hitch, record: Record) -> float:
+    """Return the largest jump where the channel changes, in the unit of the record's displacement.
+
+    Of the step of displacement at a change, what it differs by from both the step before and the one after.
+    """
+    own = model.adopt(record)
+    run = model.free_run(own)
+    steps = np.diff(run.displacement)
+    changes = np.flatnonzero(np.diff(run.charge)) + 1
+    inside = changes[(changes > 0) & (changes < steps.size - 1)]
+    unlike = np.minimum(np.abs(steps[inside] - steps[inside - 1]), np.abs(steps[inside] - steps[inside + 1]))
+    return conversion_factor(own.unit, record.unit, record.name) * float(np.max(unlike, initial=0.0))
 
 
 def _figures(actual: Sequence[np.ndarray], predicted: Sequence[np.ndarray]) -> dict[str, float | None]:

@@ -1,0 +1,62 @@
+"""A mixed log as a picture: displacement over what the hitch does, and the commands below."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from hitchid.record import COMMAND, LIFTING, LOWERING, Record
+from hitchid.segments import BOTH, END_STOP, HOLD, SATURATED, Segment
+from hitchid.storage import write_file
+from hitchid.study.style import style
+
+FILLS = {
+    LIFTING: "#56B4E9",
+    LOWERING: "#E69F00",
+    HOLD: "#eeeeee",
+    SATURATED: "#CC79A7",
+    END_STOP: "#999999",
+    BOTH: "#D55E00",
+}
+LINES = {LIFTING: "#0072B2", LOWERING: "#D55E00"}
+WIDTH_IN, ROW_IN = 8.0, 2.6
+
+
+def timeline(records: Sequence[tuple[Record, Sequence[Segment]]]) -> Figure:
+    """Draw records, one below the other, with what happens in them behind the displacement."""
+    with style():
+        figure = Figure(figsize=(WIDTH_IN, ROW_IN * len(records) + 0.4))
+        axes = figure.subplots(2 * len(records), 1, squeeze=False, height_ratios=[2, 1] * len(records))[:, 0]
+        used: dict[str, None] = {}
+        for number, (record, found) in enumerate(records):
+            above, below = axes[2 * number], axes[2 * number + 1]
+            for label, start, stop in found:
+                used[label] = None
+                ends = record.start_s + record.step_s * start, record.start_s + record.step_s * stop
+                above.axvspan(*ends, color=FILLS[label], alpha=0.6, linewidth=0)
+            above.plot(record.time_s, record.displacement, color="black")
+            above.set_ylabel(f"displacement / {record.unit}")
+            above.set_title(record.name, loc="left", fontsize=9)
+            above.tick_params(labelbottom=False)
+            for mode in record.modes:
+                below.plot(record.time_s, record.command(mode), color=LINES[mode], label=mode)
+            below.set_ylabel(f"command / {record.units[COMMAND[record.modes[0]]]}")
+            below.set_xlabel("time / s")
+            below.legend(loc="upper right", ncols=2, fontsize=7)
+            for each in (above, below):
+                each.set_xlim(record.time_s[0], record.time_s[-1])
+        handles = [Patch(color=FILLS[label], alpha=0.6, label=label) for label in FILLS if label in used]
+        figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
+    return figure
+
+
+def draw(records: Sequence[tuple[Record, Sequence[Segment]]], path: Path, *, force: bool = False) -> None:
+    """Write the picture; its ending says the format, `.png`, `.svg` or `.pdf`.
+
+    Raises:
+        OutputError: the file exists and `force` is not given, or it cannot be written.
+    """
+    figure = timeline(records)
+    kind = path.suffix.lstrip(".")
+    write_file(path, lambda place: figure.savefig(place, format=kind), force=force)
