@@ -92,7 +92,7 @@ class Compensator(eqx.Module):
     """LSTM compensator with its scaling inside.
 
     ê(k) = e(k−1) + σ · (w · h(k) + b), where h(k) is the output of an LSTM that has read the scaled features
-    up to x(k−1) of Sun et al. 2025, sec. 2.2.3, no fewer than L and fewer than 2 L; see `Listening`.
+    up to x(k−1) of Sun et al. 2025, sec. 2.2.3, no fewer than L and no more than 2 L; see `Listening`.
 
     Attributes:
         network: LSTM and output layer.
@@ -114,7 +114,7 @@ class Compensator(eqx.Module):
     def begin(self, first: Sample) -> "Listening":
         """Return what is carried before the first sample of a test, of any shape [b]."""
         blank = self.network.blank((*first.command.shape, 2))
-        return Listening(Memory.at_rest(first), blank, jnp.zeros((), jnp.int32))
+        return Listening(Attention.at_rest(first), blank)
 
     def listen(
         self, listening: "Listening", sample: Sample, step_s: float
@@ -125,32 +125,58 @@ class Compensator(eqx.Module):
             What is carried on, and the step σ (w · h + b) that the error takes to the next sample, in the
             displacement's unit, shape [b].
         """
-        memory, features = observe(listening.memory, sample, step_s)
-        place = (listening.place + 1) % self.window
-        hidden = jax.tree.map(lambda pair: jnp.where(place == 0, _handed_over(pair), pair), listening.hidden)
-        scaled = self.scale(features)
-        hidden = self.network.read(hidden, jnp.stack([scaled, scaled], axis=-2))
+        attention, scaled = self.hear(listening.attention, sample, step_s)
+        hidden, step = self.answer(listening.hidden, attention.place, scaled)
+        return Listening(attention, hidden), step
+
+    def hear(
+        self, attention: "Attention", sample: Sample, step_s: float
+    ) -> tuple["Attention", Float32[Array, "*b 10"]]:
+        """Take in one sample: what the features need of the past, and the scaled features."""
+        memory, features = observe(attention.memory, sample, step_s)
+        return Attention(memory, (attention.place + 1) % self.window), self.scale(features)
+
+    def answer(
+        self, hidden: Hidden, place: Int[Array, ""], scaled: Float32[Array, "*b 10"]
+    ) -> tuple[Hidden, Float[Array, "*b"]]:
+        """Let the network read scaled features; return its state and the step the error takes."""
+        hidden = jax.tree.map(lambda pair: jnp.where(place == 0, _handed_over(pair), pair), hidden)
+        hidden = self.network.read(hidden, scaled[..., None, :])
         output = self.network.output(jax.tree.map(lambda pair: pair[..., 0, :], hidden))
-        step = self.error_step * output.astype(self.error_step.dtype)
-        return Listening(memory, hidden, place), step
+        return hidden, self.error_step * output.astype(self.error_step.dtype)
+
+
+class Attention(NamedTuple):
+    """The numbers a compensator carries from sample to sample.
+
+    Attributes:
+        memory: what the features need of the past.
+        place: samples read, modulo L.
+    """
+
+    memory: Memory
+    place: Int[Array, ""]
+
+    @classmethod
+    def at_rest(cls, first: Sample) -> "Attention":
+        """Return what is carried before the first sample of a test."""
+        return cls(Memory.at_rest(first), jnp.zeros((), jnp.int32))
 
 
 class Listening(NamedTuple):
     """What a compensator carries from sample to sample.
 
     Two states of the LSTM: one answers, the other has begun to read up to L samples later. Every L samples
-    the later one takes over and a blank one begins, so that a prediction has read L to 2 L − 1 samples (all
-    there are near the start), as in training.
+    the later one takes over and a blank one begins, so that a prediction has read L to 2 L samples (all there
+    are near the start), as in training.
 
     Attributes:
-        memory: what the features need of the past.
+        attention: numbers.
         hidden: the LSTM that answers and the one that follows, shape [..., 2, H].
-        place: samples read, modulo L.
     """
 
-    memory: Memory
+    attention: Attention
     hidden: Hidden
-    place: Int[Array, ""]
 
 
 def _handed_over(pair: Float[Array, "*b 2 h"]) -> Float[Array, "*b 2 h"]:

@@ -34,7 +34,7 @@ class Envelope(eqx.Module):
     load: Range
 
     def trust(
-        self, command: Float[Array, "*b"], displacement: Float[Array, "*b"], load: Float[Array, "*b"]
+        self, command: Float[Array, "*#b"], displacement: Float[Array, "*#b"], load: Float[Array, "*#b"]
     ) -> Float[Array, "*b"]:
         """Return 1 where all three lie in their ranges, 0 where one is a tenth of its range beyond."""
         return self.command.trust(command) * self.displacement.trust(displacement) * self.load.trust(load)

@@ -71,7 +71,8 @@ def segments(
         alone = label == LABELS.index(mode)
         if not alone.any():
             continue
-        standing = alone & (moved < STANDING_FRACTION * np.median(moved[alone]))
+        slow = alone & (moved < STANDING_FRACTION * np.median(moved[alone]))
+        standing = _lasting(slow, round(WINDOW_S / record.step_s))
         at_end = _at_end(record, upwards=_upwards(record, alone))
         label[alone & _clipped(record, mode, full[mode])] = LABELS.index(SATURATED)
         label[standing & ~at_end] = LABELS.index(HOLD)
@@ -137,5 +138,12 @@ def _clipped(record: Record, mode: str, full_scale: float) -> np.ndarray:
     top = command >= full_scale * (1 - 1e-9)
     if np.unique(command).size < LEVELS:
         return np.zeros(command.size, dtype=bool)
-    long = np.convolve(top, np.ones(CLIPPED_SAMPLES), "valid") == CLIPPED_SAMPLES
-    return np.convolve(long, np.ones(CLIPPED_SAMPLES)) > 0
+    return _lasting(top, CLIPPED_SAMPLES)
+
+
+def _lasting(true: np.ndarray, samples: int) -> np.ndarray:
+    """Tell where something is true for at least so many samples on end, shape [N]."""
+    if true.size < samples:
+        return np.zeros(true.size, dtype=bool)
+    long = np.convolve(true, np.ones(samples), "valid") == samples
+    return np.convolve(long, np.ones(samples)) > 0

@@ -3,7 +3,9 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from matplotlib.artist import Artist
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from hitchid.record import COMMAND, LIFTING, LOWERING, Record
@@ -43,10 +45,12 @@ def timeline(records: Sequence[tuple[Record, Sequence[Segment]]]) -> Figure:
                 below.plot(record.time_s, record.command(mode), color=LINES[mode], label=mode)
             below.set_ylabel(f"command / {record.units[COMMAND[record.modes[0]]]}")
             below.set_xlabel("time / s")
-            below.legend(loc="upper right", ncols=2, fontsize=7)
             for each in (above, below):
                 each.set_xlim(record.time_s[0], record.time_s[-1])
-        handles = [Patch(color=FILLS[label], alpha=0.6, label=label) for label in FILLS if label in used]
+        handles: list[Artist] = [
+            Patch(color=FILLS[label], alpha=0.6, label=label) for label in FILLS if label in used
+        ]
+        handles += [Line2D([], [], color=LINES[mode], label=f"{mode} command") for mode in LINES]
         figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
     return figure
 

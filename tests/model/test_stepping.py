@@ -24,8 +24,8 @@ DEAD_UP, DEAD_DOWN = (DEAD_ZONES[mode] for mode in (LIFTING, LOWERING))
 LOAD = 130.0
 RISE, FALL = np.array([0.85, 0.0]), np.array([0.0, 0.75])
 REST, BOTH = np.zeros(2), RISE + FALL
+# What a command of `RISE` or `FALL` has beyond its dead zone.
 SPEED = 0.5
-"""What a command of `RISE` or `FALL` has beyond its dead zone."""
 
 
 def stepped(model, commands, measured=None, *, start=100.0, load=0.0):
@@ -371,7 +371,7 @@ BOUNDED = {
 
 
 @pytest.mark.parametrize("structure", SMOOTH)
-@pytest.mark.parametrize("before_s", [0.28, 0.3])
+@pytest.mark.parametrize("before_s", [0.32, 0.33])
 def test_a_reversal_just_before_an_end_stop_does_not_pass_it(structure, before_s):
     channels = channel(LIFTING, structure, end_stop=104.0), channel(LOWERING, structure, end_stop=97.0)
     found, _ = stepped(hitch_of(*channels), sequence((RISE, round(before_s / STEP_S)), (FALL, 40)))

@@ -104,7 +104,9 @@ class Sampled(eqx.Module):
             return after, after[0] - plant[0]
         model = self.discrete or self.benchmark.discretised(self.step_s)
         now, before = valve.flows[self.late], valve.flows[self.late + 1]
-        after = plant @ model.transition.T + now * model.now + before * model.before
+        # A sum, not a product of matrices: so small, the call would cost more than the work.
+        carried = jnp.sum(model.transition * plant, axis=1)
+        after = carried + now * model.now + before * model.before
         return after, self.direction * self._gain(displacement, load) * (after[0] - plant[0])
 
     def speed(
@@ -120,7 +122,7 @@ class Sampled(eqx.Module):
         if isinstance(structure, NonlinearStructure):
             return structure.rate(values, plant[:, None], held[None])[0, 0]
         a, b = self.benchmark.linear.state_space(values)
-        return self.direction * self._gain(displacement, load) * (a @ plant + b * held)[0]
+        return self.direction * self._gain(displacement, load) * (jnp.sum(a[0] * plant) + b[0] * held)
 
     def _gain(self, displacement: Float[Array, ""], load: Float[Array, ""]) -> Float[Array, ""]:
         shape = self.benchmark.shape

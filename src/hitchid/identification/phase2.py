@@ -62,8 +62,8 @@ def train_compensator(
 ) -> tuple[Compensator, DescentTrace]:
     """Train a compensator on the errors of a frozen benchmark.
 
-    Scaling comes from the training tests alone. A prediction in training reads between L and 2 L − 1
-    features, because stretches share them; afterwards it reads exactly L.
+    Scaling comes from the training tests alone. A prediction reads between L and 2 L features, because
+    stretches share them, in training as later; see `Listening`.
 
     Args:
         training, validation: tests and the displacement the benchmark gives for them, shape [T, N].

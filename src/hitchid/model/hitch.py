@@ -207,7 +207,7 @@ class Hitch:
             The next state and its displacement, in the model's unit, shape [].
         """
         with jax.enable_x64(True):
-            return self._step(state, _number(commands), _number(np.nan if measured is None else measured))
+            return self._step(state, _given(commands, np.nan if measured is None else measured))
 
     def situation(self, state: Packed) -> State:
         """Return what a state says: displacement, channel in charge, what is missing."""
@@ -302,15 +302,15 @@ class Hitch:
         return Motion.of(tuple(self.channels.values()), self.step_s, self.drift)
 
     @cached_property
-    def _packing(self) -> Packing[State]:
+    def _packing(self) -> Packing:
         return Packing(self._standing(0.0, 0.0))
 
     @cached_property
     def _step(self) -> Callable[..., tuple[Packed, Array]]:
-        return self._packing.stepping(self._motion.step)
+        return self._packing.step(self._motion)
 
     def _standing(self, displacement: float, load: float) -> State:
-        return self._motion.initial(jnp.asarray(float(displacement)), jnp.asarray(float(load)))
+        return self._motion.standing(displacement, load)
 
     def _start(self, record: Record) -> State:
         """Return the state before a record: the means before any command becomes effective."""
@@ -359,8 +359,11 @@ def _same_clock(step_s: float, wanted_s: float, samples: int) -> bool:
     return abs(step_s - wanted_s) * samples <= 0.05 * wanted_s
 
 
-def _number(value: ArrayLike) -> Array | np.ndarray:
-    return value if isinstance(value, jax.Array) else np.asarray(value, dtype=np.float64)
+def _given(commands: ArrayLike, measured: ArrayLike) -> Array | np.ndarray:
+    """Return both in one array, shape [3]."""
+    if isinstance(commands, jax.Array) or isinstance(measured, jax.Array):
+        return jnp.append(jnp.asarray(commands, jnp.float64), measured)
+    return np.append(np.asarray(commands, dtype=np.float64), measured)
 
 
 def _commands(record: Record) -> Float[np.ndarray, "n 2"]:

@@ -1,77 +1,94 @@
-"""A structured state as three flat arrays: handing over a few arrays costs less than the step itself."""
+"""A state as two flat arrays and a step as two programs: handing over must not cost more than the work."""
 
 from collections.abc import Callable
-from typing import Generic, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Float32, Int
+from jaxtyping import Array, Float, Float32, PyTree
 
-Structured = TypeVar("Structured")
+from hitchid.model.stepping import Motion, State
 
 
 class Packed(NamedTuple):
-    """Every array of a state, laid end to end by type.
+    """Every array of a state.
 
     Attributes:
-        numbers: double precision, shape [n].
-        hidden: single precision, shape [m].
-        counts: integers and truth values, shape [k].
+        numbers: all but the network's, end to end; displacement and predicted error come first, shape [n].
+        hidden: of the network in charge, shape [2, 2, H].
     """
 
     numbers: Float[Array, " n"]
-    hidden: Float32[Array, " m"]
-    counts: Int[Array, " k"]
+    hidden: Float32[Array, "2 2 h"]
 
 
-class Packing(Generic[Structured]):
-    """How states of one structure are laid out.
+class Layout:
+    """How arrays of one structure lie end to end, integers and truth values as numbers too.
 
     Args:
-        like: a state of that structure.
+        like: what has that structure.
     """
 
-    def __init__(self, like: Structured) -> None:
+    def __init__(self, like: PyTree) -> None:
         leaves, self._structure = jax.tree.flatten(like)
         self._shapes = [(leaf.shape, leaf.dtype) for leaf in leaves]
 
-    def pack(self, state: Structured) -> Packed:
-        """Lay a state's arrays end to end."""
-        parts: dict[str, list[Array]] = {field: [] for field in Packed._fields}
-        for leaf, (_, dtype) in zip(jax.tree.leaves(state), self._shapes, strict=True):
-            parts[_field(dtype)].append(jnp.ravel(leaf))
-        kinds = (jnp.float64, jnp.float32, jnp.int64)
-        return Packed(
-            *(
-                jnp.concatenate([jnp.zeros(0, kind), *(part.astype(kind) for part in parts[field])])
-                for field, kind in zip(Packed._fields, kinds, strict=True)
-            )
-        )
+    def flat(self, tree: PyTree) -> Float[Array, " n"]:
+        """Lay arrays end to end."""
+        return jnp.concatenate([jnp.ravel(leaf).astype(jnp.float64) for leaf in jax.tree.leaves(tree)])
 
-    def unpack(self, packed: Packed) -> Structured:
-        """Return the state again."""
-        used = dict.fromkeys(Packed._fields, 0)
-        leaves = []
+    def tree(self, flat: Float[Array, " n"]) -> Any:
+        """Return the arrays again."""
+        leaves, used = [], 0
         for shape, dtype in self._shapes:
-            field = _field(dtype)
             size = int(np.prod(shape))
-            part = getattr(packed, field)[used[field] : used[field] + size]
-            leaves.append(part.reshape(shape).astype(dtype))
-            used[field] += size
+            leaves.append(flat[used : used + size].reshape(shape).astype(dtype))
+            used += size
         return jax.tree.unflatten(self._structure, leaves)
 
-    def stepping(self, step: Callable[..., tuple[Structured, Array]]) -> Callable[..., tuple[Packed, Array]]:
-        """Return a compiled step from packed state to packed state."""
 
-        def packed(state: Packed, *given: Array) -> tuple[Packed, Array]:
-            after, answer = step(self.unpack(state), *given)
-            return self.pack(after), answer
+class Packing:
+    """How states of one hitch are laid out.
 
-        return jax.jit(packed)
+    Args:
+        like: a state of that hitch.
+    """
 
+    def __init__(self, like: State) -> None:
+        self._layout = Layout(like._replace(hidden=None))
 
-def _field(dtype: np.dtype) -> str:
-    if np.issubdtype(dtype, np.floating):
-        return "numbers" if dtype == np.float64 else "hidden"
-    return "counts"
+    def pack(self, state: State) -> Packed:
+        """Lay a state's arrays end to end."""
+        return Packed(self._layout.flat(state._replace(hidden=None)), state.hidden)
+
+    def unpack(self, packed: Packed) -> State:
+        """Return the state again."""
+        return self._layout.tree(packed.numbers)._replace(hidden=packed.hidden)
+
+    def step(self, motion: Motion) -> Callable[[Packed, Array], tuple[Packed, Array]]:
+        """Return the compiled step of a motion, from packed state to packed state and displacement.
+
+        It is two programs: one that holds small arrays and a network's weights together is run by several
+        threads, whose handing over takes several times as long as the work. What is given is lifting and
+        lowering command and measured displacement, shape [3].
+        """
+        asked = Layout(jax.eval_shape(lambda: motion.move(motion.standing(), jnp.zeros(2), jnp.zeros(()))[1]))
+
+        @jax.jit
+        def moved(numbers: Array, given: Array) -> tuple[Array, Array]:
+            state = self.unpack(Packed(numbers, motion.blank()))
+            after, question = motion.move(state, given[:2], given[2])
+            return self.pack(after).numbers, asked.flat(question)
+
+        @jax.jit
+        def answered(numbers: Array, hidden: Array, question: Array) -> tuple[Array, Array, Array]:
+            hidden, error, displacement = motion.answer(hidden, asked.tree(question))
+            return numbers.at[:2].set(jnp.stack([displacement, error])), hidden, displacement
+
+        def step(state: Packed, given: Array) -> tuple[Packed, Array]:
+            numbers, question = moved(state.numbers, given)
+            numbers, hidden, displacement = answered(numbers, state.hidden, question)
+            return Packed(numbers, hidden), displacement
+
+        return step

@@ -5,20 +5,21 @@ The one definition of a hitch's motion. docs/switching.md has the state machine 
 
 from collections.abc import Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Float32, Int
 
 from hitchid.benchmark import Sampled, Valve
-from hitchid.compensator import Listening, Memory, Sample
-from hitchid.lstm import Hidden
+from hitchid.compensator import FEATURES, Attention, Compensator, Sample
+from hitchid.lstm import SINGLE, Hidden
 from hitchid.model.channel import Channel
 from hitchid.modes import ACTIVE_FRACTION
 from hitchid.record import MODES
 
+Tree = TypeVar("Tree")
 STANDING = -1
 COASTING = 100
 LARGEST = 1e9
@@ -46,14 +47,12 @@ class ChannelState(NamedTuple):
         valve: hears every command, in charge or not.
         plant: of the benchmark.
         since: samples since the channel took charge.
-        listening: of the compensator for predictions; None where there is none.
         correction: of the compensator for free run; None where there is none.
     """
 
     valve: Valve
     plant: Float[Array, " n"]
     since: Int[Array, ""]
-    listening: Listening | None
     correction: Correction | None
 
 
@@ -63,29 +62,61 @@ class State(NamedTuple):
     Attributes:
         displacement: what the model says it is: with measurements the benchmark's plus the predicted error,
             without any, the free run.
-        benchmark: the benchmark's.
-        free: free run, compensated.
         error: predicted error of the benchmark.
+        benchmark: the benchmark's, as if there were no end stop.
+        free: free run, compensated, likewise.
+        start: where the channel in charge took it.
         mode: place of the channel in charge; −1 while nothing has moved yet.
         unmeasured: samples since a displacement was measured; −1 if none ever was.
         commands: lifting and lowering command last heard, shape [2].
         missing: whether a command was missing and the last one held.
         both: whether both valves were on; then lowering counts.
         load: second measured input, before motion.
+        attention: of the compensator in charge.
         channels: of each channel.
+        hidden: of the network in charge: output and cell of the LSTM that answers and of the one that
+            follows, shape [2, 2, H].
     """
 
     displacement: Float[Array, ""]
+    error: Float[Array, ""]
     benchmark: Float[Array, ""]
     free: Float[Array, ""]
-    error: Float[Array, ""]
+    start: Float[Array, ""]
     mode: Int[Array, ""]
     unmeasured: Int[Array, ""]
     commands: Float[Array, "2"]
     missing: Bool[Array, ""]
     both: Bool[Array, ""]
     load: Float[Array, ""]
+    attention: Attention
     channels: tuple[ChannelState, ...]
+    hidden: Float32[Array, "2 2 h"]
+
+
+class Question(NamedTuple):
+    """What the network of the channel in charge is asked.
+
+    Attributes:
+        number: place of the channel.
+        scaled: features, shape [10].
+        place: samples read, modulo L.
+        trust: factor on its answer; zero where it is not to answer.
+        fresh: whether it starts anew.
+        error: predicted error so far.
+        benchmark: displacement without error; free: without measurements.
+        heard: whether a displacement was ever measured.
+    """
+
+    number: Int[Array, ""]
+    scaled: Float32[Array, "10"]
+    place: Int[Array, ""]
+    trust: Float[Array, ""]
+    fresh: Bool[Array, ""]
+    error: Float[Array, ""]
+    benchmark: Float[Array, ""]
+    free: Float[Array, ""]
+    heard: Bool[Array, ""]
 
 
 class Motion(eqx.Module):
@@ -108,6 +139,10 @@ class Motion(eqx.Module):
         """Put channels on a clock."""
         return cls(tuple(channels), tuple(_sampled(channel, step_s) for channel in channels), drift, step_s)
 
+    def standing(self, displacement: float = 0.0, load: float = 0.0) -> State:
+        """Return the state of a hitch that stands, its valves shut."""
+        return self.initial(jnp.asarray(float(displacement)), jnp.asarray(float(load)))
+
     def initial(self, displacement: Float[Array, ""], load: Float[Array, ""]) -> State:
         """Return the state of a hitch that stands, its valves shut."""
         nothing = jnp.zeros(())
@@ -116,6 +151,7 @@ class Motion(eqx.Module):
             displacement=displacement,
             benchmark=displacement,
             free=displacement,
+            start=displacement,
             error=nothing,
             mode=jnp.asarray(0 if len(self.channels) == 1 else STANDING),
             unmeasured=jnp.asarray(-1),
@@ -123,10 +159,12 @@ class Motion(eqx.Module):
             missing=no,
             both=no,
             load=load,
+            attention=Attention.at_rest(Sample(nothing, nothing, displacement, displacement)),
             channels=tuple(
                 self._started(number, sampled.shut(), displacement, nothing, load)
                 for number, sampled in enumerate(self.sampled)
             ),
+            hidden=self.blank(),
         )
 
     def step(
@@ -140,6 +178,14 @@ class Motion(eqx.Module):
                 last one stands.
             measured: displacement at this sample; not finite where it was not measured.
         """
+        after, question = self.move(state, commands, measured)
+        hidden, error, displacement = self.answer(after.hidden, question)
+        return after._replace(hidden=hidden, error=error, displacement=displacement), displacement
+
+    def move(
+        self, state: State, commands: Float[Array, "2"], measured: Float[Array, ""]
+    ) -> tuple[State, Question]:
+        """Do all of a step but the network's part; see `step` and `answer`."""
         told = jnp.abs(commands) < LARGEST
         commands = jnp.where(told, commands, state.commands)
         known = jnp.abs(measured) < LARGEST
@@ -152,8 +198,8 @@ class Motion(eqx.Module):
         for number, called in enumerate(calls):
             # Where both call, the last of the modes counts: lowering.
             mode = jnp.where(called, number, mode)
-        heard = state._replace(
-            error=jnp.where(known, measured - state.benchmark, state.error),
+        now = state._replace(
+            error=jnp.where(known, measured - self._stopped(state, state.benchmark), state.error),
             mode=mode,
             unmeasured=jnp.where(
                 known, 0, jnp.where(state.unmeasured >= 0, state.unmeasured + 1, state.unmeasured)
@@ -167,23 +213,87 @@ class Motion(eqx.Module):
         )
         place = jnp.where(known, measured, state.displacement)
         entering = (mode != state.mode) & (state.mode != STANDING)
-        speed = self._speed(state.mode, heard)
-        newly = known & (state.unmeasured < 0)
-        now = heard
+        speed = self._speed(state.mode, now)
         for number in range(len(self.channels)):
             now = self._entered(number, now, entering & (mode == number), place, speed)
-        listenings = tuple(own.listening for own in now.channels)
-        listening = [partial(self._listened, number, now, newly) for number in range(len(self.channels))]
-        listenings, error = jax.lax.switch(
-            mode + 1, [lambda given: (given, now.error), *listening], listenings
-        )
-        after = now._replace(error=error)
+        fresh = (mode != state.mode) | (known & (state.unmeasured < 0))
+        now, scaled, trust = self._asked(now, fresh)
         for number in range(len(self.channels)):
-            after = self._moved(number, after, listenings[number])
-        crept = jnp.where(jnp.any(jnp.stack(calls)), 0.0, self.drift * self.step_s)
-        after = after._replace(benchmark=after.benchmark + crept, free=after.free + crept)
-        displacement = jnp.where(after.unmeasured >= 0, after.benchmark + after.error, after.free)
-        return after._replace(displacement=displacement), displacement
+            now = self._moved(number, now)
+        now = self._crept(now, ~jnp.any(jnp.stack(calls)))
+        return now, Question(
+            number=jnp.maximum(mode, 0),
+            scaled=scaled,
+            place=now.attention.place,
+            trust=trust,
+            fresh=fresh,
+            error=now.error,
+            benchmark=self._stopped(now, now.benchmark),
+            free=self._stopped(now, now.free),
+            heard=now.unmeasured >= 0,
+        )
+
+    def answer(
+        self, hidden: Float32[Array, "2 2 h"], question: Question
+    ) -> tuple[Float32[Array, "2 2 h"], Float[Array, ""], Float[Array, ""]]:
+        """Let the network of the channel in charge predict the error.
+
+        Returns:
+            The network's state, the error, and the displacement at the next sample.
+        """
+        asked = [partial(_answered, channel.compensator) for channel in self.channels]
+        hidden, step = jax.lax.switch(question.number, asked, hidden, question)
+        error = question.error + question.trust * step
+        return hidden, error, jnp.where(question.heard, question.benchmark + error, question.free)
+
+    def blank(self) -> Float32[Array, "2 2 h"]:
+        """Return the state of a network that has read nothing, wide enough for any channel's."""
+        sizes = [c.compensator.network.cell.hidden_size for c in self.channels if c.compensator is not None]
+        return jnp.zeros((2, 2, max(sizes, default=0)), SINGLE)
+
+    def _stopped(self, state: State, displacement: Float[Array, ""]) -> Float[Array, ""]:
+        """Return a displacement no farther than the end stops, or than the stroke's start beyond them."""
+        for channel in self.channels:
+            if channel.end_stop is not None:
+                beyond = jnp.maximum if channel.direction > 0 else jnp.minimum
+                within = jnp.minimum if channel.direction > 0 else jnp.maximum
+                displacement = within(displacement, beyond(channel.end_stop, state.start))
+        return displacement
+
+    def _crept(self, state: State, held: Bool[Array, ""]) -> State:
+        """Let a held piston creep, from the end stop if it stands there."""
+        if not self.drift:
+            return state
+        crept = self.drift * self.step_s
+        benchmark, free = (
+            jnp.where(held, self._stopped(state, each) + crept, each)
+            for each in (state.benchmark, state.free)
+        )
+        return state._replace(benchmark=benchmark, free=free)
+
+    def _asked(
+        self, state: State, fresh: Bool[Array, ""]
+    ) -> tuple[State, Float32[Array, "10"], Float[Array, ""]]:
+        """Return scaled features of the channel in charge, and the trust in what its network answers.
+
+        None, if nothing was measured lately.
+        """
+        recent = (state.unmeasured >= 0) & (state.unmeasured < COASTING)
+        answer = state.attention, jnp.zeros(len(FEATURES), SINGLE), jnp.zeros(())
+        for number, channel in enumerate(self.channels):
+            if channel.compensator is None:
+                continue
+            own, at = state.channels[number], self._stopped(state, state.benchmark)
+            effective = own.valve.effective
+            time_s = self.step_s * own.since.astype(at.dtype)
+            sample = Sample(time_s, effective, at, at + state.error)
+            trust = jnp.ones(())
+            if channel.envelope is not None:
+                trust = channel.envelope.trust(jnp.abs(effective), at, state.load)
+            before = _where(fresh, Attention.at_rest(sample), state.attention)
+            attention, scaled = channel.compensator.hear(before, sample, self.step_s)
+            answer = _where(recent & (state.mode == number), (attention, scaled, trust), answer)
+        return state._replace(attention=answer[0]), *answer[1:]
 
     def _started(
         self,
@@ -195,25 +305,20 @@ class Motion(eqx.Module):
     ) -> ChannelState:
         """Return a channel that takes charge at a displacement and a speed."""
         channel = self.channels[number]
-        listening = correction = None
-        if channel.compensator is not None:
-            first = Sample(jnp.zeros(()), valve.effective, displacement, displacement)
-            listening = channel.compensator.begin(first)
+        correction = None
         if channel.speed_compensator is not None:
             networks = channel.speed_compensator.networks
             blank = networks.blank((networks.head.weight.shape[0], 1))
             correction = Correction(blank, jnp.ones(()), jnp.zeros(()), jnp.zeros(()))
         plant = self.sampled[number].entered(displacement, speed, load)
-        return ChannelState(valve, plant, jnp.asarray(0), listening, correction)
+        return ChannelState(valve, plant, jnp.asarray(0), correction)
 
     def _speed(self, mode: Int[Array, ""], state: State) -> Float[Array, ""]:
         """Return the speed of the piston; none where it is at an end stop."""
         speed = jnp.zeros(())
-        for number, (channel, sampled, own) in enumerate(
-            zip(self.channels, self.sampled, state.channels, strict=True)
-        ):
+        for number, (sampled, own) in enumerate(zip(self.sampled, state.channels, strict=True)):
             moving = sampled.speed(own.plant, own.valve, state.benchmark, state.load)
-            moving = jnp.where(_room(channel, state.benchmark) > 0, moving, 0.0)
+            moving = jnp.where(self._stopped(state, state.benchmark) == state.benchmark, moving, 0.0)
             speed = jnp.where(mode == number, moving, speed)
         return speed
 
@@ -228,17 +333,18 @@ class Motion(eqx.Module):
         """Let a channel take charge, where it does, at the plant's displacement and speed."""
         own = state.channels[number]
         fresh = self._started(number, own.valve, place, speed, state.load)
-        begun = jax.tree.map(lambda new, old: jnp.where(entering, new, old), fresh, own)
+        begun = _where(entering, fresh, own)
         return state._replace(
             benchmark=jnp.where(entering, place, state.benchmark),
             free=jnp.where(entering, place, state.free),
+            start=jnp.where(entering, place, state.start),
             error=jnp.where(entering, 0.0, state.error),
             channels=_with(state.channels, number, begun),
         )
 
-    def _moved(self, number: int, state: State, listening: Listening | None) -> State:
+    def _moved(self, number: int, state: State) -> State:
         """Move the piston by a channel where it is in charge; what corrects it hears it standing too."""
-        channel, sampled, own = self.channels[number], self.sampled[number], state.channels[number]
+        sampled, own = self.sampled[number], state.channels[number]
         charged = state.mode == number
         plant, change = sampled.advance(own.plant, own.valve, state.benchmark, state.load)
         change = jnp.where(charged, change, 0.0)
@@ -248,12 +354,11 @@ class Motion(eqx.Module):
             own.valve,
             jnp.where(charged, plant, own.plant),
             own.since + heard,
-            listening,
             correction,
         )
         return state._replace(
-            benchmark=state.benchmark + _stopped(channel, state.benchmark, change),
-            free=state.free + _stopped(channel, state.free, factor * change),
+            benchmark=state.benchmark + change,
+            free=state.free + factor * change,
             channels=_with(state.channels, number, after),
         )
 
@@ -290,37 +395,22 @@ class Motion(eqx.Module):
         )
         return summed, now.factor
 
-    def _listened(
-        self,
-        number: int,
-        state: State,
-        newly: Bool[Array, ""],
-        listenings: tuple[Listening | None, ...],
-    ) -> tuple[tuple[Listening | None, ...], Float[Array, ""]]:
-        """Return what is carried on, and the error predicted for the next sample.
 
-        The last error stands where nothing was measured lately.
-        """
-        channel, own, listening = self.channels[number], state.channels[number], listenings[number]
-        compensator = channel.compensator
-        if compensator is None or listening is None:
-            return listenings, state.error
-        at, effective = state.benchmark, own.valve.effective
-        time_s = self.step_s * own.since.astype(at.dtype)
-        sample = Sample(time_s, effective, at, at + state.error)
-        trust = jnp.ones(())
-        if channel.envelope is not None:
-            trust = channel.envelope.trust(jnp.abs(effective), at, state.load)
+def _answered(
+    compensator: Compensator | None, hidden: Float32[Array, "2 2 h"], question: Question
+) -> tuple[Float32[Array, "2 2 h"], Float[Array, ""]]:
+    """Return a network's state, and the step the error takes to the next sample."""
+    if compensator is None:
+        return hidden, jnp.zeros(())
+    size = compensator.network.cell.hidden_size
+    before = jnp.where(question.fresh, 0.0, hidden[..., :size])
+    read, step = compensator.answer(Hidden(*before), question.place, question.scaled)
+    return hidden.at[..., :size].set(jnp.stack(read)), step
 
-        def listen(before: Listening) -> tuple[Listening, Float[Array, ""]]:
-            memory = jax.tree.map(
-                lambda new, old: jnp.where(newly, new, old), Memory.at_rest(sample), before.memory
-            )
-            return compensator.listen(before._replace(memory=memory), sample, self.step_s)
 
-        recent = (state.unmeasured >= 0) & (state.unmeasured < COASTING)
-        listening, step = jax.lax.cond(recent, listen, lambda before: (before, jnp.zeros(())), listening)
-        return _with(listenings, number, listening), state.error + trust * step
+def _where(chosen: Bool[Array, ""], new: Tree, old: Tree) -> Tree:
+    """Return one of two states of one structure."""
+    return jax.tree.map(lambda one, other: jnp.where(chosen, one, other), new, old)
 
 
 def _with(parts: tuple, number: int, part: object) -> tuple:
@@ -339,15 +429,3 @@ def _sampled(channel: Channel, step_s: float) -> Sampled:
         direction=channel.direction,
         step_s=step_s,
     )
-
-
-def _room(channel: Channel, displacement: Float[Array, ""]) -> Float[Array, ""]:
-    """Return how far the piston may travel until it meets the end stop."""
-    if channel.end_stop is None:
-        return jnp.asarray(jnp.inf)
-    return jnp.maximum(channel.direction * (channel.end_stop - displacement), 0.0)
-
-
-def _stopped(channel: Channel, displacement: Float[Array, ""], change: Float[Array, ""]) -> Float[Array, ""]:
-    """Return a change of displacement that does not pass the end stop."""
-    return channel.direction * jnp.minimum(channel.direction * change, _room(channel, displacement))
