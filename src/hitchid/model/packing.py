@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Float32, PyTree
 
 from hitchid.model.stepping import Motion, State
@@ -66,7 +67,7 @@ class Packing:
         """Return the state again."""
         return self._layout.tree(packed.numbers)._replace(hidden=packed.hidden)
 
-    def step(self, motion: Motion) -> Callable[[Packed, Array], tuple[Packed, Array]]:
+    def step(self, motion: Motion) -> Callable[[Packed, ArrayLike], tuple[Packed, Array]]:
         """Return the compiled step of a motion, from packed state to packed state and displacement.
 
         It is two programs: one that holds small arrays and a network's weights together is run by several
@@ -86,7 +87,7 @@ class Packing:
             hidden, error, displacement = motion.answer(hidden, asked.tree(question))
             return numbers.at[:2].set(jnp.stack([displacement, error])), hidden, displacement
 
-        def step(state: Packed, given: Array) -> tuple[Packed, Array]:
+        def step(state: Packed, given: ArrayLike) -> tuple[Packed, Array]:
             numbers, question = moved(state.numbers, given)
             numbers, hidden, displacement = answered(numbers, state.hidden, question)
             return Packed(numbers, hidden), displacement
