@@ -37,11 +37,12 @@ class Result(NamedTuple):
     err: str
 
 
-def hitchid(*arguments) -> Result:
-    """Run the program with arguments, as its entry point does."""
+def hitchid(*arguments, heard="") -> Result:
+    """Run the program with arguments, as its entry point does, and what it hears on standard input."""
     out, err, code = StringIO(), StringIO(), 0
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
         patch.setattr(sys, "argv", ["hitchid", *map(str, arguments)])
+        patch.setattr(sys, "stdin", StringIO(heard))
         try:
             cli.main()
         except SystemExit as done:
@@ -101,7 +102,8 @@ def times(folder):
 def test_the_help_of_every_command_has_an_example_of_it(command):
     result = hitchid(command, "--help")
     assert (result.code, result.err) == (0, "")
-    assert f"Example: hitchid {command} " in result.out
+    example = result.out[result.out.index("Example: ") :]
+    assert f" hitchid {command} " in example
 
 
 def test_the_help_names_every_command():
@@ -437,6 +439,58 @@ def test_inspect_prints_json_of_what_is_bad_too(logs):
     assert "lifting-02.csv" in found["faults"][0]
 
 
+def test_inspect_draws_mixed_logs(tests_with_a_cycle, tmp_path):
+    picture = tmp_path / "logs.png"
+    arguments = ("inspect", tests_with_a_cycle, "--draw", picture)
+    result = hitchid(*arguments)
+    assert (result.code, result.err) == (0, "")
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    taken = hitchid(*arguments)
+    assert taken.code == 2
+    assert "exists already" in taken.err
+
+
+def test_a_picture_that_cannot_be_drawn_is_refused(refused, bench_folder, tests_with_a_cycle, tmp_path):
+    for name in ("logs.txt", "logs", "logs.PNG.gz"):
+        said = ["--draw", ".png, .svg, .pdf", f"'{name}'"]
+        refused("inspect", tests_with_a_cycle, "--draw", tmp_path / name, said=said)
+    refused("inspect", bench_folder, "--draw", tmp_path / "logs.png", said=["--draw", "nothing to draw"])
+
+
+def test_run_answers_every_line_with_one(tmp_path):
+    save(handmade.hitch("integrator"), tmp_path / "model")
+    lines = [
+        '{"time_s": 0.0, "lifting_command": 0.5, "lowering_command": 0.0, "displacement": 100.0}',
+        "nonsense",
+        "",
+        '{"time_s": 0.02, "lifting_command": 0.5, "lowering_command": 0.0, "displacement": 100.1}',
+    ]
+    result = hitchid("run", tmp_path / "model", heard="\n".join([*lines, ""]))
+    assert (result.code, result.err) == (0, "")
+    first, odd, last = (json.loads(line) for line in result.out.splitlines())
+    # A gain of 30 mm/(s A) moves the piston by 0.045 mm a sample at 0.15 A beyond the dead zone.
+    assert first == {
+        "time_s": 0.01,
+        "displacement": pytest.approx(100.045, rel=1e-12),
+        "mode": "lifting",
+        "flags": [],
+    }
+    assert "not understood: the line is no JSON" in odd["flags"]
+    assert odd["displacement"] == pytest.approx(100.09, rel=1e-12)
+    assert (last["displacement"], last["flags"]) == (pytest.approx(100.145, rel=1e-12), [])
+
+
+def test_run_starts_where_it_is_told_to(tmp_path):
+    save(handmade.hitch("integrator"), tmp_path / "model")
+    result = hitchid("run", tmp_path / "model", "--initial", "50", heard="{}\n")
+    assert json.loads(result.out)["displacement"] == 50.0
+
+
+def test_run_refuses_what_it_cannot_start_from(refused, model, tmp_path):
+    refused("run", tmp_path / "missing", said=["model.json", "required a model folder"])
+    refused("run", model, "--initial", "nan", said=["displacement", "required a finite number"])
+
+
 @pytest.mark.parametrize("horizon", ["free", "3"])
 def test_simulate_writes_what_the_model_predicts(bench_folder, tmp_path, horizon):
     hitch = handmade.hitch("integrator")
@@ -555,9 +609,17 @@ def test_single_tests_have_the_keys_of_the_contract(metrics):
 def test_cycles_have_the_keys_of_the_contract(metrics):
     cycles = metrics["cycles"]
     assert cycles["tests"] == ["cycle-01"]
-    assert shape(cycles["greybox"]) == {"free_run": FIGURES}
-    assert shape(cycles["benchmark"]) == {"free_run": FIGURES}
-    assert set(cycles) == {"tests", "greybox", "benchmark"}
+    models = {
+        "greybox": {"one_step": FIGURES, "free_run": FIGURES},
+        "benchmark": {"free_run": FIGURES},
+        "transfer_function": {"free_run": FIGURES},
+        "persistence": {"one_step": FIGURES},
+    }
+    assert {name: shape(cycles[name]) for name in models} == models
+    assert set(cycles) == {"tests", *models, "horizons", "per_test", "max_jump"}
+    assert set(cycles["horizons"]) == {"steps", "greybox", "persistence"}
+    assert {len(errors) for errors in cycles["horizons"].values()} == {7}
+    assert shape(cycles["per_test"]) == {"cycle-01": {"free_run"}}
 
 
 def shape(runs):

@@ -8,6 +8,7 @@ import pytest
 from hitchid.errors import InputError, SettingsError
 from hitchid.inspection import inspect
 from hitchid.readers import write_table
+from hitchid.segments import Switch
 
 STEP_S = 0.01
 
@@ -139,6 +140,40 @@ def test_what_was_found_is_json(write_log):
     (folder / "b.csv").write_text("")
     described = inspect(folder).describe()
     assert json.loads(json.dumps(described, allow_nan=False)) == described
+
+
+def test_a_mixed_log_has_its_segments_and_how_long_each_kind_takes(write_log):
+    up, down = np.repeat([0, 1.0, 0, 0, 0], 50), np.repeat([0, 0, 0, 1.0, 0], 50)
+    folder = write_log("mixed", up, down, moved=np.cumsum(up - down))
+    write_log("up", pulse())
+    found = inspect(folder)
+    mixed, single = found.records
+    assert (mixed["kind"], single["kind"]) == ("cycle", "lifting")
+    labels = ["hold", "lifting", "hold", "lowering", "hold"]
+    assert mixed["segments"] == [
+        {"label": label, "start_s": 0.5 * place, "stop_s": 0.5 * (place + 1)}
+        for place, label in enumerate(labels)
+    ]
+    assert mixed["durations_s"] == {"lifting": 0.5, "lowering": 0.5, "hold": 1.5}
+    assert not {"segments", "durations_s"} & set(single)
+    ((record, stretches),) = found.mixed
+    assert record.name == "mixed"
+    assert [each.label for each in stretches] == labels
+    described = found.describe()
+    assert json.loads(json.dumps(described, allow_nan=False)) == described
+
+
+def test_what_a_model_knows_of_the_valves_divides_a_mixed_log(write_log):
+    up, down = np.repeat([0, 0.3, 1.0, 0], 50), np.repeat([0, 0, 0, 1.0], 50)
+    folder = write_log("mixed", up, down, moved=np.cumsum(up - down))
+    late = {"lifting": Switch(0.35, dead_time_s=0.1), "lowering": Switch(0.25)}
+    (entry,) = inspect(folder, switches=late).records
+    assert [tuple(each.values()) for each in entry["segments"]] == [
+        ("hold", 0.0, 1.1),
+        ("lifting", 1.1, 1.5),
+        ("both valves on", 1.5, 1.6),
+        ("lowering", 1.6, 2.0),
+    ]
 
 
 def test_no_logs_and_a_broken_settings_file_are_refused(tmp_path, write_log):

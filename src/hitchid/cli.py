@@ -3,6 +3,7 @@
 import json
 import sys
 from enum import Enum
+from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -199,6 +200,8 @@ def run(
     from hitchid.model import load as load_model
 
     live = Live(load_model(model), initial=initial, load=load)
+    if isinstance(sys.stdin, TextIOWrapper):
+        sys.stdin.reconfigure(encoding="utf-8", errors="replace")
     for line in sys.stdin:
         if line.strip():
             sys.stdout.write(live.hear(line).line() + "\n")

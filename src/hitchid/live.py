@@ -14,6 +14,8 @@ TIME = "time_s"
 KNOWN = (TIME, *COMMAND.values(), DISPLACEMENT)
 LONGEST_GAP = 10_000
 STANDING = "standing"
+DIGITS = 9
+LARGEST = 1e9
 
 
 class Answer(NamedTuple):
@@ -62,7 +64,11 @@ class Live:
         due = 0.0 if self._time_s is None else self._time_s + self._model.step_s
         told = sample.get(TIME, math.nan)
         time_s = told if math.isfinite(told) else due
-        behind = 0 if self._time_s is None else round((time_s - due) / self._model.step_s)
+        behind = 0 if self._time_s is None else _whole((time_s - due) / self._model.step_s)
+        if behind < -LONGEST_GAP:
+            flags.append(f"the clock was set back from {self._time_s:g} s: starting anew")
+            self._state = self._displacement = None
+            behind = 0
         if behind < 0:
             return self._answer(due, [*flags, f"out of order: {time_s:g} s came after {self._time_s:g} s"])
         measured = sample.get(DISPLACEMENT, math.nan)
@@ -82,6 +88,7 @@ class Live:
         """Coast over samples that never came; after too many nothing is known any more."""
         if samples > LONGEST_GAP:
             self._state = self._displacement = None
+            return
         for _ in range(samples):
             self._step(np.full(len(MODES), math.nan), math.nan)
 
@@ -102,6 +109,7 @@ class Live:
         return flags
 
     def _answer(self, time_s: float, flags: list[str]) -> Answer:
+        time_s = round(time_s, DIGITS)
         if self._state is None:
             return Answer(time_s, None, STANDING, (*flags, "waiting for a displacement to start from"))
         charge = int(self._model.situation(self._state).mode)
@@ -122,14 +130,20 @@ def _read(line: str) -> tuple[dict[str, float], list[str]]:
     for name in KNOWN:
         value = content.get(name)
         if isinstance(value, int | float) and not isinstance(value, bool):
-            sample[name] = _finite(value)
+            number = _finite(value)
+            sample[name] = number if name == TIME or abs(number) < LARGEST else math.nan
         elif value is not None:
             flags.append(f"not a number: {name}")
     return sample, flags
 
 
-def _finite(value: float) -> float:
+def _finite(value: int | float) -> float:
     try:
         return float(value)
     except OverflowError:
         return math.inf
+
+
+def _whole(samples: float) -> int:
+    """Return a number of samples; beyond all measure, one that is too many."""
+    return round(min(max(samples, -1e15), 1e15))

@@ -72,7 +72,7 @@ def segments(
         if not alone.any():
             continue
         slow = alone & (moved < STANDING_FRACTION * np.median(moved[alone]))
-        standing = _lasting(slow, round(WINDOW_S / record.step_s))
+        standing = _lasting(slow, max(1, round(WINDOW_S / record.step_s)))
         at_end = _at_end(record, upwards=_upwards(record, alone))
         label[alone & _clipped(record, mode, full[mode])] = LABELS.index(SATURATED)
         label[standing & ~at_end] = LABELS.index(HOLD)
@@ -106,8 +106,8 @@ def _works(record: Record, mode: str, full_scale: float, switch: Switch | None) 
     decided = np.where((command > on) | (command <= off), np.arange(command.size), -1)
     last = np.maximum.accumulate(decided)
     working = (last >= 0) & (command[np.maximum(last, 0)] > on)
-    late = round(heard.dead_time_s / record.step_s)
-    return np.concatenate([np.zeros(min(late, working.size), dtype=bool), working[: working.size - late]])
+    late = min(round(heard.dead_time_s / record.step_s), working.size)
+    return np.concatenate([np.zeros(late, dtype=bool), working[: working.size - late]])
 
 
 def _moved(record: Record) -> np.ndarray:

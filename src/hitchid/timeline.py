@@ -47,10 +47,11 @@ def timeline(records: Sequence[tuple[Record, Sequence[Segment]]]) -> Figure:
             below.set_xlabel("time / s")
             for each in (above, below):
                 each.set_xlim(record.time_s[0], record.time_s[-1])
+        used_commands = [mode for mode in LINES if any(mode in record.modes for record, _ in records)]
         handles: list[Artist] = [
             Patch(color=FILLS[label], alpha=0.6, label=label) for label in FILLS if label in used
         ]
-        handles += [Line2D([], [], color=LINES[mode], label=f"{mode} command") for mode in LINES]
+        handles += [Line2D([], [], color=LINES[mode], label=f"{mode} command") for mode in used_commands]
         figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
     return figure
 

@@ -1,7 +1,7 @@
 """Validation: figures by hand, on tests the identification has not seen, in the unit of the log."""
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import equinox as eqx
 import numpy as np
@@ -11,10 +11,11 @@ from handmade import DEAD_ZONES, GAINS, envelope, hitch
 from hitchid.baselines import ahead
 from hitchid.campaign import Campaign
 from hitchid.errors import InputError, OutputError
-from hitchid.model import Provenance, unpadded
+from hitchid.model import Provenance, TwoModes, unpadded
 from hitchid.record import LIFTING, LOWERING
 from hitchid.validation import HORIZONS, validate
 from hitchid.validation.tables import NAMES
+from hitchid.validation.validate import ORIGINS
 from truth import STEP_S, levels
 
 SIZES = (200, 150, 180)
@@ -103,8 +104,10 @@ def test_the_grey_box_is_judged_by_what_it_gives_for_each_test(tests_of):
     records = tests_of()
     channel = validate(MODELS, Campaign.of(records)).metrics["channels"][LIFTING]
     measured = [record.displacement for record in records]
-    free = [MODELS.simulate(record) for record in records]
-    ahead = [MODELS.predict(record)[1:] for record in records]
+    # Of a channel alone, which is in charge from the first sample and hears the hitch at rest.
+    alone = replace(MODELS, channels={LIFTING: MODELS.channels[LIFTING]})
+    free = [alone.simulate(record) for record in map(one_way, records)]
+    ahead = [alone.predict(record)[1:] for record in map(one_way, records)]
     # Tests alone and side by side: single precision of a compensator of σ = 0.02 over 200 samples.
     close = {"rel": 1e-4}
     grey = channel["greybox"]
@@ -172,6 +175,60 @@ def test_cycles_are_judged_apart_in_free_run(tests_of, cycle):
     assert cycles["benchmark"]["free_run"] == pytest.approx(by_hand(measured, free), rel=1e-9)
     grey = [MODELS.simulate(record) for record in records[3:]]
     assert cycles["greybox"]["free_run"] == pytest.approx(by_hand(measured, grey), rel=1e-9)
+
+
+def test_cycles_are_predicted_over_horizons_by_what_the_model_gives(tests_of, cycle):
+    records = [cycle("cycle-1", 1), cycle("cycle-2", 2)]
+    cycles = validate(MODELS, Campaign.of([*tests_of(), *records])).metrics["cycles"]
+    measured = [record.displacement for record in records]
+    horizons = cycles["horizons"]
+    assert horizons["steps"] == list(HORIZONS)
+    for h in (1, 20):
+        place = HORIZONS.index(h)
+        # One sample in so many is predicted from.
+        ahead = [MODELS.predict(record, horizon=h)[h::ORIGINS] for record in records]
+        grey = by_hand([y[h::ORIGINS] for y in measured], ahead)
+        assert horizons["greybox"][place] == pytest.approx(grey["rmse"], rel=1e-9)
+        held = by_hand([y[h:] for y in measured], [y[:-h] for y in measured])
+        assert horizons["persistence"][place] == pytest.approx(held["rmse"], rel=1e-9)
+        if h == 1:
+            assert cycles["greybox"]["one_step"] == pytest.approx(grey, rel=1e-9)
+            assert cycles["persistence"]["one_step"] == pytest.approx(held, rel=1e-9)
+
+
+def test_single_cycles_are_judged_in_free_run(tests_of, cycle):
+    records = [cycle("cycle-1", 1), cycle("cycle-2", 2)]
+    result = validate(MODELS, Campaign.of([*tests_of(), *records]))
+    per_test = result.metrics["cycles"]["per_test"]
+    assert list(per_test) == [record.name for record in records]
+    for record in records:
+        expected = by_hand([record.displacement], [MODELS.simulate(record)])
+        assert per_test[record.name]["free_run"] == pytest.approx(expected, rel=1e-9)
+        assert f"| {record.name} |" in result.markdown()
+
+
+@pytest.mark.parametrize(("brief", "jump"), [(50, 0.0), (1, 0.01 * (30 * 0.15 + 20 * 0.25))])
+def test_the_largest_jump_is_a_step_at_a_change_unlike_both_its_neighbours(
+    tests_of, make_record, brief, jump
+):
+    lifting = np.concatenate(
+        [np.zeros(50), np.full(50, 0.5), np.zeros(brief), np.full(50, 0.5), np.zeros(50)]
+    )
+    lowering = np.concatenate([np.zeros(100), np.full(brief, 0.5), np.zeros(50), np.full(50, 0.5)])
+    # An integrator is at its new speed at once: only a stroke of one sample has no step like its own.
+    for unit, factor in (("mm", 1.0), ("m", 1e-3)):
+        record = make_record(exact(lifting, lowering), lifting, lowering, name="cycle")
+        records = [each.convert({"displacement": unit}) for each in [*tests_of(), record]]
+        found = validate(hitch(), Campaign.of(records)).metrics["cycles"]["max_jump"]
+        assert found == pytest.approx(factor * jump, abs=1e-9 * factor)
+
+
+def test_the_comparison_of_two_modes_is_told_with_its_sentence(tests_of):
+    compared = TwoModes(needed=True, shared_rmse=2.0, two_rmse=1.0, f_statistic=9.0, p_value=0.001, tests=20)
+    result = validate(replace(MODELS, two_modes=compared), Campaign.of(tests_of()))
+    assert result.metrics["two_modes"] == asdict(compared)
+    assert compared.sentence in result.notices
+    assert "two_modes" not in validate(MODELS, Campaign.of(tests_of())).metrics
 
 
 def test_the_tables_name_every_model_and_every_test_of_one_direction(tests_of, cycle):

@@ -21,6 +21,7 @@ REFITTED = 15
 SAMPLES = 2048
 RESIDUALS = 4000
 RAMPED = (-0.1, 0.1)
+FEWEST_APART = 6
 NEUTRAL = {
     "opening": 0.4,
     "exponent": 0.5,
@@ -92,9 +93,9 @@ def choose_form(
     the highest stay in, for what lies beyond the tests is not to be asked of a model. Forms nest: each starts
     its least squares from the optimum of the one before, its new curves from a few shapes. A larger form
     takes the place of a smaller one where held-out tests prove it better; a gain that grows along the stroke,
-    where they do apart from a factor on the speed of each test, for a load that nobody measures differs from
-    test to test and weighs more than the gain. The one taken is identified as any other, by global search and
-    least squares.
+    where six or more of them do apart from a factor on the speed of each test, for a load that nobody
+    measures differs from test to test and weighs more than the gain. The one taken is identified as any
+    other, by global search and least squares.
 
     Args:
         batch: identification tests.
@@ -147,7 +148,7 @@ def choose_form(
     for number, candidate in enumerate(tried):
         before = tried[chosen]
         proven = (
-            proven_better(candidate.apart, before.apart)
+            candidate.apart.size >= FEWEST_APART and proven_better(candidate.apart, before.apart)
             if candidate.form.slope
             else proven_better(candidate.held_out, before.held_out)
         )

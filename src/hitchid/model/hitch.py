@@ -17,7 +17,7 @@ from hitchid.benchmark import Batch, mean_before_motion, padded_length
 from hitchid.errors import InputError
 from hitchid.model.channel import Channel
 from hitchid.model.packing import Packed, Packing
-from hitchid.model.stepping import Motion, State
+from hitchid.model.stepping import LARGEST, Motion, State
 from hitchid.modes import ACTIVE_FRACTION, effective_command, full_scales
 from hitchid.precision import double_precision
 from hitchid.record import COMMAND, DISPLACEMENT, MODES, Record
@@ -182,11 +182,11 @@ class Hitch:
             load: second measured input before motion, in its unit, where a channel hears one.
 
         Raises:
-            InputError: a value is not finite.
+            InputError: a value is not finite, or beyond 1e9.
         """
         for name, value in (("displacement", displacement), ("load", load)):
-            if not np.isfinite(value):
-                raise InputError(f"{name}: required a finite number, came {value}")
+            if not abs(value) < LARGEST:
+                raise InputError(f"{name}: required a number within ±{LARGEST:g}, came {value}")
         return self._packing.pack(self._standing(displacement, load))
 
     def step(
@@ -212,7 +212,7 @@ class Hitch:
     def situation(self, state: Packed) -> State:
         """Return what a state says: displacement, channel in charge, what is missing."""
         with jax.enable_x64(True):
-            return self._packing.unpack(state)
+            return self._unpacked(state)
 
     @double_precision
     def simulate(self, record: Record, *, compensated: bool = True) -> np.ndarray:
@@ -304,6 +304,10 @@ class Hitch:
     @cached_property
     def _packing(self) -> Packing:
         return Packing(self._standing(0.0, 0.0))
+
+    @cached_property
+    def _unpacked(self) -> Callable[[Packed], State]:
+        return jax.jit(self._packing.unpack)
 
     @cached_property
     def _step(self) -> Callable[..., tuple[Packed, Array]]:

@@ -1,0 +1,66 @@
+"""The picture of a mixed log: what is in it, and where it may be written."""
+
+import numpy as np
+import pytest
+
+from hitchid.errors import OutputError
+from hitchid.segments import segments
+from hitchid.timeline import draw, timeline
+
+UP, DOWN = np.repeat([0, 1.0, 0, 0], 50), np.repeat([0, 0, 0, 1.0], 50)
+
+
+@pytest.fixture
+def drawn(make_record):
+    """Return two records with their segments, the second with both valves on."""
+    records = [
+        make_record(np.cumsum(up - down), up, down, name=name)
+        for name, up, down in (("calm", UP, DOWN), ("odd", UP, UP))
+    ]
+    return [(record, segments(record)) for record in records]
+
+
+def legend(figure):
+    return [text.get_text() for text in figure.legends[0].get_texts()]
+
+
+COMMANDS = ["lifting command", "lowering command"]
+
+
+def test_the_legend_names_what_occurs_and_the_commands(drawn):
+    calm, odd = drawn
+    assert legend(timeline([calm])) == ["lifting", "lowering", "hold", *COMMANDS]
+    assert legend(timeline([odd])) == ["hold", "both valves on", *COMMANDS]
+    assert legend(timeline(drawn)) == ["lifting", "lowering", "hold", "both valves on", *COMMANDS]
+
+
+def test_every_record_has_its_name_its_signals_and_axes_with_units(drawn):
+    axes = timeline(drawn).axes
+    assert len(axes) == 2 * len(drawn)
+    for number, (record, found) in enumerate(drawn):
+        above, below = axes[2 * number : 2 * number + 2]
+        assert above.get_title(loc="left") == record.name
+        assert above.get_ylabel() == "displacement / mm"
+        assert (below.get_ylabel(), below.get_xlabel()) == ("command / A", "time / s")
+        np.testing.assert_array_equal(above.lines[0].get_ydata(), record.displacement)
+        assert len(above.patches) == len(found)
+        for line, mode in zip(below.lines, record.modes, strict=True):
+            np.testing.assert_array_equal(line.get_ydata(), record.command(mode))
+
+
+@pytest.mark.parametrize(("ending", "begins"), [("png", b"\x89PNG"), ("svg", b"<?xml"), ("pdf", b"%PDF")])
+def test_a_picture_is_written_in_the_format_of_its_name(drawn, tmp_path, ending, begins):
+    path = tmp_path / f"logs.{ending}"
+    draw(drawn, path)
+    assert path.read_bytes().startswith(begins)
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_picture_that_is_there_is_replaced_by_force_only(drawn, tmp_path):
+    path = tmp_path / "logs.svg"
+    path.write_text("mine")
+    with pytest.raises(OutputError, match="exists already"):
+        draw(drawn, path)
+    assert path.read_text() == "mine"
+    draw(drawn, path, force=True)
+    assert path.read_text().startswith("<?xml")
