@@ -4,27 +4,24 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
-from hitchid.benchmark import Batch, mean_before_motion, padded_length
+from hitchid.benchmark import Batch, mean_before_motion
 from hitchid.errors import InputError
 from hitchid.model.channel import Channel
 from hitchid.model.packing import Packed, Packing
+from hitchid.model.runs import FreeRun, ahead_of, from_origins, padded, stepped
 from hitchid.model.stepping import LARGEST, Motion, State
 from hitchid.modes import ACTIVE_FRACTION, effective_command, full_scales
 from hitchid.precision import double_precision
 from hitchid.record import COMMAND, DISPLACEMENT, MODES, Record
 from hitchid.segments import Switch
 from hitchid.units import conversion_factor
-
-AT_ONCE = 1024
 
 
 @dataclass(frozen=True)
@@ -80,18 +77,6 @@ class TwoModes:
             f"{self.two_rmse:.4g} with two; F = {self.f_statistic:.3g}, p = {self.p_value:.2g}, "
             f"{self.tests} tests"
         )
-
-
-class FreeRun(NamedTuple):
-    """A free run on the model's clock and in its units.
-
-    Attributes:
-        displacement: at every sample, shape [N].
-        charge: place of the channel in charge from each sample to the next, −1 while none is yet, shape [N].
-    """
-
-    displacement: Float[np.ndarray, " n"]
-    charge: Int[np.ndarray, " n"]
 
 
 @dataclass(frozen=True)
@@ -264,15 +249,36 @@ class Hitch:
             raise InputError(f"horizon: required at least 1 sample, came {min(horizons)}")
         own = self.adopt(record)
         farthest = min(max(horizons), len(own))
-        commands = _padded(_commands(own), farthest)
-        measured = _padded(own.displacement, farthest)
+        commands = padded(_commands(own), farthest)
+        measured = padded(own.displacement, farthest)
         start = self._start(own)
-        ahead = np.asarray(_ahead(self._motion, start, commands, measured, farthest, every))
+        ahead = np.asarray(ahead_of(self._motion, start, commands, measured, farthest, every))
         rows = [
-            _from_origins(ahead, float(start.displacement), min(each, farthest), len(own), every)
+            from_origins(ahead, float(start.displacement), min(each, farthest), len(own), every)
             for each in horizons
         ]
         return np.stack([self._given_back(row, own, record) for row in rows])
+
+    @double_precision
+    def free_run(self, record: Record, *, compensated: bool = True) -> FreeRun:
+        """Return the free run of an adopted record, and which channel is in charge.
+
+        Args:
+            record: on the model's clock and in its units; see `adopt`.
+            compensated: False leaves the compensators out.
+        """
+        alone = {"compensator": None} if compensated else {"compensator": None, "speed_compensator": None}
+        channels = [replace(channel, **alone) for channel in self.channels.values()]
+        motion = Motion.of(channels, self.step_s, self.drift)
+        start = self._start(record)
+        start = motion.initial(start.displacement, start.load)
+        displacement, charge = stepped(motion, start, padded(_commands(record), 1))
+        first = np.asarray(start.displacement)[None]
+        count = len(record) - 1
+        return FreeRun(
+            np.concatenate([first, np.asarray(displacement)[:count]]),
+            np.concatenate([np.asarray(charge)[:count], np.asarray(charge)[count - 1 : count]]),
+        )
 
     def adopt(self, record: Record) -> Record:
         """Return a record on the model's clock and in the model's units.
@@ -330,27 +336,6 @@ class Hitch:
             0.0 if load is None else mean_before_motion(record.signals[load], effective),
         )
 
-    @double_precision
-    def free_run(self, record: Record, *, compensated: bool = True) -> FreeRun:
-        """Return the free run of an adopted record, and which channel is in charge.
-
-        Args:
-            record: on the model's clock and in its units; see `adopt`.
-            compensated: False leaves the compensators out.
-        """
-        alone = {"compensator": None} if compensated else {"compensator": None, "speed_compensator": None}
-        channels = [replace(channel, **alone) for channel in self.channels.values()]
-        motion = Motion.of(channels, self.step_s, self.drift)
-        start = self._start(record)
-        start = motion.initial(start.displacement, start.load)
-        displacement, charge = _free(motion, start, _padded(_commands(record), 1))
-        first = np.asarray(start.displacement)[None]
-        count = len(record) - 1
-        return FreeRun(
-            np.concatenate([first, np.asarray(displacement)[:count]]),
-            np.concatenate([np.asarray(charge)[:count], np.asarray(charge)[count - 1 : count]]),
-        )
-
     def _given_back(self, displacement: np.ndarray, own: Record, record: Record) -> np.ndarray:
         """Return a displacement on the model's clock and in its unit on the record's, in the record's."""
         unit = conversion_factor(self.units[DISPLACEMENT], record.unit, record.name)
@@ -376,60 +361,5 @@ def _commands(record: Record) -> Float[np.ndarray, "n 2"]:
     return np.stack([record.command(mode) if mode in record.modes else none for mode in MODES], axis=1)
 
 
-def _padded(samples: np.ndarray, beyond: int) -> Array:
-    """Return samples with NaN behind them, so many at least and up to a length for which programs exist."""
-    width = padded_length(len(samples) + beyond)
-    behind = ((0, width - len(samples)), *((0, 0) for _ in samples.shape[1:]))
-    return jnp.asarray(np.pad(samples, behind, constant_values=np.nan))
-
-
 def _widened(samples: np.ndarray, batch: Batch) -> np.ndarray:
     return np.pad(samples, (0, batch.command.shape[1] - samples.size), mode="edge")
-
-
-@eqx.filter_jit
-def _free(
-    motion: Motion, start: State, commands: Float[Array, "n 2"]
-) -> tuple[Float[Array, " n"], Int[Array, " n"]]:
-    def advance(state: State, command: Array) -> tuple[State, tuple[Array, Array]]:
-        state, displacement = motion.step(state, command, jnp.asarray(jnp.nan))
-        return state, (displacement, state.mode)
-
-    return jax.lax.scan(advance, start, commands)[1]
-
-
-@eqx.filter_jit
-def _ahead(
-    motion: Motion,
-    start: State,
-    commands: Float[Array, "n 2"],
-    measured: Float[Array, " n"],
-    horizon: int,
-    every: int,
-) -> Float[Array, "h m"]:
-    """Return the displacement h = 1 … horizon samples after samples that have so many behind them."""
-    count = commands.shape[0] - horizon + 1
-
-    def heard(state: State, given: tuple[Array, Array]) -> tuple[State, State]:
-        state, _ = motion.step(state, *given)
-        return state, state
-
-    _, states = jax.lax.scan(heard, start, (commands[:count], measured[:count]))
-
-    def coast(state: State, at: Array) -> Float[Array, " h"]:
-        def advance(state: State, ahead: Array) -> tuple[State, Array]:
-            after, _ = motion.step(state, commands[at + ahead], jnp.asarray(jnp.nan))
-            return after, state.displacement
-
-        return jax.lax.scan(advance, state, jnp.arange(1, horizon + 1))[1]
-
-    origins = jax.tree.map(lambda array: array[::every], (states, jnp.arange(count)))
-    return jax.lax.map(lambda given: coast(*given), origins, batch_size=AT_ONCE).T
-
-
-def _from_origins(ahead: np.ndarray, initial: float, horizon: int, count: int, every: int) -> np.ndarray:
-    """Return the prediction of samples from `horizon` before, of the first ones from sample 0."""
-    first = np.concatenate([[initial], ahead[: horizon - 1, 0]])[:count]
-    rest = np.full(count - first.size, np.nan)
-    rest[::every] = ahead[horizon - 1, : rest[::every].size]
-    return np.concatenate([first, rest])
