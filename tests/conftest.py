@@ -129,8 +129,10 @@ def make_record():
 def quick_settings():
     """Return arguments of an identification that takes seconds."""
     from hitchid.identification import Descent, MultiStart, Rollouts, Training
+    from hitchid.identification.identify import PAPER_FORMS
 
     return {
+        "structure": PAPER_FORMS,
         "search": MultiStart(evaluations=60),
         "training": Training(
             hidden=6, window=20, descent=Descent(epochs=8, patience=8), rollouts=Rollouts(hidden=4, epochs=10)

@@ -359,8 +359,8 @@ BAD_MODELS = {
     "description of something else": (lambda f: (f / "model.json").write_text("{}") and None, ["model.json"]),
     "trace edited": (edited("trace.json", "{", "{ "), ["trace.json", "edited"]),
     "a newer schema": (
-        edited("model.json", '"schema": 3', '"schema": 4'),
-        ["model.json", "schema 4", "required 3"],
+        edited("model.json", '"schema": 4', '"schema": 5'),
+        ["model.json", "schema 5", "required 4"],
     ),
 }
 
@@ -488,7 +488,7 @@ def test_run_starts_where_it_is_told_to(tmp_path):
 
 def test_run_refuses_what_it_cannot_start_from(refused, model, tmp_path):
     refused("run", tmp_path / "missing", said=["model.json", "required a model folder"])
-    refused("run", model, "--initial", "nan", said=["displacement", "required a finite number"])
+    refused("run", model, "--initial", "nan", said=["displacement", "required a number within"])
 
 
 @pytest.mark.parametrize("horizon", ["free", "3"])

@@ -68,7 +68,11 @@ def test_the_default_model_of_rig_a_is_accurate_and_stands_where_it_is_not_drive
         standing = found[settled : middle + round(PAUSE_S / record.step_s)]
         assert np.ptp(standing) < 0.05
         assert abs(standing[0] - found[0]) > 1.0
-    assert len(metrics["cycles"]["tests"]) == 4
+    cycles = metrics["cycles"]
+    assert len(cycles["tests"]) == 4
+    assert cycles["greybox"]["free_run"]["rmse"] <= 2.0
+    assert cycles["horizons"]["greybox"][cycles["horizons"]["steps"].index(10)] <= 0.10
+    assert cycles["max_jump"] < 0.02
 
 
 @pytest.mark.parametrize("mode", ["lifting", "lowering"])
