@@ -12,10 +12,10 @@ import jax
 import numpy as np
 
 from hitchid.benchmark import Form
+from hitchid.fitting.search import EVALUATIONS, DifferentialEvolution, MultiStart, Search, Whale
 from hitchid.identification.identify import PAPER_FORMS
 from hitchid.identification.phase1 import identify_benchmark
 from hitchid.identification.preparation import prepare
-from hitchid.identification.search import EVALUATIONS, DifferentialEvolution, MultiStart, Search, Whale
 from hitchid.readers import read
 from hitchid.whale import Swarm
 

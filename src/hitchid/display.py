@@ -105,8 +105,8 @@ def show_identification(found: "Identification") -> None:
                 estimate.unit,
                 estimate.verdict,
             )
-        for name, (value, unit) in trace.phase1.derived.items():
-            table.add_row(name, f"{value:.4g}", "", unit, "derived")
+        for each in trace.phase1.uncertainty.derived:
+            table.add_row(each.name, f"{each.value:.4g}", "", each.unit, "derived")
         _out().print(table)
         displacement = found.model.units["displacement"]
         if trace.candidates:

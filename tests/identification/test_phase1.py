@@ -9,8 +9,9 @@ from scipy import stats
 
 from hitchid.benchmark import Batch, structure_named
 from hitchid.errors import FitError, InputError
+from hitchid.fitting.misfit import TIED, Misfit, _apart
 from hitchid.identification import Form, MultiStart, Whale
-from hitchid.identification.phase1 import TIED, Misfit, _apart, identify_benchmark
+from hitchid.identification.phase1 import identify_benchmark
 from hitchid.record import LIFTING
 from hitchid.whale import Swarm
 from truth import STEP_S, held, lag, levels, second_order, shifted

@@ -114,6 +114,13 @@ class Batch(eqx.Module):
         """Return the displacement that belongs to a travel; the inverse of `travel`."""
         return self.initial[:, None] + self.direction * travel
 
+    def behind(self, dead_zone: Float[Array, " t"]) -> "Batch":
+        """Return the tests behind another dead zone, in the command's unit."""
+        beyond = jnp.maximum(jnp.abs(self.logged) - dead_zone[:, None], 0.0)
+        return eqx.tree_at(
+            lambda batch: (batch.command, batch.dead_zone), self, (jnp.sign(self.logged) * beyond, dead_zone)
+        )
+
     def counting(self, counted: Bool[Array, "t n"]) -> "Batch":
         """Return the tests with errors taken over fewer samples."""
         return eqx.tree_at(lambda batch: batch.counted, self, self.counted & counted)

@@ -1,5 +1,7 @@
 """First-order lag: the lowering benchmark of the method."""
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import ClassVar
 
 from jaxtyping import Array, Float
@@ -17,7 +19,11 @@ class FirstOrderLag(LinearStructure):
 
     name: ClassVar[str] = "first-order-lag"
     formula: ClassVar[str] = "(K/τ) τ / (τ s + 1)"
-    parameters: ClassVar[tuple[Parameter, ...]] = (GAIN, Parameter("time_constant", "s", 0.05, 1000.0))
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        GAIN._replace(symbol="K/τ"),
+        Parameter("time_constant", "s", 0.05, 1000.0, symbol="τ"),
+    )
+    instead: ClassVar[Mapping[str, str]] = MappingProxyType({"time_constant": "gain"})
 
     def state_space(self, values: Float[Array, " p"]) -> tuple[Float[Array, "n n"], Float[Array, " n"]]:
         """Return A and B; the state is the displacement."""

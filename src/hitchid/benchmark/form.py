@@ -91,3 +91,16 @@ class Form:
         neutral = {parameter: NEUTRAL.get(parameter.name, 0.0) for parameter in SHAPE}
         curves = jnp.stack([jnp.asarray(found.get(p, neutral[p]), values.dtype) for p in SHAPE])
         return Benchmark(self.structure, values[:count], dead_time, Shape(curves, scales), self.load)
+
+    def derived(self, values: np.ndarray, dead_zone: float) -> dict[str, tuple[float, str]]:
+        """Return quantities that follow from searched values: name to value and unit template.
+
+        Args:
+            values: of `parameters`, in their order.
+            dead_zone: of the command, in its unit.
+        """
+        named = dict(zip((parameter.name for parameter in self.parameters), map(float, values), strict=True))
+        found = self.structure.derived(tuple(named.values())[: len(self.structure.parameters)])
+        if self.spool:
+            found["width of the hysteresis"] = (named["hysteresis"] * dead_zone, "{u}")
+        return found

@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 from hitchid.benchmark.structure import LinearStructure, Parameter, Scale
 
-GAIN = Parameter("gain", "{x}/(s·{u})", 1 / 100, 100.0, scale=Scale.SPEED)
+GAIN = Parameter("gain", "{x}/(s·{u})", 1 / 100, 100.0, scale=Scale.SPEED, symbol="K")
 
 
 class Integrator(LinearStructure):

@@ -1,5 +1,6 @@
 """Integrator with first-order lag: speed follows the command with one time constant."""
 
+from math import pi
 from typing import ClassVar
 
 import jax.numpy as jnp
@@ -14,7 +15,10 @@ class IntegratorFirstOrder(LinearStructure):
 
     name: ClassVar[str] = "integrator-first-order"
     formula: ClassVar[str] = "K / (s (τ s + 1))"
-    parameters: ClassVar[tuple[Parameter, ...]] = (GAIN, Parameter("time_constant", "s", 1e-3, 100.0))
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        GAIN,
+        Parameter("time_constant", "s", 1e-3, 100.0, symbol="τ"),
+    )
 
     def state_space(self, values: Float[Array, " p"]) -> tuple[Float[Array, "n n"], Float[Array, " n"]]:
         """Return A and B; the states are displacement and speed."""
@@ -26,3 +30,7 @@ class IntegratorFirstOrder(LinearStructure):
         """Return numerator and denominator of K / (τ s² + s)."""
         gain, tau = values
         return [gain], [tau, 1.0, 0.0]
+
+    def derived(self, values: tuple[float, ...]) -> dict[str, tuple[float, str]]:
+        """Return the bandwidth of the speed."""
+        return {"bandwidth": (1 / (2 * pi * values[1]), "Hz")}

@@ -1,5 +1,8 @@
 """Integrator with second-order lag: the lifting benchmark of the method."""
 
+from collections.abc import Mapping
+from math import hypot, pi, sqrt
+from types import MappingProxyType
 from typing import ClassVar
 
 import jax.numpy as jnp
@@ -7,6 +10,8 @@ from jaxtyping import Array, Float
 
 from hitchid.benchmark.integrator import GAIN
 from hitchid.benchmark.structure import LinearStructure, Parameter
+
+LAG = "lag 2ξh/ωh"
 
 
 class IntegratorSecondOrder(LinearStructure):
@@ -20,9 +25,10 @@ class IntegratorSecondOrder(LinearStructure):
     formula: ClassVar[str] = "K / (s (s²/ωh² + 2 ξh s/ωh + 1))"
     parameters: ClassVar[tuple[Parameter, ...]] = (
         GAIN,
-        Parameter("natural_frequency", "rad/s", 0.5, 1000.0),
-        Parameter("damping_ratio", "1", 0.05, 50.0),
+        Parameter("natural_frequency", "rad/s", 0.5, 1000.0, symbol="ωh"),
+        Parameter("damping_ratio", "1", 0.05, 50.0, symbol="ξh"),
     )
+    instead: ClassVar[Mapping[str, str]] = MappingProxyType({"natural_frequency": LAG, "damping_ratio": LAG})
 
     def state_space(self, values: Float[Array, " p"]) -> tuple[Float[Array, "n n"], Float[Array, " n"]]:
         """Return A and B; the states are displacement, speed, and acceleration over ωh."""
@@ -39,10 +45,19 @@ class IntegratorSecondOrder(LinearStructure):
         return [gain], [1 / omega**2, 2 * damping / omega, 1.0, 0.0]
 
     def derived(self, values: tuple[float, ...]) -> dict[str, tuple[float, str]]:
-        """Return the lag 2 ξh/ωh, and the paper's α₁, β₁, β₂ for β₃ = 1."""
+        """Return the lag 2 ξh/ωh, the bandwidth of the speed, and the paper's α₁, β₁, β₂ for β₃ = 1.
+
+        At the bandwidth the speed's amplitude is 1/√2 of that at rest: with c = 1 − 2 ξh²,
+        ω = ωh √(c + √(c² + 1)).
+        """
         (alpha1,), (beta1, beta2, _, _) = self.transfer_function(values)
+        _, omega, damping = values
+        flat = 1 - 2 * damping**2
+        # c + √(c² + 1), where c is far below zero without losing its digits.
+        square = flat + hypot(flat, 1) if flat > 0 else 1 / (hypot(flat, 1) - flat)
         return {
-            "lag": (beta2, "s"),
+            LAG: (beta2, "s"),
+            "bandwidth": (omega * sqrt(square) / (2 * pi), "Hz"),
             "alpha1 (beta3 = 1)": (alpha1, "{x}/(s·{u})"),
             "beta1 (beta3 = 1)": (beta1, "s²"),
             "beta2 (beta3 = 1)": (beta2, "s"),

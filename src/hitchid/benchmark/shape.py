@@ -13,20 +13,25 @@ SHARPNESS = 4
 SHUT = 1e-3
 REACH = 1.5
 FARTHEST = 0.7
+LOW_LEVELS = "levels just above the dead zone"
+LEVELS = "more levels of command"
+HIGH_LEVELS = "higher levels of command"
+STROKE = "tests over more of the stroke"
+LOADS = "tests at other loads"
 CURVE = (
-    Parameter("opening", "1", -0.6, 0.9, linear=True),
-    Parameter("exponent", "1", 1 / 3, 3.0),
-    Parameter("saturation", "1", 0.05, 1e4),
+    Parameter("opening", "1", -0.6, 0.9, linear=True, asks=LOW_LEVELS),
+    Parameter("exponent", "1", 1 / 3, 3.0, asks=LEVELS),
+    Parameter("saturation", "1", 0.05, 1e4, asks=HIGH_LEVELS),
 )
 SPOOL = (
-    Parameter("hysteresis", "1", 0.0, 1.0, linear=True),
-    Parameter("spool_lag", "s", 1e-3, 0.5),
+    Parameter("hysteresis", "1", 0.0, 1.0, linear=True, asks="commands that fall between levels"),
+    Parameter("spool_lag", "s", 1e-3, 0.5, symbol="spool lag"),
 )
-SLOPE = (Parameter("position_slope", "1", -2.0, 2.0, linear=True),)
-POSITION = (*SLOPE, Parameter("position_curve", "1", -2.0, 2.0, linear=True))
+SLOPE = (Parameter("position_slope", "1", -2.0, 2.0, linear=True, asks=STROKE),)
+POSITION = (*SLOPE, Parameter("position_curve", "1", -2.0, 2.0, linear=True, asks=STROKE))
 LOAD = (
-    Parameter("load_shift", "1", -0.3, 0.3, linear=True),
-    Parameter("load_gain", "1", -1.0, 1.0, linear=True),
+    Parameter("load_shift", "1", -0.3, 0.3, linear=True, asks=LOADS),
+    Parameter("load_gain", "1", -1.0, 1.0, linear=True, asks=LOADS),
 )
 SHAPE = (*CURVE, *SPOOL, *POSITION, *LOAD)
 NEUTRAL = {"opening": 0.0, "exponent": 1.0, "saturation": 1e4, "spool_lag": 1e-15}

@@ -1,7 +1,9 @@
 """What a benchmark structure is: identifiable parameters, a state space, a transfer function."""
 
 import abc
+from collections.abc import Mapping
 from enum import Enum
+from types import MappingProxyType
 from typing import ClassVar, NamedTuple
 
 import equinox as eqx
@@ -28,6 +30,8 @@ class Parameter(NamedTuple):
         lower, upper: default search bounds, factors on `scale`.
         scale: what they are factors on.
         linear: whether it is searched between its bounds as it is, not by its logarithm.
+        symbol: how formulas call it; its name where there is none.
+        asks: what a test that determines it must have, where its unit does not say.
     """
 
     name: str
@@ -36,17 +40,26 @@ class Parameter(NamedTuple):
     upper: float
     scale: Scale = Scale.NONE
     linear: bool = False
+    symbol: str = ""
+    asks: str = ""
 
 
-DEAD_TIME = Parameter("dead_time", "s", 1e-4, 1.0)
+DEAD_TIME = Parameter("dead_time", "s", 1e-4, 1.0, symbol="dead time")
 
 
 class Structure(eqx.Module):
-    """A model from command to displacement."""
+    """A model from command to displacement.
+
+    Attributes:
+        name, formula: how settings and reports call it.
+        parameters: what can be identified.
+        instead: parameter to what of the others or of the derived is determined where it is not.
+    """
 
     name: ClassVar[str]
     formula: ClassVar[str]
     parameters: ClassVar[tuple[Parameter, ...]]
+    instead: ClassVar[Mapping[str, str]] = MappingProxyType({})
 
     def derived(self, values: tuple[float, ...]) -> dict[str, tuple[float, str]]:
         """Return quantities computed from the parameters: name to value and unit template."""

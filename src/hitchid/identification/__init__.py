@@ -1,6 +1,10 @@
 """Identification: dead zones, phase 1, phase 2; `identify` is the way in."""
 
 from hitchid.benchmark import Form as Form
+from hitchid.fitting.search import DifferentialEvolution as DifferentialEvolution
+from hitchid.fitting.search import MultiStart as MultiStart
+from hitchid.fitting.search import Search as Search
+from hitchid.fitting.search import Whale as Whale
 from hitchid.identification.descent import Descent as Descent
 from hitchid.identification.direction import ChannelTrace as ChannelTrace
 from hitchid.identification.identify import Identification as Identification
@@ -8,10 +12,6 @@ from hitchid.identification.identify import identify as identify
 from hitchid.identification.phase2 import Training as Training
 from hitchid.identification.rollouts import Gate as Gate
 from hitchid.identification.rollouts import Rollouts as Rollouts
-from hitchid.identification.search import DifferentialEvolution as DifferentialEvolution
-from hitchid.identification.search import MultiStart as MultiStart
-from hitchid.identification.search import Search as Search
-from hitchid.identification.search import Whale as Whale
 from hitchid.identification.selection import Automatic as Automatic
 from hitchid.identification.settings_file import Settings as Settings
 from hitchid.identification.settings_file import read_settings as read_settings

@@ -10,6 +10,7 @@ from scipy.signal import lfilter
 from hitchid.errors import LogError
 from hitchid.modes import ACTIVE_FRACTION, effective_command
 from hitchid.record import Record
+from hitchid.uncertainty import KNOWN, DeadZoneError
 
 CANDIDATES = 400
 FLAT = 1e-3
@@ -34,6 +35,14 @@ class DeadZone:
     spread: float | None
     count: int
     origin: str
+
+    @property
+    def error(self) -> DeadZoneError:
+        """How well it is known: the standard error of the mean over ramps, or the jackknife's."""
+        if self.spread is None:
+            return KNOWN
+        mean = self.spread / np.sqrt(self.count) if self.origin == "ramps" else self.spread
+        return DeadZoneError(float(mean), self.count)
 
 
 def from_ramps(ramps: Sequence[Record], mode: str, direction: int) -> DeadZone:

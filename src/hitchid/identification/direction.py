@@ -12,6 +12,7 @@ from jaxtyping import Array, Key, PRNGKeyArray
 
 from hitchid.benchmark import Batch, Form
 from hitchid.envelope import Envelope, Range
+from hitchid.fitting.search import Search
 from hitchid.identification.baselines import fit_arx, fit_black_box
 from hitchid.identification.deadzone import DeadZone
 from hitchid.identification.descent import DescentTrace
@@ -21,7 +22,6 @@ from hitchid.identification.phase1 import Phase1, identify_benchmark
 from hitchid.identification.phase2 import Training, train_compensator
 from hitchid.identification.preparation import Prepared
 from hitchid.identification.rollouts import Gate, train_on_rollouts
-from hitchid.identification.search import Search
 from hitchid.identification.selection import Automatic, Candidate, choose_form
 from hitchid.model import Channel
 from hitchid.record import MODES
@@ -96,9 +96,8 @@ def find_benchmark(tests: Prepared, asked: Asked, progress: Progress) -> tuple[C
 def levelled(channel: Channel, trace: ChannelTrace, factor: float) -> tuple[Channel, ChannelTrace]:
     """Return a channel with a factor on its gain, and its trace with it."""
     channel = with_gain(channel, factor)
-    first, *others = trace.phase1.estimates
-    first = replace(first, value=factor * first.value, error=factor * first.error)
-    phase1 = replace(trace.phase1, benchmark=channel.benchmark, estimates=(first, *others))
+    uncertainty = trace.phase1.uncertainty.scaled(factor)
+    phase1 = replace(trace.phase1, benchmark=channel.benchmark, uncertainty=uncertainty)
     said = f"gain times {factor:.4f}, so that whole mixed logs agree best in free run"
     return channel, replace(trace, phase1=phase1, notices=(*trace.notices, said))
 
@@ -173,9 +172,26 @@ def _benchmark(tests: Prepared, asked: Asked) -> tuple[Phase1, tuple[Candidate, 
     batch, ramped = tests.everything, tests.dead_zone.origin == "ramps"
     if isinstance(asked.form, Automatic):
         return choose_form(
-            batch, asked.form, asked.search, asked.seed, units=asked.units, opening_known=ramped
+            batch,
+            asked.form,
+            asked.search,
+            asked.seed,
+            units=asked.units,
+            opening_known=ramped,
+            dead_zone=tests.dead_zone.error,
         )
-    return identify_benchmark(batch, asked.form, asked.search, asked.seed, units=asked.units), ()
+    return _identified(tests, asked, asked.form), ()
+
+
+def _identified(tests: Prepared, asked: Asked, form: Form) -> Phase1:
+    return identify_benchmark(
+        tests.everything,
+        form,
+        asked.search,
+        asked.seed,
+        units=asked.units,
+        dead_zone=tests.dead_zone.error,
+    )
 
 
 def _compensated(
@@ -218,9 +234,7 @@ def _with_baselines(
     if asked.form == asked.paper:
         return channel
     with _timed(seconds, "paper's method"):
-        phase1 = identify_benchmark(
-            tests.everything, asked.paper, asked.search, asked.seed, units=asked.units
-        )
+        phase1 = _identified(tests, asked, asked.paper)
         alone = _uncompensated(tests, phase1)
         paper, _ = _compensated(
             alone, tests, training, keys[1], _epochs(progress, "paper's method", 0.8, 0.2)

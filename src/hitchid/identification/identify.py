@@ -10,13 +10,13 @@ from hitchid.benchmark import Form, structure_named
 from hitchid.benchmark.nonlinear import NonlinearStructure
 from hitchid.campaign import Campaign
 from hitchid.errors import InputError
+from hitchid.fitting.search import Search, Whale
 from hitchid.identification.deadzone import DeadZone
 from hitchid.identification.direction import Asked, ChannelTrace, find_benchmark, find_compensators, levelled
 from hitchid.identification.holding import hold_drift
 from hitchid.identification.levelling import levelling
 from hitchid.identification.phase2 import Training
 from hitchid.identification.preparation import mixed_dead_zones, prepare
-from hitchid.identification.search import Search, Whale
 from hitchid.identification.selection import Automatic
 from hitchid.identification.trace import describe_channel
 from hitchid.identification.two_modes import compare_modes

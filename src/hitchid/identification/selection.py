@@ -9,17 +9,16 @@ import numpy as np
 
 from hitchid.benchmark import Batch, Form, structure_named
 from hitchid.benchmark.shape import CURVE, SPOOL
-from hitchid.identification.phase1 import Misfit, Phase1, identify_benchmark
-from hitchid.identification.search import Polished, Problem, Search, polish
+from hitchid.fitting import Misfit, Search, polish_some
+from hitchid.identification.phase1 import Phase1, assessed, find_parameters
 from hitchid.metrics import proven_better
+from hitchid.uncertainty import KNOWN, DeadZoneError
 
 FOLDS = 4
 SAME_LEVEL = 0.01
-TOLERANCE = 1e-6
 STEPS = 40
 REFITTED = 15
 SAMPLES = 2048
-RESIDUALS = 4000
 RAMPED = (-0.1, 0.1)
 FEWEST_APART = 6
 NEUTRAL = {
@@ -86,6 +85,7 @@ def choose_form(
     *,
     units: Mapping[str, str],
     opening_known: bool = False,
+    dead_zone: DeadZoneError = KNOWN,
 ) -> tuple[Phase1, tuple[Candidate, ...]]:
     """Identify the form that predicts operating points it was not fitted to best in free run.
 
@@ -105,18 +105,19 @@ def choose_form(
         units: see `identify_benchmark`.
         opening_known: whether the dead zone is where a ramp showed the valve to open: tests at a few levels
             of command say little about flow below the lowest.
+        dead_zone: how well it is known.
 
     Raises:
         FitError: nothing moves, or no parameters give a finite error.
     """
-    plain = identify_benchmark(batch, asked.plain, search, seed, units=units)
+    plain = find_parameters(batch, asked.plain, search, seed)
     folds = _folds(batch, alone=asked.load is not None)
     if not folds:
-        return plain, ()
+        return assessed(plain, units=units, dead_zone=dead_zone, seed=seed), ()
     coarse = batch.thinned(SAMPLES)
     misfit = Misfit.of(coarse, asked.plain)
-    position = misfit.position(np.array([estimate.value for estimate in plain.estimates]))
-    tried = [_tried("transfer function", misfit, range(position.size), position, folds, asked.plain)]
+    every = range(plain.position.size)
+    tried = [_tried("transfer function", misfit, every, plain.position, folds, asked.plain)]
     widest = replace(
         asked.plain,
         structure=structure_named("integrator-second-order"),
@@ -131,7 +132,7 @@ def choose_form(
     names = [parameter.name for parameter in widest.parameters]
     positions = np.array([NEUTRAL.get(name, 0.5) for name in names])
     values = misfit.values(positions).copy()
-    values[names.index("gain")] = plain.estimates[0].value
+    values[names.index("gain")] = plain.values[0]
     positions = misfit.position(values)
     found: list[np.ndarray] = [np.array([])]
     for name, form in _larger(widest):
@@ -139,7 +140,9 @@ def choose_form(
         misfit = replace(misfit, apart=form.slope)
         fresh = _starts(form, [] if len(tried) == 1 else list(tried[-1].form.parameters))
         starts = [_with(positions, names, start) for start in fresh]
-        best = min((_fitted(misfit, free, start, STEPS) for start in starts), key=lambda each: each.fitness)
+        best = min(
+            (polish_some(misfit, free, start, STEPS) for start in starts), key=lambda each: each.fitness
+        )
         positions = positions.copy()
         positions[free] = best.position
         tried.append(_tried(name, misfit, free, positions, folds, form))
@@ -155,9 +158,9 @@ def choose_form(
         chosen = number if proven else chosen
     tried[chosen] = replace(tried[chosen], chosen=True)
     if chosen == 0:
-        return plain, tuple(tried)
-    form = tried[chosen].form
-    return identify_benchmark(batch, form, search, seed, units=units, start=found[chosen]), tuple(tried)
+        return assessed(plain, units=units, dead_zone=dead_zone, seed=seed), tuple(tried)
+    fit = find_parameters(batch, tried[chosen].form, search, seed, start=found[chosen])
+    return assessed(fit, units=units, dead_zone=dead_zone, seed=seed), tuple(tried)
 
 
 def _larger(widest: Form) -> list[tuple[str, Form]]:
@@ -213,7 +216,7 @@ def _tried(
     for held in folds:
         kept = _over(misfit, ~held)
         moved = positions.copy()
-        moved[list(free)] = _fitted(kept, free, positions, REFITTED).position
+        moved[list(free)] = polish_some(kept, free, positions, REFITTED).position
         held_out += list(pooled.by_test(moved)[held])
         held_apart += list(apart.by_test(moved)[held])
     return Candidate(name, form, whole, np.array(held_out), np.array(held_apart))
@@ -223,28 +226,6 @@ def _over(misfit: Misfit, tests: np.ndarray) -> Misfit:
     """Return the misfit over some of its tests; shapes stay, so that no program is compiled anew."""
     batch = misfit.batch.counting(jnp.asarray(np.broadcast_to(tests[:, None], misfit.batch.counted.shape)))
     return misfit.over(batch)
-
-
-def _fitted(misfit: Misfit, free: Sequence[int], start: np.ndarray, limit: int) -> Polished:
-    """Return the least squares over some of the parameters, the others staying where they start.
-
-    Neighbouring samples err alike: some thousands of them tell as much as all.
-    """
-    whole, test = misfit.problem()
-    columns, every = list(free), -(-test.size // RESIDUALS)
-
-    def filled(position: np.ndarray) -> np.ndarray:
-        moved = start.copy()
-        moved[columns] = position
-        return moved
-
-    problem = Problem(
-        dimensions=len(columns),
-        fitness=whole.fitness,
-        residuals=lambda position: whole.residuals(filled(position))[::every],
-        jacobian=lambda position: whole.jacobian(filled(position))[::every, columns],
-    )
-    return polish(problem, start[columns], limit=limit, tolerance=TOLERANCE)
 
 
 def _folds(batch: Batch, *, alone: bool) -> list[np.ndarray]:

@@ -10,11 +10,11 @@ from pydantic import Field, PositiveInt
 from hitchid import whale
 from hitchid.benchmark import Form, structure_named
 from hitchid.errors import InputError, SettingsError
+from hitchid.fitting.search import EVALUATIONS, DifferentialEvolution, MultiStart, Search, Whale
 from hitchid.identification.descent import Descent
 from hitchid.identification.identify import CHOSEN
 from hitchid.identification.phase2 import Training
 from hitchid.identification.rollouts import Rollouts
-from hitchid.identification.search import EVALUATIONS, DifferentialEvolution, MultiStart, Search, Whale
 from hitchid.identification.selection import Automatic
 from hitchid.record import MODES
 from hitchid.signals import Strict, parse_settings

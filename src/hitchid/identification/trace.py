@@ -1,6 +1,7 @@
 """The trace of an identification as JSON can hold it."""
 
 import math
+from dataclasses import asdict
 
 import numpy as np
 
@@ -13,7 +14,7 @@ def describe_channel(trace: ChannelTrace) -> dict:
     What is not finite (the standard error of an undetermined parameter) is null.
     """
     dead_zone, phase1, phase2, gate = trace.dead_zone, trace.phase1, trace.phase2, trace.gate
-    found = phase1.found
+    found = phase1.fit.found
     return {
         "dead_zone": {
             "value": dead_zone.value,
@@ -22,19 +23,7 @@ def describe_channel(trace: ChannelTrace) -> dict:
             "origin": dead_zone.origin,
         },
         "phase1": {
-            "parameters": {
-                estimate.name: {
-                    "value": estimate.value,
-                    "unit": estimate.unit,
-                    "standard_error": _finite(estimate.error),
-                    "bounds": [estimate.lower, estimate.upper],
-                    "verdict": estimate.verdict,
-                }
-                for estimate in phase1.estimates
-            },
-            "derived": {
-                name: {"value": value, "unit": unit} for name, (value, unit) in phase1.derived.items()
-            },
+            "uncertainty": asdict(phase1.uncertainty),
             "rmse": phase1.rmse,
             "rmse_before_polish": phase1.search_rmse,
             "evaluations": found.evaluations,

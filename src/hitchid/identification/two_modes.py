@@ -7,9 +7,9 @@ import numpy as np
 from scipy.stats import f as f_distribution
 
 from hitchid.benchmark import Batch, Form, structure_named
-from hitchid.identification.phase1 import Misfit
+from hitchid.fitting import Misfit
+from hitchid.fitting.search import polish
 from hitchid.identification.preparation import Prepared
-from hitchid.identification.search import polish
 from hitchid.metrics import proven_better
 from hitchid.model import TwoModes
 

@@ -42,7 +42,7 @@ def figures(mode: str, trace: ChannelTrace, result: DirectionResult, unit: str) 
 
 def convergence(mode: str, trace: ChannelTrace, unit: str) -> Drawn:
     """Return best fitness and each parameter over the iterations of the search (paper, Fig. 5 and 6)."""
-    found, estimates = trace.phase1.found, trace.phase1.estimates
+    found, estimates = trace.phase1.fit.found, trace.phase1.estimates
     values = np.column_stack(
         [estimate.at(column) for estimate, column in zip(estimates, found.best_trace.T, strict=True)]
     )

@@ -167,7 +167,7 @@ def _identification(
 
 
 def _settled(trace: ChannelTrace) -> int:
-    fitness = trace.phase1.found.fitness_trace
+    fitness = trace.phase1.fit.found.fitness_trace
     return int(np.flatnonzero(fitness <= 1.01 * fitness[-1])[0]) + 1
 
 

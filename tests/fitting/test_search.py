@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hitchid.errors import FitError, InputError
+from hitchid.fitting.search import Problem, polish
 from hitchid.identification import DifferentialEvolution, MultiStart, Whale
-from hitchid.identification.search import Problem, polish
 from hitchid.whale import Swarm
 
 OPTIMUM = np.array([0.31, 0.83, 0.17])

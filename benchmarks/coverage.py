@@ -1,0 +1,154 @@
+"""Do 95 % intervals hold the truth? Simulated campaigns of known plants, tests with coloured noise.
+
+Twelve tests of 6 s a campaign: a random binary command behind a dead zone that three ramps found, a plant in
+one of the structures, errors of a first-order Markov process (0.3 mm, 1 s) and white noise of 0.05 mm.
+Prints a Markdown table of how often the interval holds the truth, and of the verdicts.
+
+    python benchmarks/coverage.py [CAMPAIGNS]
+"""
+
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.signal import lfilter
+
+from hitchid.benchmark import Batch, Benchmark, Form, Scales, structure_named
+from hitchid.excitation import prbs, precompensated
+from hitchid.fitting import MultiStart
+from hitchid.identification.phase1 import identify_benchmark
+from hitchid.record import LIFTING, Record
+from hitchid.uncertainty import DeadZoneError, Interval
+
+TESTS, DURATION_S, STEP_S = 12, 6.0, 0.01
+DEAD_ZONE_A, DEAD_ZONE_SPREAD_A = 0.38, 0.002
+COLOURED_MM, COLOURED_S, WHITE_MM = 0.3, 1.0, 0.05
+HIGHEST_A = 0.8
+UNITS = {"x": "mm", "u": "A"}
+CURVED = {"opening": 0.05, "exponent": 1.3, "saturation": 1.5}
+SCALES = Scales(*map(jnp.asarray, (HIGHEST_A, 0.0, 1.0, 0.0, 1.0)))
+
+
+@dataclass(frozen=True)
+class Plant:
+    """A plant, and how its tests are run.
+
+    Attributes:
+        form: what is identified.
+        truth: the parameters it was simulated with; infinite for a time constant that is not there.
+        clock_s: shortest time a level of the command is held, s.
+        simulated: structure of the truth, where it is another than the form's.
+    """
+
+    form: Form
+    truth: Mapping[str, float]
+    clock_s: float = 0.2
+    simulated: str = ""
+
+    def benchmark(self) -> Benchmark:
+        """Return the truth."""
+        form = replace(self.form, structure=structure_named(self.simulated)) if self.simulated else self.form
+        values = [self.truth[parameter.name] for parameter in form.parameters]
+        return form.benchmark(jnp.asarray(values), SCALES)
+
+
+PLANTS = {
+    "second order": Plant(
+        Form(structure_named("integrator-second-order")),
+        {"gain": 40.0, "natural_frequency": 12.0, "damping_ratio": 0.7},
+    ),
+    "first order, dead time": Plant(
+        Form(structure_named("integrator-first-order"), dead_time=True),
+        {"gain": 30.0, "time_constant": 0.1, "dead_time": 0.03},
+    ),
+    "lag of 8 s": Plant(Form(structure_named("first-order-lag")), {"gain": 30.0, "time_constant": 8.0}),
+    "first order, valve curve": Plant(
+        Form(structure_named("integrator-first-order"), curve=True, bounds={"opening": (-0.2, 0.2)}),
+        {"gain": 40.0, "time_constant": 0.1, **CURVED},
+    ),
+    "lag that is an integrator": Plant(
+        Form(structure_named("first-order-lag")),
+        {"gain": 30.0, "time_constant": np.inf},
+        simulated="integrator",
+    ),
+    "second order, too fast for a slow clock": Plant(
+        Form(structure_named("integrator-second-order")),
+        {"gain": 40.0, "natural_frequency": 150.0, "damping_ratio": 0.7},
+        clock_s=1.0,
+    ),
+}
+
+
+def campaign(plant: Plant, rng: np.random.Generator, count: int = TESTS) -> tuple[Batch, DeadZoneError]:
+    """Return the tests of one campaign, and how well its dead zone is known."""
+    records = [_test(plant, rng, number) for number in range(count)]
+    ramps = DEAD_ZONE_A + DEAD_ZONE_SPREAD_A * rng.standard_normal(3)
+    batch = Batch.of(records, LIFTING, dead_zone=float(ramps.mean()), direction=1)
+    return batch, DeadZoneError(float(ramps.std(ddof=1) / np.sqrt(3)), 3)
+
+
+def _test(plant: Plant, rng: np.random.Generator, number: int) -> Record:
+    signal = prbs(
+        low=rng.uniform(0.03, 0.2),
+        high=rng.uniform(0.4, 1.0) * HIGHEST_A if number else HIGHEST_A,
+        clock_s=plant.clock_s,
+        duration_s=DURATION_S,
+        seed=int(rng.integers(2**31)),
+    )
+    command = precompensated(signal.command, DEAD_ZONE_A)
+    signals = {"displacement": np.zeros(command.size), "lifting_command": command}
+    units = {"displacement": UNITS["x"], "lifting_command": UNITS["u"]}
+    at_rest = Record(f"{number}", STEP_S, signals, units)
+    still = Batch.of([at_rest], LIFTING, dead_zone=DEAD_ZONE_A, direction=1)
+    travel = np.asarray(plant.benchmark().travel(still))[0, : command.size]
+    left = np.exp(-STEP_S / COLOURED_S)
+    driven = COLOURED_MM * np.sqrt(1 - left**2) * rng.standard_normal(command.size)
+    driven[0] = COLOURED_MM * rng.standard_normal()
+    noise = lfilter([1.0], [1.0, -left], driven) + WHITE_MM * rng.standard_normal(command.size)
+    return Record(f"{number}", STEP_S, {**signals, "displacement": travel + noise}, units)
+
+
+def main() -> None:
+    """Identify every plant from so many campaigns and count."""
+    jax.config.update("jax_enable_x64", True)
+    campaigns = int(sys.argv[1]) if len(sys.argv) > 1 else 200
+    say = sys.stdout.write
+    header = (
+        "plant",
+        "parameter",
+        "truth in the interval / %",
+        "in the bootstrap's / %",
+        "called determined / %",
+    )
+    say(f"| {' | '.join(header)} |\n|{' --- |' * len(header)}\n")
+    for name, plant in PLANTS.items():
+        rng = np.random.default_rng(0)
+        found = []
+        for _ in range(campaigns):
+            batch, dead_zone = campaign(plant, rng)
+            phase1 = identify_benchmark(
+                batch, plant.form, MultiStart(starts=2), 0, units=UNITS, dead_zone=dead_zone
+            )
+            found.append({each.name: each for each in phase1.estimates})
+        for parameter, truth in plant.truth.items():
+            each = [campaign[parameter] for campaign in found]
+            held = [_holds(estimate.interval, truth) for estimate in each]
+            redrawn = [
+                estimate.bootstrap is not None and _holds(estimate.bootstrap, truth) for estimate in each
+            ]
+            sure = [estimate.determined for estimate in each]
+            cells = (name, parameter, *(f"{100 * np.mean(row):.1f}" for row in (held, redrawn, sure)))
+            say(f"| {' | '.join(cells)} |\n")
+            sys.stdout.flush()
+
+
+def _holds(interval: Interval, truth: float) -> bool:
+    lower, upper = interval
+    return (lower is None or lower <= truth) and (upper is None or truth <= upper)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,12 @@
+"""Fitting: the misfit of a form over tests, global searches of it, and the least-squares polish."""
+
+from hitchid.fitting.misfit import Misfit as Misfit
+from hitchid.fitting.misfit import polish_some as polish_some
+from hitchid.fitting.search import DifferentialEvolution as DifferentialEvolution
+from hitchid.fitting.search import Found as Found
+from hitchid.fitting.search import MultiStart as MultiStart
+from hitchid.fitting.search import Polished as Polished
+from hitchid.fitting.search import Problem as Problem
+from hitchid.fitting.search import Search as Search
+from hitchid.fitting.search import Whale as Whale
+from hitchid.fitting.search import polish as polish

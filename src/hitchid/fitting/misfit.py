@@ -1,0 +1,221 @@
+"""From positions in the unit cube to the misses of a form over tests: what searches minimise."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from hitchid.benchmark import Batch, Form, Scales
+from hitchid.benchmark.structure import Scale
+from hitchid.errors import FitError
+from hitchid.fitting.search import Polished, Problem, polish
+
+TIED = 0.01
+RESIDUALS = 4000
+TOLERANCE = 1e-6
+
+
+class Misfit(eqx.Module):
+    """From a position in the unit cube to residuals over all tests, zero where samples do not count.
+
+    Attributes:
+        batch: tests.
+        form: what is searched.
+        scales: what the form's curves are measured in.
+        lower, upper: bounds of its parameters, shape [d].
+        linear: which of them are searched as they are, shape [d].
+        apart: whether each test may be faster or slower by a factor of its own.
+    """
+
+    batch: Batch
+    form: Form = eqx.field(static=True)
+    scales: Scales
+    lower: Float[Array, " d"]
+    upper: Float[Array, " d"]
+    linear: Bool[Array, " d"]
+    apart: bool = eqx.field(static=True, default=False)
+
+    @classmethod
+    def of(cls, batch: Batch, form: Form) -> "Misfit":
+        """Set up the misfit of a form over tests.
+
+        Raises:
+            FitError: nothing moves.
+        """
+        lower, upper = _bounds(form, batch)
+        linear = np.array([parameter.linear for parameter in form.parameters])
+        bounds = jnp.asarray(lower), jnp.asarray(upper), jnp.asarray(linear)
+        return cls(batch, form, scales_of(batch), *bounds, apart=form.slope)
+
+    def over(self, batch: Batch) -> "Misfit":
+        """Return the misfit over other tests, its bounds and scales kept."""
+        return replace(self, batch=batch)
+
+    def pooled(self) -> "Misfit":
+        """Return the misfit without factors of the tests' own."""
+        return replace(self, apart=False)
+
+    def _by_value(self, position: Float[Array, " d"]) -> tuple[Array, Array]:
+        """Return the values at a position and their derivatives by it."""
+        width = self.upper - self.lower
+        span = jnp.log(self.upper / jnp.where(self.linear, self.upper, self.lower))
+        logarithmic = jnp.where(self.linear, 1.0, self.lower) * jnp.exp(position * span)
+        values = jnp.where(self.linear, self.lower + position * width, logarithmic)
+        return values, jnp.where(self.linear, width, values * span)
+
+    def values(self, position: np.ndarray) -> np.ndarray:
+        """Return the parameters at a position."""
+        return np.asarray(self._by_value(jnp.asarray(position))[0])
+
+    def slopes(self, position: np.ndarray) -> np.ndarray:
+        """Return the parameters' derivatives by their place between the bounds."""
+        return np.asarray(self._by_value(jnp.asarray(position))[1])
+
+    def residuals(self, position: Float[Array, " d"]) -> Float[Array, "t n"]:
+        """Return the misses at a position; see `misses`."""
+        return self.misses(self._by_value(position)[0])
+
+    def misses(self, values: Float[Array, " d"]) -> Float[Array, "t n"]:
+        """Return misses weighted so that every test weighs the same: their mean square is J².
+
+        With a factor s of each test's own the misses are s ŷ − y with s = (ŷ·y + ρ y·y)/(ŷ·ŷ + ρ y·y), which
+        minimises (s ŷ − y)² + ρ y·y (s − 1)²: the smaller ρ, the freer the factors. The last term stands at
+        the test's first sample, where nothing has moved.
+        """
+        measured = jnp.where(self.batch.counted, self.batch.travel, 0.0)
+        travel = self.form.benchmark(values, self.scales).travel(self.batch)
+        travel = jnp.where(self.batch.counted, travel, 0.0)
+        misses = _apart(travel, measured) if self.apart else travel - measured
+        counts = jnp.sum(self.batch.counted, axis=1, keepdims=True)
+        tests = jnp.sum(counts > 0)
+        weight = jnp.sqrt(jnp.sum(counts) / (tests * jnp.maximum(counts, 1)))
+        return jnp.where(self.batch.counted, misses * weight, 0.0)
+
+    def __call__(self, positions: Float[Array, "p d"]) -> Float[Array, " p"]:
+        """Return J at each of p positions."""
+        squares = jax.vmap(lambda position: jnp.sum(self.residuals(position) ** 2))(positions)
+        return jnp.sqrt(squares / jnp.sum(self.batch.counted))
+
+    def position(self, values: np.ndarray) -> np.ndarray:
+        """Return where between their bounds values lie; the inverse of `values`."""
+        bounds = zip(np.asarray(self.lower), np.asarray(self.upper), np.asarray(self.linear), strict=True)
+        places = [
+            (value - lower) / (upper - lower) if linear else np.log(value / lower) / np.log(upper / lower)
+            for value, (lower, upper, linear) in zip(values, bounds, strict=True)
+        ]
+        return np.clip(places, 0.0, 1.0)
+
+    def by_test(self, position: np.ndarray) -> np.ndarray:
+        """Return the root mean square error of each test, shape [T]."""
+        squares = np.sum(np.asarray(_residuals(self, jnp.asarray(position))) ** 2, axis=1)
+        counts = np.asarray(self.batch.counted).sum(axis=1)
+        return np.sqrt(squares * np.count_nonzero(counts) / counts.sum())
+
+    def problem(self) -> tuple[Problem, np.ndarray]:
+        """Return the search problem over the samples that count, and which test each of them belongs to."""
+        counted = np.asarray(self.batch.counted)
+        problem = Problem(
+            dimensions=len(self.form.parameters),
+            fitness=self,
+            residuals=lambda position: np.asarray(_residuals(self, jnp.asarray(position)))[counted],
+            jacobian=lambda position: np.asarray(_jacobian(self, jnp.asarray(position)))[counted],
+        )
+        return problem, np.repeat(np.arange(len(counted)), counted.sum(axis=1))
+
+
+def _apart(travel: Float[Array, "t n"], measured: Float[Array, "t n"]) -> Float[Array, "t n"]:
+    """Return misses apart from a factor of each test's own; see `Misfit.residuals`."""
+    held = TIED * jnp.sum(measured**2, axis=1)
+    along = jnp.sum(travel * measured, axis=1) + held
+    own = along / jnp.maximum(jnp.sum(travel**2, axis=1) + held, jnp.finfo(travel.dtype).tiny)
+    tie = jnp.sqrt(held + jnp.finfo(travel.dtype).tiny) * (own - 1)
+    return (own[:, None] * travel - measured).at[:, 0].set(tie)
+
+
+@eqx.filter_jit
+def _residuals(misfit: Misfit, position: Float[Array, " d"]) -> Float[Array, "t n"]:
+    return misfit.residuals(position)
+
+
+@eqx.filter_jit
+def _jacobian(misfit: Misfit, position: Float[Array, " d"]) -> Float[Array, "t n d"]:
+    return jax.jacfwd(misfit.residuals)(position)
+
+
+def scales_of(batch: Batch) -> Scales:
+    """Return what a form's curves are measured in, from the samples of tests that count."""
+    counted = np.asarray(batch.counted)
+    displacement, load = np.asarray(batch.displacement)[counted], np.asarray(batch.load)
+    lowest, highest = float(displacement.min()), float(displacement.max())
+    return Scales(
+        command=jnp.asarray(float(np.abs(np.asarray(batch.command)[counted]).max()) or 1.0),
+        centre=jnp.asarray(0.5 * (lowest + highest)),
+        span=jnp.asarray(0.5 * (highest - lowest) or 1.0),
+        load_centre=jnp.asarray(float(load.mean())),
+        load_spread=jnp.asarray(float(load.std()) or 1.0),
+    )
+
+
+def _bounds(form: Form, batch: Batch) -> tuple[np.ndarray, np.ndarray]:
+    counted = np.asarray(batch.counted)
+    displacement = np.asarray(batch.displacement)[counted]
+    sizes = {
+        Scale.NONE: 1.0,
+        Scale.SPEED: _speed_per_command(batch),
+        Scale.COMMAND: float(np.abs(np.asarray(batch.logged)[counted]).max()),
+        Scale.TRAVEL: float(np.ptp(displacement)),
+        Scale.HIGHEST: float(displacement.max()),
+    }
+    bounds = [
+        form.bounds.get(p.name, (p.lower * sizes[p.scale], p.upper * sizes[p.scale])) for p in form.parameters
+    ]
+    lower, upper = np.array(bounds).T
+    return lower, upper
+
+
+def _speed_per_command(batch: Batch) -> float:
+    """Return distance travelled over the integral of the command: the order of magnitude of every gain."""
+    counted = np.asarray(batch.counted)
+    tests = zip(np.asarray(batch.travel), counted, strict=True)
+    distance = sum(float(np.ptp(travel[counts])) for travel, counts in tests if counts.any())
+    driven = batch.step_s * float(np.sum(np.abs(np.asarray(batch.command)) * counted))
+    if driven == 0:
+        raise FitError("the command never leaves the dead zone in the identification tests")
+    if distance == 0:
+        raise FitError("the piston does not move in the identification tests")
+    return distance / driven
+
+
+def polish_some(misfit: Misfit, free: Sequence[int], start: np.ndarray, limit: int) -> Polished:
+    """Descend over some of the parameters by least squares, the others staying where they start.
+
+    Neighbouring samples err alike: some thousands of them tell as much as all.
+
+    Args:
+        misfit: the tests.
+        free: numbers of the parameters that move.
+        start: a position of all parameters, shape [D].
+        limit: largest number of steps.
+
+    Returns:
+        The outcome; its position is of the free parameters alone.
+    """
+    whole, test = misfit.problem()
+    columns, every = list(free), -(-test.size // RESIDUALS)
+
+    def filled(position: np.ndarray) -> np.ndarray:
+        moved = start.copy()
+        moved[columns] = position
+        return moved
+
+    problem = Problem(
+        dimensions=len(columns),
+        fitness=whole.fitness,
+        residuals=lambda position: whole.residuals(filled(position))[::every],
+        jacobian=lambda position: whole.jacobian(filled(position))[::every, columns],
+    )
+    return polish(problem, start[columns], limit=limit, tolerance=TOLERANCE)

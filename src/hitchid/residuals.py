@@ -1,0 +1,336 @@
+"""Tests of what a model leaves unexplained: is it white, does it follow the command, where is it large?"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import correlate
+from scipy.stats import chi2, norm
+
+from hitchid.errors import InputError
+
+LEVEL = 0.01
+BOUND = float(norm.isf(LEVEL / 2))
+LEAST_SAMPLES = 8
+MOST_BINS = 8
+# Eighths of autocorrelated errors differ by chance; by less than this no place is called the worst.
+DISTINCT = 1.25
+
+
+@dataclass(frozen=True)
+class Bin:
+    """The errors where a quantity lies from `lower` to `upper`, the least and the largest value in the bin.
+
+    `mean` and `rmse` are the mean and the root mean square of the bin's `count` errors, in their unit.
+    """
+
+    lower: float
+    upper: float
+    count: int
+    mean: float
+    rmse: float
+
+
+@dataclass(frozen=True)
+class Binned:
+    """Errors by the value of a quantity.
+
+    Attributes:
+        share: correlation ratio η² = Σ_b n_b (ē_b − ē)² / Σ (e − ē)², the fraction of the errors' variance
+            that the means of the bins explain.
+        bins: at most 8, by rising value.
+    """
+
+    share: float
+    bins: tuple[Bin, ...]
+
+
+@dataclass(frozen=True)
+class ResidualTests:
+    """What the errors of a model show, all tests together; every decision is taken at 1 %.
+
+    Attributes:
+        step_s: sampling time, s.
+        count: number of errors N.
+        mean, deviation: of the errors, in their unit; the deviation is √(Σ (e − ē)² / N).
+        whiteness: Ljung-Box statistic Q.
+        freedom: its degrees of freedom, which is the number of lags h; no fitted parameters are taken off.
+        whiteness_p, white: its p-value, and whether that is at least 1 %.
+        autocorrelation: of the errors at lags 1..h.
+        autocorrelation_bounds: 2.576/√N_k, which one lag of white noise leaves in 1 of 100 cases; N_k is the
+            number of pairs of samples k apart in the same test.
+        cross_lags: −h..h; at lag k the error is held against the command k samples before it.
+        cross_correlation: of errors and command at these lags.
+        cross_bounds: what one lag leaves in 1 of 100 cases where errors and command are independent.
+        lags_outside: the lags beyond these bounds; of 51 lags half a lag is, by chance.
+        independence_p, independent: (2h + 1) times the smallest p-value of any lag (Bonferroni), at most 1,
+            and whether that is at least 1 %: so lags may lie outside and the errors still be independent.
+        skewness, excess_kurtosis: of the errors, 0 for a normal distribution.
+        normality_p, normal: p-value of Jarque-Bera's test for autocorrelated errors, and whether that is at
+            least 1 %.
+        by_position, by_speed, by_command: the errors by displacement, speed and command.
+    """
+
+    step_s: float
+    count: int
+    mean: float
+    deviation: float
+    whiteness: float
+    freedom: int
+    whiteness_p: float
+    white: bool
+    autocorrelation: tuple[float, ...]
+    autocorrelation_bounds: tuple[float, ...]
+    cross_lags: tuple[int, ...]
+    cross_correlation: tuple[float, ...]
+    cross_bounds: tuple[float, ...]
+    lags_outside: tuple[int, ...]
+    independence_p: float
+    independent: bool
+    skewness: float
+    excess_kurtosis: float
+    normality_p: float
+    normal: bool
+    by_position: Binned
+    by_speed: Binned
+    by_command: Binned
+
+    def sentence(self, unit: str, command_unit: str) -> str:
+        """Say in one sentence what the errors show; `unit` is the displacement's."""
+        white = "are white" if self.white else f"are not white ({_p_text(self.whiteness_p)})"
+        command = "do not follow the command" if self.independent else self._following()
+        units = {"position": unit, "speed": f"{unit}/s", "command": command_unit}
+        return f"errors {white}, {command}; {self._worst(unit, units)}"
+
+    def _following(self) -> str:
+        """Name the lags outside that adjoin the one farthest outside."""
+        ratio = np.abs(self.cross_correlation) / np.asarray(self.cross_bounds)
+        first = last = self.cross_lags[int(np.argmax(ratio))]
+        while first - 1 in self.lags_outside:
+            first -= 1
+        while last + 1 in self.lags_outside:
+            last += 1
+        lags = f"lag {first}" if first == last else f"lags {first} to {last}"
+        time = f"{first * self.step_s:.3g}"
+        time += f" to {last * self.step_s:.3g} s" if last > first else " s"
+        # What comes before the command cannot be its effect.
+        verb = "run ahead of" if last < 0 else "follow"
+        return f"{verb} the command at {lags} ({time})"
+
+    def _worst(self, unit: str, units: Mapping[str, str]) -> str:
+        """Name the bin whose squared errors exceed its due by most."""
+        groups = {"position": self.by_position, "speed": self.by_speed, "command": self.by_command}
+        overall = float(np.hypot(self.mean, self.deviation))
+        # Relative to the overall figure, so that no square of a very small error becomes nothing.
+        largest = [
+            (each.count * ((each.rmse / (overall or 1.0)) ** 2 - 1.0), name, each)
+            for name, group in groups.items()
+            for each in group.bins
+            if each.count < self.count
+        ]
+        excess, name, worst = max(largest, key=lambda found: found[0], default=(0.0, "", None))
+        if worst is not None:
+            rest = overall * float(np.sqrt(max(0.0, 1.0 - excess / (self.count - worst.count))))
+            if worst.rmse > DISTINCT * rest:
+                low, high = f"{worst.lower:.3g}", f"{worst.upper:.3g}"
+                place = f"at {low}" if low == high else f"between {low} and {high}"
+                return (
+                    f"largest by {name}: RMSE {worst.rmse:.2g} {unit} {place} {units[name]}, "
+                    f"{rest:.2g} {unit} elsewhere"
+                )
+        return f"about as large everywhere: RMSE {overall:.2g} {unit}"
+
+
+def residual_tests(
+    errors: Sequence[np.ndarray],
+    commands: Sequence[np.ndarray],
+    displacements: Sequence[np.ndarray],
+    speeds: Sequence[np.ndarray],
+    *,
+    step_s: float,
+    lags: int = 25,
+) -> ResidualTests:
+    """Test the errors of a model for whiteness, independence of the command, normality, and by place.
+
+    With e and u of pooled mean 0 and mean square 1, and N_k pairs of samples k apart in the same test,
+
+    - autocorrelation r_k = Σ e(t) e(t − k) / N_k, cross-correlation likewise with u(t − k);
+    - Q = (N + 2)/N Σ_k N_k r_k² ~ χ²_h, for one test N (N + 2) Σ_k ρ̂_k² / (N − k), ρ̂_k = r_k (N − k)/N
+      (Ljung & Box 1978, Biometrika 65, 297);
+    - cross-correlation at lag k has variance Σ_j N_{|k|+|j|} w_j r_e(j) r_u(j) / N_k², or 1/N_k where that
+      is more (Bartlett 1946, J. R. Stat. Soc. Suppl. 8, 27); see `_taper` for w_j;
+    - N s² / (6 F₃) + N κ² / (24 F₄) ~ χ²_2 for skewness s and excess kurtosis κ, F_p = Σ_j N_j/N r_e(j)^p
+      over all lags of either sign, F₃ at least 1 (Lobato & Velasco 2004, Econometric Theory 20, 671).
+
+    Negative autocorrelation so makes no test sharper than it is for white errors. Errors or commands that are
+    constant have correlations of 0 and p-values of 1.
+
+    Args:
+        errors: measured minus predicted displacement, one array of shape [N_i] for each test.
+        commands: effective command, of the same shapes; any unit.
+        displacements: of the same shapes, in the errors' unit.
+        speeds: the model's, of the same shapes, in the errors' unit per s.
+        step_s: sampling time, s.
+        lags: largest lag; where the tests are short, the largest with N_k at least N/2.
+
+    Raises:
+        InputError: shapes differ, a value is not finite, fewer than 8 samples came in all, or the sampling
+            time or the lags are not positive.
+    """
+    named = {"errors": errors, "commands": commands, "displacements": displacements, "speeds": speeds}
+    tests = _checked(named, step_s, lags)
+    size = np.array([test.size for test in tests["errors"]])
+    count = int(size.sum())
+    pairs = np.maximum(size[:, None] - np.arange(size.max()), 0).sum(axis=0)
+    used = min(lags, int(np.sum(pairs >= count / 2)) - 1)
+
+    error, mean, deviation = _standardised(tests["errors"])
+    command, _, _ = _standardised(tests["commands"])
+    of_error, of_command = (_products(each, each)[size.max() - 1 :] / pairs for each in (error, command))
+
+    auto = of_error[1 : used + 1]
+    whiteness = float((count + 2) / count * np.sum(pairs[1 : used + 1] * auto**2))
+    whiteness_p = float(chi2.sf(whiteness, used)) if used else 1.0
+
+    lag = np.arange(-used, used + 1)
+    cross = _products(error, command)[size.max() - 1 + lag] / pairs[np.abs(lag)]
+    spread = _cross_deviation(of_error, of_command, pairs, used)[np.abs(lag)]
+    independence_p = min(1.0, float(lag.size * 2 * norm.sf(np.max(np.abs(cross) / spread))))
+
+    pooled = np.concatenate(error)
+    skewness = float(np.mean(pooled**3))
+    kurtosis = float(np.mean(pooled**4)) - 3.0 if deviation else 0.0
+    third, fourth = (1.0 + 2.0 * float(np.sum(pairs[1:] / count * of_error[1:] ** p)) for p in (3, 4))
+    normality_p = float(
+        chi2.sf(count * (skewness**2 / (6 * max(third, 1.0)) + kurtosis**2 / (24 * fourth)), 2)
+    )
+
+    flat = {name: np.concatenate(each) for name, each in tests.items()}
+    return ResidualTests(
+        step_s=float(step_s),
+        count=count,
+        mean=mean,
+        deviation=deviation,
+        whiteness=whiteness,
+        freedom=used,
+        whiteness_p=whiteness_p,
+        white=whiteness_p >= LEVEL,
+        autocorrelation=tuple(auto.tolist()),
+        autocorrelation_bounds=tuple((BOUND / np.sqrt(pairs[1 : used + 1])).tolist()),
+        cross_lags=tuple(lag.tolist()),
+        cross_correlation=tuple(cross.tolist()),
+        cross_bounds=tuple((BOUND * spread).tolist()),
+        lags_outside=tuple(lag[np.abs(cross) > BOUND * spread].tolist()),
+        independence_p=independence_p,
+        independent=independence_p >= LEVEL,
+        skewness=skewness,
+        excess_kurtosis=kurtosis,
+        normality_p=normality_p,
+        normal=normality_p >= LEVEL,
+        by_position=_binned(flat["errors"], pooled, flat["displacements"]),
+        by_speed=_binned(flat["errors"], pooled, flat["speeds"]),
+        by_command=_binned(flat["errors"], pooled, flat["commands"]),
+    )
+
+
+def _checked(
+    named: Mapping[str, Sequence[np.ndarray]], step_s: float, lags: int
+) -> dict[str, list[np.ndarray]]:
+    """Return the tests that have samples, as float64, or raise `InputError`."""
+    if not (np.isfinite(step_s) and step_s > 0 and lags >= 1):
+        raise InputError(f"a positive step_s and at least 1 lag are required, came {step_s} s and {lags}")
+    tests = {name: [np.asarray(test, dtype=np.float64) for test in each] for name, each in named.items()}
+    shapes = [test.shape for test in tests["errors"]]
+    for name, each in tests.items():
+        if [test.shape for test in each] != shapes or any(len(shape) != 1 for shape in shapes):
+            came = [test.shape for test in each]
+            raise InputError(f"{name} have shapes {came}, errors {shapes}: equal ones [N_i] are required")
+        for place, test in enumerate(each):
+            if not np.all(np.isfinite(test)):
+                row = int(np.flatnonzero(~np.isfinite(test))[0])
+                raise InputError(
+                    f"{name} of test {place} are {test[row]} at sample {row}: finite ones are required"
+                )
+    count = sum(shape[0] for shape in shapes)
+    if count < LEAST_SAMPLES:
+        raise InputError(f"{count} samples came in all, at least {LEAST_SAMPLES} are required")
+    return {name: [test for test in each if test.size] for name, each in tests.items()}
+
+
+def _standardised(tests: Sequence[np.ndarray]) -> tuple[list[np.ndarray], float, float]:
+    """Return the tests with pooled mean 0 and mean square 1, or 0 where constant; mean and deviation."""
+    pooled = np.concatenate(tests)
+    if np.all(pooled == pooled[0]):
+        return [np.zeros(test.size) for test in tests], float(pooled[0]), 0.0
+    # Squares of very large or small values would overflow or vanish.
+    scale = float(np.max(np.abs(pooled)))
+    mean = float(np.mean(pooled / scale))
+    deviation = float(np.std(pooled / scale))
+    return [(test / scale - mean) / deviation for test in tests], scale * mean, scale * deviation
+
+
+def _products(ones: Sequence[np.ndarray], others: Sequence[np.ndarray]) -> np.ndarray:
+    """Return Σ a(t + k) b(t) over all tests, never from one test into another, k = −L..L for length L + 1."""
+    longest = max(test.size for test in ones)
+    total = np.zeros(2 * longest - 1)
+    for one, other in zip(ones, others, strict=True):
+        total[longest - one.size : longest + one.size - 1] += correlate(one, other)
+    return total
+
+
+def _cross_deviation(
+    of_error: np.ndarray, of_command: np.ndarray, pairs: np.ndarray, lags: int
+) -> np.ndarray:
+    """Return the standard deviation of the cross-correlation of independent signals at lags 0..lags."""
+    product = _taper(of_error, pairs) * of_error * of_command
+    product[1:] *= 2.0
+    total = [np.sum(pairs[lag:] * product[: pairs.size - lag]) for lag in range(lags + 1)]
+    known = pairs[: lags + 1]
+    return np.sqrt(np.maximum(np.array(total), known)) / known
+
+
+def _taper(correlation: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+    """Weigh lags 0..L by whether the errors' autocorrelation can be told from noise there, shape [L + 1].
+
+    The weight is 1 up to the lag m after which five lags on end lie within 2 √(log₁₀ N / N_k), and falls to 0
+    at 2m (Politis 2003, J. Nonparametr. Stat. 15, 517). Only the errors decide: given the command, its own
+    products are no estimate. Over all lags the sum would be that of the squared cross-correlations, which
+    would widen the bounds by the very dependence that is looked for.
+    """
+    clear = np.abs(correlation) >= 2.0 * np.sqrt(np.log10(pairs[0]) / pairs)
+    clear[0] = True
+    lag = np.arange(clear.size)
+    last = np.maximum.accumulate(np.where(clear, lag, 0))
+    ends = np.flatnonzero(lag - last >= 5)
+    reach = int(last[ends[0]] if ends.size else last[-1])
+    return np.clip(2.0 - lag / max(reach, 0.5), 0.0, 1.0)
+
+
+def _binned(errors: np.ndarray, standardised: np.ndarray, values: np.ndarray) -> Binned:
+    """Divide errors, shape [N], by a quantity: a bin for each of 8 values at most, else eighths."""
+    tops = np.unique(values)
+    if tops.size > MOST_BINS:
+        # A quantile that is a value of the data never divides equal ones.
+        share = np.arange(1, MOST_BINS + 1) / MOST_BINS
+        tops = np.unique(np.quantile(values, share, method="inverted_cdf"))
+    place = np.searchsorted(tops, values)
+    scale = float(np.max(np.abs(errors))) or 1.0
+    bins, explained = [], 0.0
+    for number in range(tops.size):
+        inside = place == number
+        part = errors[inside] / scale
+        explained += part.size * float(np.mean(standardised[inside])) ** 2
+        bins.append(
+            Bin(
+                lower=float(np.min(values[inside])),
+                upper=float(tops[number]),
+                count=int(part.size),
+                mean=scale * float(np.mean(part)),
+                rmse=scale * float(np.sqrt(np.mean(part**2))),
+            )
+        )
+    return Binned(share=min(1.0, explained / errors.size), bins=tuple(bins))
+
+
+def _p_text(p: float) -> str:
+    return "p < 0.001" if p < 0.001 else f"p = {p:.3f}"

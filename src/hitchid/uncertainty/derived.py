@@ -1,0 +1,85 @@
+"""What follows from the parameters: quantities with the intervals that parameters hand on to them."""
+
+from collections.abc import Mapping, Sequence
+from math import exp, log
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hitchid.fitting import Misfit
+from hitchid.uncertainty.estimate import NARROW, Quantity
+from hitchid.uncertainty.moves import Moves
+from hitchid.uncertainty.profile import Profile, beyond
+
+PERTURBATION = 0.01
+STEP = 1e-4
+LEAST = 1e-300
+
+
+def derived(
+    misfit: Misfit,
+    position: np.ndarray,
+    moved: Moves,
+    profiles: Sequence[Profile],
+    units: Mapping[str, str],
+) -> tuple[Quantity, ...]:
+    """Return what follows from the parameters, as far as the tests allow it.
+
+    The interval is carried over along the slope of the quantity's logarithm, and widened to all that a
+    profile allows; where a profile has no end and takes the quantity with it, the interval has none.
+
+    Args:
+        misfit: tests and form.
+        position: the estimates, shape [D].
+        moved: how far they would move with other tests.
+        profiles: of those that are not determined.
+        units: `x` and `u` to the units of displacement and command.
+    """
+    dead_zone = float(misfit.batch.dead_zone[0])
+
+    def at(place: np.ndarray) -> dict[str, tuple[float, str]]:
+        return misfit.form.derived(misfit.values(place), dead_zone)
+
+    best = at(position)
+    around = [(at(position + step), at(position - step)) for step in STEP * np.eye(position.size)]
+    allowed = [at(place) for each in profiles for place in each.positions[each.allowed]]
+    quantities = []
+    for name, (value, unit) in best.items():
+        along = [(_log(ahead[name][0]) - _log(behind[name][0])) / (2 * STEP) for ahead, behind in around]
+        reach = moved.reach(np.array(along), max(len(moved.by_test) - 1, 1))
+        found = [_log(value) - reach, _log(value) + reach, *(_log(each[name][0]) for each in allowed)]
+        falls, rises = beyond(profiles, lambda place, name=name: _log(at(place)[name][0]))
+        lower = None if falls else exp(min(found))
+        upper = None if rises else exp(max(found))
+        narrow = lower is not None and upper is not None and upper <= NARROW * lower
+        quantities.append(Quantity(name, unit.format(**units), value, (lower, upper), narrow))
+    return tuple(quantities)
+
+
+def _log(value: float) -> float:
+    return log(max(value, LEAST))
+
+
+def sensitivities(misfit: Misfit, position: np.ndarray) -> tuple[float, ...]:
+    """Return the mean relative change of the RMSE for ±1 % of each parameter (Sun et al. 2025, sec. 3.1.1).
+
+    Args:
+        misfit: tests and form.
+        position: the estimates, shape [D].
+    """
+    values, one = misfit.values(position), np.eye(position.size)
+    around = values * np.stack(
+        [np.ones((position.size, position.size)) + sign * one * PERTURBATION for sign in (1, -1)]
+    )
+    best, *errors = _rmse(misfit.pooled(), jnp.asarray(np.concatenate([values[None], *around])))
+    changes = np.abs(np.array(errors) - best) / best
+    return tuple(map(float, changes.reshape(2, -1).mean(axis=0)))
+
+
+@eqx.filter_jit
+def _rmse(misfit: Misfit, values: Float[Array, "p d"]) -> Float[Array, " p"]:
+    squares = jax.lax.map(lambda each: jnp.sum(misfit.misses(each) ** 2), values)
+    return jnp.sqrt(squares / jnp.sum(misfit.batch.counted))

@@ -1,0 +1,108 @@
+"""What is known of the parameters of one direction: estimates, intervals, verdicts; one frozen record."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+Interval = tuple[float | None, float | None]
+NARROW = 3.0
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One parameter as found, and how well.
+
+    Attributes:
+        name, symbol, unit: as in the structure, the unit in the log's units.
+        value: the estimate.
+        error: standard error, residuals of one test taken as correlated; None where it is at a bound.
+        interval: 95 % interval; None for an end that the tests do not give.
+        method: how the interval was found, `Gauss-Newton` or `profile`.
+        bootstrap: 95 % interval from tests drawn anew; None where the parameter is at a bound.
+        lower, upper: bounds of the search.
+        linear: whether the search runs between the bounds as they are, not their logarithms.
+        determined: whether the interval is closed and narrow.
+        verdict: the finding in words.
+        sensitivity: mean relative change of the RMSE for ±1 % of it (Sun et al. 2025, sec. 3.1.1).
+        profile: RMSE with this parameter held and all others fitted, as pairs of value and RMSE; empty
+            where the interval did not ask for it.
+    """
+
+    name: str
+    symbol: str
+    unit: str
+    value: float
+    error: float | None
+    interval: Interval
+    method: str
+    bootstrap: Interval | None
+    lower: float
+    upper: float
+    linear: bool
+    determined: bool
+    verdict: str
+    sensitivity: float
+    profile: tuple[tuple[float, float], ...] = ()
+
+    def at(self, position: np.ndarray) -> np.ndarray:
+        """Return the values at positions between the bounds, 0 the lower and 1 the upper one."""
+        if self.linear:
+            return self.lower + position * (self.upper - self.lower)
+        return self.lower * (self.upper / self.lower) ** position
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """What follows from the parameters: a lag, a bandwidth, the coefficients of the paper.
+
+    Attributes:
+        name, unit: in the log's units.
+        value: at the estimate.
+        interval: 95 % interval, carried over from the parameters; None for an end that is not given.
+        determined: whether the interval is closed and narrow.
+    """
+
+    name: str
+    unit: str
+    value: float
+    interval: Interval
+    determined: bool
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """What the identification tests say of the parameters of one direction.
+
+    Attributes:
+        estimates: each parameter.
+        derived: what follows from them.
+        correlation: of the estimates, in their order; zero for one at a bound.
+        tests: how many there were.
+        rows: what was taken as independent: tests, or where they are few their stretches.
+    """
+
+    estimates: tuple[Estimate, ...]
+    derived: tuple[Quantity, ...]
+    correlation: tuple[tuple[float, ...], ...]
+    tests: int
+    rows: int
+
+    def scaled(self, factor: float) -> "Uncertainty":
+        """Return it with a factor on the gain, which comes first; what follows from it is left out."""
+        gain = self.estimates[0]
+
+        def times(interval: Interval | None) -> Interval | None:
+            return interval and (
+                None if interval[0] is None else factor * interval[0],
+                None if interval[1] is None else factor * interval[1],
+            )
+
+        moved = replace(
+            gain,
+            value=factor * gain.value,
+            error=None if gain.error is None else factor * gain.error,
+            interval=times(gain.interval) or (None, None),
+            bootstrap=times(gain.bootstrap),
+            profile=tuple((factor * value, fitness) for value, fitness in gain.profile),
+        )
+        return replace(self, estimates=(moved, *self.estimates[1:]), derived=())

@@ -1,0 +1,125 @@
+"""By how much each test moves each estimate: standard errors, correlations and redrawn tests follow."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy import stats
+
+from hitchid.fitting import Misfit
+from hitchid.uncertainty.scores import LEAST, Scores
+
+DRAWS = 999
+
+
+class Moves(NamedTuple):
+    """How far estimates would move with other tests, in the coordinates between the bounds.
+
+    Attributes:
+        by_test: by how much each test moves each estimate, shape [T, D]; zero for one at a bound.
+        by_dead_zone: by how much a standard error of the dead zone does, shape [D].
+        degrees: degrees of freedom of each standard error, shape [D].
+        redrawn: estimates from tests drawn anew, less the estimate, shape [B, D].
+    """
+
+    by_test: Float[np.ndarray, "t d"]
+    by_dead_zone: Float[np.ndarray, " d"]
+    degrees: Float[np.ndarray, " d"]
+    redrawn: Float[np.ndarray, "b d"]
+
+    @property
+    def covariance(self) -> Float[np.ndarray, "d d"]:
+        """Of the estimates, shape [D, D]."""
+        return self.by_test.T @ self.by_test + np.outer(self.by_dead_zone, self.by_dead_zone)
+
+    def error(self, along: np.ndarray) -> float:
+        """Return the standard error of a combination of parameters, its weights of shape [D]."""
+        return float(np.sqrt(along @ self.covariance @ along))
+
+    def reach(self, along: np.ndarray, degrees: float) -> float:
+        """Return half the width of the 95 % interval of a combination of parameters."""
+        return float(stats.t.ppf(0.975, degrees)) * self.error(along)
+
+
+def moves(
+    misfit: Misfit,
+    position: np.ndarray,
+    free: np.ndarray,
+    *,
+    dead_zone_error: float,
+    dead_zones: int,
+    seed: int,
+) -> Moves:
+    """Find how far the estimates would move with other tests.
+
+    Args:
+        misfit: the tests.
+        position: the estimates, shape [D].
+        free: which of them do not lie at a bound, shape [D].
+        dead_zone_error: standard error of the dead zone that was taken as known.
+        dead_zones: how many ramps or tests it was found from.
+        seed: draws tests anew.
+    """
+    scores = _both(misfit, position, free)
+    by_test = _influence(*scores)
+    tests = len(by_test)
+    drawn = np.random.default_rng(seed).multinomial(tests, np.full(tests, 1 / tests), DRAWS)
+    by_dead_zone = np.zeros(int(free.sum()))
+    if dead_zone_error > 0:
+        other = misfit.over(misfit.batch.behind(misfit.batch.dead_zone + dead_zone_error))
+        by_dead_zone = _solved(scores, np.ones((1, tests)), away_from=_both(other, position, free))[0]
+    variance, of_zone = np.sum(by_test**2, axis=0), by_dead_zone**2
+    doubt = variance**2 / scores[0].degrees() + of_zone**2 / max(dead_zones - 1, 1)
+    degrees = (variance + of_zone) ** 2 / np.maximum(doubt, np.finfo(float).tiny)
+
+    def spread(rows: np.ndarray) -> np.ndarray:
+        whole = np.zeros((*rows.shape[:-1], position.size))
+        whole[..., free] = rows
+        return whole
+
+    return Moves(
+        spread(by_test),
+        spread(by_dead_zone),
+        np.maximum(spread(degrees), 1.0),
+        spread(_solved(scores, drawn)),
+    )
+
+
+def _both(misfit: Misfit, position: np.ndarray, free: np.ndarray) -> list[Scores]:
+    """Return the scores, and where tests had factors of their own those that the gain is found from."""
+    found = [Scores.of(misfit, position).over(free)]
+    return [*found, Scores.of(misfit.pooled(), position).over(free)] if misfit.apart else found
+
+
+def _influence(scores: Scores, level: Scores | None = None) -> np.ndarray:
+    found = scores.influence()
+    if level is None:
+        return found
+    own = level.curvature[0]
+    share = level.curvatures[:, 0, 0] / own[0]
+    slopes = level.slopes[:, 0] / np.sqrt(np.clip(1 - share, LEAST, 1.0))
+    found[:, 0] = -(slopes + found[:, 1:] @ own[1:]) / own[0]
+    return found
+
+
+def _solved(
+    scores: Sequence[Scores], weights: np.ndarray, *, away_from: Sequence[Scores] | None = None
+) -> np.ndarray:
+    """Return by how much estimates move where tests have other weights, or other slopes, shape [B, D].
+
+    Args:
+        scores: at the estimate.
+        weights: of each test, shape [B, T].
+        away_from: scores in place of these, less these.
+    """
+    changed = [each.slopes for each in scores]
+    if away_from is not None:
+        changed = [other.slopes - own for other, own in zip(away_from, changed, strict=True)]
+    slopes = [weights @ each for each in changed]
+    curvatures = [np.einsum("bt,tij->bij", weights, each.curvatures) for each in scores]
+    found = -np.einsum("bij,bj->bi", np.linalg.pinv(curvatures[0], hermitian=True), slopes[0])
+    if len(scores) > 1:
+        own = curvatures[1][:, 0]
+        found[:, 0] = -(slopes[1][:, 0] + np.sum(own[:, 1:] * found[:, 1:], axis=1)) / own[:, 0]
+    return found

@@ -1,0 +1,99 @@
+"""What each test says of each parameter: slopes and curvatures of the squared misses, test by test."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from hitchid.fitting import Misfit
+
+FEWEST = 4
+LEAST = 0.05
+
+
+class Scores(NamedTuple):
+    """Slopes and curvatures of half the squared misses at one position, a row a test.
+
+    Where there are fewer than four tests more than parameters, a row is one of several stretches of a test.
+
+    Attributes:
+        slopes: gₜ = Jₜᵀ rₜ, shape [T, D].
+        curvatures: Jₜᵀ Jₜ, shape [T, D, D].
+    """
+
+    slopes: Float[np.ndarray, "t d"]
+    curvatures: Float[np.ndarray, "t d d"]
+
+    @classmethod
+    def of(cls, misfit: Misfit, position: np.ndarray) -> "Scores":
+        """Take slopes and curvatures of a misfit at a position in the unit cube."""
+        problem, test = misfit.problem()
+        residuals, jacobian = problem.residuals(position), problem.jacobian(position)
+        rows = _rows(test, jacobian.shape[1])
+        starts = np.flatnonzero(np.diff(rows, prepend=-1))
+        slopes = np.add.reduceat(jacobian * residuals[:, None], starts)
+        stretches = np.split(jacobian, starts[1:])
+        return cls(slopes, np.stack([each.T @ each for each in stretches]))
+
+    def over(self, free: np.ndarray) -> "Scores":
+        """Return those of some of the parameters.
+
+        Args:
+            free: which, boolean, shape [D].
+        """
+        return Scores(self.slopes[:, free], self.curvatures[:, free][:, :, free])
+
+    @property
+    def curvature(self) -> Float[np.ndarray, "d d"]:
+        """The sum over tests."""
+        return self.curvatures.sum(axis=0)
+
+    def along(self, number: int) -> Float[np.ndarray, " d"]:
+        """Return how all parameters go where one goes by 1 and the others follow, −Hₒₒ⁻¹ Hₒᵢ, shape [D]."""
+        others = np.arange(self.slopes.shape[1]) != number
+        whole, along = self.curvature, np.ones(self.slopes.shape[1])
+        along[others] = -np.linalg.pinv(whole[np.ix_(others, others)], hermitian=True) @ whole[others, number]
+        return along
+
+    def influence(self) -> Float[np.ndarray, "t d"]:
+        """Return by how much each test moves the estimate, shape [T, D]: their squares sum to its variance.
+
+        δₜ = −H⁻¹ (I − Hₜ H⁻¹)^(−½) gₜ: the power makes up for what a test has pulled the estimate its own way
+        (Bell & McCaffrey 2002, Survey Methodology 28, 169, CR2). Residuals of one test may be correlated in
+        any way; tests are independent of each other.
+        """
+        inverse = np.linalg.pinv(self.curvature, hermitian=True)
+        one = np.eye(len(inverse))
+        freed = [
+            _power(one - own @ inverse) @ slope
+            for own, slope in zip(self.curvatures, self.slopes, strict=True)
+        ]
+        return -np.stack(freed) @ inverse
+
+    def degrees(self) -> Float[np.ndarray, " d"]:
+        """Return the degrees of freedom of each parameter's standard error, shape [D], at least one.
+
+        (Σ hₜ)²/Σ hₜ² − 1 with hₜ = (H⁻¹ Hₜ H⁻¹)ᵢᵢ: tests count by their share of what is known.
+        """
+        inverse = np.linalg.pinv(self.curvature, hermitian=True)
+        shares = np.einsum("ij,tjk,ki->ti", inverse, self.curvatures, inverse)
+        return np.maximum(shares.sum(axis=0) ** 2 / np.maximum(np.sum(shares**2, axis=0), 1e-300) - 1, 1.0)
+
+
+def _rows(test: np.ndarray, dimensions: int) -> np.ndarray:
+    """Return which row each residual belongs to: its test, or of few tests its stretch."""
+    tests = int(test.max()) + 1
+    wanted = dimensions + FEWEST
+    if tests >= wanted:
+        return test
+    pieces = -(-wanted // tests)
+    counts = np.bincount(test, minlength=tests)
+    within = np.concatenate([np.arange(count) * pieces // count for count in counts if count])
+    return test * pieces + within
+
+
+def _power(matrix: np.ndarray) -> np.ndarray:
+    """Return the inverse square root of I − P, whose eigenvalues lie between 0 and 1."""
+    values, vectors = np.linalg.eig(matrix)
+    roots = 1 / np.sqrt(np.clip(np.real(values), LEAST, 1.0))
+    return np.real((vectors * roots) @ np.linalg.pinv(vectors))

@@ -1,0 +1,73 @@
+"""Verdicts in words: what the tests say of a parameter, and what a test would have to have."""
+
+from math import pi
+
+from hitchid.benchmark import Parameter
+from hitchid.uncertainty.estimate import Interval
+
+
+def verdict(
+    parameter: Parameter,
+    unit: str,
+    interval: Interval,
+    *,
+    determined: bool,
+    bound: str,
+    instead: str,
+    step_s: float,
+) -> str:
+    """Return what is known of a parameter.
+
+    Args:
+        parameter: of the structure.
+        unit: in the log's units.
+        interval: 95 % interval, None for an end that is not given.
+        determined: whether that is closed and narrow.
+        bound: `lower` or `upper` where the estimate lies at one, else empty.
+        instead: what is determined in its place, empty where nothing is.
+        step_s: sampling time of the tests, s.
+    """
+    if determined:
+        return "determined"
+    parts = [_range(parameter, unit, interval)]
+    advice = _asked(parameter, interval, step_s)
+    if advice and not instead:
+        parts.append(advice)
+    said = "; ".join(part for part in parts if part)
+    if instead:
+        return f"only {instead} is determined: {said}"
+    if bound and interval != (None, None):
+        return f"at its {bound} bound: {said}"
+    return f"not determined: {said}"
+
+
+def _range(parameter: Parameter, unit: str, interval: Interval) -> str:
+    name = parameter.symbol or parameter.name.replace("_", " ")
+    of = "" if unit == "1" else f" {unit}"
+    lower, upper = interval
+    if lower is not None and upper is not None:
+        return f"{name} from {lower:.3g} to {upper:.3g}{of} at 95 %"
+    if lower is not None:
+        return f"{name} > {lower:.3g}{of} at 95 %"
+    if upper is not None:
+        return f"{name} < {upper:.3g}{of} at 95 %"
+    return f"any {name} between the bounds fits"
+
+
+def _asked(parameter: Parameter, interval: Interval, step_s: float) -> str:
+    """Return what would determine a parameter; of a time or a frequency the corner that must be excited."""
+    lower, upper = interval
+    fastest = pi / step_s
+    if (parameter.unit == "rad/s" and (lower or 0.0) > fastest) or (
+        parameter.unit == "s" and (upper or fastest) < 1 / fastest
+    ):
+        return f"too fast for samples every {step_s:.3g} s"
+    if parameter.unit == "rad/s" and lower is not None and upper is None:
+        return f"excite above {lower / (2 * pi):.2g} Hz"
+    if parameter.unit == "rad/s" and upper is not None and lower is None:
+        return f"excite below {upper / (2 * pi):.2g} Hz"
+    if parameter.unit == "s" and upper is not None and lower is None:
+        return f"excite above {1 / (2 * pi * upper):.2g} Hz"
+    if parameter.unit == "s" and lower is not None and upper is None:
+        return f"excite below {1 / (2 * pi * lower):.2g} Hz"
+    return parameter.asks
