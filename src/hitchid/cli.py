@@ -1,7 +1,9 @@
 """The command line: parse, call, show."""
 
 import json
+import os
 import sys
+from dataclasses import replace
 from enum import Enum
 from io import TextIOWrapper
 from pathlib import Path
@@ -12,6 +14,7 @@ import typer
 from hitchid.errors import HitchError, InputError
 
 if TYPE_CHECKING:
+    from hitchid.fitting import Comparison
     from hitchid.inspection import Inspection
 
 PICTURES = (".png", ".svg", ".pdf")
@@ -113,6 +116,7 @@ def identify(
 
     check_folder(out, mark="model.json", force=force)
     _prepare_jax()
+    from hitchid.fitting import Comparison
     from hitchid.identification import Settings, read_settings
     from hitchid.identification import identify as run
     from hitchid.readers import read
@@ -120,6 +124,7 @@ def identify(
     settings: Settings = {} if config is None else read_settings(config)
     if seed is not None:
         settings["seed"] = seed
+    settings["comparison"] = _resumable(settings.get("comparison", Comparison()))
     campaign = read(logs, signals=signals)
     with display.progress() as report:
         found = run(campaign, **settings, progress=report)
@@ -295,13 +300,19 @@ def _horizon(text: str) -> int | None:
 
 def _prepare_jax() -> None:
     """Keep compiled programs in the user's cache, so that the second run starts faster."""
-    import os
-
     import jax
 
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    jax.config.update("jax_compilation_cache_dir", str(home / "hitchid" / "compiled"))
+    jax.config.update("jax_compilation_cache_dir", str(_cache() / "compiled"))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+
+
+def _resumable(comparison: "Comparison | None") -> "Comparison | None":
+    """Keep finished searches in the user's cache, so that a run that was stopped goes on from there."""
+    return comparison and replace(comparison, folder=_cache() / "searches")
+
+
+def _cache() -> Path:
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hitchid"
 
 
 def main() -> None:

@@ -105,7 +105,7 @@ def show_identification(found: "Identification") -> None:
                 estimate.unit,
                 estimate.verdict,
             )
-        for each in trace.phase1.uncertainty.derived:
+        for each in trace.phase1.known.derived:
             table.add_row(each.name, f"{each.value:.4g}", "", each.unit, "derived")
         _out().print(table)
         displacement = found.model.units["displacement"]

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+HORIZONS = (1, 2, 5, 10, 20, 50, 100)
 BETTER = 1.02
 MOST = 2 / 3
 

@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from scipy import signal
@@ -74,6 +75,18 @@ class Benchmark(eqx.Module):
         if self.shape is not None:
             named |= {p.name: float(v) for p, v in zip(SHAPE, self.shape.values, strict=True)}
         return {**named, DEAD_TIME.name: float(self.dead_time_s)} if float(self.dead_time_s) else named
+
+    @property
+    def row(self) -> Float[Array, " r"]:
+        """Every number of it in one row: the structure's, dead time, and curves where there are any."""
+        curves = () if self.shape is None else (self.shape.values,)
+        return jnp.concatenate([self.values, self.dead_time_s[None], *curves])
+
+    def of_row(self, row: Float[Array, " r"]) -> "Benchmark":
+        """Return the benchmark of the same form with other numbers; see `row`."""
+        count = self.values.size
+        found = eqx.tree_at(lambda b: (b.values, b.dead_time_s), self, (row[:count], row[count]))
+        return found if self.shape is None else eqx.tree_at(lambda b: b.shape.values, found, row[count + 1 :])
 
     def to_scipy(self, step_s: float | None = None) -> signal.TransferFunction:
         """Return the transfer function as `scipy.signal` has it.

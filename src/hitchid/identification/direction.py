@@ -12,8 +12,9 @@ from jaxtyping import Array, Key, PRNGKeyArray
 
 from hitchid.benchmark import Batch, Form
 from hitchid.envelope import Envelope, Range
-from hitchid.fitting.search import Search
+from hitchid.fitting import Comparison, Misfit, Search, Trail, search_trails
 from hitchid.identification.baselines import fit_arx, fit_black_box
+from hitchid.identification.calibration import calibrate
 from hitchid.identification.deadzone import DeadZone
 from hitchid.identification.descent import DescentTrace
 from hitchid.identification.levelling import with_gain
@@ -25,6 +26,7 @@ from hitchid.identification.rollouts import Gate, train_on_rollouts
 from hitchid.identification.selection import Automatic, Candidate, choose_form
 from hitchid.model import Channel
 from hitchid.record import MODES
+from hitchid.uncertainty import Estimates, Uncertainty
 
 Progress = Callable[[str, float], None]
 
@@ -41,6 +43,7 @@ class ChannelTrace:
         notices: what the user should know of the data and of the choices made for them.
         candidates: the forms that were compared, where the form was chosen automatically.
         seconds: what was fitted to the time it took, s.
+        uncertainty: how far the channel can be trusted.
     """
 
     dead_zone: DeadZone
@@ -50,6 +53,7 @@ class ChannelTrace:
     notices: tuple[str, ...] = ()
     candidates: tuple[Candidate, ...] = ()
     seconds: Mapping[str, float] = field(default_factory=dict)
+    uncertainty: Uncertainty | None = None
 
 
 @dataclass(frozen=True)
@@ -63,6 +67,7 @@ class Asked:
         training: of phase 2; None for the benchmark alone.
         seed: every random draw comes from it.
         units: `x` and `u` to the units of displacement and command.
+        comparison: how searches are compared; None compares none.
     """
 
     form: Form | Automatic
@@ -71,6 +76,12 @@ class Asked:
     training: Training | None
     seed: int
     units: Mapping[str, str]
+    comparison: Comparison | None = None
+
+    @property
+    def searched(self) -> Form:
+        """The form that searches are compared on: what is asked for, or what a choice starts from."""
+        return self.form.plain if isinstance(self.form, Automatic) else self.form
 
 
 def find_benchmark(tests: Prepared, asked: Asked, progress: Progress) -> tuple[Channel, ChannelTrace]:
@@ -96,8 +107,8 @@ def find_benchmark(tests: Prepared, asked: Asked, progress: Progress) -> tuple[C
 def levelled(channel: Channel, trace: ChannelTrace, factor: float) -> tuple[Channel, ChannelTrace]:
     """Return a channel with a factor on its gain, and its trace with it."""
     channel = with_gain(channel, factor)
-    uncertainty = trace.phase1.uncertainty.scaled(factor)
-    phase1 = replace(trace.phase1, benchmark=channel.benchmark, uncertainty=uncertainty)
+    known = trace.phase1.known.scaled(factor)
+    phase1 = replace(trace.phase1, benchmark=channel.benchmark, known=known)
     said = f"gain times {factor:.4f}, so that whole mixed logs agree best in free run"
     return channel, replace(trace, phase1=phase1, notices=(*trace.notices, said))
 
@@ -111,9 +122,9 @@ def find_compensators(
         channel, trace: of phase 1.
         tests, asked, progress: as for `find_benchmark`.
     """
-    if asked.training is None:
-        return channel, trace
     seconds = dict(trace.seconds)
+    if asked.training is None:
+        return channel, _with_uncertainty(channel, trace, tests, asked, None, seconds)
     keys = jax.random.split(jax.random.fold_in(jax.random.key(asked.seed), MODES.index(tests.mode)), 4)
     with _timed(seconds, "compensator"):
         channel, losses = _compensated(
@@ -130,9 +141,30 @@ def find_compensators(
             )
         channel = replace(channel, speed_compensator=speed)
         trace = replace(trace, gate=gate, notices=(*trace.notices, gate.sentence))
+    paper = None
     if asked.training.baselines:
-        channel = _with_baselines(channel, tests, asked, keys[2:], progress, seconds)
-    return channel, replace(trace, seconds=seconds)
+        channel, paper = _with_baselines(channel, tests, asked, keys[2:], progress, seconds)
+    return channel, _with_uncertainty(channel, trace, tests, asked, paper, seconds)
+
+
+def _with_uncertainty(
+    channel: Channel,
+    trace: ChannelTrace,
+    tests: Prepared,
+    asked: Asked,
+    paper: Estimates | None,
+    seconds: dict[str, float],
+) -> ChannelTrace:
+    trails: tuple[Trail, ...] = ()
+    if asked.comparison is not None:
+        with _timed(seconds, "searches compared"):
+            misfit = Misfit.of(tests.everything, asked.searched)
+            trails = search_trails(misfit, asked.comparison, asked.seed)
+    with _timed(seconds, "bands"):
+        bands = calibrate(channel, trace.phase1, tests.everything, tests.validation)
+    searched = tuple(parameter.name for parameter in asked.searched.parameters) if trails else ()
+    known = Uncertainty(trace.phase1.known, paper, bands, trails, searched)
+    return replace(trace, uncertainty=known, seconds=seconds)
 
 
 def envelope_of(batch: Batch) -> Envelope:
@@ -214,7 +246,7 @@ def _with_baselines(
     keys: Key[Array, " k"],
     progress: Progress,
     seconds: dict[str, float],
-) -> Channel:
+) -> tuple[Channel, Estimates | None]:
     training = asked.training
     assert training is not None  # noqa: S101 - baselines are fitted beside a compensator
     with _timed(seconds, "ARX"):
@@ -232,14 +264,14 @@ def _with_baselines(
         )
     channel = replace(channel, arx=arx, narx=narx, black_box=black_box)
     if asked.form == asked.paper:
-        return channel
+        return channel, None
     with _timed(seconds, "paper's method"):
         phase1 = _identified(tests, asked, asked.paper)
         alone = _uncompensated(tests, phase1)
         paper, _ = _compensated(
             alone, tests, training, keys[1], _epochs(progress, "paper's method", 0.8, 0.2)
         )
-    return replace(channel, paper=paper)
+    return replace(channel, paper=paper), phase1.known
 
 
 def _epochs(

@@ -10,7 +10,7 @@ from hitchid.benchmark import Form, structure_named
 from hitchid.benchmark.nonlinear import NonlinearStructure
 from hitchid.campaign import Campaign
 from hitchid.errors import InputError
-from hitchid.fitting.search import Search, Whale
+from hitchid.fitting import Comparison, Search, Whale
 from hitchid.identification.deadzone import DeadZone
 from hitchid.identification.direction import Asked, ChannelTrace, find_benchmark, find_compensators, levelled
 from hitchid.identification.holding import hold_drift
@@ -40,6 +40,7 @@ CHOSEN: Mapping[str, Automatic] = MappingProxyType(
     }
 )
 WHALE = Whale()
+COMPARISON = Comparison()
 TRAINING = Training()
 NONE_KNOWN: Mapping[str, float] = MappingProxyType({})
 
@@ -78,6 +79,7 @@ def identify(
     training: Training | None = TRAINING,
     dead_zones: Mapping[str, float] = NONE_KNOWN,
     drift: bool = False,
+    comparison: Comparison | None = COMPARISON,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Identification:
@@ -95,6 +97,7 @@ def identify(
         training: settings of phase 2; None identifies benchmarks alone.
         dead_zones: mode to dead zone, in the command's unit, where it is known.
         drift: whether the creep of a held piston is identified; otherwise a held piston stands.
+        comparison: which searches are compared beside it, from how many seeds; None compares none.
         seed: every random draw comes from it.
         progress: called with what is being done and the fraction of all work that is done.
 
@@ -136,7 +139,7 @@ def identify(
         step("dead zone", 0.0)
         prepared[mode] = prepare(campaign, mode, zones.get(mode), load=forms[mode].load)
         units = {"x": campaign.units[DISPLACEMENT], "u": campaign.units[COMMAND[mode]]}
-        questions[mode] = Asked(forms[mode], PAPER_FORMS[mode], search, training, seed, units)
+        questions[mode] = Asked(forms[mode], PAPER_FORMS[mode], search, training, seed, units, comparison)
         channels[mode], traces[mode] = find_benchmark(prepared[mode], questions[mode], step)
     roles = (DISPLACEMENT, *COMMAND.values(), *(form.load for form in forms.values() if form.load))
     units = {role: campaign.units[role] for role in roles if role in campaign.units}
@@ -168,6 +171,7 @@ def identify(
         channels=channels,
         provenance=provenance,
         two_modes=compare_modes(prepared) if same_unit else None,
+        uncertainty={mode: trace.uncertainty for mode, trace in traces.items() if trace.uncertainty},
     )
     return Identification(hitch, traces)
 

@@ -9,7 +9,7 @@ import numpy as np
 from hitchid.benchmark import Batch, Benchmark, Form
 from hitchid.benchmark.nonlinear import NonlinearStructure
 from hitchid.fitting import Found, Misfit, Search, polish
-from hitchid.uncertainty import KNOWN, DeadZoneError, Estimate, Uncertainty, assess
+from hitchid.uncertainty import KNOWN, DeadZoneError, Estimate, Estimates, Moves, assess
 
 LEVELLINGS = 3
 SEARCHED, COARSE = 8192, 2048
@@ -43,21 +43,23 @@ class Phase1:
     Attributes:
         benchmark: structure with values.
         fit: the parameters, and the search for them.
-        uncertainty: what the tests say of each.
+        known: what the tests say of each, and of what follows from them.
+        moved: by how much each test moves each of them.
         rmse: root mean square error over the identification tests, free run, in the displacement's unit.
         search_rmse: the same before the polish.
     """
 
     benchmark: Benchmark
     fit: Fit
-    uncertainty: Uncertainty
+    known: Estimates
+    moved: Moves
     rmse: float
     search_rmse: float
 
     @property
     def estimates(self) -> tuple[Estimate, ...]:
         """Each parameter."""
-        return self.uncertainty.estimates
+        return self.known.parameters
 
 
 def identify_benchmark(
@@ -120,10 +122,12 @@ def find_parameters(
 
 def assessed(fit: Fit, *, units: Mapping[str, str], dead_zone: DeadZoneError, seed: int) -> Phase1:
     """Return a fit as a benchmark, with what the tests say of its parameters; see `assess`."""
+    known, moved = assess(fit.misfit, fit.position, units=units, dead_zone=dead_zone, seed=seed)
     return Phase1(
         benchmark=fit.misfit.form.benchmark(jnp.asarray(fit.values), fit.misfit.scales),
         fit=fit,
-        uncertainty=assess(fit.misfit, fit.position, units=units, dead_zone=dead_zone, seed=seed),
+        known=known,
+        moved=moved,
         rmse=_pooled(fit.misfit, fit.position),
         search_rmse=_pooled(fit.misfit, fit.found.best),
     )

@@ -10,7 +10,8 @@ from pydantic import Field, PositiveInt
 from hitchid import whale
 from hitchid.benchmark import Form, structure_named
 from hitchid.errors import InputError, SettingsError
-from hitchid.fitting.search import EVALUATIONS, DifferentialEvolution, MultiStart, Search, Whale
+from hitchid.fitting import Comparison, DifferentialEvolution, MultiStart, Search, Whale
+from hitchid.fitting.search import EVALUATIONS
 from hitchid.identification.descent import Descent
 from hitchid.identification.identify import CHOSEN
 from hitchid.identification.phase2 import Training
@@ -31,6 +32,7 @@ class Settings(TypedDict, total=False):
     training: Training | None
     dead_zones: Mapping[str, float]
     drift: bool
+    comparison: Comparison | None
     seed: int
 
 
@@ -56,6 +58,7 @@ class SearchSection(Strict):
     population: PositiveInt | None = None
     stagnation: PositiveInt | None = None
     per_dimension: bool = True
+    compare: bool = True
 
     def search(self) -> Search:
         """Return the search asked for."""
@@ -121,6 +124,7 @@ class IdentifyFile(Strict):
             "training": self.training.training(),
             "dead_zones": {mode: s.dead_zone for mode, s in sections.items() if s.dead_zone is not None},
             "drift": self.drift,
+            "comparison": Comparison() if self.search.compare else None,
             "seed": self.seed,
         }
 

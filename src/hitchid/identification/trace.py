@@ -23,7 +23,7 @@ def describe_channel(trace: ChannelTrace) -> dict:
             "origin": dead_zone.origin,
         },
         "phase1": {
-            "uncertainty": asdict(phase1.uncertainty),
+            "uncertainty": asdict(phase1.known),
             "rmse": phase1.rmse,
             "rmse_before_polish": phase1.search_rmse,
             "evaluations": found.evaluations,

@@ -4,6 +4,7 @@ from hitchid.model.artifact import load as load
 from hitchid.model.artifact import save as save
 from hitchid.model.channel import Channel as Channel
 from hitchid.model.channel import unpadded as unpadded
+from hitchid.model.hitch import Band as Band
 from hitchid.model.hitch import Hitch as Hitch
 from hitchid.model.hitch import Provenance as Provenance
 from hitchid.model.hitch import TwoModes as TwoModes

@@ -25,8 +25,9 @@ from hitchid.narx import Narx
 from hitchid.precision import double_precision
 from hitchid.speed_compensator import INPUTS, SpeedCompensator
 from hitchid.storage import canonical_json, digest, write_folder
+from hitchid.uncertainty import Uncertainty
 
-SCHEMA = 4
+SCHEMA = 5
 MODEL_FILE = "model.json"
 WEIGHTS_FILE = "weights.safetensors"
 TRACE_FILE = "trace.json"
@@ -87,6 +88,7 @@ def _description(hitch: Hitch) -> dict:
         "units": dict(hitch.units),
         "drift": hitch.drift,
         "two_modes": None if hitch.two_modes is None else asdict(hitch.two_modes),
+        "uncertainty": {mode: each.describe() for mode, each in hitch.uncertainty.items()},
         "channels": {mode: _describe_channel(channel) for mode, channel in hitch.channels.items()},
         "split": {
             part: {mode: list(names) for mode, names in getattr(provenance, part).items()}
@@ -184,6 +186,7 @@ def _hitch(content: dict, tensors: dict[str, np.ndarray]) -> Hitch:
         provenance,
         content["drift"],
         None if compared is None else TwoModes(**compared),
+        {mode: Uncertainty.of(each) for mode, each in content["uncertainty"].items()},
     )
 
 

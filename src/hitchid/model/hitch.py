@@ -4,23 +4,27 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
+from scipy import stats
 
 from hitchid.benchmark import Batch, mean_before_motion
 from hitchid.errors import InputError
 from hitchid.model.channel import Channel
 from hitchid.model.packing import Packed, Packing
+from hitchid.model.possible import possible
 from hitchid.model.runs import FreeRun, ahead_of, from_origins, padded, stepped
 from hitchid.model.stepping import LARGEST, Motion, State
 from hitchid.modes import ACTIVE_FRACTION, effective_command, full_scales
 from hitchid.precision import double_precision
 from hitchid.record import COMMAND, DISPLACEMENT, MODES, Record
 from hitchid.segments import Switch
+from hitchid.uncertainty import Bands, Uncertainty
 from hitchid.units import conversion_factor
 
 
@@ -79,6 +83,13 @@ class TwoModes:
         )
 
 
+class Band(NamedTuple):
+    """Between what displacement is expected, in the record's unit, each of shape [N]."""
+
+    lower: np.ndarray
+    upper: np.ndarray
+
+
 @dataclass(frozen=True)
 class Hitch:
     """A dual-mode grey box, or one with a single channel.
@@ -90,6 +101,7 @@ class Hitch:
         provenance: where the model comes from.
         drift: speed of a piston that is held, in the displacement's unit/s.
         two_modes: whether the plant needs two modes; None where that could not be asked.
+        uncertainty: mode to how far its channel can be trusted; without a mode it was not asked for.
     """
 
     channels: Mapping[str, Channel]
@@ -98,6 +110,7 @@ class Hitch:
     provenance: Provenance = field(default_factory=Provenance)
     drift: float = 0.0
     two_modes: TwoModes | None = None
+    uncertainty: Mapping[str, Uncertainty] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Freeze the mappings, channels in the order of the modes."""
@@ -279,6 +292,54 @@ class Hitch:
             np.concatenate([first, np.asarray(displacement)[:count]]),
             np.concatenate([np.asarray(charge)[:count], np.asarray(charge)[count - 1 : count]]),
         )
+
+    @double_precision
+    def band(self, record: Record, *, coverage: float = 0.9, horizon: int | None = None) -> Band:
+        """Return between what the measured displacement will lie, for a share of the samples of a test.
+
+        In free run the half width is √(z² n² + Σ q² w² (y_a − y)²), the sum over the alternatives of every
+        channel; see `Bands`. Looking ahead it is that of the channel in charge.
+
+        Args:
+            record: as `simulate` takes it, or with a horizon as `predict` does.
+            coverage: share of samples, 0.5 to 0.95.
+            horizon: samples to look ahead; None for free run.
+
+        Raises:
+            InputError: the model has no bands, the share lies beyond them, or as `simulate`.
+            SettingsError: a unit is of another dimension than the model's.
+        """
+        bands = {mode: self.uncertainty[mode].bands for mode in self.channels if mode in self.uncertainty}
+        known = {mode: band for mode, band in bands.items() if band is not None}
+        lacking = [mode for mode in self.channels if mode not in known]
+        if lacking:
+            raise InputError(
+                f"the model has no bands for {' and '.join(lacking)}; required at least three tests to "
+                "identify it from"
+            )
+        own = self.adopt(record)
+        run = self.free_run(own)
+        if horizon is None:
+            middle, half = self.simulate(record), self._free_run_half(own, run, known, coverage)
+        else:
+            each = [known[mode].half_width(coverage, horizon) for mode in self.channels]
+            middle = self.predict(record, horizon=horizon)
+            half = np.where(run.charge < 0, max(each), np.array(each)[run.charge])
+        half = self._given_back(half, own, record)
+        return Band(middle - half, middle + half)
+
+    def _free_run_half(
+        self, own: Record, run: FreeRun, bands: Mapping[str, Bands], coverage: float
+    ) -> Float[np.ndarray, " n"]:
+        floor = [stats.norm.ppf(0.5 + coverage / 2) * each.noise for each in bands.values()]
+        squares = np.full(len(own), float(max(floor)) ** 2)
+        for mode, channel in self.channels.items():
+            widening = bands[mode].multiplier(coverage) ** 2
+            for each in bands[mode].alternatives:
+                other = replace(self, channels={**self.channels, mode: possible(channel, each)})
+                apart = each.weight * (other.free_run(own).displacement - run.displacement)
+                squares += widening * apart**2
+        return np.sqrt(squares)
 
     def adopt(self, record: Record) -> Record:
         """Return a record on the model's clock and in the model's units.

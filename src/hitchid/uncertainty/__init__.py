@@ -1,9 +1,13 @@
-"""Uncertainty: how well tests determine parameters, and what they leave open."""
+"""Estimates: how well tests determine parameters, and what they leave open."""
 
 from hitchid.uncertainty.assess import KNOWN as KNOWN
 from hitchid.uncertainty.assess import DeadZoneError as DeadZoneError
 from hitchid.uncertainty.assess import assess as assess
+from hitchid.uncertainty.bands import Alternative as Alternative
+from hitchid.uncertainty.bands import Bands as Bands
 from hitchid.uncertainty.estimate import Estimate as Estimate
+from hitchid.uncertainty.estimate import Estimates as Estimates
 from hitchid.uncertainty.estimate import Interval as Interval
 from hitchid.uncertainty.estimate import Quantity as Quantity
-from hitchid.uncertainty.estimate import Uncertainty as Uncertainty
+from hitchid.uncertainty.moves import Moves as Moves
+from hitchid.uncertainty.uncertainty import Uncertainty as Uncertainty

@@ -7,7 +7,7 @@ import numpy as np
 
 from hitchid.fitting import Misfit
 from hitchid.uncertainty.derived import derived, sensitivities
-from hitchid.uncertainty.estimate import NARROW, Estimate, Interval, Uncertainty
+from hitchid.uncertainty.estimate import NARROW, Estimate, Estimates, Interval
 from hitchid.uncertainty.moves import Moves, moves
 from hitchid.uncertainty.profile import Profile, beyond, profile
 from hitchid.uncertainty.words import verdict
@@ -47,7 +47,7 @@ def assess(
     units: Mapping[str, str],
     dead_zone: DeadZoneError = KNOWN,
     seed: int = 0,
-) -> Uncertainty:
+) -> tuple[Estimates, Moves]:
     """Say how well the tests determine each parameter of a form.
 
     Intervals are those of Gauss and Newton, between the bounds in the coordinates of the search (logarithms
@@ -61,6 +61,9 @@ def assess(
         units: `x` and `u` to the units of displacement and command.
         dead_zone: how well it is known.
         seed: draws tests anew for the bootstrap.
+
+    Returns:
+        What is known, and by how much each test moves each estimate.
     """
     free = (position > AT_BOUND) & (position < 1 - AT_BOUND)
     position = np.where(free, position, np.round(position))
@@ -73,12 +76,12 @@ def assess(
         _opened(_interval(misfit, number, each), misfit, profiles, number) for number, each in enumerate(ends)
     ]
     parameters = misfit.form.parameters
-    known = [
+    sure = [
         _narrow(misfit, number, interval) and bool(free[number]) for number, interval in enumerate(intervals)
     ]
     quantities = derived(misfit, position, moved, profiles, units)
     names = {quantity.name: quantity.name for quantity in quantities if quantity.determined}
-    names |= {p.name: p.symbol for p, sure in zip(parameters, known, strict=True) if sure}
+    names |= {p.name: p.symbol for p, told in zip(parameters, sure, strict=True) if told}
     together = misfit.form.structure.instead
     values, slopes = misfit.values(position), misfit.slopes(position)
     changes = sensitivities(misfit, position)
@@ -111,12 +114,12 @@ def assess(
                 lower=float(misfit.lower[number]),
                 upper=float(misfit.upper[number]),
                 linear=parameter.linear,
-                determined=known[number],
+                determined=sure[number],
                 verdict=verdict(
                     parameter,
                     unit,
                     interval,
-                    determined=known[number],
+                    determined=sure[number],
                     bound="" if free[number] else ("lower" if position[number] < HALF else "upper"),
                     instead=names.get(together.get(parameter.name, ""), ""),
                     step_s=misfit.batch.step_s,
@@ -125,13 +128,14 @@ def assess(
                 profile=curve,
             )
         )
-    return Uncertainty(
-        estimates=tuple(estimates),
+    known = Estimates(
+        parameters=tuple(estimates),
         derived=quantities,
         correlation=_correlation(moved),
         tests=int(np.sum(np.asarray(misfit.batch.counted).any(axis=1))),
         rows=len(moved.by_test),
     )
+    return known, moved
 
 
 def _ends(misfit: Misfit, position: np.ndarray, moved: Moves, number: int, free: np.ndarray) -> _Ends:

@@ -70,26 +70,26 @@ class Quantity:
 
 
 @dataclass(frozen=True)
-class Uncertainty:
+class Estimates:
     """What the identification tests say of the parameters of one direction.
 
     Attributes:
-        estimates: each parameter.
+        parameters: each of them.
         derived: what follows from them.
         correlation: of the estimates, in their order; zero for one at a bound.
         tests: how many there were.
         rows: what was taken as independent: tests, or where they are few their stretches.
     """
 
-    estimates: tuple[Estimate, ...]
+    parameters: tuple[Estimate, ...]
     derived: tuple[Quantity, ...]
     correlation: tuple[tuple[float, ...], ...]
     tests: int
     rows: int
 
-    def scaled(self, factor: float) -> "Uncertainty":
+    def scaled(self, factor: float) -> "Estimates":
         """Return it with a factor on the gain, which comes first; what follows from it is left out."""
-        gain = self.estimates[0]
+        gain = self.parameters[0]
 
         def times(interval: Interval | None) -> Interval | None:
             return interval and (
@@ -105,4 +105,4 @@ class Uncertainty:
             bootstrap=times(gain.bootstrap),
             profile=tuple((factor * value, fitness) for value, fitness in gain.profile),
         )
-        return replace(self, estimates=(moved, *self.estimates[1:]), derived=())
+        return replace(self, parameters=(moved, *self.parameters[1:]), derived=())

@@ -20,7 +20,7 @@ class Moves(NamedTuple):
         by_test: by how much each test moves each estimate, shape [T, D]; zero for one at a bound.
         by_dead_zone: by how much a standard error of the dead zone does, shape [D].
         degrees: degrees of freedom of each standard error, shape [D].
-        redrawn: estimates from tests drawn anew, less the estimate, shape [B, D].
+        redrawn: estimates from tests drawn anew, less the estimate, shape [B, D]; the dead zone is drawn too.
     """
 
     by_test: Float[np.ndarray, "t d"]
@@ -64,7 +64,8 @@ def moves(
     scores = _both(misfit, position, free)
     by_test = _influence(*scores)
     tests = len(by_test)
-    drawn = np.random.default_rng(seed).multinomial(tests, np.full(tests, 1 / tests), DRAWS)
+    rng = np.random.default_rng(seed)
+    drawn = rng.multinomial(tests, np.full(tests, 1 / tests), DRAWS)
     by_dead_zone = np.zeros(int(free.sum()))
     if dead_zone_error > 0:
         other = misfit.over(misfit.batch.behind(misfit.batch.dead_zone + dead_zone_error))
@@ -78,11 +79,12 @@ def moves(
         whole[..., free] = rows
         return whole
 
+    other_ramps = rng.standard_t(max(dead_zones - 1, 1), (DRAWS, 1))
     return Moves(
         spread(by_test),
         spread(by_dead_zone),
         np.maximum(spread(degrees), 1.0),
-        spread(_solved(scores, drawn)),
+        spread(_solved(scores, drawn) + other_ramps * by_dead_zone),
     )
 
 

@@ -73,11 +73,12 @@ class Scores(NamedTuple):
     def degrees(self) -> Float[np.ndarray, " d"]:
         """Return the degrees of freedom of each parameter's standard error, shape [D], at least one.
 
-        (Σ hₜ)²/Σ hₜ² − 1 with hₜ = (H⁻¹ Hₜ H⁻¹)ᵢᵢ: tests count by their share of what is known.
+        (Σ hₜ)²/Σ hₜ² − D with hₜ = (H⁻¹ Hₜ H⁻¹)ᵢᵢ: tests count by their share of what is known.
         """
         inverse = np.linalg.pinv(self.curvature, hermitian=True)
         shares = np.einsum("ij,tjk,ki->ti", inverse, self.curvatures, inverse)
-        return np.maximum(shares.sum(axis=0) ** 2 / np.maximum(np.sum(shares**2, axis=0), 1e-300) - 1, 1.0)
+        counting = shares.sum(axis=0) ** 2 / np.maximum(np.sum(shares**2, axis=0), 1e-300)
+        return np.maximum(counting - len(inverse), 1.0)
 
 
 def _rows(test: np.ndarray, dimensions: int) -> np.ndarray:

@@ -3,6 +3,5 @@
 from hitchid.validation.tables import Table as Table
 from hitchid.validation.tables import markdown as markdown
 from hitchid.validation.tables import tables as tables
-from hitchid.validation.validate import HORIZONS as HORIZONS
 from hitchid.validation.validate import Validation as Validation
 from hitchid.validation.validate import validate as validate

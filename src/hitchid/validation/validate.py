@@ -13,7 +13,7 @@ from hitchid.baselines import BlackBox, ahead
 from hitchid.benchmark import Batch
 from hitchid.campaign import Campaign
 from hitchid.errors import InputError
-from hitchid.metrics import ErrorFigures, error_figures
+from hitchid.metrics import HORIZONS, ErrorFigures, error_figures
 from hitchid.model import Channel, Hitch, unpadded
 from hitchid.precision import double_precision
 from hitchid.record import CYCLE, DISPLACEMENT, Record
@@ -21,7 +21,6 @@ from hitchid.storage import canonical_json, write_folder
 from hitchid.units import conversion_factor
 from hitchid.validation.tables import NAMES, RUNS, markdown, tables
 
-HORIZONS = (1, 2, 5, 10, 20, 50, 100)
 ORIGINS = 5
 METRICS_FILE = "metrics.json"
 TABLES_FILE = "tables.md"

@@ -1,0 +1,140 @@
+"""The trail of a search: several searches on one budget, each from several seeds, step by step."""
+
+import json
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import jax
+import numpy as np
+from pydantic import TypeAdapter, ValidationError
+
+from hitchid.errors import FitError
+from hitchid.fitting.misfit import Misfit
+from hitchid.fitting.search import DifferentialEvolution, Found, MultiStart, Search, Whale
+from hitchid.storage import canonical_json, digest, write_file
+from hitchid.whale import Swarm
+
+BUDGET = 900
+SEEDS = 8
+SAMPLES = 256
+
+
+@dataclass(frozen=True)
+class Run:
+    """One search from one seed.
+
+    Attributes:
+        fitness: best root mean square error so far, an entry an iteration (for multi-start a start); None
+            while none was finite.
+        values: the parameters that gave it, an entry an iteration.
+        evaluations, failures: simulations of all tests that were run, and how many of them were not finite.
+        reason: why it stopped.
+    """
+
+    fitness: tuple[float | None, ...]
+    values: tuple[tuple[float, ...], ...]
+    evaluations: int
+    failures: int
+    reason: str
+
+    @property
+    def last(self) -> float | None:
+        """The fitness it ended with; None where it failed."""
+        return self.fitness[-1] if self.fitness else None
+
+
+@dataclass(frozen=True)
+class Trail:
+    """One search from several seeds.
+
+    Attributes:
+        name: of the search.
+        runs: one for each seed.
+    """
+
+    name: str
+    runs: tuple[Run, ...]
+
+    @property
+    def ends(self) -> np.ndarray:
+        """The last fitness of each run, shape [S], infinite for one that failed."""
+        return np.array([each if each is not None else np.inf for each in (run.last for run in self.runs)])
+
+
+def three_searches(budget: int = BUDGET) -> tuple[Search, ...]:
+    """Return the three searches, each with so many evaluations."""
+    population = Swarm.population
+    swarm = Swarm(population=population, iterations=budget // population, evaluations=budget)
+    return Whale(swarm), DifferentialEvolution(budget, population=3), MultiStart(budget)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """How searches are compared.
+
+    Attributes:
+        searches: what is compared; by default whale, differential evolution and multi-start least squares.
+        seeds: how many runs of each.
+        folder: where finished runs are kept and found again; None keeps none.
+    """
+
+    searches: tuple[Search, ...] = field(default_factory=three_searches)
+    seeds: int = SEEDS
+    folder: Path | None = None
+
+
+def search_trails(misfit: Misfit, asked: Comparison, first_seed: int = 0) -> tuple[Trail, ...]:
+    """Run several searches of one misfit from several seeds, none of them polished.
+
+    All work on the tests thinned to a few hundred samples each, so that they can be compared in seconds.
+
+    Args:
+        misfit: what is searched.
+        asked: which, how many, and where they are kept.
+        first_seed: of each search; the others follow.
+    """
+    thin = misfit.over(misfit.batch.thinned(SAMPLES))
+    stamp = digest(b"".join(np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(thin)))
+    found = []
+    for search in asked.searches:
+        runs = []
+        for seed in range(first_seed, first_seed + asked.seeds):
+            name = digest(f"{stamp} {misfit.form!r} {search!r} {seed}".encode())
+            runs.append(_kept(asked.folder and asked.folder / f"{name}.json", thin, search, seed))
+        found.append(Trail(search.name, tuple(runs)))
+    return tuple(found)
+
+
+def _kept(path: Path | None, misfit: Misfit, search: Search, seed: int) -> Run:
+    """Return a run from disk, where it is whole, or else run it and keep it."""
+    if path is not None and path.is_file():
+        try:
+            return _ADAPTER.validate_python(json.loads(path.read_bytes()))
+        except (ValueError, ValidationError, OSError):
+            pass
+    run = _run(misfit, search, seed)
+    if path is not None:
+        content = canonical_json(asdict(run))
+
+        def write(beside: Path) -> None:
+            beside.write_bytes(content)
+
+        write_file(path, write, force=True)
+    return run
+
+
+def _run(misfit: Misfit, search: Search, seed: int) -> Run:
+    try:
+        found: Found = search.minimise(misfit.problem()[0], seed)
+    except FitError as error:
+        return Run((), (), 0, 0, str(error))
+    return Run(
+        fitness=tuple(float(each) if np.isfinite(each) else None for each in found.fitness_trace),
+        values=tuple(tuple(map(float, misfit.values(each))) for each in found.best_trace),
+        evaluations=found.evaluations,
+        failures=found.failures,
+        reason=found.reason,
+    )
+
+
+_ADAPTER = TypeAdapter(Run)

@@ -1,0 +1,40 @@
+"""Channels that might as well be the true one, and how far apart their free runs are."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hitchid.benchmark import Batch
+from hitchid.model.channel import Channel
+from hitchid.uncertainty import Alternative
+
+
+def possible(channel: Channel, alternative: Alternative) -> Channel:
+    """Return a channel with the benchmark of an alternative, and in free run with its network alone."""
+    row = jnp.asarray(alternative.benchmark)
+    found = eqx.tree_at(lambda each: each.benchmark, channel, channel.benchmark.of_row(row))
+    if alternative.member is None or channel.speed_compensator is None:
+        return found
+    networks = channel.speed_compensator.networks
+    # As many as before, all alike: their mean is the one, and no program is compiled anew.
+    alone = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf[alternative.member], leaf.shape), networks)
+    return eqx.tree_at(lambda each: each.speed_compensator.networks, found, alone)
+
+
+def spread(
+    channel: Channel, alternatives: Sequence[Alternative], batch: Batch
+) -> tuple[Float[Array, "t n"], Float[np.ndarray, "a t n"]]:
+    """Return a channel's free run, and by how much those of its alternatives differ, times their weights.
+
+    Args:
+        channel: of the model.
+        alternatives: what might as well be true.
+        batch: tests.
+    """
+    simulated = channel.simulate(batch)
+    apart = [each.weight * (possible(channel, each).simulate(batch) - simulated) for each in alternatives]
+    return simulated, np.stack([np.asarray(rows) for rows in apart])

@@ -1,0 +1,46 @@
+"""Everything that is known of how far one channel can be trusted, as one frozen record."""
+
+from dataclasses import asdict, dataclass
+
+from pydantic import TypeAdapter
+
+from hitchid.fitting import Trail
+from hitchid.uncertainty.bands import Bands
+from hitchid.uncertainty.estimate import Estimates
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """How far one channel can be trusted.
+
+    Attributes:
+        benchmark: what is known of its parameters.
+        paper: the same of the transfer function of Sun et al. 2025, fitted to the same tests; None where it
+            was not, or where the channel is that.
+        bands: around its predictions; None where there were too few tests.
+        searches: how several searches for its parameters went, from several seeds each; empty where they
+            were not compared.
+        searched: what they searched: the form's parameters, by name.
+    """
+
+    benchmark: Estimates
+    paper: Estimates | None = None
+    bands: Bands | None = None
+    searches: tuple[Trail, ...] = ()
+    searched: tuple[str, ...] = ()
+
+    def describe(self) -> dict:
+        """Return it as JSON can hold it."""
+        return asdict(self)
+
+    @classmethod
+    def of(cls, described: dict) -> "Uncertainty":
+        """Return what was described.
+
+        Raises:
+            ValueError: the description is not one of this version.
+        """
+        return _ADAPTER.validate_python(described)
+
+
+_ADAPTER = TypeAdapter(Uncertainty)
