@@ -1,10 +1,10 @@
 """Estimates: how well tests determine parameters, and what they leave open."""
 
-from hitchid.uncertainty.assess import KNOWN as KNOWN
-from hitchid.uncertainty.assess import DeadZoneError as DeadZoneError
 from hitchid.uncertainty.assess import assess as assess
 from hitchid.uncertainty.bands import Alternative as Alternative
 from hitchid.uncertainty.bands import Bands as Bands
+from hitchid.uncertainty.dead_zone_error import KNOWN as KNOWN
+from hitchid.uncertainty.dead_zone_error import DeadZoneError as DeadZoneError
 from hitchid.uncertainty.estimate import Estimate as Estimate
 from hitchid.uncertainty.estimate import Estimates as Estimates
 from hitchid.uncertainty.estimate import Interval as Interval

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hitchid.fitting import Misfit
+from hitchid.uncertainty.dead_zone_error import KNOWN, DeadZoneError
 from hitchid.uncertainty.derived import derived, sensitivities
 from hitchid.uncertainty.estimate import NARROW, Estimate, Estimates, Interval
 from hitchid.uncertainty.moves import Moves, moves
@@ -14,22 +15,8 @@ from hitchid.uncertainty.words import verdict
 
 AT_BOUND = 1e-3
 HALF = 0.5
+TIGHT, LITTLE = 1.4, 0.2
 TAILS = (2.5, 97.5)
-
-
-class DeadZoneError(NamedTuple):
-    """How well the dead zone is known that parameters were found behind.
-
-    Attributes:
-        size: standard error, in the command's unit; 0 where it is given.
-        tests: ramps or tests it was found from.
-    """
-
-    size: float = 0.0
-    tests: int = 0
-
-
-KNOWN = DeadZoneError()
 
 
 class _Ends(NamedTuple):
@@ -67,10 +54,8 @@ def assess(
     """
     free = (position > AT_BOUND) & (position < 1 - AT_BOUND)
     position = np.where(free, position, np.round(position))
-    moved = moves(
-        misfit, position, free, dead_zone_error=dead_zone.size, dead_zones=dead_zone.tests, seed=seed
-    )
-    ends = [_ends(misfit, position, moved, number, free) for number in range(position.size)]
+    moved = moves(misfit, position, free, dead_zone, seed=seed)
+    ends = [_ends(misfit, position, moved, number, free, dead_zone) for number in range(position.size)]
     profiles = [each.profile for each in ends if each.profile]
     intervals = [
         _opened(_interval(misfit, number, each), misfit, profiles, number) for number, each in enumerate(ends)
@@ -138,16 +123,23 @@ def assess(
     return known, moved
 
 
-def _ends(misfit: Misfit, position: np.ndarray, moved: Moves, number: int, free: np.ndarray) -> _Ends:
+def _ends(
+    misfit: Misfit,
+    position: np.ndarray,
+    moved: Moves,
+    number: int,
+    free: np.ndarray,
+    dead_zone: DeadZoneError,
+) -> _Ends:
     """Return the interval of Gauss and Newton, or the profile's where that is wide or meets a bound."""
     along = np.eye(position.size)[number]
     if free[number]:
         reach = moved.reach(along, float(moved.degrees[number]))
         ends = _Ends(float(position[number] - reach), float(position[number] + reach))
         inside = ends.lower is not None and ends.lower > 0 and ends.upper is not None and ends.upper < 1
-        if inside and _narrow(misfit, number, _interval(misfit, number, ends)):
+        if inside and _narrow(misfit, number, _interval(misfit, number, ends), TIGHT, LITTLE):
             return ends
-    found = profile(misfit, position, number)
+    found = profile(misfit, position, number, dead_zone)
     return _Ends(found.lower, found.upper, found)
 
 
@@ -173,13 +165,16 @@ def _value(misfit: Misfit, number: int, place: float | None) -> float | None:
     return float(misfit.values(np.full(len(misfit.form.parameters), place))[number])
 
 
-def _narrow(misfit: Misfit, number: int, interval: Interval) -> bool:
+def _narrow(
+    misfit: Misfit, number: int, interval: Interval, factor: float = NARROW, share: float = HALF
+) -> bool:
+    """Tell whether an interval is within a factor, or around zero within a share of the room."""
     lower, upper = interval
     if lower is None or upper is None:
         return False
     if bool(misfit.linear[number]):
-        return upper - lower <= HALF * float(misfit.upper[number] - misfit.lower[number])
-    return upper <= NARROW * lower
+        return upper - lower <= share * float(misfit.upper[number] - misfit.lower[number])
+    return upper <= factor * lower
 
 
 def _correlation(moved: Moves) -> tuple[tuple[float, ...], ...]:

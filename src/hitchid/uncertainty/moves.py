@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy import stats
 
 from hitchid.fitting import Misfit
+from hitchid.uncertainty.dead_zone_error import DeadZoneError, degrees_together, student
 from hitchid.uncertainty.scores import LEAST, Scores
 
 DRAWS = 999
@@ -39,16 +39,15 @@ class Moves(NamedTuple):
 
     def reach(self, along: np.ndarray, degrees: float) -> float:
         """Return half the width of the 95 % interval of a combination of parameters."""
-        return float(stats.t.ppf(0.975, degrees)) * self.error(along)
+        return student(degrees) * self.error(along)
 
 
 def moves(
     misfit: Misfit,
     position: np.ndarray,
     free: np.ndarray,
+    dead_zone: DeadZoneError,
     *,
-    dead_zone_error: float,
-    dead_zones: int,
     seed: int,
 ) -> Moves:
     """Find how far the estimates would move with other tests.
@@ -57,8 +56,7 @@ def moves(
         misfit: the tests.
         position: the estimates, shape [D].
         free: which of them do not lie at a bound, shape [D].
-        dead_zone_error: standard error of the dead zone that was taken as known.
-        dead_zones: how many ramps or tests it was found from.
+        dead_zone: how well it is known.
         seed: draws tests anew.
     """
     scores = _both(misfit, position, free)
@@ -67,19 +65,19 @@ def moves(
     rng = np.random.default_rng(seed)
     drawn = rng.multinomial(tests, np.full(tests, 1 / tests), DRAWS)
     by_dead_zone = np.zeros(int(free.sum()))
-    if dead_zone_error > 0:
-        other = misfit.over(misfit.batch.behind(misfit.batch.dead_zone + dead_zone_error))
-        by_dead_zone = _solved(scores, np.ones((1, tests)), away_from=_both(other, position, free))[0]
-    variance, of_zone = np.sum(by_test**2, axis=0), by_dead_zone**2
-    doubt = variance**2 / scores[0].degrees() + of_zone**2 / max(dead_zones - 1, 1)
-    degrees = (variance + of_zone) ** 2 / np.maximum(doubt, np.finfo(float).tiny)
+    if dead_zone.size > 0:
+        other = _both(dead_zone.beside(misfit), position, free)
+        by_dead_zone = _solved(scores, np.ones((1, tests)), away_from=other)[0]
+    variances = np.stack([np.sum(by_test**2, axis=0), by_dead_zone**2])
+    own = scores[0].degrees()
+    degrees = degrees_together(variances, np.stack([own, np.full_like(own, dead_zone.degrees)]))
 
     def spread(rows: np.ndarray) -> np.ndarray:
         whole = np.zeros((*rows.shape[:-1], position.size))
         whole[..., free] = rows
         return whole
 
-    other_ramps = rng.standard_t(max(dead_zones - 1, 1), (DRAWS, 1))
+    other_ramps = rng.standard_t(dead_zone.degrees, (DRAWS, 1))
     return Moves(
         spread(by_test),
         spread(by_dead_zone),

@@ -6,16 +6,15 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from scipy import stats
 
 from hitchid.fitting import Misfit, polish_some
+from hitchid.uncertainty.dead_zone_error import KNOWN, DeadZoneError, degrees_together, student
 from hitchid.uncertainty.scores import Scores
 
 FIRST = 0.02
 HALVINGS = 5
 STEPS = 12
 STEP, GOES = 1e-4, 0.1
-CONFIDENCE = 0.95
 
 
 class Profile(NamedTuple):
@@ -59,7 +58,7 @@ class Profile(NamedTuple):
         return falls, rises
 
 
-def profile(misfit: Misfit, position: np.ndarray, number: int) -> Profile:
+def profile(misfit: Misfit, position: np.ndarray, number: int, dead_zone: DeadZoneError = KNOWN) -> Profile:
     """Find what values of one parameter the tests do not contradict.
 
     A value is contradicted where, all others fitted, the tests agree that another would be better: where the
@@ -71,6 +70,7 @@ def profile(misfit: Misfit, position: np.ndarray, number: int) -> Profile:
         misfit: the tests.
         position: the best position, shape [D].
         number: which parameter.
+        dead_zone: how well it is known; its error moves all tests together.
     """
     others = [each for each in range(position.size) if each != number]
     held: list[_Held] = []
@@ -80,7 +80,7 @@ def profile(misfit: Misfit, position: np.ndarray, number: int) -> Profile:
         moved[number] = place
         if others and place != position[number]:
             moved[others] = polish_some(misfit, others, moved, STEPS).position
-        held.append(_Held.at(misfit, moved, number))
+        held.append(_Held.at(misfit, moved, number, dead_zone))
         return held[-1]
 
     def between(inside: float, outside: float, start: np.ndarray) -> float:
@@ -132,12 +132,18 @@ class _Held:
     along: np.ndarray
 
     @classmethod
-    def at(cls, misfit: Misfit, position: np.ndarray, number: int) -> "_Held":
+    def at(cls, misfit: Misfit, position: np.ndarray, number: int, dead_zone: DeadZoneError) -> "_Held":
         scores = Scores.of(misfit, position)
         along = scores.along(number)
         slopes = scores.slopes @ along
-        spread = float(slopes.std(ddof=1)) * np.sqrt(slopes.size)
-        limit = float(stats.t.ppf(0.5 + CONFIDENCE / 2, slopes.size - 1))
+        shift = 0.0
+        if dead_zone.size > 0:
+            beside = Scores.of(dead_zone.beside(misfit), position).slopes @ along
+            shift = float(beside.sum() - slopes.sum())
+        variances = np.array([slopes.size * slopes.var(ddof=1), shift**2])
+        left = max(slopes.size - position.size, 1)
+        limit = student(float(degrees_together(variances, np.array([left, dead_zone.degrees]))))
+        spread = float(np.sqrt(variances.sum()))
         excess = abs(float(slopes.sum())) / (limit * spread) if spread > 0 else 0.0
         return cls(position, float(misfit(jnp.asarray(position)[None])[0]), excess, along)
 

@@ -1,0 +1,50 @@
+"""The error of a dead zone that was found beforehand, and what it does to what is found behind it."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from hitchid.fitting import Misfit
+
+CONFIDENCE = 0.95
+
+
+class DeadZoneError(NamedTuple):
+    """How well the dead zone is known that parameters were found behind.
+
+    Attributes:
+        size: standard error, in the command's unit; 0 where it is given.
+        tests: ramps or tests it was found from.
+    """
+
+    size: float = 0.0
+    tests: int = 0
+
+    def beside(self, misfit: Misfit) -> Misfit:
+        """Return the misfit with the dead zone one standard error farther."""
+        return misfit.over(misfit.batch.behind(misfit.batch.dead_zone + self.size))
+
+    @property
+    def degrees(self) -> int:
+        """Degrees of freedom of the standard error."""
+        return max(self.tests - 1, 1)
+
+
+KNOWN = DeadZoneError()
+
+
+def degrees_together(variances: np.ndarray, degrees: np.ndarray) -> np.ndarray:
+    """Return the degrees of freedom of sums of variances, (Σ v)²/Σ v²/ν (Welch 1947, Biometrika 34, 28).
+
+    Args:
+        variances: shape [V, ...].
+        degrees: of each, of a shape that goes with it.
+    """
+    doubt = np.sum(variances**2 / degrees, axis=0)
+    return np.maximum(np.sum(variances, axis=0) ** 2 / np.maximum(doubt, np.finfo(float).tiny), 1.0)
+
+
+def student(degrees: np.ndarray | float) -> float:
+    """Return how many standard errors lie on either side of 95 % of Student's t."""
+    return float(stats.t.ppf(0.5 + CONFIDENCE / 2, degrees))
