@@ -60,13 +60,12 @@ def calibrate(channel: Channel, phase1: Phase1, everything: Batch, validation: B
 
 
 def _alternatives(channel: Channel, phase1: Phase1) -> list[Alternative]:
-    """Return what the next test might be like: along each principal axis, and by each network alone.
+    """Return what might as well be true: a standard error along each principal axis, each network alone.
 
-    If tests differ by parameters of their own, the next one's lie away from the estimate by T + 1 times the
-    estimate's covariance. No axis goes farther than a quarter of the room between bounds, or beyond these.
+    No axis goes farther than a quarter of the room between bounds, or beyond these.
     """
     moved, position = phase1.moved, phase1.fit.position
-    sizes, axes = np.linalg.eigh((len(moved.by_test) + 1) * moved.covariance)
+    sizes, axes = np.linalg.eigh(moved.covariance)
     alternatives = []
     for size, axis in zip(np.sqrt(np.maximum(sizes, 0.0)), axes.T, strict=True):
         step = size * axis

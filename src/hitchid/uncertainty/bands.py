@@ -62,6 +62,16 @@ class Bands:
         """
         return float(np.interp(self._within(coverage), self.levels, self.free_run))
 
+    def free_run_half_width(self, coverage: float, spread: np.ndarray) -> np.ndarray:
+        """Return half widths in free run, in the displacement's unit.
+
+        Args:
+            coverage: share of samples.
+            spread: √(Σ w² (y_a − y)²) at each sample.
+        """
+        floor = float(stats.norm.ppf(0.5 + coverage / 2)) * self.noise
+        return np.hypot(floor, self.multiplier(coverage) * spread)
+
     def half_width(self, coverage: float, horizon: int) -> float:
         """Return the half width so many samples ahead, interpolated between horizons and levels.
 

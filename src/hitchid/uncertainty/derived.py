@@ -49,7 +49,9 @@ def derived(
     quantities = []
     for name, (value, unit) in best.items():
         along = [(_log(ahead[name][0]) - _log(behind[name][0])) / (2 * STEP) for ahead, behind in around]
-        reach = moved.reach(np.array(along), max(len(moved.by_test) - position.size, 1))
+        reach = moved.reach(
+            np.array(along), float(np.min(moved.degrees[moved.degrees > 1], initial=len(moved.by_test) - 1))
+        )
         found = [_log(value) - reach, _log(value) + reach, *(_log(each[name][0]) for each in allowed)]
         falls, rises = beyond(profiles, lambda place, name=name: _log(at(place)[name][0]))
         lower = None if falls else exp(min(found))

@@ -58,27 +58,33 @@ class Scores(NamedTuple):
     def influence(self) -> Float[np.ndarray, "t d"]:
         """Return by how much each test moves the estimate, shape [T, D]: their squares sum to its variance.
 
-        δₜ = −H⁻¹ (I − Hₜ H⁻¹)^(−½) gₜ: the power makes up for what a test has pulled the estimate its own way
-        (Bell & McCaffrey 2002, Survey Methodology 28, 169, CR2). Residuals of one test may be correlated in
-        any way; tests are independent of each other.
+        δₜ = −H⁻¹ Fₜ gₜ with Fₜ = (I − Hₜ H⁻¹)^(−½): the power makes up for what a test has pulled the
+        estimate its own way (Bell & McCaffrey 2002, Survey Methodology 28, 169, CR2). Residuals of one test
+        may be correlated in any way; tests are independent of each other.
         """
-        inverse = np.linalg.pinv(self.curvature, hermitian=True)
-        one = np.eye(len(inverse))
-        freed = [
-            _power(one - own @ inverse) @ slope
-            for own, slope in zip(self.curvatures, self.slopes, strict=True)
-        ]
-        return -np.stack(freed) @ inverse
+        inverse, freed = self._freed()
+        return -np.einsum("tij,tj->ti", freed, self.slopes) @ inverse
 
     def degrees(self) -> Float[np.ndarray, " d"]:
         """Return the degrees of freedom of each parameter's standard error, shape [D], at least one.
 
-        (Σ hₜ)²/Σ hₜ² − D with hₜ = (H⁻¹ Hₜ H⁻¹)ᵢᵢ: tests count by their share of what is known.
+        (tr Ω)²/‖Ω‖² with Ωₜₛ = |pₜ|² [t = s] − qₜᵀ H⁻¹ qₛ, qₜ = Fₜ Hₜ H⁻¹ c, |pₜ|² = cᵀ H⁻¹ Fₜ qₜ, c the
+        parameter: tests count by their share of what is known (Bell & McCaffrey 2002, with white errors).
         """
+        inverse, freed = self._freed()
+        pulled = np.einsum("tij,tjk,kd->tid", freed, self.curvatures, inverse)
+        sizes = np.einsum("di,tij,tjd->td", inverse, freed, pulled)
+        together = np.einsum("tid,ij,sjd->dts", pulled, inverse, pulled)
+        own = np.einsum("td,ts->dts", np.maximum(sizes, 0.0), np.eye(len(sizes)))
+        spread = own - together
+        trace = np.einsum("dtt->d", spread)
+        return np.maximum(trace**2 / np.maximum(np.sum(spread**2, axis=(1, 2)), 1e-300), 1.0)
+
+    def _freed(self) -> tuple[Float[np.ndarray, "d d"], Float[np.ndarray, "t d d"]]:
+        """Return H⁻¹ and each test's Fₜ."""
         inverse = np.linalg.pinv(self.curvature, hermitian=True)
-        shares = np.einsum("ij,tjk,ki->ti", inverse, self.curvatures, inverse)
-        counting = shares.sum(axis=0) ** 2 / np.maximum(np.sum(shares**2, axis=0), 1e-300)
-        return np.maximum(counting - len(inverse), 1.0)
+        one = np.eye(len(inverse))
+        return inverse, np.stack([_power(one - own @ inverse) for own in self.curvatures])
 
 
 def _rows(test: np.ndarray, dimensions: int) -> np.ndarray:

@@ -1,7 +1,10 @@
 """The tables of a validation, for Markdown and for the terminal."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
+
+from hitchid.validation.table import Table, digits
+from hitchid.validation.trust_tables import trust_tables
 
 NAMES = {
     "persistence": "persistence",
@@ -16,14 +19,6 @@ NAMES = {
 RUNS = {"one_step": "one step", "free_run": "free run"}
 
 
-class Table(NamedTuple):
-    """One table: a title, a header, and rows of text, the first column being names."""
-
-    title: str
-    header: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-
-
 def tables(metrics: Mapping[str, Any]) -> list[Table]:
     """Return for each direction accuracy, horizons and single tests, and the cycles at the end."""
     unit = metrics["unit"]
@@ -33,6 +28,7 @@ def tables(metrics: Mapping[str, Any]) -> list[Table]:
             _accuracy(mode, channel, unit),
             _horizons(mode, channel, unit),
             _single_tests(mode, channel["per_test"], unit),
+            *trust_tables(mode, channel, unit),
         ]
     if metrics["cycles"]["tests"]:
         found += _cycles(metrics["cycles"], unit)
@@ -54,11 +50,6 @@ def markdown(content: Sequence[Table], notices: Sequence[str], *, title: str = "
             "",
         ]
     return "\n".join(lines)
-
-
-def digits(value: float | None) -> str:
-    """Return a number with four significant digits; what is not finite reads 'diverged'."""
-    return "diverged" if value is None else f"{value:.4g}"
 
 
 def _line(cells: Sequence[str]) -> str:

@@ -18,8 +18,10 @@ from hitchid.model import Channel, Hitch, unpadded
 from hitchid.precision import double_precision
 from hitchid.record import CYCLE, DISPLACEMENT, Record
 from hitchid.storage import canonical_json, write_folder
+from hitchid.uncertainty import Uncertainty
 from hitchid.units import conversion_factor
 from hitchid.validation.tables import NAMES, RUNS, markdown, tables
+from hitchid.validation.uncertainty import band_figures, residual_figures, trust_figures
 
 ORIGINS = 5
 METRICS_FILE = "metrics.json"
@@ -92,7 +94,7 @@ def validate(model: Hitch, campaign: Campaign, *, progress: Progress | None = No
             notices.append(f"{len(tests)} {mode} tests are left out: the model has no {mode} channel")
         elif tests:
             own = [model.adopt(record) for record in tests]
-            channels[mode] = _channel_metrics(model.channels[mode], own, factor)
+            channels[mode] = _channel_metrics(model.channels[mode], own, factor, model.uncertainty.get(mode))
             notices += _channel_notices(mode, channels[mode])
             heard = model.channels[mode].benchmark.load
             notices += _outside_notices(mode, model.channels[mode], own)
@@ -118,7 +120,9 @@ def _seen(model: Hitch, record: Record) -> bool:
     return record.fingerprint in model.provenance.seen
 
 
-def _channel_metrics(channel: Channel, tests: Sequence[Record], factor: float) -> dict:
+def _channel_metrics(
+    channel: Channel, tests: Sequence[Record], factor: float, known: Uncertainty | None
+) -> dict:
     batch = channel.batch(tests)
     actual = [factor * record.displacement for record in tests]
 
@@ -147,6 +151,10 @@ def _channel_metrics(channel: Channel, tests: Sequence[Record], factor: float) -
         "greybox": list(np.asarray(channel.predict(batch, tuple(steps)))),
         **{name: rival.ahead or re_anchored(rival.free_run) for name, rival in rivals.items()},
     }
+    trusted = {} if known is None else trust_figures(known)
+    if known is not None and known.bands is not None:
+        ahead = np.stack(predicted["greybox"])
+        trusted["bands"] = band_figures(channel, known.bands, batch, ahead, steps, factor)
     return {
         "tests": [record.name for record in tests],
         "benchmark": {"free_run": figures(benchmark)},
@@ -172,6 +180,11 @@ def _channel_metrics(channel: Channel, tests: Sequence[Record], factor: float) -
             }
             for record, a, f in zip(tests, actual, unpadded(free, tests), strict=True)
         },
+        "residuals": {
+            run: asdict(residual_figures(channel, batch, rows, factor))
+            for run, rows in (("one_step", predicted["greybox"][0]), ("free_run", free))
+        },
+        **trusted,
     }
 
 

@@ -1,0 +1,139 @@
+"""How far a model can be trusted, as figures: parameters, residuals, bands, searches."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hitchid.benchmark import Batch
+from hitchid.fitting import Trail
+from hitchid.model import Channel
+from hitchid.model.possible import spread
+from hitchid.residuals import ResidualTests, residual_tests
+from hitchid.uncertainty import Bands, Estimates, Uncertainty
+
+COVERAGE = 0.9
+
+
+def trust_figures(known: Uncertainty) -> dict:
+    """Return what identification found of parameters and searches, as JSON can hold it."""
+    found = {"parameters": parameter_figures(known.benchmark)}
+    if known.paper is not None:
+        found["paper_parameters"] = parameter_figures(known.paper)
+    if known.searches:
+        found["searches"] = {trail.name: _search(trail) for trail in known.searches}
+    return found
+
+
+def parameter_figures(known: Estimates) -> dict:
+    """Return estimates, what follows from them, and their correlation, as JSON can hold them."""
+    return {
+        "tests": known.tests,
+        "independent": known.rows,
+        "estimates": {
+            each.name: {
+                "symbol": each.symbol,
+                "unit": each.unit,
+                "value": each.value,
+                "standard_error": each.error,
+                "interval_95": list(each.interval),
+                "method": each.method,
+                "bootstrap_95": None if each.bootstrap is None else list(each.bootstrap),
+                "determined": each.determined,
+                "verdict": each.verdict,
+                "sensitivity": each.sensitivity,
+                "bounds": [each.lower, each.upper],
+                "profile": [list(pair) for pair in each.profile],
+            }
+            for each in known.parameters
+        },
+        "derived": {
+            each.name: {
+                "unit": each.unit,
+                "value": each.value,
+                "interval_95": list(each.interval),
+                "determined": each.determined,
+            }
+            for each in known.derived
+        },
+        "correlation": [list(row) for row in known.correlation],
+    }
+
+
+def _search(trail: Trail) -> dict:
+    """Return how one search went from its seeds: ends, effort, and the run in the middle, step by step."""
+    middle = trail.runs[int(np.argsort(trail.ends)[len(trail.runs) // 2])]
+    return {
+        "seeds": len(trail.runs),
+        "rmse": [run.last for run in trail.runs],
+        "evaluations": [run.evaluations for run in trail.runs],
+        "failures": [run.failures for run in trail.runs],
+        "median_run": {"rmse": list(middle.fitness), "values": [list(row) for row in middle.values]},
+    }
+
+
+def residual_figures(channel: Channel, batch: Batch, predicted: np.ndarray, factor: float) -> ResidualTests:
+    """Test the errors of predictions for what a model ought to have explained.
+
+    Args:
+        channel: of the model.
+        batch: tests.
+        predicted: displacement, shape [T, N].
+        factor: from the model's unit of displacement to that of the figures.
+    """
+    counted = np.asarray(batch.counted)
+    simulated = np.asarray(channel.simulate(batch))
+    speed = np.gradient(simulated, batch.step_s, axis=1)
+
+    def rows(values: np.ndarray) -> list[np.ndarray]:
+        return [row[here] for row, here in zip(np.asarray(values), counted, strict=True)]
+
+    return residual_tests(
+        rows(factor * (np.asarray(batch.displacement) - predicted)),
+        rows(np.asarray(batch.command)),
+        rows(factor * simulated),
+        rows(factor * speed),
+        step_s=batch.step_s,
+    )
+
+
+def band_figures(
+    channel: Channel, bands: Bands, batch: Batch, ahead: np.ndarray, steps: Sequence[int], factor: float
+) -> dict:
+    """Return what share of unseen samples bands cover, each test weighing the same, and how wide they are.
+
+    Args:
+        channel, bands: of the model.
+        batch: tests.
+        ahead: predictions over horizons, shape [H, T, N].
+        steps: the horizons.
+        factor: from the model's unit of displacement to that of the figures.
+    """
+    counted, measured = np.asarray(batch.counted), np.asarray(batch.displacement)
+    simulated, apart = spread(channel, bands.alternatives, batch)
+    half = bands.free_run_half_width(COVERAGE, np.sqrt(np.sum(apart**2, axis=0)))
+    late = [counted & (np.arange(counted.shape[1]) >= step) for step in steps]
+    widths = [bands.half_width(COVERAGE, step) for step in steps]
+    return {
+        "coverage": COVERAGE,
+        "calibrated_on": {"free_run": bands.tests[0], "horizons": bands.tests[1]},
+        "sensor_noise": factor * bands.noise,
+        "free_run": {
+            "covered": _covered(np.abs(measured - np.asarray(simulated)) <= half, counted),
+            "width": factor * float(np.mean(2 * half[counted])),
+        },
+        "horizons": {
+            "steps": list(steps),
+            "covered": [
+                _covered(np.abs(measured - rows) <= width, here)
+                for rows, width, here in zip(ahead, widths, late, strict=True)
+            ],
+            "width": [2 * factor * width for width in widths],
+        },
+    }
+
+
+def _covered(inside: np.ndarray, counted: np.ndarray) -> float:
+    """Return the mean over tests of the share of samples inside."""
+    counts = counted.sum(axis=1)
+    shares = (inside & counted).sum(axis=1)[counts > 0] / counts[counts > 0]
+    return float(np.mean(shares))
