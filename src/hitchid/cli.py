@@ -3,7 +3,7 @@
 import json
 import os
 import sys
-from dataclasses import replace
+from dataclasses import asdict, replace
 from enum import Enum
 from io import TextIOWrapper
 from pathlib import Path
@@ -43,6 +43,13 @@ class Direction(Enum):
     LIFTING = "lifting"
     LOWERING = "lowering"
     BOTH = "both"
+
+
+class OneDirection(Enum):
+    """Which direction a test excites."""
+
+    LIFTING = "lifting"
+    LOWERING = "lowering"
 
 
 class LogFormat(Enum):
@@ -165,7 +172,7 @@ def validate(
         display.show_validation(result)
 
 
-@app.command(epilog="Example: hitchid simulate model test.csv --out simulated.csv")
+@app.command(epilog="Example: hitchid simulate model test.csv --out simulated.csv --bands")
 def simulate(
     model: Annotated[Path, typer.Argument(help="Model folder.", show_default=False)],
     log: Annotated[Path, typer.Argument(help="One log.", show_default=False)],
@@ -174,6 +181,13 @@ def simulate(
         str,
         typer.Option("--horizon", help="'free' for commands alone, or a number of samples to look ahead."),
     ] = "free",
+    bands: Annotated[
+        bool, typer.Option("--bands", help="Write the ends of a band around the prediction too.")
+    ] = False,
+    coverage: Annotated[
+        float,
+        typer.Option("--coverage", min=50, max=95, help="Percent of the samples the band shall hold."),
+    ] = 90,
     signals: Signals = None,
     force: Force = False,
 ) -> None:
@@ -187,7 +201,67 @@ def simulate(
     from hitchid.model import load
     from hitchid.simulation import simulate_log
 
-    display.say("notice", simulate_log(load(model), log, out, horizon=steps, signals=signals, force=force))
+    outside = simulate_log(
+        load(model),
+        log,
+        out,
+        horizon=steps,
+        coverage=coverage / 100 if bands else None,
+        signals=signals,
+        force=force,
+    )
+    display.say("notice", outside)
+
+
+@app.command(epilog="Example: hitchid design model --direction lifting --out next-test.csv")
+def design(
+    model: Annotated[Path, typer.Argument(help="Model folder.", show_default=False)],
+    direction: Annotated[
+        OneDirection | None,
+        typer.Option("--direction", help="Direction to test [the one with the least determined parameter]."),
+    ] = None,
+    parameter: Annotated[
+        str | None,
+        typer.Option("--parameter", help="Parameter to narrow, such as time_constant [least determined]."),
+    ] = None,
+    highest: Annotated[
+        float | None,
+        typer.Option("--highest", help="Largest command, in the model's unit [that of the tests]."),
+    ] = None,
+    travel: Annotated[
+        float | None,
+        typer.Option("--travel", min=0, help="Farthest way, in the model's unit [that of the tests]."),
+    ] = None,
+    longest: Annotated[
+        float | None, typer.Option("--longest", min=0, help="Longest duration, s [twice the tests'].")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="CSV file to write the best test's command to.")
+    ] = None,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the candidates.")] = 0,
+    force: Force = False,
+    as_json: AsJson = False,
+) -> None:
+    """Propose the next test: the one that narrows the least determined parameter most."""
+    from hitchid import display
+    from hitchid.storage import check_file
+
+    if out is not None:
+        check_file(out, force=force)
+    _prepare_jax()
+    from hitchid.design import Limits, write_command
+    from hitchid.design import design as run
+    from hitchid.model import load
+
+    hitch = load(model)
+    mode = None if direction is None else direction.value
+    advice = run(hitch, mode, parameter=parameter, limits=Limits(highest, travel, longest), seed=seed)
+    if out is not None:
+        write_command(hitch, advice, out, force=force)
+    if as_json:
+        typer.echo(json.dumps(asdict(advice), indent=1))
+    else:
+        display.show_advice(advice, hitch)
 
 
 @app.command(epilog="Example: recorder | hitchid run model | controller")

@@ -12,8 +12,10 @@ from rich.table import Table as RichTable
 from hitchid.segments import LABELS
 
 if TYPE_CHECKING:
+    from hitchid.design import Advice
     from hitchid.identification import Identification
     from hitchid.inspection import Inspection
+    from hitchid.model import Hitch
     from hitchid.study import Study
     from hitchid.validation import Table, Validation
 
@@ -122,6 +124,38 @@ def show_identification(found: "Identification") -> None:
         rmse = f"RMSE {trace.phase1.rmse:.4g} {displacement}"
         _out().print(f"benchmark, free run over the identification tests: {rmse}")
         say(f"{mode}, notice", trace.notices)
+
+
+def show_advice(advice: "Advice", model: "Hitch") -> None:
+    """Print the tests proposed, and what each is expected to leave of the standard error."""
+    command, displacement = model.units[f"{advice.mode}_command"], model.units["displacement"]
+    zone = model.channels[advice.mode].dead_zone
+    name = advice.parameter.replace("_", " ")
+    table = _table(
+        f"{advice.mode}: next test",
+        f"low / {command}",
+        f"high / {command}",
+        "clock / s",
+        "duration / s",
+        f"travel / {displacement}",
+        f"error of {name} / %",
+    )
+    table.add_row("another like those", "", "", "", "", "", f"{100 * advice.usual[advice.parameter]:.0f}")
+    for number, each in enumerate(advice.proposals, start=1):
+        table.add_row(
+            f"binary, {number}",
+            f"{each.low + zone * (each.low > 0):.4g}",
+            f"{each.high + zone:.4g}",
+            f"{each.clock_s:.3g}",
+            f"{each.duration_s:.4g}",
+            f"{each.travel:.4g}",
+            f"{100 * each.left[advice.parameter]:.0f}",
+        )
+    _out().print(table)
+    if advice.ramps:
+        say(
+            "notice", [f"{name} waits for the dead zone: three more ramps would narrow it more than any test"]
+        )
 
 
 def show_study(study: "Study") -> None:

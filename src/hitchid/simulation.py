@@ -17,6 +17,7 @@ def simulate_log(
     out: Path,
     *,
     horizon: int | None = None,
+    coverage: float | None = None,
     signals: Path | None = None,
     force: bool = False,
 ) -> tuple[str, ...]:
@@ -29,6 +30,7 @@ def simulate_log(
         log: one log of any known format.
         out: CSV file to write.
         horizon: samples to look ahead, None for free run.
+        coverage: share of samples that a band around the prediction shall hold; None for no band.
         signals: a file like `campaign.toml`.
         force: replace a file that is there.
 
@@ -45,26 +47,34 @@ def simulate_log(
     column = header.index(signal_map.time.column)
     factor = conversion_factor(signal_map.time.unit, "s", "time")
     time_s = factor * np.array([float(row[column]) for row in rows])
-    predicted, beyond = np.full(time_s.size, np.nan), []
+    kinds = ("predicted",) if coverage is None else ("predicted", "lower", "upper")
+    columns, beyond = np.full((len(kinds), time_s.size), np.nan), []
     for record in campaign.records:
-        values = model.simulate(record) if horizon is None else model.predict(record, horizon=horizon)
+        values = [model.simulate(record) if horizon is None else model.predict(record, horizon=horizon)]
+        if coverage is not None:
+            values += model.band(record, coverage=coverage, horizon=horizon)
         beyond += [] if horizon is not None else model.extrapolation(record)
         edge = record.step_s / 2
         inside = (time_s > record.time_s[0] - edge) & (time_s < record.time_s[-1] + edge)
-        predicted[inside] = np.interp(time_s[inside], record.time_s, values)
-    cells = ["" if np.isnan(value) else f"{value:.9g}" for value in predicted.tolist()]
-    name = predicted_name(signal_map.displacement.column)
+        columns[:, inside] = [np.interp(time_s[inside], record.time_s, each) for each in values]
+    names = [added_name(signal_map.displacement.column, kind) for kind in kinds]
+    cells = [["" if np.isnan(value) else f"{value:.9g}" for value in row] for row in columns.T.tolist()]
     write_file(
         out,
         lambda path: write_rows(
-            path, [*header, name], [[*row, cell] for row, cell in zip(rows, cells, strict=True)]
+            path, [*header, *names], [[*row, *added] for row, added in zip(rows, cells, strict=True)]
         ),
         force=force,
     )
     return tuple(beyond)
 
 
-def predicted_name(column: str) -> str:
-    """Return the name of the predicted column: `displacement_predicted_mm`, else `<name>_predicted`."""
+def added_name(column: str, kind: str) -> str:
+    """Return the name of an added column: `displacement_predicted_mm`, else `<name>_predicted`.
+
+    Args:
+        column: of the measured displacement.
+        kind: `predicted`, or `lower` or `upper` for the ends of the band.
+    """
     stem, separator, unit = column.partition("displacement_")
-    return f"displacement_predicted_{unit}" if separator and not stem else f"{column}_predicted"
+    return f"displacement_{kind}_{unit}" if separator and not stem else f"{column}_{kind}"

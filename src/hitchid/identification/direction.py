@@ -26,7 +26,7 @@ from hitchid.identification.rollouts import Gate, train_on_rollouts
 from hitchid.identification.selection import Automatic, Candidate, choose_form
 from hitchid.model import Channel
 from hitchid.record import MODES
-from hitchid.uncertainty import Estimates, Uncertainty
+from hitchid.uncertainty import Estimates, Information, Uncertainty
 
 Progress = Callable[[str, float], None]
 
@@ -163,7 +163,9 @@ def _with_uncertainty(
     with _timed(seconds, "bands"):
         bands = calibrate(channel, trace.phase1, tests.everything, tests.validation)
     searched = tuple(parameter.name for parameter in asked.searched.parameters) if trails else ()
-    known = Uncertainty(trace.phase1.known, paper, bands, trails, searched)
+    fit = trace.phase1.fit
+    information = Information.of(fit.misfit, fit.position, trace.phase1.moved)
+    known = Uncertainty(trace.phase1.known, paper, bands, trails, searched, information)
     return replace(trace, uncertainty=known, seconds=seconds)
 
 

@@ -9,5 +9,6 @@ from hitchid.uncertainty.estimate import Estimate as Estimate
 from hitchid.uncertainty.estimate import Estimates as Estimates
 from hitchid.uncertainty.estimate import Interval as Interval
 from hitchid.uncertainty.estimate import Quantity as Quantity
+from hitchid.uncertainty.information import Information as Information
 from hitchid.uncertainty.moves import Moves as Moves
 from hitchid.uncertainty.uncertainty import Uncertainty as Uncertainty

@@ -1,6 +1,7 @@
 """What is known of the parameters of one direction: estimates, intervals, verdicts; one frozen record."""
 
 from dataclasses import dataclass, replace
+from math import inf, log
 
 import numpy as np
 
@@ -43,6 +44,14 @@ class Estimate:
     verdict: str
     sensitivity: float
     profile: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def vagueness(self) -> float:
+        """How wide the interval is: log of its ends' ratio, around zero four times its share of the room."""
+        lower, upper = self.interval
+        if lower is None or upper is None:
+            return inf
+        return 4 * (upper - lower) / (self.upper - self.lower) if self.linear else log(upper / lower)
 
     def at(self, position: np.ndarray) -> np.ndarray:
         """Return the values at positions between the bounds, 0 the lower and 1 the upper one."""

@@ -7,6 +7,7 @@ from pydantic import TypeAdapter
 from hitchid.fitting import Trail
 from hitchid.uncertainty.bands import Bands
 from hitchid.uncertainty.estimate import Estimates
+from hitchid.uncertainty.information import Information
 
 
 @dataclass(frozen=True)
@@ -21,6 +22,7 @@ class Uncertainty:
         searches: how several searches for its parameters went, from several seeds each; empty where they
             were not compared.
         searched: what they searched: the form's parameters, by name.
+        information: what the tests say of the parameters together, for the design of the next one.
     """
 
     benchmark: Estimates
@@ -28,6 +30,7 @@ class Uncertainty:
     bands: Bands | None = None
     searches: tuple[Trail, ...] = ()
     searched: tuple[str, ...] = ()
+    information: Information | None = None
 
     def describe(self) -> dict:
         """Return it as JSON can hold it."""
