@@ -11,9 +11,8 @@ either cuts the interval.
 import sys
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from coverage import DEAD_ZONE_A, PLANTS, UNITS, Plant, campaign, record_of, test
+from coverage import PLANTS, UNITS, Plant, campaign, record_of, test
 
 from hitchid.benchmark import Batch
 from hitchid.design import Limits, command_of, design
@@ -42,7 +41,13 @@ def main() -> None:
             cuts.setdefault(parameter, []).append(cut)
         for parameter, pairs in cuts.items():
             usual, advised = 100 * np.mean(pairs, axis=0)
-            cells = (name, f"{parameter}, {len(pairs)}", f"{usual:.1f}", f"{advised:.1f}", f"{advised / usual:.1f}")
+            cells = (
+                name,
+                f"{parameter}, {len(pairs)}",
+                f"{usual:.1f}",
+                f"{advised:.1f}",
+                f"{advised / usual:.1f}",
+            )
             say(f"| {' | '.join(cells)} |\n")
             sys.stdout.flush()
 

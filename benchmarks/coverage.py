@@ -82,15 +82,15 @@ PLANTS = {
 }
 
 
-def campaign(plant: Plant, rng: np.random.Generator, count: int = TESTS) -> tuple[Batch, DeadZoneError]:
-    """Return the tests of one campaign, and how well its dead zone is known."""
-    records = [_test(plant, rng, number) for number in range(count)]
+def campaign(plant: Plant, rng: np.random.Generator) -> tuple[list[Record], float, DeadZoneError]:
+    """Return the tests of one campaign, the dead zone that ramps gave, and how well it is known."""
+    records = [test(plant, rng, number) for number in range(TESTS)]
     ramps = DEAD_ZONE_A + DEAD_ZONE_SPREAD_A * rng.standard_normal(3)
-    batch = Batch.of(records, LIFTING, dead_zone=float(ramps.mean()), direction=1)
-    return batch, DeadZoneError(float(ramps.std(ddof=1) / np.sqrt(3)), 3)
+    return records, float(ramps.mean()), DeadZoneError(float(ramps.std(ddof=1) / np.sqrt(3)), 3)
 
 
-def _test(plant: Plant, rng: np.random.Generator, number: int) -> Record:
+def test(plant: Plant, rng: np.random.Generator, number: int) -> Record:
+    """Return one test of a campaign; the first goes to the highest command."""
     signal = prbs(
         low=rng.uniform(0.03, 0.2),
         high=rng.uniform(0.4, 1.0) * HIGHEST_A if number else HIGHEST_A,
@@ -98,17 +98,20 @@ def _test(plant: Plant, rng: np.random.Generator, number: int) -> Record:
         duration_s=DURATION_S,
         seed=int(rng.integers(2**31)),
     )
-    command = precompensated(signal.command, DEAD_ZONE_A)
+    return record_of(plant, precompensated(signal.command, DEAD_ZONE_A), rng, f"{number}")
+
+
+def record_of(plant: Plant, command: np.ndarray, rng: np.random.Generator, name: str) -> Record:
+    """Return what a plant answers to a command as logged, with its errors."""
     signals = {"displacement": np.zeros(command.size), "lifting_command": command}
     units = {"displacement": UNITS["x"], "lifting_command": UNITS["u"]}
-    at_rest = Record(f"{number}", STEP_S, signals, units)
-    still = Batch.of([at_rest], LIFTING, dead_zone=DEAD_ZONE_A, direction=1)
+    still = Batch.of([Record(name, STEP_S, signals, units)], LIFTING, dead_zone=DEAD_ZONE_A, direction=1)
     travel = np.asarray(plant.benchmark().travel(still))[0, : command.size]
     left = np.exp(-STEP_S / COLOURED_S)
     driven = COLOURED_MM * np.sqrt(1 - left**2) * rng.standard_normal(command.size)
     driven[0] = COLOURED_MM * rng.standard_normal()
     noise = lfilter([1.0], [1.0, -left], driven) + WHITE_MM * rng.standard_normal(command.size)
-    return Record(f"{number}", STEP_S, {**signals, "displacement": travel + noise}, units)
+    return Record(name, STEP_S, {**signals, "displacement": travel + noise}, units)
 
 
 def main() -> None:
@@ -128,9 +131,10 @@ def main() -> None:
         rng = np.random.default_rng(0)
         found = []
         for _ in range(campaigns):
-            batch, dead_zone = campaign(plant, rng)
+            records, zone, error = campaign(plant, rng)
+            batch = Batch.of(records, LIFTING, dead_zone=zone, direction=1)
             phase1 = identify_benchmark(
-                batch, plant.form, MultiStart(starts=2), 0, units=UNITS, dead_zone=dead_zone
+                batch, plant.form, MultiStart(starts=2), 0, units=UNITS, dead_zone=error
             )
             found.append({each.name: each for each in phase1.estimates})
         for parameter, truth in plant.truth.items():

@@ -190,7 +190,9 @@ def _speed_per_command(batch: Batch) -> float:
     return distance / driven
 
 
-def polish_some(misfit: Misfit, free: Sequence[int], start: np.ndarray, limit: int) -> Polished:
+def polish_some(
+    misfit: Misfit, free: Sequence[int], start: np.ndarray, limit: int, tolerance: float = TOLERANCE
+) -> Polished:
     """Descend over some of the parameters by least squares, the others staying where they start.
 
     Neighbouring samples err alike: some thousands of them tell as much as all.
@@ -200,6 +202,7 @@ def polish_some(misfit: Misfit, free: Sequence[int], start: np.ndarray, limit: i
         free: numbers of the parameters that move.
         start: a position of all parameters, shape [D].
         limit: largest number of steps.
+        tolerance: relative change of fitness or position below which to stop.
 
     Returns:
         The outcome; its position is of the free parameters alone.
@@ -218,4 +221,4 @@ def polish_some(misfit: Misfit, free: Sequence[int], start: np.ndarray, limit: i
         residuals=lambda position: whole.residuals(filled(position))[::every],
         jacobian=lambda position: whole.jacobian(filled(position))[::every, columns],
     )
-    return polish(problem, start[columns], limit=limit, tolerance=TOLERANCE)
+    return polish(problem, start[columns], limit=limit, tolerance=tolerance)

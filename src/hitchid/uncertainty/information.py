@@ -78,8 +78,8 @@ class Information:
     def widths_with(self, jacobian: Float[np.ndarray, "n d"]) -> Float[np.ndarray, " d"]:
         """Return the standard errors that one more test is expected to leave, by place between bounds.
 
-        V' = H'⁻¹ (Σ gₜ gₜᵀ + Jᵀ C J) H'⁻¹, H' = H + Jᵀ J, with C the errors' covariance as in the tests. A longer
-        test weighs no more than a shorter one in the fit; what it brings is a better mean.
+        V' = H'⁻¹ (Σ gₜ gₜᵀ + Jᵀ C J) H'⁻¹, H' = H + Jᵀ J, with C the errors' covariance as in the tests.
+        A longer test weighs no more than a shorter one in the fit; what it brings is a better mean.
 
         Args:
             jacobian: derivative of travel by the parameters' places between bounds, shape [N, D].

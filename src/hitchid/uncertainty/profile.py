@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
 from hitchid.fitting import Misfit, polish_some
@@ -13,7 +12,8 @@ from hitchid.uncertainty.scores import Scores
 
 FIRST = 0.02
 HALVINGS = 5
-STEPS = 12
+STEPS, TOLERANCE = 6, 1e-4
+FEWEST = 4
 STEP, GOES = 1e-4, 0.1
 
 
@@ -62,9 +62,11 @@ def profile(misfit: Misfit, position: np.ndarray, number: int, dead_zone: DeadZo
     """Find what values of one parameter the tests do not contradict.
 
     A value is contradicted where, all others fitted, the tests agree that another would be better: where the
-    mean over tests of the slope along the parameter lies farther from zero than Student's t has it at 95 %.
-    That holds however the errors within a test are correlated, and where the parameter goes to infinity. It
-    is the score test of Rao (1948, Math. Proc. Camb. Phil. Soc. 44, 50) with tests as what is drawn.
+    mean over tests of the slope along the parameter lies farther from zero than Student's t has it at 95 %,
+    or, for the slope levels off far away, where the tests are fitted worse than at the best position by a
+    mean that far from zero. That holds however the errors within a test are correlated, and where the
+    parameter goes to infinity. It is the score test of Rao (1948, Math. Proc. Camb. Phil. Soc. 44, 50) with
+    tests as what is drawn.
 
     Args:
         misfit: the tests.
@@ -74,13 +76,14 @@ def profile(misfit: Misfit, position: np.ndarray, number: int, dead_zone: DeadZo
     """
     others = [each for each in range(position.size) if each != number]
     held: list[_Held] = []
+    best_errors = misfit.by_test(position)
 
     def hold(place: float, start: np.ndarray) -> _Held:
         moved = start.copy()
         moved[number] = place
         if others and place != position[number]:
-            moved[others] = polish_some(misfit, others, moved, STEPS).position
-        held.append(_Held.at(misfit, moved, number, dead_zone))
+            moved[others] = polish_some(misfit, others, moved, STEPS, TOLERANCE).position
+        held.append(_Held.at(misfit, moved, number, dead_zone, best_errors))
         return held[-1]
 
     def between(inside: float, outside: float, start: np.ndarray) -> float:
@@ -132,7 +135,14 @@ class _Held:
     along: np.ndarray
 
     @classmethod
-    def at(cls, misfit: Misfit, position: np.ndarray, number: int, dead_zone: DeadZoneError) -> "_Held":
+    def at(
+        cls,
+        misfit: Misfit,
+        position: np.ndarray,
+        number: int,
+        dead_zone: DeadZoneError,
+        best_errors: np.ndarray,
+    ) -> "_Held":
         scores = Scores.of(misfit, position)
         along = scores.along(number)
         slopes = scores.slopes @ along
@@ -145,7 +155,17 @@ class _Held:
         limit = student(float(degrees_together(variances, np.array([left, dead_zone.degrees]))))
         spread = float(np.sqrt(variances.sum()))
         excess = abs(float(slopes.sum())) / (limit * spread) if spread > 0 else 0.0
-        return cls(position, float(misfit(jnp.asarray(position)[None])[0]), excess, along)
+        errors = misfit.by_test(position)
+        fitness = float(np.sqrt(np.mean(errors[errors > 0] ** 2)))
+        return cls(position, fitness, max(excess, _worse(errors - best_errors)), along)
+
+
+def _worse(differences: np.ndarray) -> float:
+    """Return the mean of differences over what it must be to lie above zero at 95 %; zero for few tests."""
+    if differences.size < FEWEST:
+        return 0.0
+    spread = float(differences.std(ddof=1)) / np.sqrt(differences.size)
+    return float(differences.mean()) / (student(differences.size - 1) * spread) if spread > 0 else 0.0
 
 
 def beyond(profiles: Iterable[Profile], told: Callable[[np.ndarray], float]) -> tuple[bool, bool]:
