@@ -133,6 +133,7 @@ def quick_settings():
 
     return {
         "structure": PAPER_FORMS,
+        "comparison": None,
         "search": MultiStart(evaluations=60),
         "training": Training(
             hidden=6, window=20, descent=Descent(epochs=8, patience=8), rollouts=Rollouts(hidden=4, epochs=10)

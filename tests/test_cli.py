@@ -21,6 +21,7 @@ QUICK = """
 [search]
 method = "multi-start"
 evaluations = 60
+compare = false
 [training]
 hidden = 6
 window = 20

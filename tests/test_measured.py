@@ -15,6 +15,7 @@ from hitchid.identification.preparation import prepare
 from hitchid.record import Record
 
 BRIEF = {
+    "comparison": None,
     "search": MultiStart(evaluations=200),
     "training": Training(
         hidden=8,
@@ -52,7 +53,7 @@ def paused(record, mode):
 def test_the_default_model_of_rig_a_is_accurate_and_stands_where_it_is_not_driven(data):
     """One identification, for it takes a minute: bounds of the goals set for this data."""
     campaign = read(data("rig-a"))
-    model = identify(campaign, training=Training(baselines=False)).model
+    model = identify(campaign, training=Training(baselines=False), comparison=None).model
     metrics = validate(model, campaign).metrics
     for mode, free_run in (("lifting", 0.33), ("lowering", 0.48)):
         channel = metrics["channels"][mode]
@@ -137,7 +138,7 @@ def test_cascaded_tanks_are_identified_by_the_structure_that_knows_them(data):
     ]
     campaign = Campaign.of(records, test_patterns=["Val"], kinds={"*": "lifting"})
     form = Form(structure_named("cascaded-tanks"))
-    model = identify(campaign, structure={"lifting": form}, training=None).model
+    model = identify(campaign, structure={"lifting": form}, training=None, comparison=None).model
     (test,) = campaign.held_out("lifting")
     # The first 50 samples are left out by the benchmark's rules: the upper level is not known at the start.
     assert root_mean_square((model.simulate(test) - test.displacement)[50:]) <= 0.30
@@ -147,7 +148,7 @@ def test_an_axis_with_friction_is_identified_by_the_structure_that_knows_it(data
     (tmp_path / "emps.toml").write_text(EMPS)
     campaign = read(data("emps"), signals=tmp_path / "emps.toml")
     form = Form(structure_named("inertia-with-friction"))
-    model = identify(campaign, structure={"lifting": form}, training=None).model
+    model = identify(campaign, structure={"lifting": form}, training=None, comparison=None).model
     (test,) = campaign.held_out("lifting")
     assert test.unit == "m"
     # The first 20 samples are left out by the benchmark's rules.

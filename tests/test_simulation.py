@@ -13,7 +13,7 @@ from scipy.io import savemat
 import handmade
 from hitchid.errors import HitchError, InputError, OutputError
 from hitchid.readers import read
-from hitchid.simulation import predicted_name, simulate_log
+from hitchid.simulation import added_name, simulate_log
 
 STEP_S, SAMPLES = 0.01, 120
 GAIN, ZONE = handmade.GAINS["lifting"], handmade.DEAD_ZONES["lifting"]
@@ -206,10 +206,10 @@ def test_what_stands_there_is_replaced_only_by_force(lifter, tmp_path):
 
 @given(st.text(st.characters(exclude_characters="_")))
 def test_a_column_without_displacement_in_front_gets_predicted_behind(name):
-    assert predicted_name(name) == f"{name}_predicted"
+    assert added_name(name, "predicted") == f"{name}_predicted"
 
 
 def test_the_predicted_column_of_a_displacement_keeps_its_unit_last():
-    assert predicted_name("displacement_mm") == "displacement_predicted_mm"
-    assert predicted_name("my_displacement_mm") == "my_displacement_mm_predicted"
-    assert predicted_name("displacement") == "displacement_predicted"
+    assert added_name("displacement_mm", "predicted") == "displacement_predicted_mm"
+    assert added_name("my_displacement_mm", "predicted") == "my_displacement_mm_predicted"
+    assert added_name("displacement", "predicted") == "displacement_predicted"

@@ -19,6 +19,7 @@ def test_a_small_study_writes_every_table_and_figure(tmp_path):
         tests=5,
         cycles=1,
         search=MultiStart(evaluations=60),
+        comparison=None,
         training=Training(hidden=6, window=20, descent=Descent(epochs=6, patience=6)),
     )
     study = reproduce(tmp_path / "study", plan=plan)

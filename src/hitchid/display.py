@@ -91,24 +91,22 @@ def _durations(record: Mapping[str, object]) -> Mapping[str, float]:
 
 
 def show_identification(found: "Identification") -> None:
-    """Print dead zones, parameters with their standard errors, and notices."""
+    """Print dead zones, parameters as far as they are determined, and notices."""
+    from hitchid.uncertainty import interval_text, stated
+
     for mode, trace in found.channels.items():
-        table = _table(mode, "value", "± standard error", "unit", "verdict")
+        table = _table(mode, "value ± standard error", "95 %", "unit", "verdict")
         zone = trace.dead_zone
-        spread = "" if zone.spread is None else f"{zone.spread:.2g}"
+        error = zone.error.size or None
         unit = found.model.units[f"{mode}_command"]
-        table.add_row("dead zone", f"{zone.value:.4g}", spread, unit, f"from {zone.count} {zone.origin}")
-        for estimate in trace.phase1.estimates:
-            sure = estimate.verdict == "determined"
-            table.add_row(
-                estimate.name.replace("_", " "),
-                f"{estimate.value:.4g}",
-                f"{estimate.error:.2g}" if sure else "",
-                estimate.unit,
-                estimate.verdict,
-            )
+        table.add_row("dead zone", stated(zone.value, error), "", unit, f"from {zone.count} {zone.origin}")
+        for each in trace.phase1.estimates:
+            value = stated(each.value, each.error) if each.determined else ""
+            name = each.name.replace("_", " ")
+            table.add_row(name, value, interval_text(each.interval), each.unit, each.verdict)
         for each in trace.phase1.known.derived:
-            table.add_row(each.name, f"{each.value:.4g}", "", each.unit, "derived")
+            value = f"{each.value:.4g}" if each.determined else ""
+            table.add_row(each.name, value, interval_text(each.interval), each.unit, "derived")
         _out().print(table)
         displacement = found.model.units["displacement"]
         if trace.candidates:

@@ -95,7 +95,8 @@ def test_a_hysteresis_is_found_where_there_is_one_and_its_width_told(make_record
     assert with_play.held_out_rmse == pytest.approx(np.sqrt(np.mean(with_play.held_out**2)), rel=1e-15)
     assert with_play.held_out_rmse < 0.5 * without.held_out_rmse
     assert found.rmse == pytest.approx(0.02, rel=0.1)
-    width, unit = found.derived["width of the hysteresis"]
+    (told,) = (each for each in found.known.derived if each.name == "width of the hysteresis")
+    width, unit = told.value, told.unit
     (error,) = (each.error for each in found.estimates if each.name == "hysteresis")
     assert unit == "A"
     # Three standard errors, which are a tenth of the width at most.

@@ -19,6 +19,7 @@ FORM = Form(structure_named("integrator-first-order"))
 QUICK = {
     "structure": {LIFTING: FORM, LOWERING: FORM},
     "search": MultiStart(evaluations=30),
+    "comparison": None,
     "training": Training(
         hidden=4, window=10, descent=Descent(epochs=5, patience=5), rollouts=Rollouts(hidden=4, epochs=10)
     ),

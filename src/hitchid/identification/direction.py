@@ -184,12 +184,12 @@ def envelope_of(batch: Batch) -> Envelope:
 
 
 def _vague(phase1: Phase1) -> list[str]:
-    """Return which parameters the tests do not determine, a sentence for each verdict."""
-    verdicts: dict[str, list[str]] = {}
-    for estimate in phase1.estimates:
-        if estimate.verdict != "determined":
-            verdicts.setdefault(estimate.verdict, []).append(estimate.name.replace("_", " "))
-    return [f"{verdict}: {', '.join(names)}" for verdict, names in verdicts.items()]
+    """Return what the tests say of each parameter that they do not determine."""
+    return [
+        f"{estimate.name.replace('_', ' ')}: {estimate.verdict}"
+        for estimate in phase1.estimates
+        if not estimate.determined
+    ]
 
 
 def _uncompensated(tests: Prepared, phase1: Phase1) -> Channel:

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from hitchid.bench import REPEATS, Protocol, write_campaign
+from hitchid.fitting import Comparison
 from hitchid.identification import Descent, Identification, Search, Training, Whale, identify
-from hitchid.identification.identify import PAPER_FORMS, TRAINING, WHALE
+from hitchid.identification.identify import COMPARISON, PAPER_FORMS, TRAINING, WHALE
 from hitchid.readers import read, write_table
 from hitchid.storage import write_folder
 from hitchid.study.figures import Drawn, figures
@@ -30,13 +31,14 @@ class Plan:
     Attributes:
         tests: dynamic tests a direction.
         cycles: mixed cycles.
-        search, training: of the identification.
+        search, training, comparison: of the identification.
     """
 
     tests: int = 20
     cycles: int = 4
     search: Search = WHALE
     training: Training = TRAINING
+    comparison: Comparison | None = COMPARISON
 
 
 def quick_plan() -> Plan:
@@ -44,7 +46,7 @@ def quick_plan() -> Plan:
     descent = Descent(epochs=40, patience=20)
     training = Training(hidden=16, descent=descent, rollouts=None, baselines=False)
     search = Whale(Swarm(iterations=40, evaluations=1200))
-    return Plan(tests=8, cycles=1, search=search, training=training)
+    return Plan(tests=8, cycles=1, search=search, training=training, comparison=None)
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,7 @@ class Study:
 
     Attributes:
         found: the identified model and its traces.
-        results: mode to predictions and sensitivity.
+        results: mode to predictions.
         validation: all figures beside their baselines.
         drawn: the figures of the paper.
         tables: Tables 2 to 4 of the paper and what its text names.
@@ -104,6 +106,7 @@ def reproduce(
             structure=PAPER_FORMS,
             search=asked.search,
             training=asked.training,
+            comparison=asked.comparison,
             seed=seed,
             progress=lambda stage, fraction: report(stage, 0.15 + 0.6 * fraction),
         )

@@ -1,12 +1,10 @@
-"""What the study reports of one direction: predictions on each part of the data, and sensitivity."""
+"""What the study reports of one direction: predictions on each part of the data."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 
-import equinox as eqx
 import numpy as np
 
-from hitchid.benchmark import Batch
 from hitchid.campaign import Campaign
 from hitchid.identification import Identification
 from hitchid.metrics import error_figures
@@ -14,8 +12,6 @@ from hitchid.model import Channel, unpadded
 from hitchid.precision import double_precision
 from hitchid.record import Record
 from hitchid.study.mechanistic import Mechanistic
-
-PERTURBATION = 0.01
 
 
 @dataclass(frozen=True)
@@ -60,14 +56,12 @@ class DirectionResult:
 
     Attributes:
         training, validation, test: predictions on the three parts of the data.
-        sensitivity: parameter to the mean relative change of the identification RMSE for ±1 % of it.
         mechanistic: the model that the rig's parameters give.
     """
 
     training: Predictions
     validation: Predictions
     test: Predictions
-    sensitivity: Mapping[str, float]
     mechanistic: Mechanistic
 
 
@@ -93,34 +87,8 @@ def direction_result(
         training=everything.take([i for i in range(count) if i not in held]),
         validation=everything.take(held),
         test=everything.take(range(count, count + len(held_out))),
-        sensitivity=sensitivity(channel, channel.batch(identification)),
         mechanistic=known,
     )
-
-
-def sensitivity(channel: Channel, batch: Batch) -> dict[str, float]:
-    """Return the mean relative change of the free-run RMSE for ±1 % of each parameter.
-
-    Sun et al. 2025, sec. 3.1.1.
-    """
-    benchmark = channel.benchmark
-
-    def rmse(values: np.ndarray) -> float:
-        changed = eqx.tree_at(lambda c: c.benchmark.values, channel, values)
-        rows = np.asarray(changed.simulate_benchmark(batch) - batch.displacement)
-        return float(np.sqrt(np.mean(rows[np.asarray(batch.counted)] ** 2)))
-
-    values = np.asarray(benchmark.values)
-    reference = rmse(values)
-    changes = {}
-    for index, parameter in enumerate(benchmark.structure.parameters):
-        moved = []
-        for sign in (-1, 1):
-            other = values.copy()
-            other[index] *= 1 + sign * PERTURBATION
-            moved.append(abs(rmse(other) - reference) / reference)
-        changes[parameter.name] = float(np.mean(moved))
-    return changes
 
 
 def summary(predictions: Predictions, model: str) -> dict[str, float]:

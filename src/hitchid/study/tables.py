@@ -7,6 +7,7 @@ import numpy as np
 from hitchid.identification import ChannelTrace
 from hitchid.record import LIFTING, LOWERING
 from hitchid.study.results import DirectionResult, end_deviation, summary
+from hitchid.uncertainty import Estimate, Quantity, interval_text
 from hitchid.validation import Table
 
 PAPER_COEFFICIENTS = {
@@ -47,7 +48,7 @@ def study_tables(
         *(_test_set(mode, result, unit) for mode, result in results.items()),
         _identification(traces, results, unit),
         _mechanistic(traces, results, unit),
-        _sensitivity(results),
+        _sensitivity(traces),
     ]
 
 
@@ -59,14 +60,14 @@ def _parameters(traces: Mapping[str, ChannelTrace]) -> Table:
         rows += [
             (
                 f"{mode}: {name.replace('_', ' ')}",
-                f"{estimate.value:.4g} {estimate.unit}",
+                f"{_told(estimate)} {estimate.unit}",
                 _equivalent(mode, name),
                 estimate.verdict,
             )
             for name, estimate in values.items()
         ]
         rows += [
-            (f"{mode}: {name}", f"{value:.4g} {unit}", f"{PAPER_COEFFICIENTS[mode][name]:.4g}", "")
+            (f"{mode}: {name}", f"{value} {unit}", f"{PAPER_COEFFICIENTS[mode][name]:.4g}", "")
             for name, (value, unit) in _coefficients(mode, trace).items()
         ]
     return Table(
@@ -76,21 +77,21 @@ def _parameters(traces: Mapping[str, ChannelTrace]) -> Table:
     )
 
 
-def _coefficients(mode: str, trace: ChannelTrace) -> dict[str, tuple[float, str]]:
+def _coefficients(mode: str, trace: ChannelTrace) -> dict[str, tuple[str, str]]:
     """Return the paper's α and β for one direction, with the free common scale of lifting set by its β₃."""
-    values = {estimate.name: (estimate.value, estimate.unit) for estimate in trace.phase1.estimates}
-    gain, unit = values["gain"]
+    known = {each.name: each for each in trace.phase1.known.derived}
     if mode == LOWERING:
-        tau, second = values["time_constant"]
-        return {"alpha2": (gain * tau, unit.replace("(s·", "").rstrip(")")), "beta4": (tau, second)}
+        found = {"alpha2": known["alpha2 = K"], "beta4": known["beta4 = tau"]}
+        return {name: (_told(each), each.unit) for name, each in found.items()}
     beta3 = PAPER_COEFFICIENTS[LIFTING]["beta3"]
-    omega, damping = values["natural_frequency"][0], values["damping_ratio"][0]
-    return {
-        "alpha1": (beta3 * gain, unit),
-        "beta1": (beta3 / omega**2, "s²"),
-        "beta2": (2 * beta3 * damping / omega, "s"),
-        "beta3": (beta3, "1, as the paper has it"),
-    }
+    scaled = {name: known[f"{name} (beta3 = 1)"].times(beta3) for name in ("alpha1", "beta1", "beta2")}
+    told = {name: (_told(each), each.unit) for name, each in scaled.items()}
+    return {**told, "beta3": (f"{beta3:.4g}", "1, as the paper has it")}
+
+
+def _told(each: Estimate | Quantity) -> str:
+    """Return a value, or of what is not determined its interval."""
+    return f"{each.value:.4g}" if each.determined else interval_text(each.interval)
 
 
 def _equivalent(mode: str, name: str) -> str:
@@ -203,10 +204,10 @@ def _mechanistic(
     )
 
 
-def _sensitivity(results: Mapping[str, DirectionResult]) -> Table:
+def _sensitivity(traces: Mapping[str, ChannelTrace]) -> Table:
     rows = tuple(
-        (f"{mode}: {name.replace('_', ' ')}", f"{100 * change:.2f}")
-        for mode, result in results.items()
-        for name, change in result.sensitivity.items()
+        (f"{mode}: {estimate.name.replace('_', ' ')}", f"{100 * estimate.sensitivity:.2f}")
+        for mode, trace in traces.items()
+        for estimate in trace.phase1.estimates
     )
     return Table("Sensitivity: change of RMSE for ±1 % of a parameter", ("parameter", "%"), rows)

@@ -12,3 +12,5 @@ from hitchid.uncertainty.estimate import Quantity as Quantity
 from hitchid.uncertainty.information import Information as Information
 from hitchid.uncertainty.moves import Moves as Moves
 from hitchid.uncertainty.uncertainty import Uncertainty as Uncertainty
+from hitchid.uncertainty.words import interval_text as interval_text
+from hitchid.uncertainty.words import stated as stated

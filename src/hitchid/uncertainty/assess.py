@@ -106,7 +106,9 @@ def assess(
                     interval,
                     determined=sure[number],
                     bound="" if free[number] else ("lower" if position[number] < HALF else "upper"),
-                    instead=names.get(together.get(parameter.name, ""), ""),
+                    instead=""
+                    if _narrow(misfit, number, interval)
+                    else names.get(together.get(parameter.name, ""), ""),
                     step_s=misfit.batch.step_s,
                 ),
                 sensitivity=changes[number],

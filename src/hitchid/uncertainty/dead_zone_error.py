@@ -42,9 +42,10 @@ def degrees_together(variances: np.ndarray, degrees: np.ndarray) -> np.ndarray:
         degrees: of each, of a shape that goes with it.
     """
     doubt = np.sum(variances**2 / degrees, axis=0)
-    return np.maximum(np.sum(variances, axis=0) ** 2 / np.maximum(doubt, np.finfo(float).tiny), 1.0)
+    degrees = np.sum(variances, axis=0) ** 2 / np.maximum(doubt, np.finfo(float).tiny)
+    return np.asarray(np.maximum(degrees, 1.0))
 
 
-def student(degrees: np.ndarray | float) -> float:
+def student(degrees: float) -> float:
     """Return how many standard errors lie on either side of 95 % of Student's t."""
     return float(stats.t.ppf(0.5 + CONFIDENCE / 2, degrees))

@@ -77,6 +77,10 @@ class Quantity:
     interval: Interval
     determined: bool
 
+    def times(self, factor: float) -> "Quantity":
+        """Return it in another scale."""
+        return replace(self, value=factor * self.value, interval=_times(self.interval, factor))
+
 
 @dataclass(frozen=True)
 class Estimates:
@@ -100,18 +104,17 @@ class Estimates:
         """Return it with a factor on the gain, which comes first; what follows from it is left out."""
         gain = self.parameters[0]
 
-        def times(interval: Interval | None) -> Interval | None:
-            return interval and (
-                None if interval[0] is None else factor * interval[0],
-                None if interval[1] is None else factor * interval[1],
-            )
-
         moved = replace(
             gain,
             value=factor * gain.value,
             error=None if gain.error is None else factor * gain.error,
-            interval=times(gain.interval) or (None, None),
-            bootstrap=times(gain.bootstrap),
+            interval=_times(gain.interval, factor),
+            bootstrap=gain.bootstrap and _times(gain.bootstrap, factor),
             profile=tuple((factor * value, fitness) for value, fitness in gain.profile),
         )
         return replace(self, parameters=(moved, *self.parameters[1:]), derived=())
+
+
+def _times(interval: Interval, factor: float) -> Interval:
+    lower, upper = interval
+    return None if lower is None else factor * lower, None if upper is None else factor * upper

@@ -165,7 +165,7 @@ def _worse(differences: np.ndarray) -> float:
     if differences.size < FEWEST:
         return 0.0
     spread = float(differences.std(ddof=1)) / np.sqrt(differences.size)
-    return float(differences.mean()) / (student(differences.size - 1) * spread) if spread > 0 else 0.0
+    return float(differences.mean()) / (student(float(differences.size - 1)) * spread) if spread > 0 else 0.0
 
 
 def beyond(profiles: Iterable[Profile], told: Callable[[np.ndarray], float]) -> tuple[bool, bool]:

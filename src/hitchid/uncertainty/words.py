@@ -1,6 +1,6 @@
-"""Verdicts in words: what the tests say of a parameter, and what a test would have to have."""
+"""Words and digits: what the tests say of a parameter, and what a test would have to have."""
 
-from math import pi
+from math import floor, log10, pi
 
 from hitchid.benchmark import Parameter
 from hitchid.uncertainty.estimate import Interval
@@ -71,3 +71,23 @@ def _asked(parameter: Parameter, interval: Interval, step_s: float) -> str:
     if parameter.unit == "s" and lower is not None and upper is None:
         return f"excite below {1 / (2 * pi * lower):.2g} Hz"
     return parameter.asks
+
+
+def stated(value: float, error: float | None) -> str:
+    """Return a value to the digits its standard error leaves it: two of the error, `41.85 ± 0.30`."""
+    if error is None or not error > 0 or not value:
+        return f"{value:.4g}"
+    places = 1 - floor(log10(error))
+    if places <= 0 or abs(value) < 1e-3:
+        return f"{value:.4g} ± {error:.2g}"
+    return f"{value:.{places}f} ± {error:.{places}f}"
+
+
+def interval_text(interval: Interval) -> str:
+    """Return an interval in words of a table cell; an end that is not given is left out."""
+    lower, upper = interval
+    if lower is not None and upper is not None:
+        return f"{lower:.4g} … {upper:.4g}"
+    if lower is not None:
+        return f"> {lower:.3g}"
+    return "any" if upper is None else f"< {upper:.3g}"

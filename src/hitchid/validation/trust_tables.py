@@ -1,11 +1,11 @@
 """Tables of how far a model can be trusted: parameters, searches, residuals, bands."""
 
 from collections.abc import Mapping
-from math import floor, log10
 from typing import Any
 
 import numpy as np
 
+from hitchid.uncertainty import interval_text, stated
 from hitchid.validation.table import Table, digits
 
 PLACES = ("position", "speed", "command")
@@ -26,26 +26,6 @@ def trust_tables(mode: str, channel: Mapping[str, Any], unit: str) -> list[Table
     if "searches" in channel:
         found.append(_searches(mode, channel["searches"], unit))
     return found
-
-
-def stated(value: float, error: float | None) -> str:
-    """Return a value to the digits its standard error leaves it: two of the error, `41.85 ± 0.30`."""
-    if error is None or not error > 0 or not value:
-        return f"{value:.4g}"
-    places = 1 - floor(log10(error))
-    if places <= 0 or abs(value) < 1e-3:
-        return f"{value:.4g} ± {error:.2g}"
-    return f"{value:.{places}f} ± {error:.{places}f}"
-
-
-def interval_text(interval: tuple[float | None, float | None]) -> str:
-    """Return an interval in words of a table cell; an end that is not given is left out."""
-    lower, upper = interval
-    if lower is not None and upper is not None:
-        return f"{lower:.4g} … {upper:.4g}"
-    if lower is not None:
-        return f"> {lower:.3g}"
-    return "any" if upper is None else f"< {upper:.3g}"
 
 
 def _parameters(title: str, known: Mapping[str, Any]) -> Table:

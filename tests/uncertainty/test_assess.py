@@ -1,0 +1,175 @@
+"""What is said of parameters agrees with closed forms where there are any, and with what was simulated."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+from hitchid.benchmark import Batch, Form, structure_named
+from hitchid.fitting import Misfit, MultiStart
+from hitchid.identification.phase1 import find_parameters
+from hitchid.record import LIFTING
+from hitchid.uncertainty import DeadZoneError, assess
+from truth import STEP_S, held, lag, levels
+
+UNITS = {"x": "mm", "u": "A"}
+INTEGRATOR = Form(structure_named("integrator"))
+LAG = Form(structure_named("first-order-lag"))
+SECOND_ORDER = Form(structure_named("integrator-second-order"))
+SAMPLES = 250
+
+
+@pytest.fixture
+def batch_of(make_record):
+    def make(tests, *, dead_zone=0.0, noise=0.0, seed=0):
+        rng = np.random.default_rng(seed)
+        records = [
+            make_record(80.0 + travel + noise * rng.standard_normal(travel.size), command)
+            for command, travel in tests
+        ]
+        return Batch.of(records, LIFTING, dead_zone=dead_zone, direction=1, initial=[80.0] * len(records))
+
+    return make
+
+
+def alike(gains):
+    """Return tests of integrators that share one command and differ by their gain."""
+    command = levels(np.random.default_rng(0), SAMPLES, low=0.2)
+    travel = held([1.0], [1.0, 0.0], command)
+    return [(command, gain * travel) for gain in gains]
+
+
+def assessed(batch, form, *, dead_zone=DeadZoneError(), starts=3):  # noqa: B008
+    fit = find_parameters(batch, form, MultiStart(evaluations=10**4, starts=starts), 0)
+    known, moved = assess(fit.misfit, fit.position, units=UNITS, dead_zone=dead_zone)
+    return {each.name: each for each in known.parameters}, known, moved
+
+
+def t_interval(values):
+    """Return mean, standard error and 95 % interval of a mean, as any textbook has them."""
+    mean, error = np.mean(values), np.std(values, ddof=1) / np.sqrt(len(values))
+    reach = stats.t.ppf(0.975, len(values) - 1) * error
+    return mean, error, reach
+
+
+def test_of_tests_alike_the_gain_is_their_mean_with_students_interval(batch_of):
+    gains = 15.0 * (1 + 0.01 * np.random.default_rng(1).standard_normal(8))
+    estimates, known, moved = assessed(batch_of(alike(gains)), INTEGRATOR)
+    found, (mean, error, reach) = estimates["gain"], t_interval(gains)
+    assert found.value == pytest.approx(mean, rel=1e-9)
+    assert found.error == pytest.approx(error, rel=1e-6)
+    assert moved.degrees == pytest.approx([7.0], rel=1e-6)
+    # The interval is one of the logarithm: of the second order in the relative reach beside the mean's.
+    second = (reach / mean) ** 2
+    assert found.interval == pytest.approx((mean - reach, mean + reach), rel=second)
+    assert (found.method, found.determined, found.verdict) == ("Gauss-Newton", True, "determined")
+    assert (known.tests, known.rows) == (8, 8)
+
+
+def test_the_profile_of_tests_alike_ends_where_students_interval_does(batch_of):
+    # Gains that differ by a third make the interval wide, so that it is profiled; held at K, a test's slope
+    # is as its own gain less K, so that the tests contradict K where Student's test of their mean does.
+    gains = np.array([11.0, 24.0, 12.0, 19.0, 9.0, 16.0])
+    estimates, _, _ = assessed(batch_of(alike(gains)), INTEGRATOR)
+    found, (mean, _, reach) = estimates["gain"], t_interval(gains)
+    assert found.method == "profile"
+    # Halving ends within 1/32 of the last step; steps grow from 0.02 of ln(10⁴) to at most twice the reach.
+    tolerance = max(0.02 * np.log(1e4), 2 * reach / mean) / 32
+    assert np.log(found.interval) == pytest.approx(np.log([mean - reach, mean + reach]), abs=tolerance)
+    held_at, rmse = np.array(found.profile).T
+    _, travel = alike([1.0])[0]
+    spread = np.sqrt(np.mean(travel**2) * np.mean((gains[:, None] - held_at) ** 2, axis=0))
+    np.testing.assert_allclose(rmse, spread, rtol=1e-9)
+
+
+def test_the_bootstrap_of_tests_alike_is_that_of_their_mean(batch_of):
+    gains = 15.0 * (1 + 0.02 * np.random.default_rng(2).standard_normal(20))
+    estimates, _, _ = assessed(batch_of(alike(gains)), INTEGRATOR)
+    rng = np.random.default_rng(3)
+    means = rng.choice(gains, (20000, 20)).mean(axis=1)
+    # Percentiles at 2.5 % of 999 draws scatter by √(0.025·0.975/999)/φ(1.96) = 0.084 standard errors.
+    close = 4 * 0.084 * np.std(gains) / np.sqrt(20)
+    assert estimates["gain"].bootstrap == pytest.approx(np.percentile(means, [2.5, 97.5]), abs=close)
+
+
+def test_the_error_of_the_dead_zone_moves_the_gain_as_a_fit_behind_another_does(batch_of):
+    tests, size = alike([15.0, 15.1, 14.9, 15.2, 15.0]), 1e-4
+    estimates, _, moved = assessed(batch_of(tests), INTEGRATOR, dead_zone=DeadZoneError(size, 3))
+    other, _, _ = assessed(batch_of(tests, dead_zone=size), INTEGRATOR)
+    shift = np.log(other["gain"].value / estimates["gain"].value) / np.log(1e4)
+    # One step of Newton: of the second order in a shift of 2·10⁻⁴.
+    assert moved.by_dead_zone[0] == pytest.approx(shift, rel=1e-3)
+    without, _, _ = assessed(batch_of(tests), INTEGRATOR)
+    of_zone = moved.by_dead_zone[0] * np.log(1e4) * estimates["gain"].value
+    assert estimates["gain"].error == pytest.approx(np.hypot(without["gain"].error, of_zone), rel=1e-6)
+
+
+def test_what_follows_from_parameters_has_their_interval(batch_of):
+    command = levels(np.random.default_rng(0), SAMPLES, low=0.2)
+    tests = [(command, held(*lag(15.0, 0.7), command)) for _ in range(8)]
+    estimates, known, moved = assessed(batch_of(tests, noise=0.3), LAG)
+    derived = {each.name: each for each in known.derived}
+    tau, gain = estimates["time_constant"], estimates["gain"]
+    assert derived["beta4 = tau"].value == tau.value
+    assert derived["alpha2 = K"].value == pytest.approx(gain.value * tau.value, rel=1e-12)
+    # ln K = ln K/τ + ln τ: its variance is the sum of theirs and twice their covariance.
+    errors = np.array([gain.error / gain.value, tau.error / tau.value])
+    correlation = np.array(known.correlation)
+    assert correlation[0, 1] == pytest.approx(correlation[1, 0])
+    assert np.diag(correlation) == pytest.approx([1.0, 1.0])
+    variance = errors @ correlation @ errors
+    lower, upper = derived["alpha2 = K"].interval
+    reach = stats.t.ppf(0.975, np.min(moved.degrees)) * np.sqrt(variance)
+    assert np.log(upper / lower) == pytest.approx(2 * reach, rel=1e-3)
+    assert derived["alpha2 = K"].determined
+
+
+def test_a_lag_without_end_leaves_its_gain_open_and_its_initial_speed_determined(batch_of):
+    command = levels(np.random.default_rng(0), SAMPLES, low=0.2)
+    tests = [(command, 15.0 * held([1.0], [1.0, 0.0], command)) for _ in range(8)]
+    estimates, known, _ = assessed(batch_of(tests, noise=0.1), LAG)
+    tau = estimates["time_constant"]
+    assert tau.interval[1] is None
+    assert tau.interval[0] > SAMPLES * STEP_S
+    assert not tau.determined
+    assert tau.verdict == f"only K/τ is determined: τ > {tau.interval[0]:.3g} s at 95 %"
+    assert estimates["gain"].determined
+    derived = {each.name: each for each in known.derived}
+    assert derived["alpha2 = K"].interval[1] is None
+    assert not derived["alpha2 = K"].determined
+
+
+def test_of_a_plant_too_fast_to_see_only_the_lag_is_determined(batch_of):
+    # ωh = 2000 rad/s lies beyond the bound of 1000 rad/s and the samples; damping 40 makes a lag of 0.04 s.
+    command = levels(np.random.default_rng(0), SAMPLES, low=0.2)
+    travel = held([15.0], [0.04, 1.0, 0.0], command)
+    estimates, known, _ = assessed(batch_of([(command, travel)] * 8, noise=0.02), SECOND_ORDER)
+    derived = {each.name: each for each in known.derived}
+    assert derived["lag 2ξh/ωh"].determined
+    lower, upper = derived["lag 2ξh/ωh"].interval
+    assert lower <= 0.04 <= upper
+    for name in ("natural_frequency", "damping_ratio"):
+        assert estimates[name].interval[1] is None
+        assert estimates[name].verdict.startswith("only lag 2ξh/ωh is determined: ")
+    assert not derived["beta1 (beta3 = 1)"].determined
+
+
+def test_one_test_is_cut_into_stretches(batch_of):
+    command = levels(np.random.default_rng(0), 2 * SAMPLES, low=0.2)
+    batch = batch_of([(command, held(*lag(15.0, 0.7), command))], noise=0.3)
+    estimates, known, _ = assessed(batch, LAG)
+    assert (known.tests, known.rows) == (1, 6)
+    assert all(np.isfinite(each.error) for each in estimates.values())
+
+
+def test_sensitivities_are_those_of_the_error_to_a_hundredth(batch_of):
+    tests = alike([15.0, 14.0, 16.0, 15.5, 14.5])
+    estimates, _, _ = assessed(batch_of(tests), INTEGRATOR)
+    misfit = Misfit.of(batch_of(tests), INTEGRATOR)
+
+    def rmse(factor):
+        position = misfit.position(np.array([factor * estimates["gain"].value]))
+        return float(misfit(jnp.asarray(position)[None])[0])
+
+    changes = [abs(rmse(factor) / rmse(1.0) - 1) for factor in (0.99, 1.01)]
+    assert estimates["gain"].sensitivity == pytest.approx(np.mean(changes), rel=1e-6)
