@@ -1,5 +1,7 @@
 """Models put together by hand, so that a test need not identify one."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -14,6 +16,7 @@ from hitchid.model import Channel, Hitch, Provenance
 from hitchid.narx import Narx
 from hitchid.record import LIFTING, LOWERING
 from hitchid.speed_compensator import INPUTS, SpeedCompensator
+from hitchid.uncertainty import Alternative, Bands, Estimates, Uncertainty
 
 UNITS = {"displacement": "mm", "lifting_command": "A", "lowering_command": "A"}
 DIRECTIONS = {LIFTING: 1, LOWERING: -1}
@@ -131,3 +134,17 @@ def hitch_of(*channels, step_s=STEP_S, drift=0.0):
     """Return a model of given channels, in mm, A and bar."""
     units = {**UNITS, "pressure": "bar"}
     return Hitch({each.mode: each for each in channels}, step_s, units, drift=drift)
+
+
+NOISE, FASTER, Q, AHEAD = 0.05, 1.1, (0.5, 1.0, 1.5, 2.0), ((0.1, 0.2, 0.3, 0.4), (1.0, 2.0, 3.0, 4.0))
+
+
+def with_bands(model, *modes):
+    """Return a model with bands for some modes; as alternative a gain a tenth larger."""
+    known = {}
+    for mode in modes:
+        gain, *rest = map(float, model.channels[mode].benchmark.row)
+        faster = Alternative((FASTER * gain, *rest))
+        bands = Bands((faster,), NOISE, (0.5, 0.8, 0.9, 0.95), Q, (1, 10), AHEAD, (4, 1))
+        known[mode] = Uncertainty(Estimates((), (), (), 0, 0), bands=bands)
+    return replace(model, uncertainty=known)

@@ -360,8 +360,8 @@ BAD_MODELS = {
     "description of something else": (lambda f: (f / "model.json").write_text("{}") and None, ["model.json"]),
     "trace edited": (edited("trace.json", "{", "{ "), ["trace.json", "edited"]),
     "a newer schema": (
-        edited("model.json", '"schema": 4', '"schema": 5'),
-        ["model.json", "schema 5", "required 4"],
+        edited("model.json", '"schema": 5', '"schema": 6'),
+        ["model.json", "schema 6", "required 5"],
     ),
 }
 
@@ -509,6 +509,36 @@ def test_simulate_writes_what_the_model_predicts(bench_folder, tmp_path, horizon
     assert again.code == 0
 
 
+def test_simulate_writes_the_ends_of_a_band_beside_the_prediction(bench_folder, tmp_path):
+    hitch = handmade.with_bands(handmade.hitch("integrator"), "lifting", "lowering")
+    save(hitch, tmp_path / "model")
+    log, out = bench_folder / "lowering-02.csv", tmp_path / "out.csv"
+    arguments = ("simulate", tmp_path / "model", log, "--out", out, "--bands", "--coverage", "80")
+    assert hitchid(*arguments) == (0, "", "")
+    (record,) = read(log).records
+    header, *rows = (line.split(",") for line in out.read_text().splitlines())
+    assert header[-3:] == ["displacement_predicted_mm", "displacement_lower_mm", "displacement_upper_mm"]
+    written = np.array([[float(cell) for cell in row[-2:]] for row in rows]).T
+    # Nine significant digits are written.
+    np.testing.assert_allclose(written, hitch.band(record, coverage=0.8), rtol=5e-9)
+
+
+def test_simulate_without_bands_in_the_model_says_why_and_writes_nothing(model, bench_folder, tmp_path):
+    out = tmp_path / "out.csv"
+    result = hitchid("simulate", model, bench_folder / "lowering-02.csv", "--out", out, "--bands")
+    assert result.code == 2
+    assert "no bands for lifting and lowering; required at least three tests" in result.err
+    assert not out.exists()
+
+
+def test_design_of_a_model_that_knows_nothing_says_so_and_writes_nothing(model, tmp_path):
+    out = tmp_path / "next.csv"
+    result = hitchid("design", model, "--direction", "lifting", "--out", out)
+    assert result.code == 2
+    assert "came lifting" in result.err
+    assert not out.exists()
+
+
 def test_simulate_says_on_stderr_where_it_leaves_what_the_tests_covered(bench_folder, tmp_path):
     (record,) = read(bench_folder / "lifting-02.csv").records
     effective = np.maximum(record.command("lifting") - handmade.DEAD_ZONES["lifting"], 0)
@@ -575,7 +605,15 @@ def test_the_metrics_have_the_keys_of_the_contract(metrics):
     assert metrics["unit"] == "mm"
     assert set(metrics["channels"]) == {"lifting", "lowering"}
     for mode, channel in metrics["channels"].items():
-        assert set(channel) == {"tests", "benchmark", "greybox", "baselines", "horizons", "per_test"}
+        assert set(channel) == {
+            "tests",
+            "benchmark",
+            "greybox",
+            "baselines",
+            "horizons",
+            "per_test",
+            "residuals",
+        }
         assert channel["tests"] == [f"{mode}-{number:02d}" for number in (1, 2, 3)]
         assert shape(channel["benchmark"]) == {"free_run": FIGURES}
         assert shape(channel["greybox"]) == {"one_step": FIGURES, "free_run": FIGURES}

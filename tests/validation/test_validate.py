@@ -7,13 +7,14 @@ import equinox as eqx
 import numpy as np
 import pytest
 
-from handmade import DEAD_ZONES, GAINS, envelope, hitch
+from handmade import AHEAD, DEAD_ZONES, GAINS, envelope, hitch, with_bands
 from hitchid.baselines import ahead
 from hitchid.campaign import Campaign
 from hitchid.errors import InputError, OutputError
+from hitchid.metrics import HORIZONS
 from hitchid.model import Provenance, TwoModes, unpadded
 from hitchid.record import LIFTING, LOWERING
-from hitchid.validation import HORIZONS, validate
+from hitchid.validation import validate
 from hitchid.validation.tables import NAMES
 from hitchid.validation.validate import ORIGINS
 from truth import STEP_S, levels
@@ -345,3 +346,30 @@ def test_what_diverges_is_null_in_the_figures_and_said_in_the_tables(tests_of, t
     assert (tmp_path / "results" / "tables.md").read_text() == result.markdown()
     with pytest.raises(OutputError, match="exists already"):
         result.write(tmp_path / "results")
+
+
+def test_bands_cover_what_lies_inside_and_their_width_is_told(tests_of):
+    model = with_bands(MODELS, LIFTING, LOWERING)
+    records = tests_of()
+    bands = validate(model, Campaign.of(records)).metrics["channels"][LIFTING]["bands"]
+    inside, widths = [], []
+    for record in records:
+        lower, upper = model.band(record)
+        inside.append(np.mean((lower <= record.displacement) & (record.displacement <= upper)))
+        widths.append(upper - lower)
+    assert bands["coverage"] == 0.9
+    assert bands["free_run"]["covered"] == pytest.approx(np.mean(inside), abs=1e-12)
+    assert bands["free_run"]["width"] == pytest.approx(np.mean(np.concatenate(widths)), rel=1e-9)
+    assert bands["horizons"]["width"][0] == pytest.approx(2 * AHEAD[0][2])
+    assert bands["calibrated_on"] == {"free_run": 4, "horizons": 1}
+
+
+def test_residuals_of_both_runs_are_tested_whatever_the_model_knows(tests_of):
+    channel = validate(MODELS, Campaign.of(tests_of())).metrics["channels"][LIFTING]
+    free_run = channel["residuals"]["free_run"]
+    assert "bands" not in channel
+    assert "parameters" not in channel
+    # The tests wander at random: no free run explains that.
+    assert not free_run["white"]
+    error = channel["greybox"]["free_run"]["rmse"]
+    assert np.hypot(free_run["mean"], free_run["deviation"]) == pytest.approx(error, rel=1e-6)

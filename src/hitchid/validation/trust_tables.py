@@ -88,6 +88,9 @@ def _residuals(mode: str, residuals: Mapping[str, Any], unit: str) -> Table:
     names = {"one_step": "one step", "free_run": "free run"}
     rows = []
     for run, each in residuals.items():
+        if each is None:
+            rows.append((names[run], "diverged", *[""] * (len(PLACES) + 4)))
+            continue
         worst = max(
             (
                 (kind, place)

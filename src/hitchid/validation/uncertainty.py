@@ -1,6 +1,7 @@
 """How far a model can be trusted, as figures: parameters, residuals, bands, searches."""
 
 from collections.abc import Sequence
+from dataclasses import asdict
 
 import numpy as np
 
@@ -8,7 +9,7 @@ from hitchid.benchmark import Batch
 from hitchid.fitting import Trail
 from hitchid.model import Channel
 from hitchid.model.possible import spread
-from hitchid.residuals import ResidualTests, residual_tests
+from hitchid.residuals import residual_tests
 from hitchid.uncertainty import Bands, Estimates, Uncertainty
 
 COVERAGE = 0.9
@@ -71,7 +72,7 @@ def _search(trail: Trail) -> dict:
     }
 
 
-def residual_figures(channel: Channel, batch: Batch, predicted: np.ndarray, factor: float) -> ResidualTests:
+def residual_figures(channel: Channel, batch: Batch, predicted: np.ndarray, factor: float) -> dict | None:
     """Test the errors of predictions for what a model ought to have explained.
 
     Args:
@@ -79,21 +80,29 @@ def residual_figures(channel: Channel, batch: Batch, predicted: np.ndarray, fact
         batch: tests.
         predicted: displacement, shape [T, N].
         factor: from the model's unit of displacement to that of the figures.
+
+    Returns:
+        The findings as JSON can hold them; None where the predictions diverged.
     """
     counted = np.asarray(batch.counted)
     simulated = np.asarray(channel.simulate(batch))
+    with np.errstate(over="ignore", invalid="ignore"):
+        diverged = not all(np.isfinite(np.sum(rows[counted] ** 2)) for rows in (predicted, simulated))
+    if diverged:
+        return None
     speed = np.gradient(simulated, batch.step_s, axis=1)
 
     def rows(values: np.ndarray) -> list[np.ndarray]:
         return [row[here] for row, here in zip(np.asarray(values), counted, strict=True)]
 
-    return residual_tests(
+    found = residual_tests(
         rows(factor * (np.asarray(batch.displacement) - predicted)),
         rows(np.asarray(batch.command)),
         rows(factor * simulated),
         rows(factor * speed),
         step_s=batch.step_s,
     )
+    return asdict(found)
 
 
 def band_figures(

@@ -181,7 +181,7 @@ def _channel_metrics(
             for record, a, f in zip(tests, actual, unpadded(free, tests), strict=True)
         },
         "residuals": {
-            run: asdict(residual_figures(channel, batch, rows, factor))
+            run: residual_figures(channel, batch, rows, factor)
             for run, rows in (("one_step", predicted["greybox"][0]), ("free_run", free))
         },
         **trusted,

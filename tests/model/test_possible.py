@@ -1,0 +1,73 @@
+"""Bands of handmade integrators, whose alternatives and half widths follow by hand."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from handmade import DEAD_ZONES, GAINS, NOISE, hitch, with_bands
+from hitchid.errors import InputError
+from hitchid.model import load, save
+from hitchid.record import LIFTING, LOWERING
+from truth import STEP_S, levels
+
+MODEL = with_bands(hitch(), LIFTING, LOWERING)
+
+
+@pytest.fixture
+def cycle(make_record):
+    """Return a record that rests, lifts and lowers, and the travel of each direction, shape [N]."""
+    rng = np.random.default_rng(0)
+    up, down = (np.concatenate([np.zeros(30), levels(rng, 120, low=0.5)]) for _ in range(2))
+    lifting, lowering = np.concatenate([up, 0 * down]), np.concatenate([0 * up, down])
+    ways = [
+        GAINS[mode]
+        * STEP_S
+        * np.concatenate([[0.0], np.cumsum(np.maximum(command - DEAD_ZONES[mode], 0))[:-1]])
+        for mode, command in ((LIFTING, lifting), (LOWERING, lowering))
+    ]
+    return make_record(100.0 + ways[0] - ways[1], lifting, lowering), ways
+
+
+@pytest.mark.parametrize(("coverage", "q"), [(0.5, 0.5), (0.9, 1.5), (0.85, 1.25)])
+def test_in_free_run_noise_and_both_channels_alternatives_add_in_squares(cycle, coverage, q):
+    record, ways = cycle
+    lower, upper = MODEL.band(record, coverage=coverage)
+    floor = stats.norm.ppf(0.5 + coverage / 2) * NOISE
+    half = np.sqrt(floor**2 + q**2 * 0.1**2 * (ways[0] ** 2 + ways[1] ** 2))
+    np.testing.assert_allclose(upper - lower, 2 * half, rtol=1e-9)
+    np.testing.assert_allclose(0.5 * (lower + upper), MODEL.simulate(record), rtol=1e-12)
+
+
+@pytest.mark.parametrize(("horizon", "half"), [(1, 0.3), (10, 3.0), (3, 0.3 + 2.7 * np.log(3) / np.log(10))])
+def test_ahead_the_half_width_is_that_of_the_horizon(cycle, horizon, half):
+    record, _ = cycle
+    lower, upper = MODEL.band(record, horizon=horizon)
+    np.testing.assert_allclose(upper - lower, 2 * half, rtol=1e-9)
+    np.testing.assert_allclose(0.5 * (lower + upper), MODEL.predict(record, horizon=horizon), rtol=1e-12)
+
+
+def test_a_band_is_in_the_unit_of_the_record(cycle):
+    record, _ = cycle
+    in_metres = record.convert({"displacement": "m"})
+    for mine, theirs in zip(MODEL.band(in_metres), MODEL.band(record), strict=True):
+        np.testing.assert_allclose(mine, 1e-3 * theirs, rtol=1e-9)
+
+
+def test_without_bands_for_a_channel_there_is_none(cycle):
+    with pytest.raises(InputError, match="no bands for lowering; required at least three tests"):
+        with_bands(hitch(), LIFTING).band(cycle[0])
+    with pytest.raises(InputError, match="no bands for lifting and lowering"):
+        hitch().band(cycle[0])
+
+
+@pytest.mark.parametrize("coverage", [0.4, 0.99, float("nan")])
+def test_a_share_that_was_not_calibrated_is_refused(cycle, coverage):
+    with pytest.raises(InputError, match=r"coverage: required between 0\.5 and 0\.95, came"):
+        MODEL.band(cycle[0], coverage=coverage)
+
+
+def test_what_is_known_comes_back_from_the_folder(tmp_path, cycle):
+    save(MODEL, tmp_path / "model")
+    again = load(tmp_path / "model")
+    assert again.uncertainty == MODEL.uncertainty
+    np.testing.assert_array_equal(again.band(cycle[0]), MODEL.band(cycle[0]))

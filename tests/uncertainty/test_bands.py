@@ -1,0 +1,215 @@
+"""Bands hold the share of samples they are asked to, of tests that were not seen."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from hitchid.errors import InputError
+from hitchid.uncertainty import Bands
+from hitchid.uncertainty.bands import GRID, HALVINGS, LEVELS, calibrated, free_run_scores, sensor_noise
+
+BANDS = Bands(
+    alternatives=(),
+    noise=0.1,
+    levels=LEVELS,
+    free_run=(0.5, 1.1, 1.4, 2.0),
+    horizons=(1, 10, 100),
+    ahead=((0.1, 0.2, 0.3, 0.4), (0.3, 0.5, 0.9, 1.2), (1.0, 2.0, 4.0, 8.0)),
+    tests=(12, 12),
+)
+SETS = 150
+SURE = 3.3  # standard errors, beyond which 1 in 1000 lies
+
+scores = st.lists(
+    st.lists(st.integers(0, 4000), min_size=1, max_size=12).map(lambda row: np.array(row) / 8),
+    min_size=1,
+    max_size=8,
+)
+
+
+@cache
+def coverage_of_a_test_to_come(tests, level):
+    """Return the mean share of tests to come that are covered, each test one uniform score all along."""
+    rng = np.random.default_rng(0)
+    drawn = rng.random((SETS, tests))
+    # Of uniform scores a share q lies below q.
+    return float(np.mean([calibrated([np.full(30, score) for score in row], level) for row in drawn]))
+
+
+def doubt(tests, level):
+    """Return the standard error of that mean: the k-th of T uniform numbers is a Beta(k, T + 1 − k) one."""
+    return np.sqrt(level * (1 - level) / (tests + 2) / SETS)
+
+
+@pytest.mark.xfail(strict=True, reason="calibrated covers level · T/(T + 1), as the plain quantile does")
+@pytest.mark.parametrize(("tests", "level"), [(10, 0.8), (20, 0.9)])
+def test_tests_to_come_are_covered_to_the_level_where_samples_of_a_test_are_one(tests, level):
+    # Conformal: the first k with k/(T + 1) at or above the level, so at most 1/(T + 1) more.
+    covered, error = coverage_of_a_test_to_come(tests, level), doubt(tests, level)
+    assert level - SURE * error <= covered <= level + 1 / (tests + 1) + SURE * error
+
+
+@pytest.mark.parametrize(("tests", "level"), [(10, 0.5), (10, 0.8), (20, 0.9)])
+def test_where_samples_of_a_test_are_one_coverage_is_within_a_test_of_the_level(tests, level):
+    covered, error = coverage_of_a_test_to_come(tests, level), doubt(tests, level)
+    assert abs(covered - level) <= 1 / (tests + 1) + SURE * error
+
+
+def test_more_is_asked_than_few_tests_can_tell_and_their_largest_is_returned():
+    rows = [np.full(9, float(number)) for number in range(5)]
+    # Of five tests each is covered by the others in four cases at most.
+    assert calibrated(rows, 0.9) == 4.0
+    assert calibrated(rows, 0.5) < 4.0
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_the_level_needs_no_raising_where_samples_are_independent(level):
+    tests, samples = 10, 2000
+    rng = np.random.default_rng(1)
+    drawn = rng.random((20, tests, samples))
+    found = np.array([calibrated(list(each), level) for each in drawn])
+    # A binomial count of all samples, and quantiles between grid points 1/400 apart.
+    error = np.sqrt(level * (1 - level) / (tests * samples))
+    assert np.all(np.abs(found - level) <= SURE * error + GRID[1])
+    assert abs(found.mean() - level) <= SURE * error / np.sqrt(20) + GRID[1]
+
+
+def test_tests_of_which_each_is_partly_its_own_ask_for_the_largest_score():
+    rng = np.random.default_rng(2)
+    rows = [np.concatenate([rng.random(100), np.full(100, 10 + own)]) for own in rng.random(9)]
+    # The others cover eight of nine tests whole and half of the last: 17/18 = 0.944.
+    assert calibrated(rows, 0.95) == max(row.max() for row in rows)
+    assert calibrated(rows, 0.94) < max(row.max() for row in rows)
+
+
+def test_the_level_is_raised_where_some_tests_err_more_than_others():
+    rng, level = np.random.default_rng(2), 0.8
+    raised = []
+    for _ in range(40):
+        sizes = np.exp(0.7 * rng.standard_normal((8, 1)))
+        rows = sizes * np.abs(rng.standard_normal((8, 200)))
+        raised.append(np.log(calibrated(list(rows), level) / np.quantile(rows, level)))
+    assert np.mean(raised) > SURE * np.std(raised) / np.sqrt(40)
+
+
+@given(rows=scores, levels=st.tuples(st.floats(0.01, 0.99), st.floats(0.01, 0.99)).map(sorted))
+def test_more_coverage_never_takes_a_smaller_score(rows, levels):
+    less, more = (calibrated(rows, level) for level in levels)
+    pooled = np.concatenate([np.quantile(row, GRID) for row in rows])
+    # Halving leaves the probability of the lower level up to 2⁻¹² above that of the higher one; between two
+    # scores the quantile is interpolated, one more place.
+    probability = np.mean(pooled <= more) + 0.5**HALVINGS + 1 / pooled.size
+    assert less <= np.quantile(pooled, min(probability, 1.0)) * (1 + 1e-12)
+
+
+@given(rows=scores, level=st.floats(0.01, 0.99), power=st.integers(-20, 20))
+def test_scores_in_another_unit_give_the_score_in_that_unit(rows, level, power):
+    # Powers of two scale without rounding.
+    factor = 2.0**power
+    assert calibrated([factor * row for row in rows], level) == factor * calibrated(rows, level)
+
+
+@given(rows=scores, level=st.floats(0.01, 0.99), seed=st.integers(0, 99))
+def test_the_order_of_tests_and_samples_does_not_matter(rows, level, seed):
+    rng = np.random.default_rng(seed)
+    shuffled = [rng.permutation(rows[number]) for number in rng.permutation(len(rows))]
+    assert calibrated(shuffled, level) == pytest.approx(calibrated(rows, level), rel=1e-12)
+
+
+@given(row=st.lists(st.floats(0, 1e6), min_size=1, max_size=20), level=st.floats(0.01, 0.99))
+def test_of_one_test_the_largest_score_is_returned(row, level):
+    assert calibrated([np.array(row)], level) == max(row)
+
+
+def test_noise_is_found_beside_what_is_smooth():
+    samples, size, rng = 4000, 0.05, np.random.default_rng(3)
+    time_s = 0.01 * np.arange(samples)
+    smooth = 10 * np.sin(np.pi * time_s) + 3 * time_s**2
+    found = sensor_noise([smooth + size * rng.standard_normal(samples) for _ in range(5)])
+    # Third differences are correlated, 1, −15/20, 6/20, −1/20: as good as N/(1 + 2 Σρ²) = N/2.31 independent
+    # ones. Δ³ of the sine is 10 (π/100)³ = 3e-4 against √20 · 0.05 = 0.22: 1e-6 of the variance. The median of
+    # five tests scatters less than one of them.
+    degrees = samples / 2.31
+    least, most = np.sqrt(stats.chi2.ppf([0.0005, 0.9995], degrees) / degrees)
+    assert least <= found / size <= most
+
+
+def test_one_broken_test_does_not_spoil_the_noise():
+    samples, size, rng = 4000, 0.05, np.random.default_rng(4)
+    tests = [size * rng.standard_normal(samples) for _ in range(5)]
+    broken = [*tests[:4], 100 * tests[4]]
+    # The median moves to the next of four whose scatter is √(2.31/2N) = 1.7 %.
+    assert sensor_noise(broken) == pytest.approx(sensor_noise(tests), rel=SURE * np.sqrt(2.31 / 2 / samples))
+
+
+def test_a_parabola_has_no_noise_and_tests_of_three_samples_tell_none():
+    # Rounding of 1e4.
+    assert sensor_noise([np.arange(100.0) ** 2]) <= 8 * np.finfo(float).eps * 1e4
+    assert sensor_noise([np.array([0.0, 5.0, -5.0])]) == 0.0
+    assert sensor_noise([]) == 0.0
+
+
+@given(
+    errors=st.lists(st.floats(-10, 10), min_size=1, max_size=20).map(np.array),
+    spread=st.floats(1e-3, 10),
+    noise=st.floats(0, 1),
+    level=st.sampled_from(LEVELS),
+)
+def test_the_score_of_a_sample_is_that_whose_band_just_reaches_it(errors, spread, noise, level):
+    (found,) = free_run_scores([errors], [np.full(errors.size, spread)], noise, level)
+    floor = stats.norm.ppf(0.5 + level / 2) * noise
+    # √(e² − f²) and back: rounding of squares of at most 100.
+    np.testing.assert_allclose(
+        np.hypot(floor, found * spread), np.maximum(np.abs(errors), floor), atol=1e-6, rtol=0
+    )
+    assert np.all(found[np.abs(errors) <= floor] == 0)
+
+
+def test_a_sample_where_all_alternatives_agree_scores_finitely():
+    ((inside, outside),) = free_run_scores([np.array([0.01, 1.0])], [np.zeros(2)], 0.1, 0.95)
+    assert inside == 0.0
+    assert 1e6 < outside < np.inf
+
+
+def test_the_half_width_in_free_run_joins_noise_and_spread():
+    spread = np.array([0.0, 0.1, 3.0])
+    # z(95 %) = 1.959964 to seven digits.
+    expected = np.sqrt((1.959964 * 0.1) ** 2 + (2.0 * spread) ** 2)
+    np.testing.assert_allclose(BANDS.free_run_half_width(0.95, spread), expected, rtol=1e-6)
+
+
+def test_between_levels_and_horizons_bands_are_interpolated():
+    assert [BANDS.multiplier(level) for level in LEVELS] == list(BANDS.free_run)
+    assert BANDS.multiplier(0.85) == pytest.approx(1.25)
+    for horizon, row in zip(BANDS.horizons, BANDS.ahead, strict=True):
+        assert [BANDS.half_width(level, horizon) for level in LEVELS] == pytest.approx(row)
+    # √(1 · 10) lies halfway on a logarithmic axis; 3 of it are 0.477.
+    assert BANDS.half_width(0.9, 3) == pytest.approx(0.3 + np.log10(3) * 0.6)
+    assert BANDS.half_width(0.85, 10) == pytest.approx(0.7)
+    # Beyond the horizons the last one stands.
+    assert BANDS.half_width(0.9, 1000) == pytest.approx(4.0)
+
+
+@settings(max_examples=50)
+@given(levels=st.tuples(st.floats(0.5, 0.95), st.floats(0.5, 0.95)).map(sorted), horizon=st.integers(1, 200))
+def test_a_wider_band_covers_more(levels, horizon):
+    less, more = levels
+    # Interpolation rounds.
+    assert BANDS.half_width(less, horizon) <= BANDS.half_width(more, horizon) * (1 + 1e-12)
+    assert BANDS.free_run_half_width(less, np.ones(1)) <= BANDS.free_run_half_width(more, np.ones(1)) + 1e-12
+
+
+@pytest.mark.parametrize("coverage", [0.0, 0.49, 0.96, 0.99, 1.0, 95.0, float("nan")])
+def test_coverage_beyond_the_levels_is_refused(coverage):
+    complaint = f"coverage: required between 0.5 and 0.95, came {coverage:g}"
+    for ask in (
+        lambda: BANDS.multiplier(coverage),
+        lambda: BANDS.half_width(coverage, 1),
+        lambda: BANDS.free_run_half_width(coverage, np.ones(3)),
+    ):
+        with pytest.raises(InputError, match=complaint):
+            ask()

@@ -1,0 +1,186 @@
+"""What tests say of the parameters together, and what one more would."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hitchid.benchmark import Batch, Form, structure_named
+from hitchid.fitting import MultiStart, Run, Trail
+from hitchid.identification.phase1 import identify_benchmark
+from hitchid.record import LIFTING
+from hitchid.storage import canonical_json
+from hitchid.uncertainty import KNOWN, Alternative, Bands, DeadZoneError, Information, Uncertainty
+from hitchid.uncertainty.information import _autocovariance
+from truth import held, lag, levels
+
+UNITS = {"x": "mm", "u": "A"}
+TESTS, SAMPLES = 8, 250
+SURE = 3.3  # standard errors, beyond which 1 in 1000 lies
+
+
+@pytest.fixture
+def found(make_record):
+    """Return a function that identifies a form from eight noisy tests of a lag, or of an integrator."""
+
+    def identify(form=None, *, fraction=None, dead_zone=KNOWN):
+        rng, records = np.random.default_rng(0), []
+        for _ in range(TESTS):
+            command = levels(rng, SAMPLES, low=0.2)
+            travel = held(*(fraction or lag(15.0, 0.7)), command) + 0.3 * rng.standard_normal(SAMPLES)
+            records.append(make_record(80.0 + travel, np.where(command > 0, command + 0.35, 0.0)))
+        batch = Batch.of(records, LIFTING, dead_zone=0.35, direction=1, initial=[80.0] * TESTS)
+        form = form or Form(structure_named("first-order-lag"))
+        return identify_benchmark(batch, form, MultiStart(100, starts=2), 0, units=UNITS, dead_zone=dead_zone)
+
+    return identify
+
+
+def information_of(phase1):
+    return Information.of(phase1.fit.misfit, phase1.fit.position, phase1.moved)
+
+
+def by_hand(jacobian, *, tests=5, size=0.3, every=1, fixed=0.0):
+    """Return what tests of one Jacobian each say whose errors are white."""
+    one = jacobian.T @ jacobian
+    return Information(
+        names=tuple("abcdef"[: one.shape[0]]),
+        slopes=(1.0,) * one.shape[0],
+        curvature=tuple(map(tuple, tests * one)),
+        scatter=tuple(map(tuple, tests * size**2 * one)),
+        fixed=tuple(map(tuple, fixed * np.eye(one.shape[0]))),
+        # The mean of so many white errors.
+        autocovariance=(size**2 / every, 0.0, 0.0),
+        every=every,
+        tests=tests,
+        samples=float(len(jacobian)),
+    )
+
+
+@pytest.mark.parametrize("dead_zone", [KNOWN, DeadZoneError(0.01, 3)], ids=["known", "from ramps"])
+def test_widths_are_the_standard_errors_of_the_estimates(found, dead_zone):
+    phase1 = found(dead_zone=dead_zone)
+    information = information_of(phase1)
+    assert information.names == ("gain", "time_constant")
+    # H⁻¹ H is one to rounding times the condition of H, from either side.
+    rounding = 100 * np.linalg.cond(np.array(information.curvature)) * np.finfo(float).eps
+    errors = np.array([estimate.error for estimate in phase1.estimates])
+    np.testing.assert_allclose(information.widths() * information.slopes, errors, rtol=rounding)
+    assert (information.tests, information.samples) == (TESTS, SAMPLES)
+    assert np.any(information.fixed) == (dead_zone.size > 0)
+
+
+def test_a_parameter_at_a_bound_is_left_out(found):
+    form = Form(structure_named("first-order-lag"), bounds={"time_constant": (2.0, 9.0)})
+    information = information_of(found(form))
+    assert information.names == ("gain",)
+    assert np.shape(information.curvature) == np.shape(information.scatter) == (1, 1)
+
+
+def test_another_test_like_those_narrows_to_what_their_number_says(found):
+    information = information_of(found())
+    share = information.widths_with_another() / information.widths()
+    np.testing.assert_allclose(share, np.sqrt(TESTS / (TESTS + 1)), rtol=1e-9)
+
+
+def test_errors_that_are_white_have_the_variance_they_were_made_with(found):
+    variance, *others = information_of(found()).autocovariance
+    # Every second sample: means of two errors of 0.3 mm. A mean of 1000 squares scatters by √(2/1000), its
+    # lagged products by √(1/1000); the dozen lags looked at are a dozen chances, so 4.5 standard errors.
+    assert variance == pytest.approx(0.3**2 / 2, rel=SURE * np.sqrt(2 / 1000))
+    assert np.abs(others[:12]).max() <= 4.5 * variance / np.sqrt(1000)
+
+
+shapes = st.tuples(st.integers(12, 60), st.integers(1, 4), st.integers(0, 99), st.integers(1, 20))
+
+
+@settings(max_examples=50)
+@given(shape=shapes)
+def test_repeating_a_jacobian_under_white_errors_narrows_as_one_more_of_the_same(shape):
+    samples, dimensions, seed, tests = shape
+    jacobian = np.random.default_rng(seed).normal(size=(samples, dimensions))
+    information = by_hand(jacobian, tests=tests)
+    # H' = (T + 1)/T H and so its scatter: V' = V T/(T + 1); rounding by the condition of H.
+    rounding = 100 * np.linalg.cond(jacobian) ** 2 * np.finfo(float).eps
+    share = information.widths_with(jacobian) / information.widths()
+    np.testing.assert_allclose(share, np.sqrt(tests / (tests + 1)), rtol=rounding)
+
+
+def test_lags_of_several_samples_say_the_same_where_the_jacobian_is_slow():
+    slow = np.repeat(np.random.default_rng(1).normal(size=(40, 2)), 3, axis=0)
+    fine, coarse = (by_hand(slow, every=every).widths_with(slow) for every in (1, 3))
+    np.testing.assert_allclose(coarse, fine, rtol=1e-12)
+
+
+@pytest.mark.parametrize("samples", [1, 7, 100, 1000])
+def test_a_test_that_says_nothing_narrows_nothing(samples):
+    information = by_hand(np.random.default_rng(2).normal(size=(50, 3)), every=4)
+    np.testing.assert_array_equal(information.widths_with(np.zeros((samples, 3))), information.widths())
+
+
+def test_a_test_narrows_only_what_it_excites():
+    information = by_hand(np.eye(2)[np.arange(40) % 2])
+    first, second = information.widths_with(np.eye(2)[np.zeros(40, int)]) / information.widths()
+    assert second == pytest.approx(1.0, rel=1e-12)
+    # Five tests gave 20 samples to each parameter; forty more are two tests' worth: √(5/7).
+    assert first == pytest.approx(np.sqrt(5 / 7), rel=1e-12)
+
+
+def test_what_the_dead_zone_adds_no_test_takes_away():
+    jacobian = 100 * np.random.default_rng(3).normal(size=(50, 2))
+    information = by_hand(jacobian, fixed=0.04)
+    many = information.widths_with(np.tile(100 * jacobian, (40, 1)))
+    assert np.all(many >= 0.2)
+    # The rest, 0.3/(100 √250) = 2e-4 before the test, is a millionth beside it in squares.
+    assert many == pytest.approx([0.2, 0.2], rel=1e-6)
+
+
+@pytest.mark.parametrize(("left", "every"), [(0.0, 1), (0.6, 1), (0.9, 1), (0.9, 4)])
+def test_the_autocovariance_of_a_markov_process_is_found(left, every):
+    tests, samples, rng = 20, 2000, np.random.default_rng(4)
+    errors = np.sqrt(1 - left**2) * rng.standard_normal((tests, samples))
+    errors[:, 0] = rng.standard_normal(tests)
+    for k in range(1, samples):
+        errors[:, k] += left * errors[:, k - 1]
+    test = np.repeat(np.arange(tests), samples)
+    found = np.array(_autocovariance(errors.ravel(), test, every))[:20]
+    between = np.arange(every)
+    lags = every * np.arange(20)[:, None, None] + between[:, None] - between
+    # Of means over so many samples, less the share of lagged pairs that lie beyond the end of a test.
+    expected = np.mean(left ** np.abs(lags), axis=(1, 2)) * (1 - np.arange(20) * every / samples)
+    # Bartlett: a lagged mean product of N samples scatters by √(2 Σρ²/N) at most, Σρ² = (1 + a²)/(1 − a²);
+    # twenty lags that hang together, 4 standard errors.
+    error = np.sqrt(2 * (1 + left**2) / (1 - left**2) / (tests * samples))
+    np.testing.assert_allclose(found, expected, rtol=0, atol=4 * error)
+
+
+def test_what_is_known_comes_back_from_json(found):
+    phase1 = found(dead_zone=DeadZoneError(0.01, 3))
+    bands = Bands(
+        (Alternative((1.0, 2.0), 1, 0.5), Alternative((3.0,))), 0.1, (0.5,), (1.0,), (1,), ((1.0,),), (8, 3)
+    )
+    run = Run((None, 1.5), ((1.0,), (2.0,)), 60, 1, "spent")
+    whole = Uncertainty(
+        benchmark=phase1.known,
+        paper=phase1.known,
+        bands=bands,
+        searches=(Trail("whale", (run, Run((), (), 0, 0, "failed"))),),
+        searched=("gain",),
+        information=information_of(phase1),
+    )
+    for known in (whole, Uncertainty(phase1.known)):
+        assert Uncertainty.of(json.loads(canonical_json(known.describe()))) == known
+    back = Uncertainty.of(json.loads(canonical_json(whole.describe()))).information
+    np.testing.assert_array_equal(back.widths(), whole.information.widths())
+
+
+@pytest.mark.parametrize("spoil", [{"curvature": [[1.0, None]]}, {"every": "often"}, {"names": "gain"}])
+def test_a_description_of_another_kind_is_refused(found, spoil):
+    known = Uncertainty(found().known)
+    described = replace(known, information=by_hand(np.ones((12, 1)))).describe()
+    described["information"].update(spoil)
+    with pytest.raises(ValueError, match=f"information.{next(iter(spoil))}"):
+        Uncertainty.of(described)
