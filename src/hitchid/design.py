@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from math import floor
 from pathlib import Path
 from types import MappingProxyType
 
@@ -29,6 +30,7 @@ LENGTHS = (0.5, 1.0, 2.0)
 ROOM = 1.02
 BEST = 5
 HALF = 0.5
+ROUNDING = 1e-9
 COLUMNS = MappingProxyType({LIFTING: "current_up_A", LOWERING: "current_down_A"})
 
 
@@ -130,7 +132,7 @@ def design(
         parameter=parameter,
         proposals=tuple(proposals[:BEST]),
         usual=_named(information, usual / now),
-        ramps=information.fixed[number][number] > HALF * now[number] ** 2,
+        ramps=bool(information.fixed[number][number] > HALF * now[number] ** 2),
     )
 
 
@@ -195,13 +197,14 @@ def _tried(
     room = ROOM * range_ if limits.travel is None else limits.travel
     usual_s = information.samples * step_s
     longest_s = max(LENGTHS) * usual_s if limits.longest_s is None else limits.longest_s
-    lengths = sorted({min(share * usual_s, longest_s) for share in LENGTHS})
+    samples = sorted({floor(min(share * usual_s, longest_s) / step_s + ROUNDING) for share in LENGTHS})
+    lengths = [step_s * max(each, 1) for each in samples]
     drawn = qmc.Sobol(3, rng=np.random.default_rng(seed)).random(TRIED)
     for part, duration_s in zip(np.array_split(drawn, len(lengths)), lengths, strict=True):
         proposals = [
             Proposal(
-                low=low * high * highest,
-                high=high * highest,
+                low=float(low * high * highest),
+                high=float(high * highest),
                 clock_s=CLOCK_S[0] * (CLOCK_S[1] / CLOCK_S[0]) ** clock,
                 duration_s=duration_s,
                 seed=seed,
@@ -214,7 +217,7 @@ def _tried(
         travel, jacobian = _derivatives(channel, information, _batch(channel, commands, step_s))
         for proposal, gone, slopes in zip(proposals, travel, jacobian, strict=True):
             way = float(np.abs(gone[: commands.shape[1]]).max())
-            if way <= room:
+            if 0 < way <= room:
                 yield replace(proposal, travel=way), slopes[: commands.shape[1]]
 
 

@@ -45,7 +45,6 @@ def doubt(tests, level):
     return np.sqrt(level * (1 - level) / (tests + 2) / SETS)
 
 
-@pytest.mark.xfail(strict=True, reason="calibrated covers level · T/(T + 1), as the plain quantile does")
 @pytest.mark.parametrize(("tests", "level"), [(10, 0.8), (20, 0.9)])
 def test_tests_to_come_are_covered_to_the_level_where_samples_of_a_test_are_one(tests, level):
     # Conformal: the first k with k/(T + 1) at or above the level, so at most 1/(T + 1) more.
@@ -131,8 +130,8 @@ def test_noise_is_found_beside_what_is_smooth():
     smooth = 10 * np.sin(np.pi * time_s) + 3 * time_s**2
     found = sensor_noise([smooth + size * rng.standard_normal(samples) for _ in range(5)])
     # Third differences are correlated, 1, −15/20, 6/20, −1/20: as good as N/(1 + 2 Σρ²) = N/2.31 independent
-    # ones. Δ³ of the sine is 10 (π/100)³ = 3e-4 against √20 · 0.05 = 0.22: 1e-6 of the variance. The median of
-    # five tests scatters less than one of them.
+    # ones. Δ³ of the sine is 10 (π/100)³ = 3e-4 against √20 · 0.05 = 0.22: 1e-6 of the variance. The median
+    # of five tests scatters less than one of them.
     degrees = samples / 2.31
     least, most = np.sqrt(stats.chi2.ppf([0.0005, 0.9995], degrees) / degrees)
     assert least <= found / size <= most

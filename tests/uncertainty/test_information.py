@@ -157,6 +157,12 @@ def test_the_autocovariance_of_a_markov_process_is_found(left, every):
     np.testing.assert_allclose(found, expected, rtol=0, atol=4 * error)
 
 
+def test_a_test_far_shorter_than_the_others_is_no_hindrance():
+    errors, test = np.ones(2005), np.repeat([0, 1], [2000, 5])
+    # Every twentieth sample: the short test has no whole block, and the others' mean product is one.
+    assert _autocovariance(errors, test, 20)[0] == pytest.approx(1.0)
+
+
 def test_what_is_known_comes_back_from_json(found):
     phase1 = found(dead_zone=DeadZoneError(0.01, 3))
     bands = Bands(

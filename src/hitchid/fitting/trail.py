@@ -6,7 +6,7 @@ from pathlib import Path
 
 import jax
 import numpy as np
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 
 from hitchid.errors import FitError
 from hitchid.fitting.misfit import Misfit
@@ -94,12 +94,13 @@ def search_trails(misfit: Misfit, asked: Comparison, first_seed: int = 0) -> tup
         first_seed: of each search; the others follow.
     """
     thin = misfit.over(misfit.batch.thinned(SAMPLES))
-    stamp = digest(b"".join(np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(thin)))
+    arrays = b"".join(np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(thin))
+    stamp = f"{digest(arrays)} {thin.batch.step_s} {thin.batch.direction} {misfit.form!r}"
     found = []
     for search in asked.searches:
         runs = []
         for seed in range(first_seed, first_seed + asked.seeds):
-            name = digest(f"{stamp} {misfit.form!r} {search!r} {seed}".encode())
+            name = digest(f"{stamp} {search!r} {seed}".encode())
             runs.append(_kept(asked.folder and asked.folder / f"{name}.json", thin, search, seed))
         found.append(Trail(search.name, tuple(runs)))
     return tuple(found)
@@ -109,18 +110,26 @@ def _kept(path: Path | None, misfit: Misfit, search: Search, seed: int) -> Run:
     """Return a run from disk, where it is whole, or else run it and keep it."""
     if path is not None and path.is_file():
         try:
-            return _ADAPTER.validate_python(json.loads(path.read_bytes()))
-        except (ValueError, ValidationError, OSError):
+            run = _ADAPTER.validate_python(json.loads(path.read_bytes())["run"])
+            if path.read_bytes() == _sealed(run):
+                return run
+        except (ValueError, TypeError, KeyError, OSError):
             pass
     run = _run(misfit, search, seed)
     if path is not None:
-        content = canonical_json(asdict(run))
+        content = _sealed(run)
 
         def write(beside: Path) -> None:
             beside.write_bytes(content)
 
         write_file(path, write, force=True)
     return run
+
+
+def _sealed(run: Run) -> bytes:
+    """Return a run as it lies on disk, with a digest that tells whether it was edited."""
+    content = asdict(run)
+    return canonical_json({"run": content, "digest": digest(canonical_json(content))})
 
 
 def _run(misfit: Misfit, search: Search, seed: int) -> Run:

@@ -112,7 +112,7 @@ def calibrated(scores: Sequence[np.ndarray], level: float) -> float:
 
     Samples of one test stand and fall together, so the quantile over all samples covers fewer than it says.
     The probability p is therefore raised until each test, judged by the quantile p of the others, is covered
-    to the level asked for, on average; the quantile p over all tests is returned. Every test weighs the same.
+    to the level asked for, on average; the mean of these quantiles is returned. Every test weighs the same.
     With tests exchangeable this is the conformal prediction of Vovk et al. (2005, Algorithmic Learning in a
     Random World, ch. 2), with tests for samples.
 
@@ -121,23 +121,24 @@ def calibrated(scores: Sequence[np.ndarray], level: float) -> float:
         level: share of samples.
     """
     rows = np.stack([np.quantile(row, GRID) for row in scores])
+    if len(rows) == 1:
+        return float(rows.max())
+    others = [np.delete(rows, held, axis=0) for held in range(len(rows))]
+
+    def limits(probability: float) -> list[float]:
+        return [float(np.quantile(each, probability)) for each in others]
 
     def covered(probability: float) -> float:
-        shares = []
-        for held in range(len(rows)):
-            limit = np.quantile(np.delete(rows, held, axis=0), probability)
-            shares.append(np.interp(limit, rows[held], GRID, left=0.0, right=1.0))
-        return float(np.mean(shares))
+        pairs = zip(rows, limits(probability), strict=True)
+        return float(np.mean([np.interp(limit, row, GRID, left=0.0, right=1.0) for row, limit in pairs]))
 
-    low, high = level, 1.0
-    if len(rows) == 1 or covered(high) < level:
+    if covered(1.0) < level:
         return float(rows.max())
-    if covered(low) >= level:
-        return float(np.quantile(rows, low))
+    low, high = level, 1.0
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
         low, high = (low, middle) if covered(middle) >= level else (middle, high)
-    return float(np.quantile(rows, high))
+    return float(np.mean(limits(low if covered(low) >= level else high)))
 
 
 def sensor_noise(errors: Sequence[np.ndarray]) -> float:

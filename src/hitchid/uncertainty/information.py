@@ -103,7 +103,8 @@ class Information:
 def _autocovariance(errors: np.ndarray, test: np.ndarray, every: int) -> tuple[float, ...]:
     """Return the mean of eₖ eₖ₊ₗ over tests, a lag every so many samples; biased, so a covariance."""
     rows = np.split(errors, np.flatnonzero(np.diff(test)) + 1)
-    blocks = [row[: len(row) // every * every].reshape(-1, every).mean(axis=1) for row in rows]
+    whole = [row[: len(row) // every * every] for row in rows if len(row) >= every]
+    blocks = [row.reshape(-1, every).mean(axis=1) for row in whole]
     longest = max(len(row) for row in blocks)
     sums = np.zeros(longest)
     for row in blocks:

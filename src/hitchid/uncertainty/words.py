@@ -58,9 +58,9 @@ def _asked(parameter: Parameter, interval: Interval, step_s: float) -> str:
     """Return what would determine a parameter; of a time or a frequency the corner that must be excited."""
     lower, upper = interval
     fastest = pi / step_s
-    if (parameter.unit == "rad/s" and (lower or 0.0) > fastest) or (
-        parameter.unit == "s" and (upper or fastest) < 1 / fastest
-    ):
+    beyond_frequency = parameter.unit == "rad/s" and lower is not None and lower > fastest
+    beyond_time = parameter.unit == "s" and upper is not None and upper < 1 / fastest
+    if beyond_frequency or beyond_time:
         return f"too fast for samples every {step_s:.3g} s"
     if parameter.unit == "rad/s" and lower is not None and upper is None:
         return f"excite above {lower / (2 * pi):.2g} Hz"
@@ -79,7 +79,8 @@ def stated(value: float, error: float | None) -> str:
         return f"{value:.4g}"
     places = 1 - floor(log10(error))
     if places <= 0 or abs(value) < 1e-3:
-        return f"{value:.4g} ± {error:.2g}"
+        significant = max(floor(log10(abs(value))) + places + 1, 4)
+        return f"{value:.{significant}g} ± {error:.2g}"
     return f"{value:.{places}f} ± {error:.{places}f}"
 
 
