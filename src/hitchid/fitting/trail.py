@@ -14,7 +14,7 @@ from hitchid.fitting.search import DifferentialEvolution, Found, MultiStart, Sea
 from hitchid.storage import canonical_json, digest, write_file
 from hitchid.whale import Swarm
 
-BUDGET = 900
+BUDGET = 600
 SEEDS = 8
 SAMPLES = 256
 

@@ -11,8 +11,8 @@ from hitchid.uncertainty.dead_zone_error import KNOWN, DeadZoneError, degrees_to
 from hitchid.uncertainty.scores import Scores
 
 FIRST = 0.02
-HALVINGS = 5
-STEPS, TOLERANCE = 6, 1e-4
+HALVINGS = 4
+STEPS, TOLERANCE = 5, 1e-4
 FEWEST = 4
 STEP, GOES = 1e-4, 0.1
 
