@@ -28,6 +28,9 @@ bench: setup
 
 study: setup
 	$(BIN)/python benchmarks/study.py
+	$(BIN)/python benchmarks/coverage.py
+	$(BIN)/python benchmarks/bands.py
+	$(BIN)/python benchmarks/advice.py
 
 # For maintainers; needs uv in PATH.
 pins:

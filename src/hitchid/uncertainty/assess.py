@@ -1,14 +1,15 @@
 """From a best position to what is known of it: errors, intervals, profiles where they are wide, verdicts."""
 
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hitchid.benchmark import Parameter
 from hitchid.fitting import Misfit
 from hitchid.uncertainty.dead_zone_error import KNOWN, DeadZoneError
 from hitchid.uncertainty.derived import derived, sensitivities
-from hitchid.uncertainty.estimate import NARROW, Estimate, Estimates, Interval
+from hitchid.uncertainty.estimate import NARROW, Estimate, Estimates, Interval, Quantity
 from hitchid.uncertainty.moves import Moves, moves
 from hitchid.uncertainty.profile import Profile, beyond, profile
 from hitchid.uncertainty.words import verdict
@@ -19,12 +20,64 @@ TIGHT, LITTLE = 1.4, 0.2
 TAILS = (2.5, 97.5)
 
 
-class _Ends(NamedTuple):
-    """Ends of an interval between the bounds, None where the tests give none, and how they were found."""
+@dataclass(frozen=True)
+class _Found:
+    """What was found of one parameter.
 
-    lower: float | None
-    upper: float | None
+    Attributes:
+        number, parameter: which.
+        lower, upper, linear: bounds of its search, and whether that runs between them as they are.
+        bound: `lower` or `upper` where the estimate lies at one, else empty.
+        interval: 95 %.
+        profile: where the interval comes from one.
+    """
+
+    number: int
+    parameter: Parameter
+    lower: float
+    upper: float
+    linear: bool
+    bound: str
+    interval: Interval = (None, None)
     profile: Profile | None = None
+
+    @classmethod
+    def of(cls, misfit: Misfit, position: np.ndarray, number: int) -> "_Found":
+        """Start with an estimate's bounds."""
+        place = float(position[number])
+        return cls(
+            number=number,
+            parameter=misfit.form.parameters[number],
+            lower=float(misfit.lower[number]),
+            upper=float(misfit.upper[number]),
+            linear=bool(misfit.linear[number]),
+            bound="lower" if place < AT_BOUND else "upper" if place > 1 - AT_BOUND else "",
+        )
+
+    def value(self, place: float) -> float:
+        """Return the value at a place between the bounds."""
+        if self.linear:
+            return self.lower + place * (self.upper - self.lower)
+        return self.lower * (self.upper / self.lower) ** place
+
+    def between(self, lower: float | None, upper: float | None) -> Interval:
+        """Return the values of two places between the bounds."""
+        return (
+            None if lower is None else self.value(lower),
+            None if upper is None else self.value(upper),
+        )
+
+    def narrow(self, interval: Interval, factor: float = NARROW, share: float = HALF) -> bool:
+        """Tell whether an interval is within a factor, or around zero within a share of the room."""
+        lower, upper = interval
+        if lower is None or upper is None:
+            return False
+        return upper - lower <= share * (self.upper - self.lower) if self.linear else upper <= factor * lower
+
+    @property
+    def determined(self) -> bool:
+        """Whether the interval is closed and narrow, and the estimate not at a bound."""
+        return not self.bound and self.narrow(self.interval)
 
 
 def assess(
@@ -52,71 +105,16 @@ def assess(
     Returns:
         What is known, and by how much each test moves each estimate.
     """
-    free = (position > AT_BOUND) & (position < 1 - AT_BOUND)
+    found = [_Found.of(misfit, position, number) for number in range(position.size)]
+    free = np.array([not each.bound for each in found])
     position = np.where(free, position, np.round(position))
     moved = moves(misfit, position, free, dead_zone, seed=seed)
-    ends = [_ends(misfit, position, moved, number, free, dead_zone) for number in range(position.size)]
-    profiles = [each.profile for each in ends if each.profile]
-    intervals = [
-        _opened(_interval(misfit, number, each), misfit, profiles, number) for number, each in enumerate(ends)
-    ]
-    parameters = misfit.form.parameters
-    sure = [
-        _narrow(misfit, number, interval) and bool(free[number]) for number, interval in enumerate(intervals)
-    ]
+    found = [_with_interval(each, misfit, position, moved, dead_zone) for each in found]
+    profiles = [each.profile for each in found if each.profile is not None]
+    found = [replace(each, interval=_opened(each, profiles)) for each in found]
     quantities = derived(misfit, position, moved, profiles, units)
-    names = {quantity.name: quantity.name for quantity in quantities if quantity.determined}
-    names |= {p.name: p.symbol for p, told in zip(parameters, sure, strict=True) if told}
-    together = misfit.form.structure.instead
-    values, slopes = misfit.values(position), misfit.slopes(position)
-    changes = sensitivities(misfit, position)
-    estimates = []
-    for number, (parameter, interval) in enumerate(zip(parameters, intervals, strict=True)):
-        unit = parameter.unit.format(**units)
-        along = np.eye(position.size)[number]
-        tails = np.clip(position[number] + np.percentile(moved.redrawn[:, number], TAILS), 0.0, 1.0)
-        found = ends[number].profile
-        curve = (
-            ()
-            if found is None
-            else tuple(
-                (float(misfit.values(each)[number]), float(fitness))
-                for each, fitness in zip(found.positions, found.fitness, strict=True)
-            )
-        )
-        estimates.append(
-            Estimate(
-                name=parameter.name,
-                symbol=parameter.symbol or parameter.name.replace("_", " "),
-                unit=unit,
-                value=float(values[number]),
-                error=float(slopes[number] * moved.error(along)) if free[number] else None,
-                interval=interval,
-                method="Gauss-Newton" if found is None else "profile",
-                bootstrap=_interval(misfit, number, _Ends(float(tails[0]), float(tails[1])))
-                if free[number]
-                else None,
-                lower=float(misfit.lower[number]),
-                upper=float(misfit.upper[number]),
-                linear=parameter.linear,
-                determined=sure[number],
-                verdict=verdict(
-                    parameter,
-                    unit,
-                    interval,
-                    determined=sure[number],
-                    bound="" if free[number] else ("lower" if position[number] < HALF else "upper"),
-                    instead=""
-                    if _narrow(misfit, number, interval)
-                    else names.get(together.get(parameter.name, ""), ""),
-                    step_s=misfit.batch.step_s,
-                ),
-                sensitivity=changes[number],
-                profile=curve,
-            )
-        )
     known = Estimates(
-        parameters=tuple(estimates),
+        parameters=_estimates(found, misfit, position, moved, quantities, units),
         derived=quantities,
         correlation=_correlation(moved),
         tests=int(np.sum(np.asarray(misfit.batch.counted).any(axis=1))),
@@ -125,62 +123,94 @@ def assess(
     return known, moved
 
 
-def _ends(
-    misfit: Misfit,
-    position: np.ndarray,
-    moved: Moves,
-    number: int,
-    free: np.ndarray,
-    dead_zone: DeadZoneError,
-) -> _Ends:
-    """Return the interval of Gauss and Newton, or the profile's where that is wide or meets a bound."""
-    along = np.eye(position.size)[number]
-    if free[number]:
-        reach = moved.reach(along, float(moved.degrees[number]))
-        ends = _Ends(float(position[number] - reach), float(position[number] + reach))
-        inside = ends.lower is not None and ends.lower > 0 and ends.upper is not None and ends.upper < 1
-        if inside and _narrow(misfit, number, _interval(misfit, number, ends), TIGHT, LITTLE):
-            return ends
-    found = profile(misfit, position, number, dead_zone)
-    return _Ends(found.lower, found.upper, found)
+def _with_interval(
+    found: _Found, misfit: Misfit, position: np.ndarray, moved: Moves, dead_zone: DeadZoneError
+) -> _Found:
+    """Return it with the interval of Gauss and Newton, or a profile's where that is wide or meets a bound."""
+    place = float(position[found.number])
+    if not found.bound:
+        along = np.eye(position.size)[found.number]
+        reach = moved.reach(along, float(moved.degrees[found.number]))
+        interval = found.between(place - reach, place + reach)
+        if reach < min(place, 1 - place) and found.narrow(interval, TIGHT, LITTLE):
+            return replace(found, interval=interval)
+    curve = profile(misfit, position, found.number, dead_zone)
+    return replace(found, interval=found.between(curve.lower, curve.upper), profile=curve)
 
 
-def _interval(misfit: Misfit, number: int, ends: _Ends) -> Interval:
-    """Return an interval's ends as values of the parameter."""
-    return _value(misfit, number, ends.lower), _value(misfit, number, ends.upper)
-
-
-def _opened(interval: Interval, misfit: Misfit, profiles: Sequence[Profile], number: int) -> Interval:
+def _opened(found: _Found, profiles: Sequence[Profile]) -> Interval:
     """Return an interval without the ends beyond which a parameter goes with another that is left free."""
 
     def told(place: np.ndarray) -> float:
-        value = float(misfit.values(place)[number])
-        return value if bool(misfit.linear[number]) else float(np.log(value))
+        value = found.value(float(place[found.number]))
+        return value if found.linear else float(np.log(value))
 
-    falls, rises = beyond((each for each in profiles if each.number != number), told)
-    return None if falls else interval[0], None if rises else interval[1]
-
-
-def _value(misfit: Misfit, number: int, place: float | None) -> float | None:
-    if place is None:
-        return None
-    return float(misfit.values(np.full(len(misfit.form.parameters), place))[number])
+    falls, rises = beyond((each for each in profiles if each.number != found.number), told)
+    lower, upper = found.interval
+    return None if falls else lower, None if rises else upper
 
 
-def _narrow(
-    misfit: Misfit, number: int, interval: Interval, factor: float = NARROW, share: float = HALF
-) -> bool:
-    """Tell whether an interval is within a factor, or around zero within a share of the room."""
-    lower, upper = interval
-    if lower is None or upper is None:
-        return False
-    if bool(misfit.linear[number]):
-        return upper - lower <= share * float(misfit.upper[number] - misfit.lower[number])
-    return upper <= factor * lower
+def _estimates(
+    found: Sequence[_Found],
+    misfit: Misfit,
+    position: np.ndarray,
+    moved: Moves,
+    quantities: Iterable[Quantity],
+    units: Mapping[str, str],
+) -> tuple[Estimate, ...]:
+    """Return the estimates, each with its verdict."""
+    told = {quantity.name: quantity.name for quantity in quantities if quantity.determined}
+    told |= {each.parameter.name: each.parameter.symbol for each in found if each.determined}
+    instead = misfit.form.structure.instead
+    changes = sensitivities(misfit, position)
+    values, slopes = misfit.values(position), misfit.slopes(position)
+    estimates = []
+    for each in found:
+        number, parameter = each.number, each.parameter
+        unit = parameter.unit.format(**units)
+        standing_in = "" if each.narrow(each.interval) else told.get(instead.get(parameter.name, ""), "")
+        tails = np.clip(position[number] + np.percentile(moved.redrawn[:, number], TAILS), 0.0, 1.0)
+        estimates.append(
+            Estimate(
+                name=parameter.name,
+                symbol=parameter.symbol or parameter.name.replace("_", " "),
+                unit=unit,
+                value=float(values[number]),
+                error=None if each.bound else float(slopes[number] * moved.errors[number]),
+                interval=each.interval,
+                method="Gauss-Newton" if each.profile is None else "profile",
+                bootstrap=None if each.bound else each.between(float(tails[0]), float(tails[1])),
+                lower=each.lower,
+                upper=each.upper,
+                linear=each.linear,
+                determined=each.determined,
+                verdict=verdict(
+                    parameter,
+                    unit,
+                    each.interval,
+                    determined=each.determined,
+                    bound=each.bound,
+                    instead=standing_in,
+                    step_s=misfit.batch.step_s,
+                ),
+                sensitivity=changes[number],
+                profile=_curve(each),
+            )
+        )
+    return tuple(estimates)
+
+
+def _curve(found: _Found) -> tuple[tuple[float, float], ...]:
+    """Return the profile as pairs of value and RMSE."""
+    if found.profile is None:
+        return ()
+    places = found.profile.positions[:, found.number]
+    return tuple(
+        (found.value(float(place)), float(fitness))
+        for place, fitness in zip(places, found.profile.fitness, strict=True)
+    )
 
 
 def _correlation(moved: Moves) -> tuple[tuple[float, ...], ...]:
-    covariance = moved.covariance
-    sizes = np.sqrt(np.diag(covariance))
-    scale = np.where(sizes > 0, sizes, 1.0)
-    return tuple(tuple(map(float, row)) for row in covariance / np.outer(scale, scale))
+    scale = np.where(moved.errors > 0, moved.errors, 1.0)
+    return tuple(tuple(map(float, row)) for row in moved.covariance / np.outer(scale, scale))

@@ -33,6 +33,11 @@ class Moves(NamedTuple):
         """Of the estimates, shape [D, D]."""
         return self.by_test.T @ self.by_test + np.outer(self.by_dead_zone, self.by_dead_zone)
 
+    @property
+    def errors(self) -> Float[np.ndarray, " d"]:
+        """The standard errors, shape [D]."""
+        return np.sqrt(np.diag(self.covariance))
+
     def error(self, along: np.ndarray) -> float:
         """Return the standard error of a combination of parameters, its weights of shape [D]."""
         return float(np.sqrt(along @ self.covariance @ along))
