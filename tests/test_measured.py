@@ -63,6 +63,10 @@ def test_the_default_model_of_rig_a_is_accurate_and_stands_where_it_is_not_drive
         assert channel["greybox"]["free_run"]["rmse"] <= free_run
         assert np.isfinite(channel["benchmark"]["free_run"]["rmse"])
         assert channel["tests"] == [f"{mode}-{number}" for number in (17, 18, 19, 20)]
+        # Four tests a direction: all of them may lie inside a band that nine of ten samples shall.
+        bands = channel["bands"]
+        assert bands["free_run"]["covered"] >= 0.85
+        assert 0.85 <= bands["horizons"]["covered"][0] <= 0.95
         record, middle = paused(campaign.held_out(mode)[0], mode)
         found = model.simulate(record)
         settled = middle + round(1.0 / record.step_s)
@@ -74,6 +78,26 @@ def test_the_default_model_of_rig_a_is_accurate_and_stands_where_it_is_not_drive
     assert cycles["greybox"]["free_run"]["rmse"] <= 2.0
     assert cycles["horizons"]["greybox"][cycles["horizons"]["steps"].index(10)] <= 0.10
     assert cycles["max_jump"] < 0.02
+
+
+def test_the_lag_of_the_papers_lowering_model_is_not_printed_as_if_it_were_determined(data):
+    campaign = read(data("rig-a"))
+    model = identify(campaign, structure=PAPER_FORMS, training=None, comparison=None).model
+    result = validate(model, campaign)
+    known = result.metrics["channels"]["lowering"]["parameters"]["estimates"]
+    lag = known["time_constant"]
+    assert known["gain"]["determined"]
+    assert not lag["determined"]
+    # Ten seconds tell a lag from an integrator if it is no longer than some ten times that.
+    assert lag["interval_95"][0] > 100.0
+    assert lag["interval_95"][1] is None
+    assert lag["verdict"].startswith("only K/τ is determined: τ > ")
+    section = result.markdown().split("## lowering: parameters of the benchmark")[1].split("##")[0]
+    cells = {
+        row.split("|")[1].strip(): row.split("|")[3].strip() for row in section.splitlines() if "|" in row
+    }
+    assert cells["K/τ"].startswith("15.")
+    assert cells["τ"] == cells["alpha2 = K"] == cells["beta4 = tau"] == ""
 
 
 @pytest.mark.parametrize("mode", ["lifting", "lowering"])
