@@ -373,3 +373,16 @@ def test_residuals_of_both_runs_are_tested_whatever_the_model_knows(tests_of):
     assert not free_run["white"]
     error = channel["greybox"]["free_run"]["rmse"]
     assert np.hypot(free_run["mean"], free_run["deviation"]) == pytest.approx(error, rel=1e-6)
+
+
+def test_bands_around_cycles_are_judged_too(cycle):
+    model, records = with_bands(MODELS, LIFTING, LOWERING), [cycle("cycle-1", 1), cycle("cycle-2", 2)]
+    result = validate(model, Campaign.of(records))
+    bands = result.metrics["cycles"]["bands"]
+    inside = []
+    for record in records:
+        lower, upper = model.band(record)
+        inside.append(np.mean((lower <= record.displacement) & (record.displacement <= upper)))
+    assert bands["free_run"]["covered"] == pytest.approx(np.mean(inside), abs=1e-12)
+    assert "## cycles: band for 90 % of the samples of an unseen test" in result.markdown()
+    assert "bands" not in validate(MODELS, Campaign.of(records)).metrics["cycles"]

@@ -309,8 +309,7 @@ class Hitch:
             InputError: the model has no bands, the share lies beyond them, or as `simulate`.
             SettingsError: a unit is of another dimension than the model's.
         """
-        bands = {mode: self.uncertainty[mode].bands for mode in self.channels if mode in self.uncertainty}
-        known = {mode: band for mode, band in bands.items() if band is not None}
+        known = self._bands
         lacking = [mode for mode in self.channels if mode not in known]
         if lacking:
             raise InputError(
@@ -327,6 +326,16 @@ class Hitch:
             half = np.where(run.charge < 0, max(each), np.array(each)[run.charge])
         half = self._given_back(half, own, record)
         return Band(middle - half, middle + half)
+
+    @property
+    def has_bands(self) -> bool:
+        """Whether every channel has bands around its predictions."""
+        return len(self._bands) == len(self.channels)
+
+    @property
+    def _bands(self) -> dict[str, Bands]:
+        held = {mode: known.bands for mode, known in self.uncertainty.items() if mode in self.channels}
+        return {mode: bands for mode, bands in held.items() if bands is not None}
 
     def _free_run_half(
         self, own: Record, run: FreeRun, bands: Mapping[str, Bands], coverage: float

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from hitchid.validation.table import Table, digits
-from hitchid.validation.trust_tables import trust_tables
+from hitchid.validation.trust_tables import band_table, trust_tables
 
 NAMES = {
     "persistence": "persistence",
@@ -112,4 +112,5 @@ def _cycles(cycles: Mapping[str, Any], unit: str) -> list[Table]:
         Table(title, _header(unit, "model", "run"), rows),
         _horizons("cycles", cycles, unit),
         _single_tests("cycles", cycles["per_test"], unit),
+        *([band_table("cycles", cycles["bands"], unit)] if "bands" in cycles else []),
     ]

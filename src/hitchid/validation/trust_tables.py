@@ -20,7 +20,7 @@ def trust_tables(mode: str, channel: Mapping[str, Any], unit: str) -> list[Table
         title = f"{mode}: parameters of the paper's transfer function"
         found.append(_parameters(title, channel["paper_parameters"]))
     if "bands" in channel:
-        found.append(_bands(mode, channel["bands"], unit))
+        found.append(band_table(mode, channel["bands"], unit))
     if "residuals" in channel:
         found.append(_residuals(mode, channel["residuals"], unit))
     if "searches" in channel:
@@ -66,8 +66,8 @@ def _parameters(title: str, known: Mapping[str, Any]) -> Table:
     return Table(title, header, tuple(rows))
 
 
-def _bands(mode: str, bands: Mapping[str, Any], unit: str) -> Table:
-    horizons = bands["horizons"]
+def band_table(mode: str, bands: Mapping[str, Any], unit: str) -> Table:
+    horizons = bands.get("horizons", {"steps": (), "covered": (), "width": ()})
     rows = [("free run", *_covered(bands["free_run"]["covered"], bands["free_run"]["width"]))]
     rows += [
         (f"{step} sample{'s' if step > 1 else ''} ahead", *_covered(covered, width))

@@ -7,8 +7,9 @@ import numpy as np
 
 from hitchid.benchmark import Batch
 from hitchid.fitting import Trail
-from hitchid.model import Channel
+from hitchid.model import Channel, Hitch
 from hitchid.model.possible import spread
+from hitchid.record import Record
 from hitchid.residuals import residual_tests
 from hitchid.uncertainty import Bands, Estimates, Uncertainty
 
@@ -139,6 +140,22 @@ def band_figures(
             "width": [2 * factor * width for width in widths],
         },
     }
+
+
+def cycle_band_figures(model: Hitch, cycles: Sequence[Record]) -> dict:
+    """Return what share of unseen cycles bands around the free run cover, and how wide they are.
+
+    Args:
+        model: one with bands for every channel.
+        cycles: mixed logs.
+    """
+    shares, widths = [], []
+    for record in cycles:
+        lower, upper = model.band(record, coverage=COVERAGE)
+        shares.append(np.mean((lower <= record.displacement) & (record.displacement <= upper)))
+        widths.append(np.mean(upper - lower))
+    found = {"covered": float(np.mean(shares)), "width": float(np.mean(widths))}
+    return {"coverage": COVERAGE, "free_run": found}
 
 
 def _covered(inside: np.ndarray, counted: np.ndarray) -> float:

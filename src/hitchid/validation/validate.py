@@ -21,7 +21,7 @@ from hitchid.storage import canonical_json, write_folder
 from hitchid.uncertainty import Uncertainty
 from hitchid.units import conversion_factor
 from hitchid.validation.tables import NAMES, RUNS, markdown, tables
-from hitchid.validation.uncertainty import band_figures, residual_figures, trust_figures
+from hitchid.validation.uncertainty import band_figures, cycle_band_figures, residual_figures, trust_figures
 
 ORIGINS = 5
 METRICS_FILE = "metrics.json"
@@ -258,6 +258,7 @@ def _cycle_metrics(model: Hitch, cycles: Sequence[Record]) -> dict:
             for record, y, g in zip(cycles, actual, grey, strict=True)
         },
         "max_jump": max(_largest_jump(model, record) for record in cycles),
+        **({"bands": cycle_band_figures(model, cycles)} if model.has_bands else {}),
     }
 
 
