@@ -18,6 +18,7 @@ AT_BOUND = 1e-3
 HALF = 0.5
 TIGHT, LITTLE = 1.4, 0.2
 TAILS = (2.5, 97.5)
+PROFILED = 2048
 
 
 @dataclass(frozen=True)
@@ -134,7 +135,8 @@ def _with_interval(
         interval = found.between(place - reach, place + reach)
         if reach < min(place, 1 - place) and found.narrow(interval, TIGHT, LITTLE):
             return replace(found, interval=interval)
-    curve = profile(misfit, position, found.number, dead_zone)
+    coarse = misfit.over(misfit.batch.thinned(PROFILED))
+    curve = profile(coarse, position, found.number, dead_zone)
     return replace(found, interval=found.between(curve.lower, curve.upper), profile=curve)
 
 
