@@ -188,7 +188,7 @@ def _tried(
     highest = float(covered.command.highest)
     if limits.highest is not None:
         highest = limits.highest - channel.dead_zone
-    if highest <= 0:
+    if not highest > 0:
         raise InputError(
             f"highest command: required above the dead zone of {channel.dead_zone:.4g}, "
             f"came {limits.highest:.4g}"
@@ -205,7 +205,7 @@ def _tried(
             Proposal(
                 low=float(low * high * highest),
                 high=float(high * highest),
-                clock_s=CLOCK_S[0] * (CLOCK_S[1] / CLOCK_S[0]) ** clock,
+                clock_s=float(CLOCK_S[0] * (CLOCK_S[1] / CLOCK_S[0]) ** clock),
                 duration_s=duration_s,
                 seed=seed,
                 travel=0.0,
@@ -218,7 +218,8 @@ def _tried(
         for proposal, gone, slopes in zip(proposals, travel, jacobian, strict=True):
             way = float(np.abs(gone[: commands.shape[1]]).max())
             if 0 < way <= room:
-                yield replace(proposal, travel=way), slopes[: commands.shape[1]]
+                moved = gone[: commands.shape[1]]
+                yield replace(proposal, travel=way), information.heard(moved, slopes[: moved.size])
 
 
 def _signal(proposal: Proposal, step_s: float) -> np.ndarray:

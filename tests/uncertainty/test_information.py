@@ -55,6 +55,7 @@ def by_hand(jacobian, *, tests=5, size=0.3, every=1, fixed=0.0):
         # The mean of so many white errors.
         autocovariance=(size**2 / every, 0.0, 0.0),
         every=every,
+        apart=False,
         tests=tests,
         samples=float(len(jacobian)),
     )
@@ -190,3 +191,15 @@ def test_a_description_of_another_kind_is_refused(found, spoil):
     described["information"].update(spoil)
     with pytest.raises(ValueError, match=f"information.{next(iter(spoil))}"):
         Uncertainty.of(described)
+
+
+def test_what_a_tests_own_speed_would_take_up_is_not_heard():
+    rng = np.random.default_rng(4)
+    travel, other = np.cumsum(rng.random(50)), rng.standard_normal(50)
+    jacobian = np.stack([3.0 * travel, other], axis=1)
+    information = by_hand(jacobian)
+    np.testing.assert_array_equal(information.heard(travel, jacobian), jacobian)
+    heard = replace(information, apart=True).heard(travel, jacobian)
+    # A speed that is tied to one with ρ = 0.01 leaves ρ/(1 + ρ) of what goes with the travel itself.
+    np.testing.assert_allclose(heard[:, 0], 3.0 * travel * 0.01 / 1.01, rtol=1e-9)
+    assert abs(travel @ heard[:, 1]) <= 0.01 * abs(travel @ other)

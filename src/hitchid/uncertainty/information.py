@@ -7,6 +7,7 @@ from jaxtyping import Float
 from scipy.linalg import toeplitz
 
 from hitchid.fitting import Misfit
+from hitchid.fitting.misfit import TIED
 from hitchid.uncertainty.moves import Moves
 
 LAGS = 100
@@ -24,6 +25,7 @@ class Information:
         fixed: what the error of the dead zone adds to that covariance, however many tests there are.
         autocovariance: of the errors, every so many samples.
         every: samples between two lags.
+        apart: whether the fit left each test a speed of its own; what is known is then known beside that.
         tests, samples: how many tests there were, and samples in the mean one.
     """
 
@@ -34,6 +36,7 @@ class Information:
     fixed: tuple[tuple[float, ...], ...]
     autocovariance: tuple[float, ...]
     every: int
+    apart: bool
     tests: int
     samples: float
 
@@ -46,7 +49,7 @@ class Information:
             position: the estimates, shape [D].
             moved: by how much each test moves each estimate.
         """
-        problem, test = misfit.pooled().problem()
+        problem, test = misfit.problem()
         free = np.flatnonzero(np.any(moved.by_test != 0, axis=0))
         jacobian, errors = problem.jacobian(position)[:, free], problem.residuals(position)
         curvature = jacobian.T @ jacobian
@@ -62,6 +65,7 @@ class Information:
             fixed=_rows(fixed),
             autocovariance=_autocovariance(errors, test, every),
             every=every,
+            apart=misfit.apart,
             tests=int(np.count_nonzero(counts)),
             samples=float(counts[counts > 0].mean()),
         )
@@ -74,6 +78,21 @@ class Information:
         """Return what one more test like those there were is expected to leave."""
         more = 1 + 1 / self.tests
         return self._widths(more * np.array(self.curvature), more * np.array(self.scatter))
+
+    def heard(
+        self, travel: Float[np.ndarray, " n"], jacobian: Float[np.ndarray, "n d"]
+    ) -> Float[np.ndarray, "n d"]:
+        """Return a test's derivatives as the fit hears them: without what its own speed would take up.
+
+        J − ŷ (ŷᵀJ)/((1 + ρ) ŷᵀŷ), to first order where the test is fitted well; see `Misfit.residuals`.
+
+        Args:
+            travel: ŷ, of the model.
+            jacobian: its derivative by the parameters' places between bounds.
+        """
+        if not self.apart:
+            return jacobian
+        return jacobian - np.outer(travel, travel @ jacobian / ((1 + TIED) * (travel @ travel)))
 
     def widths_with(self, jacobian: Float[np.ndarray, "n d"]) -> Float[np.ndarray, " d"]:
         """Return the standard errors that one more test is expected to leave, by place between bounds.
