@@ -20,7 +20,8 @@ from hitchid.envelope import Envelope, Range
 from hitchid.errors import HitchError, ModelFolderError
 from hitchid.lstm import Lstm
 from hitchid.model.channel import Channel
-from hitchid.model.hitch import Hitch, Provenance, TwoModes
+from hitchid.model.hitch import Hitch
+from hitchid.model.provenance import Provenance, TwoModes
 from hitchid.narx import Narx
 from hitchid.precision import double_precision
 from hitchid.speed_compensator import INPUTS, SpeedCompensator

@@ -46,12 +46,12 @@ def derived(
     best = at(position)
     around = [(at(position + step), at(position - step)) for step in STEP * np.eye(position.size)]
     allowed = [at(place) for each in profiles for place in each.positions[each.allowed]]
+    # A combination is no surer than the least sure of what goes into it; one at a bound moves nothing.
+    degrees = float(np.min(moved.degrees[moved.degrees > 1], initial=len(moved.by_test) - 1))
     quantities = []
     for name, (value, unit) in best.items():
         along = [(_log(ahead[name][0]) - _log(behind[name][0])) / (2 * STEP) for ahead, behind in around]
-        reach = moved.reach(
-            np.array(along), float(np.min(moved.degrees[moved.degrees > 1], initial=len(moved.by_test) - 1))
-        )
+        reach = moved.reach(np.array(along), degrees)
         found = [_log(value) - reach, _log(value) + reach, *(_log(each[name][0]) for each in allowed)]
         falls, rises = beyond(profiles, lambda place, name=name: _log(at(place)[name][0]))
         lower = None if falls else exp(min(found))

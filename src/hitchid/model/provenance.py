@@ -1,0 +1,59 @@
+"""Where a model comes from, and what was found on the way."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where a model comes from: enough to repeat it, and to know which tests it has seen.
+
+    Attributes:
+        identification, validation, held_out: mode to the names of the tests that found the benchmark, that
+            stopped the training, and that nothing has seen. Validation tests are identification tests too.
+        seen: fingerprints of every record the identification used.
+        cut_at: mode to the dead zone with which mixed cycles were cut into strokes; empty where none were.
+        seed: the seed of every random draw.
+        settings: what was asked for, as JSON can hold it.
+        versions: package to version.
+    """
+
+    identification: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    validation: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    held_out: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    seen: frozenset[str] = frozenset()
+    cut_at: Mapping[str, float] = field(default_factory=dict)
+    seed: int = 0
+    settings: Mapping[str, object] = field(default_factory=dict)
+    versions: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class TwoModes:
+    """Whether the plant needs two modes: one shared linear model against one for each direction.
+
+    Attributes:
+        needed: whether held-out tests prove two models better and the statistic is significant at 1 %.
+        shared_rmse, two_rmse: free run on tests held out in turn, each weighing the same, in the
+            displacement's unit.
+        f_statistic: of nested models, over the identification tests.
+        p_value: chance of one as large, if one model were enough.
+        tests: how many there were.
+    """
+
+    needed: bool
+    shared_rmse: float
+    two_rmse: float
+    f_statistic: float
+    p_value: float
+    tests: int
+
+    @property
+    def sentence(self) -> str:
+        """The finding in words."""
+        verdict = "the plant needs two modes" if self.needed else "one mode would do"
+        return (
+            f"{verdict}: free run on tests held out in turn {self.shared_rmse:.4g} with one shared model, "
+            f"{self.two_rmse:.4g} with two; F = {self.f_statistic:.3g}, p = {self.p_value:.2g}, "
+            f"{self.tests} tests"
+        )
