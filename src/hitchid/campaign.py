@@ -1,7 +1,7 @@
 """All tests of one plant, and which of them are held out."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from glob import escape
@@ -129,6 +129,10 @@ class Campaign:
         """Return the tests of a mode that are not held out."""
         held_out = {record.name for record in self.held_out(mode)}
         return tuple(record for record in self.of_kind(mode) if record.name not in held_out)
+
+    def without(self, fingerprints: Collection[str]) -> "Campaign":
+        """Return the campaign without the records that these are the fingerprints of; it may be empty."""
+        return replace(self, records=tuple(r for r in self.records if r.fingerprint not in fingerprints))
 
     def segmented(self, dead_zones: Mapping[str, float]) -> "Campaign":
         """Return the campaign with its mixed cycles cut into strokes of one mode each.

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 import sys
 from dataclasses import asdict, replace
 from enum import Enum
@@ -65,6 +66,8 @@ Signals = Annotated[
     typer.Option("--signals", help="Signal map in the form of campaign.toml; each folder's own by default."),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON instead of tables.")]
+AsPdf = Annotated[bool, typer.Option("--pdf", help="Write report.pdf too; needs hitchid[pdf].")]
+Quiet = Annotated[bool, typer.Option("--quiet", help="Say nothing but what fails.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace an older result.")]
 
 
@@ -115,6 +118,7 @@ def identify(
         int | None, typer.Option("--seed", min=0, max=2**32 - 1, help="Seed of every random draw [0].")
     ] = None,
     force: Force = False,
+    quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
     """Identify a model from logs: dead zones, benchmarks, compensators."""
@@ -133,43 +137,112 @@ def identify(
         settings["seed"] = seed
     settings["comparison"] = _resumable(settings.get("comparison", Comparison()))
     campaign = read(logs, signals=signals)
-    with display.progress() as report:
+    with display.progress(quiet=quiet) as report:
         found = run(campaign, **settings, progress=report)
     found.save(out, force=force)
     if as_json:
         typer.echo(json.dumps(found.describe(), indent=1))
-    else:
-        display.show_identification(found)
+    elif not quiet:
+        display.show_identification(found, out)
 
 
 @app.command(epilog="Example: hitchid validate model logs/ --out results")
 def validate(
     model: Annotated[Path, typer.Argument(help="Model folder.", show_default=False)],
     logs: Logs,
-    out: Annotated[Path, typer.Option("--out", help="Folder to write metrics.json and tables.md to.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder to write: report.html, figures, metrics.json.")],
+    accept: Annotated[
+        Path | None, typer.Option("--accept", help="Limits in TOML; exit code 1 where one does not hold.")
+    ] = None,
+    junit: Annotated[
+        Path | None, typer.Option("--junit", help="JUnit XML file to write the limits' verdicts to.")
+    ] = None,
+    as_pdf: AsPdf = False,
     signals: Signals = None,
     force: Force = False,
+    quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
     """Compare a model with tests its identification has not used."""
     from hitchid import display
-    from hitchid.storage import check_folder
+    from hitchid.storage import check_file, check_folder, write_bytes
 
     check_folder(out, mark="metrics.json", force=force)
+    if junit is not None:
+        if accept is None:
+            raise InputError("--junit: required --accept with limits, came none")
+        check_file(junit, force=force)
     _prepare_jax()
-    from hitchid.model import load
+    from hitchid.model import load, load_trace
+    from hitchid.progress import Step
     from hitchid.readers import read
+    from hitchid.report import check_pdf, validation_report, write_report
+    from hitchid.validation import check_limits, junit_xml, read_limits
     from hitchid.validation import validate as run
 
-    hitch = load(model)
+    check_pdf(asked=as_pdf)
+    limits = None if accept is None else read_limits(accept)
+    hitch, trace = load(model), load_trace(model)
     campaign = read(logs, signals=signals)
-    with display.progress() as report:
+    if limits is not None:
+        limits.check_convertible(campaign.records[0].unit)
+    with display.progress(quiet=quiet) as report:
         result = run(hitch, campaign, progress=report)
-    result.write(out, force=force)
+        acceptance = None if limits is None else check_limits(result.metrics, limits)
+        report(Step("report", 0.98))
+        document = validation_report(
+            result, hitch, campaign, trace=trace, acceptance=acceptance, command=_command()
+        )
+        write_report(out, document, result.files(), as_pdf=as_pdf, mark="metrics.json", force=force)
+    if junit is not None and acceptance is not None:
+        write_bytes(junit, junit_xml(acceptance.checks), force=force)
     if as_json:
-        typer.echo(json.dumps(result.metrics, indent=1))
+        accepted = {} if acceptance is None else {"acceptance": acceptance.describe()}
+        typer.echo(json.dumps({**result.metrics, **accepted}, indent=1))
     else:
-        display.show_validation(result)
+        if not quiet:
+            display.show_validation(result, document, out)
+        if acceptance is not None:
+            display.show_acceptance(acceptance, quiet=quiet)
+    if acceptance is not None and not acceptance.passed:
+        raise typer.Exit(1)
+
+
+@app.command(epilog="Example: hitchid compare model-a model-b logs/ --out comparison")
+def compare(
+    first: Annotated[Path, typer.Argument(metavar="MODEL_A", help="Model folder.", show_default=False)],
+    second: Annotated[Path, typer.Argument(metavar="MODEL_B", help="Model folder.", show_default=False)],
+    logs: Logs,
+    out: Annotated[Path, typer.Option("--out", help="Folder to write: report.html, comparison.json.")],
+    as_pdf: AsPdf = False,
+    signals: Signals = None,
+    force: Force = False,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Compare two models with each other on tests that neither has used."""
+    from hitchid import display
+    from hitchid.storage import check_folder
+
+    check_folder(out, mark="comparison.json", force=force)
+    _prepare_jax()
+    from hitchid.model import load
+    from hitchid.progress import Step
+    from hitchid.readers import read
+    from hitchid.report import check_pdf, comparison_report, write_report
+    from hitchid.validation import compare as run
+
+    check_pdf(asked=as_pdf)
+    campaign = read(logs, signals=signals)
+    with display.progress(quiet=quiet) as report:
+        compared = run(load(first), load(second), campaign, progress=report)
+        report(Step("report", 0.98))
+        document = comparison_report(compared, campaign, names=(str(first), str(second)), command=_command())
+        write_report(out, document, compared.files(), as_pdf=as_pdf, mark="comparison.json", force=force)
+    if as_json:
+        typer.echo(json.dumps(compared.metrics, indent=1))
+    elif not quiet:
+        display.show_comparison(compared, document, out)
 
 
 @app.command(epilog="Example: hitchid simulate model test.csv --out simulated.csv --bands")
@@ -331,6 +404,7 @@ def reproduce(
     rig: Annotated[str, typer.Option("--rig", help="Parameter set: a name or a TOML file.")] = "nominal",
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of every random draw.")] = 0,
     force: Force = False,
+    quiet: Quiet = False,
 ) -> None:
     """Redo the study of Sun et al. 2025 on the virtual bench, every table and figure."""
     from hitchid import display
@@ -341,11 +415,11 @@ def reproduce(
     from hitchid.study import Plan, quick_plan
     from hitchid.study import reproduce as run
 
-    with display.progress() as report:
-        study = run(
-            out, rig=rig, plan=quick_plan() if quick else Plan(), seed=seed, force=force, progress=report
-        )
-    display.show_study(study)
+    plan = quick_plan() if quick else Plan()
+    with display.progress(quiet=quiet) as report:
+        study = run(out, rig=rig, plan=plan, seed=seed, force=force, progress=report, command=_command())
+    if not quiet:
+        display.show_study(study, out)
 
 
 def _check_picture(path: Path, *, force: bool) -> None:
@@ -359,9 +433,14 @@ def _check_picture(path: Path, *, force: bool) -> None:
 def _draw(found: "Inspection", path: Path, *, force: bool) -> None:
     if not found.mixed:
         raise InputError("--draw: none of the logs moves both ways; there is nothing to draw")
-    from hitchid.timeline import draw
+    from hitchid.report.figures.timeline import draw
 
     draw(found.mixed, path, force=force)
+
+
+def _command() -> str:
+    """Return the command as it was given, for who wants to give it again."""
+    return shlex.join(["hitchid", *sys.argv[1:]])
 
 
 def _horizon(text: str) -> int | None:

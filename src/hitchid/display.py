@@ -1,51 +1,28 @@
-"""What a terminal shows: tables, notices, progress."""
+"""What a terminal shows: tables, verdicts, notices."""
 
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from textwrap import fill
+from typing import TYPE_CHECKING, Any
 
+from rich import box
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table as RichTable
 
+from hitchid.live_progress import progress as progress
 from hitchid.segments import LABELS
 
 if TYPE_CHECKING:
     from hitchid.design import Advice
-    from hitchid.identification import Identification
+    from hitchid.identification import ChannelTrace, Identification
     from hitchid.inspection import Inspection
     from hitchid.model import Hitch
+    from hitchid.report import Document
     from hitchid.study import Study
-    from hitchid.validation import Table, Validation
+    from hitchid.validation import Acceptance, ModelComparison, Table, Validation
 
-Report = Callable[[str, float], None]
-
-
-@contextmanager
-def progress() -> Iterator[Report]:
-    """Give a function that shows progress on stderr: a bar on a terminal, a line a stage elsewhere."""
-    if not sys.stderr.isatty():
-        yield _plain_lines()
-        return
-    columns = (BarColumn(30), TaskProgressColumn(), TimeRemainingColumn(), TextColumn("{task.description}"))
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("", total=1.0)
-        yield lambda stage, fraction: bar.update(task, description=stage, completed=fraction)
-
-
-def _plain_lines() -> Report:
-    last = ""
-
-    def report(stage: str, fraction: float) -> None:
-        nonlocal last
-        name = stage.partition(", epoch")[0]
-        if name != last:
-            last = name
-            sys.stderr.write(f"{fraction:4.0%}  {name}\n")
-            sys.stderr.flush()
-
-    return report
+COLUMNS = 80
 
 
 def show_inspection(found: "Inspection") -> None:
@@ -90,38 +67,34 @@ def _durations(record: Mapping[str, object]) -> Mapping[str, float]:
     return spent
 
 
-def show_identification(found: "Identification") -> None:
-    """Print dead zones, parameters as far as they are determined, and notices."""
-    from hitchid.uncertainty import interval_text, stated
-
+def show_identification(found: "Identification", out: Path) -> None:
+    """Print what was found of each direction, in 80 columns, and where the model lies."""
     for mode, trace in found.channels.items():
-        table = _table(mode, "value ± standard error", "95 %", "unit", "verdict")
-        zone = trace.dead_zone
-        error = zone.error.size or None
-        unit = found.model.units[f"{mode}_command"]
-        table.add_row("dead zone", stated(zone.value, error), "", unit, f"from {zone.count} {zone.origin}")
-        for each in trace.phase1.estimates:
-            value = stated(each.value, each.error) if each.determined else ""
-            name = each.name.replace("_", " ")
-            table.add_row(name, value, interval_text(each.interval), each.unit, each.verdict)
-        for each in trace.phase1.known.derived:
-            value = f"{each.value:.4g}" if each.determined else ""
-            table.add_row(each.name, value, interval_text(each.interval), each.unit, "derived")
-        _out().print(table)
+        _summary().print(_parameters(mode, found.model.units[f"{mode}_command"], trace))
         displacement = found.model.units["displacement"]
-        if trace.candidates:
-            compared = _table("form", "parameters", f"RMSE / {displacement}", "held-out levels")
-            for each in trace.candidates:
-                count = str(len(each.form.parameters))
-                name = f"{each.name} (taken)" if each.chosen else each.name
-                compared.add_row(name, count, f"{each.rmse:.4g}", f"{each.held_out_rmse:.4g}")
-            _out().print(compared)
+        chosen = [each.name for each in trace.candidates if each.chosen]
+        form = f"form taken of {len(trace.candidates)}: {chosen[0]}; " if chosen else ""
+        _say_in(f"{form}RMSE {trace.phase1.rmse:.4g} {displacement} over the identification tests, free run")
         if trace.seconds:
             spent = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in trace.seconds.items())
-            _out().print(f"fitted in: {spent}")
-        rmse = f"RMSE {trace.phase1.rmse:.4g} {displacement}"
-        _out().print(f"benchmark, free run over the identification tests: {rmse}")
+            _say_in(f"time: {spent}")
         say(f"{mode}, notice", trace.notices)
+    _say_in(f"model: {out}")
+
+
+def _parameters(mode: str, unit: str, trace: "ChannelTrace") -> RichTable:
+    """Return the dead zone and every parameter; what is not determined is told by its verdict alone."""
+    from hitchid.uncertainty import stated
+
+    table = _table(mode, "value ± std error", "unit", "verdict", kind=box.SIMPLE_HEAD)
+    zone = trace.dead_zone
+    table.add_row(
+        "dead zone", stated(zone.value, zone.error.size or None), unit, f"from {zone.count} {zone.origin}"
+    )
+    for each in trace.phase1.estimates:
+        value = stated(each.value, each.error) if each.determined else ""
+        table.add_row(each.symbol or each.name.replace("_", " "), value, each.unit, each.verdict)
+    return table
 
 
 def show_advice(advice: "Advice", model: "Hitch") -> None:
@@ -156,18 +129,82 @@ def show_advice(advice: "Advice", model: "Hitch") -> None:
         )
 
 
-def show_study(study: "Study") -> None:
+def show_study(study: "Study", out: Path) -> None:
     """Print the tables of the study, and what a reader should not miss."""
     _show_tables(study.tables)
     say("notice", study.validation.notices)
+    _say_in(f"report: {out / 'report.html'}")
 
 
-def show_validation(result: "Validation") -> None:
-    """Print every table of a validation."""
-    from hitchid.validation import tables
+def show_validation(result: "Validation", document: "Document", out: Path) -> None:
+    """Print the verdict and how every model errs, in 80 columns, and where the report lies."""
+    from hitchid.validation import NAMES
 
-    _show_tables(tables(result.metrics))
+    _show_verdict(document)
+    unit = result.metrics["unit"]
+    for mode, channel in result.metrics["channels"].items():
+        table = _errors_table(f"{mode}, RMSE / {unit}")
+        everything = {
+            **channel["baselines"],
+            "benchmark": channel["benchmark"],
+            "greybox": channel["greybox"],
+        }
+        for name, figures in everything.items():
+            table.add_row(NAMES[name], *_errors(figures))
+        _summary().print(table)
+    cycles = result.metrics["cycles"]
+    if cycles["tests"]:
+        table = _errors_table(f"cycles, RMSE / {unit}")
+        for name in (name for name in NAMES if name in cycles):
+            table.add_row(NAMES[name], *_errors(cycles[name]))
+        _summary().print(table)
     say("notice", result.notices)
+    _say_in(f"report: {out / 'report.html'}")
+
+
+def show_comparison(compared: "ModelComparison", document: "Document", out: Path) -> None:
+    """Print which model errs less, and both side by side, in 80 columns."""
+    _show_verdict(document)
+    for part in compared.parts:
+        table = _errors_table(f"{part}, RMSE / {compared.unit}")
+        for name, figures in zip("AB", compared.figures(part), strict=True):
+            table.add_row(f"model {name}", *_errors(figures["greybox"]))
+        _summary().print(table)
+    say("notice", compared.notices)
+    _say_in(f"report: {out / 'report.html'}")
+
+
+def show_acceptance(acceptance: "Acceptance", *, quiet: bool = False) -> None:
+    """Print whether each limit holds, a line for each; quietly, those alone that do not."""
+    from hitchid.validation import line
+
+    for check in acceptance.checks:
+        if not (quiet and check.passed):
+            sys.stdout.write(f"{line(check)}\n")
+
+
+def _show_verdict(document: "Document") -> None:
+    for finding in document.verdict:
+        _say_in(f"{finding.level.value:8}{finding.sentence}", indent=8)
+
+
+def _errors_table(title: str) -> RichTable:
+    table = _table(title, kind=box.SIMPLE_HEAD)
+    for name in ("one step", "free run", "fit / %", "largest"):
+        table.add_column(name, justify="right")
+    return table
+
+
+def _errors(figures: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return RMSE one step ahead and in free run, fit and largest error in free run where there is one."""
+    from hitchid.validation import error_cells
+
+    ahead, free = (figures.get(run) for run in ("one_step", "free_run"))
+    step = error_cells(ahead)[0] if ahead else ""
+    if not free:
+        return step, "", "", ""
+    rmse, _, _, fit, largest, _ = error_cells(free)
+    return step, rmse, fit, largest
 
 
 def _show_tables(tables: Iterable["Table"]) -> None:
@@ -184,15 +221,24 @@ def _numeric(cell: str) -> bool:
     return cell == "diverged" or not any(letter.isalpha() for letter in cell.replace("e", ""))
 
 
-def _table(*header: str) -> RichTable:
-    table = RichTable()
+def _table(*header: str, kind: box.Box = box.HEAVY_HEAD) -> RichTable:
+    table = RichTable(box=kind, pad_edge=False)
     for name in header:
         table.add_column(name)
     return table
 
 
 def _out() -> Console:
-    return Console(width=None if sys.stdout.isatty() else 120)
+    return Console(width=None if sys.stdout.isatty() else 120, markup=False, highlight=False)
+
+
+def _summary() -> Console:
+    return Console(width=COLUMNS, markup=False, highlight=False)
+
+
+def _say_in(text: str, indent: int = 0) -> None:
+    """Print a sentence on lines of 80 columns at most, all but the first indented."""
+    sys.stdout.write(fill(text, COLUMNS, subsequent_indent=" " * indent, break_on_hyphens=False) + "\n")
 
 
 def say(kind: str, sentences: Iterable[str]) -> None:

@@ -1,11 +1,12 @@
 """A look at logs before any fit: what each one is, how it was sampled, what is wrong with it."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from hitchid.campaign import Campaign
 from hitchid.errors import HitchError, LogError
 from hitchid.modes import ACTIVE_FRACTION, full_scales
 from hitchid.readers import assemble, find_logs, read_log, settings_of
@@ -68,6 +69,16 @@ def inspect(
     except HitchError as error:
         entries = tuple({**_entry(record, False), "kind": "not told"} for record in records)
         return Inspection(entries, (), (*faults, str(error)))
+    return replace(look_over(campaign, switches), faults=tuple(faults))
+
+
+def look_over(campaign: Campaign, switches: Mapping[str, Switch] | None = None) -> Inspection:
+    """Look at logs that have been read.
+
+    Args:
+        campaign: the tests.
+        switches: as for `inspect`.
+    """
     held_out = {record.name for mode in MODES for record in campaign.held_out(mode)}
     scales = full_scales(campaign.records)
     mixed = {
@@ -79,7 +90,7 @@ def inspect(
             for record in campaign.records
         ),
         notices=tuple(notice for record in campaign.records for notice in _notices(record, scales)),
-        faults=tuple(faults),
+        faults=(),
         mixed=tuple(mixed.values()),
     )
 

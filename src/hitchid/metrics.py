@@ -58,6 +58,26 @@ def error_figures(actual: Sequence[np.ndarray], predicted: Sequence[np.ndarray])
     )
 
 
+def rmse_error(actual: Sequence[np.ndarray], predicted: Sequence[np.ndarray]) -> float:
+    """Return the standard error of the pooled root mean square error, with tests as what is independent.
+
+    The jackknife, s² = (T − 1)/T Σ (r_t − r̄)², r_t being the figure without test t.
+
+    Args:
+        actual, predicted: as for `error_figures`.
+
+    Returns:
+        In the displacement's unit; NaN where there is one test alone.
+    """
+    errors = [np.asarray(p) - np.asarray(a) for a, p in zip(actual, predicted, strict=True)]
+    tests = len(errors)
+    if tests < 2:
+        return float("nan")
+    sums, counts = np.array([np.sum(e**2) for e in errors]), np.array([e.size for e in errors])
+    without = np.sqrt((sums.sum() - sums) / (counts.sum() - counts))
+    return float(np.sqrt((tests - 1) / tests * np.sum((without - without.mean()) ** 2)))
+
+
 def proven_better(errors: np.ndarray, than: np.ndarray) -> bool:
     """Tell whether held-out tests prove one model better than another.
 

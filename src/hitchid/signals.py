@@ -127,9 +127,11 @@ def parse_settings(path: Path, model: type[Settings]) -> Settings:
     except (OSError, UnicodeDecodeError) as error:
         raise SettingsError(f"{path}: cannot be read: {error}") from error
     try:
-        return model.model_validate(tomllib.loads(text))
-    except tomllib.TOMLDecodeError as error:
+        content = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # numbers and nesting beyond all measure among them
         raise SettingsError(f"{path}: is not valid TOML: {error}") from error
+    try:
+        return model.model_validate(content)
     except ValidationError as error:
         raise SettingsError(f"{path}: {describe(error)}") from error
     except SettingsError as error:

@@ -5,7 +5,7 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from hitchid.errors import OutputError
@@ -54,6 +54,12 @@ def write_folder(folder: Path, write: Callable[[Path], None], *, mark: str, forc
             shutil.rmtree(beside, ignore_errors=True)
     except OSError as error:
         raise OutputError(f"{folder}: cannot be written: {error}") from error
+
+
+def put(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Write files into a folder that is being filled: name to content."""
+    for name, content in files.items():
+        (folder / name).write_bytes(content)
 
 
 def digest(data: bytes) -> str:
@@ -119,3 +125,12 @@ def write_file(path: Path, write: Callable[[Path], None], *, force: bool) -> Non
             fresh.replace(path)
     except OSError as error:
         raise OutputError(f"{path}: cannot be written: {error}") from error
+
+
+def write_bytes(path: Path, content: bytes, *, force: bool) -> None:
+    """Write a file whole or not at all; see `write_file`."""
+
+    def write(beside: Path) -> None:
+        beside.write_bytes(content)
+
+    write_file(path, write, force=force)

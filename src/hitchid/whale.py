@@ -185,24 +185,54 @@ def minimise(objective: Objective, dimensions: int, swarm: Swarm, key: PRNGKeyAr
         swarm: settings.
         key: every random draw comes from it.
     """
+    return outcome(proceed(objective, begin(dimensions, swarm, key), swarm, key, swarm.generations), swarm)
+
+
+def begin(dimensions: int, swarm: Swarm, key: PRNGKeyArray) -> tuple[State, Trace]:
+    """Return a swarm before its first generation, and an empty trace."""
     generations = swarm.generations
-    start_key, key = jax.random.split(key)
-    state = init(start_key, dimensions, swarm)
+    state = init(jax.random.split(key)[0], dimensions, swarm)
     empty = Trace(
         best_fitness=jnp.full((generations,), jnp.inf),
         best=jnp.zeros((generations, dimensions)),
         fitness=jnp.full((generations, swarm.population), jnp.inf),
         failures=jnp.zeros((generations,), jnp.int32),
     )
+    return state, empty
 
-    def settled(state: State) -> Array:
-        if swarm.stagnation is None:
-            return jnp.asarray(False)
-        return state.generation - 1 - state.improved >= swarm.stagnation
+
+def outcome(carry: tuple[State, Trace], swarm: Swarm) -> Outcome:
+    """Return what a swarm has found."""
+    state, trace = carry
+    return Outcome(state.best, state.best_fitness, state.generation, settled(state, swarm), trace)
+
+
+def settled(state: State, swarm: Swarm) -> Array:
+    """Tell whether a swarm has stopped improving."""
+    if swarm.stagnation is None:
+        return jnp.asarray(False)
+    return state.generation - 1 - state.improved >= swarm.stagnation
+
+
+def proceed(
+    objective: Objective,
+    carry: tuple[State, Trace],
+    swarm: Swarm,
+    key: PRNGKeyArray,
+    until: Int[Array, ""] | int,
+) -> tuple[State, Trace]:
+    """Let a swarm move on until it has gone through so many generations or settles.
+
+    Args:
+        objective, swarm, key: as for `minimise`.
+        carry: of `begin` or an earlier call; where the calls part the search changes nothing.
+        until: generations in all.
+    """
+    key = jax.random.split(key)[1]
 
     def going(carry: tuple[State, Trace]) -> Array:
         state, _ = carry
-        return (state.generation < generations) & ~settled(state)
+        return (state.generation < until) & ~settled(state, swarm)
 
     def generation(carry: tuple[State, Trace]) -> tuple[State, Trace]:
         state, trace = carry
@@ -219,5 +249,4 @@ def minimise(objective: Objective, dimensions: int, swarm: Swarm, key: PRNGKeyAr
         )
         return state, trace
 
-    state, trace = jax.lax.while_loop(going, generation, (state, empty))
-    return Outcome(state.best, state.best_fitness, state.generation, settled(state), trace)
+    return jax.lax.while_loop(going, generation, carry)

@@ -14,9 +14,10 @@ from scipy.stats import qmc
 
 from hitchid import whale
 from hitchid.errors import FitError, InputError
+from hitchid.progress import Heard
 from hitchid.whale import Objective
 
-EVALUATIONS = 3000
+EVALUATIONS, TOLD = 3000, 5
 
 
 @dataclass(frozen=True)
@@ -66,8 +67,13 @@ class Search(abc.ABC):
     name: str
 
     @abc.abstractmethod
-    def minimise(self, problem: Problem, seed: int) -> Found:
+    def minimise(self, problem: Problem, seed: int, heard: Heard | None = None) -> Found:
         """Search the unit cube.
+
+        Args:
+            problem: what is minimised.
+            seed: every random draw comes from it.
+            heard: told the best error after a round, or after some.
 
         Raises:
             FitError: no position gave a finite error.
@@ -86,10 +92,18 @@ class Whale(Search):
     swarm: whale.Swarm = field(default_factory=lambda: whale.Swarm(evaluations=EVALUATIONS))
     name: str = field(default="whale", init=False)
 
-    def minimise(self, problem: Problem, seed: int) -> Found:
+    def minimise(self, problem: Problem, seed: int, heard: Heard | None = None) -> Found:
         """Search with a swarm of whales, in one compiled program."""
         key = jax.random.key(seed)
-        outcome = eqx.filter_jit(whale.minimise)(problem.fitness, problem.dimensions, self.swarm, key)
+        carry = whale.begin(problem.dimensions, self.swarm, key)
+        ends = self.swarm.generations
+        for until in range(TOLD if heard else ends, ends + TOLD, TOLD):
+            carry = _proceed(problem.fitness, carry, self.swarm, key, jnp.asarray(min(until, ends)))
+            if heard is not None:
+                heard(int(carry[0].generation), float(carry[0].best_fitness))
+            if until >= ends:
+                break
+        outcome = whale.outcome(carry, self.swarm)
         generations = int(outcome.generations)
         reason = whale.Reason.ITERATIONS
         if bool(outcome.settled):
@@ -122,7 +136,7 @@ class DifferentialEvolution(Search):
     population: int = 10
     name: str = field(default="differential-evolution", init=False)
 
-    def minimise(self, problem: Problem, seed: int) -> Found:
+    def minimise(self, problem: Problem, seed: int, heard: Heard | None = None) -> Found:
         """Search by differential evolution, a generation at a time."""
         best: list[np.ndarray] = []
         trace: list[float] = []
@@ -139,6 +153,8 @@ class DifferentialEvolution(Search):
             improved = not trace or fitness[leader] < trace[-1]
             best.append(population[leader] if improved else best[-1])
             trace.append(float(fitness[leader]) if improved else trace[-1])
+            if heard is not None:
+                heard(len(trace), trace[-1])
             return fitness
 
         members = self.population * problem.dimensions
@@ -185,7 +201,7 @@ class MultiStart(Search):
     starts: int | None = None
     name: str = field(default="multi-start", init=False)
 
-    def minimise(self, problem: Problem, seed: int) -> Found:
+    def minimise(self, problem: Problem, seed: int, heard: Heard | None = None) -> Found:
         """Run least squares from one start after the other until the budget is spent."""
         points = qmc.Sobol(problem.dimensions, rng=np.random.default_rng(seed))
         best: list[np.ndarray] = []
@@ -204,6 +220,8 @@ class MultiStart(Search):
             improved = not trace or local.fitness < trace[-1]
             best.append(local.position if improved else best[-1])
             trace.append(local.fitness if improved else trace[-1])
+            if heard is not None:
+                heard(len(trace), trace[-1])
         whole = self.starts is not None and len(trace) == self.starts
         reason = whale.Reason.ITERATIONS if whole else whale.Reason.BUDGET
         return _checked(
@@ -271,6 +289,9 @@ def polish(problem: Problem, start: np.ndarray, *, limit: int = 200, tolerance: 
         residuals=np.asarray(outcome.fun),
         jacobian=np.asarray(outcome.jac),
     )
+
+
+_proceed = eqx.filter_jit(whale.proceed)
 
 
 @eqx.filter_jit

@@ -11,7 +11,7 @@ from pydantic import TypeAdapter
 from hitchid.errors import FitError
 from hitchid.fitting.misfit import Misfit
 from hitchid.fitting.search import DifferentialEvolution, Found, MultiStart, Search, Whale
-from hitchid.storage import canonical_json, digest, write_file
+from hitchid.storage import canonical_json, digest, write_bytes
 from hitchid.whale import Swarm
 
 BUDGET = 600
@@ -117,12 +117,7 @@ def _kept(path: Path | None, misfit: Misfit, search: Search, seed: int) -> Run:
             pass
     run = _run(misfit, search, seed)
     if path is not None:
-        content = _sealed(run)
-
-        def write(beside: Path) -> None:
-            beside.write_bytes(content)
-
-        write_file(path, write, force=True)
+        write_bytes(path, _sealed(run), force=True)
     return run
 
 

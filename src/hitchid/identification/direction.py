@@ -25,10 +25,9 @@ from hitchid.identification.preparation import Prepared
 from hitchid.identification.rollouts import Gate, train_on_rollouts
 from hitchid.identification.selection import Automatic, Candidate, choose_form
 from hitchid.model import Channel
+from hitchid.progress import ROUNDS, Heard, Progress, Step, part, rounds
 from hitchid.record import MODES
 from hitchid.uncertainty import Estimates, Information, Uncertainty
-
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
@@ -96,9 +95,9 @@ def find_benchmark(tests: Prepared, asked: Asked, progress: Progress) -> tuple[C
         FitError: nothing moves, or no parameters give a finite error.
     """
     seconds: dict[str, float] = {}
-    progress(f"phase 1, {asked.search.name}", 0.02)
+    progress(Step(f"phase 1, {asked.search.name}", 0.02))
     with _timed(seconds, "benchmark"):
-        phase1, candidates = _benchmark(tests, asked)
+        phase1, candidates = _benchmark(tests, asked, part(progress, 0.02, 0.98))
     channel = replace(_uncompensated(tests, phase1), envelope=envelope_of(tests.everything))
     notices = (*tests.notices, *_vague(phase1))
     return channel, ChannelTrace(tests.dead_zone, phase1, None, None, notices, candidates, seconds)
@@ -132,7 +131,7 @@ def find_compensators(
         )
     trace = replace(trace, phase2=losses)
     if asked.training.rollouts is not None:
-        progress("free runs", 0.5)
+        progress(Step("free runs", 0.5))
         with _timed(seconds, "compensator for free run"):
             travel = channel.benchmark.travel(tests.everything)
             assert channel.envelope is not None  # noqa: S101 - given above
@@ -202,7 +201,7 @@ def _uncompensated(tests: Prepared, phase1: Phase1) -> Channel:
     )
 
 
-def _benchmark(tests: Prepared, asked: Asked) -> tuple[Phase1, tuple[Candidate, ...]]:
+def _benchmark(tests: Prepared, asked: Asked, progress: Progress) -> tuple[Phase1, tuple[Candidate, ...]]:
     batch, ramped = tests.everything, tests.dead_zone.origin == "ramps"
     if isinstance(asked.form, Automatic):
         return choose_form(
@@ -213,11 +212,14 @@ def _benchmark(tests: Prepared, asked: Asked) -> tuple[Phase1, tuple[Candidate, 
             units=asked.units,
             opening_known=ramped,
             dead_zone=tests.dead_zone.error,
+            progress=progress,
         )
-    return _identified(tests, asked, asked.form), ()
+    error = f"RMSE / {asked.units['x']}"
+    hear = rounds(progress, f"phase 1, {asked.search.name}", 0.0, 0.9, error)
+    return _identified(tests, asked, asked.form, hear), ()
 
 
-def _identified(tests: Prepared, asked: Asked, form: Form) -> Phase1:
+def _identified(tests: Prepared, asked: Asked, form: Form, heard: Heard | None = None) -> Phase1:
     return identify_benchmark(
         tests.everything,
         form,
@@ -225,6 +227,7 @@ def _identified(tests: Prepared, asked: Asked, form: Form) -> Phase1:
         asked.seed,
         units=asked.units,
         dead_zone=tests.dead_zone.error,
+        heard=heard,
     )
 
 
@@ -282,8 +285,9 @@ def _epochs(
     """Return what shows an epoch; a training stops early, so its length is not known before."""
 
     def show(number: int, trained: float, held: float) -> None:
-        done = start + width * number / (number + 100)
-        progress(f"{stage}, epoch {number}, loss {trained:.3f} / {held:.3f}", done)
+        done = start + width * number / (number + ROUNDS)
+        figures = {"training loss": trained, "validation loss": held}
+        progress(Step(stage, done, f"epoch {number}", figures))
 
     return show
 

@@ -1,8 +1,7 @@
 """Campaign in, model and trace out: dead zones, then phase 1, then phase 2, for each direction."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import MappingProxyType
 
@@ -20,12 +19,11 @@ from hitchid.identification.preparation import mixed_dead_zones, prepare
 from hitchid.identification.selection import Automatic
 from hitchid.identification.trace import describe_channel
 from hitchid.identification.two_modes import compare_modes
-from hitchid.model import Hitch, Provenance, save
+from hitchid.model import Hitch, Provenance, installed_versions, save
 from hitchid.precision import double_precision
+from hitchid.progress import Progress, Step, part, silent
 from hitchid.record import COMMAND, CYCLE, DISPLACEMENT, LIFTING, LOWERING, Record
 
-Progress = Callable[[str, float], None]
-PACKAGES = ("hitchid", "jax", "equinox", "optax", "numpy", "scipy")
 PAPER_FORMS: Mapping[str, Form] = MappingProxyType(
     {
         LIFTING: Form(structure_named("integrator-second-order")),
@@ -111,7 +109,7 @@ def identify(
         raise InputError(
             f"split.test: the pattern '{pattern}' matches none of the {len(campaign.records)} tests"
         )
-    report = progress or (lambda stage, fraction: None)
+    report = progress or silent
     forms = {mode: _loaded(form, campaign) for mode, form in {**CHOSEN, **structure}.items()}
     zones = {mode: DeadZone(0.0, None, 0, "structure") for mode, form in forms.items() if _whole(form)}
     zones |= {mode: DeadZone(value, None, 0, "given") for mode, value in dead_zones.items()}
@@ -128,15 +126,10 @@ def identify(
         raise InputError("no test moves the piston one way, and no cycle holds a stroke to identify from")
     channels, traces, prepared, questions = {}, {}, {}, {}
 
-    def stepping(mode: str, start: float) -> Progress:
-        def step(stage: str, fraction: float) -> None:
-            report(f"{mode}: {stage}", start + 0.5 * fraction / len(campaign.modes))
-
-        return step
-
+    share = 0.5 / len(campaign.modes)
     for number, mode in enumerate(campaign.modes):
-        step = stepping(mode, 0.5 * number / len(campaign.modes))
-        step("dead zone", 0.0)
+        step = part(report, share * number, share, mode)
+        step(Step("dead zone", 0.0))
         prepared[mode] = prepare(campaign, mode, zones.get(mode), load=forms[mode].load)
         units = {"x": campaign.units[DISPLACEMENT], "u": campaign.units[COMMAND[mode]]}
         questions[mode] = Asked(forms[mode], PAPER_FORMS[mode], search, training, seed, units, comparison)
@@ -151,7 +144,7 @@ def identify(
         for mode, factor in factors.items():
             channels[mode], traces[mode] = levelled(channels[mode], traces[mode], factor)
     for number, mode in enumerate(campaign.modes):
-        step = stepping(mode, 0.5 + 0.5 * number / len(campaign.modes))
+        step = part(report, 0.5 + share * number, share, mode)
         channels[mode], traces[mode] = find_compensators(
             channels[mode], traces[mode], prepared[mode], questions[mode], step
         )
@@ -163,7 +156,7 @@ def identify(
         cut_at=cut_at,
         seed=seed,
         settings={**_describe(forms, search, training, dead_zones), "drift": drift},
-        versions=_versions(),
+        versions=installed_versions(),
     )
     same_unit = len({campaign.units[COMMAND[mode]] for mode in campaign.modes}) == 1
     hitch = replace(
@@ -219,13 +212,3 @@ def _describe(
         "training": None if training is None else repr(training),
         "dead_zones": dict(dead_zones),
     }
-
-
-def _versions() -> dict[str, str]:
-    def installed(package: str) -> str:
-        try:
-            return version(package)
-        except PackageNotFoundError:
-            return "unknown"
-
-    return {package: installed(package) for package in PACKAGES}

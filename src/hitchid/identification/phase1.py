@@ -9,6 +9,7 @@ import numpy as np
 from hitchid.benchmark import Batch, Benchmark, Form
 from hitchid.benchmark.nonlinear import NonlinearStructure
 from hitchid.fitting import Found, Misfit, Search, polish
+from hitchid.progress import Heard
 from hitchid.uncertainty import KNOWN, DeadZoneError, Estimate, Estimates, Moves, assess
 
 LEVELLINGS = 3
@@ -71,24 +72,30 @@ def identify_benchmark(
     units: Mapping[str, str],
     start: np.ndarray | None = None,
     dead_zone: DeadZoneError = KNOWN,
+    heard: Heard | None = None,
 ) -> Phase1:
     """Find the parameters that minimise the free-run error over all tests, and say how well they are known.
 
     Args:
-        batch, form, search, seed, start: see `find_parameters`.
+        batch, form, search, seed, start, heard: see `find_parameters`.
         units: `x` and `u` to the units of displacement and command.
         dead_zone: how well it is known.
 
     Raises:
         FitError: nothing moves, or no parameters give a finite error.
     """
-    return assessed(
-        find_parameters(batch, form, search, seed, start=start), units=units, dead_zone=dead_zone, seed=seed
-    )
+    fit = find_parameters(batch, form, search, seed, start=start, heard=heard)
+    return assessed(fit, units=units, dead_zone=dead_zone, seed=seed)
 
 
 def find_parameters(
-    batch: Batch, form: Form, search: Search, seed: int, *, start: np.ndarray | None = None
+    batch: Batch,
+    form: Form,
+    search: Search,
+    seed: int,
+    *,
+    start: np.ndarray | None = None,
+    heard: Heard | None = None,
 ) -> Fit:
     """Find the parameters that minimise the free-run error over all tests.
 
@@ -102,13 +109,14 @@ def find_parameters(
         search: global search; least squares follows it whatever it is.
         seed: every random draw comes from it.
         start: values of the form's parameters from which least squares starts too, shape [D].
+        heard: told how the search goes.
 
     Raises:
         FitError: nothing moves, or no parameters give a finite error.
     """
     misfit = Misfit.of(batch, form)
     searched, _ = misfit.over(batch.thinned(SEARCHED)).problem()
-    found = search.minimise(searched, seed)
+    found = search.minimise(searched, seed, heard)
     starts = [found.best, *_restarts(form, seed), *([] if start is None else [misfit.position(start)])]
     coarse, _ = misfit.over(batch.thinned(COARSE)).problem()
     rough = [polish(coarse, each, limit=ROUGH_STEPS, tolerance=ROUGH) for each in starts]

@@ -12,6 +12,7 @@ from hitchid.benchmark.shape import CURVE, SPOOL
 from hitchid.fitting import Misfit, Search, polish_some
 from hitchid.identification.phase1 import Phase1, assessed, find_parameters
 from hitchid.metrics import proven_better
+from hitchid.progress import Heard, Progress, Step, rounds, silent
 from hitchid.uncertainty import KNOWN, DeadZoneError
 
 FOLDS = 4
@@ -86,6 +87,7 @@ def choose_form(
     units: Mapping[str, str],
     opening_known: bool = False,
     dead_zone: DeadZoneError = KNOWN,
+    progress: Progress = silent,
 ) -> tuple[Phase1, tuple[Candidate, ...]]:
     """Identify the form that predicts operating points it was not fitted to best in free run.
 
@@ -106,11 +108,16 @@ def choose_form(
         opening_known: whether the dead zone is where a ramp showed the valve to open: tests at a few levels
             of command say little about flow below the lowest.
         dead_zone: how well it is known.
+        progress: called with what is being done and the fraction that is done.
 
     Raises:
         FitError: nothing moves, or no parameters give a finite error.
     """
-    plain = find_parameters(batch, asked.plain, search, seed)
+
+    def hearing(form: str, start: float) -> Heard:
+        return rounds(progress, f"phase 1, {search.name}, {form}", start, 0.3, f"RMSE / {units['x']}")
+
+    plain = find_parameters(batch, asked.plain, search, seed, heard=hearing("transfer function", 0.0))
     folds = _folds(batch, alone=asked.load is not None)
     if not folds:
         return assessed(plain, units=units, dead_zone=dead_zone, seed=seed), ()
@@ -146,6 +153,8 @@ def choose_form(
         positions = positions.copy()
         positions[free] = best.position
         tried.append(_tried(name, misfit, free, positions, folds, form))
+        told = {f"RMSE on levels held out / {units['x']}": tried[-1].held_out_rmse}
+        progress(Step("phase 1, structures", 0.3 + 0.05 * len(tried), name, told))
         found.append(misfit.values(positions)[free])
     chosen = 0
     for number, candidate in enumerate(tried):
@@ -159,7 +168,8 @@ def choose_form(
     tried[chosen] = replace(tried[chosen], chosen=True)
     if chosen == 0:
         return assessed(plain, units=units, dead_zone=dead_zone, seed=seed), tuple(tried)
-    fit = find_parameters(batch, tried[chosen].form, search, seed, start=found[chosen])
+    hear = hearing(tried[chosen].name, 0.7)
+    fit = find_parameters(batch, tried[chosen].form, search, seed, start=found[chosen], heard=hear)
     return assessed(fit, units=units, dead_zone=dead_zone, seed=seed), tuple(tried)
 
 

@@ -1,6 +1,7 @@
 """The identified plant: channels, the hitch they make up, and its folder on disk."""
 
 from hitchid.model.artifact import load as load
+from hitchid.model.artifact import load_trace as load_trace
 from hitchid.model.artifact import save as save
 from hitchid.model.channel import Channel as Channel
 from hitchid.model.channel import unpadded as unpadded
@@ -9,4 +10,5 @@ from hitchid.model.hitch import Hitch as Hitch
 from hitchid.model.packing import Packed as Packed
 from hitchid.model.provenance import Provenance as Provenance
 from hitchid.model.provenance import TwoModes as TwoModes
+from hitchid.model.provenance import installed_versions as installed_versions
 from hitchid.model.stepping import State as State

@@ -80,6 +80,16 @@ def load(folder: str | Path) -> Hitch:
         raise ModelFolderError(f"{place}: cannot be understood: {error!r}") from error
 
 
+def load_trace(folder: str | Path) -> dict:
+    """Return how a model in a folder was identified, mode to trace; empty where it was saved without.
+
+    Raises:
+        ModelFolderError: as `load`.
+    """
+    place = Path(folder)
+    return json.loads(_read_checked(place / TRACE_FILE, _read_description(place)))
+
+
 def _description(hitch: Hitch) -> dict:
     provenance = hitch.provenance
     return {
@@ -178,6 +188,7 @@ def _hitch(content: dict, tensors: dict[str, np.ndarray]) -> Hitch:
         seed=content["seed"],
         settings=content["settings"],
         versions=content["versions"],
+        digest=content["digest"],
     )
     compared = content["two_modes"]
     return Hitch(
@@ -301,12 +312,12 @@ def _read_description(folder: Path) -> dict:
             f"{path}: has schema {content.get('schema')!r}, required {SCHEMA}; "
             "was it written by another version of hitchid?"
         )
-    claimed = content.pop("digest", None)
+    claimed = content.pop("digest", "")
     if canonical != data or claimed != digest(canonical_json(content)):
         raise ModelFolderError(f"{path}: was edited: its digest does not match; identify again")
     if not isinstance(content.get("files"), dict):
         raise ModelFolderError(f"{path}: cannot be understood: it lists no files")
-    return content
+    return {**content, "digest": claimed}
 
 
 def _read_checked(path: Path, content: dict) -> bytes:

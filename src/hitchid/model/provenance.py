@@ -2,6 +2,21 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+
+PACKAGES = ("hitchid", "jax", "equinox", "optax", "numpy", "scipy")
+
+
+def installed_versions() -> dict[str, str]:
+    """Return package to version, of the packages that figures depend on."""
+
+    def installed(package: str) -> str:
+        try:
+            return version(package)
+        except PackageNotFoundError:
+            return "unknown"
+
+    return {package: installed(package) for package in PACKAGES}
 
 
 @dataclass(frozen=True)
@@ -16,6 +31,7 @@ class Provenance:
         seed: the seed of every random draw.
         settings: what was asked for, as JSON can hold it.
         versions: package to version.
+        digest: of the folder it was read from; empty before it is saved.
     """
 
     identification: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -26,6 +42,7 @@ class Provenance:
     seed: int = 0
     settings: Mapping[str, object] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
+    digest: str = field(default="", compare=False)
 
 
 @dataclass(frozen=True)

@@ -1,169 +1,124 @@
 """The paper's Figures 5 to 12, each with the data behind it."""
 
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 
-from hitchid.identification import ChannelTrace
 from hitchid.record import LIFTING, LOWERING
-from hitchid.study.results import DirectionResult, Predictions
-from hitchid.study.style import COLOURS, LABELS, MEASURED, PARTS, style
+from hitchid.report import Picture, figures
+from hitchid.study.results import DirectionResult
+from hitchid.validation import Predictions
 
 SHOWN = 2000
 CONVERGENCE = {LIFTING: 5, LOWERING: 6}
 TRAINING = {LIFTING: 7, LOWERING: 8}
 DISTRIBUTION = {LIFTING: 9, LOWERING: 10}
 TEST = {LIFTING: 11, LOWERING: 12}
+MODELS = ("mechanistic", "benchmark", "free_run", "one_step")
 
 
 class Drawn(NamedTuple):
-    """A figure, the number it has in the paper, and the data behind it: column to values."""
+    """A figure of the paper redone: its number there, its pictures, and the data behind it by column."""
 
     number: int
-    title: str
-    figure: Figure
+    pictures: tuple[Picture, ...]
     data: Mapping[str, np.ndarray]
 
 
-def figures(mode: str, trace: ChannelTrace, result: DirectionResult, unit: str) -> list[Drawn]:
-    """Return the four figures the paper shows of one direction."""
-    with style():
-        return [
-            convergence(mode, trace, unit),
-            predicted_errors(mode, result, unit),
-            error_distribution(mode, result, unit),
-            test_set(mode, result.test, unit),
-        ]
+def paper_figures(mode: str, trace: Mapping[str, Any], result: DirectionResult, unit: str) -> list[Drawn]:
+    """Return the four figures the paper shows of one direction.
+
+    Args:
+        mode: direction.
+        trace: how it was identified, as `trace.json` holds it.
+        result: predictions on training, validation and test tests.
+        unit: of the displacement.
+    """
+    return [
+        _convergence(mode, trace, unit),
+        _predicted_errors(mode, result, unit),
+        _error_distribution(mode, result, unit),
+        _test_set(mode, result.test, unit),
+    ]
 
 
-def convergence(mode: str, trace: ChannelTrace, unit: str) -> Drawn:
-    """Return best fitness and each parameter over the iterations of the search (paper, Fig. 5 and 6)."""
-    found, estimates = trace.phase1.fit.found, trace.phase1.estimates
-    values = np.column_stack(
-        [estimate.at(column) for estimate, column in zip(estimates, found.best_trace.T, strict=True)]
+def _convergence(mode: str, trace: Mapping[str, Any], unit: str) -> Drawn:
+    phase1, number = trace["phase1"], CONVERGENCE[mode]
+    names = [each["name"] for each in phase1["uncertainty"]["parameters"]]
+    picture = Picture(
+        _name(number),
+        figures.convergence(trace, unit),
+        f"Figure {number} of the paper: convergence of fitness and of each parameter, {mode}.",
+        f"Best RMSE and {', '.join(names)} over the iterations of the whale optimisation.",
     )
-    iteration = np.arange(1, found.fitness_trace.size + 1)
-    figure = Figure(figsize=(6.4, 1.7 * (1 + len(estimates))))
-    axes = figure.subplots(1 + len(estimates), 1, sharex=True)
-    axes[0].plot(iteration, found.fitness_trace, color=COLOURS["benchmark"])
-    axes[0].set_ylabel(f"RMSE / {unit}")
-    axes[0].set_yscale("log")
-    for axis, estimate, column in zip(axes[1:], estimates, values.T, strict=True):
-        axis.plot(iteration, column, color=COLOURS["one_step"])
-        axis.axhline(
-            estimate.value, color=MEASURED, linewidth=0.7, linestyle="--", label="after least squares"
+    fitness = np.array([np.nan if each is None else each for each in phase1["fitness"]])
+    columns = dict(zip(names, np.array(phase1["values"]).T, strict=True))
+    data = {"iteration": np.arange(1, fitness.size + 1), f"rmse_{unit}": fitness, **columns}
+    return Drawn(number, (picture,), data)
+
+
+def _predicted_errors(mode: str, result: DirectionResult, unit: str) -> Drawn:
+    parts = {"training": result.training, "validation": result.validation}
+    number = TRAINING[mode]
+    picture = Picture(
+        _name(number),
+        figures.predicted_errors(parts, unit),
+        f"Figure {number} of the paper: error of the transfer function, actual and predicted one step ahead, "
+        f"on training and validation tests, {mode}.",
+        f"Actual and predicted error in {unit} over {SHOWN} samples.",
+    )
+    data = {}
+    for part, tests in parts.items():
+        measured, benchmark, one_step = (
+            figures.end_to_end(rows)[:SHOWN]
+            for rows in (tests.actual, tests.models["benchmark"], tests.models["one_step"])
         )
-        axis.set_ylabel(f"{estimate.name.replace('_', ' ')}\n/ {estimate.unit}")
-        axis.set_yscale("log")
-    for axis in axes:
-        low, high = axis.get_ylim()
-        axis.yaxis.set_major_locator(LogLocator(subs=(1.0,) if high > 100 * low else (1.0, 2.0, 5.0)))
-        axis.yaxis.set_minor_locator(NullLocator())
-        axis.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    axes[1].legend(loc="best")
-    axes[-1].set_xlabel("iteration")
-    names = {estimate.name: column for estimate, column in zip(estimates, values.T, strict=True)}
-    data = {"iteration": iteration, f"rmse_{unit}": found.fitness_trace, **names}
-    return Drawn(CONVERGENCE[mode], f"convergence of the search, {mode}", figure, data)
+        data[f"{part}_actual_{unit}"] = measured - benchmark
+        data[f"{part}_predicted_{unit}"] = one_step - benchmark
+    return Drawn(number, (picture,), data)
 
 
-def predicted_errors(mode: str, result: DirectionResult, unit: str) -> Drawn:
-    """Return the transfer function's error and its prediction, 2000 samples (paper, Fig. 7 and 8)."""
-    figure = Figure(figsize=(6.4, 4.4))
-    data: dict[str, np.ndarray] = {}
-    for axis, part in zip(figure.subplots(2, 1), ("training", "validation"), strict=True):
-        predictions: Predictions = getattr(result, part)
-        measured = _end_to_end(predictions.actual)[:SHOWN]
-        actual = measured - _end_to_end(predictions.benchmark)[:SHOWN]
-        predicted = actual - (measured - _end_to_end(predictions.one_step)[:SHOWN])
-        sample = np.arange(actual.size)
-        axis.plot(sample, actual, color=MEASURED, label="actual")
-        axis.plot(sample, predicted, color=PARTS[part], linestyle="--", label="predicted one step ahead")
-        axis.set_ylabel(f"error, {part} / {unit}")
-        _legend_above(axis)
-        data |= {f"{part}_actual_{unit}": actual, f"{part}_predicted_{unit}": predicted}
-        axis.set_xlabel("sample")
-    return Drawn(TRAINING[mode], f"transfer function's error, actual and predicted, {mode}", figure, data)
+def _error_distribution(mode: str, result: DirectionResult, unit: str) -> Drawn:
+    parts = {"training": result.training, "validation": result.validation}
+    rows = {part: tests.errors("one_step") for part, tests in parts.items()}
+    number = DISTRIBUTION[mode]
+    picture = Picture(
+        _name(number),
+        figures.error_distribution(rows, unit),
+        f"Figure {number} of the paper: one-step errors on training and validation tests, histogram with "
+        f"fitted normal and cumulative distribution, {mode}.",
+        f"Distribution of one-step errors in {unit}.",
+    )
+    return Drawn(number, (picture,), {f"{part}_error_{unit}": errors for part, errors in rows.items()})
 
 
-def error_distribution(mode: str, result: DirectionResult, unit: str) -> Drawn:
-    """Return histogram and cumulative distribution of the one-step error (paper, Fig. 9 and 10)."""
-    figure = Figure(figsize=(6.4, 3.0))
-    left, right = figure.subplots(1, 2)
-    data: dict[str, np.ndarray] = {}
-    for part in ("training", "validation"):
-        errors = getattr(result, part).errors("one_step")
-        _histogram(left, errors, PARTS[part], part)
-        _cumulative(right, errors, PARTS[part], part)
-        data[f"{part}_error_{unit}"] = errors
-    _distribution_labels(left, right, unit)
-    left.legend()
-    right.legend(loc="lower right")
-    return Drawn(DISTRIBUTION[mode], f"one-step error on training and validation tests, {mode}", figure, data)
+def _test_set(mode: str, test: Predictions, unit: str) -> Drawn:
+    number = TEST[mode]
+    errors = {model: test.errors(model) for model in MODELS[1:]}
+    pictures = (
+        Picture(
+            _name(number),
+            figures.outputs(test, unit, MODELS[1:]),
+            f"Figure {number} of the paper, upper half: outputs and errors on the test set, {mode}.",
+            f"Displacement and error over time on {len(test.names)} unseen tests.",
+        ),
+        Picture(
+            f"{_name(number)}-errors",
+            figures.error_distribution(errors, unit),
+            f"Figure {number} of the paper, lower half: histogram and cumulative distribution of the errors "
+            f"on the test set, {mode}.",
+            f"Distribution of the errors in {unit} on {len(test.names)} unseen tests.",
+        ),
+    )
+    rows = {f"{model}_{unit}": figures.end_to_end(test.models[model]) for model in MODELS}
+    data = {
+        "time_s": figures.joined_time(test),
+        f"measured_{unit}": figures.end_to_end(test.actual),
+        **rows,
+    }
+    return Drawn(number, pictures, data)
 
 
-def test_set(mode: str, test: Predictions, unit: str) -> Drawn:
-    """Return outputs, errors, histogram and distribution on the test set (paper, Fig. 11 and 12)."""
-    figure = Figure(figsize=(6.4, 6.4))
-    grid = figure.add_gridspec(3, 2)
-    outputs, errors = figure.add_subplot(grid[0, :]), figure.add_subplot(grid[1, :])
-    left, right = figure.add_subplot(grid[2, 0]), figure.add_subplot(grid[2, 1])
-    time_s, measured = _joined_time(test), _end_to_end(test.actual)
-    outputs.plot(time_s, measured, color=MEASURED, label="measured")
-    data = {"time_s": time_s, f"measured_{unit}": measured}
-    for model, label in LABELS.items():
-        predicted = _end_to_end(test.of(model))
-        outputs.plot(time_s, predicted, color=COLOURS[model], linestyle="--", label=label)
-        errors.plot(time_s, measured - predicted, color=COLOURS[model], linewidth=0.8)
-        _histogram(left, test.errors(model), COLOURS[model], label)
-        _cumulative(right, test.errors(model), COLOURS[model], label)
-        data[f"{model}_{unit}"] = predicted
-    outputs.set_ylabel(f"displacement / {unit}")
-    errors.set_ylabel(f"error / {unit}")
-    errors.set_xlabel("time, test after test / s")
-    _legend_above(outputs)
-    _distribution_labels(left, right, unit)
-    return Drawn(TEST[mode], f"test set, {mode}", figure, data)
-
-
-def _end_to_end(tests: Sequence[np.ndarray]) -> np.ndarray:
-    """Return tests one after another; NaN in place of the first sample, which is given, parts them."""
-    return np.concatenate([np.append(np.nan, test[1:]) for test in tests])
-
-
-def _legend_above(axis: Axes) -> None:
-    axis.legend(ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=7)
-
-
-def _joined_time(test: Predictions) -> np.ndarray:
-    """Return the time of tests laid end to end, s."""
-    parts, start = [], 0.0
-    for time_s in test.time_s:
-        parts.append(start + time_s)
-        start += float(time_s[-1])
-    return np.concatenate(parts)
-
-
-def _histogram(axis: Axes, errors: np.ndarray, colour: str, label: str) -> None:
-    mean, spread = float(errors.mean()), float(errors.std())
-    axis.hist(errors, bins=60, density=True, color=colour, alpha=0.35, label=label)
-    place = np.linspace(errors.min(), errors.max(), 200)
-    if spread > 0:
-        bell = np.exp(-0.5 * ((place - mean) / spread) ** 2) / (spread * np.sqrt(2 * np.pi))
-        axis.plot(place, bell, color=colour)
-
-
-def _cumulative(axis: Axes, errors: np.ndarray, colour: str, label: str) -> None:
-    sizes = np.sort(np.abs(errors))
-    axis.plot(sizes, np.arange(1, sizes.size + 1) / sizes.size, color=colour, label=label)
-
-
-def _distribution_labels(left: Axes, right: Axes, unit: str) -> None:
-    left.set_xlabel(f"error / {unit}")
-    left.set_ylabel(f"density / (1/{unit})")
-    right.set_xlabel(f"absolute error / {unit}")
-    right.set_ylabel("share of samples below")
+def _name(number: int) -> str:
+    return f"figure-{number:02d}"

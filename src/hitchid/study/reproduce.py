@@ -1,6 +1,6 @@
 """The whole study of Sun et al. 2025 on the virtual bench, in one call."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,17 +10,19 @@ from hitchid.bench import REPEATS, Protocol, write_campaign
 from hitchid.fitting import Comparison
 from hitchid.identification import Descent, Identification, Search, Training, Whale, identify
 from hitchid.identification.identify import COMPARISON, PAPER_FORMS, TRAINING, WHALE
+from hitchid.progress import Progress, Step, part, silent
 from hitchid.readers import read, write_table
-from hitchid.storage import write_folder
-from hitchid.study.figures import Drawn, figures
+from hitchid.report import FIGURES, put_report
+from hitchid.storage import put, write_folder
+from hitchid.study.document import study_report
+from hitchid.study.figures import Drawn, paper_figures
 from hitchid.study.mechanistic import mechanistic
 from hitchid.study.results import DirectionResult, direction_result
 from hitchid.study.tables import study_tables
 from hitchid.validation import Table, Validation, markdown, tables, validate
 from hitchid.whale import Swarm
 
-Progress = Callable[[str, float], None]
-LOGS, MODEL, FIGURES, DATA = "logs", "model", "figures", "data"
+LOGS, MODEL, DATA = "logs", "model", "data"
 STUDY_FILE = "study.md"
 
 
@@ -76,28 +78,30 @@ def reproduce(
     seed: int = 0,
     force: bool = False,
     progress: Progress | None = None,
+    command: str = "",
 ) -> Study:
     """Redo the study: static tests, dynamic tests, identification, validation, tables and figures.
 
     Args:
-        out: folder to write: `logs/`, `model/`, `figures/` (SVG and PNG), `data/` (CSV behind each figure),
-            `metrics.json`, `tables.md` and `study.md`.
+        out: folder to write: `logs/`, `model/`, `report.html` with its `figures/`, `data/` (CSV behind each
+            figure of the paper), `metrics.json`, `tables.md` and `study.md`.
         rig: parameter set of the virtual bench.
         plan: how much is done; all of the paper's programme by default.
         seed: every random draw comes from it.
         force: replace an older study.
         progress: called with what is being done and the fraction of all work that is done.
+        command: that asked for the study, for its report.
 
     Raises:
         OutputError: the folder exists and `force` is not given, or it cannot be written.
         SettingsError: the rig's parameters cannot be used.
     """
     asked = plan or Plan()
-    report = progress or (lambda stage, fraction: None)
+    report = progress or silent
     kept: list[Study] = []
 
     def fill(place: Path) -> None:
-        report("virtual bench", 0.0)
+        report(Step("virtual bench", 0.0))
         tests: Mapping[Protocol, int] = {"ramp": REPEATS, "prbs": asked.tests, "cycle": asked.cycles}
         write_campaign(place / LOGS, rig, tests=tests, seed=seed)
         campaign = read([place / LOGS])
@@ -108,21 +112,25 @@ def reproduce(
             training=asked.training,
             comparison=asked.comparison,
             seed=seed,
-            progress=lambda stage, fraction: report(stage, 0.15 + 0.6 * fraction),
+            progress=part(report, 0.15, 0.6),
         )
         found.save(place / MODEL)
-        report("validation", 0.75)
+        report(Step("validation", 0.75))
         checked = validate(found.model, campaign)
-        report("figures and tables", 0.9)
+        report(Step("figures and tables", 0.9))
         results = {
             mode: direction_result(found, campaign, mode, mechanistic(rig, mode)) for mode in found.channels
         }
         unit = campaign.records[0].unit
-        drawn = tuple(
-            each for mode in results for each in figures(mode, found.channels[mode], results[mode], unit)
-        )
+        trace = found.describe()
+        drawn = [each for mode in results for each in paper_figures(mode, trace[mode], results[mode], unit)]
+        ordered = tuple(sorted(drawn, key=lambda each: each.number))
         summary = tuple(study_tables(found.channels, results, unit))
-        kept.append(Study(found, results, checked, drawn, summary))
+        kept.append(Study(found, results, checked, ordered, summary))
+        document = study_report(
+            summary, ordered, checked, found.model, campaign, trace=trace, command=command
+        )
+        put_report(document, place)
         _write(place, kept[0])
 
     write_folder(Path(out), fill, mark=STUDY_FILE, force=force)
@@ -130,22 +138,17 @@ def reproduce(
 
 
 def _write(place: Path, study: Study) -> None:
-    (place / FIGURES).mkdir()
     (place / DATA).mkdir()
-    ordered = sorted(study.drawn, key=lambda each: each.number)
-    for each in ordered:
-        name = f"figure-{each.number:02d}"
-        each.figure.savefig(place / FIGURES / f"{name}.svg", metadata={"Date": None})
-        each.figure.set_layout_engine("none")  # laid out once; the second file takes it as it is
-        each.figure.savefig(place / FIGURES / f"{name}.png")
-        write_table(place / DATA / f"{name}.csv", _equal_lengths(each.data))
-    study.validation.fill(place)
+    for each in study.drawn:
+        write_table(place / DATA / f"figure-{each.number:02d}.csv", _equal_lengths(each.data))
+    put(place, study.validation.files())
     text = markdown(
         (*study.tables, *tables(study.validation.metrics)), study.validation.notices, title="Study"
     )
     pictures = [
-        f"## Figure {each.number}. {each.title}\n\n![{each.title}](figures/figure-{each.number:02d}.svg)\n"
-        for each in ordered
+        f"## {picture.caption}\n\n![{picture.alt}]({FIGURES}/{picture.name}.svg)\n"
+        for each in study.drawn
+        for picture in each.pictures
     ]
     (place / STUDY_FILE).write_text("\n".join([text, *pictures]), encoding="utf-8")
 

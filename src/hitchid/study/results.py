@@ -1,7 +1,7 @@
 """What the study reports of one direction: predictions on each part of the data."""
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,42 +12,7 @@ from hitchid.model import Channel, unpadded
 from hitchid.precision import double_precision
 from hitchid.record import Record
 from hitchid.study.mechanistic import Mechanistic
-
-
-@dataclass(frozen=True)
-class Predictions:
-    """Tests of one part of the data and what the models say of them, one array of shape [N_i] for each test.
-
-    Attributes:
-        names: the tests.
-        time_s: time since the start of each test, s.
-        actual: measured displacement.
-        benchmark: the transfer function's free run.
-        one_step: the grey box one step ahead.
-        free_run: the grey box's free run.
-        mechanistic: the free run of the transfer function that the rig's parameters give.
-    """
-
-    names: tuple[str, ...]
-    time_s: tuple[np.ndarray, ...]
-    actual: tuple[np.ndarray, ...]
-    benchmark: tuple[np.ndarray, ...]
-    one_step: tuple[np.ndarray, ...]
-    free_run: tuple[np.ndarray, ...]
-    mechanistic: tuple[np.ndarray, ...]
-
-    def of(self, model: str) -> tuple[np.ndarray, ...]:
-        """Return the predictions of `benchmark`, `one_step`, `free_run` or `mechanistic`."""
-        return getattr(self, model)
-
-    def take(self, indices: Iterable[int]) -> "Predictions":
-        """Return some of the tests."""
-        rows = list(indices)
-        return Predictions(**{f.name: tuple(getattr(self, f.name)[i] for i in rows) for f in fields(self)})
-
-    def errors(self, model: str) -> np.ndarray:
-        """Return actual minus predicted over all tests, without the first sample of each, shape [M]."""
-        return np.concatenate([a[1:] - p[1:] for a, p in zip(self.actual, self.of(model), strict=True)])
+from hitchid.validation import Predictions
 
 
 @dataclass(frozen=True)
@@ -93,7 +58,7 @@ def direction_result(
 
 def summary(predictions: Predictions, model: str) -> dict[str, float]:
     """Return RMSE, MAE, R², the share of samples within 1 mm, and mean and spread of the error."""
-    figures = error_figures([a[1:] for a in predictions.actual], [p[1:] for p in predictions.of(model)])
+    figures = error_figures([a[1:] for a in predictions.actual], [p[1:] for p in predictions.models[model]])
     errors = predictions.errors(model)
     return {
         "rmse": figures.rmse,
@@ -108,7 +73,7 @@ def summary(predictions: Predictions, model: str) -> dict[str, float]:
 
 def end_deviation(predictions: Predictions, model: str) -> float:
     """Return the mean over tests of the error at a test's end over the way gone: |y − ŷ|/|y − y(0)|."""
-    pairs = zip(predictions.actual, predictions.of(model), strict=True)
+    pairs = zip(predictions.actual, predictions.models[model], strict=True)
     return float(np.mean([abs(a[-1] - p[-1]) / abs(a[-1] - a[0]) for a, p in pairs]))
 
 
@@ -123,8 +88,10 @@ def _predictions(channel: Channel, known: Mechanistic, records: Sequence[Record]
         names=tuple(record.name for record in records),
         time_s=tuple(record.step_s * np.arange(len(record)) for record in records),
         actual=tuple(record.displacement for record in records),
-        benchmark=rows(channel.simulate_benchmark(batch)),
-        one_step=rows(channel.predict(batch, (1,))[0]),
-        free_run=rows(channel.simulate(batch)),
-        mechanistic=rows(unfitted.simulate_benchmark(unfitted.batch(records))),
+        models={
+            "benchmark": rows(channel.simulate_benchmark(batch)),
+            "one_step": rows(channel.predict(batch, (1,))[0]),
+            "free_run": rows(channel.simulate(batch)),
+            "mechanistic": rows(unfitted.simulate_benchmark(unfitted.batch(records))),
+        },
     )

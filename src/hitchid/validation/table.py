@@ -1,6 +1,10 @@
 """One table of a result, and how its numbers are written."""
 
+from collections.abc import Mapping
+from math import floor, log10
 from typing import NamedTuple
+
+from hitchid.uncertainty import stated
 
 
 class Table(NamedTuple):
@@ -14,3 +18,36 @@ class Table(NamedTuple):
 def digits(value: float | None) -> str:
     """Return a number with four significant digits; what is not finite reads 'diverged'."""
     return "diverged" if value is None else f"{value:.4g}"
+
+
+def rounded(value: float | None, error: float | None, most: int = 12) -> str:
+    """Return a number to the second digit of its standard error, to four digits where that is not known.
+
+    Args:
+        value, error: the number and its standard error.
+        most: places after the point, at most.
+    """
+    if value is None or not error:
+        return digits(value)
+    return f"{value:.{min(max(0, 1 - floor(log10(error))), most)}f}"
+
+
+def error_cells(figures: Mapping[str, float | None]) -> tuple[str, ...]:
+    """Return RMSE, MAE, R², fit, largest error and share below one unit, to the digits that tests can tell.
+
+    The standard error s of the RMSE r over tests sets all of them: R² = 1 − (r/y)² has 2 (1 − R²) s/r and the
+    fit 100 (1 − r/y) has (100 − fit) s/r; more than five places of R² and two of the fit nobody reads.
+    """
+    rmse, r2, fit, within = (figures[name] for name in ("rmse", "r2", "fit", "within_1"))
+    if rmse is None or r2 is None or fit is None or within is None:
+        return ("diverged",) * 6
+    error = figures["rmse_error"]
+    relative = error / rmse if error and rmse else None
+    return (
+        stated(rmse, error),
+        rounded(figures["mae"], error),
+        rounded(r2, 2 * (1 - r2) * relative, 5) if relative else f"{r2:.4f}",
+        rounded(fit, (100 - fit) * relative, 2) if relative else f"{fit:.2f}",
+        rounded(figures["max_abs"], error),
+        f"{100 * within:.1f}",
+    )

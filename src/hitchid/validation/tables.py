@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from hitchid.validation.table import Table, digits
+from hitchid.validation.table import Table, digits, error_cells
 from hitchid.validation.trust_tables import band_table, trust_tables
 
 NAMES = {
@@ -25,13 +25,13 @@ def tables(metrics: Mapping[str, Any]) -> list[Table]:
     found = []
     for mode, channel in metrics["channels"].items():
         found += [
-            _accuracy(mode, channel, unit),
-            _horizons(mode, channel, unit),
-            _single_tests(mode, channel["per_test"], unit),
+            accuracy_table(mode, channel, unit),
+            horizon_table(mode, channel, unit),
+            single_test_table(mode, channel["per_test"], unit),
             *trust_tables(mode, channel, unit),
         ]
     if metrics["cycles"]["tests"]:
-        found += _cycles(metrics["cycles"], unit)
+        found += cycle_tables(metrics["cycles"], unit)
     return found
 
 
@@ -56,61 +56,53 @@ def _line(cells: Sequence[str]) -> str:
     return f"| {' | '.join(cells)} |"
 
 
-def _accuracy(mode: str, channel: Mapping[str, Any], unit: str) -> Table:
+def accuracy_table(mode: str, channel: Mapping[str, Any], unit: str) -> Table:
+    """Return how far every model errs on a direction's unseen tests, one step ahead and in free run."""
     models = {**channel["baselines"], "benchmark": channel["benchmark"], "greybox": channel["greybox"]}
     rows = [
-        (NAMES[name], label, *_cells(figures))
+        (NAMES[name], label, *error_cells(figures))
         for run, label in RUNS.items()
         for name, model in models.items()
         if (figures := model.get(run)) is not None
     ]
     count = len(channel["tests"])
     tests = f"{count} unseen test{'s' if count != 1 else ''}"
-    return Table(f"{mode}: accuracy on {tests}", _header(unit, "model", "run"), tuple(rows))
+    return Table(f"{mode}: accuracy on {tests}", error_header(unit, "model", "run"), tuple(rows))
 
 
-def _header(unit: str, *names: str) -> tuple[str, ...]:
+def error_header(unit: str, *names: str) -> tuple[str, ...]:
+    """Return the header over `error_cells`, behind names of the first columns."""
     errors = (f"RMSE / {unit}", f"MAE / {unit}", "R²", "fit / %", f"max abs / {unit}", f"below 1 {unit} / %")
     return (*names, *errors)
 
 
-def _cells(figures: Mapping[str, float | None]) -> tuple[str, ...]:
-    within = figures["within_1"]
-    r2 = figures["r2"]
-    return (
-        digits(figures["rmse"]),
-        digits(figures["mae"]),
-        "diverged" if r2 is None else f"{r2:.4f}",
-        "diverged" if figures["fit"] is None else f"{figures['fit']:.2f}",
-        digits(figures["max_abs"]),
-        "diverged" if within is None else f"{100 * within:.1f}",
-    )
-
-
-def _horizons(mode: str, channel: Mapping[str, Any], unit: str) -> Table:
+def horizon_table(mode: str, channel: Mapping[str, Any], unit: str) -> Table:
+    """Return how far every model errs over each horizon."""
     horizons = channel["horizons"]
     rows = [(NAMES[name], *(digits(value) for value in horizons[name])) for name in NAMES if name in horizons]
     header = ("model", *(str(step) for step in horizons["steps"]))
     return Table(f"{mode}: RMSE / {unit} over the horizon in samples", header, tuple(rows))
 
 
-def _single_tests(title: str, per_test: Mapping[str, Any], unit: str) -> Table:
-    rows = [(name, *_cells(test["free_run"])) for name, test in per_test.items()]
-    return Table(f"{title}: grey box in free run, test by test", _header(unit, "test"), tuple(rows))
+def single_test_table(title: str, per_test: Mapping[str, Any], unit: str) -> Table:
+    """Return how far the grey box errs in free run on every test."""
+    rows = [(name, *error_cells(test["free_run"])) for name, test in per_test.items()]
+    return Table(f"{title}: grey box in free run, test by test", error_header(unit, "test"), tuple(rows))
 
 
-def _cycles(cycles: Mapping[str, Any], unit: str) -> list[Table]:
+def cycle_tables(cycles: Mapping[str, Any], unit: str) -> list[Table]:
+    """Return accuracy, horizons and single tests of the cycles, and how well bands hold there."""
     count = len(cycles["tests"])
     rows = tuple(
-        (NAMES[name], label, *_cells(cycles[name][run]))
+        (NAMES[name], label, *error_cells(cycles[name][run]))
         for run, label in RUNS.items()
         for name in NAMES
         if run in cycles.get(name, {})
     )
     title = f"cycles: accuracy over {count} unseen cycle{'s' if count != 1 else ''}"
     return [
-        Table(title, _header(unit, "model", "run"), rows),
-        _horizons("cycles", cycles, unit),
-        _single_tests("cycles", cycles["per_test"], unit),
+        Table(title, error_header(unit, "model", "run"), rows),
+        horizon_table("cycles", cycles, unit),
+        single_test_table("cycles", cycles["per_test"], unit),
         *([band_table("cycles", cycles["bands"], unit)] if "bands" in cycles else []),
     ]

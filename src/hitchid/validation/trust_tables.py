@@ -15,20 +15,20 @@ def trust_tables(mode: str, channel: Mapping[str, Any], unit: str) -> list[Table
     """Return the tables of one direction, as far as its figures hold them."""
     found = []
     if "parameters" in channel:
-        found.append(_parameters(f"{mode}: parameters of the benchmark", channel["parameters"]))
+        found.append(parameter_table(f"{mode}: parameters of the benchmark", channel["parameters"]))
     if "paper_parameters" in channel:
         title = f"{mode}: parameters of the paper's transfer function"
-        found.append(_parameters(title, channel["paper_parameters"]))
+        found.append(parameter_table(title, channel["paper_parameters"]))
     if "bands" in channel:
         found.append(band_table(mode, channel["bands"], unit))
     if "residuals" in channel:
-        found.append(_residuals(mode, channel["residuals"], unit))
+        found.append(residual_table(mode, channel["residuals"], unit))
     if "searches" in channel:
-        found.append(_searches(mode, channel["searches"], unit))
+        found.append(search_table(mode, channel["searches"], unit))
     return found
 
 
-def _parameters(title: str, known: Mapping[str, Any]) -> Table:
+def parameter_table(title: str, known: Mapping[str, Any]) -> Table:
     """Return parameters and what follows from them; what is not determined is given by its interval alone."""
     rows = [
         (
@@ -67,6 +67,7 @@ def _parameters(title: str, known: Mapping[str, Any]) -> Table:
 
 
 def band_table(mode: str, bands: Mapping[str, Any], unit: str) -> Table:
+    """Return what share of unseen samples the bands cover, in free run and ahead."""
     horizons = bands.get("horizons", {"steps": (), "covered": (), "width": ()})
     rows = [("free run", *_covered(bands["free_run"]["covered"], bands["free_run"]["width"]))]
     rows += [
@@ -84,7 +85,8 @@ def _covered(share: float, width: float) -> tuple[str, str]:
     return f"{100 * share:.1f}", digits(width)
 
 
-def _residuals(mode: str, residuals: Mapping[str, Any], unit: str) -> Table:
+def residual_table(mode: str, residuals: Mapping[str, Any], unit: str) -> Table:
+    """Return what the tests of the errors found, one step ahead and in free run."""
     names = {"one_step": "one step", "free_run": "free run"}
     rows = []
     for run, each in residuals.items():
@@ -129,7 +131,8 @@ def _yes(passed: bool, probability: float) -> str:
     return f"{'yes' if passed else 'no'}, p {'< 0.001' if probability < 1e-3 else f'= {probability:.2g}'}"
 
 
-def _searches(mode: str, searches: Mapping[str, Any], unit: str) -> Table:
+def search_table(mode: str, searches: Mapping[str, Any], unit: str) -> Table:
+    """Return where several searches ended on one budget, best first."""
     ends = {
         name: np.array([np.inf if end is None else end for end in each["rmse"]])
         for name, each in searches.items()

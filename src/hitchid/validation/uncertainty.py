@@ -7,9 +7,8 @@ import numpy as np
 
 from hitchid.benchmark import Batch
 from hitchid.fitting import Trail
-from hitchid.model import Channel, Hitch
+from hitchid.model import Band, Channel
 from hitchid.model.possible import spread
-from hitchid.record import Record
 from hitchid.residuals import residual_tests
 from hitchid.uncertainty import Bands, Estimates, Uncertainty
 
@@ -106,21 +105,37 @@ def residual_figures(channel: Channel, batch: Batch, predicted: np.ndarray, fact
     return asdict(found)
 
 
-def band_figures(
-    channel: Channel, bands: Bands, batch: Batch, ahead: np.ndarray, steps: Sequence[int], factor: float
-) -> dict:
-    """Return what share of unseen samples bands cover, each test weighing the same, and how wide they are.
+def free_run_band(channel: Channel, bands: Bands, batch: Batch) -> np.ndarray:
+    """Return the half width of the band around the free run, in the model's unit, shape [T, N].
 
     Args:
         channel, bands: of the model.
         batch: tests.
+    """
+    _, apart = spread(channel, bands.alternatives, batch)
+    return bands.free_run_half_width(COVERAGE, np.sqrt(np.sum(apart**2, axis=0)))
+
+
+def band_figures(
+    bands: Bands,
+    batch: Batch,
+    simulated: np.ndarray,
+    half: np.ndarray,
+    ahead: np.ndarray,
+    steps: Sequence[int],
+    factor: float,
+) -> dict:
+    """Return what share of unseen samples bands cover, each test weighing the same, and how wide they are.
+
+    Args:
+        bands: of the channel.
+        batch: tests.
+        simulated, half: the free run and the half width of its band, shape [T, N].
         ahead: predictions over horizons, shape [H, T, N].
         steps: the horizons.
         factor: from the model's unit of displacement to that of the figures.
     """
     counted, measured = np.asarray(batch.counted), np.asarray(batch.displacement)
-    simulated, apart = spread(channel, bands.alternatives, batch)
-    half = bands.free_run_half_width(COVERAGE, np.sqrt(np.sum(apart**2, axis=0)))
     late = [counted & (np.arange(counted.shape[1]) >= step) for step in steps]
     widths = [bands.half_width(COVERAGE, step) for step in steps]
     return {
@@ -128,7 +143,7 @@ def band_figures(
         "calibrated_on": {"free_run": bands.tests[0], "horizons": bands.tests[1]},
         "sensor_noise": factor * bands.noise,
         "free_run": {
-            "covered": _covered(np.abs(measured - np.asarray(simulated)) <= half, counted),
+            "covered": _covered(np.abs(measured - simulated) <= half, counted),
             "width": factor * float(np.mean(2 * half[counted])),
         },
         "horizons": {
@@ -142,18 +157,16 @@ def band_figures(
     }
 
 
-def cycle_band_figures(model: Hitch, cycles: Sequence[Record]) -> dict:
+def cycle_band_figures(bands: Sequence[Band], actual: Sequence[np.ndarray]) -> dict:
     """Return what share of unseen cycles bands around the free run cover, and how wide they are.
 
     Args:
-        model: one with bands for every channel.
-        cycles: mixed logs.
+        bands: around the free run of each cycle.
+        actual: measured displacement, of the same shapes.
     """
-    shares, widths = [], []
-    for record in cycles:
-        lower, upper = model.band(record, coverage=COVERAGE)
-        shares.append(np.mean((lower <= record.displacement) & (record.displacement <= upper)))
-        widths.append(np.mean(upper - lower))
+    pairs = list(zip(bands, actual, strict=True))
+    shares = [np.mean((lower <= y) & (y <= upper)) for (lower, upper), y in pairs]
+    widths = [np.mean(upper - lower) for lower, upper in bands]
     found = {"covered": float(np.mean(shares)), "width": float(np.mean(widths))}
     return {"coverage": COVERAGE, "free_run": found}
 

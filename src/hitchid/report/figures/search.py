@@ -1,0 +1,115 @@
+"""How a model was found: convergence of the search, searches compared, losses, structures compared."""
+
+from collections.abc import Mapping, Sequence
+from textwrap import fill
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from hitchid.report.figures.style import COLOURS, COLUMN_IN, FAINT, INK, legend_above, logarithmic, styled
+
+SEARCH_COLOURS = {"whale": "one_step", "differential-evolution": "benchmark", "multi-start": "greybox"}
+WRAP = 24
+
+
+@styled
+def convergence(trace: Mapping[str, Any], unit: str) -> Figure:
+    """Return best fitness and each parameter over the iterations of the search (paper, Fig. 5 and 6).
+
+    Args:
+        trace: of one direction, as `trace.json` of a model folder holds it.
+        unit: of the displacement.
+    """
+    phase1 = trace["phase1"]
+    parameters = phase1["uncertainty"]["parameters"]
+    fitness = np.array([np.nan if each is None else each for each in phase1["fitness"]])
+    iteration = np.arange(1, fitness.size + 1)
+    figure = Figure(figsize=(COLUMN_IN, 0.5 + 0.78 * (1 + len(parameters))))
+    axes = np.atleast_1d(figure.subplots(1 + len(parameters), 1, sharex=True))
+    axes[0].plot(iteration, fitness, color=COLOURS["benchmark"])
+    axes[0].set_ylabel(f"RMSE\n/ {unit}")
+    logarithmic(axes[0].yaxis)
+    for axis, each, values in zip(axes[1:], parameters, np.array(phase1["values"]).T, strict=True):
+        axis.plot(iteration, values, color=COLOURS["one_step"], label="best so far")
+        axis.axhline(each["value"], color=INK, linewidth=0.7, linestyle=":", label="after least squares")
+        axis.set_ylabel(f"{each['symbol'] or each['name'].replace('_', ' ')}\n/ {each['unit']}")
+        if not each["linear"]:
+            logarithmic(axis.yaxis)
+    legend_above(figure, *axes[1:])
+    axes[-1].set_xlabel("iteration")
+    figure.align_ylabels()
+    return figure
+
+
+@styled
+def searches(compared: Mapping[str, Any], unit: str) -> Figure:
+    """Return where several searches ended from several seeds, and how the one in the middle went.
+
+    Args:
+        compared: `searches` of one direction, as `metrics.json` holds them.
+        unit: of the displacement.
+    """
+    figure = Figure(figsize=(COLUMN_IN, 2.6))
+    went, ended = figure.subplots(1, 2, sharey=True, width_ratios=[2, 1])
+    for place, (name, each) in enumerate(compared.items()):
+        colour = COLOURS[SEARCH_COLOURS.get(name, "faint")]
+        steps = [np.nan if value is None else value for value in each["median_run"]["rmse"]]
+        went.plot(np.linspace(0, 100, len(steps)), steps, color=colour, label=name)
+        ends = [value for value in each["rmse"] if value is not None]
+        ended.plot([place] * len(ends), ends, "o", color=colour, markersize=3, alpha=0.7)
+    logarithmic(went.yaxis)
+    went.set_xlabel("budget spent / %")
+    went.set_ylabel(f"best RMSE / {unit}")
+    ended.set_xticks(range(len(compared)), [""] * len(compared))
+    ended.set_xlim(-0.6, len(compared) - 0.4)
+    ended.set_xlabel("ends")
+    legend_above(figure, went)
+    return figure
+
+
+@styled
+def losses(trace: Mapping[str, Any]) -> Figure:
+    """Return the loss of the compensator's training on training and validation tests over the epochs.
+
+    Args:
+        trace: of one direction, as `trace.json` of a model folder holds it; its phase 2 took place.
+    """
+    phase2 = trace["phase2"]
+    figure = Figure(figsize=(COLUMN_IN, 2.2))
+    axis = figure.subplots()
+    for part, colour in (("training", "one_step"), ("validation", "transfer_function")):
+        loss = [np.nan if value is None else value for value in phase2[f"{part}_loss"]]
+        axis.plot(np.arange(1, len(loss) + 1), loss, color=COLOURS[colour], label=part)
+    axis.axvline(phase2["best_epoch"], color=FAINT, linewidth=0.8, linestyle="--", label="kept")
+    logarithmic(axis.yaxis)
+    axis.set_xlabel("epoch")
+    axis.set_ylabel("loss, errors scaled to 1")
+    legend_above(figure, axis, columns=3)
+    return figure
+
+
+@styled
+def structures(candidates: Sequence[Mapping[str, Any]], unit: str) -> Figure:
+    """Return the forms that were compared: error on all tests, and on operating points held out in turn.
+
+    Args:
+        candidates: of one direction, as `trace.json` of a model folder holds them.
+        unit: of the displacement.
+    """
+    figure = Figure(figsize=(COLUMN_IN, 0.8 + 0.33 * len(candidates)))
+    axis = figure.subplots()
+    places = np.arange(len(candidates))[::-1]
+    for key, sign, colour, inside, label in (
+        ("rmse", "o", INK, "none", "all tests"),
+        ("held_out_rmse", "D", COLOURS["benchmark"], "full", "levels held out in turn"),
+    ):
+        values = [each[key] if each[key] is not None else np.nan for each in candidates]
+        axis.plot(values, places, sign, color=colour, fillstyle=inside, markersize=4, label=label)
+    names = [f"{each['name']}{' (taken)' if each['chosen'] else ''}" for each in candidates]
+    axis.set_yticks(places, [fill(name, WRAP) for name in names])
+    axis.set_ylim(-0.6, len(candidates) - 0.4)
+    logarithmic(axis.xaxis)
+    axis.set_xlabel(f"RMSE in free run / {unit}")
+    legend_above(figure, axis)
+    return figure

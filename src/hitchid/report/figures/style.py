@@ -1,0 +1,162 @@
+"""One look for every figure: column width, the same colour for the same model, units on every axis."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import wraps
+from typing import Any, NamedTuple, ParamSpec
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis, XAxis
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
+
+DECADES, STRETCHES = 50, 300
+
+COLUMN_IN, PAGE_IN = 3.5, 7.2
+"""Width of a column and of a page, inch: 89 and 183 mm, as journals have them."""
+
+
+class Shade(NamedTuple):
+    """A colour on white paper, and the one that takes its place on a dark screen."""
+
+    light: str
+    dark: str
+
+
+# Okabe and Ito's colours, which colour-blind readers tell apart, and lighter ones of the same hue.
+SHADES = {
+    "ink": Shade("#1b1b1f", "#e4e4ea"),
+    "faint": Shade("#85858f", "#9a9aa6"),
+    "grid": Shade("#dcdce1", "#3a3a44"),
+    "greybox": Shade("#009e73", "#2fc99b"),
+    "one_step": Shade("#0072b2", "#5ab4ec"),
+    "benchmark": Shade("#d55e00", "#ff8f47"),
+    "transfer_function": Shade("#cc79a7", "#e59bc6"),
+    "arx": Shade("#8c6d1f", "#c9a54e"),
+    "narx": Shade("#e69f00", "#f2b632"),
+    "lstm": Shade("#7a5ba6", "#b79be0"),
+    "hold": Shade("#ededf0", "#2c2c34"),
+}
+COLOURS = {name: shade.light for name, shade in SHADES.items()} | {
+    "free_run": SHADES["greybox"].light,
+    "persistence": SHADES["faint"].light,
+    "mechanistic": SHADES["faint"].light,
+    "paper": SHADES["transfer_function"].light,
+    "a": SHADES["one_step"].light,
+    "b": SHADES["benchmark"].light,
+}
+INK, FAINT, GRID = COLOURS["ink"], COLOURS["faint"], COLOURS["grid"]
+PARTS = {"training": COLOURS["one_step"], "validation": COLOURS["transfer_function"]}
+DASHES = {
+    "benchmark": (4, 1.5),
+    "transfer_function": (1.2, 1.2),
+    "mechanistic": (6, 1.5, 1, 1.5),
+    "b": (4, 1.5),
+}
+LABELS = {
+    "benchmark": "benchmark, free run",
+    "one_step": "grey box, one step",
+    "free_run": "grey box, free run",
+    "transfer_function": "paper's transfer function",
+    "mechanistic": "mechanistic, free run",
+    "persistence": "persistence",
+    "greybox": "grey box",
+    "arx": "ARX",
+    "narx": "NARX",
+    "lstm": "black-box LSTM",
+    "paper": "grey box, paper's",
+    "a": "model A",
+    "b": "model B",
+}
+_SHEET: dict[Any, Any] = {
+    "figure.constrained_layout.use": True,
+    "font.family": ["DejaVu Sans", "sans-serif"],
+    "font.size": 8,
+    "axes.labelsize": 8,
+    "axes.titlesize": 8,
+    "xtick.labelsize": 7.5,
+    "ytick.labelsize": 7.5,
+    "legend.fontsize": 7.5,
+    "text.color": INK,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "axes.linewidth": 0.6,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "axes.facecolor": "none",
+    "figure.facecolor": "none",
+    "savefig.facecolor": "none",
+    "grid.color": GRID,
+    "grid.linewidth": 0.5,
+    "legend.frameon": False,
+    "legend.handlelength": 1.6,
+    "legend.borderaxespad": 0.2,
+    "lines.linewidth": 1.1,
+    "path.simplify_threshold": 0.3,
+    "svg.hashsalt": "hitchid",
+    "svg.fonttype": "none",
+}
+_Asked = ParamSpec("_Asked")
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """Draw within the style of the house, leaving matplotlib's own settings alone."""
+    with mpl.rc_context(_SHEET):
+        yield
+
+
+def styled(draw: Callable[_Asked, Figure]) -> Callable[_Asked, Figure]:
+    """Let a function draw its figure within the style of the house."""
+
+    @wraps(draw)
+    def within(*args: _Asked.args, **kwargs: _Asked.kwargs) -> Figure:
+        with style():
+            return draw(*args, **kwargs)
+
+    return within
+
+
+def thinned(place: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return a curve with no more points than can be seen: lowest and highest of each of 300 stretches.
+
+    Args:
+        place, values: the curve, shape [N]; NaN parts it.
+    """
+    if values.size <= 2 * STRETCHES:
+        return place, values
+    kept = []
+    for stretch in np.array_split(np.arange(values.size), STRETCHES):
+        told = np.isfinite(values[stretch])
+        finite, gaps = stretch[told], stretch[~told]
+        ends = [finite[np.argmin(values[finite])], finite[np.argmax(values[finite])]] if finite.size else []
+        kept += sorted({*map(int, ends), *map(int, gaps)})
+    return place[kept], values[kept]
+
+
+def legend_above(figure: Figure, *axes: Axes, columns: int = 2) -> None:
+    """Put what is labelled on some axes into a legend above them all, where it hides nothing."""
+    told: dict[str, Artist] = {}
+    for axis in axes:
+        for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
+            told.setdefault(label, handle)
+    figure.legend(list(told.values()), list(told), ncols=columns, loc="outside upper left", columnspacing=1.2)
+
+
+def logarithmic(axis: Axis) -> None:
+    """Make one direction logarithmic, with plain numbers at 1, 2 and 5, or at tens over many decades."""
+    set_scale = axis.axes.set_xscale if isinstance(axis, XAxis) else axis.axes.set_yscale
+    set_scale("log")
+    low, high = axis.get_view_interval()
+    axis.set_major_locator(LogLocator(subs=(1.0,) if high > DECADES * low else (1.0, 2.0, 5.0)))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(StrMethodFormatter("{x:g}"))

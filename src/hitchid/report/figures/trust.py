@@ -1,0 +1,142 @@
+"""How far a model can be trusted: parameter intervals, bands, what the errors still show."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator, NullFormatter, NullLocator, StrMethodFormatter
+
+from hitchid.report.figures.style import COLOURS, COLUMN_IN, FAINT, INK, legend_above, logarithmic, styled
+
+MARGIN = 0.6
+PLACES = {
+    "position": "displacement / {unit}",
+    "speed": "speed / ({unit}/s)",
+    "command": "command / {command}",
+}
+
+
+@styled
+def intervals(known: Mapping[str, Any]) -> Figure:
+    """Return each parameter with its 95 % interval, a row of its own scale for each.
+
+    Open ends run to the edge as an arrow; the thin line is the bootstrap's interval.
+
+    Args:
+        known: `parameters` of one direction, as `metrics.json` holds them.
+    """
+    estimates = list(known["estimates"].values())
+    figure = Figure(figsize=(COLUMN_IN, 0.25 + 0.62 * len(estimates)))
+    for axis, each in zip(np.atleast_1d(figure.subplots(len(estimates), 1)), estimates, strict=True):
+        _interval(axis, each)
+    return figure
+
+
+def _interval(axis: Axes, each: Mapping[str, Any]) -> None:
+    ends, value = each["interval_95"], each["value"]
+    positive = each["bounds"][0] > 0 and min([value, *(end for end in ends if end is not None)]) > 0
+    told = [np.log(x) if positive else x for x in (value, *ends) if x is not None]
+    spread = (max(told) - min(told)) or (1.0 if positive else abs(value) or 1.0)
+    low, high = min(told) - MARGIN * spread, max(told) + MARGIN * spread
+    edge = np.exp([low, high]) if positive else np.array([low, high])
+    axis.set_xscale("log" if positive else "linear")
+    axis.set_xlim(*edge)
+    drawn = [edge[place] if end is None else end for place, end in enumerate(ends)]
+    colour = COLOURS["benchmark"] if each["determined"] else FAINT
+    axis.plot(drawn, [0, 0], color=colour, linewidth=4, solid_capstyle="butt")
+    for place, marker in enumerate("<>"):
+        if ends[place] is None:
+            axis.plot([edge[place]], [0], marker, color=colour, markersize=6, clip_on=False)
+    if each["bootstrap_95"] and each["determined"]:
+        axis.plot(each["bootstrap_95"], [-0.45, -0.45], color=FAINT, linewidth=1.2)
+    if each["determined"]:
+        axis.plot([value], [0], "|", color=INK, markersize=11, markeredgewidth=1.4)
+    axis.set_ylim(-1, 1)
+    axis.set_yticks([])
+    axis.spines["left"].set_visible(False)
+    axis.xaxis.set_major_locator(MaxNLocator(4))
+    axis.xaxis.set_major_formatter(StrMethodFormatter("{x:.4g}"))
+    axis.xaxis.set_minor_locator(NullLocator())
+    axis.xaxis.set_minor_formatter(NullFormatter())
+    unit = "" if each["unit"] == "1" else f" / {each['unit']}"
+    axis.set_ylabel(f"{each['symbol']}{unit}", rotation=0, ha="right", va="center")
+
+
+@styled
+def residual_correlations(residuals: Mapping[str, Any]) -> Figure:
+    """Return autocorrelation of the errors and their correlation with the command, with 99 % bounds.
+
+    Args:
+        residuals: `residuals` of one direction and run, as `metrics.json` holds them.
+    """
+    step_s = residuals["step_s"]
+    figure = Figure(figsize=(COLUMN_IN, 3.4))
+    above, below = figure.subplots(2, 1)
+    bounds = np.array(residuals["autocorrelation_bounds"])
+    lags = step_s * np.arange(1, bounds.size + 1)
+    _correlation(above, lags, residuals["autocorrelation"], bounds)
+    above.set_ylabel("autocorrelation\nof errors")
+    above.set_xlabel("lag / s")
+    lags = step_s * np.array(residuals["cross_lags"])
+    _correlation(below, lags, residuals["cross_correlation"], np.array(residuals["cross_bounds"]))
+    below.set_ylabel("correlation of errors\nwith command")
+    below.set_xlabel("errors after command / s")
+    legend_above(figure, above)
+    figure.align_ylabels()
+    return figure
+
+
+def _correlation(axis: Axes, lags: np.ndarray, values: list[float], bounds: np.ndarray) -> None:
+    axis.fill_between(lags, -bounds, bounds, color=FAINT, alpha=0.3, linewidth=0, label="99 % bounds")
+    axis.vlines(lags, 0, values, color=COLOURS["free_run"], linewidth=1.4)
+    axis.axhline(0, color=INK, linewidth=0.6)
+    largest = max(float(np.max(np.abs(values))), float(bounds.max()))
+    axis.set_ylim(-1.15 * largest, 1.15 * largest)
+
+
+@styled
+def residuals_by_place(residuals: Mapping[str, Any], unit: str, command_unit: str) -> Figure:
+    """Return mean and spread of the errors over displacement, speed and command.
+
+    Args:
+        residuals: `residuals` of one direction and run, as `metrics.json` holds them.
+        unit, command_unit: of displacement and command.
+    """
+    figure = Figure(figsize=(COLUMN_IN, 4.4))
+    axes = figure.subplots(len(PLACES), 1, sharey=True)
+    for axis, (name, label) in zip(axes, PLACES.items(), strict=True):
+        for each in residuals[f"by_{name}"]["bins"]:
+            spread = float(np.sqrt(max(each["rmse"] ** 2 - each["mean"] ** 2, 0.0)))
+            middle = 0.5 * (each["lower"] + each["upper"])
+            axis.plot([middle] * 2, [each["mean"] - spread, each["mean"] + spread], color=FAINT)
+            axis.plot([each["lower"], each["upper"]], [each["mean"]] * 2, color=COLOURS["free_run"], lw=2)
+        axis.axhline(0, color=INK, linewidth=0.6)
+        axis.set_xlabel(label.format(unit=unit, command=command_unit))
+    axes[1].set_ylabel(f"error, mean ± std / {unit}")
+    return figure
+
+
+@styled
+def coverage(bands: Mapping[str, Any], step_s: float) -> Figure:
+    """Return what share of unseen samples the bands cover, over how far is looked ahead.
+
+    Args:
+        bands: `bands` of one direction, as `metrics.json` holds them.
+        step_s: sampling time, s.
+    """
+    figure = Figure(figsize=(COLUMN_IN, 2.2))
+    axis = figure.subplots()
+    known = bands["horizons"]
+    covered = 100 * np.array(known["covered"])
+    axis.plot(step_s * np.array(known["steps"]), covered, "o-", color=COLOURS["one_step"], label="ahead")
+    free = 100 * bands["free_run"]["covered"]
+    axis.axhline(free, color=COLOURS["free_run"], linestyle="--", label="free run")
+    axis.axhline(100 * bands["coverage"], color=INK, linewidth=0.8, label="asked for")
+    logarithmic(axis.xaxis)
+    axis.set_ylim(min(70.0, covered.min() - 2, free - 2), 100)
+    axis.set_xlabel("looked ahead / s")
+    axis.set_ylabel("unseen samples covered / %")
+    legend_above(figure, axis, columns=3)
+    return figure

@@ -1,0 +1,49 @@
+"""A report as one page of HTML that needs nothing else."""
+
+from collections.abc import Mapping
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from hitchid.report.document import Document, Findings, Level, Picture, Pictures, Text
+from hitchid.report.figures.style import SHADES
+from hitchid.report.svg import inside_page
+from hitchid.validation import Table
+
+SIGNS = {Level.GOOD: "✓", Level.CAUTION: "!", Level.BAD: "✗"}
+_KINDS = {Text: "text", Findings: "findings", Pictures: "pictures", Table: "table"}
+
+
+def html(document: Document, drawn: Mapping[str, str]) -> str:
+    """Return a report as a page without a script or a request to anywhere.
+
+    Args:
+        document: the report.
+        drawn: name of each picture to its SVG file.
+    """
+    pages = Environment(
+        loader=PackageLoader("hitchid.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
+
+    def image(picture: Picture) -> Markup:
+        return Markup(inside_page(drawn[picture.name], picture.name, picture.alt))  # noqa: S704 - our own
+
+    template = pages.get_template("page.html")
+    return template.render(
+        document=document,
+        shades=SHADES,
+        signs=SIGNS,
+        image=image,
+        numeric=numeric,
+        kind=lambda block: _KINDS[type(block)],
+        place=lambda titles: "-".join(titles).lower().replace(" ", "-"),
+    )
+
+
+def numeric(content: Table) -> list[bool]:
+    """Tell which columns of a table hold numbers rather than words."""
+    return [any(column) and all(map(_number, column)) for column in zip(*content.rows, strict=True)]
+
+
+def _number(cell: str) -> bool:
+    return cell in ("diverged", "any") or not any(letter.isalpha() for letter in cell.replace("e", ""))

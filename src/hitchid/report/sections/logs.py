@@ -1,0 +1,86 @@
+"""The logs of a validation: what each was used for, what was found in them, and their hashes."""
+
+import hashlib
+from pathlib import Path
+
+from hitchid.campaign import Campaign
+from hitchid.inspection import look_over
+from hitchid.model import Hitch
+from hitchid.record import CYCLE, IDLE, RAMP, Record
+from hitchid.report.document import (
+    Block,
+    Finding,
+    Findings,
+    Level,
+    Picture,
+    Pictures,
+    Section,
+    Text,
+    sentence,
+)
+from hitchid.report.figures import timeline
+from hitchid.validation import Table
+
+MIXED_SHOWN = 2
+HASHED = 16
+
+
+def logs(campaign: Campaign, model: Hitch) -> Section:
+    """Return the section on the logs: the audit's findings, every log, mixed ones as a picture."""
+    found = look_over(campaign, model.switches)
+    findings = tuple(Finding(Level.CAUTION, sentence(notice)) for notice in found.notices)
+    audit: Block = Findings(findings) if findings else Text("The audit of the logs found nothing to mend.")
+    blocks: list[Block] = [audit, _table(campaign, model)]
+    if found.mixed:
+        shown = found.mixed[:MIXED_SHOWN]
+        names = ", ".join(record.name for record, _ in shown)
+        picture = Picture(
+            "timeline",
+            timeline(shown),
+            f"What mixed logs do, stretch by stretch: {names} ({len(found.mixed)} in all).",
+            f"Displacement and commands of {names} over time, coloured by what the hitch does.",
+            wide=True,
+        )
+        blocks.append(Pictures((picture,)))
+    return Section("Logs", tuple(blocks))
+
+
+def _table(campaign: Campaign, model: Hitch) -> Table:
+    hashes: dict[Path, str] = {}
+    rows = tuple(
+        (
+            record.name,
+            record.kind,
+            _use(record, model),
+            str(len(record)),
+            f"{record.step_s:.4g}",
+            f"{(len(record) - 1) * record.step_s:.4g}",
+            _digest(record.source, hashes),
+        )
+        for record in campaign.records
+    )
+    header = ("log", "kind", "used as", "samples", "step / s", "duration / s", f"SHA-256, first {HASHED}")
+    return Table(f"{len(rows)} logs", header, rows)
+
+
+def _use(record: Record, model: Hitch) -> str:
+    provenance = model.provenance
+    if record.kind == IDLE:
+        return "not used"
+    if record.kind == RAMP:
+        return "dead zone"
+    if record.fingerprint in provenance.seen:
+        stopping = any(record.name in names for names in provenance.validation.values())
+        return "validation while training" if stopping else "identification"
+    if record.kind == CYCLE:
+        return "unseen cycle"
+    return "unseen test" if record.kind in model.channels else "not used"
+
+
+def _digest(path: Path | None, known: dict[Path, str]) -> str:
+    if path is None or not path.is_file():
+        return ""
+    if path not in known:
+        with path.open("rb") as file:
+            known[path] = hashlib.file_digest(file, "sha256").hexdigest()[:HASHED]
+    return known[path]

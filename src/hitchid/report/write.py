@@ -1,0 +1,60 @@
+"""A report on disk: the page, its figures, and a PDF where one is asked for."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from hitchid.report.document import Document
+from hitchid.report.page import html
+from hitchid.report.pdf import pdf
+from hitchid.report.svg import svg
+from hitchid.storage import put, write_folder
+
+REPORT_FILE = "report.html"
+PDF_FILE = "report.pdf"
+FIGURES = "figures"
+
+
+def write_report(
+    folder: Path,
+    document: Document,
+    files: Mapping[str, bytes],
+    *,
+    mark: str,
+    as_pdf: bool = False,
+    force: bool = False,
+) -> None:
+    """Write a report and what goes with it, whole or not at all.
+
+    Args:
+        folder: where to.
+        document: the report.
+        files: what goes with it, name to content.
+        mark: a file of these that an older result holds; `force` replaces nothing else.
+        as_pdf: whether `report.pdf` is written too.
+        force: replace an older result.
+
+    Raises:
+        OutputError: something stands there already, or it cannot be written.
+        InputError: a PDF is asked for and typst is not installed.
+    """
+
+    def write(place: Path) -> None:
+        put(place, files)
+        put_report(document, place, as_pdf=as_pdf)
+
+    write_folder(folder, write, mark=mark, force=force)
+
+
+def put_report(document: Document, folder: Path, *, as_pdf: bool = False) -> None:
+    """Write `report.html`, `figures/*.svg` and, where asked for, `report.pdf` into a folder being filled.
+
+    Raises:
+        InputError: a PDF is asked for and typst is not installed.
+    """
+    drawn = {picture.name: svg(picture.figure) for picture in document.pictures}
+    (folder / FIGURES).mkdir()
+    for name, content in drawn.items():
+        (folder / FIGURES / f"{name}.svg").write_text(content, encoding="utf-8")
+    (folder / REPORT_FILE).write_text(html(document, drawn), encoding="utf-8", errors="backslashreplace")
+    if as_pdf:
+        (folder / PDF_FILE).write_bytes(pdf(document, drawn))

@@ -1,0 +1,56 @@
+"""What models say of tests, sample by sample: the arrays behind the figures."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+Rows = tuple[np.ndarray, ...]
+
+
+@dataclass(frozen=True)
+class Predictions:
+    """Tests and what models say of them, one array of shape [N_i] for each test, all in the tests' unit.
+
+    Attributes:
+        names: the tests.
+        time_s: time since the start of each test, s.
+        actual: measured displacement.
+        models: name to predicted displacement: `benchmark` and `free_run` from commands alone, `one_step`
+            from what was measured up to the sample before.
+        band: lower and upper end of a band around `free_run`; None where there is none.
+    """
+
+    names: tuple[str, ...]
+    time_s: Rows
+    actual: Rows
+    models: Mapping[str, Rows]
+    band: tuple[Rows, Rows] | None = None
+
+    def take(self, indices: Iterable[int]) -> "Predictions":
+        """Return some of the tests."""
+        picked = list(indices)
+
+        def some(rows: Rows) -> Rows:
+            return tuple(rows[i] for i in picked)
+
+        return Predictions(
+            names=tuple(self.names[i] for i in picked),
+            time_s=some(self.time_s),
+            actual=some(self.actual),
+            models={name: some(rows) for name, rows in self.models.items()},
+            band=None if self.band is None else (some(self.band[0]), some(self.band[1])),
+        )
+
+    def beside(self, models: Mapping[str, Rows]) -> "Predictions":
+        """Return it with further models."""
+        return replace(self, models={**self.models, **models})
+
+    def errors(self, model: str) -> np.ndarray:
+        """Return actual minus predicted over all tests, without the first sample of each, shape [M]."""
+        return np.concatenate([a[1:] - p[1:] for a, p in zip(self.actual, self.models[model], strict=True)])
+
+    def rmse(self, model: str) -> np.ndarray:
+        """Return the root mean square error of each test, shape [T]."""
+        pairs = zip(self.actual, self.models[model], strict=True)
+        return np.array([np.sqrt(np.mean((a - p) ** 2)) for a, p in pairs])

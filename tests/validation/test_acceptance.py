@@ -1,0 +1,541 @@
+"""Acceptance: limits as files have them, verdicts by hand, and words that agree with them."""
+
+import json
+from copy import deepcopy
+from fractions import Fraction
+
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from hitchid.errors import SettingsError
+from hitchid.metrics import HORIZONS
+from hitchid.validation.acceptance import check_limits, line
+from hitchid.validation.limits import BASELINES, Limits, read_limits
+
+FILE = """
+unit = "mm"
+
+[lifting]
+tests = 4
+free_run = { rmse = 0.5, mae = 0.4, fit = 95, r2 = 0.99, max_abs = 2, within_1 = 95 }
+one_step = { rmse = 0.2 }
+worst_test = { rmse = 1.0 }
+horizon = { 10 = 0.2, 100 = 0.5 }
+coverage = [80, 97]
+better_than = ["persistence", "transfer_function"]
+
+[cycles]
+free_run = { rmse = 3 }
+"""
+
+lengths = st.floats(1e-6, 1e6)
+
+
+def figures(rmse=0.3, **others):
+    return {"rmse": rmse, "mae": 0.2, "r2": 0.999, "fit": 97.5, "max_abs": 1.5, "within_1": 0.96, **others}
+
+
+def direction():
+    """Return figures of one direction that keep every limit of `FILE`."""
+    return {
+        "tests": ["up-1", "up-2", "up-3", "up-4"],
+        "greybox": {"one_step": figures(0.1), "free_run": figures(0.3)},
+        "benchmark": {"free_run": figures(0.6)},
+        "baselines": {
+            "persistence": {"one_step": figures(0.15)},
+            "transfer_function": {"free_run": figures(0.9)},
+        },
+        "horizons": {"steps": [1, 10, 100], "greybox": [0.1, 0.15, 0.25], "persistence": [0.15, 1.5, 9.0]},
+        "per_test": {f"up-{i}": {"free_run": figures(0.1 * i)} for i in (1, 2, 4, 3)},
+        "bands": {"coverage": 0.9, "free_run": {"covered": 0.9, "width": 1.0}},
+    }
+
+
+def campaign(unit="mm"):
+    cycles = {
+        "tests": ["mixed"],
+        "greybox": {"free_run": figures(2.0), "one_step": figures(0.1)},
+        "benchmark": {"free_run": figures(4.0)},
+        "persistence": {"one_step": figures(0.2)},
+        "horizons": {"steps": [1, 10], "greybox": [0.1, 0.4], "persistence": [0.2, 2.0]},
+        "per_test": {"mixed": {"free_run": figures(2.0)}},
+    }
+    return {"unit": unit, "channels": {"lifting": direction()}, "cycles": cycles}
+
+
+def limits_of(mode="lifting", unit="mm", **demanded):
+    return Limits.model_validate({"unit": unit, mode: demanded})
+
+
+def only(metrics, limits):
+    """Return the one check that limits amount to."""
+    (check,) = check_limits(metrics, limits).checks
+    return check
+
+
+def verdicts(metrics, limits):
+    return {check.name: check.passed for check in check_limits(metrics, limits).checks}
+
+
+@pytest.fixture
+def read(tmp_path):
+    def of(text):
+        path = tmp_path / "limits.toml"
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+        return read_limits(path)
+
+    return of
+
+
+# The file.
+
+
+def test_a_file_is_read_as_it_stands(read):
+    limits = read(FILE)
+    assert (limits.unit, list(limits.modes)) == ("mm", ["lifting", "cycles"])
+    lifting = limits.modes["lifting"]
+    assert lifting.tests == 4
+    assert lifting.free_run.model_dump() == {
+        "rmse": 0.5,
+        "mae": 0.4,
+        "max_abs": 2.0,
+        "r2": 0.99,
+        "fit": 95.0,
+        "within_1": 95.0,
+    }
+    assert lifting.horizon == {10: 0.2, 100: 0.5}
+    assert lifting.coverage == (80.0, 97.0)
+    assert lifting.better_than == ("persistence", "transfer_function")
+    assert limits.modes["cycles"].free_run.rmse == 3.0
+
+
+def test_every_limit_of_a_file_gets_a_verdict(read):
+    outcome = check_limits(campaign(), read(FILE))
+    assert outcome.passed
+    assert [line(check) for check in outcome.checks] == [
+        "pass  lifting: unseen tests 4, required at least 4",
+        "pass  lifting: one step, RMSE 0.1 mm, required at most 0.2 mm",
+        "pass  lifting: free run, RMSE 0.3 mm, required at most 0.5 mm",
+        "pass  lifting: free run, MAE 0.2 mm, required at most 0.4 mm",
+        "pass  lifting: free run, max abs 1.5 mm, required at most 2 mm",
+        "pass  lifting: free run, R² 0.999, required at least 0.99",
+        "pass  lifting: free run, fit 97.5 %, required at least 95 %",
+        "pass  lifting: free run, within 1 mm 96 %, required at least 95 %",
+        "pass  lifting: worst test, RMSE 0.4 mm in up-4, required at most 1 mm",
+        "pass  lifting: 10 samples ahead, RMSE 0.15 mm, required at most 0.2 mm",
+        "pass  lifting: 100 samples ahead, RMSE 0.25 mm, required at most 0.5 mm",
+        "pass  lifting: inside the 90 % band 90 %, required 80 to 97 %",
+        "pass  lifting: one step vs persistence, RMSE 0.1 mm, required below 0.15 mm",
+        "pass  lifting: free run vs transfer_function, RMSE 0.3 mm, required below 0.9 mm",
+        "pass  cycles: free run, RMSE 2 mm, required at most 3 mm",
+    ]
+    assert all(len(line(check)) <= 80 for check in outcome.checks)
+    assert len({check.name for check in outcome.checks}) == len(outcome.checks)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "key 'unit': Field required"),
+        ('unit = "mm"', "demands nothing; required at least one of lifting, lowering, cycles"),
+        ('unit = "mm"\n[lifting]', "key 'lifting': demands nothing; required at least one of tests"),
+        ('unit = "mm"\nlifting.one_step = {}', "key 'lifting.one_step': demands nothing"),
+        ('unit = "mm"\nlifting.horizon = {}', "key 'lifting.horizon': demands nothing"),
+        ('unit = "mm"\nlifting.better_than = []', "key 'lifting.better_than': demands nothing"),
+        ("lifting.tests = 1", "key 'unit': Field required"),
+        ('unit = "ell"\nlifting.tests = 1', "key 'unit': required one of A, mA, .*came 'ell'"),
+        ('unit = "mm"\nraising.tests = 1', "key 'raising' is not known"),
+        ('unit = "mm"\nlifting.tets = 1', "key 'lifting.tets' is not known"),
+        ('unit = "mm"\nlifting.free_run.rsme = 1', "key 'lifting.free_run.rsme' is not known"),
+        ('unit = "mm"\nlifting.tests = 0', "key 'lifting.tests': .*greater than or equal to 1, came 0"),
+        ('unit = "mm"\nlifting.tests = 1.5', "key 'lifting.tests': .*valid integer, came 1.5"),
+        ('unit = "mm"\nlifting.tests = true', "key 'lifting.tests': .*valid integer, came True"),
+        ('unit = "mm"\nlifting.free_run = 1', "key 'lifting.free_run': .*came 1"),
+        ('unit = "mm"\nlifting.free_run.mae = "1"', "key 'lifting.free_run.mae': .*valid number, came '1'"),
+        ('unit = "mm"\nlifting.free_run.mae = true', "key 'lifting.free_run.mae': .*number, came True"),
+        ('unit = "mm"\nlifting.free_run.mae = 0', "key 'lifting.free_run.mae': .*greater than 0, came 0"),
+        ('unit = "mm"\nlifting.free_run.mae = -1.5', "key 'lifting.free_run.mae': .*came -1.5"),
+        ('unit = "mm"\nlifting.free_run.mae = nan', "key 'lifting.free_run.mae': .*finite number, came nan"),
+        ('unit = "mm"\nlifting.free_run.mae = inf', "key 'lifting.free_run.mae': .*finite number, came inf"),
+        ('unit = "mm"\nlifting.free_run.r2 = 99', "key 'lifting.free_run.r2': .*equal to 1, came 99"),
+        ('unit = "mm"\nlifting.free_run.fit = 101', "key 'lifting.free_run.fit': .*equal to 100, came 101"),
+        ('unit = "mm"\nlifting.free_run.within_1 = 101', "within_1': .*equal to 100, came 101"),
+        ('unit = "mm"\nlifting.horizon = { 3 = 1 }', "'lifting.horizon': came '3' .*required one of 1, 2, 5"),
+        ('unit = "mm"\nlifting.horizon = { 010 = 1 }', "'lifting.horizon': came '010'"),
+        ('unit = "mm"\nlifting.horizon = { 10 = 0 }', "'lifting.horizon.10': .*greater than 0, came 0"),
+        ('unit = "mm"\nlifting.horizon = 10', "'lifting.horizon': .*came 10"),
+        ('unit = "mm"\nlifting.coverage = 90', "'lifting.coverage': .*came 90"),
+        ('unit = "mm"\nlifting.coverage = [90]', "'lifting.coverage.1': Field required"),
+        ('unit = "mm"\nlifting.coverage = [97, 80]', r"'lifting.coverage': came \[97.0, 80.0\], required"),
+        ('unit = "mm"\nlifting.coverage = [0, 80]', "'lifting.coverage.0': .*greater than 0, came 0"),
+        ('unit = "mm"\nlifting.coverage = [80, 101]', "'lifting.coverage.1': .*equal to 100, came 101"),
+        ('unit = "mm"\nlifting.better_than = ["me"]', "'lifting.better_than': came 'me', required one of"),
+        ('unit = "mm"\nlifting.better_than = ["greybox"]', "came 'greybox', required one of persistence"),
+        ('unit = "mm"\nlifting.better_than = ["arx", "arx"]', "came arx, arx, required each once"),
+        ('unit = "mm"\nlifting.better_than = "arx"', "'lifting.better_than': .*came 'arx'"),
+        ("unit = ", "is not valid TOML"),
+        (b"unit = \xff", "cannot be read"),
+    ],
+)
+def test_what_is_wrong_in_a_file_is_told_with_file_and_key(read, text, said):
+    with pytest.raises(SettingsError, match=rf"limits\.toml: .*{said}"):
+        read(text)
+
+
+@pytest.mark.parametrize("run", ["free_run", "one_step", "worst_test"])
+@pytest.mark.parametrize("key", figures())
+@pytest.mark.parametrize("limit", ["0", "0.0", "-1", "nan", "inf", "-inf", '"1"', "true", "[1]"])
+def test_a_limit_of_a_figure_is_a_positive_number(read, run, key, limit):
+    with pytest.raises(SettingsError, match=rf"limits\.toml: key 'lifting\.{run}\.{key}': "):
+        read(f'unit = "mm"\nlifting.{run}.{key} = {limit}')
+
+
+def test_a_file_that_is_missing_or_a_folder_is_told(tmp_path):
+    for place in (tmp_path / "none.toml", tmp_path):
+        with pytest.raises(SettingsError, match=rf"{place.name}: cannot be read"):
+            read_limits(place)
+
+
+# Verdicts.
+
+
+@pytest.mark.parametrize("mode", ["lifting", "cycles"])
+@pytest.mark.parametrize("run", ["free_run", "one_step", "worst_test"])
+@pytest.mark.parametrize(
+    ("key", "at", "worse", "limit"),
+    [
+        ("rmse", 0.5, 0.50001, 0.5),
+        ("mae", 0.5, 0.50001, 0.5),
+        ("max_abs", 0.5, 0.50001, 0.5),
+        ("r2", 0.99, 0.98999, 0.99),
+        ("fit", 95.0, 94.999, 95),
+        # 100 times the float next to 0.57 lies below 57.
+        ("within_1", 0.57, 0.56999, 57),
+    ],
+)
+def test_a_limit_holds_at_itself_and_fails_beyond(mode, run, key, at, worse, limit):
+    for figure, passes in ((at, True), (worse, False), (None, False), (float("nan"), False)):
+        metrics = campaign()
+        section = metrics["cycles"] if mode == "cycles" else metrics["channels"][mode]
+        if run == "worst_test":
+            test = section["tests"][-1]
+            best = {"r2": 1.0, "fit": 100.0, "within_1": 1.0}.get(key, 0.0)
+            section["per_test"] = {name: {"free_run": figures(**{key: best})} for name in section["tests"]}
+            section["per_test"][test]["free_run"][key] = figure
+        else:
+            section["greybox"][run][key] = figure
+        check = only(metrics, limits_of(mode, **{run: {key: limit}}))
+        assert (check.mode, check.passed) == (mode, passes)
+        if figure is None or figure != figure:
+            assert check.found.startswith("diverged")
+
+
+def test_the_worst_test_is_named_whatever_its_place():
+    check = only(campaign(), limits_of(worst_test={"rmse": 0.35}))
+    assert (check.passed, check.found) == (False, "0.4 mm in up-4")
+    metrics = campaign()
+    metrics["channels"]["lifting"]["per_test"]["up-2"]["free_run"] = figures(None, r2=0.5)
+    assert only(metrics, limits_of(worst_test={"rmse": 9})).found == "diverged in up-2"
+    assert only(metrics, limits_of(worst_test={"r2": 0.9})).found == "0.5 in up-2"
+
+
+@pytest.mark.parametrize(("at_least", "passes"), [(3, True), (4, True), (5, False)])
+def test_unseen_tests_are_counted(at_least, passes):
+    check = only(campaign(), limits_of(tests=at_least))
+    assert (check.found, check.passed) == ("4", passes)
+
+
+@pytest.mark.parametrize(
+    ("covered", "passes"), [(0.7999, False), (0.8, True), (0.9, True), (0.97, True), (0.9701, False)]
+)
+def test_coverage_is_bounded_on_both_sides(covered, passes):
+    metrics = campaign()
+    metrics["channels"]["lifting"]["bands"]["free_run"]["covered"] = covered
+    assert only(metrics, limits_of(coverage=[80, 97])).passed == passes
+
+
+def test_better_means_a_lower_rmse_in_every_run_of_both():
+    metrics = campaign()
+    metrics["channels"]["lifting"]["baselines"]["arx"] = {"one_step": figures(0.1), "free_run": figures(0.31)}
+    limits = limits_of(better_than=["arx", "benchmark"])
+    assert verdicts(metrics, limits) == {
+        "lifting: one step vs arx, RMSE": False,
+        "lifting: free run vs arx, RMSE": True,
+        "lifting: free run vs benchmark, RMSE": True,
+    }
+
+
+def test_cycles_find_their_baselines_in_their_own_layout():
+    assert verdicts(campaign(), limits_of("cycles", better_than=["benchmark", "persistence"])) == {
+        "cycles: free run vs benchmark, RMSE": True,
+        "cycles: one step vs persistence, RMSE": True,
+    }
+
+
+@pytest.mark.parametrize("ours", [0.3, None])
+def test_what_diverged_is_nothing_to_be_better_than(ours):
+    metrics = campaign()
+    metrics["channels"]["lifting"]["greybox"]["free_run"] = figures(ours)
+    metrics["channels"]["lifting"]["benchmark"]["free_run"] = figures(None)
+    check = only(metrics, limits_of(better_than=["benchmark"]))
+    assert not check.passed
+    assert "diverged" in check.found
+    assert ("benchmark" in check.found) == (ours is not None)
+
+
+@pytest.mark.parametrize(
+    ("mode", "demanded", "found"),
+    [
+        ("lowering", {"tests": 1}, "0"),
+        ("lowering", {"free_run": {"rmse": 9}}, "missing: no unseen test"),
+        ("lowering", {"worst_test": {"rmse": 9}}, "missing: no unseen test"),
+        ("lowering", {"horizon": {"10": 9}}, "missing: no unseen test"),
+        ("lowering", {"coverage": [1, 100]}, "missing: no unseen test"),
+        ("lowering", {"better_than": ["arx"]}, "missing: no unseen test"),
+        ("lifting", {"horizon": {"50": 9}}, "missing: tests reach 10 ahead"),
+        ("lifting", {"better_than": ["arx"]}, "missing: no such baseline"),
+        ("lifting", {"better_than": ["lstm"]}, "missing: no run of both"),
+        ("lifting", {"one_step": {"rmse": 9}}, "missing: no one step"),
+        ("cycles", {"coverage": [1, 100]}, "missing: no bands"),
+    ],
+)
+def test_what_is_missing_fails_and_is_named(mode, demanded, found):
+    metrics = campaign()
+    lifting = metrics["channels"]["lifting"]
+    lifting["horizons"] = {"steps": [1, 10], "greybox": [0.1, 0.2]}
+    lifting["baselines"]["lstm"] = {"one_step": figures(9.0)}
+    del lifting["greybox"]["one_step"]
+    check = only(metrics, limits_of(mode, **demanded))
+    assert (check.mode, check.found, check.passed) == (mode, found, False)
+
+
+def test_cycles_that_were_not_driven_keep_no_limit():
+    metrics = campaign() | {"cycles": {"tests": []}}
+    demanded = {"tests": 1, "free_run": {"rmse": 9}, "horizon": {"1": 9}, "better_than": ["benchmark"]}
+    checks = check_limits(metrics, limits_of("cycles", **demanded)).checks
+    assert [(check.found, check.passed) for check in checks] == [
+        ("0", False),
+        *[("missing: no unseen test", False)] * 3,
+    ]
+
+
+def test_a_horizon_that_diverged_keeps_no_limit():
+    metrics = campaign()
+    metrics["channels"]["lifting"]["horizons"]["greybox"][1] = None
+    check = only(metrics, limits_of(horizon={"10": 9}))
+    assert (check.found, check.passed) == ("diverged", False)
+
+
+def test_one_failed_check_fails_the_whole_and_all_is_told_as_json():
+    outcome = check_limits(campaign(), limits_of(free_run={"rmse": 0.2, "mae": 0.4}))
+    told = json.loads(json.dumps(outcome.describe()))
+    assert told == {
+        "passed": False,
+        "checks": [
+            {
+                "mode": "lifting",
+                "name": "lifting: free run, RMSE",
+                "limit": "at most 0.2 mm",
+                "found": "0.3 mm",
+                "passed": False,
+            },
+            {
+                "mode": "lifting",
+                "name": "lifting: free run, MAE",
+                "limit": "at most 0.4 mm",
+                "found": "0.2 mm",
+                "passed": True,
+            },
+        ],
+    }
+
+
+# Units.
+
+
+@pytest.mark.parametrize(
+    ("logs", "figure", "limits", "at", "below"),
+    [
+        ("m", 0.0003, "mm", 0.3, 0.2999),
+        ("mm", 0.3, "m", 0.0003, 0.0002999),
+        ("in", 1.0, "mm", 25.4, 25.399),
+        ("mm", 25.4, "in", 1.0, 0.999),
+        ("1", 0.03, "percent", 3.0, 2.99),
+    ],
+)
+def test_errors_are_converted_to_the_unit_of_the_limits(logs, figure, limits, at, below):
+    metrics = campaign(logs)
+    lifting = metrics["channels"]["lifting"]
+    lifting["greybox"] = {"one_step": figures(figure), "free_run": figures(figure)}
+    lifting["horizons"] = {"steps": [10], "greybox": [figure]}
+    lifting["per_test"] = {"up-1": {"free_run": figures(figure)}}
+    for limit, passes in ((at, True), (below, False)):
+        run = {"rmse": limit}
+        demanded = {"free_run": run, "one_step": run, "worst_test": run, "horizon": {"10": limit}}
+        checks = check_limits(metrics, limits_of(unit=limits, **demanded)).checks
+        assert [check.passed for check in checks] == [passes] * 4
+        assert all(Fraction(check.found.split()[0]) == Fraction(str(at)) for check in checks)
+
+
+def test_shares_are_not_converted():
+    demanded = {"free_run": {"r2": 0.999, "fit": 97.5}, "coverage": [90, 90], "tests": 4}
+    assert check_limits(campaign("mm"), limits_of(unit="m", **demanded)).passed
+
+
+def test_both_figures_of_a_comparison_are_told_in_the_unit_of_the_limits():
+    check = only(campaign("mm"), limits_of(unit="m", better_than=["benchmark"]))
+    assert (check.found, check.limit, check.passed) == ("0.0003 m", "below 0.0006 m", True)
+
+
+def test_a_unit_of_another_dimension_is_refused():
+    limits = limits_of(free_run={"rmse": 1})
+    with pytest.raises(SettingsError, match=r"limits: key 'unit': 'mm' is a unit of length, .*'deg'"):
+        check_limits(campaign("deg"), limits)
+
+
+@pytest.mark.parametrize("run", ["free_run", "one_step", "worst_test"])
+def test_within_one_unit_is_not_converted(run):
+    limits = limits_of(unit="cm", **{run: {"within_1": 90}})
+    with pytest.raises(SettingsError, match=rf"'lifting\.{run}\.within_1': .*required unit = \"mm\""):
+        check_limits(campaign("mm"), limits)
+    limits.check_convertible("cm")
+
+
+# Words.
+
+
+def number(text):
+    """Return the number in a text like `at most 0.5 mm`."""
+    return next(Fraction(word) for word in text.split() if word[0] in "-0123456789")
+
+
+def checked(figure, limit, key="rmse"):
+    metrics = campaign()
+    metrics["channels"]["lifting"]["greybox"]["free_run"][key] = figure
+    return only(metrics, limits_of(free_run={key: limit}))
+
+
+def test_a_figure_just_beyond_its_limit_is_told_with_digits_enough():
+    check = checked(0.50004, 0.5)
+    assert (check.found, check.limit, check.passed) == ("0.50004 mm", "at most 0.5 mm", False)
+    assert checked(0.50004, 0.6).found == "0.500 mm"
+    assert checked(0.5, 0.5).found == "0.5 mm"
+
+
+@settings(deadline=None)
+@given(limit=lengths, ratio=st.floats(-1e-3, 1e-3) | st.sampled_from([-3e-16, 0.0, 3e-16]))
+def test_words_never_contradict_a_limit_of_an_error(limit, ratio):
+    figure = limit * (1 + ratio)
+    check = checked(figure, limit)
+    assert check.passed == (figure <= limit)
+    assert check.passed == (number(check.found) <= number(check.limit))
+    assert float(number(check.limit)) == limit
+
+
+@settings(deadline=None)
+@given(limit=st.floats(1e-3, 100), ratio=st.floats(-1e-3, 1e-3) | st.sampled_from([-3e-16, 0.0, 3e-16]))
+def test_words_never_contradict_a_limit_of_a_share(limit, ratio):
+    check = checked(limit * (1 + ratio) / 100, limit, "within_1")
+    assert check.passed == (number(check.found) >= number(check.limit))
+
+
+@settings(deadline=None)
+@given(ours=lengths, ratio=st.floats(-1e-3, 1e-3) | st.sampled_from([-3e-16, 0.0, 3e-16]))
+def test_words_never_contradict_a_comparison(ours, ratio):
+    theirs = ours * (1 + ratio)
+    metrics = campaign()
+    metrics["channels"]["lifting"]["greybox"]["free_run"]["rmse"] = ours
+    metrics["channels"]["lifting"]["benchmark"]["free_run"]["rmse"] = theirs
+    check = only(metrics, limits_of(better_than=["benchmark"]))
+    assert check.passed == (ours < theirs)
+    assert check.passed == (number(check.found) < number(check.limit))
+
+
+@settings(deadline=None)
+@given(figure=lengths, unit=st.sampled_from(["m", "cm", "in"]), ratio=st.floats(-1e-3, 1e-3))
+def test_words_never_contradict_a_limit_in_another_unit(figure, unit, ratio):
+    factor = {"m": 1e-3, "cm": 0.1, "in": 1 / 25.4}[unit]
+    metrics = campaign()
+    metrics["channels"]["lifting"]["greybox"]["free_run"]["rmse"] = figure
+    check = only(metrics, limits_of(unit=unit, free_run={"rmse": figure * factor * (1 + ratio)}))
+    assert check.passed == (number(check.found) <= number(check.limit))
+    assume(abs(ratio) > 1e-12)
+    assert check.passed == (ratio > 0)
+
+
+runs = st.fixed_dictionaries(
+    {},
+    optional={
+        **dict.fromkeys(("rmse", "mae", "max_abs"), lengths),
+        "r2": st.floats(0.01, 1),
+        **dict.fromkeys(("fit", "within_1"), st.floats(0.01, 100)),
+    },
+).filter(bool)
+demands = st.fixed_dictionaries(
+    {},
+    optional={
+        "tests": st.integers(1, 8),
+        **dict.fromkeys(("free_run", "one_step", "worst_test"), runs),
+        "horizon": st.dictionaries(st.sampled_from([str(h) for h in HORIZONS]), lengths, min_size=1),
+        "coverage": st.tuples(st.floats(0.01, 100), st.floats(0.01, 100)).map(sorted),
+    },
+).filter(bool)
+measured = st.none() | st.floats(0, 1e6)
+
+
+@st.composite
+def validated(draw):
+    """Return metrics of lifting whose figures are whatever they like, diverged too."""
+    metrics = campaign()
+    lifting = metrics["channels"]["lifting"]
+    told = st.fixed_dictionaries(dict.fromkeys(figures(), measured))
+    lifting["greybox"] = {"one_step": draw(told), "free_run": draw(told)}
+    lifting["per_test"] = {name: {"free_run": draw(told)} for name in lifting["tests"]}
+    lifting["horizons"] = {"steps": [1, 10], "greybox": [draw(measured), draw(measured)]}
+    lifting["bands"]["free_run"]["covered"] = draw(st.floats(0, 1))
+    return metrics
+
+
+def loosened(demanded, factor):
+    """Return demands of which each is lighter by a factor above 1."""
+    lighter = deepcopy(demanded)
+    for run in ("free_run", "one_step", "worst_test"):
+        for key, limit in lighter.get(run, {}).items():
+            lighter[run][key] = limit * factor if key in ("rmse", "mae", "max_abs") else limit / factor
+    lighter["horizon"] = {steps: factor * limit for steps, limit in lighter.get("horizon", {}).items()}
+    low, high = lighter.get("coverage", (1.0, 100.0))
+    lighter["coverage"] = (low / factor, min(100.0, high * factor))
+    lighter["tests"] = max(1, int(lighter.get("tests", 1) / factor))
+    return {key: value for key, value in lighter.items() if key in demanded}
+
+
+@settings(deadline=None)
+@given(metrics=validated(), demanded=demands, factor=st.floats(1, 10))
+def test_a_lighter_demand_turns_no_pass_into_a_failure(metrics, demanded, factor):
+    before = verdicts(metrics, limits_of(**demanded))
+    after = verdicts(metrics, limits_of(**loosened(demanded, factor)))
+    assert before.keys() == after.keys()
+    assert all(after[name] for name, passed in before.items() if passed)
+
+
+@settings(deadline=None)
+@given(metrics=validated(), demanded=demands)
+def test_nothing_passes_without_a_number(metrics, demanded):
+    for check in check_limits(metrics, limits_of(**demanded)).checks:
+        assert check.found[0].isdigit() or not check.passed
+
+
+@pytest.mark.parametrize("name", BASELINES)
+def test_every_baseline_of_the_tables_may_be_demanded(name):
+    metrics = campaign()
+    metrics["channels"]["lifting"]["baselines"][name] = {"free_run": figures(0.31)}
+    metrics["channels"]["lifting"]["benchmark"] = {"free_run": figures(0.31)}
+    assert verdicts(metrics, limits_of(better_than=[name])) == {f"lifting: free run vs {name}, RMSE": True}
+
+
+def test_a_line_stays_one_line_whatever_a_log_is_called():
+    metrics = campaign()
+    metrics["channels"]["lifting"]["per_test"] = {"a\nb\x1b[31m\udcff\u2028é": {"free_run": figures(0.3)}}
+    text = line(only(metrics, limits_of(worst_test={"rmse": 1})))
+    assert text == "pass  lifting: worst test, RMSE 0.3 mm in a�b�[31m��é, required at most 1 mm"

@@ -1,0 +1,87 @@
+"""Checks as JUnit XML: well-formed whatever they say, counted right, the same bytes each time."""
+
+from xml.etree import ElementTree
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hitchid.validation.acceptance import Check, line
+from hitchid.validation.junit import junit
+
+KEPT = Check("lifting", "lifting: free run, RMSE", "at most 0.5 mm", "0.065 mm", True)
+BROKEN = Check("lowering", "lowering: free run, R²", "at least 0.99", "0.98", False)
+
+anything = st.text(
+    st.characters(exclude_categories=()) | st.sampled_from("\x00\t\n\r\x1b\ud800\ufffe\uffff<&\"'")
+)
+checks = st.lists(st.builds(Check, anything, anything, anything, anything, st.booleans()))
+
+
+def parsed(*given, **options):
+    return ElementTree.fromstring(junit(given, **options))  # noqa: S314
+
+
+def test_a_kept_and_a_broken_limit_become_two_cases():
+    root = parsed(KEPT, BROKEN)
+    assert root.tag == "testsuites"
+    (suite,) = root
+    assert suite.tag == "testsuite"
+    for counted in (root, suite):
+        assert {key: counted.get(key) for key in ("name", "tests", "failures", "errors")} == {
+            "name": "hitchid",
+            "tests": "2",
+            "failures": "1",
+            "errors": "0",
+        }
+    kept, broken = suite
+    assert kept.attrib == {"classname": "hitchid.lifting", "name": KEPT.name}
+    assert len(kept) == 0
+    assert broken.attrib == {"classname": "hitchid.lowering", "name": BROKEN.name}
+    (failure,) = broken
+    assert failure.attrib == {"message": "0.98, required at least 0.99", "type": "limit"}
+    assert failure.text == "fail  lowering: free run, R² 0.98, required at least 0.99" == line(BROKEN)
+
+
+def test_a_suite_has_the_name_it_is_given():
+    root = parsed(KEPT, name="rig-a")
+    assert root[0].get("name") == "rig-a"
+    assert root[0][0].get("classname") == "rig-a.lifting"
+
+
+@pytest.mark.parametrize(("seconds", "told"), [(None, None), (1.23456, "1.235"), (0.0, "0.000")])
+def test_time_stands_there_only_where_it_is_given(seconds, told):
+    root = parsed(KEPT, seconds=seconds)
+    assert [root.get("time"), root[0].get("time")] == [told, told]
+    assert b"timestamp" not in junit((KEPT,), seconds=seconds)
+
+
+def test_no_check_is_an_empty_suite():
+    root = parsed()
+    assert (root.get("tests"), len(root[0])) == ("0", 0)
+
+
+def test_what_xml_does_not_admit_is_left_out_and_all_else_stays():
+    name = "a\x00\x1b\ud800\ufffe\uffffb <&>\"' é\t\n\r\U0001f600\U0001ffff"
+    check = Check("lifting", name, name, name, False)
+    admitted = "ab <&>\"' é\t\n\r\U0001f600\U0001ffff"
+    case = parsed(check)[0][0]
+    assert case.get("name") == admitted
+    assert case[0].get("message") == f"{admitted}, required {admitted}"
+
+
+@settings(deadline=None)
+@given(checks=checks, name=anything)
+def test_any_text_gives_a_file_that_reads_back(checks, name):
+    root = parsed(*checks, name=name)
+    failures = [case for case in root[0] if case.find("failure") is not None]
+    assert [len(root[0]), len(failures)] == [int(root.get(key, "")) for key in ("tests", "failures")]
+    assert [case.find("failure") is None for case in root[0]] == [check.passed for check in checks]
+
+
+def test_equal_checks_give_equal_bytes_in_utf_8():
+    told = junit((KEPT, BROKEN))
+    assert told == junit([KEPT, BROKEN])
+    assert told.startswith(b"<?xml version='1.0' encoding='utf-8'?>\n")
+    assert "R²".encode() in told
+    assert told.endswith(b"</testsuites>\n")
