@@ -7,6 +7,7 @@ import sys
 from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
 from typing import NamedTuple
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -27,7 +28,7 @@ hidden = 6
 window = 20
 epochs = 8
 """
-FIGURES = {"rmse", "mae", "r2", "fit", "max_abs", "within_1"}
+FIGURES = {"rmse", "mae", "r2", "fit", "max_abs", "within_1", "rmse_error"}
 
 
 class Result(NamedTuple):
@@ -591,13 +592,94 @@ def metrics(validated):
     return json.loads((validated[2] / "metrics.json").read_text())
 
 
-def test_validate_shows_tables_or_prints_the_metrics_it_writes(validated, metrics):
+def test_validate_shows_a_summary_or_prints_the_metrics_it_writes(validated, metrics):
     shown, printed, out = validated
     assert (shown.code, printed.code) == (0, 0)
-    assert "lifting: accuracy on 3 unseen tests" in shown.out
-    assert "lowering: accuracy on 3 unseen tests" in shown.out
-    assert "lifting: accuracy on 3 unseen tests" in (out / "tables.md").read_text()
+    for mode in ("lifting", "lowering"):
+        assert f"{mode}, RMSE / mm" in shown.out
+        assert f"{mode}: accuracy on 3 unseen tests" in (out / "tables.md").read_text()
+    assert max(map(len, shown.out.splitlines())) <= 80
+    assert "report.html" in shown.out
     assert json.loads(printed.out) == metrics
+
+
+def test_validate_writes_a_report_with_its_figures(validated):
+    out = validated[2]
+    assert {path.name for path in out.iterdir()} == {"metrics.json", "tables.md", "report.html", "figures"}
+    page = (out / "report.html").read_text()
+    assert page.startswith("<!doctype html>")
+    assert "hitchid validate" in page
+    for path in (out / "figures").iterdir():
+        assert f'id="figure-{path.stem}"' in page
+
+
+def test_quietly_validate_says_nothing(tests_with_a_cycle, model, tmp_path):
+    result = hitchid("validate", model, tests_with_a_cycle, "--out", tmp_path / "out", "--quiet")
+    assert result == (0, "", "")
+
+
+LIMITS = 'unit = "mm"\n[lifting]\ntests = 3\nfree_run = {{ rmse = {rmse} }}\n'
+
+
+@pytest.mark.parametrize(("rmse", "code", "verdict"), [("1e6", 0, "pass"), ("1e-6", 1, "fail")])
+def test_limits_decide_on_the_exit_code(bench_folder, model, tmp_path, rmse, code, verdict):
+    (tmp_path / "limits.toml").write_text(LIMITS.format(rmse=rmse))
+    out, junit = tmp_path / "out", tmp_path / "results.xml"
+    told = ("--accept", tmp_path / "limits.toml", "--junit", junit)
+    result = hitchid("validate", model, bench_folder, "--out", out, *told)
+    assert result.code == code
+    assert all(line.startswith(("pass  ", "fail  ")) for line in result.out.splitlines()[-2:])
+    assert result.out.splitlines()[-1].startswith(f"{verdict}  lifting: free run, RMSE")
+    suite = ElementTree.parse(junit).getroot()  # noqa: S314 - our own
+    assert (suite.get("tests"), suite.get("failures")) == ("2", str(code))
+    assert (out / "report.html").read_text().count("<h2>Acceptance</h2>") == 1
+    quiet = hitchid("validate", model, bench_folder, "--out", out, *told, "--force", "--quiet")
+    assert (quiet.code, quiet.err, len(quiet.out.splitlines())) == (code, "", code)
+    printed = hitchid("validate", model, bench_folder, "--out", out, *told, "--force", "--json")
+    assert printed.code == code
+    assert json.loads(printed.out)["acceptance"]["passed"] == (code == 0)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--junit", "results.xml"), ["--junit", "--accept"]),
+        (("--accept", "nowhere.toml"), ["nowhere.toml"]),
+        (("--accept", "bar.toml"), ["bar.toml", "rmse", "-1"]),
+        (("--accept", "radians.toml"), ["rad", "mm"]),
+    ],
+)
+def test_limits_that_cannot_be_held_are_refused(refused, bench_folder, model, tmp_path, options, said):
+    (tmp_path / "bar.toml").write_text(LIMITS.format(rmse="-1"))
+    (tmp_path / "radians.toml").write_text(LIMITS.format(rmse="1").replace("mm", "rad"))
+    option, name = options
+    refused("validate", model, bench_folder, "--out", tmp_path / "out", option, tmp_path / name, said=said)
+
+
+def test_a_pdf_is_written_where_it_is_asked_for(bench_folder, model, tmp_path):
+    pytest.importorskip("typst")
+    result = hitchid("validate", model, bench_folder, "--out", tmp_path / "out", "--pdf", "--quiet")
+    assert result == (0, "", "")
+    assert (tmp_path / "out" / "report.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_two_models_are_compared_on_tests_neither_has_seen(tests_with_a_cycle, model, tmp_path):
+    save(handmade.hitch("integrator-first-order", baselines=True), tmp_path / "other")
+    out = tmp_path / "out"
+    arguments = ("compare", model, tmp_path / "other", tests_with_a_cycle, "--out", out)
+    shown = hitchid(*arguments)
+    assert shown.code == 0
+    assert {path.name for path in out.iterdir()} == {
+        "comparison.json",
+        "tables.md",
+        "report.html",
+        "figures",
+    }
+    assert all(f"{part}, RMSE / mm" in shown.out for part in ("lifting", "lowering", "cycles"))
+    assert max(map(len, shown.out.splitlines())) <= 80
+    printed = hitchid(*arguments, "--force", "--json")
+    assert json.loads(printed.out) == json.loads((out / "comparison.json").read_text())
+    assert set(json.loads(printed.out)["better"]) == {"lifting", "lowering", "cycles"}
 
 
 def test_the_metrics_have_the_keys_of_the_contract(metrics):
@@ -680,7 +762,8 @@ def test_identify_writes_a_model_and_prints_what_it_found(bench_folder, tmp_path
     shown = hitchid(*arguments)
     assert shown.code == 0
     assert {path.name for path in out.iterdir()} == {"model.json", "weights.safetensors", "trace.json"}
-    assert all(word in shown.out for word in ("lifting", "lowering", "dead zone", "gain"))
+    assert all(word in shown.out for word in ("lifting", "lowering", "dead zone", "mm/(s·A)"))
+    assert max(map(len, shown.out.splitlines())) <= 80
     assert "lowering: phase 2" in shown.err
     first = {path.name: path.read_bytes() for path in out.iterdir()}
     assert json.loads(first["model.json"])["seed"] == 3

@@ -406,7 +406,7 @@ def reproduce(
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Redo the study of Sun et al. 2025 on the virtual bench, every table and figure."""
+    """Redo the published study on the virtual bench: every table and figure, ours beside theirs."""
     from hitchid import display
     from hitchid.storage import check_folder
 

@@ -88,9 +88,9 @@ def _parameters(mode: str, unit: str, trace: "ChannelTrace") -> RichTable:
 
     table = _table(mode, "value ± std error", "unit", "verdict", kind=box.SIMPLE_HEAD)
     zone = trace.dead_zone
-    table.add_row(
-        "dead zone", stated(zone.value, zone.error.size or None), unit, f"from {zone.count} {zone.origin}"
-    )
+    value = stated(zone.value, zone.error.size or None)
+    origin = f"from {zone.count} {zone.origin}" if zone.count else zone.origin
+    table.add_row("dead zone", value, unit, origin)
     for each in trace.phase1.estimates:
         value = stated(each.value, each.error) if each.determined else ""
         table.add_row(each.symbol or each.name.replace("_", " "), value, each.unit, each.verdict)

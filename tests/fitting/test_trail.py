@@ -58,7 +58,7 @@ class Still(Search):
     first: float = 2.0
     name: str = field(default="still", init=False)
 
-    def minimise(self, problem: Problem, seed: int) -> Found:
+    def minimise(self, problem: Problem, seed: int, heard=None) -> Found:
         self.asked.append(seed)
         trace = np.array([self.first, 1.0])
         return Found(
@@ -78,7 +78,7 @@ class Failing(Search):
 
     name: str = field(default="failing", init=False)
 
-    def minimise(self, problem: Problem, seed: int) -> Found:
+    def minimise(self, problem: Problem, seed: int, heard=None) -> Found:
         if seed % 2 == 0:
             raise FitError(f"nothing finite from seed {seed}")
         return Still().minimise(problem, seed)

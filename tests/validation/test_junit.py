@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hitchid.validation.acceptance import Check, line
-from hitchid.validation.junit import junit
+from hitchid.validation.junit import junit_xml
 
 KEPT = Check("lifting", "lifting: free run, RMSE", "at most 0.5 mm", "0.065 mm", True)
 BROKEN = Check("lowering", "lowering: free run, R²", "at least 0.99", "0.98", False)
@@ -19,7 +19,7 @@ checks = st.lists(st.builds(Check, anything, anything, anything, anything, st.bo
 
 
 def parsed(*given, **options):
-    return ElementTree.fromstring(junit(given, **options))  # noqa: S314
+    return ElementTree.fromstring(junit_xml(given, **options))  # noqa: S314
 
 
 def test_a_kept_and_a_broken_limit_become_two_cases():
@@ -53,7 +53,7 @@ def test_a_suite_has_the_name_it_is_given():
 def test_time_stands_there_only_where_it_is_given(seconds, told):
     root = parsed(KEPT, seconds=seconds)
     assert [root.get("time"), root[0].get("time")] == [told, told]
-    assert b"timestamp" not in junit((KEPT,), seconds=seconds)
+    assert b"timestamp" not in junit_xml((KEPT,), seconds=seconds)
 
 
 def test_no_check_is_an_empty_suite():
@@ -80,8 +80,8 @@ def test_any_text_gives_a_file_that_reads_back(checks, name):
 
 
 def test_equal_checks_give_equal_bytes_in_utf_8():
-    told = junit((KEPT, BROKEN))
-    assert told == junit([KEPT, BROKEN])
+    told = junit_xml((KEPT, BROKEN))
+    assert told == junit_xml([KEPT, BROKEN])
     assert told.startswith(b"<?xml version='1.0' encoding='utf-8'?>\n")
     assert "R²".encode() in told
     assert told.endswith(b"</testsuites>\n")

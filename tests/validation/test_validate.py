@@ -16,7 +16,7 @@ from hitchid.model import Provenance, TwoModes, unpadded
 from hitchid.record import LIFTING, LOWERING
 from hitchid.validation import validate
 from hitchid.validation.tables import NAMES
-from hitchid.validation.validate import ORIGINS
+from hitchid.validation.cycles import ORIGINS
 from truth import STEP_S, levels
 
 SIZES = (200, 150, 180)
@@ -69,7 +69,17 @@ def by_hand(actual, predicted):
         "fit": 100 * (1 - np.sqrt(lost / spread)),
         "max_abs": np.abs(misses).max(),
         "within_1": np.count_nonzero(np.abs(misses) < 1) / misses.size,
+        "rmse_error": left_out([p - a for a, p in zip(actual, predicted, strict=True)]),
     }
+
+
+def left_out(misses):
+    """Return the jackknife's standard error of the RMSE, each test left out once; None of a single test."""
+    if len(misses) == 1:
+        return None
+    rest = [np.concatenate([m for k, m in enumerate(misses) if k != out]) for out in range(len(misses))]
+    figures = np.array([np.sqrt(np.mean(each**2)) for each in rest])
+    return np.sqrt((len(misses) - 1) * np.mean((figures - figures.mean()) ** 2))
 
 
 def test_persistence_is_the_displacement_measured_before(tests_of):

@@ -134,7 +134,7 @@ class Hitch:
         return self._packing.pack(self._standing(displacement, load))
 
     def step(
-        self, state: Packed, commands: ArrayLike, measured: ArrayLike | None = None
+        self, state: Packed, commands: ArrayLike | Sequence[ArrayLike], measured: ArrayLike | None = None
     ) -> tuple[Packed, Array]:
         """Return the state one sampling time later, and the displacement then: y(k+1) from c(k) and y(k).
 
@@ -364,9 +364,10 @@ def _same_clock(step_s: float, wanted_s: float, samples: int) -> bool:
     return abs(step_s - wanted_s) * samples <= 0.05 * wanted_s
 
 
-def _given(commands: ArrayLike, measured: ArrayLike) -> Array | np.ndarray:
+def _given(commands: ArrayLike | Sequence[ArrayLike], measured: ArrayLike) -> Array | np.ndarray:
     """Return both in one array, shape [3]."""
-    if isinstance(commands, jax.Array) or isinstance(measured, jax.Array):
+    parts = commands if isinstance(commands, Sequence) else (commands,)
+    if any(isinstance(each, jax.Array) for each in (*parts, measured)):
         return jnp.append(jnp.asarray(commands, jnp.float64), measured)
     return np.append(np.asarray(commands, dtype=np.float64), measured)
 

@@ -44,8 +44,9 @@ def pdf(document: Document, drawn: Mapping[str, str]) -> bytes:
         place = Path(kept)
         (place / "figures").mkdir()
         for name, content in drawn.items():
-            (place / "figures" / f"{name}.svg").write_text(content, encoding="utf-8")
-        (place / "report.json").write_text(json.dumps(_described(document)), encoding="utf-8")
+            (place / "figures" / f"{name}.svg").write_bytes(content.encode("utf-8", errors="replace"))
+        told = json.dumps(_described(document), ensure_ascii=False)
+        (place / "report.json").write_bytes(told.encode("utf-8", errors="replace"))
         with as_file(files("hitchid.report") / "templates" / TEMPLATE) as template:
             shutil.copy(template, place)
         fonts = Path(mpl.get_data_path()) / "fonts" / "ttf"

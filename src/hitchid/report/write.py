@@ -53,8 +53,12 @@ def put_report(document: Document, folder: Path, *, as_pdf: bool = False) -> Non
     """
     drawn = {picture.name: svg(picture.figure) for picture in document.pictures}
     (folder / FIGURES).mkdir()
-    for name, content in drawn.items():
-        (folder / FIGURES / f"{name}.svg").write_text(content, encoding="utf-8")
-    (folder / REPORT_FILE).write_text(html(document, drawn), encoding="utf-8", errors="backslashreplace")
+    put(folder / FIGURES, {f"{name}.svg": _encoded(content) for name, content in drawn.items()})
+    put(folder, {REPORT_FILE: _encoded(html(document, drawn))})
     if as_pdf:
         (folder / PDF_FILE).write_bytes(pdf(document, drawn))
+
+
+def _encoded(text: str) -> bytes:
+    """Return text as UTF-8; the name of a log may hold what is no character."""
+    return text.encode("utf-8", errors="replace")

@@ -64,9 +64,7 @@ class ModelComparison:
         tests = self.free_runs(part)
         errors = {name: tests.rmse(name.lower()) for name in NAMES}
         told = {name: float(np.sqrt(np.mean(each**2))) for name, each in errors.items()}
-        figures = (
-            f"{_told(told['A'])} with A, {_told(told['B'])} with B ({self.unit}, {len(tests.names)} tests)"
-        )
+        figures = f"RMSE {_told(told['A'])} {self.unit} with A, {_told(told['B'])} {self.unit} with B"
         for better, worse in (NAMES, NAMES[::-1]):
             if proven_better(errors[better], errors[worse]):
                 count = f"{int(np.sum(errors[better] < errors[worse]))} of {len(tests.names)} tests"

@@ -1,6 +1,6 @@
 """How far a model can be trusted: parameter intervals, bands, what the errors still show."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -88,7 +88,7 @@ def residual_correlations(residuals: Mapping[str, Any]) -> Figure:
     return figure
 
 
-def _correlation(axis: Axes, lags: np.ndarray, values: list[float], bounds: np.ndarray) -> None:
+def _correlation(axis: Axes, lags: np.ndarray, values: Sequence[float], bounds: np.ndarray) -> None:
     axis.fill_between(lags, -bounds, bounds, color=FAINT, alpha=0.3, linewidth=0, label="99 % bounds")
     axis.vlines(lags, 0, values, color=COLOURS["free_run"], linewidth=1.4)
     axis.axhline(0, color=INK, linewidth=0.6)
