@@ -1,7 +1,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup lint test reproduce bench study pins clean
+.PHONY: setup lint test docs reproduce bench study pins clean
 
 setup: .venv/.ready
 
@@ -18,7 +18,10 @@ lint: setup
 	$(BIN)/lint-imports
 
 test: setup lint
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 --dist worksteal
+
+docs: setup
+	$(BIN)/sphinx-build -W --keep-going -n -b html docs build/docs
 
 reproduce: setup
 	$(BIN)/hitchid reproduce --out build/reproduce --force

@@ -1,6 +1,9 @@
 """What every test shares: double precision, checked shapes, made-up benches, measured data."""
 
+import atexit
 import os
+import shutil
+import tempfile
 from pathlib import Path
 
 import jax
@@ -10,12 +13,27 @@ from jaxtyping import install_import_hook
 
 jax.config.update("jax_enable_x64", True)
 
+# Compiling is most of the work of the suite. What one file compiled and dropped, or another worker compiled,
+# is read back from a folder of this run alone; workers find it in the environment.
+if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = tempfile.mkdtemp(prefix="hitchid-compiled-")
+    atexit.register(shutil.rmtree, os.environ["JAX_COMPILATION_CACHE_DIR"], ignore_errors=True)
+jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+
 install_import_hook("hitchid", "beartype.beartype")
 
 from hitchid.readers import write_table  # noqa: E402
 from hitchid.record import Record  # noqa: E402
 
+# From the longest: begun last, they would keep one core waiting for the other.
+LONG = ("test_measured.py", "test_study.py", "test_selection.py", "test_whole.py")
 DATA = Path(os.environ.get("HITCHID_DATA", Path(__file__).parents[2] / "shared" / "data"))
+
+
+def pytest_collection_modifyitems(items):
+    """Put the files that take longest first, so that two workers end together."""
+    items.sort(key=lambda item: LONG.index(item.path.name) if item.path.name in LONG else len(LONG))
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -27,7 +45,7 @@ def compiled_programs_are_dropped():
 
 @pytest.fixture(autouse=True, scope="session")
 def no_program_is_kept_on_disk():
-    """Let no test, nor a fixture of a whole file, write compiled programs to disk."""
+    """Let no test, nor a fixture of a whole file, write compiled programs to the user's cache."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("hitchid.cli._prepare_jax", lambda: None)
         yield
@@ -91,14 +109,10 @@ def write_bench(
     return place
 
 
-@pytest.fixture
-def bench(tmp_path):
-    """Return a function that writes a folder of made-up logs of a two-way plant and returns it."""
-
-    def write(*, folder: str = "logs", **options) -> Path:
-        return write_bench(tmp_path / folder, **options)
-
-    return write
+@pytest.fixture(scope="session")
+def bench(tmp_path_factory):
+    """Return a folder of made-up logs of a two-way plant, enough of them for every part of a model."""
+    return write_bench(tmp_path_factory.mktemp("whole") / "logs")
 
 
 @pytest.fixture(scope="session")
@@ -125,7 +139,7 @@ def make_record():
     return make
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def quick_settings():
     """Return arguments of an identification that takes seconds."""
     from hitchid.identification import Descent, MultiStart, Rollouts, Training

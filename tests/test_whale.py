@@ -199,3 +199,19 @@ def test_whales_stay_in_the_cube(seed, generation, corner):
             np.testing.assert_array_equal(moved, state.population)
         else:
             assert np.any(np.asarray(moved) != np.asarray(state.population))
+
+
+@pytest.mark.parametrize("stops", [(7, 20), (1, 2, 3, 20), (20,)])
+@pytest.mark.parametrize("stagnation", [None, 4])
+def test_a_search_that_is_looked_at_on_its_way_ends_where_it_would_have(stops, stagnation):
+    swarm = Swarm(population=6, iterations=20, stagnation=stagnation, tolerance=0.05)
+    key = jax.random.key(4)
+    proceed = jax.jit(lambda carry, until: whale.proceed(sphere, carry, swarm, key, until))
+    carry = whale.begin(3, swarm, key)
+    for until in stops:
+        carry = proceed(carry, jnp.asarray(until))
+    at_once = jax.jit(lambda: whale.minimise(sphere, 3, swarm, key))()
+    for one, other in zip(
+        jax.tree.leaves(whale.outcome(carry, swarm)), jax.tree.leaves(at_once), strict=True
+    ):
+        np.testing.assert_array_equal(one, other)

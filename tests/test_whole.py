@@ -8,11 +8,19 @@ import pytest
 import hitchid
 
 
-def test_five_lines_take_a_user_from_a_folder_to_a_validated_model(bench, quick_settings, tmp_path):
-    campaign = hitchid.read(bench())
+@pytest.fixture(scope="module")
+def identified(bench, quick_settings, tmp_path_factory):
+    """Return a campaign, what was identified from it, and the folder that was saved to."""
+    campaign = hitchid.read(bench)
     found = hitchid.identify(campaign, **quick_settings)
-    found.save(tmp_path / "model")
-    model = hitchid.load(tmp_path / "model")
+    folder = tmp_path_factory.mktemp("whole") / "model"
+    found.save(folder)
+    return campaign, found, folder
+
+
+def test_five_lines_take_a_user_from_a_folder_to_a_validated_model(identified):
+    campaign, _, folder = identified
+    model = hitchid.load(folder)
     result = hitchid.validate(model, campaign)
     assert set(result.metrics["channels"]) == {"lifting", "lowering"}
     for mode, channel in result.metrics["channels"].items():
@@ -31,11 +39,9 @@ def test_five_lines_take_a_user_from_a_folder_to_a_validated_model(bench, quick_
     json.dumps(result.metrics, allow_nan=False)
 
 
-def test_a_loaded_model_gives_the_same_numbers(bench, quick_settings, tmp_path):
-    campaign = hitchid.read(bench())
-    found = hitchid.identify(campaign, **quick_settings)
-    found.save(tmp_path / "model")
-    model = hitchid.load(tmp_path / "model")
+def test_a_loaded_model_gives_the_same_numbers(identified):
+    campaign, found, folder = identified
+    model = hitchid.load(folder)
     for record in campaign.records[:1] + campaign.records[-1:]:
         np.testing.assert_array_equal(model.simulate(record), found.model.simulate(record))
         np.testing.assert_array_equal(
@@ -43,12 +49,11 @@ def test_a_loaded_model_gives_the_same_numbers(bench, quick_settings, tmp_path):
         )
 
 
-def test_one_seed_gives_one_model_bit_for_bit(bench, quick_settings, tmp_path):
-    campaign = hitchid.read(bench())
-    for name in ("one", "two"):
-        hitchid.identify(campaign, **quick_settings).save(tmp_path / name)
+def test_one_seed_gives_one_model_bit_for_bit(identified, bench, quick_settings, tmp_path):
+    _, _, folder = identified
+    hitchid.identify(hitchid.read(bench), **quick_settings).save(tmp_path / "again")
     for file in ("model.json", "weights.safetensors", "trace.json"):
-        assert (tmp_path / "one" / file).read_bytes() == (tmp_path / "two" / file).read_bytes()
+        assert (folder / file).read_bytes() == (tmp_path / "again" / file).read_bytes()
 
 
 def test_every_public_name_is_there():

@@ -212,3 +212,27 @@ def test_polish_refuses_a_start_that_cannot_be_simulated():
     counter = Counter(fails_beyond=0.5)
     with pytest.raises(FitError, match="simulation failed at the start"):
         polish(counter.problem(), np.array([0.9, 0.5, 0.5]))
+
+
+@pytest.mark.parametrize(
+    "search",
+    [
+        Whale(Swarm(population=6, iterations=23, evaluations=None)),
+        DifferentialEvolution(evaluations=120, population=4),
+        MultiStart(evaluations=80),
+    ],
+    ids=lambda search: search.name,
+)
+def test_a_search_that_is_heard_finds_the_same_and_tells_errors_that_only_fall(search):
+    told = []
+    counter = Counter()
+    COUNTING[:] = [counter]
+    heard = search.minimise(counter.problem(), 3, lambda number, error: told.append((number, error)))
+    alone = Counter().run(search, 3)
+    np.testing.assert_array_equal(heard.best, alone.best)
+    np.testing.assert_array_equal(heard.fitness_trace, alone.fitness_trace)
+    numbers, errors = zip(*told, strict=True)
+    assert list(numbers) == sorted(set(numbers))
+    assert numbers[-1] == heard.fitness_trace.size
+    assert list(errors) == sorted(errors, reverse=True)
+    assert errors[-1] == heard.best_fitness

@@ -1,0 +1,74 @@
+"""Settings of the documentation: Sphinx, Markdown, docstrings, equations as MathML, nothing from outside."""
+
+import sys
+from importlib.metadata import version as installed
+from pathlib import Path
+
+from sphinx.application import Sphinx
+from sphinx.domains.python import PyObject
+
+sys.path.insert(0, str(Path(__file__).parent / "extensions"))
+
+project = "hitchid"
+version = release = installed("hitchid")
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "mathml", "command_line"]
+exclude_patterns = ["extensions", "templates"]
+templates_path = ["templates"]
+highlight_language = "text"
+
+myst_enable_extensions = ["amsmath", "attrs_block", "dollarmath"]
+myst_heading_anchors = 3
+myst_links_external_new_tab = False
+
+html_math_renderer = "mathml"
+math_number_all = False
+math_eqref_format = "({number})"
+
+napoleon_numpy_docstring = False
+napoleon_use_ivar = True
+napoleon_attr_annotations = False  # Docstrings tell shapes and units.
+autodoc_typehints = "none"
+autodoc_member_order = "bysource"
+autodoc_default_options = {"members": True}
+default_role = "code"
+
+html_theme = "furo"
+html_title = "hitchid"
+html_static_path = ["static"]
+html_css_files = ["site.css"]
+html_show_sourcelink = False
+html_copy_source = False
+html_show_sphinx = False
+html_show_copyright = False
+html_theme_options = {"top_of_page_buttons": []}
+
+
+def mend(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
+    """Put right what napoleon takes for a type.
+
+    That is the sentence of a property up to its first colon, and the first of several names before one text.
+    """
+    if what == "property":
+        said = [line for line in lines if line.startswith(":type: ")]
+        for line in said:
+            lines.remove(line)
+            lines[0] = f"{line.removeprefix(':type: ')}: {lines[0]}"
+    for number, line in enumerate(lines):
+        if line.startswith((":ivar ", ":param ")):
+            field, colon, text = line[1:].partition(":")
+            lines[number] = ":" + field.replace(", ", ",\u200b") + colon + text
+
+
+def skip_fields(app: Sphinx, what: str, name: str, obj: object, skip: bool, options: object) -> bool | None:
+    """Leave out fields of a named tuple: the docstring of its class describes them."""
+    return True if type(obj).__name__ == "_tuplegetter" else None
+
+
+def setup(app: Sphinx) -> None:
+    """Fit docstrings to their pages."""
+    app.connect("autodoc-process-docstring", mend, priority=600)
+    app.connect("autodoc-skip-member", skip_fields)
+    for field in PyObject.doc_field_types:
+        if field.name == "variable":
+            field.label = "Attributes"

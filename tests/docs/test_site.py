@@ -1,0 +1,167 @@
+"""The documentation as it is built: every link leads somewhere, nothing comes from outside."""
+
+import importlib.util
+import subprocess
+import sys
+from html.parser import HTMLParser
+from itertools import pairwise
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+import pytest
+
+DOCS = Path(__file__).parents[2] / "docs"
+NEEDED = ("sphinx", "furo", "myst_parser", "latex2mathml")
+MISSING = [name for name in NEEDED if importlib.util.find_spec(name) is None]
+LOADING = {"img": ("src", "srcset"), "script": ("src",), "iframe": ("src",), "link": ("href",)}
+LOADING |= dict.fromkeys(("audio", "video", "source", "embed"), ("src", "poster"))
+
+pytestmark = pytest.mark.skipif(bool(MISSING), reason=f"not installed: {', '.join(MISSING)}; run make setup")
+
+
+class Page(HTMLParser):
+    """What a page holds: headings, targets, links, what it loads, pictures, equations."""
+
+    def __init__(self, path: Path) -> None:
+        """Read a page."""
+        super().__init__()
+        self.text = path.read_text(encoding="utf-8")
+        self.headings: list[int] = []
+        self.targets: set[str] = set()
+        self.links: list[str] = []
+        self.loaded: list[str] = []
+        self.alternatives: list[str | None] = []
+        self.equations = 0
+        self.feed(self.text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        """Take in one element."""
+        given = dict(attrs)
+        self.targets |= {value for name, value in attrs if name in ("id", "name") and value}
+        self.equations += tag == "math"
+        if tag in ("h1", "h2", "h3", "h4", "h5", "h6"):
+            self.headings.append(int(tag[1]))
+        if tag == "a" and given.get("href"):
+            self.links.append(given["href"])
+        if tag == "img":
+            self.alternatives.append(given.get("alt"))
+        # An address that is only told, such as that of the page itself, is not loaded.
+        if tag != "link" or given.get("rel") not in ("canonical", "next", "prev", "index", "search"):
+            self.loaded += [given[name] for name in LOADING.get(tag, ()) if given.get(name)]
+        if given.get("style"):
+            self.loaded += addresses(given["style"])
+
+
+def addresses(style: str) -> list[str]:
+    """Return what `url(…)` and `@import "…"` of a style name."""
+    named = [rest.partition(")")[0].strip("'\" ") for rest in style.split("url(")[1:]]
+    return named + [rest.split(";")[0].strip("'\" ") for rest in style.split("@import")[1:]]
+
+
+def outside(address: str) -> bool:
+    """Tell whether an address leads to another machine; `data:` carries what it names."""
+    parts = urlsplit(address)
+    return bool(parts.netloc) or parts.scheme not in ("", "data")
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """Return the folder of the built site; a warning is an error."""
+    folder = tmp_path_factory.mktemp("site")
+    asked = ["-W", "--keep-going", "-n", "-q", "-b", "html", "-d", folder / "doctrees", DOCS, folder / "html"]
+    command = [sys.executable, "-m", "sphinx", *map(str, asked)]
+    done = subprocess.run(command, capture_output=True, text=True)  # noqa: S603
+    assert done.returncode == 0, done.stderr
+    return folder / "html"
+
+
+@pytest.fixture(scope="module")
+def pages(site):
+    """Return every page by its path."""
+    return {path: Page(path) for path in sorted(site.rglob("*.html"))}
+
+
+def test_every_page_of_the_source_is_built_and_in_the_contents(pages, site):
+    sources = {path.relative_to(DOCS).with_suffix("") for path in DOCS.rglob("*.md")}
+    assert {path.relative_to(site).with_suffix("") for path in pages} >= sources
+    contents = {urlsplit(link).path for link in pages[site / "index.html"].links}
+    above = {path for path in sources if path.parent != Path("reference") or path.name == "index"}
+    assert contents >= {f"{path.as_posix()}.html" for path in above - {Path("index")}}
+
+
+def test_every_link_inside_leads_somewhere(pages, site):
+    broken = []
+    for path, page in pages.items():
+        for link in page.links:
+            parts = urlsplit(link)
+            if parts.scheme or parts.netloc:
+                continue
+            goal = (path.parent / unquote(parts.path)).resolve() if parts.path else path
+            fragment = unquote(parts.fragment)
+            found = goal in pages if goal.suffix == ".html" else goal.is_file()
+            if not found or (fragment and goal in pages and fragment not in pages[goal].targets):
+                broken.append(f"{path.relative_to(site)}: {link}")
+    assert not broken
+
+
+def test_links_outside_are_only_told(pages):
+    schemes = {urlsplit(link).scheme for page in pages.values() for link in page.links}
+    assert schemes <= {"", "https"}
+
+
+def test_nothing_is_loaded_from_outside(pages, site):
+    loaded = [(path, address) for path, page in pages.items() for address in page.loaded]
+    loaded += [
+        (path, address)
+        for path in site.rglob("*.css")
+        for address in addresses(path.read_text(encoding="utf-8"))
+    ]
+    assert len(loaded) > len(pages)
+    assert not [(str(path.relative_to(site)), address) for path, address in loaded if outside(address)]
+
+
+def test_what_is_loaded_is_there(pages, site):
+    lost = [
+        (str(path.relative_to(site)), address)
+        for path, page in pages.items()
+        for address in page.loaded
+        if not address.startswith("data:")
+        and not (path.parent / unquote(urlsplit(address).path)).resolve().is_file()
+    ]
+    assert not lost
+
+
+def test_every_page_has_one_title_and_skips_no_rank(pages, site):
+    for path, page in pages.items():
+        name = path.relative_to(site)
+        assert page.headings.count(1) == 1, name
+        ranks = page.headings[page.headings.index(1) :]
+        assert all(after - before <= 1 for before, after in pairwise(ranks)), name
+
+
+def test_every_picture_has_words(pages, site):
+    told = [(path, words) for path, page in pages.items() for words in page.alternatives]
+    assert told
+    for path, words in told:
+        assert words, path.relative_to(site)
+        assert len(words.split()) > 3, (path.relative_to(site), words)
+
+
+def test_equations_are_mathml(pages, site):
+    method = pages[site / "method.html"]
+    assert method.equations > 10
+    assert 'class="eqno"' in method.text
+    for path, page in pages.items():
+        assert not [address for address in page.loaded if "mathjax" in address.lower()], path.relative_to(
+            site
+        )
+        assert "$$" not in page.text, path.relative_to(site)
+
+
+def test_the_help_of_every_command_is_told(pages, site):
+    from hitchid.cli import app
+
+    text = pages[site / "reference" / "command-line.html"].text
+    for command in app.registered_commands:
+        assert f"Usage: hitchid {command.callback.__name__} " in text
+        assert f"Example: hitchid {command.callback.__name__} " in text or "|" in command.epilog
