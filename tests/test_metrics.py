@@ -182,7 +182,7 @@ def test_one_test_says_nothing_of_the_next():
 
 
 def test_the_standard_error_is_what_campaigns_drawn_anew_show():
-    """For tests of independent errors; 2000 campaigns tell a spread to 1/√4000 = 1.6 %, held to five of that."""
+    """For tests of independent errors; 2000 campaigns tell a spread to 1/√4000 = 1.6 %, held to 5 of it."""
     rng = np.random.default_rng(0)
     draws = [[rng.standard_normal(20) for _ in range(16)] for _ in range(2000)]
     zeros = [np.zeros(20)] * 16

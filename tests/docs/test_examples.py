@@ -18,6 +18,7 @@ from typer.testing import CliRunner
 
 import hitchid
 from hitchid import cli
+from hitchid.errors import InputError
 from hitchid.identification import identify, read_settings
 from hitchid.signals import read_campaign_file
 from hitchid.validation import read_limits
@@ -148,7 +149,7 @@ def call(arguments: list[str], heard: str | None) -> tuple[int, str]:
     result = CliRunner().invoke(cli.app, arguments, input=heard)
     error, printed = result.exception, result.output
     if isinstance(error, hitchid.HitchError):
-        return 2 if isinstance(error, cli.InputError) else 1, f"{printed}hitchid: {error}\n"
+        return 2 if isinstance(error, InputError) else 1, f"{printed}hitchid: {error}\n"
     if error is not None and not isinstance(error, SystemExit):
         raise error
     return result.exit_code, printed

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from hitchid.errors import OutputError
+from hitchid.report.figures.timeline import draw, timeline
 from hitchid.segments import segments
-from hitchid.timeline import draw, timeline
 
 UP, DOWN = np.repeat([0, 1.0, 0, 0], 50), np.repeat([0, 0, 0, 1.0], 50)
 

@@ -2,16 +2,18 @@
 
 import jax
 import numpy as np
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from hitchid.rig import load_rig, parameter_sets, simulate
+from hitchid.rig.simulation import SUBSTEPS
 
 RIGS = [load_rig(name) for name in parameter_sets()]
 SAMPLES = 1001
 
 
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@example(rig=RIGS[0], seed=0, start=0.25, load=3466.0, temperature=0.0)
 @given(
     rig=st.sampled_from(RIGS),
     seed=st.integers(0, 2**31),
@@ -39,5 +41,10 @@ def test_random_commands_stay_within_physics(rig, seed, start, load, temperature
     yielded = 2e5 / float(rig.cylinder.stop_stiffness)
     assert displacement.min() > -yielded
     assert displacement.max() < 0.25 + yielded
-    for volume in (motion.pumped_m3, motion.relieved_m3, motion.lifted_m3, motion.secured_m3):
-        assert np.all(np.diff(np.asarray(volume)) >= -1e-9)
+    # A step is linear: over one in which a check valve closes, flow may run on past zero, by no more than
+    # the pump's flow of that step. Oil that goes back for longer than that is caught.
+    step_m3 = np.diff(np.asarray(motion.pumped_m3)).max() / SUBSTEPS
+    for volume in map(
+        np.asarray, (motion.pumped_m3, motion.relieved_m3, motion.lifted_m3, motion.secured_m3)
+    ):
+        assert np.all(np.maximum.accumulate(volume, axis=1) - volume <= step_m3)

@@ -15,8 +15,8 @@ from hitchid.metrics import HORIZONS
 from hitchid.model import Provenance, TwoModes, unpadded
 from hitchid.record import LIFTING, LOWERING
 from hitchid.validation import validate
-from hitchid.validation.tables import NAMES
 from hitchid.validation.cycles import ORIGINS
+from hitchid.validation.tables import NAMES
 from truth import STEP_S, levels
 
 SIZES = (200, 150, 180)

@@ -42,7 +42,8 @@ def html(document: Document, drawn: Mapping[str, str]) -> str:
 
 def numeric(content: Table) -> list[bool]:
     """Tell which columns of a table hold numbers rather than words."""
-    return [any(column) and all(map(_number, column)) for column in zip(*content.rows, strict=True)]
+    columns = zip(*content.rows, strict=True) if content.rows else [()] * len(content.header)
+    return [any(column) and all(map(_number, column)) for column in columns]
 
 
 def _number(cell: str) -> bool:

@@ -6,15 +6,18 @@ from io import StringIO
 
 from matplotlib.figure import Figure
 
-from hitchid.report.figures.style import SHADES, style
+from hitchid.report.figures.style import PAPER, SHADES, style
 
+_TAG = re.compile("<[^>]+>")  # what stands between tags are the words and numbers people read
 _LONG = re.compile(r"-?\d+\.\d{3,}")
 _ID = re.compile(r' id="([^"]+)"')
 _USED = re.compile(r'(?:url\(#|href="#)([^)"]+)')
 _COLOUR = re.compile("#[0-9a-fA-F]{6}")
 _STYLE = re.compile(r"\s*<defs>\s*<style.*?</style>\s*</defs>", re.DOTALL)
 _NO_METADATA = dict.fromkeys(("Date", "Creator", "Format", "Type"))
-_VARIABLE = {shade.light: f"var(--{name.replace('_', '-')})" for name, shade in SHADES.items()}
+_VARIABLE = {PAPER: "none"} | {
+    shade.light: f"var(--{name.replace('_', '-')})" for name, shade in SHADES.items()
+}
 
 
 def svg(figure: Figure) -> str:
@@ -22,7 +25,11 @@ def svg(figure: Figure) -> str:
     kept = StringIO()
     with style():
         figure.savefig(kept, format="svg", metadata=_NO_METADATA)
-    return _LONG.sub(lambda found: f"{float(found[0]):.2f}", kept.getvalue())
+    return _TAG.sub(lambda tag: _LONG.sub(_shortened, tag[0]), kept.getvalue())
+
+
+def _shortened(number: re.Match) -> str:
+    return f"{float(number[0]):.2f}"
 
 
 def inside_page(text: str, name: str, alt: str) -> str:
@@ -34,10 +41,14 @@ def inside_page(text: str, name: str, alt: str) -> str:
         alt: what it shows.
     """
     element = text[text.index("<svg") :]
-    used = set(_USED.findall(element))
-    element = _ID.sub(lambda found: f' id="{name}-{found[1]}"' if found[1] in used else "", element)
-    element = _USED.sub(lambda found: found[0].replace("#", f"#{name}-"), element)
-    element = _COLOUR.sub(lambda found: _VARIABLE.get(found[0].lower(), found[0]), element)
+    used = {each for tag in _TAG.findall(element) for each in _USED.findall(tag)}
+
+    def fitted(tag: re.Match) -> str:
+        named = _ID.sub(lambda found: f' id="{name}-{found[1]}"' if found[1] in used else "", tag[0])
+        named = _USED.sub(lambda found: found[0].replace("#", f"#{name}-"), named)
+        return _COLOUR.sub(lambda found: _VARIABLE.get(found[0].lower(), found[0]), named)
+
+    element = _TAG.sub(fitted, element)
     head, rest = element.split(">", 1)
     head = re.sub(r' (?:width|height|version|xmlns(?::xlink)?)="[^"]*"', "", head)
     return f'{head} role="img" aria-label="{escape(alt)}">{_STYLE.sub("", rest, count=1)}'

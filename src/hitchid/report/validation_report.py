@@ -9,7 +9,7 @@ from hitchid.record import DISPLACEMENT
 from hitchid.report import sections
 from hitchid.report.document import Document, Section, sentence
 from hitchid.report.sections import Direction
-from hitchid.validation import Acceptance, Validation
+from hitchid.validation import CYCLES, Acceptance, Validation
 
 PARTS = (
     sections.accuracy,
@@ -39,10 +39,7 @@ def validation_report(
         acceptance: which limits hold; None where none were set.
         command: that wrote the report.
     """
-    counts = [
-        f"{len(tests.names)} unseen {'cycles' if part == 'cycles' else f'{part} tests'}"
-        for part, tests in result.predictions.items()
-    ]
+    counts = [_count(part, len(tests.names)) for part, tests in result.predictions.items()]
     return Document(
         title="Validation of a hitch model",
         subtitle=f"{', '.join(counts)}; {DISPLACEMENT} in {result.metrics['unit']}",
@@ -86,7 +83,12 @@ def direction_sections(
         )
         below = [part(known) for part in parts]
         found.append(Section(mode.capitalize(), sections=tuple(each for each in below if each.blocks)))
-    if "cycles" in result.predictions:
-        tests = result.predictions["cycles"]
-        found.append(sections.cycles(result.metrics["cycles"], tests, model.step_s, unit))
+    if CYCLES in result.predictions:
+        tests = result.predictions[CYCLES]
+        found.append(sections.cycles(result.metrics[CYCLES], tests, model.step_s, unit))
     return found
+
+
+def _count(part: str, count: int) -> str:
+    what = "cycle" if part == CYCLES else f"{part} test"
+    return f"{count} unseen {what}{'s' if count != 1 else ''}"

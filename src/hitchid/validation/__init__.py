@@ -6,6 +6,7 @@ from hitchid.validation.acceptance import line as line
 from hitchid.validation.comparison import ModelComparison as ModelComparison
 from hitchid.validation.comparison import compare as compare
 from hitchid.validation.junit import junit_xml as junit_xml
+from hitchid.validation.limits import CYCLES as CYCLES
 from hitchid.validation.limits import read_limits as read_limits
 from hitchid.validation.predictions import Predictions as Predictions
 from hitchid.validation.table import Table as Table

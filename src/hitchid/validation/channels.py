@@ -60,9 +60,10 @@ def channel_result(
     trusted, band = {} if known is None else trust_figures(known), None
     if known is not None and known.bands is not None:
         half = free_run_band(channel, known.bands, batch)
-        looked = np.stack(predicted["greybox"])
-        trusted["bands"] = band_figures(known.bands, batch, free, half, looked, steps, factor)
-        band = (free - half, free + half)
+        if np.all(np.isfinite(free)) and np.all(np.isfinite(half)):
+            looked = np.stack(predicted["greybox"])
+            trusted["bands"] = band_figures(known.bands, batch, free, half, looked, steps, factor)
+            band = (free - half, free + half)
     metrics = {
         "tests": [record.name for record in tests],
         "benchmark": {"free_run": figures(benchmark)},

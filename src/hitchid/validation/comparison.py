@@ -20,6 +20,7 @@ from hitchid.validation.validate import TABLES_FILE, Validation, validate
 
 COMPARISON_FILE = "comparison.json"
 NAMES = ("A", "B")
+FEWEST = 3
 RUNS = {"free_run": "free run", "one_step": "one step"}
 
 
@@ -62,9 +63,12 @@ class ModelComparison:
     def verdict(self, part: str) -> tuple[str | None, str]:
         """Return which model is proven better in free run, None for neither, and a sentence that says so."""
         tests = self.free_runs(part)
-        errors = {name: tests.rmse(name.lower()) for name in NAMES}
+        errors = {name: np.nan_to_num(tests.rmse(name.lower()), nan=np.inf) for name in NAMES}
         told = {name: float(np.sqrt(np.mean(each**2))) for name, each in errors.items()}
         figures = f"RMSE {_told(told['A'])} {self.unit} with A, {_told(told['B'])} {self.unit} with B"
+        if len(tests.names) < FEWEST:
+            count = f"{len(tests.names)} test{'s' if len(tests.names) > 1 else ''}"
+            return None, f"{count}, too few to prove either model better in free run: {figures}"
         for better, worse in (NAMES, NAMES[::-1]):
             if proven_better(errors[better], errors[worse]):
                 count = f"{int(np.sum(errors[better] < errors[worse]))} of {len(tests.names)} tests"

@@ -45,6 +45,8 @@ def cycle_result(model: Hitch, cycles: Sequence[Record]) -> tuple[dict, Predicti
     found = {name: {"free_run": pooled(actual, rows)} for name, rows in free.items()}
     found["greybox"]["one_step"] = figures([rows[0] for rows in ahead], 1)
     bands = [model.band(record, coverage=COVERAGE) for record in cycles] if model.has_bands else []
+    if not all(np.all(np.isfinite(ends)) for band in bands for ends in band):
+        bands = []
     metrics = {
         "tests": [record.name for record in cycles],
         **found,

@@ -53,4 +53,5 @@ class Predictions:
     def rmse(self, model: str) -> np.ndarray:
         """Return the root mean square error of each test, shape [T]."""
         pairs = zip(self.actual, self.models[model], strict=True)
-        return np.array([np.sqrt(np.mean((a - p) ** 2)) for a, p in pairs])
+        with np.errstate(over="ignore", invalid="ignore"):
+            return np.array([np.sqrt(np.mean((a - p) ** 2)) for a, p in pairs])

@@ -34,7 +34,7 @@ def predicted_errors(parts: Mapping[str, Predictions], unit: str) -> Figure:
         unit: of the displacement.
     """
     figure = Figure(figsize=(COLUMN_IN, 0.3 + 1.6 * len(parts)))
-    axes = np.atleast_1d(figure.subplots(len(parts), 1))
+    axes = np.atleast_1d(figure.subplots(len(parts), 1, sharex=True))
     for axis, (part, tests) in zip(axes, parts.items(), strict=True):
         measured = end_to_end(tests.actual)[:SHOWN]
         benchmark = end_to_end(tests.models["benchmark"])[:SHOWN]
@@ -43,7 +43,7 @@ def predicted_errors(parts: Mapping[str, Predictions], unit: str) -> Figure:
         axis.plot(*thinned(sample, measured - benchmark), color=INK, label="actual")
         colour = PARTS.get(part, COLOURS["one_step"])
         axis.plot(*thinned(sample, predicted - benchmark), color=colour, label="predicted one step ahead")
-        axis.set_ylabel(f"error, {part} / {unit}")
+        axis.set_ylabel(f"error, {part} / {unit}" if len(parts) > 1 else f"benchmark's error / {unit}")
     legend_above(figure, axes[0])
     axes[-1].set_xlabel("sample, test after test")
     return figure
@@ -59,9 +59,13 @@ def error_distribution(rows: Mapping[str, np.ndarray], unit: str) -> Figure:
     """
     figure = Figure(figsize=(COLUMN_IN, 3.9))
     above, below = figure.subplots(2, 1)
-    reach = max(float(np.quantile(np.abs(errors), 0.995)) for errors in rows.values()) or 1.0
+    told = [errors for errors in rows.values() if _squares(errors)]
+    reach = max((float(np.quantile(np.abs(errors), 0.995)) for errors in told), default=0.0) or 1.0
     for name, errors in rows.items():
         colour = PARTS.get(name) or COLOURS.get(name, INK)
+        if not _squares(errors):
+            above.plot([], [], color=colour, linewidth=0.9, label=f"{LABELS.get(name, name)}: diverged")
+            continue
         _histogram(above, errors, reach, colour, LABELS.get(name, name))
         share = np.linspace(0, 1, QUANTILES)
         below.plot(
@@ -130,7 +134,8 @@ def errors_by_test(tests: Predictions, unit: str, models: Sequence[str]) -> Figu
     for place, model in enumerate(models):
         errors = tests.rmse(model)
         axis.plot(errors, np.full(errors.size, place), "o", color=COLOURS[model], markersize=4, alpha=0.6)
-        overall = float(np.sqrt(np.mean(errors**2)))
+        with np.errstate(over="ignore", invalid="ignore"):
+            overall = float(np.sqrt(np.average(errors**2, weights=[row.size for row in tests.actual])))
         axis.plot([overall], [place], "|", color=INK, markersize=12, markeredgewidth=1.2)
     axis.set_yticks(range(len(models)), [LABELS[model].partition(", free")[0] for model in models])
     axis.set_ylim(-0.6, len(models) - 0.4)
@@ -161,6 +166,7 @@ def horizons(known: Mapping[str, Any], step_s: float, unit: str) -> Figure:
             errors,
             "o-",
             color=COLOURS[model],
+            dashes=DASHES.get(model, (None, None)),
             markersize=3.5 if main else 2.5,
             linewidth=1.6 if model == "greybox" else 0.9,
             label=LABELS[model].partition(", free")[0],
@@ -195,6 +201,12 @@ def _coarse(smooth: np.ndarray) -> np.ndarray:
     return np.unique(kept[(kept >= 0) & (kept < smooth.size)])
 
 
+def _squares(errors: np.ndarray) -> bool:
+    """Tell whether errors have a mean square; those of what diverged have none."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return bool(np.isfinite(np.sum(errors**2)))
+
+
 def _histogram(axis: Axes, errors: np.ndarray, reach: float, colour: str, label: str) -> None:
     mean, spread = float(errors.mean()), float(errors.std())
     inside = errors[np.abs(errors) <= reach]
@@ -205,3 +217,5 @@ def _histogram(axis: Axes, errors: np.ndarray, reach: float, colour: str, label:
         place = np.linspace(-reach, reach, 200)
         bell = np.exp(-0.5 * ((place - mean) / spread) ** 2) / (spread * np.sqrt(2 * np.pi))
         axis.plot(place, bell, color=colour, linewidth=0.9, label=label)
+    else:
+        axis.plot([mean], [0], "o", color=colour, markersize=3, label=label, clip_on=False)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from hitchid.report.figures.style import COLOURS, COLUMN_IN, FAINT, INK, legend_above, logarithmic, styled
 
@@ -33,7 +34,8 @@ def convergence(trace: Mapping[str, Any], unit: str) -> Figure:
     for axis, each, values in zip(axes[1:], parameters, np.array(phase1["values"]).T, strict=True):
         axis.plot(iteration, values, color=COLOURS["one_step"], label="best so far")
         axis.axhline(each["value"], color=INK, linewidth=0.7, linestyle=":", label="after least squares")
-        axis.set_ylabel(f"{each['symbol'] or each['name'].replace('_', ' ')}\n/ {each['unit']}")
+        told = "" if each["unit"] == "1" else f"\n/ {each['unit']}"
+        axis.set_ylabel(f"{each['symbol'] or each['name'].replace('_', ' ')}{told}")
         if not each["linear"]:
             logarithmic(axis.yaxis)
     legend_above(figure, *axes[1:])
@@ -83,6 +85,7 @@ def losses(trace: Mapping[str, Any]) -> Figure:
         axis.plot(np.arange(1, len(loss) + 1), loss, color=COLOURS[colour], label=part)
     axis.axvline(phase2["best_epoch"], color=FAINT, linewidth=0.8, linestyle="--", label="kept")
     logarithmic(axis.yaxis)
+    axis.xaxis.set_major_locator(MaxNLocator(integer=True))
     axis.set_xlabel("epoch")
     axis.set_ylabel("loss, errors scaled to 1")
     legend_above(figure, axis, columns=3)

@@ -11,9 +11,9 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis, XAxis
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
+from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator, StrMethodFormatter
 
-DECADES, STRETCHES = 50, 300
+DECADE, DECADES, STRETCHES = 10, 50, 300
 
 COLUMN_IN, PAGE_IN = 3.5, 7.2
 """Width of a column and of a page, inch: 89 and 183 mm, as journals have them."""
@@ -48,6 +48,7 @@ COLOURS = {name: shade.light for name, shade in SHADES.items()} | {
     "a": SHADES["one_step"].light,
     "b": SHADES["benchmark"].light,
 }
+PAPER = "#ffffff"
 INK, FAINT, GRID = COLOURS["ink"], COLOURS["faint"], COLOURS["grid"]
 PARTS = {"training": COLOURS["one_step"], "validation": COLOURS["transfer_function"]}
 DASHES = {
@@ -93,8 +94,7 @@ _SHEET: dict[Any, Any] = {
     "axes.spines.right": False,
     "axes.spines.top": False,
     "axes.facecolor": "none",
-    "figure.facecolor": "none",
-    "savefig.facecolor": "none",
+    "figure.facecolor": PAPER,
     "grid.color": GRID,
     "grid.linewidth": 0.5,
     "legend.frameon": False,
@@ -157,6 +157,9 @@ def logarithmic(axis: Axis) -> None:
     set_scale = axis.axes.set_xscale if isinstance(axis, XAxis) else axis.axes.set_yscale
     set_scale("log")
     low, high = axis.get_view_interval()
-    axis.set_major_locator(LogLocator(subs=(1.0,) if high > DECADES * low else (1.0, 2.0, 5.0)))
+    if high < DECADE * low:
+        axis.set_major_locator(MaxNLocator(4))
+    else:
+        axis.set_major_locator(LogLocator(subs=(1.0,) if high > DECADES * low else (1.0, 2.0, 5.0)))
     axis.set_minor_locator(NullLocator())
     axis.set_major_formatter(StrMethodFormatter("{x:g}"))

@@ -39,7 +39,7 @@ def timeline(records: Sequence[tuple[Record, Sequence[Segment]]]) -> Figure:
             above.axvspan(*ends, color=FILLS[label], alpha=1.0 if label == HOLD else ALPHA, linewidth=0)
         above.plot(*thinned(record.time_s, record.displacement), color=INK)
         above.set_ylabel(f"displacement / {record.unit}")
-        above.set_title(record.name, loc="left")
+        above.set_title(record.name.encode(errors="replace").decode(), loc="left", parse_math=False)
         above.tick_params(labelbottom=False)
         for mode in record.modes:
             below.plot(*thinned(record.time_s, record.command(mode)), color=LINES[mode], label=mode)
@@ -54,7 +54,7 @@ def timeline(records: Sequence[tuple[Record, Sequence[Segment]]]) -> Figure:
         if label in used
     ]
     handles += [Line2D([], [], color=LINES[mode], label=f"{mode} command") for mode in used_commands]
-    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
+    figure.legend(handles=handles, loc="outside upper left", ncols=len(handles))
     figure.align_ylabels()
     return figure
 
@@ -69,6 +69,6 @@ def draw(records: Sequence[tuple[Record, Sequence[Segment]]], path: Path, *, for
 
     def save(place: Path) -> None:
         with style():
-            timeline(records).savefig(place, format=kind, dpi=150, facecolor="white")
+            timeline(records).savefig(place, format=kind, dpi=150)
 
     write_file(path, save, force=force)

@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator, NullFormatter, NullLocator, StrMethod
 
 from hitchid.report.figures.style import COLOURS, COLUMN_IN, FAINT, INK, legend_above, logarithmic, styled
 
-MARGIN = 0.6
+MARGIN, THINNEST = 0.6, 0.02
 PLACES = {
     "position": "displacement / {unit}",
     "speed": "speed / ({unit}/s)",
@@ -107,11 +107,15 @@ def residuals_by_place(residuals: Mapping[str, Any], unit: str, command_unit: st
     figure = Figure(figsize=(COLUMN_IN, 4.4))
     axes = figure.subplots(len(PLACES), 1, sharey=True)
     for axis, (name, label) in zip(axes, PLACES.items(), strict=True):
-        for each in residuals[f"by_{name}"]["bins"]:
+        bins = residuals[f"by_{name}"]["bins"]
+        least = THINNEST * (max(each["upper"] for each in bins) - min(each["lower"] for each in bins))
+        for each in bins:
             spread = float(np.sqrt(max(each["rmse"] ** 2 - each["mean"] ** 2, 0.0)))
             middle = 0.5 * (each["lower"] + each["upper"])
             axis.plot([middle] * 2, [each["mean"] - spread, each["mean"] + spread], color=FAINT)
-            axis.plot([each["lower"], each["upper"]], [each["mean"]] * 2, color=COLOURS["free_run"], lw=2)
+            half = 0.5 * max(each["upper"] - each["lower"], least)
+            bar = [middle - half, middle + half]
+            axis.plot(bar, [each["mean"]] * 2, color=COLOURS["free_run"], linewidth=2)
         axis.axhline(0, color=INK, linewidth=0.6)
         axis.set_xlabel(label.format(unit=unit, command=command_unit))
     axes[1].set_ylabel(f"error, mean ± std / {unit}")
@@ -130,7 +134,14 @@ def coverage(bands: Mapping[str, Any], step_s: float) -> Figure:
     axis = figure.subplots()
     known = bands["horizons"]
     covered = 100 * np.array(known["covered"])
-    axis.plot(step_s * np.array(known["steps"]), covered, "o-", color=COLOURS["one_step"], label="ahead")
+    axis.plot(
+        step_s * np.array(known["steps"]),
+        covered,
+        "o-",
+        color=COLOURS["one_step"],
+        label="ahead",
+        clip_on=False,
+    )
     free = 100 * bands["free_run"]["covered"]
     axis.axhline(free, color=COLOURS["free_run"], linestyle="--", label="free run")
     axis.axhline(100 * bands["coverage"], color=INK, linewidth=0.8, label="asked for")

@@ -16,7 +16,6 @@ from hitchid.report.document import (
     Pictures,
     Section,
     Text,
-    sentence,
 )
 from hitchid.report.figures import timeline
 from hitchid.validation import Table
@@ -28,7 +27,7 @@ HASHED = 16
 def logs(campaign: Campaign, model: Hitch) -> Section:
     """Return the section on the logs: the audit's findings, every log, mixed ones as a picture."""
     found = look_over(campaign, model.switches)
-    findings = tuple(Finding(Level.CAUTION, sentence(notice)) for notice in found.notices)
+    findings = tuple(Finding(Level.CAUTION, f"{notice}.") for notice in found.notices)
     audit: Block = Findings(findings) if findings else Text("The audit of the logs found nothing to mend.")
     blocks: list[Block] = [audit, _table(campaign, model)]
     if found.mixed:

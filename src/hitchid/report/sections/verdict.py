@@ -7,7 +7,7 @@ from hitchid.report.document import Finding, Level
 from hitchid.uncertainty import stated
 from hitchid.validation import NAMES, Acceptance, Validation
 
-HOLDS = 0.05
+HOLDS, FEWEST = 0.05, 3
 
 
 def verdict(result: Validation, acceptance: Acceptance | None) -> tuple[Finding, ...]:
@@ -18,7 +18,7 @@ def verdict(result: Validation, acceptance: Acceptance | None) -> tuple[Finding,
         found.append(_free_run(mode, channel, unit))
         if "bands" in channel:
             found.append(_bands(mode, channel["bands"], unit))
-        if "parameters" in channel:
+        if channel.get("parameters", {}).get("estimates"):
             found.append(_parameters(mode, channel["parameters"]["estimates"]))
     cycles = result.metrics["cycles"]
     if cycles["tests"]:
@@ -59,6 +59,10 @@ def _free_run(mode: str, channel: Mapping[str, Any], unit: str) -> Finding:
     worst, figures = max(channel["per_test"].items(), key=lambda pair: pair[1]["free_run"]["rmse"] or 0.0)
     said += f"; best baseline: {name}, {best:.3g} {unit}; worst test: {worst}, "
     said += f"{figures['free_run']['rmse']:.3g} {unit}."
+    if own["fit"] is not None and own["fit"] < 0:
+        return Finding(Level.BAD, f"{said[:-1]}: worse than a line through each test's mean.")
+    if count < FEWEST:
+        return Finding(Level.CAUTION, f"{said[:-1]}: too few tests to tell how the next will go.")
     return Finding(Level.GOOD if own["rmse"] < best else Level.CAUTION, said)
 
 
@@ -88,8 +92,12 @@ def _cycles(cycles: Mapping[str, Any], unit: str) -> Finding:
     if own["rmse"] is None:
         return Finding(Level.BAD, "Mixed cycles: the free run diverged.")
     said = f"Mixed cycles, free run: RMSE {stated(own['rmse'], own['rmse_error'])} {unit} on {count} unseen"
-    other = cycles["benchmark"]["free_run"]["rmse"]
-    better = other is None or own["rmse"] <= other
+    said += f", largest error {own['max_abs']:.3g} {unit}"
+    if "transfer_function" not in cycles:
+        return Finding(Level.CAUTION, f"{said}; no baseline stands beside it.")
+    other = cycles["transfer_function"]["free_run"]["rmse"]
+    better = other is None or own["rmse"] < other
+    rival = "diverged" if other is None else f"{other:.3g} {unit}"
     return Finding(
-        Level.GOOD if better else Level.CAUTION, f"{said}, largest error {own['max_abs']:.3g} {unit}."
+        Level.GOOD if better else Level.CAUTION, f"{said}; the paper's transfer functions: {rival}."
     )

@@ -1,0 +1,94 @@
+"""Commands on the virtual test bench."""
+
+from enum import Enum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hitchid.cli.cache import prepare_jax
+from hitchid.cli.options import Force, Quiet
+from hitchid.cli.program import command_line
+
+
+class Protocol(Enum):
+    """What the virtual bench runs."""
+
+    PRBS = "prbs"
+    RAMP = "ramp"
+    CYCLE = "cycle"
+
+
+class Direction(Enum):
+    """Which direction the virtual bench excites."""
+
+    LIFTING = "lifting"
+    LOWERING = "lowering"
+    BOTH = "both"
+
+
+class LogFormat(Enum):
+    """Formats the virtual bench writes."""
+
+    CSV = "csv"
+    GZIP = "csv.gz"
+
+
+def bench(
+    out: Annotated[Path, typer.Argument(help="Folder to write.", show_default=False)],
+    tests: Annotated[
+        int | None,
+        typer.Option("--tests", min=1, help="Tests a direction, or cycles [20]; ramps a direction [3]."),
+    ] = None,
+    protocol: Annotated[Protocol, typer.Option("--protocol", help="What is run.")] = Protocol.PRBS,
+    mode: Annotated[Direction, typer.Option("--mode", help="Which direction is excited.")] = Direction.BOTH,
+    rig: Annotated[str, typer.Option("--rig", help="Parameter set: a name or a TOML file.")] = "nominal",
+    log_format: Annotated[LogFormat, typer.Option("--format", help="Format of the logs.")] = LogFormat.CSV,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of every random draw.")] = 0,
+    force: Force = False,
+) -> None:
+    """Run tests on the virtual test bench; write one log a test and campaign.toml."""
+    from hitchid.storage import check_folder
+
+    check_folder(out, mark="campaign.toml", force=force)
+    prepare_jax()
+    from hitchid.bench import REPEATS, TESTS, write_campaign
+    from hitchid.record import MODES
+
+    usual = REPEATS if protocol is Protocol.RAMP else TESTS["prbs"]
+
+    write_campaign(
+        out,
+        rig,
+        tests={protocol.value: usual if tests is None else tests},
+        modes=MODES if mode is Direction.BOTH else (mode.value,),
+        suffix=log_format.value,
+        seed=seed,
+        force=force,
+    )
+
+
+def reproduce(
+    out: Annotated[Path, typer.Option("--out", help="Folder to write.")],
+    quick: Annotated[
+        bool, typer.Option("--quick", help="A first look: fewer tests, short training.")
+    ] = False,
+    rig: Annotated[str, typer.Option("--rig", help="Parameter set: a name or a TOML file.")] = "nominal",
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of every random draw.")] = 0,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Redo the published study on the virtual bench: every table and figure, ours beside theirs."""
+    from hitchid import display
+    from hitchid.storage import check_folder
+
+    check_folder(out, mark="study.md", force=force)
+    prepare_jax()
+    from hitchid.study import Plan, quick_plan
+    from hitchid.study import reproduce as run
+
+    plan = quick_plan() if quick else Plan()
+    with display.progress(quiet=quiet) as report:
+        study = run(out, rig=rig, plan=plan, seed=seed, force=force, progress=report, command=command_line())
+    if not quiet:
+        display.show_study(study, out)

@@ -1,0 +1,111 @@
+"""Commands that judge models by tests they have not seen."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hitchid.cli.cache import prepare_jax
+from hitchid.cli.options import AsJson, AsPdf, Force, Logs, Quiet, Signals
+from hitchid.cli.program import command_line
+from hitchid.errors import InputError
+
+
+def validate(
+    model: Annotated[Path, typer.Argument(help="Model folder.", show_default=False)],
+    logs: Logs,
+    out: Annotated[Path, typer.Option("--out", help="Folder to write: report.html, figures, metrics.json.")],
+    accept: Annotated[
+        Path | None, typer.Option("--accept", help="Limits in TOML; exit code 1 where one does not hold.")
+    ] = None,
+    junit: Annotated[
+        Path | None, typer.Option("--junit", help="JUnit XML file to write the limits' verdicts to.")
+    ] = None,
+    as_pdf: AsPdf = False,
+    signals: Signals = None,
+    force: Force = False,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Compare a model with tests its identification has not used."""
+    from hitchid import display
+    from hitchid.storage import check_file, check_folder, write_bytes
+
+    check_folder(out, mark="metrics.json", force=force)
+    if junit is not None:
+        if accept is None:
+            raise InputError("--junit: required --accept with limits, came none")
+        check_file(junit, force=force)
+    prepare_jax()
+    from hitchid.model import load, load_trace
+    from hitchid.progress import Step
+    from hitchid.readers import read
+    from hitchid.report import check_pdf, validation_report, write_report
+    from hitchid.validation import check_limits, junit_xml, read_limits
+    from hitchid.validation import validate as run
+
+    check_pdf(asked=as_pdf)
+    limits = None if accept is None else read_limits(accept)
+    hitch, trace = load(model), load_trace(model)
+    campaign = read(logs, signals=signals)
+    if limits is not None:
+        limits.check_convertible(campaign.records[0].unit)
+    with display.progress(quiet=quiet) as report:
+        result = run(hitch, campaign, progress=report)
+        acceptance = None if limits is None else check_limits(result.metrics, limits)
+        report(Step("report", 0.98))
+        document = validation_report(
+            result, hitch, campaign, trace=trace, acceptance=acceptance, command=command_line()
+        )
+        write_report(out, document, result.files(), as_pdf=as_pdf, mark="metrics.json", force=force)
+    if junit is not None and acceptance is not None:
+        write_bytes(junit, junit_xml(acceptance.checks), force=force)
+    if as_json:
+        accepted = {} if acceptance is None else {"acceptance": acceptance.describe()}
+        typer.echo(json.dumps({**result.metrics, **accepted}, indent=1))
+    else:
+        if not quiet:
+            display.show_validation(result, document, out)
+        if acceptance is not None:
+            display.show_acceptance(acceptance, quiet=quiet)
+    if acceptance is not None and not acceptance.passed:
+        raise typer.Exit(1)
+
+
+def compare(
+    first: Annotated[Path, typer.Argument(metavar="MODEL_A", help="Model folder.", show_default=False)],
+    second: Annotated[Path, typer.Argument(metavar="MODEL_B", help="Model folder.", show_default=False)],
+    logs: Logs,
+    out: Annotated[Path, typer.Option("--out", help="Folder to write: report.html, comparison.json.")],
+    as_pdf: AsPdf = False,
+    signals: Signals = None,
+    force: Force = False,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Compare two models with each other on tests that neither has used."""
+    from hitchid import display
+    from hitchid.storage import check_folder
+
+    check_folder(out, mark="comparison.json", force=force)
+    prepare_jax()
+    from hitchid.model import load
+    from hitchid.progress import Step
+    from hitchid.readers import read
+    from hitchid.report import check_pdf, comparison_report, write_report
+    from hitchid.validation import compare as run
+
+    check_pdf(asked=as_pdf)
+    campaign = read(logs, signals=signals)
+    with display.progress(quiet=quiet) as report:
+        compared = run(load(first), load(second), campaign, progress=report)
+        report(Step("report", 0.98))
+        document = comparison_report(
+            compared, campaign, names=(str(first), str(second)), command=command_line()
+        )
+        write_report(out, document, compared.files(), as_pdf=as_pdf, mark="comparison.json", force=force)
+    if as_json:
+        typer.echo(json.dumps(compared.metrics, indent=1))
+    elif not quiet:
+        display.show_comparison(compared, document, out)

@@ -1,0 +1,16 @@
+"""Arguments and options that several commands take."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+Logs = Annotated[list[Path], typer.Argument(help="Log files or folders of logs.", show_default=False)]
+Signals = Annotated[
+    Path | None,
+    typer.Option("--signals", help="Signal map in the form of campaign.toml; each folder's own by default."),
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON instead of tables.")]
+AsPdf = Annotated[bool, typer.Option("--pdf", help="Write report.pdf too; needs hitchid[pdf].")]
+Quiet = Annotated[bool, typer.Option("--quiet", help="Say nothing but what fails.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace an older result.")]

@@ -1,0 +1,218 @@
+"""What a report is made of, put together by hand: predictions, figures of `metrics.json`, traces, pages."""
+
+from dataclasses import asdict
+from functools import cache
+
+import numpy as np
+
+from hitchid.record import Record
+from hitchid.report import Document, Finding, Level, Picture, Pictures, Section, Text, figures
+from hitchid.report.document import Findings
+from hitchid.residuals import residual_tests
+from hitchid.segments import segments
+from hitchid.uncertainty import Estimate, Estimates
+from hitchid.validation import Predictions, Table
+from hitchid.validation.uncertainty import parameter_figures
+
+STEP_S = 0.01
+MODELS = ("benchmark", "one_step", "free_run", "persistence", "lstm", "narx", "arx", "transfer_function")
+STEPS = (1, 2, 5, 10, 20, 50, 100)
+
+
+def predictions(sizes=(300, 250, 280), *, models=MODELS, band=True, seed=0):
+    """Return tests of a sine with what models say of them, each a little further off than the one before."""
+    rng = np.random.default_rng(seed)
+    time_s = tuple(STEP_S * np.arange(size) for size in sizes)
+    actual = tuple(100.0 + 40.0 * np.sin(each) + 0.02 * rng.standard_normal(each.size) for each in time_s)
+    told = {
+        name: tuple(y + 0.1 * (1 + place) * rng.standard_normal(y.size).cumsum() for y in actual)
+        for place, name in enumerate(models)
+    }
+    around = told["free_run"] if band and "free_run" in told else ()
+    ends = (tuple(y - 2.0 for y in around), tuple(y + 2.0 for y in around))
+    return Predictions(
+        tuple(f"up-{i + 1:02d}" for i in range(len(sizes))), time_s, actual, told, ends if around else None
+    )
+
+
+def horizons(
+    *, names=("persistence", "benchmark", "greybox", "arx", "narx", "lstm", "transfer_function", "paper")
+):
+    """Return errors over horizons in the form of `metrics.json`."""
+    return {"steps": list(STEPS)} | {
+        name: [0.01 * (1 + place) * step**0.7 for step in STEPS] for place, name in enumerate(names)
+    }
+
+
+def residuals(*, seed=0, level=None):
+    """Return what tests of errors found, in the form of `metrics.json`; `level` makes the errors constant."""
+    rng = np.random.default_rng(seed)
+    sizes = (300, 250)
+    command = [np.repeat(rng.uniform(0, 0.5, size // 25), 25) for size in sizes]
+    errors = [0.1 * rng.standard_normal(each.size) + 0.3 * each for each in command]
+    if level is not None:
+        errors = [np.full(each.size, level) for each in command]
+    displacement = [100.0 + np.cumsum(each) for each in command]
+    speed = [each / STEP_S for each in command]
+    return asdict(residual_tests(errors, command, displacement, speed, step_s=STEP_S))
+
+
+def estimate(name="gain", *, symbol="K", unit="mm/(s·A)", value=30.0, error=1.0, interval=None, **options):
+    """Return a parameter as found; without more said it is determined, to two standard errors."""
+    known = {
+        "method": "Gauss-Newton",
+        "bootstrap": None if error is None else (value - error, value + error),
+        "lower": 0.01,
+        "upper": 1000.0,
+        "linear": False,
+        "determined": True,
+        "verdict": "determined",
+        "sensitivity": 0.2,
+    } | options
+    ends = (value - 2 * error, value + 2 * error) if interval is None else interval
+    return Estimate(name=name, symbol=symbol, unit=unit, value=value, error=error, interval=ends, **known)
+
+
+VAGUE = {"error": None, "determined": False}
+ESTIMATES = (
+    estimate(),
+    estimate(
+        "time_constant",
+        symbol="τ",
+        unit="s",
+        value=0.02,
+        interval=(None, 0.05),
+        verdict="not determined",
+        **VAGUE,
+    ),
+    estimate(
+        "natural_frequency",
+        symbol="ωh",
+        unit="rad/s",
+        value=90.0,
+        interval=(40.0, None),
+        verdict="too fast",
+        **VAGUE,
+    ),
+    estimate(
+        "damping_ratio", symbol="ξh", unit="1", value=0.6, interval=(None, None), verdict="any", **VAGUE
+    ),
+    estimate(
+        "curvature", symbol="curvature", unit="1", value=0.0, error=0.05, linear=True, lower=-1.0, upper=1.0
+    ),
+)
+
+
+def known_estimates(*parameters):
+    """Return parameters as a model holds them."""
+    return Estimates(parameters or ESTIMATES, (), (), 5, 5)
+
+
+def known_parameters(*parameters):
+    """Return parameters in the form of `metrics.json`."""
+    return parameter_figures(known_estimates(*parameters))
+
+
+def trace(*parameters, iterations=20, candidates=3, phase2=True, notices=("the search ended early",)):
+    """Return how one direction was identified, in the form of `trace.json`."""
+    found = parameters or ESTIMATES[:2]
+    falling = np.linspace(2.0, 1.0, iterations)
+    names = [f"structure {number}" for number in range(candidates)]
+    return {
+        "dead_zone": {"value": 0.35, "spread": 0.01, "count": 2, "origin": "ramps"},
+        "phase1": {
+            "uncertainty": {"parameters": [asdict(each) for each in found]},
+            "fitness": [None, *(1.5 * falling[1:]).tolist()],
+            "values": [[(each.value or 0.1) * factor for each in found] for factor in falling],
+        },
+        "phase2": {
+            "training_loss": [None, *np.geomspace(1.0, 0.01, iterations - 1).tolist()],
+            "validation_loss": np.geomspace(1.5, 0.05, iterations).tolist(),
+            "best_epoch": iterations - 2,
+            "reason": "patience",
+        }
+        if phase2
+        else None,
+        "candidates": [
+            {
+                "name": name,
+                "rmse": 0.5 + place,
+                "held_out_rmse": 0.7 + place if place else None,
+                "chosen": place == 0,
+            }
+            for place, name in enumerate(names)
+        ],
+        "notices": list(notices),
+    }
+
+
+def searches():
+    """Return how searches went, in the form of `metrics.json`; one seed of one of them failed."""
+    return {
+        name: {
+            "seeds": 3,
+            "rmse": [end, 1.1 * end, None if name == "whale" else 1.2 * end],
+            "evaluations": [600, 590, 610],
+            "failures": [0, 0, 1],
+            "median_run": {"rmse": [None, 3.0, 2.0, 1.1 * end], "values": [[1.0]] * 4},
+        }
+        for name, end in (("whale", 1.0), ("differential-evolution", 0.9), ("multi-start", 0.8))
+    }
+
+
+def bands(*, covered=0.9, ahead=0.93):
+    """Return how well bands hold, in the form of `metrics.json`."""
+    horizons = {"steps": list(STEPS), "covered": [ahead] * len(STEPS), "width": [0.5] * len(STEPS)}
+    return {"coverage": 0.9, "free_run": {"covered": covered, "width": 2.0}, "horizons": horizons}
+
+
+def mixed(*names):
+    """Return mixed records with their stretches, as the timeline is drawn from: up, and down again."""
+    up, down = np.repeat([0, 1.0, 0, 0], 50), np.repeat([0, 0, 0, 1.0], 50)
+    signals = {"displacement": np.cumsum(up - down), "lifting_command": up, "lowering_command": down}
+    units = {role: "mm" if role == "displacement" else "A" for role in signals}
+    records = [Record(name, STEP_S, signals, units) for name in names]
+    return [(record, segments(record)) for record in records]
+
+
+TABLE = Table(
+    "lifting: accuracy",
+    ("model", "RMSE / mm", "95 %", "largest", "run"),
+    (
+        ("grey box", "0.578 ± 0.086", "28.1 … 31.9", "> 988", "free run"),
+        ("NARX", "diverged", "any", "1.2e-05", "one step"),
+        ("ARX", "-0.5", "< 0.3", "", "free run"),
+    ),
+)
+FINDINGS = (
+    Finding(Level.GOOD, "The free run keeps up."),
+    Finding(Level.CAUTION, "A baseline is near."),
+    Finding(Level.BAD, "The band is too narrow."),
+)
+
+
+@cache
+def _small():
+    """Return a small figure, drawn once."""
+    return figures.horizons(horizons(names=("persistence", "greybox")), STEP_S, "mm")
+
+
+def picture(name="curve", *, caption="What is seen.", alt="Error over the horizon.", wide=False):
+    """Return a small figure as a report holds it."""
+    return Picture(name, _small(), caption, alt, wide=wide)
+
+
+def document(*, said="A paragraph.", table=TABLE, items=None, title="A report", notices=("Mind the gap.",)):
+    """Return a report with a block of every kind, sections in sections among them."""
+    pictures = Pictures(items or (picture(), picture("long", wide=True)))
+    below = Section("Details", (Text(said), pictures), (Section("Finer", (table, Findings(FINDINGS))),))
+    return Document(
+        title=title,
+        subtitle=f"of {said}",
+        verdict=FINDINGS,
+        notices=notices,
+        sections=(
+            Section("Mixed cycles", (table, Text(said)), (below,)),
+            Section("Logs", (Findings(FINDINGS),)),
+        ),
+    )

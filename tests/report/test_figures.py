@@ -1,0 +1,728 @@
+"""The figures: what is drawn is what was given, in the width of a column, with a unit on every axis."""
+
+import inspect
+import re
+import warnings
+from itertools import combinations
+from textwrap import fill
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from matplotlib.figure import Figure
+from scipy.integrate import trapezoid
+
+import handmade
+import reported
+from hitchid.record import LIFTING
+from hitchid.report import figures
+from hitchid.report.figures.style import COLOURS, LABELS, SHADES, STRETCHES, thinned
+from hitchid.report.figures.valve import ONSET
+from hitchid.report.svg import svg
+
+COLUMN_IN, PAGE_IN = 3.5, 7.2
+RIVALS = ("lstm", "narx", "arx", "transfer_function", "benchmark", "free_run")
+# Counts, quantities scaled to 1, and an axis on which nothing but the order of searches is told.
+WITHOUT_UNIT = {
+    "iteration",
+    "epoch",
+    "sample, test after test",
+    "loss, errors scaled to 1",
+    "autocorrelation\nof errors",
+    "correlation of errors\nwith command",
+    "ends",
+}
+
+
+@pytest.fixture(autouse=True)
+def _every_warning_is_an_error():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        yield
+
+
+@pytest.fixture
+def pressed(make_record):
+    """Return a function that makes a lifting test of commands in A held for some seconds each."""
+
+    def make(*levels, held_s=1.0, name="test"):
+        command = np.repeat(levels, round(held_s / reported.STEP_S))
+        speed = handmade.GAINS[LIFTING] * np.maximum(command - handmade.DEAD_ZONES[LIFTING], 0)
+        way = reported.STEP_S * np.concatenate([[0.0], np.cumsum(speed)[:-1]])
+        return make_record(100 + way, command, 0 * command, name=name)
+
+    return make
+
+
+@pytest.fixture
+def ramp(make_record):
+    """Return a slow rise from 0.2 to 0.7 A, on which the piston follows the handmade integrator."""
+    command = np.linspace(0.2, 0.7, 1000)
+    speed = handmade.GAINS[LIFTING] * np.maximum(command - handmade.DEAD_ZONES[LIFTING], 0)
+    way = reported.STEP_S * np.concatenate([[0.0], np.cumsum(speed)[:-1]])
+    return make_record(100 + way, command, 0 * command, name="ramp")
+
+
+DRAWN = {
+    "convergence": lambda unit: figures.convergence(reported.trace(), unit),
+    "coverage": lambda unit: figures.coverage(reported.bands(), reported.STEP_S),
+    "error_distribution": lambda unit: figures.error_distribution(
+        {name: reported.predictions().errors(name) for name in ("one_step", "free_run")}, unit
+    ),
+    "errors_by_test": lambda unit: figures.errors_by_test(reported.predictions(), unit, RIVALS),
+    "horizons": lambda unit: figures.horizons(reported.horizons(), reported.STEP_S, unit),
+    "intervals": lambda unit: figures.intervals(reported.known_parameters()),
+    "losses": lambda unit: figures.losses(reported.trace()),
+    "outputs": lambda unit: figures.outputs(reported.predictions(), unit),
+    "predicted_errors": lambda unit: figures.predicted_errors(
+        {part: reported.predictions() for part in ("training", "validation")}, unit
+    ),
+    "residual_correlations": lambda unit: figures.residual_correlations(reported.residuals()),
+    "residuals_by_place": lambda unit: figures.residuals_by_place(reported.residuals(), unit, "A"),
+    "searches": lambda unit: figures.searches(reported.searches(), unit),
+    "structures": lambda unit: figures.structures(reported.trace()["candidates"], unit),
+}
+
+
+@pytest.fixture
+def draw(pressed, ramp):
+    """Return a function that draws a figure by its name, with displacements in a unit."""
+
+    def drawn(name, unit="mm"):
+        if (name, unit) not in KEPT:
+            KEPT[name, unit] = fresh(name, unit)
+        return KEPT[name, unit]
+
+    def fresh(name, unit):
+        match name:
+            case "dead_zone":
+                return figures.dead_zone([ramp], LIFTING, 0.35, 0.01, unit, "A")
+            case "timeline":
+                return figures.timeline(reported.mixed("odd", "even"))
+            case "valve_map":
+                channel = handmade.channel(LIFTING)
+                return figures.valve_map(channel, [pressed(0, 0.5, 0, 0.6)], [ramp], unit, "A")
+        return DRAWN[name](unit)
+
+    return drawn
+
+
+KEPT = {}
+EVERY = [*DRAWN, "dead_zone", "timeline", "valve_map"]
+
+
+def test_every_public_figure_is_tested_here():
+    returning = {
+        name
+        for name, made in vars(figures).items()
+        if inspect.isfunction(made) and inspect.signature(made).return_annotation is Figure
+    }
+    assert returning == set(EVERY)
+
+
+# --- what every figure keeps --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_a_figure_has_the_width_of_a_column_the_timeline_that_of_a_page(draw, name):
+    assert draw(name).get_figwidth() == (PAGE_IN if name == "timeline" else COLUMN_IN)
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_a_figure_leaves_the_settings_of_matplotlib_alone(draw, name):
+    # Reading the backend settles it, which is matplotlib's own doing.
+    assert mpl.rcParams["backend"]
+    before = mpl.rcParams.copy()
+    KEPT.clear()
+    figure = draw(name)
+    assert mpl.rcParams == before
+    if name == "outputs":
+        svg(figure)
+    assert mpl.rcParams == before
+
+
+def told(axes, direction):
+    """Return the label of one direction of an axes, its own or that of the axes it shares it with."""
+    shared = axes.get_shared_x_axes() if direction == "x" else axes.get_shared_y_axes()
+    labels = [getattr(each, f"get_{direction}label")() for each in (axes, *shared.get_siblings(axes))]
+    return next((label for label in labels if label), "")
+
+
+def ticks(axes, direction):
+    """Return the numbers or words that are seen along one direction of an axes."""
+    texts = getattr(axes, f"get_{direction}ticklabels")()
+    return [text.get_text() for text in texts if text.get_visible() and text.get_text()]
+
+
+def number(text):
+    return re.fullmatch(r"-?[\d.]+(e[+-]?\d+)?", text.replace("\N{MINUS SIGN}", "-")) is not None
+
+
+@pytest.mark.parametrize("name", [name for name in EVERY if name != "intervals"])
+def test_every_axis_of_numbers_says_what_it_is_and_in_which_unit(draw, name):
+    figure = draw(name)
+    figure.draw_without_rendering()
+    for axes in figure.axes:
+        for direction in "xy":
+            label = told(axes, direction)
+            if any(map(number, ticks(axes, direction))):
+                assert label, f"{direction} of {name}"
+            if label and label not in WITHOUT_UNIT:
+                assert re.search(r"/ \S", label), label
+
+
+UNITED = [
+    name
+    for name in EVERY
+    if name not in ("intervals", "losses", "residual_correlations", "coverage", "timeline")
+]
+
+
+@pytest.mark.parametrize("name", UNITED)
+def test_the_unit_on_an_axis_is_the_one_that_was_given(draw, name):
+    def labels(unit):
+        return [text for axes in draw(name, unit).axes for text in (axes.get_xlabel(), axes.get_ylabel())]
+
+    angles, lengths = labels("deg"), labels("mm")
+    assert [text.replace("deg", "mm") for text in angles] == lengths
+    assert angles != lengths
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_no_title_repeats_a_label(draw, name):
+    for axes in draw(name).axes:
+        titles = {axes.get_title(loc=place) for place in ("left", "center", "right")} - {""}
+        assert titles <= ({"odd", "even"} if name == "timeline" else set())
+
+
+def seen(axis):
+    """Return the label of an axis and those of its ticks, as far as they are drawn."""
+    low, high = sorted(axis.get_view_interval())
+    labels = [tick.label1 for tick in axis.get_major_ticks() if low <= tick.get_loc() <= high]
+    return [text for text in (axis.label, *labels) if text.get_visible() and text.get_text()]
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_no_label_is_cut_off_or_covers_another_of_its_axis(draw, name):
+    figure = draw(name)
+    figure.draw_without_rendering()
+    # A pixel of the screen, by which the layout may be off.
+    whole = figure.bbox.padded(1.0)
+    for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
+        boxes = {text.get_text(): text.get_window_extent() for text in seen(axis)}
+        for text, box in boxes.items():
+            assert whole.x0 <= box.x0, text
+            assert box.x1 <= whole.x1, text
+            assert whole.y0 <= box.y0, text
+            assert box.y1 <= whole.y1, text
+        for (one, box), (other, beside) in combinations(boxes.items(), 2):
+            assert not box.overlaps(beside), (one, other)
+
+
+def colours(axes):
+    """Return what the legend of an axes calls its lines, to their colours, `free run` left out."""
+    found = {}
+    for line in axes.get_lines():
+        name = line.get_label().partition(", free")[0]
+        if not name.startswith("_"):
+            found.setdefault(name, set()).add(line.get_color())
+    return found
+
+
+def test_a_model_has_one_colour_in_all_figures():
+    tests = reported.predictions()
+    by_test = figures.errors_by_test(tests, "mm", RIVALS).axes[0]
+    rows = [text.get_text() for text in by_test.get_yticklabels()]
+    points = [line for line in by_test.get_lines() if line.get_marker() == "o"]
+    found = [
+        {row: {line.get_color()} for row, line in zip(rows, points, strict=True)},
+        colours(figures.horizons(reported.horizons(), reported.STEP_S, "mm").axes[0]),
+        colours(figures.outputs(tests, "mm", ("benchmark", "one_step", "free_run")).axes[0]),
+        colours(DRAWN["error_distribution"]("mm").axes[0]),
+    ]
+    assert {"grey box", "benchmark", "grey box, one step", "ARX"} <= set().union(*found)
+    for name in set().union(*found):
+        assert len(set().union(*(each.get(name, set()) for each in found))) == 1, name
+
+
+def test_no_two_models_of_a_figure_look_alike():
+    lines = figures.horizons(reported.horizons(), reported.STEP_S, "mm").axes[0].get_lines()
+    looks = {(line.get_color(), str(line.get_linestyle()), str(line._dash_pattern)) for line in lines}
+    assert len(looks) == len(lines) == len(reported.horizons()) - 1
+
+
+def test_every_model_that_can_be_drawn_has_a_name_and_a_colour_of_the_palette():
+    assert set(LABELS) <= set(COLOURS)
+    assert set(COLOURS.values()) == {shade.light for shade in SHADES.values()}
+
+
+def luminance(colour):
+    """Return the relative luminance of a colour (WCAG 2.2)."""
+    parts = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+    red, green, blue = (c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts)
+    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
+
+
+def contrast(one, other):
+    low, high = sorted((luminance(one), luminance(other)))
+    return (high + 0.05) / (low + 0.05)
+
+
+@pytest.mark.parametrize("name", [name for name in SHADES if name not in ("grid", "hold")])
+def test_a_curve_stands_out_from_white_paper_and_from_a_dark_screen(name):
+    # 3 is what WCAG 2.2 asks of graphics; Okabe and Ito's yellow and pink keep 2.1 on white.
+    assert contrast(SHADES[name].light, "#ffffff") >= 2.1
+    assert contrast(SHADES[name].dark, "#16161a") >= 4.5
+
+
+# --- each figure by its data --------------------------------------------------------------------------------
+
+
+def test_convergence_shows_fitness_and_parameters_as_they_were_found():
+    trace = reported.trace()
+    fitness, *parameters = figures.convergence(trace, "mm").axes
+    phase1 = trace["phase1"]
+    np.testing.assert_array_equal(fitness.lines[0].get_xdata(), np.arange(1, 21))
+    np.testing.assert_array_equal(fitness.lines[0].get_ydata(), [np.nan, *phase1["fitness"][1:]])
+    for place, (axes, known) in enumerate(zip(parameters, phase1["uncertainty"]["parameters"], strict=True)):
+        best, polished = axes.lines
+        np.testing.assert_array_equal(best.get_ydata(), [row[place] for row in phase1["values"]])
+        assert set(polished.get_ydata()) == {known["value"]}
+        assert axes.get_ylabel() == f"{known['symbol']}\n/ {known['unit']}"
+
+
+def test_a_parameter_without_a_symbol_is_called_by_its_name():
+    trace = reported.trace(reported.estimate("speed_along", symbol="", unit="1/mm", linear=True))
+    assert figures.convergence(trace, "mm").axes[1].get_ylabel() == "speed along\n/ 1/mm"
+
+
+def test_horizons_show_errors_over_seconds():
+    known = reported.horizons()
+    lines = figures.horizons(known, 0.02, "mm").axes[0].get_lines()
+    assert len(lines) == len(known) - 1
+    for line, errors in zip(lines, list(known.values())[1:], strict=True):
+        np.testing.assert_array_equal(line.get_xdata(), 0.02 * np.array(known["steps"]))
+        np.testing.assert_array_equal(line.get_ydata(), errors)
+
+
+def test_a_horizon_at_which_a_model_diverged_has_no_point():
+    line, _ = (
+        figures.horizons({"steps": [1, 2], "greybox": [1.0, None], "persistence": [1.0, 2.0]}, 0.01, "mm")
+        .axes[0]
+        .lines
+    )
+    np.testing.assert_array_equal(line.get_ydata(), [1.0, np.nan])
+
+
+@pytest.mark.parametrize("sizes", [(300,), (200, 200, 200)])
+def test_a_test_is_a_point_and_the_bar_is_the_root_of_their_mean_square(sizes):
+    tests = reported.predictions(sizes)
+    axes = figures.errors_by_test(tests, "mm", RIVALS).axes[0]
+    points, bars = axes.get_lines()[::2], axes.get_lines()[1::2]
+    for place, (model, point, bar) in enumerate(zip(RIVALS, points, bars, strict=True)):
+        errors = [
+            np.linalg.norm(a - p) / np.sqrt(a.size)
+            for a, p in zip(tests.actual, tests.models[model], strict=True)
+        ]
+        np.testing.assert_allclose(point.get_xdata(), errors, rtol=1e-12)
+        assert set(point.get_ydata()) == {place}
+        together = np.linalg.norm(errors) / np.sqrt(len(errors))
+        np.testing.assert_allclose(bar.get_xdata(), [together], rtol=1e-12)
+
+
+@pytest.fixture
+def distribution():
+    """Return errors of two models and the axes of their distribution."""
+    rng = np.random.default_rng(4)
+    rows = {"one_step": 0.1 + rng.standard_normal(4000), "free_run": rng.standard_t(3, 3000)}
+    return rows, figures.error_distribution(rows, "mm").axes
+
+
+def test_the_cumulative_curve_is_that_of_the_samples(distribution):
+    rows, (_, below) = distribution
+    for line, errors in zip(below.get_lines(), rows.values(), strict=True):
+        limit, share = line.get_xdata(), line.get_ydata()
+        counted = 100 * np.mean(np.abs(errors)[:, None] <= limit, axis=0)
+        # A quantile lies between two samples, so the share of those below it is off by one of them at most.
+        np.testing.assert_allclose(share, counted, rtol=0, atol=100 * 1.01 / errors.size)
+
+
+def test_the_axes_of_the_distribution_end_where_995_of_1000_samples_lie(distribution):
+    rows, (above, below) = distribution
+    reach = below.get_xlim()[1]
+    assert above.get_xlim() == (-reach, reach)
+    shares = [np.mean(np.abs(errors) <= reach) for errors in rows.values()]
+    assert min(shares) == pytest.approx(0.995, abs=1 / 3000)
+
+
+def test_the_histogram_has_the_area_of_the_share_of_samples_it_shows(distribution):
+    rows, (above, _) = distribution
+    reach = above.get_xlim()[1]
+    bars = np.array_split(np.array([(p.get_width(), p.get_height()) for p in above.patches]), len(rows))
+    for errors, both in zip(rows.values(), bars, strict=True):
+        assert both.prod(axis=1).sum() == pytest.approx(np.mean(np.abs(errors) <= reach), rel=1e-9)
+
+
+def test_the_bell_has_mean_and_spread_of_the_errors_and_an_area_of_one():
+    errors = 2.0 + 0.25 * np.random.default_rng(0).standard_normal(5000)
+    wide = np.concatenate([errors, 8.0 - errors, np.repeat([-40.0, 40.0], 50)])
+    above, _ = figures.error_distribution({"free_run": errors, "benchmark": wide}, "mm").axes
+    place, bell = above.get_lines()[0].get_data()
+    # The far end of the axes lies over 100 spreads away; steps of 0.4 to 0.8 spreads leave the rule exact.
+    assert above.get_xlim()[1] == pytest.approx(40)
+    step = place[1] - place[0]
+    assert step < 2 * errors.std()
+    assert trapezoid(bell, place) == pytest.approx(1.0, abs=1e-2)
+    assert trapezoid(place * bell, place) == pytest.approx(errors.mean(), abs=1e-2)
+
+
+def test_outputs_show_each_test_without_its_first_sample_and_keep_its_extremes():
+    tests = reported.predictions((2000, 1500, 1800))
+    above, below = figures.outputs(tests, "mm").axes
+    drawn = {"measured": tests.actual} | {
+        LABELS[name]: tests.models[name] for name in ("one_step", "free_run", "benchmark")
+    }
+    lines = {line.get_label(): line for line in above.get_lines()}
+    assert set(lines) == set(drawn)
+    starts = np.cumsum([0.0, *(time_s[-1] for time_s in tests.time_s)])
+    for label, rows in drawn.items():
+        time_s, values = lines[label].get_data()
+        assert values.size <= 2 * STRETCHES + len(rows)
+        for row, start, stop in zip(rows, starts, starts[1:], strict=False):
+            inside = values[(time_s > start) & (time_s <= stop)]
+            assert np.nanmin(inside) == pytest.approx(row[1:].min())
+            assert np.nanmax(inside) == pytest.approx(row[1:].max())
+        assert np.isnan(values).sum() == len(rows)
+    errors = tests.actual[2] - tests.models["free_run"][2]
+    drawn_errors = next(line for line in below.get_lines() if line.get_color() == COLOURS["free_run"])
+    last = drawn_errors.get_ydata()[drawn_errors.get_xdata() > starts[2]]
+    assert np.nanmax(np.abs(last)) == pytest.approx(np.abs(errors[1:]).max())
+
+
+def test_the_band_is_filled_between_its_ends_around_displacement_and_errors():
+    tests = reported.predictions((300,))
+    for axes, middle in zip(figures.outputs(tests, "mm").axes, (tests.models["free_run"][0], 0), strict=True):
+        (filled,) = axes.collections
+        corners = np.concatenate([path.vertices for path in filled.get_paths()])
+        around = corners[:, 1] - np.interp(corners[:, 0], tests.time_s[0], np.broadcast_to(middle, 300))
+        np.testing.assert_allclose(np.abs(around), 2.0, atol=1e-9)
+
+
+def test_predicted_errors_show_what_the_benchmark_misses():
+    tests = reported.predictions((200, 150))
+    actual, predicted = figures.predicted_errors({"validation": tests}, "mm").axes[0].get_lines()
+
+    def joined(model):
+        rows = zip(tests.models[model] if model else tests.actual, tests.models["benchmark"], strict=True)
+        return np.concatenate([[np.nan, *(one - other)[1:]] for one, other in rows])
+
+    np.testing.assert_array_equal(actual.get_ydata(), joined(None))
+    np.testing.assert_array_equal(predicted.get_ydata(), joined("one_step"))
+
+
+def test_time_goes_on_from_test_to_test():
+    tests = reported.predictions((3, 4, 2))
+    steps = [0, 1, 2, 2, 3, 4, 5, 5, 6]
+    np.testing.assert_allclose(figures.joined_time(tests), 0.01 * np.array(steps), rtol=1e-12)
+
+
+def test_coverage_shows_shares_in_percent_over_seconds():
+    axes = figures.coverage(reported.bands(covered=0.81, ahead=0.93), 0.02).axes[0]
+    ahead, free, asked = axes.get_lines()
+    np.testing.assert_allclose(ahead.get_xdata(), 0.02 * np.array(reported.STEPS))
+    np.testing.assert_allclose(ahead.get_ydata(), 93)
+    assert {*free.get_ydata()} == {81}
+    assert {*asked.get_ydata()} == {90}
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.8, 1.0])
+def test_no_coverage_lies_outside_its_axes(share):
+    axes = figures.coverage(reported.bands(covered=share, ahead=1 - share), 0.01).axes[0]
+    low, high = axes.get_ylim()
+    for line in axes.get_lines():
+        assert low <= min(line.get_ydata())
+        assert max(line.get_ydata()) <= high
+
+
+def test_correlations_show_what_was_found_and_its_bounds():
+    found = reported.residuals()
+    above, below = figures.residual_correlations(found).axes
+    for axes, name, bound in (
+        (above, "autocorrelation", "autocorrelation_bounds"),
+        (below, "cross_correlation", "cross_bounds"),
+    ):
+        band, stems = axes.collections
+        ends = [segment[1, 1] for segment in stems.get_segments()]
+        np.testing.assert_allclose(ends, found[name])
+        assert band.get_paths()[0].vertices[:, 1].max() == pytest.approx(max(found[bound]))
+        assert axes.get_ylim()[1] > max(np.abs(ends))
+    np.testing.assert_allclose(
+        [segment[0, 0] for segment in below.collections[1].get_segments()],
+        reported.STEP_S * np.array(found["cross_lags"]),
+    )
+
+
+def test_places_show_mean_and_spread_of_the_errors_in_each_bin():
+    found = reported.residuals()
+    for axes, name in zip(
+        figures.residuals_by_place(found, "mm", "A").axes, ("position", "speed", "command"), strict=True
+    ):
+        bins = found[f"by_{name}"]["bins"]
+        spreads, means = axes.get_lines()[0:-1:2], axes.get_lines()[1:-1:2]
+        assert len(spreads) == len(means) == len(bins)
+        for each, spread, mean in zip(bins, spreads, means, strict=True):
+            assert set(mean.get_ydata()) == {each["mean"]}
+            low, high = spread.get_ydata()
+            assert (low + high) / 2 == pytest.approx(each["mean"])
+            # Mean square = mean² + variance.
+            assert ((high - low) / 2) ** 2 + each["mean"] ** 2 == pytest.approx(each["rmse"] ** 2)
+
+
+def test_searches_show_every_end_and_the_run_in_the_middle():
+    known = reported.searches()
+    went, ended = figures.searches(known, "mm").axes
+    for line, points, each in zip(went.get_lines(), ended.get_lines(), known.values(), strict=True):
+        np.testing.assert_array_equal(line.get_ydata()[1:], each["median_run"]["rmse"][1:])
+        assert (line.get_xdata()[0], line.get_xdata()[-1]) == (0, 100)
+        assert list(points.get_ydata()) == [end for end in each["rmse"] if end is not None]
+
+
+def test_losses_show_both_parts_and_the_epoch_that_is_kept():
+    trace = reported.trace()
+    training, validation, kept = figures.losses(trace).axes[0].get_lines()
+    np.testing.assert_array_equal(training.get_ydata()[1:], trace["phase2"]["training_loss"][1:])
+    np.testing.assert_array_equal(validation.get_ydata(), trace["phase2"]["validation_loss"])
+    assert validation.get_xdata()[0] == 1
+    assert set(kept.get_xdata()) == {trace["phase2"]["best_epoch"]}
+
+
+def test_structures_show_both_errors_in_the_order_that_was_given():
+    candidates = reported.trace(candidates=4)["candidates"]
+    axes = figures.structures(candidates, "mm").axes[0]
+    by_place = sorted(zip(axes.get_yticks(), (t.get_text() for t in axes.get_yticklabels()), strict=True))
+    names = [f"{each['name']}{' (taken)' if each['chosen'] else ''}" for each in candidates]
+    assert [text for _, text in by_place[::-1]] == [fill(name, 24) for name in names]
+    everywhere, held_out = axes.get_lines()
+    np.testing.assert_array_equal(everywhere.get_xdata(), [each["rmse"] for each in candidates])
+    np.testing.assert_array_equal(
+        held_out.get_xdata(), [np.nan, *(each["held_out_rmse"] for each in candidates[1:])]
+    )
+
+
+# --- intervals ----------------------------------------------------------------------------------------------
+
+
+def marks(axes):
+    return [line.get_marker() for line in axes.get_lines() if line.get_marker() not in ("None", None, "")]
+
+
+def test_an_interval_runs_from_end_to_end_and_open_ends_are_arrows():
+    estimates = reported.ESTIMATES
+    for axes, each in zip(figures.intervals(reported.known_parameters()).axes, estimates, strict=True):
+        bar = axes.get_lines()[0].get_xdata()
+        edge = axes.get_xlim()
+        ends = [place if end is None else end for place, end in zip(edge, each.interval, strict=True)]
+        np.testing.assert_allclose(bar, ends)
+        arrows = [sign for sign, end in zip("<>", each.interval, strict=True) if end is None]
+        assert marks(axes) == arrows + ["|"] * each.determined
+        assert edge[0] < each.value < edge[1]
+        unit = "" if each.unit == "1" else f" / {each.unit}"
+        assert axes.get_ylabel() == f"{each.symbol}{unit}"
+
+
+def test_an_undetermined_parameter_shows_no_estimate_though_its_interval_is_closed():
+    wide = reported.estimate(determined=False, interval=(2.0, 700.0), verdict="not determined")
+    (axes,) = figures.intervals(reported.known_parameters(wide)).axes
+    assert marks(axes) == []
+    assert len(axes.get_lines()) == 1
+    assert axes.get_lines()[0].get_color() != COLOURS["benchmark"]
+
+
+@pytest.mark.parametrize("interval", [(-0.2, 0.3), (0.0, 0.3), (None, 0.1), (-0.2, None), (0.0, 0.0)])
+def test_an_interval_around_zero_is_drawn_on_a_plain_scale(interval):
+    around = reported.estimate("shape", unit="1", value=0.0, linear=True, lower=-1.0, interval=interval)
+    (axes,) = figures.intervals(reported.known_parameters(around)).axes
+    assert axes.get_xscale() == "linear"
+    assert axes.get_xlim()[0] < 0.0 < axes.get_xlim()[1]
+
+
+@pytest.mark.parametrize("value", [1e-4, 0.08, 1.0, 30.0, 1e5])
+def test_an_interval_has_numbers_along_its_scale_that_can_be_told_apart(value):
+    for error in (0.003 * value, 0.03 * value, 0.3 * value):
+        figure = figures.intervals(reported.known_parameters(reported.estimate(value=value, error=error)))
+        figure.draw_without_rendering()
+        shown = ticks(figure.axes[0], "x")
+        assert len(shown) >= 2
+        assert len(set(shown)) == len(shown)
+
+
+# --- the valve ----------------------------------------------------------------------------------------------
+
+
+def test_the_map_of_the_valve_has_gain_and_dead_zone_of_the_benchmark(pressed, ramp):
+    channel = handmade.channel(LIFTING)
+    test = pressed(*[0.4, 0.5, 0.6] * 8)
+    axes = figures.valve_map(channel, [test], [ramp], "mm", "A").axes[0]
+    lines = {line.get_label(): line for line in axes.get_lines()}
+    zone, gain = handmade.DEAD_ZONES[LIFTING], handmade.GAINS[LIFTING]
+
+    def steady(command):
+        return gain * np.maximum(command - zone, 0)
+
+    command, speed = lines["benchmark"].get_data()
+    # Numbers of the model are double, the kernel of the travel is single: seven digits.
+    np.testing.assert_allclose(speed, steady(command), atol=1e-4)
+    assert set(lines["dead zone"].get_xdata()) == {zone}
+    command, speed = lines["ramps"].get_data()
+    # Half a second of the ramp spans 0.025 A; where it bends, the mean slope is off by a quarter of that.
+    np.testing.assert_allclose(speed, steady(command), atol=gain * 0.025 / 4)
+    points = [line for line in axes.get_lines() if line.get_marker() == "o" and len(line.get_xdata()) == 1]
+    assert points
+    for point in points:
+        (place,), (middle,) = point.get_data()
+        assert middle == pytest.approx(steady(place), abs=1e-6)
+
+
+def test_the_map_of_the_valve_needs_no_ramp_and_no_command_that_stands(make_record):
+    command = 0.4 + 0.1 * np.sin(np.arange(200))
+    moving = make_record(100 + np.arange(200.0), command, 0 * command)
+    axes = figures.valve_map(handmade.channel(LIFTING), [moving], [], "mm", "A").axes[0]
+    labels = {line.get_label() for line in axes.get_lines()}
+    assert {"benchmark", "dead zone"} <= labels
+    assert not {"ramps", "tests"} & labels
+
+
+def test_a_ramp_is_drawn_up_to_where_motion_is_plain(ramp):
+    axes = figures.dead_zone([ramp], LIFTING, 0.35, 0.01, "mm", "A").axes[0]
+    way, value = axes.get_lines()
+    assert set(value.get_xdata()) == {0.35}
+    command, moved = way.get_data()
+    assert command.max() <= ONSET * 0.35
+    assert moved[command < 0.35].max() == 0
+    assert np.interp(0.5, command, moved) == pytest.approx(
+        np.interp(0.5, ramp.command(LIFTING), ramp.displacement - 100), abs=0.05
+    )
+    (spread,) = axes.patches
+    assert (spread.get_x(), spread.get_x() + spread.get_width()) == pytest.approx((0.34, 0.36))
+
+
+def test_a_dead_zone_of_one_ramp_has_no_spread(ramp):
+    assert not figures.dead_zone([ramp], LIFTING, 0.35, None, "mm", "A").axes[0].patches
+
+
+# --- what is not there, or not finite -----------------------------------------------------------------------
+
+
+def with_errors(value, model="free_run", sizes=(300, 250)):
+    """Return tests on which a model goes off to some value halfway."""
+    tests = reported.predictions(sizes)
+    rows = tuple(np.where(np.arange(y.size) > y.size // 2, value, y) for y in tests.models[model])
+    return tests.beside({model: rows})
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e200])
+@pytest.mark.parametrize("sizes", [(300, 250), (3000,)])
+def test_a_model_that_diverged_is_drawn_without_a_warning(value, sizes):
+    tests = with_errors(value, sizes=sizes)
+    for figure in (
+        figures.outputs(tests, "mm"),
+        figures.errors_by_test(tests, "mm", RIVALS),
+        figures.predicted_errors({"test": with_errors(value, "one_step", sizes)}, "mm"),
+    ):
+        assert svg(figure)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e200])
+def test_a_distribution_leaves_the_errors_of_what_diverged_out(value):
+    tests = with_errors(value)
+    rows = {name: tests.errors(name) for name in ("free_run", "benchmark")}
+    above, below = figures.error_distribution(rows, "mm").axes
+    alone, _ = figures.error_distribution({"benchmark": rows["benchmark"]}, "mm").axes
+    assert above.get_xlim() == alone.get_xlim()
+    assert sum(len(line.get_xdata()) > 0 for line in below.get_lines()) == 1
+    assert svg(figures.error_distribution({"free_run": rows["free_run"]}, "mm"))
+
+
+def without_finite_fitness():
+    trace = reported.trace()
+    trace["phase1"]["fitness"] = [None] * 20
+    return figures.convergence(trace, "mm")
+
+
+def without_an_end():
+    known = reported.searches()
+    known["whale"] |= {"rmse": [None] * 3, "median_run": {"rmse": [None], "values": []}}
+    return figures.searches(known, "mm")
+
+
+SPARSE = {
+    "one test": lambda: figures.outputs(reported.predictions((30,), band=False), "mm"),
+    "one model": lambda: figures.errors_by_test(reported.predictions((30,)), "mm", ["free_run"]),
+    "constant errors": lambda: figures.error_distribution({"free_run": np.full(100, 0.1)}, "mm"),
+    "errors of zero": lambda: figures.error_distribution({"free_run": np.zeros(100)}, "mm"),
+    "one error": lambda: figures.error_distribution({"free_run": np.ones(1)}, "mm"),
+    "one horizon": lambda: figures.horizons({"steps": [1], "greybox": [0.1]}, 0.01, "mm"),
+    "one parameter": lambda: figures.intervals(reported.known_parameters(reported.estimate())),
+    "no finite fitness": without_finite_fitness,
+    "a search without an end": without_an_end,
+    "one candidate": lambda: figures.structures(reported.trace(candidates=1)["candidates"], "mm"),
+    "two epochs": lambda: figures.losses(reported.trace(iterations=2)),
+    "errors that stand": lambda: figures.residual_correlations(reported.residuals(level=0.1)),
+    "no errors": lambda: figures.residual_correlations(reported.residuals(level=0.0)),
+    "errors that stand by place": lambda: figures.residuals_by_place(
+        reported.residuals(level=0.1), "mm", "A"
+    ),
+}
+
+
+@pytest.mark.parametrize("drawn", SPARSE.values(), ids=SPARSE.keys())
+def test_little_is_drawn_without_a_warning(drawn):
+    assert "<svg" in svg(drawn())
+
+
+def test_errors_that_do_not_spread_are_still_in_the_legend():
+    figure = figures.error_distribution({"free_run": np.full(9, 0.1), "one_step": np.arange(9.0)}, "mm")
+    assert len(figure.legends[0].get_texts()) == 2
+
+
+# --- thinned curves -----------------------------------------------------------------------------------------
+
+VALUES = st.lists(
+    st.one_of(st.floats(-1e6, 1e6), st.just(float("nan")), st.integers(-3, 3).map(float)),
+    max_size=40,
+)
+
+
+@settings(max_examples=40)
+@given(values=VALUES, repeats=st.integers(1, 120), seed=st.integers(0, 99))
+def test_a_thinned_curve_keeps_its_extremes_its_gaps_and_its_order(values, repeats, seed):
+    whole = np.random.default_rng(seed).permutation(np.repeat(np.array(values, dtype=float), repeats))
+    place = np.arange(whole.size)
+    at, kept = thinned(place, whole)
+    assert np.all(np.diff(at) > 0)
+    np.testing.assert_array_equal(kept, whole[at])
+    gaps = np.isnan(whole)
+    assert np.isnan(kept).sum() == gaps.sum()
+    assert at.size <= 2 * STRETCHES + gaps.sum()
+    if not gaps.all():
+        assert (np.nanmin(kept), np.nanmax(kept)) == (np.nanmin(whole), np.nanmax(whole))
+
+
+@settings(max_examples=20)
+@given(samples=st.integers(700, 5000), seed=st.integers(0, 99))
+def test_a_thinned_curve_lies_nowhere_far_from_the_whole(samples, seed):
+    walk = np.cumsum(np.random.default_rng(seed).standard_normal(samples))
+    at, kept = thinned(np.arange(samples), walk)
+    # Between two points that are kept lie two stretches of samples at most, whose spread bounds the miss.
+    reach = 2 * -(-samples // STRETCHES)
+    for k in np.random.default_rng(seed).integers(at[0], at[-1], 20):
+        near = walk[max(0, k - reach) : k + reach + 1]
+        assert near.min() <= np.interp(k, at, kept) <= near.max()
+
+
+def test_a_short_curve_is_left_as_it_is():
+    values = np.random.default_rng(0).standard_normal(2 * STRETCHES)
+    place = np.arange(values.size)
+    assert thinned(place, values) == (place, values) or thinned(place, values)[1] is values

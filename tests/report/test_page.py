@@ -1,0 +1,354 @@
+"""The page: HTML that is well formed, that anyone can find their way in, and that needs nothing else."""
+
+import re
+from dataclasses import replace
+from functools import cache
+from html.parser import HTMLParser
+from itertools import pairwise
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from matplotlib.figure import Figure
+
+import reported
+from hitchid.report import Document, Picture, Pictures, Section, Text
+from hitchid.report.page import html, numeric
+from hitchid.report.svg import svg
+from hitchid.validation import Table
+
+# Elements that have no end, in HTML.
+VOID = {"meta", "link", "br", "hr", "img", "input"}
+HOSTILE = (
+    "<script>alert(1)</script>",
+    '"><img src=x onerror=alert(1)>',
+    "a & b &amp; <b>c</b> 'd' \"e\"",
+    "line\nbreak\ttab\r\n",
+    "{{ 7 * 7 }} {% raw %} {# #}",
+    "</style></title></section><!-- -->",
+    "http://example.org/ //example.org javascript:alert(1)",
+)
+RTL = "log-\N{RIGHT-TO-LEFT OVERRIDE}gnp.exe"
+
+
+class Element:
+    """One element of a page: its tag, attributes, parent, and what is inside it in order."""
+
+    def __init__(self, tag, attributes, parent):
+        self.tag, self.attributes, self.parent, self.inside = tag, dict(attributes), parent, []
+
+    def all(self, *tags):
+        """Yield every element within, of some tags."""
+        for each in self.inside:
+            if isinstance(each, Element):
+                if not tags or each.tag in tags:
+                    yield each
+                yield from each.all(*tags)
+
+    @property
+    def text(self):
+        return "".join(each if isinstance(each, str) else each.text for each in self.inside)
+
+    def __getitem__(self, name):
+        return self.attributes[name]
+
+    def get(self, name, default=None):
+        return self.attributes.get(name, default)
+
+
+class Reader(HTMLParser):
+    """Reads a page into elements and notes every tag that is not closed where it was opened."""
+
+    def __init__(self, text):
+        super().__init__(convert_charrefs=True)
+        self.root = self.here = Element("", {}, None)
+        self.faults = []
+        self.feed(text)
+        self.close()
+        if self.here is not self.root:
+            self.faults.append(f"{self.here.tag} never ends")
+
+    def handle_starttag(self, tag, attrs):
+        if len({name for name, _ in attrs}) < len(attrs):
+            self.faults.append(f"{tag} has an attribute twice")
+        element = Element(tag, attrs, self.here)
+        self.here.inside.append(element)
+        if tag not in VOID:
+            self.here = element
+
+    def handle_startendtag(self, tag, attrs):
+        self.here.inside.append(Element(tag, attrs, self.here))
+
+    def handle_endtag(self, tag):
+        if tag != self.here.tag:
+            self.faults.append(f"line {self.getpos()[0]}: </{tag}> ends {self.here.tag}")
+        self.here = self.here.parent or self.root
+
+    def handle_data(self, data):
+        self.here.inside.append(data)
+
+
+def page(document):
+    """Return a report as text; its figures are all the same one."""
+    return html(document, dict.fromkeys((each.name for each in document.pictures), small_figure()))
+
+
+@cache
+def small_figure():
+    """Return a figure as a file."""
+    return svg(reported.picture().figure)
+
+
+def read(text):
+    """Return a page as elements, well formed."""
+    reader = Reader(text)
+    assert reader.faults == []
+    return reader.root
+
+
+@pytest.fixture(scope="module")
+def text():
+    """Return a page with a block of every kind."""
+    return page(reported.document())
+
+
+@pytest.fixture(scope="module")
+def root(text):
+    return read(text)
+
+
+# --- how it is built ----------------------------------------------------------------------------------------
+
+
+def test_a_page_is_html_in_utf_8_with_a_title_and_a_language(text, root):
+    assert text.lstrip().startswith("<!doctype html>")
+    (whole,) = root.all("html")
+    assert whole["lang"] == "en"
+    assert any(meta.get("charset") == "utf-8" for meta in root.all("meta"))
+    assert any("width=device-width" in meta.get("content", "") for meta in root.all("meta"))
+    (title,) = root.all("title")
+    assert title.text == "A report"
+
+
+def test_headings_begin_with_one_of_the_first_level_and_skip_none(root):
+    levels = [int(each.tag[1]) for each in root.all("h1", "h2", "h3", "h4", "h5", "h6")]
+    assert levels[0] == 1
+    assert levels.count(1) == 1
+    assert max(levels) == 4
+    assert all(after <= before + 1 for before, after in pairwise(levels))
+
+
+def test_a_page_has_one_main_part_with_the_verdict_first(root):
+    (main,) = root.all("main")
+    first = next(main.all("section"))
+    assert first["id"] == "verdict"
+    words = [each.text for each in first.all("li")]
+    findings = reported.FINDINGS
+    assert len(words) == len(findings) + 1
+    for said, finding in zip(words, findings, strict=False):
+        # The level is a word too: a sign and a colour alone say nothing to who cannot see them.
+        assert finding.level.value in said
+        assert finding.sentence in said
+    assert words[-1] == "Mind the gap."
+
+
+def test_signs_are_hidden_from_who_hears_the_page(root):
+    signs = [each for each in root.all("span") if each.get("class") == "sign"]
+    assert len(signs) == 3 * len(reported.FINDINGS)
+    assert {each.get("aria-hidden") for each in signs} == {"true"}
+    assert len({each.text for each in signs}) == 3
+
+
+def test_a_report_without_a_notice_has_no_heading_for_them():
+    assert "To keep in mind" not in page(reported.document(notices=()))
+
+
+def test_identifiers_differ_and_every_link_of_the_contents_leads_to_a_section(root):
+    identifiers = [each["id"] for each in root.all() if each.get("id") is not None]
+    assert len(identifiers) == len(set(identifiers))
+    assert not any(re.search(r"\s", each) for each in identifiers)
+    (nav,) = root.all("nav")
+    links = list(nav.all("a"))
+    sections = {each["id"]: each for each in root.all("section")}
+    assert [each.text for each in links] == ["Verdict", "Mixed cycles", "Logs"]
+    for link in links:
+        assert link["href"].startswith("#")
+        heading = next(sections[link["href"][1:]].all("h2"))
+        assert heading.text == link.text
+
+
+def test_sections_of_one_name_in_several_have_identifiers_of_their_own():
+    both = tuple(Section(mode, sections=(Section("Trust"), Section("Errors"))) for mode in ("Up", "Down"))
+    root = read(page(replace(reported.document(), sections=both)))
+    identifiers = [each["id"] for each in root.all("section")]
+    assert len(set(identifiers)) == 7
+
+
+def test_blocks_stand_in_the_order_of_the_report(root):
+    section = next(each for each in root.all("section") if each["id"] == "mixed-cycles")
+    kinds = [each.tag for each in section.inside if isinstance(each, Element)]
+    assert kinds == ["h2", "div", "p", "section"]
+
+
+# --- tables -------------------------------------------------------------------------------------------------
+
+
+def test_a_table_has_a_caption_scoped_headers_and_every_cell(root):
+    tables = list(root.all("table"))
+    assert len(tables) == 2
+    for table in tables:
+        caption = next(table.all("caption"))
+        assert caption.text == "Lifting: accuracy"
+        head, body = next(table.all("thead")), next(table.all("tbody"))
+        assert [each.text for each in head.all("th")] == list(reported.TABLE.header)
+        assert {each["scope"] for each in head.all("th")} == {"col"}
+        rows = [list(row.all("th", "td")) for row in body.all("tr")]
+        assert [tuple(cell.text for cell in row) for row in rows] == list(reported.TABLE.rows)
+        for first, *others in rows:
+            assert (first.tag, first["scope"]) == ("th", "row")
+            assert {each.tag for each in others} == {"td"}
+
+
+def test_a_table_can_be_reached_by_keyboard_and_says_what_it_is(root):
+    for table in root.all("table"):
+        around = table.parent
+        assert (around["role"], around["tabindex"]) == ("region", "0")
+        assert around["aria-label"] == reported.TABLE.title
+
+
+def test_columns_of_numbers_stand_right_head_and_cells(root):
+    table = next(root.all("table"))
+    header = next(table.all("thead")).all("th")
+    right = [cell.get("class") == "number" for cell in header]
+    assert right == [False, True, True, True, False]
+    for row in next(table.all("tbody")).all("tr"):
+        assert [cell.get("class") == "number" for cell in row.all("th", "td")] == right
+
+
+@pytest.mark.parametrize(
+    ("cells", "right"),
+    [
+        (("1", "-2.5"), True),
+        (("41.85 ± 0.30", ""), True),
+        (("1.2 … 3.4", "> 988", "< 0.05"), True),
+        (("diverged", "0.5"), True),
+        (("any", "1"), True),
+        (("1e-05", "2.5e+07"), True),
+        (("100.0 %", "3"), True),
+        (("", ""), False),
+        (("grey box", "1"), False),
+        (("determined", "determined"), False),
+        (("1 of 8", "2"), False),
+        (("mm", "s"), False),
+        (("4f2a9b0e11111111", "4111111111111111"), False),
+    ],
+)
+def test_a_column_is_of_numbers_where_every_cell_of_it_is_one(cells, right):
+    found = numeric(Table("", ("name", "value"), tuple(("row", cell) for cell in cells)))
+    assert found == [False, right]
+
+
+def test_a_table_without_a_row_is_still_a_table():
+    empty = Table("lifting: nothing", ("model", "RMSE / mm"), ())
+    (table, _) = read(page(reported.document(table=empty))).all("table")
+    assert [each.text for each in next(table.all("thead")).all("th")] == ["model", "RMSE / mm"]
+
+
+# --- figures ------------------------------------------------------------------------------------------------
+
+
+def test_a_figure_has_a_caption_and_an_image_with_a_text(root):
+    figures = list(root.all("figure"))
+    assert [each["id"] for each in figures] == ["figure-curve", "figure-long"]
+    for figure in figures:
+        assert next(figure.all("figcaption")).text == "What is seen."
+        (image,) = figure.all("svg")
+        assert image["role"] == "img"
+        assert image["aria-label"] == "Error over the horizon."
+
+
+def test_only_a_wide_figure_scrolls_and_can_be_reached_by_keyboard(root):
+    narrow, wide = root.all("figure")
+    assert not any(each.get("tabindex") for each in narrow.all())
+    assert next(wide.all("div"))["tabindex"] == "0"
+
+
+def test_only_what_can_be_used_is_reached_by_keyboard(root):
+    for each in root.all():
+        if each.get("tabindex") is not None:
+            assert each["tabindex"] == "0"
+            assert each["role"] == "region"
+            assert each["aria-label"]
+
+
+# --- nothing from outside, nothing that runs ----------------------------------------------------------------
+
+
+def test_a_page_runs_nothing_and_asks_for_nothing(text, root):
+    assert "<script" not in text
+    assert "@import" not in text
+    for each in root.all():
+        assert not [name for name in each.attributes if name.startswith("on")]
+        for name in ("src", "href", "xlink:href", "srcset", "action", "data"):
+            target = each.get(name)
+            assert target is None or target.startswith(("#", "data:")), (each.tag, target)
+    assert all(each.startswith("#") for each in re.findall(r"url\(['\"]?([^)'\"]+)", text))
+    assert not re.search(r"https?://", text)
+
+
+def test_the_same_report_gives_the_same_bytes(text):
+    assert page(reported.document()) == text
+
+
+@pytest.mark.parametrize("said", [*HOSTILE, RTL])
+def test_whatever_a_name_holds_it_is_read_as_it_was_written(said):
+    table = Table(f"t {said}", (f"h {said}", "n"), ((f"c {said}", f"d {said}"),))
+    items = tuple(
+        reported.picture(name, caption=said, alt=said, wide=name == "wide") for name in ("narrow", "wide")
+    )
+    document = reported.document(
+        said=said, table=table, items=items, title=f"title {said}", notices=(f"notice {said}",)
+    )
+    root = read(page(document))
+    assert {each.tag for each in root.all()} <= {each.tag for each in read(page(reported.document())).all()}
+    heard = said.replace("\r\n", "\n")
+
+    def found(tag):
+        return [each.text.replace("\r\n", "\n") for each in root.all(tag)]
+
+    assert found("h1") == [f"title {heard}"]
+    assert f"notice {heard}" in found("li")
+    assert heard in found("p")
+    assert found("caption")[0].endswith(f" {heard}")
+    assert found("td")[0] == f"d {heard}"
+    assert found("figcaption") == [heard, heard]
+    for image in root.all("svg"):
+        assert image["aria-label"].replace("\r\n", "\n") == heard
+
+
+@settings(max_examples=40)
+@given(said=st.text(max_size=30))
+def test_no_text_breaks_the_page(said):
+    small = Document(
+        said,
+        said,
+        reported.FINDINGS,
+        (said,),
+        (Section("Logs", (Text(said), Table(said, (said, "n"), ((said, said),)))),),
+    )
+    assert Reader(html(small, {})).faults == []
+
+
+def test_half_a_letter_does_not_keep_a_page_from_being_made():
+    document = reported.document(said="log-\udcff")
+    text = page(document)
+    assert read(text.encode("utf-8", errors="backslashreplace").decode()).all("p")
+
+
+def test_a_figure_whose_words_are_hostile_stays_a_figure():
+    drawn = Figure()
+    drawn.text(0.2, 0.2, "<script>alert(1)</script> & $x_1$")
+    picture = Picture("hostile", drawn, "", "")
+    document = replace(reported.document(), sections=(Section("A", (Pictures((picture,)),)),))
+    root = read(html(document, {"hostile": svg(drawn)}))
+    assert not list(root.all("script"))

@@ -1,0 +1,625 @@
+"""Reports of made-up benches: a verdict true to the figures, and a section for what there is."""
+
+import hashlib
+import json
+import re
+import shutil
+from dataclasses import replace
+from functools import partial
+from html import escape
+
+import equinox as eqx
+import numpy as np
+import pytest
+
+import benches
+import handmade
+import reported
+from hitchid.errors import InputError, OutputError
+from hitchid.model import Provenance, installed_versions
+from hitchid.readers import read, write_table
+from hitchid.record import LIFTING, LOWERING
+from hitchid.report import (
+    FIGURES,
+    Level,
+    Pictures,
+    Text,
+    comparison_report,
+    sections,
+    validation_report,
+    write_report,
+)
+from hitchid.report.document import Findings
+from hitchid.report.svg import svg
+from hitchid.uncertainty import Uncertainty
+from hitchid.validation import Table, check_limits, compare, read_limits, validate
+
+MODES = (LIFTING, LOWERING)
+COMMAND = "hitchid validate 'my model' logs --out report"
+
+
+def known(model, *modes, parameters=reported.ESTIMATES):
+    """Return a model that tells its parameters, as one that was identified does."""
+    told = {
+        mode: replace(
+            model.uncertainty.get(mode, Uncertainty(reported.known_estimates())),
+            benchmark=reported.known_estimates(*parameters),
+        )
+        for mode in modes
+    }
+    return replace(model, uncertainty={**model.uncertainty, **told})
+
+
+def diverging(model):
+    """Return a model whose lifting diverges."""
+    channel = model.channels[LIFTING]
+    wild = eqx.tree_at(lambda c: c.benchmark.values, channel, channel.benchmark.values * np.inf)
+    return replace(model, channels={**model.channels, LIFTING: wild})
+
+
+PLAIN = handmade.hitch("integrator")
+# The plant's own structure and time constant, so nothing made by hand is nearer to it.
+RIGHT = handmade.hitch("integrator-first-order")
+WHOLE = known(
+    handmade.with_bands(handmade.hitch("integrator", compensated=True, baselines=True), *MODES), *MODES
+)
+PARTS = {
+    "whole": WHOLE,
+    "diverging": diverging(handmade.hitch("integrator", baselines=True)),
+    "lifting alone": handmade.hitch("integrator", modes=(LIFTING,)),
+}
+
+
+def with_a_cycle(folder, place):
+    """Return a copy of a folder of logs with one that goes up for a second and down for a second."""
+    logs = shutil.copytree(folder, place)
+    up, down = np.repeat([0, 0.6, 0, 0], 100), np.repeat([0, 0, 0, 0.6], 100)
+    columns = {
+        "time_s": np.round(0.01 * np.arange(400), 4),
+        "current_up_A": up,
+        "current_down_A": down,
+        "displacement_mm": 100 + np.cumsum(0.07 * (up > 0) - 0.05 * (down > 0)),
+    }
+    write_table(logs / "cycle-01.csv", columns)
+    return logs
+
+
+@pytest.fixture(scope="module")
+def logs(bench_folder, tmp_path_factory):
+    """Return three tests of each direction and a cycle."""
+    return with_a_cycle(bench_folder, tmp_path_factory.mktemp("reports") / "logs")
+
+
+@pytest.fixture(scope="module")
+def campaign(logs):
+    return read(logs)
+
+
+@pytest.fixture(scope="module")
+def validated(campaign):
+    """Return a function that validates one of `PARTS`, once."""
+    found = {}
+
+    def run(name):
+        if name not in found:
+            with np.errstate(all="ignore"):
+                found[name] = validate(PARTS[name], campaign)
+        return found[name]
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def report(validated, campaign):
+    """Return a function that reports on one of `PARTS`; the trace is that of an identification with all."""
+    trace = dict.fromkeys(MODES, reported.trace())
+    found = {}
+
+    def make(name):
+        if name not in found:
+            told = {"trace": trace} if name == "whole" else {}
+            found[name] = validation_report(validated(name), PARTS[name], campaign, command=COMMAND, **told)
+        return found[name]
+
+    return make
+
+
+def blocks(section, kind):
+    """Return every block of a kind in a section and those below it."""
+    inside = [each for each in section.blocks if isinstance(each, kind)]
+    return inside + [each for below in section.sections for each in blocks(below, kind)]
+
+
+def titles(sections):
+    return [each.title for each in sections]
+
+
+def section(document, title):
+    (found,) = (each for each in document.sections if each.title == title)
+    return found
+
+
+def findings(document, *words):
+    """Return the findings of the verdict that say some words."""
+    return [each for each in document.verdict if all(word in each.sentence for word in words)]
+
+
+# --- what a report holds ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_every_figure_has_a_name_of_its_own_a_caption_and_words_for_who_cannot_see_it(report, name):
+    pictures = list(report(name).pictures)
+    names = [each.name for each in pictures]
+    assert len(names) == len(set(names)) > 5
+    for each in pictures:
+        assert re.fullmatch(r"[a-z]+(-[a-z]+)*", each.name)
+        for said in (each.caption, each.alt):
+            assert len(said) > 20
+            assert said.endswith((".", "determined", "fits")) or ";" in said or ":" in said, said
+        assert each.wide == (each.figure.get_figwidth() > 4)
+
+
+@pytest.mark.parametrize("name", ["whole", "diverging"])
+def test_no_figure_is_drawn_with_a_warning(report, name, recwarn):
+    for each in report(name).pictures:
+        assert "<svg" in svg(each.figure)
+    assert not [str(each.message) for each in recwarn]
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_every_table_has_a_title_and_rows_as_long_as_its_header(report, name):
+    tables = [table for each in report(name).sections for table in blocks(each, Table)]
+    assert tables
+    for table in tables:
+        assert table.title
+        assert table.rows
+        assert {len(row) for row in table.rows} == {len(table.header)}
+        assert all(isinstance(cell, str) for row in table.rows for cell in row)
+        assert not any("None" in cell or "nan" in cell.lower().split() for row in table.rows for cell in row)
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_no_section_is_empty_and_every_sentence_is_one(report, name):
+    document = report(name)
+
+    def check(each):
+        assert each.blocks or each.sections, each.title
+        for below in each.sections:
+            check(below)
+
+    for each in document.sections:
+        check(each)
+    texts = [text.said for each in document.sections for text in blocks(each, Text)]
+    found = [item for each in document.sections for group in blocks(each, Findings) for item in group.items]
+    for said in (*document.notices, *texts, *(item.sentence for item in (*document.verdict, *found))):
+        assert said[0] == said[0].upper()
+        assert said.endswith(".")
+        assert not said.endswith("..")
+
+
+def test_a_report_of_everything_has_every_section(report):
+    document = report("whole")
+    ends = ["Mixed cycles", "Logs", "How to reproduce"]
+    assert titles(document.sections) == ["Lifting", "Lowering", *ends]
+    inside = ["Accuracy", "Errors", "Trust", "Parameters", "Search and training"]
+    for mode in MODES:
+        assert titles(section(document, mode.capitalize()).sections) == inside
+        pictures = blocks(section(document, mode.capitalize()), Pictures)
+        names = {each.name for group in pictures for each in group.items}
+        assert names == {
+            f"{mode}-{name}"
+            for name in (
+                "horizons",
+                "tests",
+                "outputs",
+                "distribution",
+                "predicted-errors",
+                "coverage",
+                "correlations",
+                "places",
+                "intervals",
+                "valve",
+                "convergence",
+                "losses",
+                "structures",
+            )
+        }
+
+
+def test_a_report_has_sections_only_for_what_there_is(report):
+    alone = report("lifting alone")
+    assert titles(alone.sections) == ["Lifting", "Logs", "How to reproduce"]
+    assert titles(section(alone, "Lifting").sections) == ["Accuracy", "Errors", "Trust", "Parameters"]
+    names = {each.name for each in alone.pictures}
+    assert not {name for name in names if name.startswith(("lowering", "cycles"))}
+    assert not {name for name in names if name.endswith(("coverage", "intervals", "convergence", "losses"))}
+
+
+def test_a_model_that_diverged_is_reported_without_the_errors_nobody_can_test(report):
+    document = report("diverging")
+    assert "Trust" not in titles(section(document, "Lifting").sections)
+    assert "Trust" in titles(section(document, "Lowering").sections)
+    accuracy = blocks(section(document, "Lifting"), Table)[0]
+    (row,) = (row for row in accuracy.rows if row[:2] == ("grey box", "free run"))
+    assert set(row[2:]) == {"diverged"}
+
+
+def test_logs_of_cycles_alone_are_reported_by_their_strokes(logs, tmp_path):
+    (tmp_path / "logs").mkdir()
+    shutil.copy(logs / "cycle-01.csv", tmp_path / "logs")
+    campaign = read(tmp_path / "logs")
+    document = validation_report(validate(PLAIN, campaign), PLAIN, campaign)
+    assert titles(document.sections)[:3] == ["Lifting", "Lowering", "Mixed cycles"]
+    assert [each for each in document.pictures if each.name == "timeline"]
+
+
+# --- the verdict --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_the_verdict_has_the_figures_of_the_result(report, validated, name):
+    document = report(name)
+    for mode, channel in validated(name).metrics["channels"].items():
+        (free,) = findings(document, f"{mode.capitalize()}", "free run")
+        figures = channel["greybox"]["free_run"]
+        assert f"{len(channel['tests'])} unseen tests" in free.sentence
+        if figures["rmse"] is None:
+            assert (free.level, "diverged" in free.sentence) == (Level.BAD, True)
+            continue
+        told = float(re.search(r"RMSE ([\d.e+-]+)", free.sentence)[1])
+        # Two digits of the standard error are told, so half a unit of the second.
+        assert told == pytest.approx(figures["rmse"], abs=0.1 * figures["rmse_error"])
+        assert f"(fit {figures['fit']:.3g} %)" in free.sentence
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_a_free_run_is_good_only_where_it_is_better_than_every_baseline(report, validated, name):
+    document = report(name)
+    for mode, channel in validated(name).metrics["channels"].items():
+        (free,) = findings(document, mode.capitalize(), "free run")
+        own = channel["greybox"]["free_run"]["rmse"]
+        rivals = [each.get("free_run", {}).get("rmse") for each in channel["baselines"].values()]
+        rivals = [rival for rival in rivals if rival is not None]
+        better = own is not None and bool(rivals) and own < min(rivals)
+        assert (free.level == Level.GOOD) == better
+        if own is not None and rivals:
+            assert f"{min(rivals):.3g} mm" in free.sentence
+        if own is not None and not rivals:
+            assert "no baseline" in free.sentence
+
+
+@pytest.fixture
+def judged(validated):
+    """Return a function that judges the whole model anew after its figures of lifting were changed."""
+
+    def judge(change):
+        metrics = json.loads(json.dumps(validated("whole").metrics))
+        change(metrics["channels"][LIFTING])
+        return sections.verdict(replace(validated("whole"), metrics=metrics), None)
+
+    return judge
+
+
+def finding(verdict, *words):
+    """Return the one finding that says some words."""
+    (found,) = (each for each in verdict if all(word in each.sentence for word in words))
+    return found
+
+
+def test_a_free_run_better_than_every_baseline_is_good(judged):
+    def worsen(lifting):
+        for each in lifting["baselines"].values():
+            if "free_run" in each:
+                each["free_run"]["rmse"] = 9.0
+
+    assert finding(judged(worsen), "Lifting, free run").level == Level.GOOD
+
+
+@pytest.mark.parametrize(
+    ("covered", "level"),
+    [(0.5, Level.BAD), (0.84, Level.BAD), (0.86, Level.GOOD), (0.94, Level.GOOD), (0.99, Level.CAUTION)],
+)
+def test_a_band_is_judged_by_what_it_holds(judged, covered, level):
+    verdict = judged(lambda lifting: lifting["bands"]["free_run"].update(covered=covered))
+    band = finding(verdict, "Lifting", "band")
+    assert band.level == level
+    assert f"held {100 * covered:.0f} %" in band.sentence
+
+
+def test_parameters_that_are_not_determined_are_named(report):
+    said = finding(report("whole").verdict, "Lifting", "parameters")
+    assert said.level == Level.CAUTION
+    assert "3 of 5" in said.sentence
+    assert said.sentence.endswith(": τ, ωh, ξh.")
+
+
+@pytest.mark.parametrize("names", [("gain",), ("gain", "curvature")])
+def test_parameters_that_all_are_determined_are_good(judged, names):
+    def keep(lifting):
+        estimates = lifting["parameters"]["estimates"]
+        lifting["parameters"]["estimates"] = {name: estimates[name] for name in names}
+
+    assert finding(judged(keep), "Lifting", "parameter", "determined").level == Level.GOOD
+
+
+def test_nothing_is_said_of_parameters_that_nobody_told(judged):
+    verdict = judged(lambda lifting: lifting["parameters"].update(estimates={}))
+    assert not [each for each in verdict if "Lifting" in each.sentence and "parameter" in each.sentence]
+
+
+def test_cycles_are_good_only_where_nothing_beside_them_is_better(report, validated):
+    cycles = validated("whole").metrics["cycles"]
+    said = finding(report("whole").verdict, "Mixed cycles")
+    own = cycles["greybox"]["free_run"]
+    rivals = [cycles[name]["free_run"]["rmse"] for name in ("benchmark", "transfer_function")]
+    assert (said.level == Level.GOOD) == all(own["rmse"] <= rival for rival in rivals)
+    assert f"{own['max_abs']:.3g} mm" in said.sentence
+
+
+LIMITS = 'unit = "mm"\n[lifting]\ntests = {tests}\nfree_run.rmse = {rmse}\n'
+
+
+@pytest.mark.parametrize(("tests", "rmse", "failed"), [(3, 90.0, 0), (3, 1e-3, 1), (99, 1e-3, 2)])
+def test_acceptance_stands_first_and_tells_what_fails(validated, tmp_path, tests, rmse, failed):
+    (tmp_path / "limits.toml").write_text(LIMITS.format(tests=tests, rmse=rmse))
+    result = validated("lifting alone")
+    acceptance = check_limits(result.metrics, read_limits(tmp_path / "limits.toml"))
+    first = sections.verdict(result, acceptance)[0]
+    assert first.level == (Level.BAD if failed else Level.GOOD)
+    assert first.sentence.startswith("Not accepted" if failed else "Accepted")
+    below = sections.limits(acceptance)
+    assert below.title == "Acceptance"
+    (table,) = blocks(below, Table)
+    assert [row[-1] for row in table.rows].count("fail") == failed
+    said = [item for group in blocks(below, Findings) for item in group.items]
+    assert len(said) == failed
+    assert {each.level for each in said} <= {Level.BAD}
+    for check in acceptance.checks:
+        assert (check.name in first.sentence) == (not check.passed)
+
+
+def test_limits_stand_before_the_directions(validated, campaign, tmp_path):
+    (tmp_path / "limits.toml").write_text(LIMITS.format(tests=3, rmse=1.0))
+    result = validated("lifting alone")
+    acceptance = check_limits(result.metrics, read_limits(tmp_path / "limits.toml"))
+    document = validation_report(result, PARTS["lifting alone"], campaign, acceptance=acceptance)
+    assert titles(document.sections)[:2] == ["Acceptance", "Lifting"]
+    assert "ccepted" in document.verdict[0].sentence
+
+
+def test_without_limits_nothing_is_accepted(report):
+    assert not findings(report("whole"), "ccepted")
+
+
+def test_notices_of_the_result_are_sentences_of_the_report(report, validated):
+    notices = validated("whole").notices
+    assert notices
+    for notice, said in zip(notices, report("whole").notices, strict=True):
+        assert said.lower() == f"{notice.lower()}."
+
+
+# --- logs and origin ----------------------------------------------------------------------------------------
+
+
+def test_the_table_of_logs_has_every_log_with_its_hash(report, logs, campaign):
+    (table,) = blocks(section(report("whole"), "Logs"), Table)
+    assert [row[0] for row in table.rows] == [record.name for record in campaign.records]
+    rows = {row[0]: dict(zip(table.header, row, strict=True)) for row in table.rows}
+    for record in campaign.records:
+        row = rows[record.name]
+        whole = hashlib.sha256((logs / f"{record.name}.csv").read_bytes()).hexdigest()
+        assert len(row["SHA-256, first 16"]) == 16
+        assert whole.startswith(row["SHA-256, first 16"])
+        assert row["samples"] == str(len(record))
+        assert float(row["duration / s"]) == pytest.approx(0.01 * (len(record) - 1))
+
+
+def test_the_table_of_logs_says_what_each_was_used_for(logs, tmp_path):
+    place = shutil.copytree(logs, tmp_path / "logs")
+    still = {name: np.zeros(60) for name in ("current_up_A", "current_down_A")}
+    columns = {"time_s": 0.01 * np.arange(60), **still, "displacement_mm": np.full(60, 7.0)}
+    write_table(place / "resting.csv", columns)
+    (place / "campaign.toml").write_text('[tests]\n"lowering-03" = "ramp"')
+    campaign = read(place)
+    records = {record.name: record for record in campaign.records}
+    used = Provenance(
+        identification={LIFTING: ("lifting-01", "lifting-02")},
+        validation={LIFTING: ("lifting-02",)},
+        seen=frozenset(records[name].fingerprint for name in ("lifting-01", "lifting-02")),
+    )
+    found = sections.logs(campaign, handmade.hitch("integrator", provenance=used))
+    (table,) = blocks(found, Table)
+    assert {row[0]: row[2] for row in table.rows} == {
+        "lifting-01": "identification",
+        "lifting-02": "validation while training",
+        "lifting-03": "unseen test",
+        "lowering-01": "unseen test",
+        "lowering-02": "unseen test",
+        "lowering-03": "dead zone",
+        "cycle-01": "unseen cycle",
+        "resting": "not used",
+    }
+    said = [item.sentence for group in blocks(found, Findings) for item in group.items]
+    assert any("resting" in each.lower() and "no command" in each for each in said)
+
+
+def test_lowering_logs_are_not_used_by_a_model_that_only_lifts(report):
+    (table,) = blocks(section(report("lifting alone"), "Logs"), Table)
+    uses = {row[0]: row[2] for row in table.rows}
+    assert uses["lifting-01"] == "unseen test"
+    assert uses["lowering-01"] == "not used"
+
+
+def test_mixed_logs_are_shown_wide(report):
+    (timeline,) = (each for each in report("whole").pictures if each.name == "timeline")
+    assert timeline.wide
+    assert "cycle-01" in timeline.caption
+
+
+def test_how_to_reproduce_names_command_seed_settings_and_versions():
+    now = installed_versions()
+    provenance = Provenance(
+        seed=7, settings={"search": {"evaluations": 60}}, versions={**now, "jax": "0.0.1"}, digest="f00d"
+    )
+    (table,) = blocks(sections.origin(replace(PLAIN, provenance=provenance), COMMAND), Table)
+    told = dict(table.rows)
+    assert told["command"] == COMMAND
+    assert told["model's digest"] == "f00d"
+    assert told["seed of the identification"] == "7"
+    assert told["setting: search"] == "evaluations: 60"
+    assert told["version of numpy"] == np.__version__
+    assert told["version of jax"] == f"0.0.1 at identification, {now['jax']} now"
+
+
+# --- comparison ---------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def compared(bench_folder):
+    """Return a function that compares two models, once for each pair, and reports on it."""
+    campaign = read(bench_folder)
+    pairs = {
+        "right and plain": (known(RIGHT, LIFTING), known(PLAIN, *MODES)),
+        "diverging and plain": (diverging(PLAIN), PLAIN),
+        "alike": (PLAIN, PARTS["lifting alone"]),
+    }
+    found = {}
+
+    def run(name):
+        if name not in found:
+            with np.errstate(all="ignore"):
+                result = compare(*pairs[name], campaign)
+            found[name] = result, comparison_report(result, campaign, names=("old", "new"), command=COMMAND)
+        return found[name]
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("pair", "better"), [("right and plain", "A"), ("diverging and plain", "B"), ("alike", None)]
+)
+def test_the_verdict_names_the_model_that_errs_less(compared, pair, better):
+    result, document = compared(pair)
+    tests = result.free_runs(LIFTING)
+    rmse = {name: np.sqrt(np.mean(tests.rmse(name) ** 2)) for name in "ab"}
+    (lifting,) = findings(document, "Lifting")
+    if better is None:
+        assert lifting.level == Level.CAUTION
+        assert "neither" in lifting.sentence
+    else:
+        assert lifting.level == Level.GOOD
+        assert lifting.sentence.startswith(f"Lifting: {better} errs less")
+        worse = {"A": "b", "B": "a"}[better]
+        assert not rmse[better.lower()] > rmse[worse]
+
+
+@pytest.mark.parametrize("pair", ["right and plain", "diverging and plain", "alike"])
+def test_a_comparison_shows_every_part_that_both_have(compared, pair):
+    result, document = compared(pair)
+    parts = [part.capitalize() for part in result.parts]
+    assert parts[:1] == ["Lifting"]
+    assert titles(document.sections)[: len(parts)] == parts
+    assert titles(document.sections)[-1] == "How to reproduce"
+    names = [each.name for each in document.pictures]
+    assert len(names) == len(set(names))
+    for part in result.parts:
+        assert {f"{part}-overlay", f"{part}-horizons", f"{part}-tests"} <= set(names)
+    assert ("Parameters" in titles(document.sections)) == (pair == "right and plain")
+    assert "old" in document.subtitle
+    assert "new" in document.subtitle
+
+
+def test_parameters_of_two_models_stand_side_by_side(compared):
+    _, document = compared("right and plain")
+    lifting, lowering = blocks(section(document, "Parameters"), Table)
+    gain = lifting.rows[0]
+    assert gain == ("K", "mm/(s·A)", "30.0 ± 1.0", "30.0 ± 1.0")
+    assert {row[2] for row in lowering.rows} == {"not in the model"}
+
+
+# --- on disk ------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def write():
+    """Return a function that writes a small report into a folder."""
+    files = {"metrics.json": b"{}", "tables.md": b"# Validation"}
+    return partial(write_report, document=reported.document(), files=files, mark="metrics.json")
+
+
+def test_a_report_is_written_with_its_figures_and_what_goes_with_it(write, tmp_path):
+    write(tmp_path / "out")
+    written = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*.*")}
+    names = ("report.html", "metrics.json", "tables.md", f"{FIGURES}/curve.svg", f"{FIGURES}/long.svg")
+    assert written == {f"out/{name}" for name in names}
+    assert (tmp_path / "out" / "metrics.json").read_bytes() == b"{}"
+
+
+def test_the_same_result_is_written_as_the_same_bytes(validated, campaign, tmp_path):
+    for name in ("one", "two"):
+        document = validation_report(
+            validated("lifting alone"), PARTS["lifting alone"], campaign, command=COMMAND
+        )
+        write_report(tmp_path / name, document, {"metrics.json": b"{}"}, mark="metrics.json")
+    written = [path for path in (tmp_path / "one").rglob("*.*") if path.is_file()]
+    assert len(written) > 8
+    for path in written:
+        assert path.read_bytes() == (tmp_path / "two" / path.relative_to(tmp_path / "one")).read_bytes()
+
+
+def test_what_is_there_is_replaced_by_force_and_only_where_it_is_a_report(write, tmp_path):
+    place = tmp_path / "out"
+    write(place)
+    (place / "mine.txt").write_text("mine")
+    with pytest.raises(OutputError, match="--force"):
+        write(place)
+    assert (place / "mine.txt").exists()
+    write(place, force=True)
+    assert not (place / "mine.txt").exists()
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "mine.txt").write_text("mine")
+    with pytest.raises(OutputError, match=r"metrics\.json"):
+        write(tmp_path / "other", force=True)
+    assert (tmp_path / "other" / "mine.txt").read_text() == "mine"
+
+
+def test_a_report_that_cannot_be_made_leaves_nothing_and_the_older_one(write, tmp_path, monkeypatch):
+    write(tmp_path / "out")
+    before = (tmp_path / "out" / "report.html").read_bytes()
+    monkeypatch.setattr("hitchid.report.pdf.find_spec", lambda name: None)
+    for place in (tmp_path / "new", tmp_path / "out"):
+        with pytest.raises(InputError, match=r"hitchid\[pdf\]"):
+            write(place, as_pdf=True, force=True)
+    assert (tmp_path / "out" / "report.html").read_bytes() == before
+    assert list(tmp_path.iterdir()) == [tmp_path / "out"]
+
+
+def test_a_pdf_stands_beside_the_page(write, tmp_path):
+    pytest.importorskip("typst", reason="typst is not installed; pip install 'hitchid[pdf]'")
+    write(tmp_path / "out", as_pdf=True)
+    assert (tmp_path / "out" / "report.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_logs_of_any_name_are_reported(logs, tmp_path):
+    place = shutil.copytree(logs, tmp_path / "logs")
+    half, markup = "\udcff", "$\\frac$ <script>& #1b1b1f"
+    (place / "lifting-01.csv").rename(place / f"lifting-{half}.csv")
+    shutil.copy(place / "cycle-01.csv", place / f"cycle-{half}.csv")
+    (place / "cycle-01.csv").rename(place / f"cycle-{markup}.csv")
+    campaign, model = read(place), PARTS["lifting alone"]
+    document = validation_report(validate(model, campaign), model, campaign)
+    write_report(tmp_path / "out", document, {"metrics.json": b"{}"}, mark="metrics.json")
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "<script" not in page
+    timeline = page[page.index('id="figure-timeline"') :]
+    assert escape(f">cycle-{markup}<", quote=False)[4:-4] in timeline[: timeline.index("</svg>")]
+
+
+def test_a_report_of_forty_tests_is_smaller_than_3_megabytes(tmp_path):
+    campaign = read(benches.write_bench(tmp_path / "logs", tests=20, samples=1000))
+    assert len(campaign.records) == 40
+    document = validation_report(validate(PLAIN, campaign), PLAIN, campaign)
+    write_report(tmp_path / "out", document, {"metrics.json": b"{}"}, mark="metrics.json")
+    assert (tmp_path / "out" / "report.html").stat().st_size < 3e6
+    assert all(len(each.caption) < 400 for each in document.pictures)

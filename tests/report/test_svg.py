@@ -1,0 +1,193 @@
+"""A figure as SVG: the same bytes each time, and in a page its own names, the page's colours, and a text."""
+
+import re
+from html import escape
+from io import StringIO
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from matplotlib.figure import Figure
+
+import reported
+from hitchid.report import figures
+from hitchid.report.figures.style import COLOURS, SHADES, style
+from hitchid.report.svg import inside_page, svg
+
+SVG, XLINK = "{http://www.w3.org/2000/svg}", "{http://www.w3.org/1999/xlink}"
+DRAWN = {
+    "outputs": lambda: figures.outputs(reported.predictions((900, 800)), "mm"),
+    "intervals": lambda: figures.intervals(reported.known_parameters()),
+    "correlations": lambda: figures.residual_correlations(reported.residuals()),
+    "distribution": lambda: figures.error_distribution({"free_run": np.arange(9.0)}, "mm"),
+}
+
+
+@pytest.fixture(scope="module")
+def files():
+    """Return each figure as a file."""
+    return {name: svg(draw()) for name, draw in DRAWN.items()}
+
+
+@pytest.fixture(scope="module")
+def page(files):
+    """Return all figures as they stand in one page, in an element that names the namespaces."""
+    inside = [inside_page(text, name, f"what {name} shows") for name, text in files.items()]
+    return f'<div xmlns="{SVG[1:-1]}" xmlns:xlink="{XLINK[1:-1]}">{"".join(inside)}</div>'
+
+
+def references(text):
+    """Return the identifiers that are used in some SVG."""
+    return set(re.findall(r"url\(#([^)]+)\)", text)) | set(re.findall(r'href="#([^"]+)"', text))
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_a_figure_drawn_twice_gives_the_same_bytes(files, name):
+    assert svg(DRAWN[name]()) == files[name]
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_a_file_stands_alone(files, name):
+    root = ElementTree.fromstring(files[name].encode())  # noqa: S314 - our own
+    assert root.tag == f"{SVG}svg"
+    assert {"width", "height", "viewBox"} <= set(root.attrib)
+    identifiers = {each.get("id") for each in root.iter()}
+    assert references(files[name]) <= identifiers
+    assert "<image" not in files[name]
+    assert not re.search(r"\d{4}-\d\d-\d\dT", files[name]), "a date changes from run to run"
+
+
+def test_lengths_are_told_to_a_hundredth_of_a_point(files):
+    for text in files.values():
+        drawn = [number for path in re.findall(r' d="([^"]+)"', text) for number in path.split()]
+        places = [len(number.partition(".")[2]) for number in drawn]
+        assert max(places) <= 2
+        assert len(drawn) > 20
+
+
+def test_rounding_moves_no_point_by_more_than_a_hundredth():
+    figure = Figure(figsize=(1, 1))
+    axes = figure.add_axes((0, 0, 1, 1))
+    axes.set_axis_off()
+    axes.set_xlim(0, 1)
+    axes.set_ylim(0, 1)
+    place = np.array([0.1234567, 0.7654321])
+    axes.plot(place, place)
+    # The curve is drawn last, upon the paper.
+    *_, line = re.findall(r'd="M ([\d.]+) ([\d.]+) *\n?L ([\d.]+) ([\d.]+)', svg(figure))
+    # One inch is 72 pt, and the axis of SVG points down.
+    expected = [72 * place[0], 72 * (1 - place[0]), 72 * place[1], 72 * (1 - place[1])]
+    np.testing.assert_allclose(np.array(line, dtype=float), expected, rtol=0, atol=0.0051)
+
+
+def test_text_stays_text(files, page):
+    for text in (files["outputs"], page):
+        root = ElementTree.fromstring(text.encode())  # noqa: S314 - our own
+        words = {"".join(each.itertext()).strip() for each in root.iter(f"{SVG}text")}
+        assert {"displacement / mm", "measured", "time, test after test / s"} <= words
+
+
+def test_figures_in_one_page_share_no_identifier_and_every_reference_resolves(page):
+    identifiers = re.findall(r'\bid="([^"]+)"', page)
+    assert len(identifiers) == len(set(identifiers)) > 4
+    assert references(page) == set(identifiers), "what is not referred to needs no identifier"
+
+
+def test_the_same_figure_under_two_names_shares_no_identifier(files):
+    elements = [inside_page(files["outputs"], name, "") for name in "ab"]
+    one, other = (set(re.findall(r'\bid="([^"]+)"', element)) for element in elements)
+    assert one
+    assert not one & other
+
+
+def test_every_colour_of_the_palette_became_one_of_the_page(files, page):
+    assert any(shade.light in text for shade in SHADES.values() for text in files.values())
+    assert not re.findall("#[0-9a-fA-F]{6}", page)
+    used = set(re.findall(r"var\(--([\w-]+)\)", page))
+    assert {"ink", "grid", "greybox", "benchmark", "one-step", "faint"} <= used
+    assert used <= {name.replace("_", "-") for name in SHADES}
+
+
+def test_black_of_matplotlib_does_not_stay_where_the_page_is_dark(page):
+    # A shape without a fill or stroke of its own is black; only shapes in definitions may leave it open.
+    root = ElementTree.fromstring(page.encode())  # noqa: S314 - our own
+    inherited = {}
+    for parent in root.iter():
+        for child in parent:
+            inherited[child] = parent
+
+    def styles(element):
+        while element is not None:
+            yield element.get("style") or ""
+            element = inherited.get(element)
+
+    inside = {each for definitions in root.iter(f"{SVG}defs") for each in definitions.iter()}
+    for kind in ("path", "text", "use"):
+        for each in root.iter(f"{SVG}{kind}"):
+            if each not in inside:
+                said = ";".join(styles(each))
+                assert re.search(r"(fill|stroke): *(none|var)", said), ElementTree.tostring(each)
+
+
+def test_an_element_in_a_page_has_the_shape_of_the_figure_and_no_size(page):
+    root = ElementTree.fromstring(page.encode())  # noqa: S314 - our own
+    elements = root.findall(f"{SVG}svg")
+    assert len(elements) == len(DRAWN)
+    for element in elements:
+        assert not {"width", "height"} & set(element.attrib)
+        left, top, width, height = map(float, element.get("viewBox").split())
+        assert (left, top) == (0, 0)
+        # A column of 3.5 inch is 252 pt.
+        assert width == pytest.approx(252, abs=0.01)
+        assert height > 100
+
+
+def test_an_element_in_a_page_has_neither_metadata_nor_a_style_of_its_own(page):
+    for tag in ("<style", "<metadata", "<?xml", "<!DOCTYPE", "<script"):
+        assert tag not in page
+
+
+@pytest.mark.parametrize("name", ["outputs", "correlations"])
+def test_a_file_is_smaller_than_what_matplotlib_writes(files, name):
+    written = StringIO()
+    with style():
+        DRAWN[name]().savefig(written, format="svg")
+    assert len(files[name]) < len(written.getvalue())
+
+
+def test_a_figure_of_many_points_is_smaller_in_a_page_than_on_its_own(files):
+    assert len(inside_page(files["outputs"], "lifting-outputs", "")) < len(files["outputs"])
+
+
+def test_an_element_is_an_image_with_a_text(page):
+    root = ElementTree.fromstring(page.encode())  # noqa: S314 - our own
+    for name, element in zip(DRAWN, root.findall(f"{SVG}svg"), strict=True):
+        assert element.get("role") == "img"
+        assert element.get("aria-label") == f"what {name} shows"
+
+
+@given(st.text(st.characters(exclude_categories=("Cs", "Cc"))))
+def test_whatever_a_text_holds_it_comes_out_as_it_was(alt):
+    small = '<?xml version="1.0"?><svg width="1pt" xmlns="http://www.w3.org/2000/svg"><g id="a"></g></svg>'
+    element = inside_page(small, "name", alt)
+    assert ElementTree.fromstring(element.encode()).get("aria-label") == alt  # noqa: S314 - our own
+    assert f'"{escape(alt)}"' in element
+
+
+@pytest.mark.parametrize("name", ["log-1.23456", "0.0125", "1.005", "\N{MINUS SIGN}0.075"])
+def test_numbers_that_are_read_keep_all_their_digits(name):
+    figure = Figure()
+    figure.text(0.1, 0.1, name)
+    assert f">{name}</text>" in svg(figure)
+
+
+def test_a_name_that_looks_like_a_colour_or_a_reference_stays_as_it_is():
+    name = f'log {COLOURS["ink"]} url(#a) id="x" <b>'
+    figure = Figure()
+    figure.text(0.1, 0.1, name)
+    root = ElementTree.fromstring(  # noqa: S314 - our own
+        f'<div xmlns:xlink="{XLINK[1:-1]}">{inside_page(svg(figure), "one", "")}</div>'.encode()
+    )
+    assert name in ["".join(each.itertext()).strip() for each in root.iter("text")]
