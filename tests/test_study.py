@@ -20,12 +20,13 @@ def test_a_small_study_writes_every_table_and_figure(tmp_path):
         cycles=1,
         search=MultiStart(evaluations=60),
         comparison=None,
-        # Whether a compensator ships plays no part here: tables and figures are of the same layout.
+        # Which compensator ships and what stands beside it play no part: the layout is the same.
         training=Training(
             hidden=6,
             window=20,
             descent=Descent(epochs=6, patience=6),
             rollouts=Rollouts(hidden=4, epochs=10),
+            baselines=False,
         ),
     )
     study = reproduce(tmp_path / "study", plan=plan)

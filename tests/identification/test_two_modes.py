@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from conftest import binary_command, lagged_integrator
+from benches import binary_command, lagged_integrator
 from hitchid.campaign import Campaign
 from hitchid.identification.deadzone import DeadZone
 from hitchid.identification.preparation import prepare

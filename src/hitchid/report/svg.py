@@ -4,6 +4,7 @@ import re
 from html import escape
 from io import StringIO
 
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from hitchid.report.figures.style import PAPER, SHADES, style
@@ -24,7 +25,8 @@ def svg(figure: Figure) -> str:
     """Return a figure as an SVG file, lengths to a hundredth of a point."""
     kept = StringIO()
     with style():
-        figure.savefig(kept, format="svg", metadata=_NO_METADATA)
+        # What `savefig` does too, without drawing everything once before to measure it.
+        FigureCanvasSVG(figure).print_svg(kept, metadata=_NO_METADATA)
     return _TAG.sub(lambda tag: _LONG.sub(_shortened, tag[0]), kept.getvalue())
 
 

@@ -60,14 +60,14 @@ def _parameters(traces: Mapping[str, ChannelTrace]) -> Table:
         rows += [
             (
                 f"{mode}: {name.replace('_', ' ')}",
-                f"{_told(estimate)} {estimate.unit}",
+                _with_unit(_told(estimate), estimate.unit),
                 _equivalent(mode, name),
                 estimate.verdict,
             )
             for name, estimate in values.items()
         ]
         rows += [
-            (f"{mode}: {name}", f"{value} {unit}", f"{PAPER_COEFFICIENTS[mode][name]:.4g}", "")
+            (f"{mode}: {name}", _with_unit(value, unit), f"{PAPER_COEFFICIENTS[mode][name]:.4g}", "")
             for name, (value, unit) in _coefficients(mode, trace).items()
         ]
     return Table(
@@ -86,7 +86,7 @@ def _coefficients(mode: str, trace: ChannelTrace) -> dict[str, tuple[str, str]]:
     beta3 = PAPER_COEFFICIENTS[LIFTING]["beta3"]
     scaled = {name: known[f"{name} (beta3 = 1)"].times(beta3) for name in ("alpha1", "beta1", "beta2")}
     told = {name: (_told(each), each.unit) for name, each in scaled.items()}
-    return {**told, "beta3": (f"{beta3:.4g}", "1, as the paper has it")}
+    return {**told, "beta3": (f"{beta3:.4g}", "as the paper has it")}
 
 
 def _told(each: Estimate | Quantity) -> str:
@@ -110,7 +110,11 @@ def _equivalent(mode: str, name: str) -> str:
     if name not in values:
         return ""
     value, unit = values[name]
-    return f"{value:.4g} {unit}"
+    return _with_unit(f"{value:.4g}", unit)
+
+
+def _with_unit(value: str, unit: str) -> str:
+    return value if unit == "1" else f"{value} {unit}"
 
 
 def _test_set(mode: str, result: DirectionResult, unit: str) -> Table:

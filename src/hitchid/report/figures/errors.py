@@ -42,9 +42,9 @@ def predicted_errors(parts: Mapping[str, Predictions], unit: str) -> Figure:
         sample = np.arange(measured.size)
         axis.plot(*thinned(sample, measured - benchmark), color=INK, label="actual")
         colour = PARTS.get(part, COLOURS["one_step"])
-        axis.plot(*thinned(sample, predicted - benchmark), color=colour, label="predicted one step ahead")
+        axis.plot(*thinned(sample, predicted - benchmark), color=colour, label=_predicted(part, len(parts)))
         axis.set_ylabel(f"error, {part} / {unit}" if len(parts) > 1 else f"benchmark's error / {unit}")
-    legend_above(figure, axes[0])
+    legend_above(figure, *axes)
     axes[-1].set_xlabel("sample, test after test")
     return figure
 
@@ -199,6 +199,10 @@ def _coarse(smooth: np.ndarray) -> np.ndarray:
     gaps = np.flatnonzero(np.isnan(smooth))
     kept = np.concatenate([np.arange(0, smooth.size, max(1, smooth.size // 300)), gaps, gaps - 1, gaps + 1])
     return np.unique(kept[(kept >= 0) & (kept < smooth.size)])
+
+
+def _predicted(part: str, parts: int) -> str:
+    return f"predicted one step ahead{f', {part}' if parts > 1 else ''}"
 
 
 def _squares(errors: np.ndarray) -> bool:
