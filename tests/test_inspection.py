@@ -167,7 +167,7 @@ def test_what_a_model_knows_of_the_valves_divides_a_mixed_log(write_log):
     up, down = np.repeat([0, 0.3, 1.0, 0], 50), np.repeat([0, 0, 0, 1.0], 50)
     folder = write_log("mixed", up, down, moved=np.cumsum(up - down))
     late = {"lifting": Switch(0.35, dead_time_s=0.1), "lowering": Switch(0.25)}
-    (entry,) = inspect(folder, switches=late).records
+    (entry,) = inspect(folder, switches=lambda units: late).records
     assert [tuple(each.values()) for each in entry["segments"]] == [
         ("hold", 0.0, 1.1),
         ("lifting", 1.1, 1.5),

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hitchid.live_progress import BLOCKS, COLUMNS, WIDTH, Curves, falling, progress
+from hitchid.live_progress import BLOCKS, WIDTH, Curves, falling, progress
 from hitchid.progress import Step, part, rounds
 
 fractions = st.floats(0, 1)
@@ -61,7 +61,7 @@ def test_the_figures_of_a_stage_are_shown_in_80_columns_and_go_with_it():
     shown = curves.__rich__().plain.splitlines()
     assert shown[0] == "iteration 49"
     assert "0.02" in shown[1]
-    assert max(map(len, shown)) <= COLUMNS
+    assert max(map(len, shown)) <= 80
     curves.hear(Step("lifting: phase 2", 0.5))
     assert curves.__rich__().plain == ""
 

@@ -208,17 +208,15 @@ def _errors(figures: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _show_tables(tables: Iterable["Table"]) -> None:
+    from hitchid.validation import numeric
+
     for content in tables:
         table = RichTable(title=content.title, title_justify="left", title_style="bold")
-        for name, first in zip(content.header, content.rows[0], strict=True):
-            table.add_column(name, justify="right" if _numeric(first) else "left")
+        for name, right in zip(content.header, numeric(content), strict=True):
+            table.add_column(name, justify="right" if right else "left")
         for row in content.rows:
             table.add_row(*row)
         _out().print(table)
-
-
-def _numeric(cell: str) -> bool:
-    return cell == "diverged" or not any(letter.isalpha() for letter in cell.replace("e", ""))
 
 
 def _table(*header: str, kind: box.Box = box.HEAVY_HEAD) -> RichTable:

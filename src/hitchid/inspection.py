@@ -1,6 +1,6 @@
 """A look at logs before any fit: what each one is, how it was sampled, what is wrong with it."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,6 +12,8 @@ from hitchid.modes import ACTIVE_FRACTION, full_scales
 from hitchid.readers import assemble, find_logs, read_log, settings_of
 from hitchid.record import CYCLE, IDLE, MODES, Record
 from hitchid.segments import Segment, Switch, durations_s, segments
+
+Hearing = Callable[[Mapping[str, str]], Mapping[str, Switch]]
 
 
 @dataclass(frozen=True)
@@ -40,14 +42,14 @@ def inspect(
     logs: str | Path | Iterable[str | Path],
     *,
     signals: str | Path | None = None,
-    switches: Mapping[str, Switch] | None = None,
+    switches: Hearing | None = None,
 ) -> Inspection:
     """Look at logs one by one, going on past those that cannot be used; changes nothing.
 
     Args:
         logs: files and folders.
         signals: a file like `campaign.toml`; without it each folder's own counts.
-        switches: mode to how it hears its command, in the logs' units, where a model tells.
+        switches: from the logs' units to how each mode hears its command, where a model tells.
 
     Raises:
         InputError: there are no logs.
@@ -72,7 +74,7 @@ def inspect(
     return replace(look_over(campaign, switches), faults=tuple(faults))
 
 
-def look_over(campaign: Campaign, switches: Mapping[str, Switch] | None = None) -> Inspection:
+def look_over(campaign: Campaign, switches: Hearing | None = None) -> Inspection:
     """Look at logs that have been read.
 
     Args:
@@ -81,8 +83,9 @@ def look_over(campaign: Campaign, switches: Mapping[str, Switch] | None = None) 
     """
     held_out = {record.name for mode in MODES for record in campaign.held_out(mode)}
     scales = full_scales(campaign.records)
+    known = None if switches is None else switches(campaign.units)
     mixed = {
-        record.name: (record, tuple(segments(record, scales, switches))) for record in campaign.of_kind(CYCLE)
+        record.name: (record, tuple(segments(record, scales, known))) for record in campaign.of_kind(CYCLE)
     }
     return Inspection(
         records=tuple(

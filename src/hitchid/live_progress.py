@@ -14,7 +14,7 @@ from rich.text import Text
 from hitchid.progress import Progress, Step, silent
 
 BLOCKS = "▁▂▃▄▅▆▇█"
-WIDTH, NAME, COLUMNS = 36, 28, 80
+WIDTH, NAME = 36, 28
 
 
 @contextmanager

@@ -54,7 +54,7 @@ def test_a_model_is_never_proven_better_than_itself(campaign):
     for mode in compared.parts:
         name, said = compared.verdict(mode)
         assert name is None
-        assert "neither" in said
+        assert "do not tell the models apart" in said
 
 
 def test_tests_that_either_has_seen_are_left_out_for_both(campaign):
@@ -88,6 +88,20 @@ def test_models_without_a_direction_in_common_cannot_be_compared(campaign):
     lifting, lowering = (hitch_of(handmade_channel(mode)) for mode in (LIFTING, LOWERING))
     with pytest.raises(InputError, match="model A has channels for lifting, model B for lowering"):
         compare(lifting, lowering, campaign)
+
+
+def test_models_of_two_clocks_cannot_be_compared(campaign):
+    with pytest.raises(InputError, match=r"sampling time of 0\.01 s, model B of 0\.02 s; required the same"):
+        compare(RIGHT, replace(RIGHT, step_s=0.02), campaign)
+
+
+def test_what_is_said_of_one_model_alone_is_said_with_its_name(campaign):
+    lifting = hitch_of(handmade_channel(LIFTING))
+    compared = compare(RIGHT, lifting, campaign)
+    assert any(each.startswith("model B: ") and "no lowering channel" in each for each in compared.notices)
+    assert not any(
+        each.startswith("model A: ") and "no lowering channel" in each for each in compared.notices
+    )
 
 
 def test_where_every_test_was_used_there_is_nothing_to_compare(campaign):

@@ -11,6 +11,7 @@ from handmade import AHEAD, DEAD_ZONES, GAINS, envelope, hitch, with_bands
 from hitchid.baselines import ahead
 from hitchid.campaign import Campaign
 from hitchid.errors import InputError, OutputError
+from hitchid.fitting import Run, Trail
 from hitchid.metrics import HORIZONS
 from hitchid.model import Provenance, TwoModes, unpadded
 from hitchid.record import LIFTING, LOWERING
@@ -182,6 +183,17 @@ def test_figures_are_in_the_unit_of_the_log(tests_of, cycle):
     )
 
 
+def test_errors_of_the_searches_are_in_the_unit_of_the_log_too(tests_of):
+    known = with_bands(MODELS, LIFTING).uncertainty[LIFTING]
+    run = Run(fitness=(None, 20.0, 10.0), values=((1.0,),) * 3, evaluations=3, failures=1, reason="done")
+    model = replace(MODELS, uncertainty={LIFTING: replace(known, searches=(Trail("whale", (run,)),))})
+    in_cm = [record.convert({"displacement": "cm"}) for record in tests_of()]
+    search = validate(model, Campaign.of(in_cm)).metrics["channels"][LIFTING]["searches"]["whale"]
+    assert search["rmse"] == pytest.approx([1.0], rel=1e-12)
+    assert search["median_run"]["rmse"][0] is None
+    assert search["median_run"]["rmse"][1:] == pytest.approx([2.0, 1.0], rel=1e-12)
+
+
 def test_cycles_are_judged_apart_in_free_run(tests_of, cycle):
     records = [*tests_of(), cycle("cycle-1", 1), cycle("cycle-2", 2)]
     cycles = validate(MODELS, Campaign.of(records)).metrics["cycles"]
@@ -208,7 +220,7 @@ def test_cycles_are_predicted_over_horizons_by_what_the_model_gives(tests_of, cy
         ahead = [MODELS.predict(record, horizon=h)[h::ORIGINS] for record in records]
         grey = by_hand([y[h::ORIGINS] for y in measured], ahead)
         assert horizons["greybox"][place] == pytest.approx(grey["rmse"], rel=1e-9)
-        held = by_hand([y[h:] for y in measured], [y[:-h] for y in measured])
+        held = by_hand([y[h::ORIGINS] for y in measured], [y[:-h][::ORIGINS] for y in measured])
         assert horizons["persistence"][place] == pytest.approx(held["rmse"], rel=1e-9)
         if h == 1:
             assert cycles["greybox"]["one_step"] == pytest.approx(grey, rel=1e-9)

@@ -1,5 +1,6 @@
 """Commands on the virtual test bench."""
 
+import json
 from enum import Enum
 from pathlib import Path
 from typing import Annotated
@@ -7,7 +8,7 @@ from typing import Annotated
 import typer
 
 from hitchid.cli.cache import prepare_jax
-from hitchid.cli.options import Force, Quiet
+from hitchid.cli.options import AsJson, Force, Quiet
 from hitchid.cli.program import command_line
 
 
@@ -77,6 +78,7 @@ def reproduce(
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of every random draw.")] = 0,
     force: Force = False,
     quiet: Quiet = False,
+    as_json: AsJson = False,
 ) -> None:
     """Redo the published study on the virtual bench: every table and figure, ours beside theirs."""
     from hitchid import display
@@ -90,5 +92,7 @@ def reproduce(
     plan = quick_plan() if quick else Plan()
     with display.progress(quiet=quiet) as report:
         study = run(out, rig=rig, plan=plan, seed=seed, force=force, progress=report, command=command_line())
-    if not quiet:
+    if as_json:
+        typer.echo(json.dumps(study.validation.metrics, indent=1))
+    elif not quiet:
         display.show_study(study, out)

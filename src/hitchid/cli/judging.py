@@ -101,9 +101,7 @@ def compare(
     with display.progress(quiet=quiet) as report:
         compared = run(load(first), load(second), campaign, progress=report)
         report(Step("report", 0.98))
-        document = comparison_report(
-            compared, campaign, names=(str(first), str(second)), command=command_line()
-        )
+        document = comparison_report(compared, names=(str(first), str(second)), command=command_line())
         write_report(out, document, compared.files(), as_pdf=as_pdf, mark="comparison.json", force=force)
     if as_json:
         typer.echo(json.dumps(compared.metrics, indent=1))

@@ -101,7 +101,7 @@ class Whale(Search):
             carry = _proceed(problem.fitness, carry, self.swarm, key, jnp.asarray(min(until, ends)))
             if heard is not None:
                 heard(int(carry[0].generation), float(carry[0].best_fitness))
-            if until >= ends:
+            if until >= ends or bool(whale.settled(carry[0], self.swarm)):
                 break
         outcome = whale.outcome(carry, self.swarm)
         generations = int(outcome.generations)

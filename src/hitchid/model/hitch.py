@@ -106,16 +106,39 @@ class Hitch:
         """Mode to dead zone, in the command's unit."""
         return {mode: channel.dead_zone for mode, channel in self.channels.items()}
 
-    @property
-    def switches(self) -> dict[str, Switch]:
-        """Mode to how it hears its command: dead zone, hysteresis, dead time."""
+    def switches(self, units: Mapping[str, str]) -> dict[str, Switch]:
+        """Return mode to how it hears its command: dead zone, hysteresis, dead time.
+
+        Args:
+            units: role to unit of the logs that are looked at.
+
+        Raises:
+            SettingsError: a unit is of another dimension than the model's.
+        """
         found = {}
         for mode, channel in self.channels.items():
             benchmark = channel.benchmark
             share = benchmark.named_values().get("hysteresis", 0.0)
-            width = share * channel.dead_zone
-            found[mode] = Switch(channel.dead_zone, width, float(benchmark.dead_time_s))
+            zone = channel.dead_zone * self._command_factor(mode, units)
+            found[mode] = Switch(zone, share * zone, float(benchmark.dead_time_s))
         return found
+
+    def cut_at(self, units: Mapping[str, str]) -> dict[str, float]:
+        """Return mode to the dead zone with which mixed cycles are cut into strokes.
+
+        Args:
+            units: role to unit of the logs that are cut.
+
+        Raises:
+            SettingsError: a unit is of another dimension than the model's.
+        """
+        zones = self.provenance.cut_at or self.dead_zones
+        return {mode: zone * self._command_factor(mode, units) for mode, zone in zones.items()}
+
+    def _command_factor(self, mode: str, units: Mapping[str, str]) -> float:
+        role = COMMAND[mode]
+        known = role in self.units and role in units
+        return conversion_factor(self.units[role], units[role], role) if known else 1.0
 
     @double_precision
     def initial(self, displacement: float, load: float = 0.0) -> Packed:

@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from hitchid.campaign import Campaign
 from hitchid.report import figures, sections
 from hitchid.report.document import (
     Document,
@@ -16,14 +15,11 @@ from hitchid.report.document import (
 from hitchid.validation import ModelComparison, Table
 
 
-def comparison_report(
-    compared: ModelComparison, campaign: Campaign, *, names: tuple[str, str], command: str = ""
-) -> Document:
+def comparison_report(compared: ModelComparison, *, names: tuple[str, str], command: str = "") -> Document:
     """Compose what a comparison found for people to read.
 
     Args:
         compared: the two models on tests that neither has seen.
-        campaign: the logs.
         names: what the models are called, A and B.
         command: that wrote the report.
     """
@@ -38,14 +34,14 @@ def comparison_report(
         verdict=tuple(found),
         notices=tuple(map(sentence, compared.notices)),
         sections=(
-            *(_part(compared, part, campaign.step_s) for part in compared.parts),
+            *(_part(compared, part) for part in compared.parts),
             *([Section("Parameters", tuple(parameters))] if parameters else []),
             Section("How to reproduce", (Table("Origin", ("what", "value"), (("command", command),)),)),
         ),
     )
 
 
-def _part(compared: ModelComparison, part: str, step_s: float) -> Section:
+def _part(compared: ModelComparison, part: str) -> Section:
     unit, tests = compared.unit, compared.free_runs(part)
     some, picked = sections.shown_tests(tests, "b")
     both = compared.figures(part)
@@ -63,7 +59,7 @@ def _part(compared: ModelComparison, part: str, step_s: float) -> Section:
         ),
         Picture(
             f"{part}-horizons",
-            figures.horizons({**steps, **persistence, **ahead}, step_s, unit),
+            figures.horizons({**steps, **persistence, **ahead}, compared.step_s, unit),
             "Error over how far is looked ahead.",
             f"RMSE in {unit} over the horizon for both models.",
         ),

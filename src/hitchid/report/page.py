@@ -8,7 +8,7 @@ from markupsafe import Markup
 from hitchid.report.document import Document, Findings, Level, Picture, Pictures, Text
 from hitchid.report.figures.style import SHADES
 from hitchid.report.svg import inside_page
-from hitchid.validation import Table
+from hitchid.validation import Table, numeric
 
 SIGNS = {Level.GOOD: "✓", Level.CAUTION: "!", Level.BAD: "✗"}
 _KINDS = {Text: "text", Findings: "findings", Pictures: "pictures", Table: "table"}
@@ -38,13 +38,3 @@ def html(document: Document, drawn: Mapping[str, str]) -> str:
         kind=lambda block: _KINDS[type(block)],
         place=lambda titles: "-".join(titles).lower().replace(" ", "-"),
     )
-
-
-def numeric(content: Table) -> list[bool]:
-    """Tell which columns of a table hold numbers rather than words."""
-    columns = zip(*content.rows, strict=True) if content.rows else [()] * len(content.header)
-    return [any(column) and all(map(_number, column)) for column in columns]
-
-
-def _number(cell: str) -> bool:
-    return cell in ("diverged", "any") or not any(letter.isalpha() for letter in cell.replace("e", ""))

@@ -12,7 +12,8 @@ import matplotlib as mpl
 
 from hitchid.errors import InputError
 from hitchid.report.document import Block, Document, Finding, Findings, Pictures, Section, Text
-from hitchid.report.page import SIGNS, numeric
+from hitchid.report.page import SIGNS
+from hitchid.validation import numeric
 
 TEMPLATE = "report.typ"
 

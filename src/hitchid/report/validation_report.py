@@ -68,7 +68,7 @@ def direction_sections(
         parts: of the section of a direction.
     """
     unit = result.metrics["unit"]
-    cut = campaign if campaign.modes else campaign.segmented(model.provenance.cut_at or model.dead_zones)
+    cut = campaign if campaign.modes else campaign.segmented(model.cut_at(campaign.units))
     found = []
     for mode, metrics in result.metrics["channels"].items():
         known = Direction(

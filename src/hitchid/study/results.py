@@ -7,7 +7,7 @@ import numpy as np
 
 from hitchid.campaign import Campaign
 from hitchid.identification import Identification
-from hitchid.metrics import error_figures
+from hitchid.metrics import error_figures, rmse_error
 from hitchid.model import Channel, unpadded
 from hitchid.precision import double_precision
 from hitchid.record import Record
@@ -57,11 +57,18 @@ def direction_result(
 
 
 def summary(predictions: Predictions, model: str) -> dict[str, float]:
-    """Return RMSE, MAE, R², the share of samples within 1 mm, and mean and spread of the error."""
-    figures = error_figures([a[1:] for a in predictions.actual], [p[1:] for p in predictions.models[model]])
-    errors = predictions.errors(model)
+    """Return RMSE and its standard error, MAE, R², the share within 1 mm, and mean and spread of the error.
+
+    One step ahead the first sample of a test is left out, for it is given.
+    """
+    first = 1 if model == "one_step" else 0
+    actual = [row[first:] for row in predictions.actual]
+    predicted = [row[first:] for row in predictions.models[model]]
+    figures = error_figures(actual, predicted)
+    errors = np.concatenate([a - p for a, p in zip(actual, predicted, strict=True)])
     return {
         "rmse": figures.rmse,
+        "rmse_error": rmse_error(actual, predicted),
         "mae": figures.mae,
         "r2": figures.r2,
         "within_1": figures.within_1,

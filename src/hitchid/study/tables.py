@@ -7,8 +7,8 @@ import numpy as np
 from hitchid.identification import ChannelTrace
 from hitchid.record import LIFTING, LOWERING
 from hitchid.study.results import DirectionResult, end_deviation, summary
-from hitchid.uncertainty import Estimate, Quantity, interval_text
-from hitchid.validation import Table
+from hitchid.uncertainty import Estimate, Quantity, interval_text, stated
+from hitchid.validation import Table, rounded
 
 PAPER_COEFFICIENTS = {
     LIFTING: {"alpha1": 6.625, "beta1": 0.001, "beta2": 0.065, "beta3": 0.318},
@@ -128,8 +128,8 @@ def _test_set(mode: str, result: DirectionResult, unit: str) -> Table:
     rows.append(
         (
             "persistence, one step, here",
-            f"{np.sqrt(np.mean(persistence**2)):.3f}",
-            f"{np.mean(np.abs(persistence)):.3f}",
+            f"{np.sqrt(np.mean(persistence**2)):.3g}",
+            f"{np.mean(np.abs(persistence)):.3g}",
             "",
             f"{100 * np.mean(np.abs(persistence) < 1):.1f}",
             f"{persistence.mean():.2f} ± {persistence.std():.2f}",
@@ -141,8 +141,8 @@ def _test_set(mode: str, result: DirectionResult, unit: str) -> Table:
 
 def _row(figures: Mapping[str, float]) -> tuple[str, ...]:
     return (
-        f"{figures['rmse']:.3f}",
-        f"{figures['mae']:.3f}",
+        stated(figures["rmse"], figures.get("rmse_error")),
+        rounded(figures["mae"], figures.get("rmse_error")),
         f"{figures['r2']:.4f}",
         f"{100 * figures['within_1']:.1f}",
         f"{figures['mean']:.2f} ± {figures['std']:.2f}",

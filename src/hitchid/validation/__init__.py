@@ -11,6 +11,8 @@ from hitchid.validation.limits import read_limits as read_limits
 from hitchid.validation.predictions import Predictions as Predictions
 from hitchid.validation.table import Table as Table
 from hitchid.validation.table import error_cells as error_cells
+from hitchid.validation.table import numeric as numeric
+from hitchid.validation.table import rounded as rounded
 from hitchid.validation.tables import NAMES as NAMES
 from hitchid.validation.tables import markdown as markdown
 from hitchid.validation.tables import tables as tables

@@ -57,7 +57,7 @@ def channel_result(
         "greybox": list(np.asarray(channel.predict(batch, tuple(steps)))),
         **{name: rival.ahead or re_anchored(rival.free_run) for name, rival in rivals.items()},
     }
-    trusted, band = {} if known is None else trust_figures(known), None
+    trusted, band = {} if known is None else trust_figures(known, factor), None
     if known is not None and known.bands is not None:
         half = free_run_band(channel, known.bands, batch)
         if np.all(np.isfinite(free)) and np.all(np.isfinite(half)):

@@ -2,26 +2,26 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import isclose
 from typing import Any
 
 import numpy as np
 
 from hitchid.campaign import Campaign
 from hitchid.errors import InputError
-from hitchid.metrics import proven_better
 from hitchid.model import Hitch
 from hitchid.progress import Progress, part, silent
 from hitchid.storage import canonical_json
 from hitchid.uncertainty import stated
-from hitchid.validation.predictions import Predictions
+from hitchid.validation.limits import CYCLES
+from hitchid.validation.predictions import FEWEST, Predictions
 from hitchid.validation.table import Table, digits, error_cells
-from hitchid.validation.tables import error_header, markdown
+from hitchid.validation.tables import RUNS, error_header, markdown
 from hitchid.validation.validate import TABLES_FILE, Validation, validate
 
 COMPARISON_FILE = "comparison.json"
-NAMES = ("A", "B")
-FEWEST = 3
-RUNS = {"free_run": "free run", "one_step": "one step"}
+MODELS = ("A", "B")
+SAME_CLOCK = 1e-3
 
 
 @dataclass(frozen=True)
@@ -31,11 +31,13 @@ class ModelComparison:
     Attributes:
         first, second: what the validation of each found; the tests are the same, in the same order.
         left_out: how many tests one of them has seen.
+        step_s: sampling time of both, s.
     """
 
     first: Validation
     second: Validation
     left_out: int
+    step_s: float
 
     @property
     def unit(self) -> str:
@@ -50,8 +52,8 @@ class ModelComparison:
     def figures(self, part: str) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
         """Return the figures of both models for one of `parts`."""
         both = (self.first.metrics, self.second.metrics)
-        if part == "cycles":
-            return both[0]["cycles"], both[1]["cycles"]
+        if part == CYCLES:
+            return both[0][CYCLES], both[1][CYCLES]
         return both[0]["channels"][part], both[1]["channels"][part]
 
     def free_runs(self, part: str) -> Predictions:
@@ -61,19 +63,22 @@ class ModelComparison:
         return Predictions(one.names, one.time_s, one.actual, runs)
 
     def verdict(self, part: str) -> tuple[str | None, str]:
-        """Return which model is proven better in free run, None for neither, and a sentence that says so."""
+        """Return which model surely errs less in free run, None for neither, and a sentence that says so."""
         tests = self.free_runs(part)
-        errors = {name: np.nan_to_num(tests.rmse(name.lower()), nan=np.inf) for name in NAMES}
-        told = {name: float(np.sqrt(np.mean(each**2))) for name, each in errors.items()}
-        figures = f"RMSE {_told(told['A'])} {self.unit} with A, {_told(told['B'])} {self.unit} with B"
-        if len(tests.names) < FEWEST:
-            count = f"{len(tests.names)} test{'s' if len(tests.names) > 1 else ''}"
-            return None, f"{count}, too few to prove either model better in free run: {figures}"
-        for better, worse in (NAMES, NAMES[::-1]):
-            if proven_better(errors[better], errors[worse]):
-                count = f"{int(np.sum(errors[better] < errors[worse]))} of {len(tests.names)} tests"
-                return better, f"{better} errs less in free run, on {count}: {figures}"
-        return None, f"the tests prove neither model better in free run: {figures}"
+        told = [
+            "diverged" if free["rmse"] is None else f"{stated(free['rmse'], free['rmse_error'])} {self.unit}"
+            for free in (figures["greybox"]["free_run"] for figures in self.figures(part))
+        ]
+        figures = f"RMSE {told[0]} with A, {told[1]} with B"
+        count = len(tests.names)
+        if count < FEWEST:
+            few = f"{count} test{'s' if count > 1 else ''}"
+            return None, f"{few}, too few to tell the models apart in free run: {figures}"
+        for better, worse in (MODELS, MODELS[::-1]):
+            if tests.errs_surely_less(better.lower(), worse.lower()):
+                wins = int(np.sum(tests.rmse(better.lower()) < tests.rmse(worse.lower())))
+                return better, f"{better} errs less in free run, on {wins} of {count} tests: {figures}"
+        return None, f"{count} tests do not tell the models apart in free run: {figures}"
 
     def tables(self) -> list[Table]:
         """Return for each of `parts` figures and horizons of both models side by side, then parameters."""
@@ -86,8 +91,8 @@ class ModelComparison:
         """Return how far both models err."""
         rows = [
             (f"model {name}", label, *error_cells(figures["greybox"][run]))
-            for run, label in RUNS.items()
-            for name, figures in zip(NAMES, self.figures(part), strict=True)
+            for run, label in reversed(RUNS.items())
+            for name, figures in zip(MODELS, self.figures(part), strict=True)
         ]
         count = len(self.first.predictions[part].names)
         title = f"{part}: accuracy on {count} test{'s' if count > 1 else ''} that neither has seen"
@@ -98,7 +103,7 @@ class ModelComparison:
         both = [figures["horizons"] for figures in self.figures(part)]
         rows = [
             (f"model {name}", *(digits(value) for value in horizons["greybox"]))
-            for name, horizons in zip(NAMES, both, strict=True)
+            for name, horizons in zip(MODELS, both, strict=True)
         ]
         header = ("model", *(str(step) for step in both[0]["steps"]))
         return Table(f"{part}: RMSE / {self.unit} over the horizon in samples", header, tuple(rows))
@@ -106,33 +111,26 @@ class ModelComparison:
     def parameters(self) -> list[Table]:
         """Return the parameters of both models side by side, as far as they are told."""
         found = []
-        for mode in (name for name in self.parts if name != "cycles"):
+        for mode in (name for name in self.parts if name != CYCLES):
             both = [figures.get("parameters", {}).get("estimates", {}) for figures in self.figures(mode)]
-            names = list(dict.fromkeys([*both[0], *both[1]]))
-
-            def cell(known: Mapping[str, Any], name: str) -> str:
-                if name not in known:
-                    return "not in the model"
-                each = known[name]
-                return (
-                    stated(each["value"], each["standard_error"]) if each["determined"] else each["verdict"]
-                )
-
-            rows = []
-            for name in names:
-                one = both[0].get(name) or both[1][name]
-                rows.append((one["symbol"], one["unit"], cell(both[0], name), cell(both[1], name)))
+            names = dict.fromkeys([*both[0], *both[1]])
+            rows = [(_called(name), *(_cell(known.get(name)) for known in both)) for name in names]
             if rows:
-                header = ("parameter", "unit", "model A", "model B")
+                header = ("parameter", *(f"model {name}" for name in MODELS))
                 found.append(Table(f"{mode}: parameters", header, tuple(rows)))
         return found
 
     @property
     def notices(self) -> tuple[str, ...]:
-        """What a reader should know of the tests."""
-        if not self.left_out:
-            return ()
-        return (f"{self.left_out} tests are left out: one of the models was identified from them",)
+        """What a reader should know of the tests and of either model."""
+        ours, theirs = self.first.notices, self.second.notices
+        left = [f"{self.left_out} tests are left out: one of the models was identified from them"]
+        return (
+            *(left if self.left_out else []),
+            *(each for each in ours if each in theirs),
+            *(f"model A: {each}" for each in ours if each not in theirs),
+            *(f"model B: {each}" for each in theirs if each not in ours),
+        )
 
     @property
     def metrics(self) -> dict[str, Any]:
@@ -166,7 +164,7 @@ def compare(
         progress: called with what is being done and the fraction of all work that is done.
 
     Raises:
-        InputError: no test is left, or the models have no direction in common.
+        InputError: no test is left, or the models have no direction or not one clock in common.
         SettingsError: a unit is of another dimension than a model's.
     """
     report = progress or silent
@@ -177,16 +175,31 @@ def compare(
             f"model A has channels for {' and '.join(first.channels)}, model B for "
             f"{' and '.join(second.channels)}; required one in common"
         )
+    if not isclose(first.step_s, second.step_s, rel_tol=SAME_CLOCK):
+        raise InputError(
+            f"model A has a sampling time of {first.step_s:g} s, model B of {second.step_s:g} s; required "
+            "the same, for they are compared sample by sample"
+        )
     if not left.records:
         raise InputError("one of the models was identified from every test; required tests neither has seen")
-    cut_at = first.provenance.cut_at or first.dead_zones
+    cut_at = first.cut_at(campaign.units)
     one = validate(first, left, cut_at=cut_at, progress=part(report, 0.0, 0.5, "model A"))
     other = validate(second, left, cut_at=cut_at, progress=part(report, 0.5, 0.5, "model B"))
-    found = ModelComparison(one, other, len(campaign.records) - len(left.records))
+    found = ModelComparison(one, other, len(campaign.records) - len(left.records), first.step_s)
     if not found.parts:
         raise InputError("the models have no test in common; required tests of a direction that both have")
     return found
 
 
-def _told(value: float) -> str:
-    return f"{value:.3g}" if np.isfinite(value) else "diverged"
+def _called(name: str) -> str:
+    return name.replace("_", " ")
+
+
+def _cell(each: Mapping[str, Any] | None) -> str:
+    """Return a parameter as `K = 39.4 ± 0.6 mm/(s·A)`, or what is known of one that is not determined."""
+    if each is None:
+        return "not in the model"
+    if not each["determined"]:
+        return each["verdict"]
+    unit = "" if each["unit"] == "1" else f" {each['unit']}"
+    return f"{each['symbol']} = {stated(each['value'], each['standard_error'])}{unit}"

@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from hitchid.metrics import HORIZONS
-from hitchid.model import Hitch
+from hitchid.model import Band, Hitch
 from hitchid.record import Record
-from hitchid.units import conversion_factor
 from hitchid.validation.pooled import pooled
 from hitchid.validation.predictions import Predictions
 from hitchid.validation.uncertainty import COVERAGE, cycle_band_figures
@@ -16,60 +15,68 @@ from hitchid.validation.uncertainty import COVERAGE, cycle_band_figures
 ORIGINS = 5
 
 
-def cycle_result(model: Hitch, cycles: Sequence[Record]) -> tuple[dict, Predictions]:
+def cycle_result(model: Hitch, cycles: Sequence[Record], factor: float) -> tuple[dict, Predictions]:
     """Return a model's figures on unseen cycles, in the form of `metrics.json`, and what is behind them.
 
     Args:
         model: with two channels.
-        cycles: mixed logs, at least one.
+        cycles: mixed logs on the model's clock and in its units, at least one.
+        factor: from the model's unit of displacement to that of the figures.
     """
-    actual = [record.displacement for record in cycles]
+    actual = [factor * record.displacement for record in cycles]
     paper = _papers(model)
-    grey = [model.simulate(record) for record in cycles]
-    free = {
-        "greybox": grey,
+    runs = {
+        "greybox": [model.simulate(record) for record in cycles],
         "benchmark": [model.simulate(record, compensated=False) for record in cycles],
         **({} if paper is None else {"transfer_function": [paper.simulate(record) for record in cycles]}),
     }
+    free = {name: tuple(factor * row for row in rows) for name, rows in runs.items()}
     steps = [h for h in HORIZONS if h < min(map(len, cycles))]
-    ahead = [model.predictions(record, steps, every=ORIGINS) for record in cycles]
-    held = {h: [np.concatenate([y[:h], y[:-h]]) for y in actual] for h in steps}
+    ahead = [factor * model.predictions(record, steps, every=ORIGINS) for record in cycles]
 
-    def figures(predicted: Sequence[np.ndarray], skip: int) -> dict[str, float | None]:
-        told = [np.isfinite(p) & (np.arange(p.size) >= skip) for p in predicted]
-        return pooled(
-            [y[here] for y, here in zip(actual, told, strict=True)],
-            [p[here] for p, here in zip(predicted, told, strict=True)],
-        )
+    def looked(predicted: Sequence[np.ndarray], h: int) -> dict[str, float | None]:
+        """Return figures of predictions h samples ahead, at the samples that the model predicted."""
+        return pooled([y[h::ORIGINS] for y in actual], [p[h::ORIGINS] for p in predicted])
+
+    def last_measured(h: int) -> list[np.ndarray]:
+        return [np.concatenate([y[:h], y[:-h]]) for y in actual]
 
     found = {name: {"free_run": pooled(actual, rows)} for name, rows in free.items()}
-    found["greybox"]["one_step"] = figures([rows[0] for rows in ahead], 1)
-    bands = [model.band(record, coverage=COVERAGE) for record in cycles] if model.has_bands else []
-    if not all(np.all(np.isfinite(ends)) for band in bands for ends in band):
-        bands = []
+    found["greybox"]["one_step"] = looked([rows[0] for rows in ahead], 1)
+    bands = _bands(model, cycles, factor)
     metrics = {
         "tests": [record.name for record in cycles],
         **found,
-        "persistence": {"one_step": figures(held[1], 1)},
+        "persistence": {"one_step": looked(last_measured(1), 1)},
         "horizons": {
             "steps": steps,
-            "greybox": [figures([rows[i] for rows in ahead], h)["rmse"] for i, h in enumerate(steps)],
-            "persistence": [figures(held[h], h)["rmse"] for h in steps],
+            "greybox": [looked([rows[i] for rows in ahead], h)["rmse"] for i, h in enumerate(steps)],
+            "persistence": [looked(last_measured(h), h)["rmse"] for h in steps],
         },
         "per_test": {
-            record.name: {"free_run": pooled([y], [g])}
-            for record, y, g in zip(cycles, actual, grey, strict=True)
+            record.name: {"free_run": pooled([y], [run])}
+            for record, y, run in zip(cycles, actual, free["greybox"], strict=True)
         },
-        "max_jump": max(_largest_jump(model, record) for record in cycles),
-        **({"bands": cycle_band_figures(bands, actual)} if bands else {}),
+        "max_jump": factor * max(_largest_jump(model, record) for record in cycles),
+        **({} if bands is None else {"bands": cycle_band_figures(bands, actual)}),
     }
     return metrics, Predictions(
         names=tuple(record.name for record in cycles),
         time_s=tuple(record.step_s * np.arange(len(record)) for record in cycles),
         actual=tuple(actual),
-        models={"benchmark": tuple(free["benchmark"]), "free_run": tuple(grey)},
-        band=(tuple(b.lower for b in bands), tuple(b.upper for b in bands)) if bands else None,
+        models={"free_run" if name == "greybox" else name: rows for name, rows in free.items()},
+        band=None if bands is None else (tuple(b.lower for b in bands), tuple(b.upper for b in bands)),
     )
+
+
+def _bands(model: Hitch, cycles: Sequence[Record], factor: float) -> list[Band] | None:
+    """Return bands around the free runs, in the figures' unit; None where there are none or they diverged."""
+    if not model.has_bands:
+        return None
+    found = [model.band(record, coverage=COVERAGE) for record in cycles]
+    if not all(np.all(np.isfinite(ends)) for band in found for ends in band):
+        return None
+    return [Band(factor * lower, factor * upper) for lower, upper in found]
 
 
 def _papers(model: Hitch) -> Hitch | None:
@@ -84,14 +91,13 @@ def _papers(model: Hitch) -> Hitch | None:
 
 
 def _largest_jump(model: Hitch, record: Record) -> float:
-    """Return the largest jump where the channel changes, in the unit of the record's displacement.
+    """Return the largest jump where the channel changes, in the model's unit.
 
     Of the step of displacement at a change, what it differs by from both the step before and the one after.
     """
-    own = model.adopt(record)
-    run = model.free_run(own)
+    run = model.free_run(record)
     steps = np.diff(run.displacement)
     changes = np.flatnonzero(np.diff(run.charge)) + 1
     inside = changes[(changes > 0) & (changes < steps.size - 1)]
     unlike = np.minimum(np.abs(steps[inside] - steps[inside - 1]), np.abs(steps[inside] - steps[inside + 1]))
-    return conversion_factor(own.unit, record.unit, record.name) * float(np.max(unlike, initial=0.0))
+    return float(np.max(unlike, initial=0.0))

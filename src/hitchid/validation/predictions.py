@@ -1,10 +1,13 @@
 """What models say of tests, sample by sample: the arrays behind the figures."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
+from hitchid.metrics import surely_less
+
+FEWEST = 3
 Rows = tuple[np.ndarray, ...]
 
 
@@ -42,16 +45,18 @@ class Predictions:
             band=None if self.band is None else (some(self.band[0]), some(self.band[1])),
         )
 
-    def beside(self, models: Mapping[str, Rows]) -> "Predictions":
-        """Return it with further models."""
-        return replace(self, models={**self.models, **models})
-
     def errors(self, model: str) -> np.ndarray:
         """Return actual minus predicted over all tests, without the first sample of each, shape [M]."""
         return np.concatenate([a[1:] - p[1:] for a, p in zip(self.actual, self.models[model], strict=True)])
 
     def rmse(self, model: str) -> np.ndarray:
-        """Return the root mean square error of each test, shape [T]."""
+        """Return the root mean square error of each test, infinite where the model diverged, shape [T]."""
         pairs = zip(self.actual, self.models[model], strict=True)
         with np.errstate(over="ignore", invalid="ignore"):
-            return np.array([np.sqrt(np.mean((a - p) ** 2)) for a, p in pairs])
+            found = np.array([np.sqrt(np.mean((a - p) ** 2)) for a, p in pairs])
+        return np.nan_to_num(found, nan=np.inf)
+
+    def errs_surely_less(self, model: str, than: str) -> bool:
+        """Tell whether one model errs less than another beyond chance between tests; see `surely_less`."""
+        samples = np.array([row.size for row in self.actual])
+        return len(samples) >= FEWEST and surely_less(self.rmse(model), self.rmse(than), samples)

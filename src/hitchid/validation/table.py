@@ -51,3 +51,13 @@ def error_cells(figures: Mapping[str, float | None]) -> tuple[str, ...]:
         rounded(figures["max_abs"], error),
         f"{100 * within:.1f}",
     )
+
+
+def numeric(content: Table) -> list[bool]:
+    """Tell which columns of a table hold numbers rather than words."""
+    columns = zip(*content.rows, strict=True) if content.rows else [()] * len(content.header)
+    return [any(column) and all(map(_number, column)) for column in columns]
+
+
+def _number(cell: str) -> bool:
+    return cell in ("diverged", "any") or not any(letter.isalpha() for letter in cell.replace("e", ""))

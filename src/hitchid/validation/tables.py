@@ -11,8 +11,8 @@ NAMES = {
     "arx": "ARX",
     "narx": "NARX",
     "lstm": "black-box LSTM",
-    "transfer_function": "transfer function, paper's",
-    "paper": "grey box, paper's",
+    "transfer_function": "paper's transfer function",
+    "paper": "paper's grey box",
     "benchmark": "benchmark",
     "greybox": "grey box",
 }

@@ -15,18 +15,29 @@ from hitchid.uncertainty import Bands, Estimates, Uncertainty
 COVERAGE = 0.9
 
 
-def trust_figures(known: Uncertainty) -> dict:
-    """Return what identification found of parameters and searches, as JSON can hold it."""
-    found = {"parameters": parameter_figures(known.benchmark)}
+def trust_figures(known: Uncertainty, factor: float = 1.0) -> dict:
+    """Return what identification found of parameters and searches, as JSON can hold it.
+
+    Args:
+        known: how far a channel can be trusted.
+        factor: from the model's unit of displacement to that of the figures, for errors; parameters stay in
+            the model's units, which are told with them.
+    """
+    found = {"parameters": parameter_figures(known.benchmark, factor)}
     if known.paper is not None:
-        found["paper_parameters"] = parameter_figures(known.paper)
+        found["paper_parameters"] = parameter_figures(known.paper, factor)
     if known.searches:
-        found["searches"] = {trail.name: _search(trail) for trail in known.searches}
+        found["searches"] = {trail.name: _search(trail, factor) for trail in known.searches}
     return found
 
 
-def parameter_figures(known: Estimates) -> dict:
-    """Return estimates, what follows from them, and their correlation, as JSON can hold them."""
+def parameter_figures(known: Estimates, factor: float = 1.0) -> dict:
+    """Return estimates, what follows from them, and their correlation, as JSON can hold them.
+
+    Args:
+        known: the estimates.
+        factor: as for `trust_figures`.
+    """
     return {
         "tests": known.tests,
         "independent": known.rows,
@@ -43,7 +54,7 @@ def parameter_figures(known: Estimates) -> dict:
                 "verdict": each.verdict,
                 "sensitivity": each.sensitivity,
                 "bounds": [each.lower, each.upper],
-                "profile": [list(pair) for pair in each.profile],
+                "profile": [[value, factor * rmse] for value, rmse in each.profile],
             }
             for each in known.parameters
         },
@@ -60,16 +71,23 @@ def parameter_figures(known: Estimates) -> dict:
     }
 
 
-def _search(trail: Trail) -> dict:
+def _search(trail: Trail, factor: float) -> dict:
     """Return how one search went from its seeds: ends, effort, and the run in the middle, step by step."""
     middle = trail.runs[int(np.argsort(trail.ends)[len(trail.runs) // 2])]
     return {
         "seeds": len(trail.runs),
-        "rmse": [run.last for run in trail.runs],
+        "rmse": [_times(run.last, factor) for run in trail.runs],
         "evaluations": [run.evaluations for run in trail.runs],
         "failures": [run.failures for run in trail.runs],
-        "median_run": {"rmse": list(middle.fitness), "values": [list(row) for row in middle.values]},
+        "median_run": {
+            "rmse": [_times(each, factor) for each in middle.fitness],
+            "values": [list(row) for row in middle.values],
+        },
     }
+
+
+def _times(error: float | None, factor: float) -> float | None:
+    return None if error is None else factor * error
 
 
 def residual_figures(channel: Channel, batch: Batch, predicted: np.ndarray, factor: float) -> dict | None:
@@ -143,13 +161,13 @@ def band_figures(
         "calibrated_on": {"free_run": bands.tests[0], "horizons": bands.tests[1]},
         "sensor_noise": factor * bands.noise,
         "free_run": {
-            "covered": _covered(np.abs(measured - simulated) <= half, counted),
+            **_held(_shares(np.abs(measured - simulated) <= half, counted)),
             "width": factor * float(np.mean(2 * half[counted])),
         },
         "horizons": {
             "steps": list(steps),
             "covered": [
-                _covered(np.abs(measured - rows) <= width, here)
+                float(np.mean(_shares(np.abs(measured - rows) <= width, here)))
                 for rows, width, here in zip(ahead, widths, late, strict=True)
             ],
             "width": [2 * factor * width for width in widths],
@@ -167,12 +185,17 @@ def cycle_band_figures(bands: Sequence[Band], actual: Sequence[np.ndarray]) -> d
     pairs = list(zip(bands, actual, strict=True))
     shares = [np.mean((lower <= y) & (y <= upper)) for (lower, upper), y in pairs]
     widths = [np.mean(upper - lower) for lower, upper in bands]
-    found = {"covered": float(np.mean(shares)), "width": float(np.mean(widths))}
+    found = {**_held(np.array(shares)), "width": float(np.mean(widths))}
     return {"coverage": COVERAGE, "free_run": found}
 
 
-def _covered(inside: np.ndarray, counted: np.ndarray) -> float:
-    """Return the mean over tests of the share of samples inside."""
+def _shares(inside: np.ndarray, counted: np.ndarray) -> np.ndarray:
+    """Return the share of samples inside, of each test that has any."""
     counts = counted.sum(axis=1)
-    shares = (inside & counted).sum(axis=1)[counts > 0] / counts[counts > 0]
-    return float(np.mean(shares))
+    return (inside & counted).sum(axis=1)[counts > 0] / counts[counts > 0]
+
+
+def _held(shares: np.ndarray) -> dict[str, float | None]:
+    """Return the mean over tests of shares inside, and its standard error; None of one test."""
+    error = float(shares.std(ddof=1) / np.sqrt(shares.size)) if shares.size > 1 else None
+    return {"covered": float(np.mean(shares)), "covered_error": error}

@@ -86,7 +86,7 @@ def validate(
     report = progress or silent
     whole = campaign
     if not campaign.modes:
-        campaign = campaign.segmented(cut_at or model.provenance.cut_at or model.dead_zones)
+        campaign = campaign.segmented(cut_at or model.cut_at(campaign.units))
     unit = campaign.records[0].unit
     factor = conversion_factor(model.units[DISPLACEMENT], unit, "displacement")
     channels, notices, predictions = {}, [], {}
@@ -109,7 +109,8 @@ def validate(
     unseen = [record for record in whole.of_kind(CYCLE) if not _seen(model, record)]
     cycles: dict = {"tests": []}
     if unseen and len(model.channels) > 1:
-        cycles, predictions["cycles"] = cycle_result(model, unseen)
+        own = [model.adopt(record) for record in unseen]
+        cycles, predictions["cycles"] = cycle_result(model, own, factor)
     if not channels and not cycles["tests"]:
         raise InputError(
             "the identification used every test of these logs or has no channel for them; "

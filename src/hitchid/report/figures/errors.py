@@ -13,6 +13,7 @@ from hitchid.report.figures.style import (
     DASHES,
     INK,
     LABELS,
+    MARKERS,
     PARTS,
     legend_above,
     logarithmic,
@@ -132,8 +133,9 @@ def errors_by_test(tests: Predictions, unit: str, models: Sequence[str]) -> Figu
     figure = Figure(figsize=(COLUMN_IN, 0.7 + 0.32 * len(models)))
     axis = figure.subplots()
     for place, model in enumerate(models):
-        errors = tests.rmse(model)
-        axis.plot(errors, np.full(errors.size, place), "o", color=COLOURS[model], markersize=4, alpha=0.6)
+        errors = np.where(np.isfinite(tests.rmse(model)), tests.rmse(model), np.nan)
+        sign = MARKERS.get(model, "o")
+        axis.plot(errors, np.full(errors.size, place), sign, color=COLOURS[model], markersize=4, alpha=0.6)
         with np.errstate(over="ignore", invalid="ignore"):
             overall = float(np.sqrt(np.average(errors**2, weights=[row.size for row in tests.actual])))
         axis.plot([overall], [place], "|", color=INK, markersize=12, markeredgewidth=1.2)
@@ -164,7 +166,7 @@ def horizons(known: Mapping[str, Any], step_s: float, unit: str) -> Figure:
         axis.plot(
             ahead_s,
             errors,
-            "o-",
+            marker=MARKERS.get(model, "o"),
             color=COLOURS[model],
             dashes=DASHES.get(model, (None, None)),
             markersize=3.5 if main else 2.5,

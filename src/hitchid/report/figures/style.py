@@ -13,6 +13,8 @@ from matplotlib.axis import Axis, XAxis
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator, StrMethodFormatter
 
+from hitchid.validation import NAMES
+
 DECADE, DECADES, STRETCHES = 10, 50, 300
 
 COLUMN_IN, PAGE_IN = 3.5, 7.2
@@ -26,7 +28,8 @@ class Shade(NamedTuple):
     dark: str
 
 
-# Okabe and Ito's colours, which colour-blind readers tell apart, and lighter ones of the same hue.
+# Okabe and Ito's colours, two more for the black boxes, and lighter ones of like hue for dark screens. Some
+# are alike to some eyes: dashes and markers do the rest.
 SHADES = {
     "ink": Shade("#1b1b1f", "#e4e4ea"),
     "faint": Shade("#85858f", "#9a9aa6"),
@@ -54,21 +57,28 @@ PARTS = {"training": COLOURS["one_step"], "validation": COLOURS["transfer_functi
 DASHES = {
     "benchmark": (4, 1.5),
     "transfer_function": (1.2, 1.2),
+    "paper": (5, 1.2, 1.2, 1.2),
     "mechanistic": (6, 1.5, 1, 1.5),
+    "arx": (2.5, 1.5),
+    "lstm": (1, 2),
     "b": (4, 1.5),
 }
-LABELS = {
+MARKERS = {
+    "persistence": "x",
+    "benchmark": "s",
+    "transfer_function": "v",
+    "paper": "^",
+    "arx": "D",
+    "narx": "P",
+    "lstm": "*",
+    "b": "s",
+}
+"""Whose colours are alike to some eyes differ in dashes and markers; a model that is not here has neither."""
+LABELS = NAMES | {
     "benchmark": "benchmark, free run",
     "one_step": "grey box, one step",
     "free_run": "grey box, free run",
-    "transfer_function": "paper's transfer function",
     "mechanistic": "mechanistic, free run",
-    "persistence": "persistence",
-    "greybox": "grey box",
-    "arx": "ARX",
-    "narx": "NARX",
-    "lstm": "black-box LSTM",
-    "paper": "grey box, paper's",
     "a": "model A",
     "b": "model B",
 }

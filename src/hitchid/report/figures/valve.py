@@ -46,11 +46,14 @@ def valve_map(
             axis.plot([place, place], [low, high], color=INK, linewidth=0.8)
             axis.plot([place], [middle], "o", color=INK, markersize=3.5)
         axis.plot([], [], "o-", color=INK, markersize=3.5, linewidth=0.8, label="tests")
-    largest = max(float(np.abs(test.command(channel.mode)).max()) for test in tests)
-    levels = np.linspace(0.0, largest, LEVELS)
+    ends = [(float(c.min()), float(c.max())) for c in (test.command(channel.mode) for test in tests)]
+    lowest, largest = min(low for low, _ in ends), max(high for _, high in ends)
+    signed = lowest < -channel.dead_zone
+    levels = np.linspace(lowest if signed else 0.0, largest, LEVELS)
     axis.plot(levels, _model_speed(channel, tests, levels), color=COLOURS["benchmark"], label="benchmark")
-    axis.axvline(channel.dead_zone, color=COLOURS["benchmark"], linestyle=":", label="dead zone")
-    axis.set_xlim(0.5 * channel.dead_zone, 1.03 * largest)
+    for zone in (-channel.dead_zone, channel.dead_zone) if signed else (channel.dead_zone,):
+        axis.axvline(zone, color=COLOURS["benchmark"], linestyle=":", label="dead zone")
+    axis.set_xlim(1.03 * lowest if signed else 0.5 * channel.dead_zone, 1.03 * largest)
     axis.set_xlabel(f"{channel.mode} command / {command_unit}")
     axis.set_ylabel(f"speed / ({unit}/s)")
     legend_above(figure, axis, columns=4)
@@ -80,7 +83,7 @@ def _ramp_speed(ramp: Record, channel: Channel) -> tuple[np.ndarray, np.ndarray]
     """Return command and speed while a ramp rises, each of shape [M]."""
     command = ramp.command(channel.mode)
     rising = int(np.argmax(command)) + 1
-    window = 2 * round(0.5 * RAMP_S / ramp.step_s) + 1
+    window = 2 * max(1, round(0.5 * RAMP_S / ramp.step_s)) + 1
     if rising < 2 * window:
         return np.empty(0), np.empty(0)
     speed = np.asarray(savgol_filter(ramp.displacement[:rising], window, 1, deriv=1, delta=ramp.step_s))

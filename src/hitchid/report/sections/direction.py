@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from hitchid.model import Hitch
-from hitchid.record import COMMAND, Record
+from hitchid.record import COMMAND, DISPLACEMENT, Record
 from hitchid.report import figures
 from hitchid.report.document import Block, Picture, Pictures, Section, Text, sentence
 from hitchid.validation import Predictions
@@ -93,7 +93,7 @@ def errors(known: Direction) -> Section:
     alike = " In free run the grey box is the benchmark alone." if same else ""
     models = ("free_run", "one_step") if same else ("benchmark", "free_run", "one_step")
     free = known.metrics["greybox"]["free_run"]["rmse"]
-    pictures = (
+    pictures = [
         Picture(
             known.named("outputs"),
             figures.outputs(some, unit, models),
@@ -107,15 +107,18 @@ def errors(known: Direction) -> Section:
             "limit. The axes end where 99.5 % of the samples lie.",
             f"Histogram and cumulative distribution of errors in {unit}.",
         ),
-        Picture(
-            known.named("predicted-errors"),
-            figures.predicted_errors({"test": tests}, unit),
-            "What the benchmark misses, and what the compensator says of it one step ahead.",
-            f"Benchmark's error in {unit} over the sample, actual and predicted.",
-        ),
-    )
+    ]
+    if known.model.channels[known.mode].compensator is not None:
+        pictures.append(
+            Picture(
+                known.named("predicted-errors"),
+                figures.predicted_errors({"test": tests}, unit),
+                "What the benchmark misses, and what the compensator says of it one step ahead.",
+                f"Benchmark's error in {unit} over the sample, actual and predicted.",
+            )
+        )
     table = single_test_table(known.mode, known.metrics["per_test"], unit)
-    return Section("Errors", (Pictures(pictures), table))
+    return Section("Errors", (Pictures(tuple(pictures)), table))
 
 
 def trust(known: Direction) -> Section:
@@ -179,7 +182,7 @@ def parameters(known: Direction) -> Section:
             )
     own = [model.adopt(record) for record in known.tests]
     ramps = [model.adopt(record) for record in known.ramps]
-    unit = model.units["displacement"]
+    unit = model.units[DISPLACEMENT]
     channel = model.channels[mode]
     pictures.append(
         Picture(
@@ -190,13 +193,12 @@ def parameters(known: Direction) -> Section:
         )
     )
     zone = known.trace.get("dead_zone")
-    if ramps and zone:
+    if ramps and zone and zone["value"] > 0:
         pictures.append(
             Picture(
                 known.named("dead-zone"),
                 figures.dead_zone(ramps, mode, zone["value"], zone["spread"], unit, known.command_unit),
-                f"Dead zone from {zone['count']} {zone['origin']}: the command at which a slow ramp sets the "
-                "piston moving.",
+                _dead_zone(zone),
                 f"Way of the piston over command on {len(ramps)} ramps; dead zone {zone['value']:.4g} "
                 f"{known.command_unit}.",
             )
@@ -205,8 +207,8 @@ def parameters(known: Direction) -> Section:
 
 
 def search(known: Direction) -> Section:
-    """Return the section on how the model was found."""
-    trace, unit = known.trace, known.unit
+    """Return the section on how the model was found; its trace is in the model's units."""
+    trace, unit = known.trace, known.model.units[DISPLACEMENT]
     blocks: list[Block] = []
     pictures = []
     if trace:
@@ -242,16 +244,25 @@ def search(known: Direction) -> Section:
                 )
             )
     if "searches" in known.metrics:
-        blocks.append(search_table(known.mode, known.metrics["searches"], unit))
+        blocks.append(search_table(known.mode, known.metrics["searches"], known.unit))
         pictures.append(
             Picture(
                 known.named("searches"),
-                figures.searches(known.metrics["searches"], unit),
+                figures.searches(known.metrics["searches"], known.unit),
                 "Searches compared on one budget: the run in the middle, and where each seed ended.",
                 f"Best RMSE over the budget for {', '.join(known.metrics['searches'])}.",
             )
         )
     return Section("Search and training", (*blocks, *_group(pictures)))
+
+
+def _dead_zone(zone: Mapping[str, Any]) -> str:
+    """Return where a dead zone comes from, as a caption."""
+    if zone["origin"] == "ramps":
+        return f"Dead zone from {zone['count']} slow ramps, ± its spread: where they set the piston moving."
+    if zone["origin"] == "tests":
+        return f"Dead zone from {zone['count']} dynamic tests, ± its standard error; the ramps were not used."
+    return "Dead zone as it was given; the ramps were not used."
 
 
 def _group(pictures: Sequence[Picture]) -> tuple[Pictures, ...]:

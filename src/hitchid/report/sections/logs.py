@@ -63,14 +63,16 @@ def _table(campaign: Campaign, model: Hitch) -> Table:
 
 
 def _use(record: Record, model: Hitch) -> str:
+    """Return what a log was to the model; of a cycle cut into strokes all strokes are known by its name."""
     provenance = model.provenance
-    if record.kind == IDLE:
-        return "not used"
     if record.kind == RAMP:
-        return "dead zone"
+        return "dead zone's ramp"
+    if record.kind == IDLE or (record.kind == CYCLE and len(model.channels) < 2):
+        return "not used"
     if record.fingerprint in provenance.seen:
         stopping = any(record.name in names for names in provenance.validation.values())
-        return "validation while training" if stopping else "identification"
+        strokes = ", by strokes" if record.kind == CYCLE else ""
+        return "validation while training" if stopping else f"identification{strokes}"
     if record.kind == CYCLE:
         return "unseen cycle"
     return "unseen test" if record.kind in model.channels else "not used"

@@ -27,7 +27,8 @@ def origin(model: Hitch, command: str) -> Section:
         *((f"version of {name}", _versions(then.get(name), now.get(name))) for name in {**then, **now}),
     ]
     said = Text(
-        "The same logs, model and versions give the same figures. Hashes of the logs stand in their table."
+        "The same logs, model and versions give the same figures; on another kind of machine the last digits "
+        "may differ. Hashes of the logs stand in their table."
     )
     return Section(
         "How to reproduce", (said, Table("Origin", ("what", "value"), tuple(r for r in rows if r[1])))
@@ -36,10 +37,12 @@ def origin(model: Hitch, command: str) -> Section:
 
 def _told(value: object) -> str:
     if isinstance(value, Mapping):
-        return "; ".join(
-            f"{name}: {_told(each)}" for name, each in value.items() if each not in (None, False, {})
-        )
+        return "; ".join(f"{name}: {_told(each)}" for name, each in value.items() if _given(each))
     return str(value)
+
+
+def _given(value: object) -> bool:
+    return not (value is None or value is False or value == {})
 
 
 def _versions(then: str | None, now: str | None) -> str:

@@ -3,11 +3,15 @@
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from hitchid.report.document import Finding, Level
 from hitchid.uncertainty import stated
-from hitchid.validation import NAMES, Acceptance, Validation
+from hitchid.validation import CYCLES, NAMES, Acceptance, Predictions, Validation
+from hitchid.validation.predictions import FEWEST
 
-HOLDS, FEWEST = 0.05, 3
+HOLDS = 0.05
+RIVALS = ("transfer_function", "paper", "arx", "narx", "lstm")
 
 
 def verdict(result: Validation, acceptance: Acceptance | None) -> tuple[Finding, ...]:
@@ -15,14 +19,15 @@ def verdict(result: Validation, acceptance: Acceptance | None) -> tuple[Finding,
     unit = result.metrics["unit"]
     found = [] if acceptance is None else [_accepted(acceptance)]
     for mode, channel in result.metrics["channels"].items():
-        found.append(_free_run(mode, channel, unit))
+        tests = result.predictions[mode]
+        found.append(_free_run(mode, channel["greybox"]["free_run"], tests, unit))
         if "bands" in channel:
-            found.append(_bands(mode, channel["bands"], unit))
+            found.append(_bands(mode, channel["bands"], len(tests.names), unit))
         if channel.get("parameters", {}).get("estimates"):
             found.append(_parameters(mode, channel["parameters"]["estimates"]))
-    cycles = result.metrics["cycles"]
-    if cycles["tests"]:
-        found.append(_cycles(cycles, unit))
+    if CYCLES in result.predictions:
+        own = result.metrics[CYCLES]["greybox"]["free_run"]
+        found.append(_free_run("mixed cycles", own, result.predictions[CYCLES], unit))
     return tuple(found)
 
 
@@ -39,42 +44,55 @@ def _all(count: int, what: str) -> str:
     return f"the one {what}" if count == 1 else f"all {count} {what}s"
 
 
-def _free_run(mode: str, channel: Mapping[str, Any], unit: str) -> Finding:
-    own = channel["greybox"]["free_run"]
-    count = len(channel["tests"])
-    tests = f"{count} unseen test{'s' if count > 1 else ''}"
-    if own["rmse"] is None:
-        return Finding(Level.BAD, f"{mode.capitalize()}: the free run diverged on {tests}.")
-    rivals = {
-        NAMES[name]: figures["free_run"]["rmse"]
-        for name, figures in channel["baselines"].items()
-        if figures.get("free_run", {}).get("rmse") is not None
-    }
-    said = f"{mode.capitalize()}, free run: RMSE {stated(own['rmse'], own['rmse_error'])} {unit} on {tests}"
-    if own["fit"] is not None:
-        said += f" (fit {own['fit']:.3g} %)"
-    name, best = min(rivals.items(), key=lambda pair: pair[1], default=("", 0.0))
-    if not name:
-        return Finding(Level.CAUTION, f"{said}; no baseline stands beside it.")
-    worst, figures = max(channel["per_test"].items(), key=lambda pair: pair[1]["free_run"]["rmse"] or 0.0)
-    said += f"; best baseline: {name}, {best:.3g} {unit}; worst test: {worst}, "
-    said += f"{figures['free_run']['rmse']:.3g} {unit}."
-    if own["fit"] is not None and own["fit"] < 0:
-        return Finding(Level.BAD, f"{said[:-1]}: worse than a line through each test's mean.")
-    if count < FEWEST:
-        return Finding(Level.CAUTION, f"{said[:-1]}: too few tests to tell how the next will go.")
-    return Finding(Level.GOOD if own["rmse"] < best else Level.CAUTION, said)
-
-
-def _bands(mode: str, bands: Mapping[str, Any], unit: str) -> Finding:
-    covered, asked = bands["free_run"]["covered"], bands["coverage"]
+def _free_run(where: str, own: Mapping[str, Any], tests: Predictions, unit: str) -> Finding:
+    """Return how the free run does beside the best baseline; good is what tests tell apart from it."""
+    count = len(tests.names)
+    on = f"{count} unseen {'cycle' if where == 'mixed cycles' else 'test'}{'s' if count > 1 else ''}"
+    if own["rmse"] is None or own["fit"] is None:
+        return Finding(Level.BAD, f"{where.capitalize()}: the free run diverged on {on}.")
+    errors = tests.rmse("free_run")
+    worst = int(np.argmax(errors))
     said = (
-        f"{mode.capitalize()}: the band for {100 * asked:.0f} % of the samples, "
-        f"{bands['free_run']['width']:.3g} {unit} wide on average, held {100 * covered:.0f} %"
+        f"{where.capitalize()}, free run: RMSE {stated(own['rmse'], own['rmse_error'])} {unit} on {on} (fit "
+        f"{own['fit']:.3g} %), worst {tests.names[worst]} with {errors[worst]:.3g} {unit}"
     )
-    if covered < asked - HOLDS:
+    if own["fit"] < 0:
+        return Finding(Level.BAD, f"{said}: worse than each test's own mean.")
+    rivals = {name: _pooled(tests, name) for name in RIVALS if name in tests.models}
+    if not rivals:
+        return Finding(Level.CAUTION, f"{said}; no baseline stands beside it.")
+    best = min(rivals, key=lambda name: rivals[name])
+    if not np.isfinite(rivals[best]):
+        return Finding(Level.CAUTION, f"{said}; every baseline diverged.")
+    said += f"; best baseline: {NAMES[best]}, {rivals[best]:.3g} {unit}"
+    if count < FEWEST:
+        return Finding(Level.CAUTION, f"{said}: too few tests to tell how the next will go.")
+    if tests.errs_surely_less("free_run", best):
+        return Finding(Level.GOOD, f"{said}.")
+    less = own["rmse"] < rivals[best]
+    return Finding(Level.CAUTION, f"{said}: {'not surely better' if less else 'no better'} than that.")
+
+
+def _pooled(tests: Predictions, model: str) -> float:
+    with np.errstate(over="ignore"):
+        sizes = [row.size for row in tests.actual]
+        return float(np.sqrt(np.average(tests.rmse(model) ** 2, weights=sizes)))
+
+
+def _bands(mode: str, bands: Mapping[str, Any], count: int, unit: str) -> Finding:
+    """Return whether a band holds its share; tests stand and fall together, so few of them tell little."""
+    free, asked = bands["free_run"], bands["coverage"]
+    covered, error = free["covered"], free["covered_error"]
+    said = (
+        f"{mode.capitalize()}: the band for {100 * asked:.0f} % of the samples, {free['width']:.3g} {unit} "
+        f"wide on average, held {100 * covered:.0f} %"
+    )
+    if count < FEWEST or error is None:
+        return Finding(Level.CAUTION, f"{said}: too few tests to judge it.")
+    doubt = max(HOLDS, 2 * error)
+    if covered < asked - doubt:
         return Finding(Level.BAD, f"{said}: it is too narrow for these tests.")
-    if covered > asked + HOLDS:
+    if covered > asked + doubt:
         return Finding(Level.CAUTION, f"{said}: wider than these tests need.")
     return Finding(Level.GOOD, f"{said}.")
 
@@ -85,19 +103,3 @@ def _parameters(mode: str, estimates: Mapping[str, Any]) -> Finding:
         return Finding(Level.GOOD, f"{mode.capitalize()}: {_all(len(estimates), 'parameter')} determined.")
     said = f"{len(vague)} of {len(estimates)} parameters not determined by the tests: {', '.join(vague)}"
     return Finding(Level.CAUTION, f"{mode.capitalize()}: {said}.")
-
-
-def _cycles(cycles: Mapping[str, Any], unit: str) -> Finding:
-    own, count = cycles["greybox"]["free_run"], len(cycles["tests"])
-    if own["rmse"] is None:
-        return Finding(Level.BAD, "Mixed cycles: the free run diverged.")
-    said = f"Mixed cycles, free run: RMSE {stated(own['rmse'], own['rmse_error'])} {unit} on {count} unseen"
-    said += f", largest error {own['max_abs']:.3g} {unit}"
-    if "transfer_function" not in cycles:
-        return Finding(Level.CAUTION, f"{said}; no baseline stands beside it.")
-    other = cycles["transfer_function"]["free_run"]["rmse"]
-    better = other is None or own["rmse"] < other
-    rival = "diverged" if other is None else f"{other:.3g} {unit}"
-    return Finding(
-        Level.GOOD if better else Level.CAUTION, f"{said}; the paper's transfer functions: {rival}."
-    )
