@@ -54,7 +54,7 @@ class Predictions:
         pairs = zip(self.actual, self.models[model], strict=True)
         with np.errstate(over="ignore", invalid="ignore"):
             found = np.array([np.sqrt(np.mean((a - p) ** 2)) for a, p in pairs])
-        return np.nan_to_num(found, nan=np.inf)
+        return np.where(np.isfinite(found), found, np.inf)
 
     def errs_surely_less(self, model: str, than: str) -> bool:
         """Tell whether one model errs less than another beyond chance between tests; see `surely_less`."""

@@ -27,7 +27,7 @@ def rounded(value: float | None, error: float | None, most: int = 12) -> str:
         value, error: the number and its standard error.
         most: places after the point, at most.
     """
-    if value is None or not error:
+    if value is None or error is None or not error > 0:
         return digits(value)
     return f"{value:.{min(max(0, 1 - floor(log10(error))), most)}f}"
 

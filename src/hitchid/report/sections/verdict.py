@@ -54,8 +54,10 @@ def _free_run(where: str, own: Mapping[str, Any], tests: Predictions, unit: str)
     worst = int(np.argmax(errors))
     said = (
         f"{where.capitalize()}, free run: RMSE {stated(own['rmse'], own['rmse_error'])} {unit} on {on} (fit "
-        f"{own['fit']:.3g} %), worst {tests.names[worst]} with {errors[worst]:.3g} {unit}"
+        f"{own['fit']:.3g} %)"
     )
+    if count > 1:
+        said += f", worst {tests.names[worst]} with {errors[worst]:.3g} {unit}"
     if own["fit"] < 0:
         return Finding(Level.BAD, f"{said}: worse than each test's own mean.")
     rivals = {name: _pooled(tests, name) for name in RIVALS if name in tests.models}
