@@ -83,8 +83,9 @@ def rmse_error(actual: Sequence[np.ndarray], predicted: Sequence[np.ndarray]) ->
 def surely_less(errors: np.ndarray, than: np.ndarray, samples: np.ndarray) -> bool:
     """Tell whether one model errs less than another beyond what chance between tests gives.
 
-    d = r_than − r over all samples, its standard error s by the jackknife over the tests that both were run
-    on; d/s is held against Student's t with T − 1 degrees of freedom, one-sided 2.5 %.
+    d = ln r_than − ln r over all samples, its standard error s by the jackknife over the tests that both were
+    run on; d/s is held against Student's t with T − 1 degrees of freedom, one-sided 2.5 %. Logarithms, for
+    errors scatter from test to test by factors.
 
     Args:
         errors, than: root mean square error of each test, of the one and of the other, shape [T]; infinite
@@ -100,14 +101,18 @@ def surely_less(errors: np.ndarray, than: np.ndarray, samples: np.ndarray) -> bo
     if not np.all(np.isfinite(than)):
         return True
 
-    def difference(kept: np.ndarray) -> float:
+    def ratio(kept: np.ndarray) -> float:
         pooled = [np.sqrt(np.average(each[kept] ** 2, weights=samples[kept])) for each in (than, errors)]
-        return float(pooled[0] - pooled[1])
+        return float(np.log(pooled[0]) - np.log(pooled[1]))
 
     everything = np.arange(tests)
-    without = np.array([difference(everything != left) for left in everything])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        whole = ratio(everything >= 0)
+        without = np.array([ratio(everything != left) for left in everything])
+    if not np.all(np.isfinite(without)):  # a model without any error has no logarithm
+        return bool(np.all(errors < than))
     error = np.sqrt((tests - 1) / tests * np.sum((without - without.mean()) ** 2))
-    return bool(difference(everything >= 0) > stats.t.ppf(0.975, tests - 1) * error)
+    return bool(whole > stats.t.ppf(0.975, tests - 1) * error)
 
 
 def proven_better(errors: np.ndarray, than: np.ndarray) -> bool:
