@@ -80,6 +80,9 @@ def look_over(campaign: Campaign, switches: Hearing | None = None) -> Inspection
     Args:
         campaign: the tests.
         switches: as for `inspect`.
+
+    Raises:
+        SettingsError: the model's commands are of another dimension than the logs'.
     """
     held_out = {record.name for mode in MODES for record in campaign.held_out(mode)}
     scales = full_scales(campaign.records)

@@ -189,7 +189,12 @@ def minimise(objective: Objective, dimensions: int, swarm: Swarm, key: PRNGKeyAr
 
 
 def begin(dimensions: int, swarm: Swarm, key: PRNGKeyArray) -> tuple[State, Trace]:
-    """Return a swarm before its first generation, and an empty trace."""
+    """Return a swarm before its first generation, and an empty trace.
+
+    Args:
+        dimensions: D.
+        swarm, key: as for `minimise`.
+    """
     generations = swarm.generations
     state = init(jax.random.split(key)[0], dimensions, swarm)
     empty = Trace(
@@ -202,13 +207,18 @@ def begin(dimensions: int, swarm: Swarm, key: PRNGKeyArray) -> tuple[State, Trac
 
 
 def outcome(carry: tuple[State, Trace], swarm: Swarm) -> Outcome:
-    """Return what a swarm has found."""
+    """Return what a swarm has found so far.
+
+    Args:
+        carry: of `begin` or `proceed`.
+        swarm: as for `minimise`.
+    """
     state, trace = carry
     return Outcome(state.best, state.best_fitness, state.generation, settled(state, swarm), trace)
 
 
 def settled(state: State, swarm: Swarm) -> Array:
-    """Tell whether a swarm has stopped improving."""
+    """Tell whether a swarm has not improved by more than its tolerance for as long as it may, shape []."""
     if swarm.stagnation is None:
         return jnp.asarray(False)
     return state.generation - 1 - state.improved >= swarm.stagnation

@@ -18,6 +18,26 @@ from hitchid.validation.predictions import Predictions
 from hitchid.validation.uncertainty import band_figures, free_run_band, residual_figures, trust_figures
 
 
+class _Runs(NamedTuple):
+    """What a channel and its baselines say of tests, in the model's unit, rows of shape [T, N].
+
+    Attributes:
+        batch: the tests.
+        steps: horizons, in samples.
+        benchmark, free: free runs of the benchmark and of the grey box.
+        ahead: model to its predictions, an entry a horizon; what only runs freely starts from the last
+            measured displacement.
+        rivals: the baselines, by name.
+    """
+
+    batch: Batch
+    steps: list[int]
+    benchmark: np.ndarray
+    free: np.ndarray
+    ahead: dict[str, list[np.ndarray]]
+    rivals: dict[str, "_Rival"]
+
+
 def channel_result(
     channel: Channel, tests: Sequence[Record], factor: float, known: Uncertainty | None
 ) -> tuple[dict, Predictions]:
@@ -29,90 +49,95 @@ def channel_result(
         factor: from the model's unit of displacement to that of the figures.
         known: how far the channel can be trusted; None where that was not asked for.
     """
+    runs = _run(channel, tests)
+    half = _half_width(channel, runs, known)
+    trusted = {} if known is None else trust_figures(known, factor)
+    if known is not None and known.bands is not None and half is not None:
+        ahead = np.stack(runs.ahead["greybox"])
+        trusted["bands"] = band_figures(known.bands, runs.batch, runs.free, half, ahead, runs.steps, factor)
+    residuals = {
+        run: residual_figures(channel, runs.batch, rows, factor)
+        for run, rows in (("one_step", runs.ahead["greybox"][0]), ("free_run", runs.free))
+    }
+    metrics = {**_figures(runs, tests, factor), "residuals": residuals, **trusted}
+    return metrics, _predictions(runs, half, tests, factor)
+
+
+def _run(channel: Channel, tests: Sequence[Record]) -> _Runs:
     batch = channel.batch(tests)
+    steps = [h for h in HORIZONS if h < min(map(len, tests))]
+    benchmark = np.asarray(channel.simulate_benchmark(batch))
+    held = np.asarray(batch.displacement)
+
+    def before(rows: np.ndarray, h: int) -> np.ndarray:
+        return np.concatenate([rows[:, :h], rows[:, :-h]], axis=1)
+
+    def re_anchored(simulated: np.ndarray) -> list[np.ndarray]:
+        return [before(held, h) + simulated - before(simulated, h) for h in steps]
+
+    rivals = _rivals(channel, batch, steps)
+    ahead = {
+        "persistence": [before(held, h) for h in steps],
+        "benchmark": re_anchored(benchmark),
+        "greybox": list(np.asarray(channel.predict(batch, tuple(steps)))),
+        **{name: rival.ahead or re_anchored(rival.free_run) for name, rival in rivals.items()},
+    }
+    return _Runs(batch, steps, benchmark, np.asarray(channel.simulate(batch)), ahead, rivals)
+
+
+def _half_width(channel: Channel, runs: _Runs, known: Uncertainty | None) -> np.ndarray | None:
+    """Return the half width of the band around the free run; None where there is none, or it diverged."""
+    if known is None or known.bands is None:
+        return None
+    half = free_run_band(channel, known.bands, runs.batch)
+    return half if np.all(np.isfinite(runs.free)) and np.all(np.isfinite(half)) else None
+
+
+def _figures(runs: _Runs, tests: Sequence[Record], factor: float) -> dict:
+    """Return accuracy of every model, horizons, and single tests."""
     actual = [factor * record.displacement for record in tests]
 
     def figures(rows: np.ndarray, skip: int = 0) -> dict:
         predicted = [factor * row for row in unpadded(rows, tests)]
         return pooled([a[skip:] for a in actual], [p[skip:] for p in predicted])
 
-    benchmark = np.asarray(channel.simulate_benchmark(batch))
-    free = np.asarray(channel.simulate(batch))
-    steps = [h for h in HORIZONS if h < min(map(len, tests))]
-    held = np.asarray(batch.displacement)
-
-    def last_measured(h: int) -> np.ndarray:
-        return np.concatenate([held[:, :h], held[:, :-h]], axis=1)
-
-    def re_anchored(simulated: np.ndarray) -> list[np.ndarray]:
-        return [
-            last_measured(h) + simulated - np.concatenate([simulated[:, :h], simulated[:, :-h]], axis=1)
-            for h in steps
-        ]
-
-    rivals = _rivals(channel, batch, steps)
-    predicted = {
-        "persistence": [last_measured(h) for h in steps],
-        "benchmark": re_anchored(benchmark),
-        "greybox": list(np.asarray(channel.predict(batch, tuple(steps)))),
-        **{name: rival.ahead or re_anchored(rival.free_run) for name, rival in rivals.items()},
+    grey = runs.ahead["greybox"][0]
+    rivals = {
+        name: ({"one_step": figures(rival.ahead[0], 1)} if rival.ahead else {})
+        | {"free_run": figures(rival.free_run)}
+        for name, rival in runs.rivals.items()
     }
-    trusted, band = {} if known is None else trust_figures(known, factor), None
-    if known is not None and known.bands is not None:
-        half = free_run_band(channel, known.bands, batch)
-        if np.all(np.isfinite(free)) and np.all(np.isfinite(half)):
-            looked = np.stack(predicted["greybox"])
-            trusted["bands"] = band_figures(known.bands, batch, free, half, looked, steps, factor)
-            band = (free - half, free + half)
-    metrics = {
+    horizons = {
+        name: [figures(row, h)["rmse"] for h, row in zip(runs.steps, rows, strict=True)]
+        for name, rows in runs.ahead.items()
+    }
+    pairs = zip(tests, actual, unpadded(runs.free, tests), strict=True)
+    return {
         "tests": [record.name for record in tests],
-        "benchmark": {"free_run": figures(benchmark)},
-        "greybox": {"one_step": figures(predicted["greybox"][0], 1), "free_run": figures(free)},
-        "baselines": {
-            "persistence": {"one_step": figures(last_measured(1), 1)},
-            **{
-                name: ({"one_step": figures(rival.ahead[0], 1)} if rival.ahead else {})
-                | {"free_run": figures(rival.free_run)}
-                for name, rival in rivals.items()
-            },
-        },
-        "horizons": {
-            "steps": steps,
-            **{
-                name: [figures(row, h)["rmse"] for h, row in zip(steps, rows, strict=True)]
-                for name, rows in predicted.items()
-            },
-        },
-        "per_test": {
-            record.name: {
-                "free_run": pooled([a], [factor * f]),
-            }
-            for record, a, f in zip(tests, actual, unpadded(free, tests), strict=True)
-        },
-        "residuals": {
-            run: residual_figures(channel, batch, rows, factor)
-            for run, rows in (("one_step", predicted["greybox"][0]), ("free_run", free))
-        },
-        **trusted,
+        "benchmark": {"free_run": figures(runs.benchmark)},
+        "greybox": {"one_step": figures(grey, 1), "free_run": figures(runs.free)},
+        "baselines": {"persistence": {"one_step": figures(runs.ahead["persistence"][0], 1)}, **rivals},
+        "horizons": {"steps": runs.steps, **horizons},
+        "per_test": {record.name: {"free_run": pooled([a], [factor * f])} for record, a, f in pairs},
     }
 
+
+def _predictions(runs: _Runs, half: np.ndarray | None, tests: Sequence[Record], factor: float) -> Predictions:
     def of_tests(rows: np.ndarray) -> tuple[np.ndarray, ...]:
         return tuple(factor * row for row in unpadded(rows, tests))
 
-    free_runs = {name: rival.free_run for name, rival in rivals.items()}
     models = {
-        "benchmark": benchmark,
-        "one_step": predicted["greybox"][0],
-        "free_run": free,
-        "persistence": predicted["persistence"][0],
-        **free_runs,
+        "benchmark": runs.benchmark,
+        "one_step": runs.ahead["greybox"][0],
+        "free_run": runs.free,
+        **{name: rival.free_run for name, rival in runs.rivals.items()},
     }
-    return metrics, Predictions(
+    return Predictions(
         names=tuple(record.name for record in tests),
         time_s=tuple(record.step_s * np.arange(len(record)) for record in tests),
-        actual=tuple(actual),
+        actual=tuple(factor * record.displacement for record in tests),
         models={name: of_tests(rows) for name, rows in models.items()},
-        band=None if band is None else (of_tests(band[0]), of_tests(band[1])),
+        band=None if half is None else (of_tests(runs.free - half), of_tests(runs.free + half)),
     )
 
 

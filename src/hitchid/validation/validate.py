@@ -42,7 +42,7 @@ class Validation:
         return markdown(tables(self.metrics), self.notices)
 
     def write(self, folder: str | Path, *, force: bool = False) -> None:
-        """Write `metrics.json` and `tables.md`, both or neither.
+        """Write `metrics.json` and `tables.md`, both or neither; `report.write_report` adds a report.
 
         Raises:
             OutputError: the folder exists and `force` is not given, or it cannot be written.

@@ -27,7 +27,11 @@ ALPHA, ROW_IN = 0.35, 2.4
 
 @styled
 def timeline(records: Sequence[tuple[Record, Sequence[Segment]]]) -> Figure:
-    """Return records, one below the other, with what happens in them behind the displacement."""
+    """Return records, one below the other, with what happens in them behind the displacement.
+
+    Args:
+        records: mixed logs, each with its stretches, as `segments` gives them.
+    """
     figure = Figure(figsize=(PAGE_IN, ROW_IN * len(records) + 0.4))
     axes = figure.subplots(2 * len(records), 1, squeeze=False, height_ratios=[2, 1] * len(records))[:, 0]
     used: dict[str, None] = {}

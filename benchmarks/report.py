@@ -1,0 +1,33 @@
+"""How long a report takes after its validation: `python benchmarks/report.py MODEL LOGS [RUNS]`."""
+
+import statistics
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import hitchid
+from hitchid.model import load_trace
+from hitchid.report import validation_report, write_report
+
+
+def main(model_folder: str, logs: str, runs: int) -> None:
+    """Print the median time of composing and writing a report, s, and the size of its page."""
+    model, trace, campaign = hitchid.load(model_folder), load_trace(model_folder), hitchid.read(logs)
+    result = hitchid.validate(model, campaign)
+    spent, size = [], 0
+    with tempfile.TemporaryDirectory() as place:
+        for number in range(runs):
+            started = time.perf_counter()
+            document = validation_report(result, model, campaign, trace=trace)
+            out = Path(place) / str(number)
+            write_report(out, document, result.files(), mark="metrics.json")
+            spent.append(time.perf_counter() - started)
+            size = (out / "report.html").stat().st_size
+    told = f"median {statistics.median(spent):.1f} s of {runs}, first {spent[0]:.1f} s"
+    sys.stdout.write(f"{len(campaign.records)} logs, {len(list(document.pictures))} figures: {told}; ")
+    sys.stdout.write(f"page {size / 1e6:.2f} MB\n")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], sys.argv[2], int(sys.argv[3]) if len(sys.argv) > 3 else 3)
