@@ -1,5 +1,6 @@
 """Made-up logs of a two-way plant."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -51,3 +52,17 @@ def write_bench(
                 },
             )
     return place
+
+
+def with_a_cycle(folder: Path, place: Path) -> Path:
+    """Return a copy of a folder of logs with one that goes up for a second and down for a second."""
+    logs = shutil.copytree(folder, place)
+    up, down = np.repeat([0, 0.6, 0, 0], 100), np.repeat([0, 0, 0, 0.6], 100)
+    columns = {
+        "time_s": np.round(0.01 * np.arange(400), 4),
+        "current_up_A": up,
+        "current_down_A": down,
+        "displacement_mm": 100 + np.cumsum(0.07 * (up > 0) - 0.05 * (down > 0)),
+    }
+    write_table(logs / "cycle-01.csv", columns)
+    return logs

@@ -12,10 +12,11 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+import benches
 import handmade
 from hitchid import cli
 from hitchid.model import save
-from hitchid.readers import read, write_table
+from hitchid.readers import read
 
 COMMANDS = [command.callback.__name__ for command in cli.app.registered_commands]
 QUICK = """
@@ -567,16 +568,7 @@ def test_simulate_says_on_stderr_where_it_leaves_what_the_tests_covered(bench_fo
 @pytest.fixture(scope="module")
 def tests_with_a_cycle(bench_folder, tmp_path_factory):
     """Return the bench's logs and one of both directions, up for a second and down for a second."""
-    folder = shutil.copytree(bench_folder, tmp_path_factory.mktemp("cycles") / "logs")
-    up, down = np.repeat([0, 0.6, 0, 0], 100), np.repeat([0, 0, 0, 0.6], 100)
-    columns = {
-        "time_s": np.round(0.01 * np.arange(400), 4),
-        "current_up_A": up,
-        "current_down_A": down,
-        "displacement_mm": 100 + np.cumsum(0.07 * (up > 0) - 0.05 * (down > 0)),
-    }
-    write_table(folder / "cycle-01.csv", columns)
-    return folder
+    return benches.with_a_cycle(bench_folder, tmp_path_factory.mktemp("cycles") / "logs")
 
 
 @pytest.fixture(scope="module")

@@ -220,6 +220,9 @@ def test_no_label_is_cut_off_or_covers_another_of_its_axis(draw, name):
             assert box.y1 <= whole.y1, text
         for (one, box), (other, beside) in combinations(boxes.items(), 2):
             assert not box.overlaps(beside), (one, other)
+    for text in (text for legend in figure.legends for text in legend.get_texts()):
+        box = text.get_window_extent()
+        assert whole.x0 <= box.x0 <= box.x1 <= whole.x1, text.get_text()
 
 
 def colours(axes):

@@ -70,24 +70,10 @@ PARTS = {
 }
 
 
-def with_a_cycle(folder, place):
-    """Return a copy of a folder of logs with one that goes up for a second and down for a second."""
-    logs = shutil.copytree(folder, place)
-    up, down = np.repeat([0, 0.6, 0, 0], 100), np.repeat([0, 0, 0, 0.6], 100)
-    columns = {
-        "time_s": np.round(0.01 * np.arange(400), 4),
-        "current_up_A": up,
-        "current_down_A": down,
-        "displacement_mm": 100 + np.cumsum(0.07 * (up > 0) - 0.05 * (down > 0)),
-    }
-    write_table(logs / "cycle-01.csv", columns)
-    return logs
-
-
 @pytest.fixture(scope="module")
 def logs(bench_folder, tmp_path_factory):
     """Return three tests of each direction and a cycle."""
-    return with_a_cycle(bench_folder, tmp_path_factory.mktemp("reports") / "logs")
+    return benches.with_a_cycle(bench_folder, tmp_path_factory.mktemp("reports") / "logs")
 
 
 @pytest.fixture(scope="module")

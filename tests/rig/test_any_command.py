@@ -42,9 +42,9 @@ def test_random_commands_stay_within_physics(rig, seed, start, load, temperature
     assert displacement.min() > -yielded
     assert displacement.max() < 0.25 + yielded
     # A step is linear: over one in which a check valve closes, flow may run on past zero, by no more than
-    # the pump's flow of that step. Oil that goes back for longer than that is caught.
+    # the pump's flow of that step: in a whole test, not each time.
     step_m3 = np.diff(np.asarray(motion.pumped_m3)).max() / SUBSTEPS
     for volume in map(
         np.asarray, (motion.pumped_m3, motion.relieved_m3, motion.lifted_m3, motion.secured_m3)
     ):
-        assert np.all(np.maximum.accumulate(volume, axis=1) - volume <= step_m3)
+        assert np.all(np.sum(np.maximum(-np.diff(volume, axis=1), 0.0), axis=1) <= step_m3)

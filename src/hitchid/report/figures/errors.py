@@ -45,7 +45,7 @@ def predicted_errors(parts: Mapping[str, Predictions], unit: str) -> Figure:
         colour = PARTS.get(part, COLOURS["one_step"])
         axis.plot(*thinned(sample, predicted - benchmark), color=colour, label=_predicted(part, len(parts)))
         axis.set_ylabel(f"error, {part} / {unit}" if len(parts) > 1 else f"benchmark's error / {unit}")
-    legend_above(figure, *axes)
+    legend_above(figure, *axes, columns=1 if len(parts) > 1 else 2)
     axes[-1].set_xlabel("sample, test after test")
     return figure
 
