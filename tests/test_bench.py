@@ -6,7 +6,8 @@ import pytest
 from hitchid.bench import write_campaign
 from hitchid.errors import OutputError
 from hitchid.readers import read
-from hitchid.readers.csv import read_table
+from hitchid.readers.content import Wanted
+from hitchid.readers.formats.csv import read as read_csv
 from hitchid.rig import limits, load_rig
 
 
@@ -30,8 +31,9 @@ def test_true_displacements_lie_beside_the_logs_and_are_not_read_with_them(campa
     campaign = read(campaign_folder)
     sensors_mm = 0.003 * 1e3 * limits(load_rig("nominal")).stroke_m
     for record in campaign.records:
-        truth = read_table(campaign_folder / "truth" / f"{record.name}.csv", ["displacement_true_mm"])
-        true = truth.columns["displacement_true_mm"]
+        file = campaign_folder / "truth" / f"{record.name}.csv"
+        truth = read_csv(file, Wanted("time_s", ("displacement_true_mm",)))
+        true = truth.channels["displacement_true_mm"].values
         assert true.size == len(record)
         # The sensors' error is within 0.3 % of full scale; noise stays within its share of that.
         assert np.max(np.abs(true - record.displacement)) < 2 * sensors_mm

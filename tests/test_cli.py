@@ -181,7 +181,6 @@ BAD_LOGS = {
     "an empty file": (lambda lines: [], ["empty", "required"]),
     "a header only": (lambda lines: lines[:1], ["line 1", "no samples"]),
     "five samples": (lambda lines: lines[:6], ["5 samples", "at least 20"]),
-    "semicolons": (lambda lines: [line.replace(",", ";") for line in lines], ["line 1", "'time_s'", "comma"]),
     "binary garbage": (lambda lines: ["\udcff\udc80" * 99], ["UTF-8"]),
     "a quote never closed": (cell(5, 1, '"0.5'), ["line", "required"]),
 }

@@ -97,7 +97,7 @@ def write_campaign(
     *,
     tests: Mapping[Protocol, int] = TESTS,
     modes: Sequence[str] = MODES,
-    suffix: Literal["csv", "csv.gz"] = "csv",
+    suffix: Literal["csv", "csv.gz", "mf4", "parquet", "tdms"] = "csv",
     seed: int = 0,
     force: bool = False,
 ) -> None:

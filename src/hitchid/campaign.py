@@ -1,5 +1,6 @@
 """All tests of one plant, and which of them are held out."""
 
+import hashlib
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -105,6 +106,17 @@ class Campaign:
     def modes(self) -> tuple[str, ...]:
         """The modes that single-direction tests excite."""
         return tuple(mode for mode in MODES if self.of_kind(mode))
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of all there is: names, kinds, clocks, units, every sample, what is held out."""
+        whole = hashlib.sha256(repr(self.test_patterns).encode(errors="surrogateescape"))
+        for record in self.records:
+            told = (record.name, record.kind, record.step_s, record.start_s, sorted(record.units.items()))
+            whole.update(repr(told).encode(errors="surrogateescape"))
+            for role in sorted(record.signals):
+                whole.update(role.encode(errors="surrogateescape") + record.signals[role].tobytes())
+        return whole.hexdigest()
 
     def of_kind(self, kind: str) -> tuple[Record, ...]:
         """Return the records of one kind."""

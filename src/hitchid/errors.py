@@ -23,6 +23,7 @@ class LogError(InputError):
 
     def __init__(self, source: object, problem: str, *, line: int | None = None, column: str | None = None):
         """Compose `source: line N: column 'C': problem`, leaving out what is not known."""
+        self.problem, self.line, self.column = problem, line, column
         place = [str(source)]
         if line is not None:
             place.append(f"line {line}")

@@ -9,7 +9,7 @@ import numpy as np
 from hitchid.campaign import Campaign
 from hitchid.errors import HitchError, LogError
 from hitchid.modes import ACTIVE_FRACTION, full_scales
-from hitchid.readers import assemble, find_logs, read_log, settings_of
+from hitchid.readers import ReaderProcess, assemble, find_logs, read_log, settings_of
 from hitchid.record import CYCLE, IDLE, MODES, Record
 from hitchid.segments import Segment, Switch, durations_s, segments
 
@@ -59,11 +59,12 @@ def inspect(
     settings = settings_of(paths, signals)
     records: list[Record] = []
     faults: list[str] = []
-    for path in paths:
-        try:
-            records += read_log(path, settings[path.parent].signals)
-        except LogError as error:
-            faults.append(str(error))
+    with ReaderProcess() as process:
+        for path in paths:
+            try:
+                records += read_log(path, settings[path.parent], process)
+            except LogError as error:
+                faults.append(str(error))
     if not records:
         return Inspection((), (), tuple(faults))
     try:

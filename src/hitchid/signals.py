@@ -1,17 +1,29 @@
 """The settings file of a campaign: which column is which signal, which test is what, which are held out."""
 
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from hitchid.errors import SettingsError
-from hitchid.units import UNITS, check_unit, conversion_factor, unit_of_column
+from hitchid.units import UNITS, check_unit, unit_of_column
 
 CAMPAIGN_FILE = "campaign.toml"
 POSITIONS = ("length", "angle", "voltage", "ratio")
 COMMANDS = ("current", "voltage", "ratio")
+DIMENSIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "time": ("time",),
+        "displacement": POSITIONS,
+        "command": COMMANDS,
+        "lifting_command": COMMANDS,
+        "lowering_command": COMMANDS,
+    }
+)
+"""Role to the dimensions its unit may have; a further input may have any."""
 
 
 class Strict(BaseModel):
@@ -21,29 +33,23 @@ class Strict(BaseModel):
 
 
 class Column(Strict):
-    """A column of the log and the unit it is in."""
+    """A column of the log and the unit it is wanted in; None where the log says it."""
 
     column: str
-    unit: str
+    unit: str | None = None
 
     @model_validator(mode="before")
     @classmethod
     def _from_name(cls, given: object) -> object:
         if isinstance(given, str):
-            unit = unit_of_column(given)
-            if unit is None:
-                raise ValueError(
-                    f"the name '{given}' does not end in a known unit; "
-                    f'required {{ column = "{given}", unit = "…" }}'
-                )
-            return {"column": given, "unit": unit}
+            return {"column": given, "unit": unit_of_column(given)}
         return given
 
     @field_validator("unit")
     @classmethod
-    def _known(cls, unit: str) -> str:
+    def _known(cls, unit: str | None) -> str | None:
         try:
-            return check_unit(unit, "unit")
+            return None if unit is None else check_unit(unit, "unit")
         except SettingsError as error:
             raise ValueError(str(error)) from error
 
@@ -72,14 +78,15 @@ class SignalMap(Strict):
         taken = {"displacement", "lifting_command", "lowering_command"}.intersection(self.covariates)
         if taken:
             raise ValueError(f"covariates: '{taken.pop()}' is the name of a signal; rename the column")
-        conversion_factor(self.time.unit, "s", "time")
-        commands = {name: getattr(self, name) for name in ("command", "lifting_command", "lowering_command")}
-        for name, column in {"displacement": self.displacement, **commands}.items():
-            admitted = POSITIONS if name == "displacement" else COMMANDS
-            if column is not None and UNITS[column.unit].dimension not in admitted:
+        for role, dimensions in DIMENSIONS.items():
+            column = getattr(self, role)
+            if column is None or column.unit is None:
+                continue
+            dimension = UNITS[column.unit].dimension
+            if dimension not in dimensions:
                 raise ValueError(
-                    f"{name}: '{column.unit}' is a unit of {UNITS[column.unit].dimension}, "
-                    f"required one of {', '.join(admitted)}"
+                    f"{role}: '{column.unit}' is a unit of {dimension}, "
+                    f"required one of {', '.join(dimensions)}"
                 )
         return self
 
@@ -96,10 +103,17 @@ class Split(Strict):
     test: tuple[str, ...] = Field(min_length=1)
 
 
+class Can(Strict):
+    """What is on a CAN bus: DBC files, beside the settings."""
+
+    databases: tuple[str, ...] = ()
+
+
 class CampaignFile(Strict):
     """All of `campaign.toml`."""
 
     signals: SignalMap = DEFAULT_SIGNALS
+    can: Can = Can()
     split: Split | None = None
     tests: dict[str, Literal["lifting", "lowering", "ramp", "cycle"]] = {}
 

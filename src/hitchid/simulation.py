@@ -5,10 +5,12 @@ from pathlib import Path
 import numpy as np
 
 from hitchid.model import Hitch
-from hitchid.readers import assemble, format_of, read_log, settings_of
-from hitchid.readers.csv import write_rows
+from hitchid.readers import ReaderProcess, assemble, read_table, records_of, settings_of
+from hitchid.readers.formats.csv import SUFFIXES, read_rows, write_rows
+from hitchid.readers.table import Table
+from hitchid.signals import SignalMap
 from hitchid.storage import write_file
-from hitchid.units import conversion_factor
+from hitchid.units import UNITS
 
 
 def simulate_log(
@@ -22,6 +24,8 @@ def simulate_log(
     force: bool = False,
 ) -> tuple[str, ...]:
     """Write a log's columns and the displacement a model predicts for each of its rows.
+
+    All columns of a text log are written as they stand; of any other format time and signals are.
 
     A log with gaps is predicted stretch by stretch; rows of no usable stretch get an empty cell.
 
@@ -42,11 +46,11 @@ def simulate_log(
     """
     settings = settings_of([log], signals)
     signal_map = settings[log.parent].signals
-    campaign = assemble(read_log(log, signal_map), settings)
-    header, rows = format_of(log).read_rows(log, signal_map.time.column)
-    column = header.index(signal_map.time.column)
-    factor = conversion_factor(signal_map.time.unit, "s", "time")
-    time_s = factor * np.array([float(row[column]) for row in rows])
+    with ReaderProcess() as process:
+        table = read_table(log, settings[log.parent], process)
+    campaign = assemble(records_of(table, signal_map), settings)
+    header, rows = _as_text(log, table, signal_map)
+    time_s = table.time_s
     kinds = ("predicted",) if coverage is None else ("predicted", "lower", "upper")
     columns, beyond = np.full((len(kinds), time_s.size), np.nan), []
     for record in campaign.records:
@@ -67,6 +71,16 @@ def simulate_log(
         force=force,
     )
     return tuple(beyond)
+
+
+def _as_text(log: Path, table: Table, signals: SignalMap) -> tuple[list[str], list[list[str]]]:
+    """Return header and rows of a log as text."""
+    if log.name.lower().endswith(SUFFIXES):
+        return read_rows(log)
+    time = table.time_s / UNITS[signals.time.unit or "s"].factor
+    columns = {signals.time.column: time, **table.columns}
+    rows = zip(*(values.tolist() for values in columns.values()), strict=True)
+    return list(columns), [[repr(value) for value in row] for row in rows]
 
 
 def added_name(column: str, kind: str) -> str:

@@ -40,6 +40,7 @@ def write_folder(folder: Path, write: Callable[[Path], None], *, mark: str, forc
         try:
             write(beside)
             os.chmod(beside, 0o755)  # noqa: S103
+            _settle(*beside.rglob("*"), beside)
             older = beside.with_name(f"{beside.name}-older")
             if folder.exists():
                 folder.rename(older)
@@ -49,11 +50,28 @@ def write_folder(folder: Path, write: Callable[[Path], None], *, mark: str, forc
                 if older.exists():
                     older.rename(folder)
                 raise
+            _settle(folder.parent)
             shutil.rmtree(older, ignore_errors=True)
         finally:
             shutil.rmtree(beside, ignore_errors=True)
     except OSError as error:
         raise OutputError(f"{folder}: cannot be written: {error}") from error
+
+
+def _settle(*places: Path) -> None:
+    """Have files and folders written out to the disk, so that what is renamed afterwards is whole.
+
+    Raises:
+        OSError: the disk is full or fails.
+    """
+    for place in places:
+        if place.is_dir() and os.name == "nt":  # folders cannot be opened there
+            continue
+        handle = os.open(place, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
 
 
 def put(folder: Path, files: Mapping[str, bytes]) -> None:
@@ -122,7 +140,9 @@ def write_file(path: Path, write: Callable[[Path], None], *, force: bool) -> Non
         with tempfile.TemporaryDirectory(prefix=f".{path.name}-", dir=path.parent) as beside:
             fresh = Path(beside) / path.name
             write(fresh)
+            _settle(fresh)
             fresh.replace(path)
+            _settle(path.parent)
     except OSError as error:
         raise OutputError(f"{path}: cannot be written: {error}") from error
 

@@ -26,11 +26,44 @@ UNITS: dict[str, _Unit] = {
     "rad": _Unit("angle", 1.0),
     "bar": _Unit("pressure", 1e5),
     "MPa": _Unit("pressure", 1e6),
+    "kPa": _Unit("pressure", 1e3),
     "Pa": _Unit("pressure", 1.0),
     "psi": _Unit("pressure", 6894.757293168361),
     "s": _Unit("time", 1.0),
     "ms": _Unit("time", 1e-3),
 }
+
+SPELLINGS = {
+    "%": "percent",
+    "pct": "percent",
+    "-": "1",
+    "ampere": "A",
+    "amp": "A",
+    "amps": "A",
+    "volt": "V",
+    "volts": "V",
+    "meter": "m",
+    "metre": "m",
+    "inch": "in",
+    "°": "deg",
+    "degree": "deg",
+    "degrees": "deg",
+    "radian": "rad",
+    "radians": "rad",
+    "sec": "s",
+    "second": "s",
+    "seconds": "s",
+    "msec": "ms",
+    "milliseconds": "ms",
+}
+
+
+def known_unit(spelling: str) -> str | None:
+    """Return the unit that a file means by a spelling, such as `%` or `Volts`; None where it is not known."""
+    bare = spelling.strip().strip("[]()").strip()
+    if bare in UNITS:
+        return bare
+    return SPELLINGS.get(bare.lower())
 
 
 def check_unit(unit: str, where: str) -> str:

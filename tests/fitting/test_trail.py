@@ -1,6 +1,5 @@
 """Several searches on one budget from several seeds, kept on disk and found again."""
 
-import json
 from dataclasses import dataclass, field, replace
 
 import equinox as eqx
@@ -9,6 +8,7 @@ import numpy as np
 import pytest
 
 from hitchid.benchmark import Batch, Form, structure_named
+from hitchid.checkpoints import Checkpoints
 from hitchid.errors import FitError
 from hitchid.fitting import Comparison, DifferentialEvolution, Found, Misfit, MultiStart, Run, Search, Whale
 from hitchid.fitting.search import Problem
@@ -133,9 +133,9 @@ def test_the_same_seed_gives_the_same_run_and_another_seed_another(trails):
 
 
 def test_a_run_from_disk_is_not_run_again(trails, tmp_path, monkeypatch):
-    asked = Comparison(three_searches(BUDGET), SEEDS, tmp_path / "runs")
+    asked = Comparison(three_searches(BUDGET), SEEDS, Checkpoints(tmp_path / "runs"))
     assert search_trails(misfit_of(), asked) == trails
-    assert len(kept(asked.folder)) == 3 * SEEDS
+    assert len(kept(tmp_path / "runs")) == 3 * SEEDS
 
     def refuse(*_):
         raise AssertionError("run again")
@@ -156,36 +156,21 @@ def test_without_a_folder_nothing_is_kept(tmp_path, monkeypatch):
 DAMAGE = {
     "empty": lambda content: b"",
     "truncated": lambda content: content[: len(content) // 2],
-    "not text": lambda content: b"\xff\xfe" + content,
-    "a key is gone": lambda content: changed(content, lambda run: run.pop("evaluations")),
-    "words for numbers": lambda content: changed(content, lambda run: run.update(fitness="low")),
+    "something in front": lambda content: b"\xff\xfe" + content,
+    "one bit": lambda content: content[:-9] + bytes([content[-9] ^ 1]) + content[-8:],
 }
-
-
-def changed(content, change):
-    held = json.loads(content)
-    change(held["run"])
-    return json.dumps(held).encode()
 
 
 @pytest.mark.parametrize("damage", DAMAGE.values(), ids=DAMAGE)
 def test_a_damaged_file_is_run_again_and_replaced(tmp_path, damage):
     search = Still()
-    asked = Comparison((search,), 1, tmp_path)
+    asked = Comparison((search,), 1, Checkpoints(tmp_path))
     first, whole = search_trails(misfit_of(), asked), kept(tmp_path)
     ((name, content),) = whole.items()
     (tmp_path / name).write_bytes(damage(content))
     assert search_trails(misfit_of(), asked) == first
     assert search.asked == [0, 0]
     assert kept(tmp_path) == whole
-
-
-def test_a_file_with_other_numbers_is_run_again(tmp_path):
-    asked = Comparison((Still(),), 1, tmp_path)
-    first = search_trails(misfit_of(), asked)
-    ((name, content),) = kept(tmp_path).items()
-    (tmp_path / name).write_bytes(content.replace(b"2.0", b"1.0"))
-    assert search_trails(misfit_of(), asked) == first
 
 
 BOUNDED = {"bounds": {"gain": (1.0, 100.0)}}
@@ -206,7 +191,7 @@ BOUNDED = {"bounds": {"gain": (1.0, 100.0)}}
 )
 def test_other_data_or_another_form_never_meets_the_same_file(tmp_path, form, other):
     search = Still()
-    asked = Comparison((search,), SEEDS, tmp_path)
+    asked = Comparison((search,), SEEDS, Checkpoints(tmp_path))
     search_trails(misfit_of(**form), asked)
     search_trails(misfit_of(**other), asked)
     assert search.asked == [0, 1, 0, 1]
@@ -219,12 +204,12 @@ def test_one_sample_that_differs_and_another_search_never_meet_the_same_file(tmp
         lambda m: m.batch.displacement, misfit, misfit.batch.displacement.at[0, 100].add(1e-9)
     )
     for each, search in ((misfit, Still()), (nearby, Still()), (misfit, Still(first=3.0))):
-        search_trails(each, Comparison((search,), SEEDS, tmp_path))
+        search_trails(each, Comparison((search,), SEEDS, Checkpoints(tmp_path)))
         assert search.asked == [0, 1]
 
 
 def test_a_search_that_fails_is_a_run_without_fitness_that_ends_nowhere(tmp_path):
-    asked = Comparison((Failing(),), 3, tmp_path)
+    asked = Comparison((Failing(),), 3, Checkpoints(tmp_path))
     for _ in range(2):
         (trail,) = search_trails(misfit_of(), asked)
         assert [run.last for run in trail.runs] == [None, 1.0, None]
@@ -233,7 +218,7 @@ def test_a_search_that_fails_is_a_run_without_fitness_that_ends_nowhere(tmp_path
 
 
 def test_steps_before_anything_was_finite_have_no_fitness(tmp_path):
-    asked = Comparison((Still(first=np.inf),), 1, tmp_path)
+    asked = Comparison((Still(first=np.inf),), 1, Checkpoints(tmp_path))
     for _ in range(2):
         ((run,),) = (trail.runs for trail in search_trails(misfit_of(), asked))
         assert run.fitness == (None, 1.0)

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from hitchid.errors import HitchError, InputError, LogError
-from hitchid.readers import find_logs, read, read_log, write_table
-from hitchid.readers.reading import SHORTEST, record_name
-from hitchid.signals import DEFAULT_SIGNALS
+from hitchid.readers import ReaderProcess, find_logs, read, read_log, write_table
+from hitchid.readers.formats import record_name
+from hitchid.readers.reading import SHORTEST
+from hitchid.signals import DEFAULT_SIGNALS, CampaignFile, Column
 
 EPS = np.finfo(np.float64).eps
 STEP_S = 0.01
@@ -75,9 +76,9 @@ def test_files_and_folders_may_be_mixed_and_each_counts_once(folder):
         ("missing", "no such file or folder"),
         ("missing.csv", "no such file or folder"),
         ("loop.csv", "no such file or folder"),
-        ("notes.txt", r"format is not known.*\.csv, \.csv\.gz, \.mat"),
+        ("notes.txt", r"format is not known.*\.csv, \.csv\.gz.*\.mat"),
         ("gz", r"format is not known"),
-        ("empty", r"no log in this folder.*\.csv, \.csv\.gz, \.mat"),
+        ("empty", r"no log in this folder.*\.csv, \.csv\.gz.*\.mat"),
     ],
 )
 def test_what_is_no_log_is_refused_by_its_path(tmp_path, name, said):
@@ -301,10 +302,10 @@ def test_any_start_and_unit_of_time_gives_the_same_clock(folder, unit, per_secon
     log = columns()
     log["time_s"] = (start_s + STEP_S * np.arange(SAMPLES)) * per_second
     write_table(folder / "a.csv", log)
-    signals = DEFAULT_SIGNALS.model_copy(
-        update={"time": DEFAULT_SIGNALS.time.model_copy(update={"unit": unit})}
+    settings = CampaignFile(
+        signals=DEFAULT_SIGNALS.model_copy(update={"time": Column(column="time_s", unit=unit)})
     )
-    (record,) = read_log(folder / "a.csv", signals)
+    (record,) = read_log(folder / "a.csv", settings, ReaderProcess())
     assert record.step_s == STEP_S
     assert record.start_s == pytest.approx(start_s, abs=np.spacing(1.7e9))
     np.testing.assert_array_equal(record.displacement, columns()["displacement_mm"])
@@ -359,7 +360,7 @@ LOSSY = {
 def test_rows_are_left_out_only_with_a_notice_of_how_many(folder, time_s):
     write_table(folder / "a.csv", columns(time_s))
     try:
-        records = read_log(folder / "a.csv", DEFAULT_SIGNALS)
+        records = read_log(folder / "a.csv", CampaignFile(), ReaderProcess())
     except LogError:
         return
     lost = time_s.size - sum(map(len, records))

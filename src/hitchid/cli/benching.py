@@ -33,6 +33,9 @@ class LogFormat(Enum):
 
     CSV = "csv"
     GZIP = "csv.gz"
+    MDF = "mf4"
+    PARQUET = "parquet"
+    TDMS = "tdms"
 
 
 def bench(

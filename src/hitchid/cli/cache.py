@@ -20,7 +20,9 @@ def prepare_jax() -> None:
 
 def resumable(comparison: "Comparison | None") -> "Comparison | None":
     """Keep finished searches in the user's cache, so that a run that was stopped goes on from there."""
-    return comparison and replace(comparison, folder=_cache() / "searches")
+    from hitchid.checkpoints import Checkpoints
+
+    return comparison and replace(comparison, kept=Checkpoints(_cache() / "searches"))
 
 
 def _cache() -> Path:

@@ -1,6 +1,7 @@
 """The command that makes a model from logs."""
 
 import json
+import shutil
 from pathlib import Path
 from typing import Annotated
 
@@ -8,6 +9,7 @@ import typer
 
 from hitchid.cli.cache import prepare_jax, resumable
 from hitchid.cli.options import AsJson, Force, Logs, Quiet, Signals
+from hitchid.errors import FitError, OutputError
 
 
 def identify(
@@ -20,6 +22,9 @@ def identify(
     seed: Annotated[
         int | None, typer.Option("--seed", min=0, max=2**32 - 1, help="Seed of every random draw [0].")
     ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with a run that was stopped; ends in the same model.")
+    ] = False,
     force: Force = False,
     quiet: Quiet = False,
     as_json: AsJson = False,
@@ -28,7 +33,11 @@ def identify(
     from hitchid import display
     from hitchid.storage import check_folder
 
+    unfinished = out.absolute().with_name(f"{out.absolute().name}.unfinished")
+    force = force or (resume and unfinished.is_dir())
     check_folder(out, mark="model.json", force=force)
+    if unfinished.exists() and not resume:
+        _clear(unfinished, force=force)
     prepare_jax()
     from hitchid.fitting import Comparison
     from hitchid.identification import Settings, read_settings
@@ -40,10 +49,29 @@ def identify(
         settings["seed"] = seed
     settings["comparison"] = resumable(settings.get("comparison", Comparison()))
     campaign = read(logs, signals=signals)
-    with display.progress(quiet=quiet) as report:
-        found = run(campaign, **settings, progress=report)
+    try:
+        with display.progress(quiet=quiet) as report:
+            found = run(campaign, **settings, progress=report, checkpoints=unfinished)
+    except FitError:
+        shutil.rmtree(unfinished, ignore_errors=True)
+        raise
     found.save(out, force=force)
+    shutil.rmtree(unfinished, ignore_errors=True)
     if as_json:
         typer.echo(json.dumps(found.describe(), indent=1))
     elif not quiet:
         display.show_identification(found, out)
+
+
+def _clear(unfinished: Path, *, force: bool) -> None:
+    """Make way for a new run in place of one that was stopped."""
+    from hitchid.checkpoints import is_run
+
+    if not force:
+        raise OutputError(
+            f"{unfinished}: holds a run that was stopped; required --resume to go on with it, "
+            "or --force to begin anew"
+        )
+    if not is_run(unfinished):
+        raise OutputError(f"{unfinished}: holds no unfinished run, so --force does not replace it")
+    shutil.rmtree(unfinished)

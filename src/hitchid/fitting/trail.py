@@ -1,17 +1,16 @@
 """The trail of a search: several searches on one budget, each from several seeds, step by step."""
 
-import json
-from dataclasses import asdict, dataclass, field
-from pathlib import Path
+from dataclasses import dataclass, field
+from functools import partial
 
 import jax
 import numpy as np
-from pydantic import TypeAdapter
 
+from hitchid.checkpoints import NOWHERE, Checkpoints
 from hitchid.errors import FitError
 from hitchid.fitting.misfit import Misfit
 from hitchid.fitting.search import DifferentialEvolution, Found, MultiStart, Search, Whale
-from hitchid.storage import canonical_json, digest, write_bytes
+from hitchid.storage import digest
 from hitchid.whale import Swarm
 
 BUDGET = 600
@@ -75,12 +74,12 @@ class Comparison:
     Attributes:
         searches: what is compared; by default whale, differential evolution and multi-start least squares.
         seeds: how many runs of each.
-        folder: where finished runs are kept and found again; None keeps none.
+        kept: where finished runs are kept and found again.
     """
 
     searches: tuple[Search, ...] = field(default_factory=three_searches)
     seeds: int = SEEDS
-    folder: Path | None = None
+    kept: Checkpoints = NOWHERE
 
 
 def search_trails(misfit: Misfit, asked: Comparison, first_seed: int = 0) -> tuple[Trail, ...]:
@@ -101,44 +100,36 @@ def search_trails(misfit: Misfit, asked: Comparison, first_seed: int = 0) -> tup
         runs = []
         for seed in range(first_seed, first_seed + asked.seeds):
             name = digest(f"{stamp} {search!r} {seed}".encode())
-            runs.append(_kept(asked.folder and asked.folder / f"{name}.json", thin, search, seed))
+            runs.append(_told(asked.kept.piece(name, _Searched, partial(_run, thin, search, seed))))
         found.append(Trail(search.name, tuple(runs)))
     return tuple(found)
 
 
-def _kept(path: Path | None, misfit: Misfit, search: Search, seed: int) -> Run:
-    """Return a run from disk, where it is whole, or else run it and keep it."""
-    if path is not None and path.is_file():
-        try:
-            run = _ADAPTER.validate_python(json.loads(path.read_bytes())["run"])
-            if path.read_bytes() == _sealed(run):
-                return run
-        except (ValueError, TypeError, KeyError, OSError):
-            pass
-    run = _run(misfit, search, seed)
-    if path is not None:
-        write_bytes(path, _sealed(run), force=True)
-    return run
+@dataclass(frozen=True)
+class _Searched:
+    """A run in arrays: fitness, shape [G], not finite while none was; values, shape [G, D]."""
+
+    fitness: np.ndarray
+    values: np.ndarray
+    evaluations: int
+    failures: int
+    reason: str
 
 
-def _sealed(run: Run) -> bytes:
-    """Return a run as it lies on disk, with a digest that tells whether it was edited."""
-    content = asdict(run)
-    return canonical_json({"run": content, "digest": digest(canonical_json(content))})
-
-
-def _run(misfit: Misfit, search: Search, seed: int) -> Run:
+def _run(misfit: Misfit, search: Search, seed: int) -> _Searched:
     try:
         found: Found = search.minimise(misfit.problem()[0], seed)
     except FitError as error:
-        return Run((), (), 0, 0, str(error))
+        return _Searched(np.zeros(0), np.zeros((0, 0)), 0, 0, str(error))
+    values = np.array([misfit.values(each) for each in found.best_trace])
+    return _Searched(found.fitness_trace, values, found.evaluations, found.failures, found.reason)
+
+
+def _told(run: _Searched) -> Run:
     return Run(
-        fitness=tuple(float(each) if np.isfinite(each) else None for each in found.fitness_trace),
-        values=tuple(tuple(map(float, misfit.values(each))) for each in found.best_trace),
-        evaluations=found.evaluations,
-        failures=found.failures,
-        reason=found.reason,
+        fitness=tuple(each if np.isfinite(each) else None for each in run.fitness.tolist()),
+        values=tuple(tuple(each) for each in run.values.tolist()),
+        evaluations=run.evaluations,
+        failures=run.failures,
+        reason=run.reason,
     )
-
-
-_ADAPTER = TypeAdapter(Run)

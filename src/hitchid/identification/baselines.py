@@ -7,6 +7,7 @@ from jaxtyping import Array, PRNGKeyArray
 
 from hitchid.baselines import Arx, BlackBox, accumulated, speeds
 from hitchid.benchmark import Batch
+from hitchid.checkpoints import NOWHERE, Checkpoints
 from hitchid.identification.descent import Descent, Progress, descend
 from hitchid.lstm import SINGLE, Lstm
 
@@ -35,6 +36,7 @@ def fit_black_box(
     descent: Descent,
     key: PRNGKeyArray,
     progress: Progress | None = None,
+    kept: Checkpoints = NOWHERE,
 ) -> BlackBox:
     """Return a black-box LSTM trained on free runs from the start of each test.
 
@@ -45,7 +47,7 @@ def fit_black_box(
         hidden: cells of the LSTM.
         descent: Adam and early stopping.
         key: initial weights and shuffling.
-        progress: see `descend`.
+        progress, kept: see `descend`.
     """
     init_key, key = jax.random.split(key)
     train, held = _sections(training), _sections(validation)
@@ -68,7 +70,7 @@ def fit_black_box(
             jnp.asarray(counted / size, SINGLE),
         )
 
-    network, _ = descend(fresh.network, _squared_error, data(train), data(held), descent, key, progress)
+    network, _ = descend(fresh.network, _squared_error, data(train), data(held), descent, key, progress, kept)
     return BlackBox(network, fresh.command_scale, fresh.initial_centre, fresh.initial_scale, fresh.change)
 
 

@@ -12,6 +12,9 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
+from hitchid.checkpoints import NOWHERE, Arrays, Checkpoints
+from hitchid.identification.weights import weights_of, with_weights
+
 Network = TypeVar("Network")
 Progress = Callable[[int, float, float], None]
 SquaredError = Callable[[Any, PyTree], tuple[Float[Array, ""], Float[Array, ""]]]
@@ -66,6 +69,7 @@ def descend(
     settings: Descent,
     key: PRNGKeyArray,
     progress: Progress | None = None,
+    kept: Checkpoints = NOWHERE,
 ) -> tuple[Network, DescentTrace]:
     """Train a network and return the weights of the epoch with the smallest validation loss.
 
@@ -77,7 +81,29 @@ def descend(
         settings: epochs, patience, batch, learning rate.
         key: shuffles the sequences.
         progress: called after each epoch with its number, training and validation loss.
+        kept: where the weights and the losses are kept and found again.
     """
+
+    def work() -> Arrays:
+        best, trace = _descend(network, error, training, validation, settings, key, progress)
+        ending = {"best_epoch": np.asarray(trace.best_epoch), "ending": np.asarray(trace.ending.name)}
+        return {**weights_of(best), "training": trace.training, "validation": trace.validation, **ending}
+
+    found = kept.arrays("training", work)
+    ending = Ending[str(found["ending"])]
+    trace = DescentTrace(found["training"], found["validation"], int(found["best_epoch"]), ending)
+    return with_weights(network, found), trace
+
+
+def _descend(
+    network: Network,
+    error: SquaredError,
+    training: PyTree,
+    validation: PyTree,
+    settings: Descent,
+    key: PRNGKeyArray,
+    progress: Progress | None,
+) -> tuple[Network, DescentTrace]:
     sequences = jax.tree.leaves(training)[0].shape[0]
     batches = sequences // min(settings.batch, sequences)
     state = _optimiser(settings, batches).init(eqx.filter(network, eqx.is_inexact_array))

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Key, PRNGKeyArray
 
 from hitchid.benchmark import Batch, Form
+from hitchid.checkpoints import NOWHERE, Checkpoints
 from hitchid.envelope import Envelope, Range
 from hitchid.fitting import Comparison, Misfit, Search, Trail, search_trails
 from hitchid.identification.baselines import fit_arx, fit_black_box
@@ -67,6 +68,7 @@ class Asked:
         seed: every random draw comes from it.
         units: `x` and `u` to the units of displacement and command.
         comparison: how searches are compared; None compares none.
+        kept: where what is found is kept and found again.
     """
 
     form: Form | Automatic
@@ -76,6 +78,7 @@ class Asked:
     seed: int
     units: Mapping[str, str]
     comparison: Comparison | None = None
+    kept: Checkpoints = NOWHERE
 
     @property
     def searched(self) -> Form:
@@ -127,7 +130,12 @@ def find_compensators(
     keys = jax.random.split(jax.random.fold_in(jax.random.key(asked.seed), MODES.index(tests.mode)), 4)
     with _timed(seconds, "compensator"):
         channel, losses = _compensated(
-            channel, tests, asked.training, keys[0], _epochs(progress, "phase 2", 0.2, 0.3)
+            channel,
+            tests,
+            asked.training,
+            keys[0],
+            _epochs(progress, "phase 2", 0.2, 0.3),
+            asked.kept.part("compensator"),
         )
     trace = replace(trace, phase2=losses)
     if asked.training.rollouts is not None:
@@ -136,7 +144,7 @@ def find_compensators(
             travel = channel.benchmark.travel(tests.everything)
             assert channel.envelope is not None  # noqa: S101 - given above
             speed, gate = train_on_rollouts(
-                tests.everything, travel, channel.envelope, asked.training.rollouts, keys[1]
+                tests.everything, travel, channel.envelope, asked.training.rollouts, keys[1], asked.kept
             )
         channel = replace(channel, speed_compensator=speed)
         trace = replace(trace, gate=gate, notices=(*trace.notices, gate.sentence))
@@ -213,13 +221,16 @@ def _benchmark(tests: Prepared, asked: Asked, progress: Progress) -> tuple[Phase
             opening_known=ramped,
             dead_zone=tests.dead_zone.error,
             progress=progress,
+            kept=asked.kept,
         )
     error = f"RMSE / {asked.units['x']}"
     hear = rounds(progress, f"phase 1, {asked.search.name}", 0.0, 0.9, error)
-    return _identified(tests, asked, asked.form, hear), ()
+    return _identified(tests, asked, asked.form, asked.kept, hear), ()
 
 
-def _identified(tests: Prepared, asked: Asked, form: Form, heard: Heard | None = None) -> Phase1:
+def _identified(
+    tests: Prepared, asked: Asked, form: Form, kept: Checkpoints, heard: Heard | None = None
+) -> Phase1:
     return identify_benchmark(
         tests.everything,
         form,
@@ -228,11 +239,17 @@ def _identified(tests: Prepared, asked: Asked, form: Form, heard: Heard | None =
         units=asked.units,
         dead_zone=tests.dead_zone.error,
         heard=heard,
+        kept=kept,
     )
 
 
 def _compensated(
-    channel: Channel, tests: Prepared, training: Training, key: PRNGKeyArray, progress: Callable
+    channel: Channel,
+    tests: Prepared,
+    training: Training,
+    key: PRNGKeyArray,
+    progress: Callable,
+    kept: Checkpoints,
 ) -> tuple[Channel, DescentTrace]:
     compensator, losses = train_compensator(
         (tests.training, channel.simulate_benchmark(tests.training)),
@@ -240,6 +257,7 @@ def _compensated(
         training,
         key,
         progress,
+        kept,
     )
     return replace(channel, compensator=compensator), losses
 
@@ -266,16 +284,17 @@ def _with_baselines(
             descent=training.descent,
             key=keys[0],
             progress=_epochs(progress, "black-box baseline", 0.6, 0.2),
+            kept=asked.kept.part("black box"),
         )
     channel = replace(channel, arx=arx, narx=narx, black_box=black_box)
     if asked.form == asked.paper:
         return channel, None
     with _timed(seconds, "paper's method"):
-        phase1 = _identified(tests, asked, asked.paper)
+        kept = asked.kept.part("paper")
+        phase1 = _identified(tests, asked, asked.paper, kept)
         alone = _uncompensated(tests, phase1)
-        paper, _ = _compensated(
-            alone, tests, training, keys[1], _epochs(progress, "paper's method", 0.8, 0.2)
-        )
+        hear = _epochs(progress, "paper's method", 0.8, 0.2)
+        paper, _ = _compensated(alone, tests, training, keys[1], hear, kept)
     return replace(channel, paper=paper), phase1.known
 
 

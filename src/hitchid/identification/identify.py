@@ -8,6 +8,7 @@ from types import MappingProxyType
 from hitchid.benchmark import Form, structure_named
 from hitchid.benchmark.nonlinear import NonlinearStructure
 from hitchid.campaign import Campaign
+from hitchid.checkpoints import NOWHERE, Checkpoints
 from hitchid.errors import InputError
 from hitchid.fitting import Comparison, Search, Whale
 from hitchid.identification.deadzone import DeadZone
@@ -80,6 +81,7 @@ def identify(
     comparison: Comparison | None = COMPARISON,
     seed: int = 0,
     progress: Progress | None = None,
+    checkpoints: Path | None = None,
 ) -> Identification:
     """Identify a grey-box model from the tests of a campaign that are not held out.
 
@@ -98,6 +100,8 @@ def identify(
         comparison: which searches are compared beside it, from how many seeds; None compares none.
         seed: every random draw comes from it.
         progress: called with what is being done and the fraction of all work that is done.
+        checkpoints: folder where finished searches and trainings are kept; with those of a run that was
+            stopped, it goes on from there to the same model. None keeps none.
 
     Raises:
         InputError: there is no test of one direction, all are held out, or a setting does not fit.
@@ -111,6 +115,12 @@ def identify(
         )
     report = progress or silent
     forms = {mode: _loaded(form, campaign) for mode, form in {**CHOSEN, **structure}.items()}
+    settings = {**_describe(forms, search, training, dead_zones), "drift": drift}
+    kept = NOWHERE
+    if checkpoints is not None:
+        compared = repr(comparison and replace(comparison, kept=NOWHERE))
+        asked = {"settings": settings, "comparison": compared, "seed": seed, "versions": installed_versions()}
+        kept = Checkpoints.of_run(checkpoints, {**asked, "campaign": campaign.digest})
     zones = {mode: DeadZone(0.0, None, 0, "structure") for mode, form in forms.items() if _whole(form)}
     zones |= {mode: DeadZone(value, None, 0, "given") for mode, value in dead_zones.items()}
     cut_at: dict[str, float] = {}
@@ -132,7 +142,9 @@ def identify(
         step(Step("dead zone", 0.0))
         prepared[mode] = prepare(campaign, mode, zones.get(mode), load=forms[mode].load)
         units = {"x": campaign.units[DISPLACEMENT], "u": campaign.units[COMMAND[mode]]}
-        questions[mode] = Asked(forms[mode], PAPER_FORMS[mode], search, training, seed, units, comparison)
+        questions[mode] = Asked(
+            forms[mode], PAPER_FORMS[mode], search, training, seed, units, comparison, kept.part(mode)
+        )
         channels[mode], traces[mode] = find_benchmark(prepared[mode], questions[mode], step)
     roles = (DISPLACEMENT, *COMMAND.values(), *(form.load for form in forms.values() if form.load))
     units = {role: campaign.units[role] for role in roles if role in campaign.units}
@@ -155,7 +167,7 @@ def identify(
         seen=frozenset(seen),
         cut_at=cut_at,
         seed=seed,
-        settings={**_describe(forms, search, training, dead_zones), "drift": drift},
+        settings=settings,
         versions=installed_versions(),
     )
     same_unit = len({campaign.units[COMMAND[mode]] for mode in campaign.modes}) == 1

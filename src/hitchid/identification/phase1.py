@@ -1,6 +1,6 @@
 """Phase 1: the benchmark's parameters by a global search and a least-squares polish."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import jax.numpy as jnp
@@ -8,6 +8,7 @@ import numpy as np
 
 from hitchid.benchmark import Batch, Benchmark, Form
 from hitchid.benchmark.nonlinear import NonlinearStructure
+from hitchid.checkpoints import NOWHERE, Checkpoints
 from hitchid.fitting import Found, Misfit, Search, polish
 from hitchid.progress import Heard
 from hitchid.uncertainty import KNOWN, DeadZoneError, Estimate, Estimates, Moves, assess
@@ -73,18 +74,19 @@ def identify_benchmark(
     start: np.ndarray | None = None,
     dead_zone: DeadZoneError = KNOWN,
     heard: Heard | None = None,
+    kept: Checkpoints = NOWHERE,
 ) -> Phase1:
     """Find the parameters that minimise the free-run error over all tests, and say how well they are known.
 
     Args:
-        batch, form, search, seed, start, heard: see `find_parameters`.
+        batch, form, search, seed, start, heard, kept: see `find_parameters`.
         units: `x` and `u` to the units of displacement and command.
         dead_zone: how well it is known.
 
     Raises:
         FitError: nothing moves, or no parameters give a finite error.
     """
-    fit = find_parameters(batch, form, search, seed, start=start, heard=heard)
+    fit = find_parameters(batch, form, search, seed, start=start, heard=heard, kept=kept)
     return assessed(fit, units=units, dead_zone=dead_zone, seed=seed)
 
 
@@ -96,6 +98,7 @@ def find_parameters(
     *,
     start: np.ndarray | None = None,
     heard: Heard | None = None,
+    kept: Checkpoints = NOWHERE,
 ) -> Fit:
     """Find the parameters that minimise the free-run error over all tests.
 
@@ -110,22 +113,28 @@ def find_parameters(
         seed: every random draw comes from it.
         start: values of the form's parameters from which least squares starts too, shape [D].
         heard: told how the search goes.
+        kept: where what was found is kept and found again.
 
     Raises:
         FitError: nothing moves, or no parameters give a finite error.
     """
     misfit = Misfit.of(batch, form)
     searched, _ = misfit.over(batch.thinned(SEARCHED)).problem()
-    found = search.minimise(searched, seed, heard)
+    found = kept.piece("search", Found, lambda: search.minimise(searched, seed, heard))
     starts = [found.best, *_restarts(form, seed), *([] if start is None else [misfit.position(start)])]
-    coarse, _ = misfit.over(batch.thinned(COARSE)).problem()
+    position = kept.arrays("least squares", lambda: {"position": _descended(misfit, starts)})["position"]
+    return Fit(misfit, position, found)
+
+
+def _descended(misfit: Misfit, starts: Sequence[np.ndarray]) -> np.ndarray:
+    """Return where least squares ends from the best of several starts, the first of them the search's."""
+    coarse, _ = misfit.over(misfit.batch.thinned(COARSE)).problem()
     rough = [polish(coarse, each, limit=ROUGH_STEPS, tolerance=ROUGH) for each in starts]
     problem, _ = misfit.problem()
     best = polish(problem, min(rough, key=lambda polished: polished.fitness).position, limit=STEPS)
     # Least squares starts strictly inside the bounds: a search that ended on one may be a trifle better.
-    before = float(misfit(jnp.asarray(found.best)[None])[0])
-    improved = best.fitness <= before
-    return Fit(misfit, _levelled(misfit, best.position if improved else found.best), found)
+    before = float(misfit(jnp.asarray(starts[0])[None])[0])
+    return _levelled(misfit, best.position if best.fitness <= before else starts[0])
 
 
 def assessed(fit: Fit, *, units: Mapping[str, str], dead_zone: DeadZoneError, seed: int) -> Phase1:

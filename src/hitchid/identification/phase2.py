@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Float32, PRNGKeyArray
 
 from hitchid.benchmark import Batch
+from hitchid.checkpoints import NOWHERE, Checkpoints
 from hitchid.compensator import FEATURES, Compensator, Sample, measured_features
 from hitchid.identification.descent import Descent, DescentTrace, Progress, descend
 from hitchid.identification.rollouts import Rollouts
@@ -59,6 +60,7 @@ def train_compensator(
     settings: Training,
     key: PRNGKeyArray,
     progress: Progress | None = None,
+    kept: Checkpoints = NOWHERE,
 ) -> tuple[Compensator, DescentTrace]:
     """Train a compensator on the errors of a frozen benchmark.
 
@@ -69,7 +71,7 @@ def train_compensator(
         training, validation: tests and the displacement the benchmark gives for them, shape [T, N].
         settings: size, window, optimiser.
         key: initial weights and shuffling.
-        progress: see `descend`.
+        progress, kept: see `descend`.
 
     Returns:
         The compensator of the epoch with the smallest validation loss, and both losses.
@@ -90,7 +92,7 @@ def train_compensator(
     sequences = _sequences(compensator, features, errors, batch)
     held = _sequences(compensator, *_features(*validation), validation[0])
     network, trace = descend(
-        compensator.network, _squared_error, sequences, held, settings.descent, key, progress
+        compensator.network, _squared_error, sequences, held, settings.descent, key, progress, kept
     )
     trained = Compensator(
         network, compensator.centre, compensator.spread, compensator.error_step, settings.window

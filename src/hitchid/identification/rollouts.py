@@ -10,7 +10,9 @@ import optax
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from hitchid.benchmark import Batch
+from hitchid.checkpoints import NOWHERE, Arrays, Checkpoints
 from hitchid.envelope import Envelope
+from hitchid.identification.weights import weights_of, with_weights
 from hitchid.lstm import Lstm
 from hitchid.metrics import proven_better
 from hitchid.speed_compensator import INPUTS, Drive, SpeedCompensator, driven_by
@@ -73,6 +75,7 @@ def train_on_rollouts(
     envelope: Envelope,
     settings: Rollouts,
     key: PRNGKeyArray,
+    kept: Checkpoints = NOWHERE,
 ) -> tuple[SpeedCompensator | None, Gate]:
     """Train an ensemble on free runs and let it ship only if it is better on tests it has not seen.
 
@@ -87,6 +90,7 @@ def train_on_rollouts(
         envelope: what they cover.
         settings: size and optimiser.
         key: initial weights.
+        kept: where the weights and the losses are kept and found again.
 
     Returns:
         The compensator, None where the gate stays shut, and the gate.
@@ -113,19 +117,28 @@ def train_on_rollouts(
     judged = np.stack([fold == member for member in range(members)])
     stopping = np.roll(judged, -1, axis=0)
     roles = jnp.asarray(np.stack([~judged & ~stopping, stopping, judged]))
-    trained, best_epochs, losses, errors = _train(compensator, drive, measured, counted, roles, settings)
-    after = np.array([float(errors[fold[test], test]) for test in range(tests)])
+
+    def work() -> Arrays:
+        trained, best_epochs, losses, errors = _train(compensator, drive, measured, counted, roles, settings)
+        told = {"best_epochs": best_epochs, "losses": losses, "errors": errors}
+        return {**weights_of(trained), **{name: np.asarray(array) for name, array in told.items()}}
+
+    found = kept.arrays("free runs", work)
+    losses = found["losses"]
+    after = np.array([float(found["errors"][fold[test], test]) for test in range(tests)])
     misses = jnp.where(counted, jnp.cumsum(drive.moved, axis=0) - drive.moved - measured, 0.0)
     before = np.sqrt(np.asarray(jnp.sum(misses**2, axis=0) / jnp.maximum(jnp.sum(counted, axis=0), 1)))
     gate = Gate(
         open=proven_better(after, before),
         benchmark=before,
         compensated=after,
-        best_epochs=tuple(int(epoch) for epoch in best_epochs),
-        training=np.asarray(losses[:, 0]),
-        validation=np.asarray(losses[:, 1]),
+        best_epochs=tuple(int(epoch) for epoch in found["best_epochs"]),
+        training=losses[:, 0],
+        validation=losses[:, 1],
     )
-    return (eqx.tree_at(lambda c: c.networks, compensator, trained) if gate.open else None), gate
+    if not gate.open:
+        return None, gate
+    return eqx.tree_at(lambda c: c.networks, compensator, with_weights(networks, found)), gate
 
 
 @eqx.filter_jit

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 
 import jax.numpy as jnp
@@ -9,6 +10,7 @@ import numpy as np
 
 from hitchid.benchmark import Batch, Form, structure_named
 from hitchid.benchmark.shape import CURVE, SPOOL
+from hitchid.checkpoints import NOWHERE, Checkpoints
 from hitchid.fitting import Misfit, Search, polish_some
 from hitchid.identification.phase1 import Phase1, assessed, find_parameters
 from hitchid.metrics import proven_better
@@ -88,6 +90,7 @@ def choose_form(
     opening_known: bool = False,
     dead_zone: DeadZoneError = KNOWN,
     progress: Progress = silent,
+    kept: Checkpoints = NOWHERE,
 ) -> tuple[Phase1, tuple[Candidate, ...]]:
     """Identify the form that predicts operating points it was not fitted to best in free run.
 
@@ -109,6 +112,7 @@ def choose_form(
             of command say little about flow below the lowest.
         dead_zone: how well it is known.
         progress: called with what is being done and the fraction that is done.
+        kept: where what was found is kept and found again.
 
     Raises:
         FitError: nothing moves, or no parameters give a finite error.
@@ -117,14 +121,16 @@ def choose_form(
     def hearing(form: str, start: float) -> Heard:
         return rounds(progress, f"phase 1, {search.name}, {form}", start, 0.3, f"RMSE / {units['x']}")
 
-    plain = find_parameters(batch, asked.plain, search, seed, heard=hearing("transfer function", 0.0))
+    hear = hearing("transfer function", 0.0)
+    plain = find_parameters(batch, asked.plain, search, seed, heard=hear, kept=kept.part("plain"))
     folds = _folds(batch, alone=asked.load is not None)
     if not folds:
         return assessed(plain, units=units, dead_zone=dead_zone, seed=seed), ()
     coarse = batch.thinned(SAMPLES)
     misfit = Misfit.of(coarse, asked.plain)
     every = range(plain.position.size)
-    tried = [_tried("transfer function", misfit, every, plain.position, folds, asked.plain)]
+    judged = kept.piece("form", _Judged, lambda: _judged(misfit, every, plain.position, folds))
+    tried = [judged.candidate("transfer function", asked.plain)]
     widest = replace(
         asked.plain,
         structure=structure_named("integrator-second-order"),
@@ -147,12 +153,9 @@ def choose_form(
         misfit = replace(misfit, apart=form.slope)
         fresh = _starts(form, [] if len(tried) == 1 else list(tried[-1].form.parameters))
         starts = [_with(positions, names, start) for start in fresh]
-        best = min(
-            (polish_some(misfit, free, start, STEPS) for start in starts), key=lambda each: each.fitness
-        )
-        positions = positions.copy()
-        positions[free] = best.position
-        tried.append(_tried(name, misfit, free, positions, folds, form))
+        judged = kept.piece(f"form {name}", _Judged, partial(_fitted, misfit, free, starts, folds))
+        positions = judged.positions
+        tried.append(judged.candidate(name, form))
         told = {f"RMSE on levels held out / {units['x']}": tried[-1].held_out_rmse}
         progress(Step("phase 1, structures", 0.3 + 0.05 * len(tried), name, told))
         found.append(misfit.values(positions)[free])
@@ -169,8 +172,23 @@ def choose_form(
     if chosen == 0:
         return assessed(plain, units=units, dead_zone=dead_zone, seed=seed), tuple(tried)
     hear = hearing(tried[chosen].name, 0.7)
-    fit = find_parameters(batch, tried[chosen].form, search, seed, start=found[chosen], heard=hear)
+    fit = find_parameters(
+        batch, tried[chosen].form, search, seed, start=found[chosen], heard=hear, kept=kept.part("chosen")
+    )
     return assessed(fit, units=units, dead_zone=dead_zone, seed=seed), tuple(tried)
+
+
+@dataclass(frozen=True)
+class _Judged:
+    """A form's best positions, shape [D], and what `Candidate` tells of it."""
+
+    positions: np.ndarray
+    rmse: float
+    held_out: np.ndarray
+    apart: np.ndarray
+
+    def candidate(self, name: str, form: Form) -> Candidate:
+        return Candidate(name, form, self.rmse, self.held_out, self.apart)
 
 
 def _larger(widest: Form) -> list[tuple[str, Form]]:
@@ -212,14 +230,19 @@ def _with(positions: np.ndarray, names: Sequence[str], start: Mapping[str, float
     return moved
 
 
-def _tried(
-    name: str,
-    misfit: Misfit,
-    free: Sequence[int],
-    positions: np.ndarray,
-    folds: Sequence[np.ndarray],
-    form: Form,
-) -> Candidate:
+def _fitted(
+    misfit: Misfit, free: Sequence[int], starts: Sequence[np.ndarray], folds: Sequence[np.ndarray]
+) -> _Judged:
+    """Fit the free parameters from several starts, and judge the best."""
+    best = min((polish_some(misfit, free, start, STEPS) for start in starts), key=lambda each: each.fitness)
+    positions = starts[0].copy()
+    positions[list(free)] = best.position
+    return _judged(misfit, free, positions, folds)
+
+
+def _judged(
+    misfit: Misfit, free: Sequence[int], positions: np.ndarray, folds: Sequence[np.ndarray]
+) -> _Judged:
     pooled, apart = misfit.pooled(), replace(misfit, apart=True)
     whole = float(pooled(jnp.asarray(positions)[None])[0])
     held_out, held_apart = [], []
@@ -229,7 +252,7 @@ def _tried(
         moved[list(free)] = polish_some(kept, free, positions, REFITTED).position
         held_out += list(pooled.by_test(moved)[held])
         held_apart += list(apart.by_test(moved)[held])
-    return Candidate(name, form, whole, np.array(held_out), np.array(held_apart))
+    return _Judged(positions, whole, np.array(held_out), np.array(held_apart))
 
 
 def _over(misfit: Misfit, tests: np.ndarray) -> Misfit:

@@ -1,44 +1,25 @@
 """The one way in: `read` takes files and folders and returns a campaign."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from glob import escape
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from hitchid.campaign import Campaign
-from hitchid.errors import InputError, LogError
+from hitchid.errors import LogError
 from hitchid.grid import Section, sections
-from hitchid.readers import csv, mat
-from hitchid.readers.table import Table
-from hitchid.record import COMMAND, DISPLACEMENT, LIFTING, LOWERING, Record, resampled
-from hitchid.signals import CAMPAIGN_FILE, CampaignFile, Column, SignalMap, read_campaign_file
-from hitchid.units import conversion_factor, unit_of_column
+from hitchid.readers.content import Wanted
+from hitchid.readers.folders import find_logs, settings_of
+from hitchid.readers.formats import format_of, record_name
+from hitchid.readers.process import ReaderProcess
+from hitchid.readers.table import Table, table_of
+from hitchid.record import Record, resampled
+from hitchid.signals import CampaignFile, SignalMap
 
 SHORTEST = 20
-
-
-class Format(NamedTuple):
-    """One log format.
-
-    Attributes:
-        suffixes: the endings of its files.
-        read_table: reads the named columns as numbers.
-        read_rows: reads all columns as text, header and rows.
-    """
-
-    suffixes: tuple[str, ...]
-    read_table: Callable[[Path, Sequence[str]], Table]
-    read_rows: Callable[[Path, str], tuple[list[str], list[list[str]]]]
-
-
-FORMATS = (
-    Format(csv.SUFFIXES, csv.read_table, csv.read_rows),
-    Format(mat.SUFFIXES, mat.read_table, mat.read_rows),
-)
 
 
 def read(logs: str | Path | Iterable[str | Path], *, signals: str | Path | None = None) -> Campaign:
@@ -59,7 +40,8 @@ def read(logs: str | Path | Iterable[str | Path], *, signals: str | Path | None 
     """
     paths = find_logs(logs)
     settings = settings_of(paths, signals)
-    records = [record for path in paths for record in read_log(path, settings[path.parent].signals)]
+    with ReaderProcess() as process:
+        records = [record for path in paths for record in read_log(path, settings[path.parent], process)]
     return assemble(records, settings)
 
 
@@ -86,112 +68,58 @@ def assemble(records: Sequence[Record], settings: Mapping[Path, CampaignFile]) -
     return replace(campaign, unmatched=tuple(sorted(unmatched)))
 
 
-def find_logs(logs: str | Path | Iterable[str | Path]) -> list[Path]:
-    """Return every log among files and folders, sorted within each folder.
-
-    Raises:
-        InputError: a path does not exist, a file's format is not known, or a folder holds no log.
-    """
-    given = [logs] if isinstance(logs, str | Path) else list(logs)
-    found: dict[Path, None] = {}
-    for path in map(Path, given):
-        if _is_folder(path):
-            inside = sorted(child for child in path.iterdir() if child.is_file() and _format(child))
-            if not inside:
-                raise InputError(f"{path}: no log in this folder; required files ending in {_endings()}")
-            found.update(dict.fromkeys(inside))
-        elif path.is_file():
-            format_of(path)
-            found[path] = None
-        else:
-            raise InputError(f"{path}: there is no such file or folder")
-    if not found:
-        raise InputError("no logs were named; required files or folders")
-    return list(found)
-
-
-def _is_folder(path: Path) -> bool:
-    try:
-        return path.is_dir()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-
-
-def format_of(path: Path) -> Format:
-    """Return the format of a file, told by its ending.
-
-    Raises:
-        InputError: the ending is not known.
-    """
-    known = _format(path)
-    if known is None:
-        raise InputError(f"{path}: the format is not known; required a file ending in {_endings()}")
-    return known
-
-
-def settings_of(paths: Iterable[Path], signals: str | Path | None = None) -> dict[Path, CampaignFile]:
-    """Return folder to settings for the folders of some logs: those given, else its own, else the default.
-
-    Raises:
-        SettingsError: a settings file cannot be used.
-    """
-
-    def of(folder: Path) -> CampaignFile:
-        beside = folder / CAMPAIGN_FILE
-        return read_campaign_file(beside) if beside.is_file() else CampaignFile()
-
-    folders = dict.fromkeys(path.parent for path in paths)
-    if signals is None:
-        return {folder: of(folder) for folder in folders}
-    return dict.fromkeys(folders, read_campaign_file(Path(signals)))
-
-
-def read_log(path: Path, signals: SignalMap) -> list[Record]:
+def read_log(path: Path, settings: CampaignFile, process: ReaderProcess) -> list[Record]:
     """Read one log into a record for each stretch without a gap.
+
+    Args:
+        path: the log.
+        settings: of its folder.
+        process: what reads it, where another's library does.
 
     Raises:
         LogError: a column is missing, holds no numbers, or the clock cannot be used.
     """
-    table = format_of(path).read_table(path, _wanted(signals))
-    for name, values in table.columns.items():
-        _check_finite(table, name, values)
-    time_s = table.columns[signals.time.column] * conversion_factor(signals.time.unit, "s", f"{path}: time")
-    parts = sections(time_s, path, column=signals.time.column, line_of=table.line_of)
+    return records_of(read_table(path, settings, process), settings.signals)
+
+
+def read_table(path: Path, settings: CampaignFile, process: ReaderProcess) -> Table:
+    """Read the signals of one log as they stand in it, on one clock; see `read_log`."""
+    wanted = Wanted(
+        settings.signals.time.column, _wanted(settings.signals), tuple(map(Path, settings.can.databases))
+    )
+    known = format_of(path)
+    content = process.read(path, wanted) if known.libraries else known.read(path, wanted)
+    return table_of(content, settings.signals)
+
+
+def records_of(table: Table, signals: SignalMap) -> list[Record]:
+    """Return a record for each stretch of a log without a gap.
+
+    Raises:
+        LogError: the clock cannot be used, or no stretch is long enough.
+    """
+    time_s, path, column = table.time_s, table.source, signals.time.column
+    parts = sections(time_s, path, column=column, line_of=table.line_of)
     usable = [part for part in parts if part.stop - part.start >= SHORTEST]
     if not usable:
         longest = max((part.stop - part.start for part in parts), default=time_s.size)
         raise LogError(path, f"the log has {longest} samples in a row, required at least {SHORTEST}")
-    roles = _roles(table, signals)
     name = record_name(path)
-    records = []
-    for number, part in enumerate(usable, start=1):
-        records.append(
-            _record(name if len(usable) == 1 else f"{name}@{number}", path, time_s, roles, part, signals)
-        )
+    records = [
+        _record(name if len(usable) == 1 else f"{name}@{number}", table, part)
+        for number, part in enumerate(usable, start=1)
+    ]
+    said = list(table.notices)
     left_out = time_s.size - sum(part.stop - part.start for part in usable)
     if left_out:
-        said = f"{left_out} of {time_s.size} samples are left out: fewer than {SHORTEST} in a row"
-        records[0] = replace(records[0], notices=(*records[0].notices, said))
+        said.append(f"{left_out} of {time_s.size} samples are left out: fewer than {SHORTEST} in a row")
+    records[0] = replace(records[0], notices=(*records[0].notices, *said))
     return records
 
 
-def record_name(path: Path) -> str:
-    """Return a log's file name without its endings."""
-    known = format_of(path)
-    suffix = max((s for s in known.suffixes if path.name.lower().endswith(s)), key=len)
-    return path.name[: -len(suffix)]
-
-
-def _record(
-    name: str,
-    path: Path,
-    time_s: np.ndarray,
-    roles: dict[str, np.ndarray],
-    part: Section,
-    signals: SignalMap,
-) -> Record:
-    stamps = time_s[part.start : part.stop]
-    samples = {role: values[part.start : part.stop] for role, values in roles.items()}
+def _record(name: str, table: Table, part: Section) -> Record:
+    stamps = table.time_s[part.start : part.stop]
+    samples = {role: values[part.start : part.stop] for role, values in table.signals.items()}
     if part.resampled:
         count = round(float(stamps[-1] - stamps[0]) / part.step_s) + 1
         grid = np.minimum(stamps[0] + part.step_s * np.arange(count), stamps[-1])
@@ -200,59 +128,21 @@ def _record(
         name=name,
         step_s=part.step_s,
         signals=samples,
-        units=_units(signals),
+        units=table.units,
         start_s=float(stamps[0]),
-        source=path,
+        source=table.source,
         notices=(part.notice,) if part.notice else (),
     )
 
 
-def _wanted(signals: SignalMap) -> list[str]:
+def _wanted(signals: SignalMap) -> tuple[str, ...]:
     mapped = (
-        signals.time,
         signals.displacement,
         signals.command,
         signals.lifting_command,
         signals.lowering_command,
     )
-    return list(dict.fromkeys([*(c.column for c in mapped if c is not None), *signals.covariates]))
-
-
-def _roles(table: Table, signals: SignalMap) -> dict[str, np.ndarray]:
-    roles = {DISPLACEMENT: table.columns[signals.displacement.column]}
-    if signals.command is not None:
-        signed = table.columns[signals.command.column]
-        roles[COMMAND[LIFTING]] = np.maximum(signed, 0.0)
-        roles[COMMAND[LOWERING]] = np.maximum(-signed, 0.0)
-    for mode, column in ((LIFTING, signals.lifting_command), (LOWERING, signals.lowering_command)):
-        if column is not None:
-            roles[COMMAND[mode]] = table.columns[column.column]
-    return {**roles, **{name: table.columns[name] for name in signals.covariates}}
-
-
-def _units(signals: SignalMap) -> dict[str, str]:
-    def unit(column: Column | None) -> str | None:
-        return None if column is None else column.unit
-
-    units = {
-        DISPLACEMENT: signals.displacement.unit,
-        COMMAND[LIFTING]: unit(signals.command or signals.lifting_command),
-        COMMAND[LOWERING]: unit(signals.command or signals.lowering_command),
-        **{name: unit_of_column(name) or "1" for name in signals.covariates},
-    }
-    return {role: unit for role, unit in units.items() if unit is not None}
-
-
-def _check_finite(table: Table, name: str, values: np.ndarray) -> None:
-    bad = np.flatnonzero(~np.isfinite(values))
-    if bad.size:
-        raise LogError(
-            table.source,
-            f"required finite numbers, came {values[bad[0]]} ({bad.size} such of {values.size} samples, "
-            f"the first at sample {bad[0]})",
-            line=table.line_of(int(bad[0])),
-            column=name,
-        )
+    return tuple(dict.fromkeys([*(c.column for c in mapped if c is not None), *signals.covariates]))
 
 
 def _distinct(records: Sequence[Record]) -> Sequence[Record]:
@@ -266,12 +156,3 @@ def _distinct(records: Sequence[Record]) -> Sequence[Record]:
         else record
         for record in records
     ]
-
-
-def _format(path: Path) -> Format | None:
-    name = path.name.lower()
-    return next((known for known in FORMATS if name.endswith(known.suffixes)), None)
-
-
-def _endings() -> str:
-    return ", ".join(suffix for known in FORMATS for suffix in known.suffixes)

@@ -1,26 +1,163 @@
-"""What every reader hands over: named columns of numbers."""
+"""A log's signals on one clock and in known units."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+
+from hitchid.errors import LogError
+from hitchid.readers.clocks import on_one_clock
+from hitchid.readers.content import Channel, Content
+from hitchid.record import COMMAND, DISPLACEMENT, LIFTING, LOWERING
+from hitchid.signals import DIMENSIONS, Column, SignalMap
+from hitchid.units import UNITS, known_unit, unit_of_column
+
+TIME, SIGNED = "time", "command"
 
 
 @dataclass(frozen=True)
 class Table:
-    """Columns of one log as they stand in the file.
+    """The signals of one log.
 
     Attributes:
         source: the file.
-        columns: name to numbers, each of shape [N].
-        lines: line of each sample, shape [N], None where the format has no lines.
+        time_s: time stamps, s, shape [N].
+        signals: role to samples, each of shape [N].
+        units: role to unit.
+        columns: the columns they come from, in the order of the signal map.
+        notices: what the user should know of how they were read.
+        line_of: from a sample to its line in the file, None where the format has no lines.
     """
 
     source: Path
+    time_s: np.ndarray
+    signals: Mapping[str, np.ndarray]
+    units: Mapping[str, str]
     columns: Mapping[str, np.ndarray]
-    lines: np.ndarray | None = None
+    notices: tuple[str, ...]
+    line_of: Callable[[int], int | None]
 
-    def line_of(self, row: int) -> int | None:
-        """Return the line a sample stands on, None where the format has no lines."""
-        return None if self.lines is None else int(self.lines[row])
+
+def table_of(content: Content, signals: SignalMap) -> Table:
+    """Return what a reader handed over as signals: in one unit each, on one clock.
+
+    What the file says of a unit counts: a signal map in another unit of the same dimension has the numbers
+    converted, with a notice; one of another dimension is refused, and so is a name that contradicts the file.
+    Channels with clocks of their own are taken to the slowest of them.
+
+    Raises:
+        LogError: a unit is missing or contradicted, a channel holds what is no number, or the clocks do not
+            fit together.
+    """
+    mapped = _mapped(signals, content)
+    converted, notices = {}, list(content.notices)
+    for role, column in mapped.items():
+        converted[role], said = _converted(content, role, column)
+        notices += said
+    time = converted.pop(TIME, None)
+    names = {role: column.column for role, column in mapped.items() if role != TIME}
+    time_s, sampled, merged = on_one_clock(content.source, time, converted, names)
+    return Table(
+        source=content.source,
+        time_s=time_s,
+        signals=_by_mode(sampled),
+        units=_by_mode({role: channel.unit or "1" for role, channel in converted.items()}),
+        columns={names[role]: values for role, values in sampled.items()},
+        notices=(*notices, *merged),
+        line_of=content.line_of,
+    )
+
+
+def _mapped(signals: SignalMap, content: Content) -> dict[str, Column]:
+    """Return role to column, the time only where the log has such a channel."""
+    covariates = {
+        name: Column(column=name, unit=_covariate_unit(content.channels[name], name))
+        for name in signals.covariates
+    }
+    given = {
+        TIME: signals.time if signals.time.column in content.channels else None,
+        COMMAND[LIFTING]: signals.lifting_command,
+        COMMAND[LOWERING]: signals.lowering_command,
+        SIGNED: signals.command,
+        DISPLACEMENT: signals.displacement,
+    }
+    return {**{role: column for role, column in given.items() if column is not None}, **covariates}
+
+
+def _covariate_unit(channel: Channel, name: str) -> str:
+    return known_unit(channel.unit or "") or unit_of_column(name) or "1"
+
+
+def _converted(content: Content, role: str, column: Column) -> tuple[Channel, list[str]]:
+    """Return a channel in the unit it is asked in, and what was done to it."""
+    name, source = column.column, content.source
+    channel = content.channels[name]
+    _check_finite(content, name)
+    said = known_unit(channel.unit or "")
+    asked = column.unit or said
+    if asked is None:
+        raise LogError(
+            source,
+            "neither its name nor the file says its unit; "
+            f'required {{ column = "{name}", unit = "…" }} in campaign.toml',
+            column=name,
+        )
+    _check_unit(source, role, name, asked, said)
+    notices = []
+    if channel.unit and said is None:
+        notices.append(f"{name}: the unit '{channel.unit}' in the file is not known; read as {asked}")
+    elif said not in (None, asked):
+        notices.append(f"{name}: converted from {said}, as the file says, to {asked}")
+    had, unit = said or asked, "s" if role == TIME else asked
+    factor = 1.0 if had == unit else UNITS[had].factor / UNITS[unit].factor
+    values = channel.values if factor == 1.0 else channel.values * factor
+    return channel._replace(values=values, unit=unit), notices
+
+
+def _check_unit(source: Path, role: str, name: str, asked: str, said: str | None) -> None:
+    dimension, dimensions = UNITS[asked].dimension, DIMENSIONS.get(role)
+    if dimensions and dimension not in dimensions:
+        raise LogError(
+            source,
+            f"'{asked}' is a unit of {dimension}, required one of {', '.join(dimensions)} for {role}",
+            column=name,
+        )
+    if said is None:
+        return
+    if UNITS[said].dimension != dimension:
+        raise LogError(
+            source, f"the file says '{said}', the signal map '{asked}': no units of one kind", column=name
+        )
+    named = unit_of_column(name)
+    if named not in (None, said, "1") and UNITS[named].dimension == dimension:
+        raise LogError(
+            source,
+            f"the name says '{named}', the file '{said}'; required one of them to be put right",
+            column=name,
+        )
+
+
+def _check_finite(content: Content, name: str) -> None:
+    values = content.channels[name].values
+    bad = np.flatnonzero(~np.isfinite(values))
+    if bad.size:
+        raise LogError(
+            content.source,
+            f"required finite numbers, came {values[bad[0]]} ({bad.size} such of {values.size} samples, "
+            f"the first at sample {bad[0]})",
+            line=content.line_of(int(bad[0])),
+            column=name,
+        )
+
+
+def _by_mode(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return roles with a signed command taken apart: lifting above zero, lowering below; units likewise."""
+    roles = {role: value for role, value in given.items() if role != SIGNED}
+    if SIGNED not in given:
+        return roles
+    signed = given[SIGNED]
+    if isinstance(signed, str):
+        return {**roles, COMMAND[LIFTING]: signed, COMMAND[LOWERING]: signed}
+    return {**roles, COMMAND[LIFTING]: np.maximum(signed, 0.0), COMMAND[LOWERING]: np.maximum(-signed, 0.0)}

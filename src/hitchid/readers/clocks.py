@@ -1,0 +1,93 @@
+"""Several time bases in one file, taken to the slowest of them."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from hitchid.errors import LogError
+from hitchid.grid import GAP
+from hitchid.readers.content import Channel
+from hitchid.record import resampled
+
+
+def on_one_clock(
+    source: Path, time: Channel | None, channels: Mapping[str, Channel], names: Mapping[str, str]
+) -> tuple[np.ndarray, dict[str, np.ndarray], list[str]]:
+    """Return time stamps, s, and every channel's samples at them, and what was done.
+
+    Where a channel holds the time, it counts for all. Else each channel has a clock of its own, and all are
+    taken to the slowest: commands as they stood at the nearest sample, everything else interpolated. What
+    falls into a gap of some channel is left out.
+
+    Args:
+        source: the file, for messages.
+        time: the channel that holds the time, s; None where the file keeps clocks.
+        channels: role to channel.
+        names: role to column, for messages.
+
+    Raises:
+        LogError: a channel has no clock, another length than the time, or time that does not increase; or the
+            channels have no time in common.
+    """
+    if time is not None:
+        for role, channel in channels.items():
+            if channel.values.size != time.values.size:
+                raise LogError(
+                    source,
+                    f"has {channel.values.size} samples, required {time.values.size} as the time",
+                    column=names[role],
+                )
+        return time.values, {role: channel.values for role, channel in channels.items()}, []
+    clocks = {role: _clock(source, channel, names[role]) for role, channel in channels.items()}
+    steps = {role: float(np.median(np.diff(clock))) for role, clock in clocks.items()}
+    slowest = max(steps, key=lambda role: steps[role])
+    target = clocks[slowest]
+    others = {role for role, clock in clocks.items() if not np.array_equal(clock, target)}
+    if not others:
+        return target, {role: channel.values for role, channel in channels.items()}, []
+    kept = _covered(target, [clocks[role] for role in sorted(others)], steps[slowest])
+    if not kept.any():
+        raise LogError(source, "the channels have no stretch of time in common")
+    at = target[kept]
+    sampled = {
+        role: resampled({role: channel.values}, clocks[role], at)[role]
+        if role in others
+        else channel.values[kept]
+        for role, channel in channels.items()
+    }
+    told = ", ".join(f"{names[role]} {steps[role]:.4g} s" for role in channels)
+    return at, sampled, [f"merged on the clock of {names[slowest]}: {told}"]
+
+
+def _clock(source: Path, channel: Channel, name: str) -> np.ndarray:
+    clock = channel.clock_s
+    if clock is None:
+        problem = 'the file keeps no clock for it; required the time\'s column: time = "…" in campaign.toml'
+        raise LogError(source, problem, column=name)
+    if clock.size < 2:
+        raise LogError(source, f"has {clock.size} samples, required at least 2", column=name)
+    back = np.flatnonzero(np.diff(clock) <= 0)
+    if back.size:
+        before, after = clock[back[0] : back[0] + 2]
+        raise LogError(
+            source,
+            f"its time must increase from sample to sample; {after:g} s came after {before:g} s",
+            column=name,
+        )
+    return clock
+
+
+def _covered(target: np.ndarray, clocks: list[np.ndarray], step_s: float) -> np.ndarray:
+    """Tell when every channel has samples around, half a step beyond its ends at most, shape [N]."""
+    kept = np.ones(target.size, dtype=bool)
+    for clock in clocks:
+        kept &= (target >= clock[0] - step_s / 2) & (target <= clock[-1] + step_s / 2)
+        after = np.clip(np.searchsorted(clock, target), 1, clock.size - 1)
+        wide = clock[after] - clock[after - 1]
+        kept &= (
+            (wide <= GAP * step_s)
+            | (np.abs(target - clock[after]) <= 1e-9)
+            | (np.abs(target - clock[after - 1]) <= 1e-9)
+        )
+    return kept

@@ -1,0 +1,94 @@
+"""Where logs lie, and the settings beside them."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from hitchid.errors import InputError
+from hitchid.readers.formats import endings, format_of, known_format
+from hitchid.signals import CAMPAIGN_FILE, CampaignFile, read_campaign_file
+
+DATABASE = ".dbc"
+
+
+def find_logs(logs: str | Path | Iterable[str | Path]) -> list[Path]:
+    """Return every log among files and folders, sorted within each folder.
+
+    Raises:
+        InputError: a path does not exist, a file's format is not known, a folder holds no log, or a link out
+            of it.
+    """
+    given = [logs] if isinstance(logs, str | Path) else list(logs)
+    found: dict[Path, None] = {}
+    for path in map(Path, given):
+        if _is_folder(path):
+            inside = [
+                own(child) for child in sorted(path.iterdir()) if child.is_file() and known_format(child)
+            ]
+            if not inside:
+                raise InputError(f"{path}: no log in this folder; required files ending in {endings()}")
+            found.update(dict.fromkeys(inside))
+        elif path.is_file():
+            format_of(path)
+            found[path] = None
+        else:
+            raise InputError(f"{path}: there is no such file or folder")
+    if not found:
+        raise InputError("no logs were named; required files or folders")
+    return list(found)
+
+
+def settings_of(paths: Iterable[Path], signals: str | Path | None = None) -> dict[Path, CampaignFile]:
+    """Return folder to settings for the folders of some logs: those given, else its own, else the default.
+
+    CAN databases are those the settings name, beside the file that names them, else all in the logs' folder.
+
+    Raises:
+        InputError: a folder's settings are a link out of it.
+        SettingsError: a settings file cannot be used.
+    """
+    given = (
+        None if signals is None else _with_databases(read_campaign_file(Path(signals)), Path(signals).parent)
+    )
+
+    def of(folder: Path) -> CampaignFile:
+        beside = folder / CAMPAIGN_FILE
+        settings = given or (read_campaign_file(own(beside)) if beside.is_file() else CampaignFile())
+        return settings if settings.can.databases else _with_databases(settings, folder, _databases(folder))
+
+    return {folder: of(folder) for folder in dict.fromkeys(path.parent for path in paths)}
+
+
+def own(path: Path) -> Path:
+    """Return a file found in a folder, unless it is a link out of it.
+
+    Raises:
+        InputError: it is one.
+    """
+    if path.is_symlink() and not path.resolve().is_relative_to(path.parent.resolve()):
+        raise InputError(
+            f"{path}: is a link out of its folder, to {path.resolve()}; "
+            "required a file of the folder, or the target itself"
+        )
+    return path
+
+
+def _is_folder(path: Path) -> bool:
+    try:
+        return path.is_dir()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+
+
+def _databases(folder: Path) -> tuple[str, ...]:
+    if not folder.is_dir():
+        return ()
+    return tuple(own(child).name for child in sorted(folder.iterdir()) if child.suffix.lower() == DATABASE)
+
+
+def _with_databases(
+    settings: CampaignFile, folder: Path, names: tuple[str, ...] | None = None
+) -> CampaignFile:
+    """Return the settings with their databases where they lie."""
+    listed = settings.can.databases if names is None else names
+    paths = tuple(str(folder / name) for name in listed)
+    return settings.model_copy(update={"can": settings.can.model_copy(update={"databases": paths})})

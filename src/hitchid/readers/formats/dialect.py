@@ -1,0 +1,190 @@
+"""How a text log is written, told from its beginning: separator, decimal sign, header, units."""
+
+import csv
+import io
+import re
+from collections.abc import Sequence
+from contextlib import suppress
+from itertools import islice
+from pathlib import Path
+from typing import NamedTuple
+
+from hitchid.errors import LogError
+from hitchid.units import known_unit
+
+SEPARATORS = ("\t", ";", "|", ",", " ")
+LINES, HEADER_ROWS, LONGEST_SHOWN = 200, 10, 60
+NOT_TEXT = 0.3
+NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf(inity)?)", re.IGNORECASE)
+UNIT_LABELS = ("unit", "units", "einheit", "einheiten")
+BRACKETS = re.compile(r"(.+?)\s*[\[(]([^\[\]()]*)[\])]")
+CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")
+MARKS = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
+
+
+class Dialect(NamedTuple):
+    """How a text log is written.
+
+    Attributes:
+        separator: between columns; a space stands for any run of white space.
+        comma: whether decimals follow a comma.
+        names: of the columns, in order.
+        units: name to unit as it stands in a row of units or in brackets behind the name.
+        header: line of the names, from 1.
+        first: line of the first sample, from 1; the line after the last where there is none.
+    """
+
+    separator: str
+    comma: bool
+    names: tuple[str, ...]
+    units: dict[str, str]
+    header: int
+    first: int
+
+    def place(self, asked: str) -> int | None:
+        """Return which column is asked for, by its name with or without the unit in brackets behind it."""
+        bare = [BRACKETS.sub(r"\1", name) for name in self.names]
+        return next((names.index(asked) for names in (self.names, bare) if asked in names), None)
+
+
+def encoding_of(head: bytes, source: Path) -> str:
+    """Return the encoding of a text that begins so.
+
+    Raises:
+        LogError: it is no text.
+    """
+    for mark, encoding in MARKS.items():
+        if head.startswith(mark):
+            return encoding
+    text = head[: head.rfind(b"\n") + 1] or head
+    try:
+        text.decode()
+        encoding, readable = "utf-8", True
+    except UnicodeDecodeError:
+        encoding, readable = "cp1252", not CONTROL.search(text)
+    odd = (
+        sum(byte > 127 for byte in text[:4096]) if encoding == "cp1252" else len(CONTROL.findall(text[:4096]))
+    )
+    if not readable or odd > NOT_TEXT * len(text[:4096]):
+        raise LogError(source, "is not text in UTF-8, UTF-16 or Latin-1; required a CSV log")
+    return encoding
+
+
+def dialect_of(text: str, source: Path, asked: Sequence[str] = ()) -> Dialect:
+    """Tell how a log is written from its first lines.
+
+    The separator is the one that yields most numbers. The header is what stands above the first two lines of
+    numbers, up to ten lines with a name each; of these the one with most of the names asked for.
+
+    Args:
+        text: the beginning of the log.
+        source: its file, for messages.
+        asked: names of columns that are wanted.
+
+    Raises:
+        LogError: the log is empty, or has no header line.
+    """
+    first_line = next((line for line in text.split("\n") if line.strip()), "").strip()
+    if not first_line:
+        raise LogError(source, "the file is empty; required a header line and samples")
+    read = {separator: _rows(text, separator) for separator in SEPARATORS}
+    separator = max(SEPARATORS, key=lambda each: _numbers(read[each]))
+    if not _numbers(read[separator]):
+        separator = max((",", *SEPARATORS), key=lambda each: len(read[each][0].cells))
+    rows = read[separator]
+    data = _first_sample(rows)
+    above = _header_rows(rows[:1] if data is None else rows[:data])
+    if not above:
+        wanted = asked[0] if asked else None
+        shown = f"there is no header line with names, found '{first_line[:LONGEST_SHOWN]}'"
+        raise LogError(source, shown, line=rows[0].line, column=wanted)
+    header, names = max(
+        reversed([row for row in above if not _units(row.cells)] or above),
+        key=lambda row: sum(cell in asked or BRACKETS.sub(r"\1", cell) in asked for cell in row.cells),
+    )
+    for name in names:
+        if name and names.count(name) > 1:
+            raise LogError(source, "this column name stands twice", line=header, column=name)
+    below = next((row.cells for row in above if _units(row.cells)), ())
+    units = {
+        name: unit for name, unit in zip(names, below, strict=False) if unit and name and known_unit(unit)
+    }
+    for name in names:
+        bracketed = BRACKETS.fullmatch(name)
+        if bracketed:
+            units.setdefault(name, bracketed.group(2).strip())
+    comma = separator != "," and _decimal_comma(text, separator)
+    first = header + 1 if data is None else rows[data].line
+    return Dialect(separator, comma, tuple(names), units, header, first)
+
+
+class _Row(NamedTuple):
+    line: int
+    cells: list[str]
+
+
+def _rows(text: str, separator: str) -> list[_Row]:
+    """Return the first rows that are not blank, each with its line; quotes hold cells together."""
+    rows: list[_Row] = []
+    lines = io.StringIO(text)
+    if separator == " ":
+        split = ((number, line.split()) for number, line in enumerate(lines, start=1))
+        return [_Row(number, cells) for number, cells in islice(split, LINES) if cells]
+    reader = csv.reader(lines, delimiter=separator)
+    line = 1
+    with suppress(csv.Error):  # a cell beyond all measure: what stands above it tells enough
+        for cells in islice(reader, LINES):
+            bare = [cell.strip() for cell in cells]
+            if any(bare):
+                rows.append(_Row(line, bare))
+            line = reader.line_num + 1
+    return rows or [_Row(1, [text[:LONGEST_SHOWN]])]
+
+
+def _numbers(rows: Sequence[_Row]) -> int:
+    """Return how many cells are numbers, over the rows of two cells or more."""
+    return sum(sum(map(_is_number, row.cells)) for row in rows if len(row.cells) > 1)
+
+
+def _is_number(cell: str) -> bool:
+    return NUMBER.fullmatch(cell) is not None
+
+
+def _first_sample(rows: Sequence[_Row]) -> int | None:
+    """Return which is the first of two rows of numbers, or the only one; None where there is none."""
+    like = [_is_sample(row.cells) for row in rows]
+    both = [one and other for one, other in zip(like, [*like[1:], True], strict=True)]
+    return both.index(True) if True in both else like.index(True) if True in like else None
+
+
+def _is_sample(cells: Sequence[str]) -> bool:
+    """Tell whether most cells, or at least the first of several, are numbers; a row of units is none."""
+    numbers = sum(map(_is_number, cells))
+    return len(cells) > 1 and (2 * numbers > len(cells) or _is_number(cells[0])) and not _units(cells)
+
+
+def _header_rows(above: Sequence[_Row]) -> list[_Row]:
+    """Return the rows right above the samples that may be names or units."""
+    rows: list[_Row] = []
+    for line, cells in above[: -HEADER_ROWS - 1 : -1]:
+        if rows and len(cells) < len(rows[0].cells):
+            break
+        rows.append(_Row(line, [cells[0].lstrip("#% "), *cells[1:]]))
+    return rows[::-1]
+
+
+def _units(cells: Sequence[str]) -> bool:
+    """Tell whether a row names units: every cell does that is not empty, a label in front apart."""
+    bare = [cell.strip("[]() ") for cell in cells]
+    body = bare[1:] if bare and bare[0].lower() in UNIT_LABELS else bare
+    named = [cell for cell in body if cell]
+    return any(cell.isalpha() or not cell.isascii() for cell in named) and all(map(known_unit, named))
+
+
+def _decimal_comma(text: str, separator: str) -> bool:
+    """Tell whether decimals follow a comma: some number in the text has one."""
+    gap = r"\s" if separator == " " else re.escape(separator)
+    found = re.search(
+        rf'(?:^|{gap})[ "]*[+-]?\d*,\d+(?:[eE][+-]?\d+)?[ "]*(?:{gap}|\r?$)', text, re.MULTILINE
+    )
+    return found is not None

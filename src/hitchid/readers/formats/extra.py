@@ -1,0 +1,101 @@
+"""What the readers of optional formats share: loading their library, damaged files, names."""
+
+import importlib
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+
+from hitchid.errors import LogError
+from hitchid.readers.content import Wanted, chosen
+
+DISTRIBUTIONS = {"can": "python-can", "nptdms": "npTDMS"}
+
+
+def needed(module: str, extra: str, path: Path, purpose: str = "read") -> ModuleType:
+    """Return an optional module.
+
+    Args:
+        module: its name.
+        extra: the extra of this package that installs it.
+        path: the file it is needed for.
+        purpose: what is to be done with the file.
+
+    Raises:
+        LogError: the module is not installed.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        package = module.partition(".")[0]
+        library = DISTRIBUTIONS.get(package, package)
+        raise LogError(path, f"required {library} to {purpose} it: pip install 'hitchid[{extra}]'") from error
+
+
+@contextmanager
+def damage(path: Path, kind: str) -> Iterator[None]:
+    """Turn whatever a damaged file leads a library to into an error that names the file.
+
+    Raises:
+        LogError: the file cannot be read as `kind`.
+    """
+    try:
+        yield
+    except (LogError, MemoryError):
+        raise
+    except Exception as error:  # libraries raise anything on damaged files, down to AttributeError
+        said = str(error) or type(error).__name__
+        raise LogError(path, f"cannot be read as {kind}: {said}") from error
+
+
+def picked(source: Path, names: Sequence[str], wanted: Wanted, clocked: Collection[str]) -> dict[str, str]:
+    """Return the name each channel is asked by to its full name; the time may miss where all have clocks.
+
+    Args:
+        source: the file.
+        names: full names of the channels that hold numbers.
+        wanted: what is asked for.
+        clocked: full names of those the file keeps a clock for.
+
+    Raises:
+        LogError: a channel is not there, or several are meant.
+    """
+    found = chosen(source, names, wanted, clocked=True)
+    if all(name in clocked for name in found.values()):
+        return found
+    return chosen(source, names, wanted)
+
+
+def numbered(names: Sequence[str]) -> list[str]:
+    """Return the names, each that came before with a number behind it, so that all differ."""
+    unlike: dict[str, None] = {}
+    for name in names:
+        number, candidate = 1, name
+        while candidate in unlike:
+            number += 1
+            candidate = f"{name} ({number})"
+        unlike[candidate] = None
+    return list(unlike)
+
+
+def floats(values: np.ndarray) -> np.ndarray:
+    """Return real numbers as a vector of doubles that is nobody else's memory."""
+    return np.array(values, dtype=np.float64).ravel()
+
+
+def is_vector(shape: Sequence[int]) -> bool:
+    """Return whether an array of this shape is one row or column of more than one number."""
+    return len(shape) in (1, 2) and max(shape) > 1 and (len(shape) == 1 or min(shape) == 1)
+
+
+def spelled(unit: object) -> str | None:
+    """Return a unit as the file spells it, None where that is blank or no text."""
+    if isinstance(unit, np.ndarray) and unit.size == 1:
+        unit = unit.ravel()[0]
+    if isinstance(unit, bytes):
+        unit = unit.decode("utf-8", errors="replace")
+    if not isinstance(unit, str):
+        return None
+    return unit.strip(" \0\t\r\n") or None

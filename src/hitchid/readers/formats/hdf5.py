@@ -1,0 +1,152 @@
+"""HDF5 and NetCDF files: datasets in groups, and the time on the scale of their dimension."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hitchid.errors import LogError
+from hitchid.readers.content import Channel, Content, Wanted
+from hitchid.readers.formats import netcdf3
+from hitchid.readers.formats.cf import decoded, in_seconds, is_time, unit_in
+from hitchid.readers.formats.extra import damage, is_vector, needed, picked
+
+SUFFIXES = (".h5", ".hdf5", ".nc")
+NUMBERS = "fiub"  # kinds of numpy
+KIND = "an HDF5 file"
+# NetCDF 4 keeps a dimension without coordinates as a dataset of nothing under this name.
+NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"
+
+
+def read(path: Path, wanted: Wanted) -> Content:
+    """Read the wanted datasets of an HDF5 or NetCDF file.
+
+    Args:
+        path: the file.
+        wanted: what is asked for; the time may be missing where each is on a scale of time.
+
+    Raises:
+        LogError: the file is damaged or was cut short, a dataset is missing or kept outside of it, or h5py is
+            missing.
+    """
+    with damage(path, KIND), path.open("rb") as stream:
+        if stream.read(3) == netcdf3.MAGIC:
+            return netcdf3.read(path, wanted)
+    h5py = needed("h5py", "hdf5", path)
+    with damage(path, KIND), h5py.File(path, "r") as file:
+        named = {name: dataset for name, dataset in _datasets(h5py, file) if _holds_numbers(dataset)}
+        scales = {name: scale for name, dataset in named.items() if (scale := _scale(dataset)) is not None}
+        found = picked(path, list(named), wanted, scales)
+        clocks: dict[str, np.ndarray] = {}
+        for scale in {name: scales[name] for name in found.values() if name in scales}.values():
+            if scale.name not in clocks:
+                clocks[scale.name] = _time(path, scale)
+        channels = {
+            asked: _channel(path, name, named, scales.get(name), clocks) for asked, name in found.items()
+        }
+    return Content(path, channels)
+
+
+def _datasets(h5py: Any, group: Any) -> Iterator[tuple[str, Any]]:
+    """Yield full name and dataset of all that lies in a group; None for what a link leads out to.
+
+    Soft links are left out: what they lead to has a name of its own.
+    """
+    seen = {_address(h5py, group)}
+    ahead = [("", group)]
+    while ahead:
+        prefix, inside = ahead.pop()
+        deeper = []
+        for name in inside:
+            full, link = f"{prefix}{name}", inside.get(name, getlink=True)
+            if isinstance(link, h5py.ExternalLink):
+                yield full, None
+            elif isinstance(link, h5py.HardLink):
+                item = inside[name]
+                if isinstance(item, h5py.Dataset):
+                    yield full, item
+                elif isinstance(item, h5py.Group) and (address := _address(h5py, item)) not in seen:
+                    seen.add(address)
+                    deeper.append((f"{full}/", item))
+        ahead += reversed(deeper)
+
+
+def _is_real(dataset: Any) -> bool:
+    """Return whether a dataset is one row or column of more than one real number."""
+    return dataset.shape is not None and dataset.dtype.kind in NUMBERS and is_vector(dataset.shape)
+
+
+def stored(path: Path, dataset: Any, name: str) -> np.ndarray:
+    """Return what a dataset holds, as stored.
+
+    Raises:
+        LogError: it is kept in another file.
+    """
+    if is_outside(dataset):
+        raise LogError(path, "is kept in another file, required it in this one", column=name)
+    return dataset[()]
+
+
+def is_outside(dataset: Any) -> bool:
+    """Return whether a dataset, None behind a link that leads out, is kept in another file."""
+    return dataset is None or dataset.is_virtual or bool(dataset.external)
+
+
+def _address(h5py: Any, item: Any) -> tuple[int, int]:
+    info = h5py.h5o.get_info(item.id)
+    return info.fileno, info.addr
+
+
+def _holds_numbers(dataset: Any) -> bool:
+    # Not even the shape of one kept outside is looked at: HDF5 would open the other file for it. It is
+    # listed, so that who asks for it is told why it cannot be had.
+    if is_outside(dataset):
+        return True
+    return _is_real(dataset) and not _text(dataset.attrs.get("NAME")).startswith(NO_VARIABLE)
+
+
+def _text(value: object) -> str:
+    return value.decode("utf-8", errors="replace") if isinstance(value, bytes) else str(value)
+
+
+def _attributes(dataset: Any) -> Mapping[str, object]:
+    return dataset.attrs
+
+
+def _scale(dataset: Any) -> Any:
+    """Return the scale of time that a dataset is on, itself where it is one, None where there is none."""
+    if is_outside(dataset):
+        return None
+    for scale in _scales(dataset):
+        if not is_outside(scale) and is_time(unit_in(_attributes(scale))) and scale.size == dataset.size:
+            return scale if _is_real(scale) else None
+    return None
+
+
+def _scales(dataset: Any) -> list[Any]:
+    # Read from the attributes that hold it: HDF5's own calls for scales end the process on damaged files.
+    if _text(dataset.attrs.get("CLASS")) == "DIMENSION_SCALE":
+        return [dataset]
+    every = dataset.attrs.get("DIMENSION_LIST")
+    return (
+        []
+        if every is None
+        else [dataset.file[reference] for reference in every[int(np.argmax(dataset.shape))]]
+    )
+
+
+def _time(path: Path, scale: Any) -> np.ndarray:
+    attributes = _attributes(scale)
+    return in_seconds(decoded(stored(path, scale, scale.name), attributes), unit_in(attributes))
+
+
+def _channel(
+    path: Path, name: str, named: Mapping[str, Any], scale: Any, clocks: Mapping[str, np.ndarray]
+) -> Channel:
+    clock_s, dataset = (None if scale is None else clocks[scale.name]), named[name]
+    if clock_s is not None and dataset == scale:
+        return Channel(clock_s, "s", clock_s)
+    raw = stored(path, dataset, name)
+    attributes = _attributes(dataset)
+    return Channel(decoded(raw, attributes), unit_in(attributes), clock_s)

@@ -1,0 +1,116 @@
+"""What a MATLAB file holds, whichever its version: structs, lists of structs, numbers, texts."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from hitchid.readers.formats.extra import is_vector, numbered
+
+
+class Leaf(NamedTuple):
+    """An array of numbers that need not be in memory yet.
+
+    Attributes:
+        shape: its shape.
+        load: gives the numbers; it is handed the variables that were loaded.
+        variable: the variable that has to be loaded for it, None where it is at hand.
+    """
+
+    shape: tuple[int, ...]
+    load: Callable[[Mapping[str, np.ndarray]], np.ndarray]
+    variable: str | None = None
+
+
+class Source(NamedTuple):
+    """Where the numbers of a channel are, with their unit and time."""
+
+    values: Leaf
+    unit: str | None = None
+    time: Leaf | None = None
+    time_unit: str | None = None
+
+
+def channels_of(tree: Mapping[str, object]) -> dict[str, Source]:
+    """Return full name to source of every vector of numbers in a file.
+
+    Fields of structs are named `log/stroke`; signals of a ControlDesk export by their own name, those of a
+    Simulink structure with time `out/label`.
+
+    Args:
+        tree: variable to node: a leaf, a text, a dictionary of fields or a list of such.
+    """
+    exports = sum(_is_control_desk(node) for node in tree.values())
+    pairs: list[tuple[str, Source]] = []
+    for name, node in tree.items():
+        if isinstance(node, dict) and _is_control_desk(node):
+            pairs += _control_desk(node, f"{name}/" if exports > 1 else "")
+        else:
+            pairs += _plain(name, node)
+    names = numbered([name for name, _ in pairs])
+    return dict(zip(names, (source for _, source in pairs), strict=True))
+
+
+def _plain(name: str, node: object) -> list[tuple[str, Source]]:
+    if isinstance(node, Leaf):
+        return [(name, Source(node))] if is_vector(node.shape) else []
+    if not isinstance(node, dict):
+        return []
+    if isinstance(time := node.get("time"), Leaf) and is_vector(time.shape) and "signals" in node:
+        return _simulink(name, time, _listed(node["signals"]))
+    return [pair for field, inner in node.items() for pair in _plain(f"{name}/{field}", inner)]
+
+
+def _is_control_desk(node: object) -> bool:
+    if not isinstance(node, dict) or not {"X", "Y"} <= node.keys():
+        return False
+    axes, signals = _listed(node["X"]), _listed(node["Y"])
+    return bool(axes and signals) and "Data" in axes[0] and {"Name", "Data"} <= signals[0].keys()
+
+
+def _control_desk(node: Mapping[str, object], prefix: str) -> list[tuple[str, Source]]:
+    axes = _listed(node["X"])
+    pairs = []
+    for number, signal in enumerate(_listed(node["Y"]), start=1):
+        data = signal.get("Data")
+        if isinstance(data, Leaf) and is_vector(data.shape):
+            axis = _axis(axes, signal.get("XIndex"), data)
+            time = axis.get("Data")
+            clock = time if isinstance(time, Leaf) else None
+            unit, time_unit = _text(signal.get("Unit")), _text(axis.get("Unit"))
+            name = _text(signal.get("Name")) or str(number)
+            pairs.append((f"{prefix}{name}", Source(data, unit, clock, time_unit)))
+    return pairs
+
+
+def _axis(axes: Sequence[Mapping[str, object]], index: object, data: Leaf) -> Mapping[str, object]:
+    """Return the axis a signal names, counted from one, else the first that is as long; empty if none is."""
+    alike = [
+        number for number, axis in enumerate(axes, start=1) if _length(axis.get("Data")) == max(data.shape)
+    ]
+    named = int(np.ravel(index.load({}))[0]) if isinstance(index, Leaf) and _length(index) == 1 else 0
+    if named in alike:
+        return axes[named - 1]
+    return axes[alike[0] - 1] if alike else {}
+
+
+def _simulink(name: str, time: Leaf, signals: Sequence[Mapping[str, object]]) -> list[tuple[str, Source]]:
+    pairs = [(f"{name}/time", Source(time, "s", time))]
+    for number, signal in enumerate(signals, start=1):
+        values = signal.get("values")
+        if isinstance(values, Leaf) and is_vector(values.shape) and _length(values) == _length(time):
+            label = _text(signal.get("label")) or f"signals({number})"
+            pairs.append((f"{name}/{label}", Source(values, None, time)))
+    return pairs
+
+
+def _listed(node: object) -> list[Mapping[str, object]]:
+    return [node] if isinstance(node, dict) else node if isinstance(node, list) else []
+
+
+def _length(node: object) -> int:
+    return max(node.shape, default=0) if isinstance(node, Leaf) else 0
+
+
+def _text(node: object) -> str | None:
+    return (node.strip() or None) if isinstance(node, str) else None

@@ -1,0 +1,135 @@
+"""MATLAB files up to version 7, read by scipy once their sizes have been checked."""
+
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
+
+import numpy as np
+
+from hitchid.errors import LogError
+from hitchid.readers.formats.extra import damage, is_vector
+from hitchid.readers.formats.mat.tree import Leaf
+
+KIND = "a MATLAB file up to version 7"
+NUMBERS = ("double", "single", "logical", *(f"{u}int{bits}" for u in ("", "u") for bits in (8, 16, 32, 64)))
+HEADER = 128
+MATRIX, COMPRESSED, SPARSE = 14, 15, 5
+TIGHTEST = 1032  # zlib makes nothing smaller by more than this
+NO_FIELDS = 10_000  # structs without fields take no bytes: so many are believed
+
+
+class File(NamedTuple):
+    """A file: what it holds, and how variables are loaded."""
+
+    path: Path
+    tree: Mapping[str, object]
+
+    def load(self, names: Sequence[str]) -> Mapping[str, np.ndarray]:
+        """Load variables of plain numbers.
+
+        Args:
+            names: theirs.
+
+        Raises:
+            LogError: the file is damaged.
+        """
+        return _loaded(self.path, names)
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[File]:
+    """Look into a MATLAB file: vectors by name and shape, structs with all they hold.
+
+    Raises:
+        LogError: the file is damaged or was cut short.
+    """
+    from scipy.io import whosmat  # not at the top: a quarter of a second
+
+    with damage(path, KIND):
+        check_sizes(path)
+        # What scipy adds of its own begins with two underscores, as no name in MATLAB does.
+        listed = [variable for variable in whosmat(path) if not variable[0].startswith("__")]
+    structs = _loaded(path, [name for name, _, kind in listed if kind == "struct"])
+    tree: dict[str, object] = {}
+    for name, shape, kind in listed:
+        if kind in NUMBERS and is_vector(shape):
+            tree[name] = Leaf(tuple(shape), lambda stock, name=name: stock[name], name)
+        elif kind == "struct":
+            tree[name] = _node(structs[name])
+    yield File(path, tree)
+
+
+def check_sizes(path: Path) -> None:
+    """Check that the parts of a file of version 5 to 7 lie within it and are no larger than their bytes.
+
+    Raises:
+        LogError: one ends beyond the file, or declares more than its bytes can hold.
+    """
+    with path.open("rb") as stream:
+        header = stream.read(HEADER)
+        order = {b"IM": "<", b"MI": ">"}.get(header[126:128])
+        if order is None:  # version 4, or none of MATLAB: scipy tells
+            return
+        size, position = stream.seek(0, 2), HEADER
+        while position < size:
+            stream.seek(position)
+            kind, length = _pair(stream.read(8), order)
+            end = position + 8 + length
+            if end > size:
+                raise LogError(path, f"was cut short: a variable ends at byte {end}, the file has {size}")
+            _check_declared(path, stream, order, kind, length)
+            position = end
+
+
+def _pair(block: bytes, order: str) -> tuple[int, int]:
+    if len(block) < 8:
+        return 0, 1 << 32  # cut within the tag: beyond any end
+    first, second = np.frombuffer(block[:8], f"{order}u4").tolist()
+    return first, second
+
+
+def _check_declared(path: Path, stream: BinaryIO, order: str, kind: int, length: int) -> None:
+    head = stream.read(min(length, 2048))
+    if kind == COMPRESSED:
+        head = zlib.decompressobj().decompress(head, 512)
+        if len(head) < 8:
+            return
+        kind, packed, length = *_pair(head, order)[:1], length, _pair(head, order)[1]
+        if length > TIGHTEST * packed:
+            raise LogError(path, f"cannot be read as {KIND}: {packed} bytes are said to hold {length}")
+        head = head[8:]
+    if kind != MATRIX or len(head) < 24:
+        return
+    numbers = np.frombuffer(head[: len(head) // 4 * 4], f"{order}u4").tolist()
+    shape = numbers[6 : 6 + min(numbers[5] // 4, 32)]
+    count = int(np.prod(shape, dtype=object))
+    if numbers[2] & 0xFF != SPARSE and count > max(length, NO_FIELDS):
+        raise LogError(path, f"cannot be read as {KIND}: {length} bytes are said to hold {count} values")
+
+
+def _loaded(path: Path, names: Sequence[str]) -> dict[str, Any]:
+    from scipy.io import loadmat
+
+    if not names:
+        return {}
+    with damage(path, KIND):
+        loaded = loadmat(path, variable_names=list(names))
+    return {name: loaded[name] for name in names}
+
+
+def _node(value: Any) -> object:
+    """Return the node for what scipy makes of a struct and all in it; None for what holds no numbers."""
+    if type(value) is not np.ndarray:  # objects and functions of MATLAB are kinds of array, too
+        return None
+    if value.dtype.names is not None:
+        structs = [_fields(struct, value.dtype.names) for struct in value.ravel()]
+        return structs[0] if len(structs) == 1 else structs
+    if value.dtype.kind == "U":
+        return str(value[0]) if value.size == 1 else None
+    return Leaf(value.shape, lambda _: value) if value.dtype.kind in "fiub" else None
+
+
+def _fields(struct: Any, names: Sequence[str]) -> dict[str, object]:
+    return {name: _node(struct[name]) for name in names}

@@ -1,0 +1,111 @@
+"""MATLAB files of version 7.3: HDF5 files whose groups are structs."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hitchid.readers.formats.extra import needed
+from hitchid.readers.formats.hdf5 import NUMBERS, is_outside, stored
+from hitchid.readers.formats.mat.tree import Leaf
+
+SIGNATURE = b"\x89HDF\r\n\x1a\n"
+STARTS = (0, 512)  # MATLAB keeps 512 bytes for its own header
+DEEPEST = 30
+NO_NUMBERS = ("char", "cell", "struct", "function_handle", "table", "string", "categorical")
+
+
+class File(NamedTuple):
+    """An open file: what it holds, and how variables are loaded."""
+
+    tree: Mapping[str, object]
+
+    def load(self, names: Sequence[str]) -> Mapping[str, np.ndarray]:
+        """Return nothing: each leaf reads its own dataset."""
+        return {}
+
+
+def is_one(path: Path) -> bool:
+    """Return whether a file is HDF5 inside."""
+    with path.open("rb") as stream:
+        head = stream.read(STARTS[-1] + len(SIGNATURE))
+    return any(head[start:].startswith(SIGNATURE) for start in STARTS)
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[File]:
+    """Open a MATLAB 7.3 file.
+
+    Raises:
+        LogError: h5py is missing.
+    """
+    h5py = needed("h5py", "hdf5", path)
+    with h5py.File(path, "r") as file:
+        yield File(_fields(_Reader(h5py, path), file, 0))
+
+
+class _Reader(NamedTuple):
+    h5py: Any
+    path: Path
+
+
+class _Column(NamedTuple):
+    """One field of an array of structs: a node for each of them."""
+
+    nodes: list[object]
+
+
+def _fields(reader: _Reader, group: Any, depth: int) -> dict[str, object]:
+    fields: dict[str, object] = {}
+    for name in group if depth < DEEPEST else ():
+        if name.startswith("#"):  # where MATLAB keeps what references lead to
+            continue
+        link = group.get(name, getlink=True)
+        if isinstance(link, reader.h5py.ExternalLink):
+            fields[name] = _outside(reader, f"{group.name}/{name}")
+        elif isinstance(link, reader.h5py.HardLink):
+            fields[name] = _node(reader, group[name], depth + 1)
+    return fields
+
+
+def _node(reader: _Reader, item: Any, depth: int) -> object:
+    if isinstance(item, reader.h5py.Group):
+        if "MATLAB_sparse" in item.attrs:
+            return None
+        return _structs(_fields(reader, item, depth))
+    if not isinstance(item, reader.h5py.Dataset):
+        return None
+    return _outside(reader, item.name) if is_outside(item) else _array(reader, item, depth)
+
+
+def _array(reader: _Reader, item: Any, depth: int) -> object:
+    kind = _class(item)
+    if "MATLAB_empty" in item.attrs or item.shape is None:
+        return None
+    if kind == "char" and item.dtype.kind == "u" and item.ndim == 2:
+        return "".join(map(chr, item[()].ravel().tolist())) if min(item.shape) == 1 else None
+    if kind == "" and item.dtype == reader.h5py.ref_dtype:  # one field of an array of structs
+        return _Column([_node(reader, item.file[reference], depth + 1) for reference in item[()].ravel()])
+    if item.dtype.kind in NUMBERS and kind not in NO_NUMBERS:
+        return Leaf(item.shape, lambda _: stored(reader.path, item, item.name.lstrip("/")))
+    return None
+
+
+def _structs(fields: dict[str, object]) -> object:
+    """Return an array of structs where each field is one of references, else the one struct as it is."""
+    columns = {name: inner.nodes for name, inner in fields.items() if isinstance(inner, _Column)}
+    lengths = {len(inner) for inner in columns.values()}
+    if len(columns) != len(fields) or len(lengths) != 1:
+        return fields
+    return [{name: inner[k] for name, inner in columns.items()} for k in range(lengths.pop())]
+
+
+def _outside(reader: _Reader, name: str) -> Leaf:
+    return Leaf((2,), lambda _: stored(reader.path, None, name.lstrip("/")))
+
+
+def _class(item: Any) -> str:
+    kind = item.attrs.get("MATLAB_class", b"")
+    return kind.decode("ascii", errors="replace") if isinstance(kind, bytes) else str(kind)

@@ -1,0 +1,60 @@
+"""Whether an MDF file is whole: each block of version 4 says how long it is and which ones follow."""
+
+import struct
+from pathlib import Path
+from typing import BinaryIO
+
+from hitchid.errors import LogError
+
+IDENTIFICATION = 64
+HEADER = struct.Struct("<4s4xQQ")
+VERSION_AT, FLAGS_AT = 28, 60
+
+
+def check_whole(path: Path) -> None:
+    """Follow every link of an MDF file of version 4; of older ones look at the identification alone.
+
+    Args:
+        path: the file.
+
+    Raises:
+        LogError: the file is none of MDF, was never finished, was cut short, or holds something else
+            where a block should be.
+    """
+    with path.open("rb") as stream:
+        identification = stream.read(IDENTIFICATION)
+        magic = identification[:8].rstrip(b" \0")
+        if magic not in (b"MDF", b"UnFinMF"):
+            raise LogError(path, "cannot be read as an MDF file: it does not start as one")
+        if len(identification) < IDENTIFICATION:
+            raise LogError(path, f"was cut short: the file has {len(identification)} bytes")
+        version, flags = (_short(identification, at) for at in (VERSION_AT, FLAGS_AT))
+        if magic == b"UnFinMF" or flags:
+            raise LogError(path, "was cut short: its recording was never finished (unfinalized MDF)")
+        if version >= 400:
+            _walk(path, stream)
+
+
+def _short(block: bytes, at: int) -> int:
+    return int.from_bytes(block[at : at + 2], "little")
+
+
+def _walk(path: Path, stream: BinaryIO) -> None:
+    size = stream.seek(0, 2)
+    seen, ahead = {0, IDENTIFICATION}, [IDENTIFICATION]
+    while ahead:
+        links = _links(path, stream, ahead.pop(), size)
+        ahead += [link for link in dict.fromkeys(links) if link not in seen]
+        seen.update(links)
+
+
+def _links(path: Path, stream: BinaryIO, address: int, size: int) -> tuple[int, ...]:
+    if address + HEADER.size > size:
+        raise LogError(path, f"was cut short: a block starts at byte {address}, the file has {size}")
+    stream.seek(address)
+    name, length, links = HEADER.unpack(stream.read(HEADER.size))
+    if not name.startswith(b"##") or length < HEADER.size + 8 * links:
+        raise LogError(path, f"cannot be read as an MDF file: there is no block at byte {address}")
+    if address + length > size:
+        raise LogError(path, f"was cut short: a block ends at byte {address + length}, the file has {size}")
+    return struct.unpack(f"<{links}Q", stream.read(8 * links))

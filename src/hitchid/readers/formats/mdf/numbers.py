@@ -1,0 +1,125 @@
+"""From the raw samples of an MDF channel to physical numbers, in doubles throughout."""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hitchid.errors import LogError
+from hitchid.readers.formats.extra import floats
+
+
+class _Codes(NamedTuple):
+    """What the numbers in a generation of MDF files mean."""
+
+    types: frozenset[int]  # of data: whole and real numbers
+    masters: frozenset[int]
+    channels: frozenset[int]  # kinds that hold one value of fixed size a record, masters among them
+    texts: frozenset[int]  # conversions
+    formulas: frozenset[int]
+
+
+VIRTUAL = 3  # master of version 4 that is not in the file
+OLD = _Codes(
+    types=frozenset({0, 1, 2, 3, *range(9, 17)}),
+    masters=frozenset({1}),
+    channels=frozenset({0, 1}),
+    texts=frozenset({11, 12}),
+    formulas=frozenset({10}),
+)
+NEW = _Codes(
+    types=frozenset(range(6)),
+    masters=frozenset({2, 3}),
+    channels=frozenset({0, 2, 3, 6}),
+    texts=frozenset({7, 8, 11}),
+    formulas=frozenset({3}),
+)
+
+
+def is_master(log: Any, channel: Any) -> bool:
+    """Return whether this is a channel that its group's samples are counted by."""
+    return channel.channel_type in _codes(log).masters
+
+
+def is_stored(log: Any, channel: Any) -> bool:
+    """Return whether a master's samples are in the file; else they are made from their number."""
+    return channel.channel_type != VIRTUAL if log.version >= "4" else channel.bit_count > 0
+
+
+def holds_numbers(log: Any, group: int, index: int) -> bool:
+    """Return whether a channel is one of more than one real number."""
+    codes, holder = _codes(log), log.groups[group]
+    channel = holder.channels[index]
+    plain = not (holder.channel_dependencies and holder.channel_dependencies[index])
+    fits = channel.data_type in codes.types and channel.channel_type in codes.channels
+    return plain and fits and holder.channel_group.cycles_nr > 1
+
+
+def physical(path: Path, log: Any, group: int, index: int) -> np.ndarray:
+    """Return the samples of a channel converted to physical numbers; NaN where they are marked invalid.
+
+    Args:
+        path: the file.
+        log: the file as asammdf opened it.
+        group: number of the group.
+        index: place of the channel in it.
+
+    Raises:
+        LogError: the samples are converted by a formula.
+    """
+    channel = log.groups[group].channels[index]
+    # Told to ignore them, asammdf hands out which samples are invalid; else it leaves these out.
+    raw, invalid = log.get(
+        group=group, index=index, raw=True, samples_only=True, ignore_invalidation_bits=True
+    )
+    # asammdf multiplies single-precision samples in single precision: doubles go in, so doubles come out.
+    values = _converted(path, log, channel, floats(raw))
+    if invalid is not None:
+        values[np.asarray(invalid, dtype=bool)] = np.nan
+    return values
+
+
+def counted(path: Path, log: Any, group: int, index: int) -> np.ndarray:
+    """Return the samples of a master that is made from their number.
+
+    Args:
+        path: the file.
+        log: the file as asammdf opened it.
+        group: number of the group.
+        index: place of the master in it.
+
+    Raises:
+        LogError: the numbers are converted by a formula.
+    """
+    holder = log.groups[group]
+    channel, numbers = holder.channels[index], np.arange(holder.channel_group.cycles_nr, dtype=np.float64)
+    if log.version >= "4":
+        return _converted(path, log, channel, numbers)
+    return numbers * (channel.sampling_rate or 1.0)
+
+
+def _converted(path: Path, log: Any, channel: Any, values: np.ndarray) -> np.ndarray:
+    codes, conversion = _codes(log), channel.conversion
+    if conversion is None or not values.size:
+        return values
+    parts = [conversion, *_scales(conversion)]
+    # asammdf falls back to evaluating a formula as Python: a file must not bring code with it.
+    if any(part.conversion_type in codes.formulas for part in parts):
+        raise LogError(path, "is converted by a formula, required numbers", column=channel.name)
+    if conversion.conversion_type in codes.texts and len(parts) == 1:
+        return values  # the number of a state, whose names are text
+    read = np.asarray(conversion.convert(values))
+    if read.dtype.kind in "fiub":
+        return floats(read)
+    # Text for some numbers, like 'sensor fault' for the largest, and a scale for the others.
+    return np.array([value if isinstance(value, int | float) else np.nan for value in read.tolist()])
+
+
+def _scales(conversion: Any) -> list[Any]:
+    blocks = (getattr(conversion, "referenced_blocks", None) or {}).values()
+    direct = [block for block in blocks if block is not None and not isinstance(block, bytes)]
+    return direct + [scale for block in direct for scale in _scales(block)]
+
+
+def _codes(log: Any) -> _Codes:
+    return NEW if log.version >= "4" else OLD

@@ -1,0 +1,93 @@
+"""Parquet files: columns of numbers and time stamps, with units in the metadata of their fields."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hitchid.errors import LogError
+from hitchid.readers.content import Channel, Content, Wanted, chosen
+from hitchid.readers.formats.extra import damage, floats, needed, spelled
+from hitchid.units import unit_of_column
+
+SUFFIXES = (".parquet",)
+KIND = "a Parquet file"
+TICKS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
+
+
+def read(path: Path, wanted: Wanted) -> Content:
+    """Read the wanted columns of a Parquet file.
+
+    Args:
+        path: the file.
+        wanted: what is asked for; columns of time stamps turn into seconds since their first.
+
+    Raises:
+        LogError: the file is damaged, a column is missing or there twice, or pyarrow is missing.
+    """
+    arrow, parquet = (needed(module, "parquet", path) for module in ("pyarrow", "pyarrow.parquet"))
+    with damage(path, KIND), parquet.ParquetFile(path, page_checksum_verification=True) as file:
+        fields = list(file.schema_arrow) if file.metadata.num_rows > 1 else []
+        named = {field.name: field for field in fields if _holds_numbers(arrow, field.type)}
+        found = chosen(path, list(named), wanted)
+        for name in found.values():
+            if sum(field.name == name for field in fields) > 1:
+                raise LogError(path, "several columns have this name", column=name)
+        table = file.read(columns=list(found.values()))
+        channels = {asked: _channel(arrow, named[name], table.column(name)) for asked, name in found.items()}
+    return Content(path, channels)
+
+
+def write_table(path: Path, columns: Mapping[str, np.ndarray]) -> None:
+    """Write columns of doubles, with a checksum for each page.
+
+    Args:
+        path: the file; one that is there is replaced.
+        columns: each under a name that may end in its unit, all of one length.
+
+    Raises:
+        LogError: pyarrow is missing.
+    """
+    arrow, parquet = (
+        needed(module, "parquet", path, purpose="write") for module in ("pyarrow", "pyarrow.parquet")
+    )
+    fields = [
+        arrow.field(
+            name, arrow.float64(), metadata={"unit": unit} if (unit := unit_of_column(name)) else None
+        )
+        for name in columns
+    ]
+    arrays = [arrow.array(floats(values)) for values in columns.values()]
+    table = arrow.Table.from_arrays(arrays, schema=arrow.schema(fields))
+    parquet.write_table(table, path, use_dictionary=False, write_page_checksum=True)
+
+
+def _holds_numbers(arrow: Any, kind: Any) -> bool:
+    types = arrow.types
+    if types.is_dictionary(kind):
+        kind = kind.value_type
+    are = (types.is_integer, types.is_floating, types.is_boolean, types.is_decimal)
+    return any(is_one(kind) for is_one in (*are, types.is_timestamp, types.is_duration))
+
+
+def _channel(arrow: Any, field: Any, column: Any) -> Channel:
+    types = arrow.types
+    if types.is_dictionary(field.type):
+        column = column.cast(field.type.value_type)
+    if types.is_timestamp(column.type) or types.is_duration(column.type):
+        return Channel(_seconds(arrow, column), "s")
+    metadata = field.metadata or {}
+    unit = spelled(metadata.get(b"unit")) or spelled(metadata.get(b"units"))
+    if types.is_boolean(column.type):
+        column = column.cast(arrow.uint8())
+    return Channel(floats(column.cast(arrow.float64(), safe=False).to_numpy()), unit)
+
+
+def _seconds(arrow: Any, column: Any) -> np.ndarray:
+    """Return time stamps as seconds since the first, durations as seconds; NaN where there is none."""
+    valid = column.is_valid().to_numpy()
+    ticks = column.cast(arrow.int64()).fill_null(0).to_numpy()
+    if valid.any() and arrow.types.is_timestamp(column.type):
+        ticks = ticks - ticks[np.argmax(valid)]  # as whole numbers, for a double holds no date in ns
+    return np.where(valid, ticks / TICKS[column.type.unit], np.nan)

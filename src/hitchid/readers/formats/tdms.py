@@ -1,0 +1,173 @@
+"""LabVIEW TDMS files: channels in groups, with waveform clocks and time stamps."""
+
+import struct
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
+
+import numpy as np
+
+from hitchid.errors import LogError
+from hitchid.readers.content import Channel, Content, Wanted
+from hitchid.readers.formats.cf import is_time
+from hitchid.readers.formats.extra import damage, floats, needed, picked, spelled
+from hitchid.units import unit_of_column
+
+SUFFIXES = (".tdms",)
+KIND = "a TDMS file"
+GROUP = "log"
+LEAD_IN = 28
+BIG_ENDIAN = 1 << 6
+UNFINISHED = 0xFFFF_FFFF_FFFF_FFFF
+
+
+class _Waveform(NamedTuple):
+    samples: int
+    offset_s: float
+    increment_s: float
+    start: tuple[int, int]  # s and 2^-64 s since 1904
+
+
+def read(path: Path, wanted: Wanted) -> Content:
+    """Read the wanted channels of a TDMS file.
+
+    Args:
+        path: the file.
+        wanted: what is asked for; the time may be missing where all of it are waveforms.
+
+    Raises:
+        LogError: the file is damaged or was cut short, a channel is missing, or npTDMS is.
+    """
+    nptdms = needed("nptdms", "tdms", path)
+    with damage(path, KIND), path.open("rb") as stream:
+        held = _bytes_held(path, stream)
+        # Handed the open file, npTDMS leaves alone an index beside it, which may be of another recording.
+        with nptdms.TdmsFile.open(stream, raw_timestamps=True) as log:
+            every = [channel for group in log.groups() for channel in group.channels()]
+            _check_promised(path, every, held, log.file_status.channel_statuses or {})
+            named = {f"{c.group_name}/{c.name}": c for c in every if _holds_numbers(c)}
+            waveforms = {name: w for name, c in named.items() if (w := _waveform(c)) is not None}
+            found = picked(path, list(named), wanted, waveforms)
+            clocks = _clocks({name: waveforms[name] for name in found.values() if name in waveforms})
+            channels = {
+                asked: _channel(path, name, named[name], clocks.get(name)) for asked, name in found.items()
+            }
+    return Content(path, channels)
+
+
+def write_table(path: Path, columns: Mapping[str, np.ndarray]) -> None:
+    """Write columns of doubles as channels of the group `log`.
+
+    Args:
+        path: the file; one that is there is replaced.
+        columns: each under a name that may end in its unit.
+
+    Raises:
+        LogError: npTDMS is missing.
+    """
+    nptdms = needed("nptdms", "tdms", path, purpose="write")
+    with nptdms.TdmsWriter(path) as writer:
+        writer.write_segment(
+            [
+                nptdms.ChannelObject(
+                    GROUP,
+                    name,
+                    floats(values),
+                    {"unit_string": unit} if (unit := unit_of_column(name)) else {},
+                )
+                for name, values in columns.items()
+            ]
+        )
+
+
+def _bytes_held(path: Path, stream: BinaryIO) -> int:
+    """Walk from segment to segment and return how many bytes of raw data there are in all."""
+    size = stream.seek(0, 2)
+    position = number = held = 0
+    while position < size or not number:
+        number += 1
+        stream.seek(position)
+        lead_in = stream.read(LEAD_IN)
+        if not lead_in or not b"TDSm".startswith(lead_in[:4]):
+            raise LogError(path, f"cannot be read as {KIND}: no segment starts at byte {position}")
+        end, raw = (position + LEAD_IN, 0) if len(lead_in) < LEAD_IN else _extent(lead_in, position)
+        if end > size:
+            ends = (
+                f"ends at byte {end}" if end < UNFINISHED else f"from byte {position} on was never finished"
+            )
+            raise LogError(path, f"was cut short: segment {number} {ends}, the file has {size}")
+        if raw < 0:
+            raise LogError(path, f"cannot be read as {KIND}: segment {number} has its data behind its end")
+        held += raw
+        position = end
+    stream.seek(0)
+    return held
+
+
+def _extent(lead_in: bytes, position: int) -> tuple[int, int]:
+    order = ">" if lead_in[4] & BIG_ENDIAN else "<"
+    length, raw_offset = struct.unpack(f"{order}QQ", lead_in[12:])
+    return position + LEAD_IN + length, length - raw_offset
+
+
+def _check_promised(path: Path, channels: Sequence[Any], held: int, last: Mapping[str, Any]) -> None:
+    """Check that there are as many samples as the metadata promise, in the last segment and in all."""
+    for channel in channels:
+        status = last.get(channel.path)
+        if status is not None and status.read_length < status.expected_length:
+            found = f"holds {status.read_length} of {status.expected_length} samples at its end"
+            raise LogError(path, f"was cut short: {found}", column=f"{channel.group_name}/{channel.name}")
+    filled = [channel for channel in channels if len(channel)]
+    sizes = [channel.data_type.size for channel in filled]
+    if None in sizes:  # text and raw DAQmx data: npTDMS itself follows their offsets
+        return
+    promised = sum(len(channel) * size for channel, size in zip(filled, sizes, strict=True))
+    if promised != held:
+        raise LogError(
+            path, f"cannot be read as {KIND}: its channels take {promised} bytes, its segments hold {held}"
+        )
+
+
+def _holds_numbers(channel: Any) -> bool:
+    return len(channel) > 1 and np.dtype(channel.dtype).kind in "fiubM"
+
+
+def _channel(path: Path, name: str, channel: Any, clock_s: np.ndarray | None) -> Channel:
+    read = channel[:]
+    if len(read) != len(channel):
+        raise LogError(path, f"was cut short: holds {len(read)} of {len(channel)} samples", column=name)
+    if np.dtype(channel.dtype).kind == "M":
+        return Channel(_since_first(read), "s", clock_s)
+    return Channel(floats(read), spelled(channel.properties.get("unit_string")), clock_s)
+
+
+def _since_first(stamps: Any) -> np.ndarray:
+    """Return time stamps as seconds since the first; whole seconds and their parts are subtracted apart."""
+    seconds = stamps["seconds"].astype(np.int64)
+    parts = stamps["second_fractions"].astype(np.float64)
+    return (seconds - seconds[0]).astype(np.float64) + (parts - parts[0]) * 2.0**-64
+
+
+def _waveform(channel: Any) -> _Waveform | None:
+    increment, offset = (channel.properties.get(name) for name in ("wf_increment", "wf_start_offset"))
+    axis = spelled(channel.properties.get("wf_xunit_string"))
+    if not isinstance(increment, int | float) or not np.isfinite(increment) or increment <= 0:
+        return None
+    if axis is not None and not is_time(axis):  # a spectrum is a waveform, too
+        return None
+    stamp = channel.properties.get("wf_start_time")
+    start = (0, 0) if stamp is None else (int(stamp.seconds), int(stamp.second_fractions))
+    return _Waveform(len(channel), float(offset or 0.0), float(increment), start)
+
+
+def _clocks(waveforms: Mapping[str, _Waveform]) -> dict[str, np.ndarray]:
+    """Return the clock of each waveform, one array for all alike, from where the first of them starts."""
+    starts = [waveform.start for waveform in waveforms.values()]
+    known = all(seconds for seconds, _ in starts)  # LabVIEW writes 1904 where nobody set the start
+    clocks: dict[_Waveform, np.ndarray] = {}
+    for waveform in waveforms.values():
+        late = [ours - first for ours, first in zip(waveform.start, min(starts), strict=True)]
+        late_s = late[0] + late[1] * 2.0**-64 if known else 0.0
+        ticks = waveform.increment_s * np.arange(waveform.samples)
+        clocks.setdefault(waveform, waveform.offset_s + late_s + ticks)
+    return {name: clocks[waveform] for name, waveform in waveforms.items()}

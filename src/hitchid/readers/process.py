@@ -1,0 +1,141 @@
+"""Logs whose formats other libraries read, read in a process of their own.
+
+A damaged file can make such a library crash, hang or ask for all memory there is; here it costs a message.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import IO
+
+import numpy as np
+
+from hitchid.errors import LogError
+from hitchid.readers.content import Channel, Content, Wanted
+
+BEGUN = b"begun\n"
+LONGEST_START_S, LONGEST_S, BYTES_PER_S = 120.0, 8.0, 2e6
+
+
+class ReaderProcess:
+    """A process that reads logs one after the other; it starts with the first and ends with the context."""
+
+    def __init__(self) -> None:
+        """Start nothing yet."""
+        self._child: subprocess.Popen[bytes] | None = None
+
+    def __enter__(self) -> "ReaderProcess":
+        """Return the process."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """End it."""
+        self._end()
+
+    def read(self, path: Path, wanted: Wanted) -> Content:
+        """Read the wanted channels of a log.
+
+        Raises:
+            LogError: it cannot be read, or reading it takes too long or too much memory.
+        """
+        if self._child is None:
+            self._child = _started()
+        request = {"path": str(path), "time": wanted.time, "signals": wanted.signals}
+        request["databases"] = [str(database) for database in wanted.databases]
+        limit_s = LONGEST_S + path.stat().st_size / BYTES_PER_S
+        try:
+            return _answer(self._child, path, json.dumps(request).encode() + b"\n", limit_s)
+        except TimeoutError:
+            self._end()
+            raise LogError(path, f"cannot be read within {limit_s:.0f} s: it is damaged") from None
+        except (EOFError, BrokenPipeError):
+            self._end()
+            raise LogError(path, "cannot be read: it is damaged so that the reader gave up") from None
+        except BaseException:
+            self._end()
+            raise
+
+    def _end(self) -> None:
+        if self._child is not None:
+            self._child.kill()
+            self._child.communicate()
+            self._child = None
+
+
+def _started() -> "subprocess.Popen[bytes]":
+    paths = os.pathsep.join(path for path in sys.path if path)
+    return subprocess.Popen(
+        [sys.executable, "-m", "hitchid.readers.child"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        env={**os.environ, "PYTHONPATH": paths, "PYTHONSAFEPATH": "1"},
+    )
+
+
+def _answer(child: "subprocess.Popen[bytes]", path: Path, request: bytes, limit_s: float) -> Content:
+    asking, answers = child.stdin, child.stdout
+    assert asking is not None  # noqa: S101 - both are pipes
+    assert answers is not None  # noqa: S101
+    with _within(child, LONGEST_START_S):
+        asking.write(request)
+        asking.flush()
+        if answers.readline() != BEGUN:
+            raise EOFError
+    with _within(child, limit_s):
+        line = answers.readline()
+        if not line:
+            raise EOFError
+        answer = json.loads(line)
+        if "problem" in answer:
+            raise LogError(path, answer["problem"], line=answer.get("line"), column=answer.get("column"))
+        clocks = [_samples(answers, size) for size in answer["clocks"]]
+        channels = {
+            name: Channel(_samples(answers, size), unit, None if clock is None else clocks[clock])
+            for name, unit, size, clock in answer["channels"]
+        }
+    return Content(path, channels, tuple(answer["notices"]))
+
+
+def _samples(answers: IO[bytes], size: int) -> np.ndarray:
+    samples = np.empty(size)
+    view = samples.data.cast("B")
+    while view:
+        came = answers.readinto(view)  # pyright: ignore[reportAttributeAccessIssue]
+        if not came:
+            raise EOFError
+        view = view[came:]
+    return samples
+
+
+@contextmanager
+def _within(child: "subprocess.Popen[bytes]", limit_s: float) -> Iterator[None]:
+    """Kill the child where what follows takes longer.
+
+    Raises:
+        TimeoutError: it did.
+    """
+    late = threading.Event()
+
+    def end() -> None:
+        late.set()
+        child.kill()
+
+    timer = threading.Timer(limit_s, end)
+    timer.start()
+    try:
+        yield
+    except (EOFError, BrokenPipeError):
+        if late.is_set():
+            raise TimeoutError from None
+        raise
+    finally:
+        timer.cancel()
