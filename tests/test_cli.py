@@ -362,7 +362,7 @@ BAD_MODELS = {
     "trace edited": (edited("trace.json", "{", "{ "), ["trace.json", "edited"]),
     "a newer schema": (
         edited("model.json", '"schema": 5', '"schema": 6'),
-        ["model.json", "schema 6", "required 5"],
+        ["model.json", "schema 6", "required 3 to 5"],
     ),
 }
 

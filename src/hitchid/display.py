@@ -14,6 +14,7 @@ from hitchid.live_progress import progress as progress
 from hitchid.segments import LABELS
 
 if TYPE_CHECKING:
+    from hitchid.audit import AuditFinding
     from hitchid.design import Advice
     from hitchid.identification import ChannelTrace, Identification
     from hitchid.inspection import Inspection
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from hitchid.validation import Acceptance, ModelComparison, Table, Validation
 
 COLUMNS = 80
+PLACES = 3
 
 
 def show_inspection(found: "Inspection") -> None:
@@ -57,8 +59,32 @@ def show_inspection(found: "Inspection") -> None:
                 assert isinstance(stretches, list)  # noqa: S101
                 table.add_row(str(record["name"]), *cells, str(len(stretches)))
         _out().print(table)
+    if found.findings:
+        _out().print(_findings(found.findings))
+    elif found.records:
+        _say_in("The audit found nothing to mend.")
     say("notice", found.notices)
     say("fault", found.faults)
+
+
+def _findings(findings: Iterable["AuditFinding"]) -> RichTable:
+    """Return what an audit found: how grave, where, what, and what to do."""
+    table = _table("finding", "where", "what, and what to do")
+    for each in findings:
+        signal = each.signal.replace("_", " ")
+        whose = each.record or (f"{len(each.records)} logs" if each.records else "the campaign")
+        where = "\n".join([whose, signal, *_places(each)] if signal else [whose, *_places(each)])
+        table.add_row(f"{each.level.value}:\n{each.check}", where, f"{each.what}\n→ {each.advice}")
+        table.add_section()
+    return table
+
+
+def _places(finding: "AuditFinding") -> list[str]:
+    if not finding.record:
+        return []
+    more = len(finding.spans) - PLACES
+    told = [f"{start:.6g} … {stop:.6g} s" for start, stop in finding.spans[:PLACES]]
+    return [*told, f"and {more} more"] if more > 0 else told
 
 
 def _durations(record: Mapping[str, object]) -> Mapping[str, float]:

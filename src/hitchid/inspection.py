@@ -6,11 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
+from hitchid.audit import AuditFinding, audit, quality
 from hitchid.campaign import Campaign
 from hitchid.errors import HitchError, LogError
-from hitchid.modes import ACTIVE_FRACTION, full_scales
+from hitchid.modes import full_scales
 from hitchid.readers import ReaderProcess, assemble, find_logs, read_log, settings_of
-from hitchid.record import CYCLE, IDLE, MODES, Record
+from hitchid.record import CYCLE, MODES, Record
 from hitchid.segments import Segment, Switch, durations_s, segments
 
 Hearing = Callable[[Mapping[str, str]], Mapping[str, Switch]]
@@ -22,20 +23,30 @@ class Inspection:
 
     Attributes:
         records: one entry a record: name, kind, held out or not, samples, step, duration, each signal's unit
-            and range, and of a mixed one its stretches of lift, hold, lower and so on.
-        notices: what is odd but can be worked with, each naming its record.
+            and range, how good its displacement is, and of a mixed one its stretches of lift, hold, lower and
+            so on.
+        notices: what was done to logs on the way in, each naming its record.
         faults: why a log cannot be used, each naming file, line, column.
+        findings: what in the logs would spoil a model, where, and what to do about it.
         mixed: the mixed records with their stretches.
+        looked_at: every record.
     """
 
     records: tuple[Mapping[str, object], ...]
     notices: tuple[str, ...]
     faults: tuple[str, ...]
+    findings: tuple[AuditFinding, ...] = ()
     mixed: tuple[tuple[Record, tuple[Segment, ...]], ...] = ()
+    looked_at: tuple[Record, ...] = ()
 
     def describe(self) -> dict[str, list]:
         """Return everything as JSON can hold it."""
-        return {"records": list(self.records), "notices": list(self.notices), "faults": list(self.faults)}
+        return {
+            "records": list(self.records),
+            "notices": list(self.notices),
+            "faults": list(self.faults),
+            "findings": [finding.describe() for finding in self.findings],
+        }
 
 
 def inspect(
@@ -96,9 +107,11 @@ def look_over(campaign: Campaign, switches: Hearing | None = None) -> Inspection
             _entry(record, record.name in held_out) | _stretches(*mixed.get(record.name, (record, ())))
             for record in campaign.records
         ),
-        notices=tuple(notice for record in campaign.records for notice in _notices(record, scales)),
+        notices=tuple(f"{record.name}: {said}" for record in campaign.records for said in record.notices),
         faults=(),
+        findings=audit(campaign),
         mixed=tuple(mixed.values()),
+        looked_at=campaign.records,
     )
 
 
@@ -135,17 +148,5 @@ def _entry(record: Record, held_out: bool) -> dict[str, object]:
             }
             for role, samples in record.signals.items()
         },
+        "quality": quality(record).describe(),
     }
-
-
-def _notices(record: Record, scales: Mapping[str, float]) -> list[str]:
-    found = [f"{record.name}: {notice}" for notice in record.notices]
-    if record.kind == IDLE:
-        found.append(f"{record.name}: no command is active; the record is not used")
-    if len(record.modes) == 2:
-        active = [np.abs(record.command(mode)) > ACTIVE_FRACTION * scales[mode] for mode in MODES]
-        both = np.all(active, axis=0)
-        if both.any():
-            at = record.time_s[int(np.flatnonzero(both)[0])]
-            found.append(f"{record.name}: both valves are on in {both.sum()} samples, first at {at:g} s")
-    return found

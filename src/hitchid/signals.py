@@ -12,6 +12,7 @@ from hitchid.errors import SettingsError
 from hitchid.units import UNITS, check_unit, unit_of_column
 
 CAMPAIGN_FILE = "campaign.toml"
+LONGEST_SHOWN, MOST_SPELLED = 200, 10**100
 POSITIONS = ("length", "angle", "voltage", "ratio")
 COMMANDS = ("current", "voltage", "ratio")
 DIMENSIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
@@ -75,7 +76,7 @@ class SignalMap(Strict):
             raise ValueError("required either command or lifting_command and lowering_command, not both")
         if not (self.command or self.lifting_command or self.lowering_command):
             raise ValueError("required at least one of command, lifting_command, lowering_command")
-        taken = {"displacement", "lifting_command", "lowering_command"}.intersection(self.covariates)
+        taken = DIMENSIONS.keys() & set(self.covariates)
         if taken:
             raise ValueError(f"covariates: '{taken.pop()}' is the name of a signal; rename the column")
         for role, dimensions in DIMENSIONS.items():
@@ -138,7 +139,7 @@ def parse_settings(path: Path, model: type[Settings]) -> Settings:
     """
     try:
         text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, ValueError) as error:  # no text, or a path no file can have
         raise SettingsError(f"{path}: cannot be read: {error}") from error
     try:
         content = tomllib.loads(text)
@@ -155,10 +156,19 @@ def parse_settings(path: Path, model: type[Settings]) -> Settings:
 def describe(error: ValidationError) -> str:
     """Put the first complaint of a validation into one sentence that names the key."""
     first = error.errors()[0]
-    key = ".".join(str(part) for part in first["loc"]) or "settings"
+    key = _shown(".".join(str(part) for part in first["loc"]) or "settings")
     if first["type"] == "extra_forbidden":
         return f"key '{key}' is not known; check its spelling"
     message = first["msg"].removeprefix("Value error, ")
     given = first.get("input")
-    came = f", came {given!r}" if isinstance(given, str | int | float | bool) else ""
+    came = f", came {_spelled(given)}" if isinstance(given, str | int | float | bool) else ""
     return f"key '{key}': {message}{came}"
+
+
+def _shown(text: str) -> str:
+    return text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}…"
+
+
+def _spelled(given: str | int | float | bool) -> str:
+    # Python spells no whole number of more than 4300 digits; TOML takes longer ones in hexadecimal.
+    return _shown(repr(given)) if not isinstance(given, int) or abs(given) < MOST_SPELLED else "a huge number"

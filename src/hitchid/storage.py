@@ -8,7 +8,7 @@ import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from hitchid.errors import OutputError
+from hitchid.errors import InputError, OutputError
 
 
 def canonical_json(content: object) -> bytes:
@@ -19,6 +19,22 @@ def canonical_json(content: object) -> bytes:
     """
     text = json.dumps(content, sort_keys=True, indent=1, allow_nan=False)
     return f"{text}\n".encode()
+
+
+def own(path: Path) -> Path:
+    """Return a file found in a folder, unless it is a link out of it.
+
+    Raises:
+        InputError: it is one.
+    """
+    # A link to itself leads nowhere; unlike Path.resolve, os.path.realpath says so without an error.
+    target = Path(os.path.realpath(path))
+    if path.is_symlink() and not target.is_relative_to(os.path.realpath(path.parent)):
+        raise InputError(
+            f"{path}: is a link out of its folder, to {target}; "
+            "required a file of the folder, or the target itself"
+        )
+    return path
 
 
 def write_folder(folder: Path, write: Callable[[Path], None], *, mark: str, force: bool) -> None:

@@ -41,7 +41,7 @@ def test_every_record_has_its_name_its_signals_and_axes_with_units(drawn):
         above, below = axes[2 * number : 2 * number + 2]
         assert above.get_title(loc="left") == record.name
         assert above.get_ylabel() == "displacement / mm"
-        assert (below.get_ylabel(), below.get_xlabel()) == ("command / A", "time / s")
+        assert (below.get_ylabel(), below.get_xlabel()) == ("command /\nA", "time / s")
         np.testing.assert_array_equal(above.lines[0].get_ydata(), record.displacement)
         assert len(above.patches) == len(found)
         for line, mode in zip(below.lines, record.modes, strict=True):

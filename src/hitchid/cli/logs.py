@@ -12,6 +12,7 @@ from hitchid.errors import InputError
 if TYPE_CHECKING:
     from hitchid.inspection import Inspection
 
+DRAWN = 12
 PICTURES = (".png", ".svg", ".pdf")
 
 
@@ -22,13 +23,17 @@ def inspect(
         Path | None, typer.Option("--model", help="Model folder that knows dead zones and dead times.")
     ] = None,
     picture: Annotated[
-        Path | None, typer.Option("--draw", help="Picture of the mixed logs to write: .png, .svg or .pdf.")
+        Path | None,
+        typer.Option(
+            "--draw", help="Picture to write, of mixed logs and of findings in place: .png, .svg or .pdf."
+        ),
     ] = None,
     force: Force = False,
     as_json: AsJson = False,
 ) -> None:
-    """Show what logs hold: signals, units, sampling, kinds of test, what mixed logs do, faults."""
+    """Show what logs hold, and audit them: what would spoil a model, where, and what to measure again."""
     from hitchid import display
+    from hitchid.audit import Level
     from hitchid.inspection import inspect as look
 
     if picture is not None:
@@ -47,6 +52,8 @@ def inspect(
         display.show_inspection(found)
     if found.faults:
         raise typer.Exit(2)
+    if any(finding.level is Level.FAULT for finding in found.findings):
+        raise typer.Exit(1)
 
 
 def _check_picture(path: Path, *, force: bool) -> None:
@@ -58,8 +65,14 @@ def _check_picture(path: Path, *, force: bool) -> None:
 
 
 def _draw(found: "Inspection", path: Path, *, force: bool) -> None:
-    if not found.mixed:
-        raise InputError("--draw: none of the logs moves both ways; there is nothing to draw")
-    from hitchid.report.figures.timeline import draw
+    if not found.looked_at:
+        raise InputError("--draw: none of the logs can be used; there is nothing to draw")
+    from hitchid.report.figures.timeline import Mark, draw
 
-    draw(found.mixed, path, force=force)
+    marks = [Mark(record, each.check, *span) for each in found.findings for record, *span in each.places]
+    stretches = {record.name: segments for record, segments in found.mixed}
+    telling = stretches.keys() | {mark.record for mark in marks}
+    told = [record for record in found.looked_at if record.name in telling] or found.looked_at
+    draw(
+        [(record, stretches.get(record.name, ())) for record in told[:DRAWN]], path, marks=marks, force=force
+    )

@@ -9,7 +9,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from safetensors import SafetensorError
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
@@ -17,18 +16,18 @@ from hitchid.baselines import Arx, BlackBox
 from hitchid.benchmark import SHAPE, Benchmark, Scales, Shape, structure_named
 from hitchid.compensator import FEATURES, Compensator
 from hitchid.envelope import Envelope, Range
-from hitchid.errors import HitchError, ModelFolderError
+from hitchid.errors import InputError, ModelFolderError
 from hitchid.lstm import Lstm
 from hitchid.model.channel import Channel
 from hitchid.model.hitch import Hitch
+from hitchid.model.migration import SCHEMA, STEPS, migrated, readable
 from hitchid.model.provenance import Provenance, TwoModes
 from hitchid.narx import Narx
 from hitchid.precision import double_precision
 from hitchid.speed_compensator import INPUTS, SpeedCompensator
-from hitchid.storage import canonical_json, digest, write_folder
+from hitchid.storage import canonical_json, digest, own, write_folder
 from hitchid.uncertainty import Uncertainty
 
-SCHEMA = 5
 MODEL_FILE = "model.json"
 WEIGHTS_FILE = "weights.safetensors"
 TRACE_FILE = "trace.json"
@@ -76,7 +75,7 @@ def load(folder: str | Path) -> Hitch:
     try:
         tensors = load_tensors(weights)
         return _hitch(content, tensors)
-    except (SafetensorError, KeyError, TypeError, ValueError, HitchError) as error:
+    except Exception as error:  # whoever edits a description can put its digest right, too
         raise ModelFolderError(f"{place}: cannot be understood: {error!r}") from error
 
 
@@ -87,7 +86,11 @@ def load_trace(folder: str | Path) -> dict:
         ModelFolderError: as `load`.
     """
     place = Path(folder)
-    return json.loads(_read_checked(place / TRACE_FILE, _read_description(place)))
+    data = _read_checked(place / TRACE_FILE, _read_description(place))
+    try:
+        return json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise ModelFolderError(f"{place / TRACE_FILE}: cannot be understood: {error!r}") from error
 
 
 def _description(hitch: Hitch) -> dict:
@@ -203,7 +206,7 @@ def _hitch(content: dict, tensors: dict[str, np.ndarray]) -> Hitch:
 
 
 def _channel(mode: str, described: dict, tensors: dict[str, np.ndarray], owner: str) -> Channel:
-    def filled(part: str, skeleton):
+    def filled(part: str, blank):
         def leaf(path: tuple, like) -> object:
             name = _tensor_name(owner, part, path)
             stored = tensors[name]
@@ -211,6 +214,8 @@ def _channel(mode: str, described: dict, tensors: dict[str, np.ndarray], owner: 
                 raise ValueError(f"{name} has shape {stored.shape} and type {stored.dtype}")
             return stored if isinstance(like, np.ndarray) else jnp.asarray(stored)
 
+        # Sizes come from a file: nothing is made before they are those of the weights.
+        skeleton = jax.eval_shape(blank) if callable(blank) else blank
         return jax.tree_util.tree_map_with_path(leaf, skeleton)
 
     structure = structure_named(described["structure"])
@@ -280,7 +285,7 @@ def _blank_compensator(hidden: int, window: int) -> Compensator:
 
 def _blank_speed_compensator(*, members: int, hidden: int, every: int, direction: int) -> SpeedCompensator:
     fresh = Lstm.fresh(jax.random.key(0), INPUTS, hidden)
-    networks = jax.tree.map(lambda leaf: jnp.stack([leaf] * members), fresh)
+    networks = jax.tree.map(lambda leaf: jnp.zeros((members, *leaf.shape), leaf.dtype), fresh)
     return SpeedCompensator(networks, jnp.ones(()), jnp.ones(()), _blank_envelope(), direction, every)
 
 
@@ -294,12 +299,7 @@ def _blank_black_box(hidden: int) -> BlackBox:
 
 def _read_description(folder: Path) -> dict:
     path = folder / MODEL_FILE
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise ModelFolderError(
-            f"{path}: cannot be read: {error.strerror}; required a model folder"
-        ) from error
+    data = _read(path, "a model folder")
     try:
         content = json.loads(data)
         canonical = canonical_json(content)
@@ -307,26 +307,34 @@ def _read_description(folder: Path) -> dict:
         raise ModelFolderError(f"{path}: was cut short or edited: {type(error).__name__}") from error
     if not isinstance(content, dict) or content.get("kind") != "hitchid model":
         raise ModelFolderError(f"{path}: is not the description of a hitchid model")
-    if content.get("schema") != SCHEMA:
+    if not readable(content.get("schema")):
         raise ModelFolderError(
-            f"{path}: has schema {content.get('schema')!r}, required {SCHEMA}; "
-            "was it written by another version of hitchid?"
+            f"{path}: has schema {content.get('schema')!r}, required {min(STEPS)} to {SCHEMA}; "
+            "was it written by another version of hitchid? Identify again"
         )
     claimed = content.pop("digest", "")
     if canonical != data or claimed != digest(canonical_json(content)):
         raise ModelFolderError(f"{path}: was edited: its digest does not match; identify again")
     if not isinstance(content.get("files"), dict):
         raise ModelFolderError(f"{path}: cannot be understood: it lists no files")
-    return {**content, "digest": claimed}
+    return migrated({**content, "digest": claimed})
+
+
+def _read(path: Path, required: str) -> bytes:
+    try:
+        if own(path).exists() and not path.is_file():  # a pipe would be waited for
+            raise ModelFolderError(f"{path}: cannot be read: it is no file; required {required}")
+        return path.read_bytes()
+    except OSError as error:
+        raise ModelFolderError(f"{path}: cannot be read: {error.strerror}; required {required}") from error
+    except ValueError as error:
+        raise ModelFolderError(f"{path}: cannot be read: {error}; required {required}") from error
+    except InputError as error:
+        raise ModelFolderError(str(error)) from error
 
 
 def _read_checked(path: Path, content: dict) -> bytes:
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise ModelFolderError(
-            f"{path}: cannot be read: {error.strerror}; required with model.json"
-        ) from error
+    data = _read(path, "it with model.json")
     claimed = content["files"].get(path.name)
     if digest(data) != claimed:
         raise ModelFolderError(

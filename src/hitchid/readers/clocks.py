@@ -8,7 +8,11 @@ import numpy as np
 from hitchid.errors import LogError
 from hitchid.grid import GAP
 from hitchid.readers.content import Channel
-from hitchid.record import resampled
+from hitchid.record import COMMAND, LIFTING, resampled
+
+SIGNED = "command"
+HELD = (SIGNED, *COMMAND.values())
+SAME_S = 1e-9
 
 
 def on_one_clock(
@@ -46,14 +50,14 @@ def on_one_clock(
     others = {role for role, clock in clocks.items() if not np.array_equal(clock, target)}
     if not others:
         return target, {role: channel.values for role, channel in channels.items()}, []
-    kept = _covered(target, [clocks[role] for role in sorted(others)], steps[slowest])
+    kept = np.ones(target.size, dtype=bool)
+    for role in others:
+        kept &= _covered(target, clocks[role], steps[slowest], beyond=role in HELD)
     if not kept.any():
         raise LogError(source, "the channels have no stretch of time in common")
     at = target[kept]
     sampled = {
-        role: resampled({role: channel.values}, clocks[role], at)[role]
-        if role in others
-        else channel.values[kept]
+        role: _sampled(role, channel.values, clocks[role], at) if role in others else channel.values[kept]
         for role, channel in channels.items()
     }
     told = ", ".join(f"{names[role]} {steps[role]:.4g} s" for role in channels)
@@ -67,7 +71,8 @@ def _clock(source: Path, channel: Channel, name: str) -> np.ndarray:
         raise LogError(source, problem, column=name)
     if clock.size < 2:
         raise LogError(source, f"has {clock.size} samples, required at least 2", column=name)
-    back = np.flatnonzero(np.diff(clock) <= 0)
+    steps = np.diff(clock)
+    back = np.flatnonzero(~((steps > 0) & (steps < np.inf)))
     if back.size:
         before, after = clock[back[0] : back[0] + 2]
         raise LogError(
@@ -78,16 +83,15 @@ def _clock(source: Path, channel: Channel, name: str) -> np.ndarray:
     return clock
 
 
-def _covered(target: np.ndarray, clocks: list[np.ndarray], step_s: float) -> np.ndarray:
-    """Tell when every channel has samples around, half a step beyond its ends at most, shape [N]."""
-    kept = np.ones(target.size, dtype=bool)
-    for clock in clocks:
-        kept &= (target >= clock[0] - step_s / 2) & (target <= clock[-1] + step_s / 2)
-        after = np.clip(np.searchsorted(clock, target), 1, clock.size - 1)
-        wide = clock[after] - clock[after - 1]
-        kept &= (
-            (wide <= GAP * step_s)
-            | (np.abs(target - clock[after]) <= 1e-9)
-            | (np.abs(target - clock[after - 1]) <= 1e-9)
-        )
-    return kept
+def _sampled(role: str, samples: np.ndarray, had_s: np.ndarray, wanted_s: np.ndarray) -> np.ndarray:
+    known = COMMAND[LIFTING] if role == SIGNED else role
+    return resampled({known: samples}, had_s, wanted_s)[known]
+
+
+def _covered(target: np.ndarray, clock: np.ndarray, step_s: float, *, beyond: bool) -> np.ndarray:
+    """Tell when a channel has samples around, or up to half a step `beyond` its ends, shape [N]."""
+    slack = step_s / 2 if beyond else SAME_S
+    after = np.clip(np.searchsorted(clock, target), 1, clock.size - 1)
+    near = np.minimum(np.abs(target - clock[after]), np.abs(target - clock[after - 1]))
+    whole = (clock[after] - clock[after - 1] <= GAP * step_s) | (near <= SAME_S)
+    return whole & (target >= clock[0] - slack) & (target <= clock[-1] + slack)

@@ -6,6 +6,7 @@ from pathlib import Path
 from hitchid.errors import InputError
 from hitchid.readers.formats import endings, format_of, known_format
 from hitchid.signals import CAMPAIGN_FILE, CampaignFile, read_campaign_file
+from hitchid.storage import own
 
 DATABASE = ".dbc"
 
@@ -43,7 +44,7 @@ def settings_of(paths: Iterable[Path], signals: str | Path | None = None) -> dic
     CAN databases are those the settings name, beside the file that names them, else all in the logs' folder.
 
     Raises:
-        InputError: a folder's settings are a link out of it.
+        InputError: a folder's settings or databases are a link out of it.
         SettingsError: a settings file cannot be used.
     """
     given = (
@@ -52,24 +53,12 @@ def settings_of(paths: Iterable[Path], signals: str | Path | None = None) -> dic
 
     def of(folder: Path) -> CampaignFile:
         beside = folder / CAMPAIGN_FILE
-        settings = given or (read_campaign_file(own(beside)) if beside.is_file() else CampaignFile())
+        settings = given or CampaignFile()
+        if given is None and beside.is_file():
+            settings = _with_databases(read_campaign_file(own(beside)), folder)
         return settings if settings.can.databases else _with_databases(settings, folder, _databases(folder))
 
     return {folder: of(folder) for folder in dict.fromkeys(path.parent for path in paths)}
-
-
-def own(path: Path) -> Path:
-    """Return a file found in a folder, unless it is a link out of it.
-
-    Raises:
-        InputError: it is one.
-    """
-    if path.is_symlink() and not path.resolve().is_relative_to(path.parent.resolve()):
-        raise InputError(
-            f"{path}: is a link out of its folder, to {path.resolve()}; "
-            "required a file of the folder, or the target itself"
-        )
-    return path
 
 
 def _is_folder(path: Path) -> bool:
@@ -82,7 +71,9 @@ def _is_folder(path: Path) -> bool:
 def _databases(folder: Path) -> tuple[str, ...]:
     if not folder.is_dir():
         return ()
-    return tuple(own(child).name for child in sorted(folder.iterdir()) if child.suffix.lower() == DATABASE)
+    return tuple(
+        child.name for child in sorted(folder.iterdir()) if child.suffix.lower() == DATABASE and child.is_file()
+    )
 
 
 def _with_databases(
@@ -90,5 +81,5 @@ def _with_databases(
 ) -> CampaignFile:
     """Return the settings with their databases where they lie."""
     listed = settings.can.databases if names is None else names
-    paths = tuple(str(folder / name) for name in listed)
+    paths = tuple(str(own(folder / name)) for name in listed)
     return settings.model_copy(update={"can": settings.can.model_copy(update={"databases": paths})})

@@ -46,13 +46,18 @@ class ReaderProcess:
         Raises:
             LogError: it cannot be read, or reading it takes too long or too much memory.
         """
+        try:
+            limit_s = LONGEST_S + path.stat().st_size / BYTES_PER_S
+        except OSError as error:
+            raise LogError(path, f"cannot be read: {error.strerror}") from error
         if self._child is None:
             self._child = _started()
         request = {"path": str(path), "time": wanted.time, "signals": wanted.signals}
         request["databases"] = [str(database) for database in wanted.databases]
-        limit_s = LONGEST_S + path.stat().st_size / BYTES_PER_S
         try:
             return _answer(self._child, path, json.dumps(request).encode() + b"\n", limit_s)
+        except LogError:  # an answer like any other: the process goes on
+            raise
         except TimeoutError:
             self._end()
             raise LogError(path, f"cannot be read within {limit_s:.0f} s: it is damaged") from None
@@ -92,7 +97,7 @@ def _answer(child: "subprocess.Popen[bytes]", path: Path, request: bytes, limit_
             raise EOFError
     with _within(child, limit_s):
         line = answers.readline()
-        if not line:
+        if not line.endswith(b"\n"):
             raise EOFError
         answer = json.loads(line)
         if "problem" in answer:

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from hitchid.errors import LogError
-from hitchid.readers.clocks import on_one_clock
+from hitchid.readers.clocks import SIGNED, on_one_clock
 from hitchid.readers.content import Channel, Content
 from hitchid.record import COMMAND, DISPLACEMENT, LIFTING, LOWERING
 from hitchid.signals import DIMENSIONS, Column, SignalMap
 from hitchid.units import UNITS, known_unit, unit_of_column
 
-TIME, SIGNED = "time", "command"
+TIME = "time"
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from hitchid.rig.quantities import Range, admitted
 from hitchid.rig.sensors import Curve, Sensors
 from hitchid.rig.supply import Supply
 from hitchid.rig.valves import LiftingValve, LoweringValve, Spool
+from hitchid.signals import describe
 
 CHECKED_POSITIONS = 201
 SETS = resources.files("hitchid.rig") / "parameters"
@@ -91,10 +92,11 @@ def load_rig(name_or_path: str | Path) -> Rig:
             text = (SETS / f"{name}.toml").read_text(encoding="utf-8")
         else:
             text = Path(name_or_path).read_text(encoding="utf-8")
-        tables = tomllib.loads(text)
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, ValueError) as error:  # no text, or a path no file can have
         raise SettingsError(f"{name}: cannot be read: {error}") from error
-    except tomllib.TOMLDecodeError as error:
+    try:
+        tables = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # numbers and nesting beyond all measure among them
         raise SettingsError(f"{name}: is not valid TOML: {error}") from error
     try:
         return build_rig(tables)
@@ -107,7 +109,7 @@ def build_rig(tables: dict[str, object]) -> Rig:
     try:
         parsed = RigFile.model_validate(tables).model_dump()
     except ValidationError as error:
-        raise SettingsError(_complaint(error)) from error
+        raise SettingsError(describe(error)) from error
     values = {
         table: {
             key: jnp.asarray(
@@ -130,15 +132,6 @@ def build_rig(tables: dict[str, object]) -> Rig:
     _check_friction(rig)
     _check_linkage(rig)
     return rig
-
-
-def _complaint(error: ValidationError) -> str:
-    first = error.errors()[0]
-    key = ".".join(str(part) for part in first["loc"])
-    if first["type"] == "extra_forbidden":
-        return f"key '{key}' is not known; check its spelling"
-    came = f", came {first['input']!r}" if isinstance(first["input"], str | int | float | bool) else ""
-    return f"key '{key}': {first['msg']}{came}"
 
 
 def _with_spool(values: dict) -> dict:

@@ -3,6 +3,8 @@
 import hashlib
 from pathlib import Path
 
+from hitchid import audit
+from hitchid.audit import AuditFinding
 from hitchid.campaign import Campaign
 from hitchid.inspection import look_over
 from hitchid.model import Hitch
@@ -16,10 +18,12 @@ from hitchid.report.document import (
     Pictures,
     Section,
     Text,
+    sentence,
 )
 from hitchid.report.figures import timeline
 from hitchid.validation import Table
 
+LEVELS = {audit.Level.FAULT: Level.BAD, audit.Level.WARNING: Level.CAUTION}
 MIXED_SHOWN = 2
 HASHED = 16
 
@@ -27,9 +31,10 @@ HASHED = 16
 def logs(campaign: Campaign, model: Hitch) -> Section:
     """Return the section on the logs: the audit's findings, every log, mixed ones as a picture."""
     found = look_over(campaign, model.switches)
-    findings = tuple(Finding(Level.CAUTION, f"{notice}.") for notice in found.notices)
-    audit: Block = Findings(findings) if findings else Text("The audit of the logs found nothing to mend.")
-    blocks: list[Block] = [audit, _table(campaign, model)]
+    findings = tuple(_told(finding) for finding in found.findings if finding.level in LEVELS)
+    findings += tuple(Finding(Level.CAUTION, sentence(notice)) for notice in found.notices)
+    told: Block = Findings(findings) if findings else Text("The audit of the logs found nothing to mend.")
+    blocks: list[Block] = [told, _table(campaign, model)]
     if found.mixed:
         shown = found.mixed[:MIXED_SHOWN]
         names = ", ".join(record.name for record, _ in shown)
@@ -42,6 +47,11 @@ def logs(campaign: Campaign, model: Hitch) -> Section:
         )
         blocks.append(Pictures((picture,)))
     return Section("Logs", tuple(blocks))
+
+
+def _told(finding: AuditFinding) -> Finding:
+    whose = f"{finding.record}: " if finding.record else ""
+    return Finding(LEVELS[finding.level], f"{whose}{finding.check}: {finding.what}; {finding.advice}.")
 
 
 def _table(campaign: Campaign, model: Hitch) -> Table:

@@ -1,0 +1,7 @@
+"""The audit of logs before any fit: what in them would spoil a model, where, and what to do about it."""
+
+from hitchid.audit.auditing import audit as audit
+from hitchid.audit.finding import AuditFinding as AuditFinding
+from hitchid.audit.finding import Level as Level
+from hitchid.audit.quality import Quality as Quality
+from hitchid.audit.quality import quality as quality

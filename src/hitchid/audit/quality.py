@@ -1,0 +1,146 @@
+"""How good a record's displacement is: its clock, its smallest step, its noise."""
+
+import re
+from dataclasses import dataclass
+from math import isfinite
+
+import numpy as np
+
+from hitchid.record import Record
+
+LOOKED_AT = 2**20
+GRID_DEVIATION = 0.05
+FEWEST_VALUES = 3
+MOST_STEPS = 1e7
+FEWEST_TURNS = 10
+# Median of |x| of a normal x of unit variance, and the spread of second differences of white noise.
+NORMAL_MEDIAN = 0.6744897501960817
+SECOND_DIFFERENCE = 6.0**0.5
+
+
+@dataclass(frozen=True)
+class Quality:
+    """How good a record's displacement is, in its own unit.
+
+    Attributes:
+        samples: number of samples.
+        step_s: sampling time, s.
+        duration_s: from the first to the last sample, s.
+        jitter: largest deviation of the clock that reading found, as a fraction of the sampling time; None
+            where the clock was regular.
+        unit: the displacement's unit.
+        lowest, highest: its range.
+        quantum: smallest step it is written in, None where it is not quantised.
+        noise: standard deviation of its white noise without the rounding.
+    """
+
+    samples: int
+    step_s: float
+    duration_s: float
+    jitter: float | None
+    unit: str
+    lowest: float
+    highest: float
+    quantum: float | None
+    noise: float
+
+    @property
+    def reach(self) -> float:
+        """Difference of the highest and the lowest displacement."""
+        with np.errstate(over="ignore"):
+            return float(np.float64(self.highest) - np.float64(self.lowest))
+
+    @property
+    def sure(self) -> float:
+        """A deviation that neither noise nor rounding reaches: 6 σ + 2 q, in the displacement's unit."""
+        return 6.0 * self.noise + 2.0 * (self.quantum or 0.0)
+
+    def describe(self) -> dict[str, object]:
+        """Return everything as JSON can hold it."""
+        values = {**vars(self), "reach": self.reach}
+        return {
+            name: None if isinstance(value, float) and not isfinite(value) else value
+            for name, value in values.items()
+        }
+
+
+def quality(record: Record) -> Quality:
+    """Measure how good a record's displacement is.
+
+    With d²y = y[k+1] − 2 y[k] + y[k−1], the noise is σ² = (median|d²y| / 0.6745)² / 6 − q²/12: motion is
+    smooth from sample to sample, white noise is not, and rounding to a step q adds q²/12. Noise that a
+    filter has coloured is told too small.
+
+    Args:
+        record: any record.
+
+    Returns:
+        Figures in the record's own units.
+    """
+    displacement = record.displacement
+    with np.errstate(all="ignore"):
+        quantum = _quantum(displacement)
+        noise = _noise(displacement, quantum)
+    return Quality(
+        samples=len(record),
+        step_s=record.step_s,
+        duration_s=(len(record) - 1) * record.step_s,
+        jitter=_jitter(record),
+        unit=record.unit,
+        lowest=float(displacement.min()),
+        highest=float(displacement.max()),
+        quantum=quantum,
+        noise=noise if isfinite(noise) else 0.0,
+    )
+
+
+def _jitter(record: Record) -> float | None:
+    said = re.search(r"jitters by ([\d.]+) ?%", " ".join(record.notices))
+    return float(said.group(1)) / 100 if said else None
+
+
+def _quantum(displacement: np.ndarray) -> float | None:
+    """Return the step of the grid on which all displacements lie, None where there is none."""
+    values = np.unique(displacement[:: -(-displacement.size // LOOKED_AT)])
+    rounding = 16 * np.finfo(float).eps * max(abs(float(values[0])), abs(float(values[-1])))
+    gaps = np.diff(values)
+    gaps = gaps[gaps > rounding]
+    if gaps.size < FEWEST_VALUES - 1:
+        return None
+    # The mean of all smallest gaps is surer than one of them where values were converted or rounded.
+    step = float(np.mean(gaps[gaps < 1.5 * gaps.min()]))
+    places = (values - values[0]) / step
+    deviation = float(np.max(np.abs(places - np.rint(places))))
+    if not (places[-1] < MOST_STEPS and deviation < GRID_DEVIATION):
+        return None
+    # So few values may lie on a grid by chance alone, unless they come again and again.
+    chance = values.size < 10 and displacement.size < 5 * values.size
+    return None if chance or _is_steady(displacement[:LOOKED_AT], step) else step
+
+
+def _is_steady(displacement: np.ndarray, step: float) -> bool:
+    """Tell motion at one constant speed, whose samples lie on a grid without any rounding."""
+    steps = np.abs(np.diff(displacement)) / step
+    moving = steps > 0.5
+    several = bool(np.any(steps[moving] > 1.5)) and bool(np.any(np.diff(np.sort(steps[moving])) > 0.5))
+    return not several and int(np.count_nonzero(np.diff(moving))) < FEWEST_TURNS
+
+
+def _noise(displacement: np.ndarray, quantum: float | None) -> float:
+    if displacement.size < 5:
+        return 0.0
+    bent = displacement[2:] - displacement[1:-1]
+    bent -= displacement[1:-1]
+    bent += displacement[:-2]
+    np.abs(bent, out=bent)
+    bent.partition(bent.size // 2)
+    middle = float(bent[bent.size // 2])
+    if quantum is None:
+        return middle / NORMAL_MEDIAN / SECOND_DIFFERENCE
+    # The median of rounded values is itself rounded: what lies on one step is spread evenly over it.
+    low, width = (middle - quantum / 2, quantum) if middle > quantum / 2 else (0.0, quantum / 2)
+    below = float(np.mean(bent < middle - quantum / 2))
+    on = float(np.mean(np.abs(bent - middle) < quantum / 2))
+    middle = low + width * (0.5 - below) / on
+    spread = middle / NORMAL_MEDIAN / SECOND_DIFFERENCE
+    return float(np.sqrt(max(0.0, spread * spread - quantum * quantum / 12)))

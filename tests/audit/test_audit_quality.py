@@ -1,0 +1,88 @@
+"""Quality of a displacement: its noise and its smallest step, against what was put in."""
+
+import numpy as np
+import pytest
+
+from hitchid.audit import Level, quality
+
+# The median of |d²y| has a relative standard error of 1.17/√N; neighbours share samples, which makes it
+# √1.94 times larger, 1.94 being 1 + 2 (ρ₁² + ρ₂²).
+NOISE_ERROR = 1.6
+
+
+@pytest.mark.parametrize("sigma", [0.01, 0.05, 1.0])
+@pytest.mark.parametrize("quantum", [None, 0.02])
+def test_noise_is_told_within_its_statistical_error(make_test, changed, sigma, quantum):
+    record = make_test("a", samples=20_000, noise=0.0)
+    rng = np.random.default_rng(7)
+    displacement = record.displacement + sigma * rng.standard_normal(len(record))
+    if quantum:
+        displacement = quantum * np.round(displacement / quantum)
+    told = quality(changed(record, signals={"displacement": displacement}))
+    tolerance = 5 * NOISE_ERROR / np.sqrt(len(record)) * np.hypot(sigma, (quantum or 0) / 12**0.5)
+    assert told.noise == pytest.approx(sigma, abs=tolerance + 0.02 * sigma)
+    assert told.quantum == (pytest.approx(quantum) if quantum else None)
+
+
+@pytest.mark.parametrize("factor", [1.0, 1e-3, 25.4])
+def test_the_smallest_step_is_found_in_any_unit_and_from_any_zero(make_test, changed, factor):
+    record = make_test("a")
+    displacement = factor * (3.217 + 0.25 * np.round(record.displacement / 0.25))
+    assert quality(changed(record, signals={"displacement": displacement})).quantum == pytest.approx(
+        0.25 * factor
+    )
+
+
+def test_steady_motion_without_noise_is_not_quantised(make_record):
+    displacement = np.concatenate([np.zeros(50), np.linspace(0, 7, 200), np.full(50, 7.0)])
+    told = quality(make_record(displacement, np.ones(300)))
+    assert (told.quantum, told.noise) == (None, 0.0)
+
+
+def test_a_jittering_clock_is_read_from_the_notices(make_test, changed):
+    record = make_test("a")
+    assert quality(record).jitter is None
+    told = quality(changed(record, notices=("resampled: the clock jitters by 12.5% of 0.01 s",)))
+    assert told.jitter == pytest.approx(0.125)
+
+
+def test_a_coarse_sensor_is_found(clean, changed, found):
+    rough = [changed(r, signals={"displacement": 5.0 * np.round(r.displacement / 5.0)}) for r in clean]
+    warned = [each for each in found(rough, "quantisation") if each.level is Level.WARNING]
+    assert len(warned) == 1
+    assert "steps of 5 mm" in warned[0].what
+
+
+def test_one_step_motion_lost_in_rounding_is_noted(make_test, changed, found):
+    records = [make_test(f"l-{n}", samples=6000, noise=0.0) for n in range(2)]
+    rough = [changed(r, signals={"displacement": 0.4 * np.round(r.displacement / 0.4)}) for r in records]
+    noted = found(rough, "quantisation")
+    assert [each.level for each in noted] == [Level.NOTE] * 2
+    assert "steps of 0.4 mm" in noted[0].what
+    fine = [changed(r, signals={"displacement": 0.01 * np.round(r.displacement / 0.01)}) for r in records]
+    assert found(fine, "quantisation") == []
+
+
+def test_noise_above_one_percent_of_the_range_is_found(make_test, found):
+    loud = [make_test("a", noise=2.0), make_test("b", noise=0.05)]
+    (finding,) = found(loud, "noise")
+    assert finding.record == "a"
+    assert "standard deviation of 2" in finding.what or "standard deviation of 1.9" in finding.what
+
+
+def test_a_sensor_read_less_often_than_logged_is_found(clean, changed, found):
+    held = np.repeat(clean[0].displacement[::10], 10)[: len(clean[0])]
+    (finding,) = found([changed(clean[0], signals={"displacement": held}), *clean[1:]], "sampling")
+    assert (finding.record, finding.level) == ("lifting-1", Level.WARNING)
+    assert "every 0.1 s" in finding.what
+
+
+def test_a_dead_band_of_the_sensor_is_found(make_test, changed, found):
+    record = make_test("a", noise=0.0, samples=3000)
+    smooth, held = record.displacement, [record.displacement[0]]
+    for value in smooth[1:]:
+        held.append(value if abs(value - held[-1]) > 0.4 else held[-1])
+    (finding,) = found([changed(record, signals={"displacement": np.array(held)})], "dead band")
+    hop = float(finding.what.split("hops by ")[1].split()[0])
+    assert 0.4 <= hop < 0.6
+    assert found([record], "dead band") == []

@@ -1,0 +1,80 @@
+"""Model folders that earlier versions wrote are read as what they were, or refused."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hitchid.errors import ModelFolderError
+from hitchid.model import load, load_trace, save
+from hitchid.model.migration import SCHEMA, STEPS, migrated, readable
+from hitchid.record import Record
+
+OLDER = Path(__file__).parent / "older"
+STEP_S = 0.01
+# Predictions were written with twelve digits; libraries may round a little otherwise from one to another.
+DIGITS_MM = 1e-9
+
+
+def written(schema):
+    """Return the folder a version of that schema wrote, and what it predicted: command to predictions."""
+    folder = OLDER / f"schema-{schema}"
+    return folder, np.genfromtxt(folder / "predictions.csv", delimiter=",", names=True)
+
+
+def record(rows):
+    signals = {
+        "displacement": rows["displacement"],
+        "lifting_command": rows["lifting_command"],
+        "lowering_command": 0 * rows["lifting_command"],
+        "pressure": np.full(rows.size, 100.0),
+    }
+    units = {"displacement": "mm", "lifting_command": "A", "lowering_command": "A", "pressure": "bar"}
+    return Record("t", STEP_S, signals, units, kind="lifting")
+
+
+def test_every_older_schema_that_is_read_has_a_folder_its_version_wrote():
+    assert {path.name for path in OLDER.iterdir()} == {f"schema-{schema}" for schema in STEPS}
+    assert sorted(STEPS) == list(range(min(STEPS), SCHEMA))
+
+
+@pytest.mark.parametrize("schema", STEPS)
+def test_an_older_model_predicts_what_it_did(schema):
+    folder, rows = written(schema)
+    model = load(folder)
+    np.testing.assert_allclose(model.simulate(record(rows)), rows["simulated"], rtol=0, atol=DIGITS_MM)
+    ahead = model.predict(record(rows), horizon=5)
+    np.testing.assert_allclose(ahead, rows["predicted"], rtol=0, atol=DIGITS_MM)
+    assert model.drift == 0.0
+    assert (model.two_modes, dict(model.uncertainty)) == (None, {})
+    assert load_trace(folder) == {"lifting": {"fitness": [3.0, 1.5]}}
+
+
+@pytest.mark.parametrize("schema", STEPS)
+def test_an_older_model_saved_again_is_of_this_version(schema, tmp_path):
+    folder, rows = written(schema)
+    save(load(folder), tmp_path / "model")
+    assert f'"schema": {SCHEMA}' in (tmp_path / "model" / "model.json").read_text()
+    again = load(tmp_path / "model")
+    np.testing.assert_array_equal(again.simulate(record(rows)), load(folder).simulate(record(rows)))
+
+
+@pytest.mark.parametrize("schema", STEPS)
+def test_an_older_model_that_was_edited_is_refused(schema, tmp_path):
+    folder, _ = written(schema)
+    place = shutil.copytree(folder, tmp_path / "model")
+    text = (place / "model.json").read_text()
+    (place / "model.json").write_text(text.replace('"step_s": 0.01', '"step_s": 0.02'))
+    with pytest.raises(ModelFolderError, match="edited"):
+        load(place)
+
+
+@pytest.mark.parametrize("schema", [min(STEPS) - 1, SCHEMA + 1, 0, True, "4", 4.0, None])
+def test_what_no_step_leads_from_is_not_readable(schema):
+    assert not readable(schema)
+
+
+def test_a_description_of_this_version_stays_as_it_is():
+    content = {"schema": SCHEMA, "drift": 0.3}
+    assert migrated(content) == content
