@@ -2,11 +2,17 @@
 
 import hashlib
 import json
+import os
+import shlex
+import shutil
+import subprocess
+import sys
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import benches
 from hitchid.errors import OutputError
 from hitchid.storage import canonical_json, check_file, check_folder, digest, write_file, write_folder
 
@@ -164,3 +170,132 @@ def test_a_file_that_could_not_be_written_leaves_all_as_it_was(tmp_path):
         write_file(tmp_path / "a", half, force=True)
     assert left_in(tmp_path) == ["a"]
     assert (tmp_path / "a").read_text() == "old"
+
+
+# --- a disk that is full, a folder that is read-only --------------------------------------------------------
+
+WRITE_TOO_MUCH = """
+import resource, sys
+from pathlib import Path
+from hitchid.errors import OutputError
+from hitchid.storage import put, write_bytes, write_folder
+
+resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+place, much = Path(sys.argv[1]), bytes(10000)
+for write in (
+    lambda: write_bytes(place / "file", much, force=True),
+    lambda: write_folder(place / "folder", lambda beside: put(beside, {"mark": b"", "much": much}),
+                         mark="mark", force=True),
+):
+    try:
+        write()
+    except OutputError as error:
+        print(error)
+"""
+LIGHT = """
+[search]
+method = "multi-start"
+evaluations = 60
+compare = false
+[training]
+compensator = false
+[lifting]
+structure = "integrator"
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="there are no such limits")
+def test_a_file_that_cannot_grow_is_told_and_leaves_all_as_it_was(tmp_path):
+    place = tmp_path / "place"
+    (place / "folder").mkdir(parents=True)
+    (place / "folder" / "mark").write_text("old")
+    (place / "file").write_text("old")
+    before = {path: path.read_bytes() for path in place.rglob("*") if path.is_file()}
+    command = [sys.executable, "-c", WRITE_TOO_MUCH, str(place)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603
+    of_file, of_folder = done.stdout.splitlines()
+    assert of_file.startswith(f"{place / 'file'}: cannot be written: ")
+    assert of_folder.startswith(f"{place / 'folder'}: cannot be written: ")
+    assert {path: path.read_bytes() for path in place.rglob("*") if path.is_file()} == before
+    assert left_in(place) == ["file", "folder", "folder/mark"]
+
+
+@pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="permissions do not bind root")
+def test_a_folder_without_permission_is_named(tmp_path):
+    tmp_path.chmod(0o500)
+    try:
+        with pytest.raises(OutputError, match=f"^{tmp_path / 'a'}: .*[Pp]ermission"):
+            write_folder(tmp_path / "a", fill("new"), mark="mark.json", force=False)
+        with pytest.raises(OutputError, match=f"^{tmp_path / 'a'}: .*[Pp]ermission"):
+            write_file(tmp_path / "a", lambda path: path.touch(), force=False)
+    finally:
+        tmp_path.chmod(0o700)
+    assert left_in(tmp_path) == []
+
+
+@pytest.fixture(scope="module")
+def mounted(tmp_path_factory):
+    """Return a function that runs lines of shell where `$disk` is a disk of its own, of 16 KiB to begin with.
+
+    In them `identify` runs the program on a bench that lifts, with `$disk/model` as its `--out`.
+    """
+    if shutil.which("unshare") is None:
+        pytest.skip("unshare is not installed")
+    place = tmp_path_factory.mktemp("disk")
+    logs = benches.write_bench(place / "logs", tests=3, samples=250)
+    for log in logs.glob("lowering-*"):
+        log.unlink()
+    (place / "light.toml").write_text(LIGHT)
+    (place / "disk").mkdir()
+    program = [sys.executable, "-c", "from hitchid.start import main; main()", "identify", logs, "--quiet"]
+    program += ["--config", place / "light.toml", "--out", place / "disk" / "model"]
+    told = shlex.join(map(str, program))
+
+    def run(*lines):
+        script = [
+            f"disk={shlex.quote(str(place / 'disk'))}",
+            "mount -t tmpfs -o size=16k tmpfs $disk || exit 77",
+            f'identify() {{ {told} "$@"; echo "exit $?"; ls -A $disk; }}',
+            *lines,
+        ]
+        done = subprocess.run(  # noqa: S603
+            ["unshare", "-rm", "sh", "-c", "\n".join(script)],  # noqa: S607
+            capture_output=True,
+            text=True,
+            env={**os.environ, "XDG_CACHE_HOME": str(place / "cache")},
+        )
+        if done.returncode in (1, 77) and "exit" not in done.stdout:
+            pytest.skip(f"mounting is not permitted: {done.stderr}")
+        return done.stdout.splitlines(), done.stderr.splitlines()
+
+    return run
+
+
+def test_a_full_disk_is_told_and_the_run_goes_on_once_there_is_room(mounted):
+    out, err = mounted(
+        "identify",
+        "echo kept $(ls $disk/model.unfinished)",
+        "mount -o remount,size=10m $disk",
+        "identify --resume",
+        "ls -A $disk/model",
+    )
+    (line,) = err
+    assert line.startswith("hitchid: ")
+    assert "disk/model" in line
+    assert "cannot be written" in line
+    assert "No space left on device" in line
+    kept = out.pop(2).split()
+    assert kept[0] == "kept"
+    assert "run.json" in kept
+    assert len(kept) > 2
+    assert out[:2] == ["exit 2", "model.unfinished"]
+    assert out[2:] == ["exit 0", "model", "model.json", "trace.json", "weights.safetensors"]
+
+
+def test_a_disk_that_is_read_only_is_told_in_one_line(mounted):
+    out, err = mounted("mount -o remount,ro $disk", "identify")
+    assert out == ["exit 2"]
+    (line,) = err
+    assert line.startswith("hitchid: ")
+    assert "disk/model" in line
+    assert "Read-only file system" in line

@@ -14,6 +14,7 @@ from hitchid.modes import detect_kind, full_scales, ramp_mode, strokes
 from hitchid.record import COMMAND, CYCLE, DISPLACEMENT, IDLE, KINDS, MODES, RAMP, Record
 
 HELD_OUT_FRACTION = 0.2
+LARGEST_RATE_RATIO = 100
 
 
 @dataclass(frozen=True)
@@ -177,6 +178,12 @@ def _common_step(records: Sequence[Record]) -> float:
 def _on_clock(record: Record, step_s: float) -> Record:
     """Adopt the common sampling time where the stamps cannot tell the difference, else resample."""
     drift = abs(record.step_s - step_s) * len(record)
+    if not 1 / LARGEST_RATE_RATIO <= record.step_s / step_s <= LARGEST_RATE_RATIO:
+        raise LogError(
+            record.source or record.name,
+            f"has a sampling time of {record.step_s:.4g} s, the logs one of {step_s:.4g} s in the median; "
+            f"required none that differs by more than a factor of {LARGEST_RATE_RATIO}",
+        )
     return replace(record, step_s=step_s) if drift <= 0.05 * step_s else record.resample(step_s)
 
 

@@ -16,6 +16,7 @@ Arrays = Mapping[str, np.ndarray]
 Piece = TypeVar("Piece")
 SUFFIX, OF = ".npz", "run.json"
 SEAL = 64
+LEGIBLE, TOLD_APART = 80, 16
 
 
 @dataclass(frozen=True)
@@ -24,11 +25,11 @@ class Checkpoints:
 
     Attributes:
         folder: of one run, or of pieces whose names say all that went into them; None keeps nothing.
-        under: put before the name of each piece.
+        under: the parts of the work that the pieces belong to, from the largest.
     """
 
     folder: Path | None = None
-    under: str = ""
+    under: tuple[str, ...] = ()
 
     @classmethod
     def of_run(cls, folder: Path, content: Mapping[str, Any]) -> "Checkpoints":
@@ -39,7 +40,7 @@ class Checkpoints:
             content: all that decides on the outcome, as JSON can hold it.
 
         Raises:
-            InputError: the folder holds pieces of another run.
+            InputError: the folder holds pieces of another run, or something else.
         """
         stamp, place = canonical_json(content), folder / OF
         if place.is_file():
@@ -48,13 +49,15 @@ class Checkpoints:
                     f"{folder}: holds an unfinished run of other logs, other settings or another version; "
                     "required the same ones, or --force to begin anew"
                 )
+        elif folder.is_dir() and any(not each.name.startswith(f".{OF}-") for each in folder.iterdir()):
+            raise InputError(f"{folder}: holds no unfinished run; required another place, or an empty folder")
         else:
             write_bytes(place, stamp, force=True)
         return cls(folder)
 
     def part(self, name: str) -> "Checkpoints":
         """Return the place of the pieces of a part of the work."""
-        return replace(self, under=f"{self.under}{name}-")
+        return replace(self, under=(*self.under, name))
 
     def arrays(self, name: str, work: Callable[[], Arrays]) -> Arrays:
         """Return what was kept under a name, or else do the work and keep what comes.
@@ -64,7 +67,7 @@ class Checkpoints:
         """
         if self.folder is None:
             return work()
-        path = self.folder / (re.sub(r"[^a-z0-9.-]+", "-", f"{self.under}{name}".lower()) + SUFFIX)
+        path = self.folder / _file_name(*self.under, name)
         kept = _read(path)
         if kept is None:
             kept = dict(work())
@@ -94,9 +97,20 @@ class Checkpoints:
 NOWHERE = Checkpoints()
 
 
+def holds_pieces(folder: Path) -> bool:
+    """Tell whether anything was finished in a folder."""
+    return any(folder.glob(f"*{SUFFIX}"))
+
+
 def is_run(folder: Path) -> bool:
     """Tell whether a folder holds pieces of one run."""
     return (folder / OF).is_file()
+
+
+def _file_name(*names: str) -> str:
+    """Return a file name that tells the names, and differs for any others however alike."""
+    legible = re.sub(r"[^a-z0-9]+", "-", "-".join(names).lower())[:LEGIBLE]
+    return f"{legible}-{digest(repr(names).encode())[:TOLD_APART]}{SUFFIX}"
 
 
 def _sealed(arrays: Arrays) -> bytes:

@@ -67,6 +67,14 @@ def show_inspection(found: "Inspection") -> None:
     say("fault", found.faults)
 
 
+def show_audit(findings: Iterable["AuditFinding"]) -> None:
+    """Write to stderr what an audit of the logs found that would spoil a model."""
+    for each in findings:
+        if each.level.value != "note":
+            whose = f"{each.record}: " if each.record else ""
+            say(each.level.value, [f"{whose}{each.check}: {each.what}; {each.advice}"])
+
+
 def _findings(findings: Iterable["AuditFinding"]) -> RichTable:
     """Return what an audit found: how grave, where, what, and what to do."""
     table = _table("finding", "where", "what, and what to do")

@@ -12,6 +12,7 @@ LineOf = Callable[[int], int | None]
 KEPT_DEVIATION = 0.02
 LARGEST_JITTER = 0.20
 GAP = 1.5
+SHORTEST_STEP_S = 1e-9
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,8 @@ def sections(time_s: np.ndarray, source: object, *, column: str, line_of: LineOf
         line_of: from a row to its line in the file, None where the format has no lines.
 
     Raises:
-        LogError: time does not increase, or jitters by 20 % of the sampling time or more.
+        LogError: time does not increase, jitters by 20 % of the sampling time or more, or has steps that no
+            logger has.
     """
 
     intervals = np.diff(time_s)
@@ -62,6 +64,13 @@ def sections(time_s: np.ndarray, source: object, *, column: str, line_of: LineOf
             column=column,
         )
     median = float(np.median(intervals))
+    if not SHORTEST_STEP_S <= median <= np.max(intervals) < np.inf:
+        raise LogError(
+            source,
+            f"the sampling time is {median:g} s, the longest interval {np.max(intervals):g} s; "
+            f"required {SHORTEST_STEP_S:g} s or more, and no interval without end",
+            column=column,
+        )
     cuts = np.flatnonzero(intervals > GAP * median) + 1
     edges = [0, *(int(cut) for cut in cuts), time_s.size]
     found = []

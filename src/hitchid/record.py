@@ -63,8 +63,7 @@ class Record:
             )
         frozen = {}
         for role, samples in self.signals.items():
-            array = np.array(samples, dtype=np.float64)
-            array.setflags(write=False)
+            array = _frozen(samples)
             if array.shape != (len(self),):
                 raise InputError(
                     f"record '{self.name}': '{role}' has shape {array.shape}, required ({len(self)},)"
@@ -167,6 +166,16 @@ class Record:
             signals={role: samples * factors.get(role, 1.0) for role, samples in self.signals.items()},
             units={**self.units, **{role: units[role] for role in factors}},
         )
+
+
+def _frozen(samples: np.ndarray) -> np.ndarray:
+    """Return samples that nobody can change: themselves where nobody can already, else a copy."""
+    whole = samples if getattr(samples, "base", None) is None else samples.base
+    if isinstance(whole, np.ndarray) and samples.dtype == np.float64 and not whole.flags.writeable:
+        return samples
+    array = np.array(samples, dtype=np.float64)
+    array.setflags(write=False)
+    return array
 
 
 def resampled(

@@ -1,5 +1,6 @@
 """The settings file of a campaign: which column is which signal, which test is what, which are held out."""
 
+import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,6 +13,7 @@ from hitchid.errors import SettingsError
 from hitchid.units import UNITS, check_unit, unit_of_column
 
 CAMPAIGN_FILE = "campaign.toml"
+LONGEST, MOST_DOTS = 2**20, 100
 LONGEST_SHOWN, MOST_SPELLED = 200, 10**100
 POSITIONS = ("length", "angle", "voltage", "ratio")
 COMMANDS = ("current", "voltage", "ratio")
@@ -141,16 +143,28 @@ def parse_settings(path: Path, model: type[Settings]) -> Settings:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, ValueError) as error:  # no text, or a path no file can have
         raise SettingsError(f"{path}: cannot be read: {error}") from error
-    try:
-        content = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # numbers and nesting beyond all measure among them
-        raise SettingsError(f"{path}: is not valid TOML: {error}") from error
+    content = toml_of(text, path)
     try:
         return model.model_validate(content)
     except ValidationError as error:
         raise SettingsError(f"{path}: {describe(error)}") from error
     except SettingsError as error:
         raise SettingsError(f"{path}: {error}") from error
+
+
+def toml_of(text: str, source: object) -> dict[str, object]:
+    """Return what a text says in TOML.
+
+    Raises:
+        SettingsError: it is none, or beyond the measure of settings.
+    """
+    # Time and memory that tomllib takes grow with the square of the parts of a dotted key.
+    if len(text) > LONGEST or any(part.count(".") > MOST_DOTS for part in re.split(r"[\n=,]", text)):
+        raise SettingsError(f"{source}: is longer than settings are, or a key in it is; refused")
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # numbers and nesting beyond all measure among them
+        raise SettingsError(f"{source}: is not valid TOML: {error}") from error
 
 
 def describe(error: ValidationError) -> str:

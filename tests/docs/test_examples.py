@@ -28,7 +28,7 @@ TUTORIAL = "docs/tutorial.md"
 # Told to the reader, not run here.
 ELSEWHERE = ("pip install ", "make ", "recorder | ")
 DIRECTIVES = ("{toctree}", "{figure}", "{include}", "{eval-rst}", "{command-line}")
-ALSO_SET = {"signals", "split", "tests"}
+ALSO_SET = {"can", "signals", "split", "tests"}
 LEFT_OUT = "…"
 NUMBER = re.compile(r"\d+(?:\.\d+)?(?:e-?\d+)?")
 COLUMNS = 120
@@ -193,7 +193,7 @@ def test_there_are_examples_of_every_command():
 
 
 def test_the_examples_work(subtests, tmp_path):
-    """The tutorial, then every other page from the `logs/`, `model/` and `quick.toml` it leaves.
+    """The tutorial, then every other page from the folders and the `quick.toml` it leaves.
 
     One test, so that one worker runs the tutorial once.
     """
@@ -205,7 +205,7 @@ def test_the_examples_work(subtests, tmp_path):
     for page in sorted(set(PAGES) - {TUTORIAL}):
         with subtests.test(page=page), pytest.MonkeyPatch.context() as patch:
             folder = tmp_path / page.replace("/", "-")
-            for name in ("logs", "model"):
+            for name in ("logs", "ramps", "model"):
                 shutil.copytree(tutorial / name, folder / name)
             shutil.copy(tutorial / "quick.toml", folder)
             if page == "README.md":

@@ -75,7 +75,9 @@ def changes(survey: Survey) -> list[AuditFinding]:
         low, high = min(span[1] for span in spans), max(span[2] for span in spans)
         if high - low < LEVEL_FRACTION * survey.scales[mode] and not survey.campaign.ramps(mode):
             unit = command_unit(survey.looks[0].record, mode)
-            what = f"all {len(spans)} tests of {mode} have one level of command, about {high:.3g} {unit}"
+            tests = "the one test" if len(spans) == 1 else f"all {len(spans)} tests"
+            one = "has" if len(spans) == 1 else "have"
+            what = f"{tests} of {mode} {one} one level of command, about {high:.3g} {unit}"
             advice = "run tests at several levels, or a PRBS between two that change from test to test"
             found.append(_about(mode, Level.WARNING, what, advice))
         few = [look.record.name for look, _, _, turns in spans if turns < FEWEST_CHANGES]

@@ -9,7 +9,7 @@ import typer
 
 from hitchid.cli.cache import prepare_jax, resumable
 from hitchid.cli.options import AsJson, Force, Logs, Quiet, Signals
-from hitchid.errors import FitError, OutputError
+from hitchid.errors import FitError, HitchError, OutputError
 
 
 def identify(
@@ -39,6 +39,8 @@ def identify(
     if unfinished.exists() and not resume:
         _clear(unfinished, force=force)
     prepare_jax()
+    from hitchid.audit import audit
+    from hitchid.checkpoints import holds_pieces
     from hitchid.fitting import Comparison
     from hitchid.identification import Settings, read_settings
     from hitchid.identification import identify as run
@@ -49,18 +51,29 @@ def identify(
         settings["seed"] = seed
     settings["comparison"] = resumable(settings.get("comparison", Comparison()))
     campaign = read(logs, signals=signals)
+    if not quiet:
+        display.show_audit(audit(campaign))
     try:
         with display.progress(quiet=quiet) as report:
             found = run(campaign, **settings, progress=report, checkpoints=unfinished)
-    except FitError:
-        shutil.rmtree(unfinished, ignore_errors=True)
+    except HitchError as error:
+        if isinstance(error, FitError) or not holds_pieces(unfinished):
+            _forget(unfinished)
         raise
     found.save(out, force=force)
-    shutil.rmtree(unfinished, ignore_errors=True)
+    _forget(unfinished)
     if as_json:
         typer.echo(json.dumps(found.describe(), indent=1))
     elif not quiet:
         display.show_identification(found, out)
+
+
+def _forget(unfinished: Path) -> None:
+    """Remove a run that will not be gone on with."""
+    from hitchid.checkpoints import is_run
+
+    if is_run(unfinished):
+        shutil.rmtree(unfinished, ignore_errors=True)
 
 
 def _clear(unfinished: Path, *, force: bool) -> None:

@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal, TypedDict
+from typing import Annotated, Literal, TypedDict
 
-from pydantic import Field, PositiveInt
+from pydantic import Field
 
 from hitchid import whale
 from hitchid.benchmark import Form, structure_named
@@ -22,6 +22,7 @@ from hitchid.signals import Strict, parse_settings
 
 AUTOMATIC = "automatic"
 LARGEST_SEED = 2**32 - 1
+Count = Annotated[int, Field(ge=1, le=10**9)]
 
 
 class Settings(TypedDict, total=False):
@@ -54,9 +55,9 @@ class SearchSection(Strict):
     """`[search]`."""
 
     method: Literal["whale", "differential-evolution", "multi-start"] = "whale"
-    evaluations: int = Field(default=EVALUATIONS, ge=1)
-    population: PositiveInt | None = None
-    stagnation: PositiveInt | None = None
+    evaluations: Count = EVALUATIONS
+    population: Count | None = None
+    stagnation: Count | None = None
     per_dimension: bool = True
     compare: bool = True
 
@@ -83,11 +84,11 @@ class TrainingSection(Strict):
     """`[training]`."""
 
     compensator: bool = True
-    hidden: PositiveInt = Training.hidden
-    window: int = Field(default=Training.window, ge=2)
-    epochs: PositiveInt = Descent.epochs
-    patience: PositiveInt = Descent.patience
-    batch: PositiveInt = Descent.batch
+    hidden: Count = Training.hidden
+    window: int = Field(default=Training.window, ge=2, le=10**9)
+    epochs: Count = Descent.epochs
+    patience: Count = Descent.patience
+    batch: Count = Descent.batch
     learning_rate: float = Field(default=Descent.learning_rate, gt=0, le=1)
     free_run: bool = True
     baselines: bool = True

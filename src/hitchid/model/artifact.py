@@ -1,6 +1,7 @@
 """A model as a folder: `model.json` (canonical JSON), `weights.safetensors`, `trace.json`."""
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
@@ -206,7 +207,7 @@ def _hitch(content: dict, tensors: dict[str, np.ndarray]) -> Hitch:
 
 
 def _channel(mode: str, described: dict, tensors: dict[str, np.ndarray], owner: str) -> Channel:
-    def filled(part: str, blank):
+    def filled(part: str, skeleton):
         def leaf(path: tuple, like) -> object:
             name = _tensor_name(owner, part, path)
             stored = tensors[name]
@@ -214,8 +215,6 @@ def _channel(mode: str, described: dict, tensors: dict[str, np.ndarray], owner: 
                 raise ValueError(f"{name} has shape {stored.shape} and type {stored.dtype}")
             return stored if isinstance(like, np.ndarray) else jnp.asarray(stored)
 
-        # Sizes come from a file: nothing is made before they are those of the weights.
-        skeleton = jax.eval_shape(blank) if callable(blank) else blank
         return jax.tree_util.tree_map_with_path(leaf, skeleton)
 
     structure = structure_named(described["structure"])
@@ -239,20 +238,27 @@ def _channel(mode: str, described: dict, tensors: dict[str, np.ndarray], owner: 
         asked = described["compensator"]
         if asked["features"] != list(FEATURES):
             raise ValueError("the compensator's features are not those of this version")
+        _check_room(tensors, asked["hidden"] ** 2)
         parts["compensator"] = filled("compensator", _blank_compensator(asked["hidden"], asked["window"]))
     if "speed_compensator" in described:
-        blank = _blank_speed_compensator(direction=channel.direction, **described["speed_compensator"])
+        asked = described["speed_compensator"]
+        _check_room(tensors, asked["members"] * asked["hidden"] ** 2)
+        blank = _blank_speed_compensator(direction=channel.direction, **asked)
         parts["speed_compensator"] = filled("speed_compensator", blank)
     if "envelope" in described:
         parts["envelope"] = filled("envelope", _blank_envelope())
     if "paper" in described:
         parts["paper"] = _channel(mode, described["paper"], tensors, f"{owner}/paper")
     if "black_box" in described:
-        parts["black_box"] = filled("black_box", _blank_black_box(described["black_box"]["hidden"]))
+        hidden = described["black_box"]["hidden"]
+        _check_room(tensors, hidden**2)
+        parts["black_box"] = filled("black_box", _blank_black_box(hidden))
     if "arx" in described:
         order = described["arx"]["order"]
+        _check_room(tensors, order)
         parts["arx"] = filled("arx", Arx(np.zeros(order), np.zeros(order)))
     if "narx" in described:
+        _check_room(tensors, math.prod(described["narx"]["terms"]))
         terms = np.zeros(described["narx"]["terms"], dtype=np.int64)
         parts["narx"] = filled("narx", Narx(terms, np.zeros(len(terms)), np.zeros(()), np.zeros(())))
     return eqx.tree_at(
@@ -261,6 +267,12 @@ def _channel(mode: str, described: dict, tensors: dict[str, np.ndarray], owner: 
         list(parts.values()),
         is_leaf=lambda leaf: leaf is None,
     )
+
+
+def _check_room(tensors: Mapping[str, np.ndarray], count: int) -> None:
+    """Refuse a size that all weights together do not have, before room is made for it."""
+    if count > sum(stored.size for stored in tensors.values()):
+        raise ValueError(f"the description has more weights than {WEIGHTS_FILE}")
 
 
 def _shape(described: dict | None) -> Shape | None:

@@ -20,6 +20,7 @@ from hitchid.readers.formats import Format, format_of
 from hitchid.readers.process import BEGUN
 
 ROOM, ROOM_PER_BYTE = 3 * 2**29, 16
+LARGEST_RATIO, UNSUSPICIOUS = 200, 2**28
 
 
 def main() -> None:
@@ -46,7 +47,7 @@ def main() -> None:
         except Exception as error:  # a library may raise anything on a damaged file
             _tell(answers, {"problem": f"cannot be read: {type(error).__name__}: {error}"})
         else:
-            _hand_over(answers, content)
+            _hand_over(answers, content, max(UNSUSPICIOUS, LARGEST_RATIO * path.stat().st_size))
 
 
 def _load(known: Format) -> None:
@@ -57,7 +58,7 @@ def _load(known: Format) -> None:
             return
 
 
-def _hand_over(answers: IO[bytes], content: Content) -> None:
+def _hand_over(answers: IO[bytes], content: Content, largest: int) -> None:
     clocks = {
         id(each.clock_s): each.clock_s for each in content.channels.values() if each.clock_s is not None
     }
@@ -67,6 +68,9 @@ def _hand_over(answers: IO[bytes], content: Content) -> None:
         for name, each in content.channels.items()
     ]
     sizes = [clock.size for clock in clocks.values()]
+    if 8 * (sum(sizes) + sum(each[2] for each in channels)) > largest:
+        _tell(answers, {"problem": f"unpacks to more than {LARGEST_RATIO} times its size; refused"})
+        return
     _tell(answers, {"channels": channels, "clocks": sizes, "notices": content.notices})
     for samples in (*clocks.values(), *(each.values for each in content.channels.values())):
         answers.write(np.ascontiguousarray(samples, dtype=np.float64).data)

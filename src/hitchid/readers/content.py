@@ -10,6 +10,7 @@ import numpy as np
 from hitchid.errors import LogError
 
 SHOWN = 30
+OR_ELSE = "required it, or another named in campaign.toml"
 
 
 class Wanted(NamedTuple):
@@ -72,7 +73,8 @@ def chosen(source: Path, names: Sequence[str], wanted: Wanted, *, clocked: bool 
         source: the file.
         names: full names of the channels that hold numbers.
         wanted: what is asked for.
-        clocked: whether the file keeps a clock for each channel, so that the time may be missing.
+        clocked: whether the file keeps a clock for each channel, so that the time may be missing, or be
+            several: one in each group.
 
     Raises:
         LogError: a channel is not there, or several are meant.
@@ -82,13 +84,16 @@ def chosen(source: Path, names: Sequence[str], wanted: Wanted, *, clocked: bool 
     found = {}
     for asked in dict.fromkeys((wanted.time, *wanted.signals)):
         meant = [asked] if asked in names else [name for name in names if name.rpartition("/")[2] == asked]
-        if len(meant) > 1:
+        needed = asked != wanted.time or not clocked
+        if len(meant) > 1 and needed:
             raise LogError(source, f"several channels are meant: {_listed(meant)}", column=asked)
-        if meant:
+        if len(meant) == 1:
             found[asked] = meant[0]
-        elif asked != wanted.time or not clocked:
+        elif needed:
             raise LogError(
-                source, f"there is no such channel; required it, found {_listed(names)}", column=asked
+                source,
+                f"there is no such channel; {OR_ELSE}; found {_listed(names)}",
+                column=asked,
             )
     return found
 

@@ -72,7 +72,9 @@ def _databases(folder: Path) -> tuple[str, ...]:
     if not folder.is_dir():
         return ()
     return tuple(
-        child.name for child in sorted(folder.iterdir()) if child.suffix.lower() == DATABASE and child.is_file()
+        child.name
+        for child in sorted(folder.iterdir())
+        if child.suffix.lower() == DATABASE and child.is_file()
     )
 
 

@@ -8,7 +8,7 @@ import os
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
@@ -21,6 +21,7 @@ from hitchid.readers.content import Channel, Content, Wanted
 
 BEGUN = b"begun\n"
 LONGEST_START_S, LONGEST_S, BYTES_PER_S = 120.0, 8.0, 2e6
+LONGEST_DATABASES_S, DATABASE_BYTES_PER_S = 60.0, 1e5
 
 
 class ReaderProcess:
@@ -47,7 +48,7 @@ class ReaderProcess:
             LogError: it cannot be read, or reading it takes too long or too much memory.
         """
         try:
-            limit_s = LONGEST_S + path.stat().st_size / BYTES_PER_S
+            limit_s = LONGEST_S + path.stat().st_size / BYTES_PER_S + _spent_on(wanted.databases)
         except OSError as error:
             raise LogError(path, f"cannot be read: {error.strerror}") from error
         if self._child is None:
@@ -73,6 +74,12 @@ class ReaderProcess:
             self._child.kill()
             self._child.communicate()
             self._child = None
+
+
+def _spent_on(databases: Sequence[Path]) -> float:
+    """Return the longest time that reading databases may take, s: one of 50 000 signals takes ten."""
+    size = sum(each.stat().st_size for each in databases if each.is_file())
+    return min(size / DATABASE_BYTES_PER_S, LONGEST_DATABASES_S)
 
 
 def _started() -> "subprocess.Popen[bytes]":
@@ -118,6 +125,7 @@ def _samples(answers: IO[bytes], size: int) -> np.ndarray:
         if not came:
             raise EOFError
         view = view[came:]
+    samples.setflags(write=False)
     return samples
 
 

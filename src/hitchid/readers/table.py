@@ -154,7 +154,8 @@ def _check_finite(content: Content, name: str) -> None:
 
 def _by_mode(given: Mapping[str, Any]) -> dict[str, Any]:
     """Return roles with a signed command taken apart: lifting above zero, lowering below; units likewise."""
-    roles = {role: value for role, value in given.items() if role != SIGNED}
+    first = {DISPLACEMENT: given[DISPLACEMENT]}
+    roles = first | {role: value for role, value in given.items() if role != SIGNED}
     if SIGNED not in given:
         return roles
     signed = given[SIGNED]

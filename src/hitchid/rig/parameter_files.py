@@ -1,7 +1,6 @@
 """Parameter sets: TOML files in which every number has a unit and a source."""
 
 import dataclasses
-import tomllib
 from importlib import resources
 from pathlib import Path
 
@@ -20,7 +19,7 @@ from hitchid.rig.quantities import Range, admitted
 from hitchid.rig.sensors import Curve, Sensors
 from hitchid.rig.supply import Supply
 from hitchid.rig.valves import LiftingValve, LoweringValve, Spool
-from hitchid.signals import describe
+from hitchid.signals import describe, toml_of
 
 CHECKED_POSITIONS = 201
 SETS = resources.files("hitchid.rig") / "parameters"
@@ -94,10 +93,7 @@ def load_rig(name_or_path: str | Path) -> Rig:
             text = Path(name_or_path).read_text(encoding="utf-8")
     except (OSError, ValueError) as error:  # no text, or a path no file can have
         raise SettingsError(f"{name}: cannot be read: {error}") from error
-    try:
-        tables = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # numbers and nesting beyond all measure among them
-        raise SettingsError(f"{name}: is not valid TOML: {error}") from error
+    tables = toml_of(text, name)
     try:
         return build_rig(tables)
     except SettingsError as error:

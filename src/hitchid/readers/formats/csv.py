@@ -4,7 +4,6 @@ import codecs
 import csv
 import gzip
 import io
-import math
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
@@ -15,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hitchid.errors import LogError
-from hitchid.readers.content import Channel, Content, Wanted
+from hitchid.readers.content import OR_ELSE, Channel, Content, Wanted
 from hitchid.readers.formats.dialect import Dialect, dialect_of, encoding_of
 
 SUFFIXES = (".csv", ".csv.gz", ".tsv", ".tsv.gz", ".lvm")
@@ -40,13 +39,23 @@ def read(path: Path, wanted: Wanted) -> Content:
     parts = [columns.numbers(*block) for block in _below(chain([head], blocks), dialect.first)]
     if not parts:
         raise LogError(path, "there are no samples below the header line", line=dialect.header)
-    rows = np.concatenate([part.rows for part in parts])
     channels = {
-        name: Channel(rows[:, column], dialect.units.get(dialect.names[place]))
-        for column, (name, place) in enumerate(zip(asked, columns.places, strict=True))
+        name: Channel(_joined([part.columns for part in parts]), dialect.units.get(dialect.names[place]))
+        for name, place in reversed(list(zip(asked, columns.places, strict=True)))
     }
-    places = [(len(part.rows), part.lines) for part in parts]
-    return Content(path, channels, line_of=partial(_line_of, places))
+    lines = [(part.samples, part.lines) for part in parts]
+    ordered = {name: channels[name] for name in asked}
+    return Content(path, ordered, line_of=partial(_line_of, lines))
+
+
+def _joined(parts: Sequence[list[np.ndarray]]) -> np.ndarray:
+    """Return the last column of all parts as one that nobody can change, and take it from the parts.
+
+    A day of samples is large: there is never more than one column of it twice.
+    """
+    column = np.concatenate([part.pop() for part in parts])
+    column.setflags(write=False)
+    return column
 
 
 def read_rows(path: Path) -> tuple[list[str], list[list[str]]]:
@@ -109,15 +118,19 @@ def _place(path: Path, dialect: Dialect, name: str) -> int:
     if place is None:
         found = ", ".join(dialect.names)
         raise LogError(
-            path, f"there is no such column; required it, found {found}", line=dialect.header, column=name
+            path,
+            f"there is no such column; {OR_ELSE}; found {found}",
+            line=dialect.header,
+            column=name,
         )
     return place
 
 
 class _Part(NamedTuple):
-    """The samples of a block, shape [N, C], and the line of the first or of each."""
+    """The samples of a block: how many, each column of shape [N], and the line of the first or of each."""
 
-    rows: np.ndarray
+    samples: int
+    columns: list[np.ndarray]
     lines: int | np.ndarray
 
 
@@ -139,7 +152,8 @@ class _Columns(NamedTuple):
             )
         except ValueError:
             raise self.fault(first, block) from None
-        return _Part(rows, _lines(block, first, len(rows)))
+        columns = [rows[:, place].copy() for place in range(len(self.places))]
+        return _Part(len(rows), columns, _lines(block, first, len(rows)))
 
     def fault(self, first: int, block: str) -> LogError:
         """Find the first cell that is no number."""
@@ -209,6 +223,8 @@ def _blocks(path: Path) -> Iterator[str]:
     """
     rest = ""
     try:
+        if path.suffix.lower() == ".gz":
+            _check_unpacked(path)
         for part in _decoded(path):
             whole, end, rest = (rest + part).rpartition("\n")
             if end:
@@ -221,19 +237,25 @@ def _blocks(path: Path) -> Iterator[str]:
         yield rest
 
 
+def _check_unpacked(path: Path) -> None:
+    """Refuse what unpacks to absurd size, or does not unpack, before the first number of it is read."""
+    largest, size = max(UNSUSPICIOUS, LARGEST_RATIO * path.stat().st_size), 0
+    with gzip.open(path) as file:
+        for part in iter(partial(file.read, BLOCK), b""):
+            size += len(part)
+            if size > largest:
+                raise LogError(path, f"unpacks to more than {LARGEST_RATIO} times its size; refused")
+
+
 def _decoded(path: Path) -> Iterator[str]:
     """Return the text in parts; without any line feed, carriage returns end its lines."""
     packed = path.suffix.lower() == ".gz"
-    largest = max(UNSUSPICIOUS, LARGEST_RATIO * path.stat().st_size) if packed else math.inf
     with gzip.open(path) if packed else path.open("rb") as file:
-        head, size = file.read(HEAD), 0
+        head = file.read(HEAD)
         encoding = encoding_of(head, path)
         decoder = codecs.getincrementaldecoder(encoding)("strict" if encoding == "utf-16" else "replace")
         returns = encoding != "utf-16" and b"\n" not in head
         for part in chain([head], iter(partial(file.read, BLOCK), b"")):
-            size += len(part)
-            if size > largest:
-                raise LogError(path, f"unpacks to more than {LARGEST_RATIO} times its size; refused")
             text = decoder.decode(part)
             yield text.replace("\r", "\n") if returns else text
         yield decoder.decode(b"", final=True)

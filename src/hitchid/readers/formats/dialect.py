@@ -3,6 +3,7 @@
 import csv
 import io
 import re
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
 from itertools import islice
@@ -13,7 +14,7 @@ from hitchid.errors import LogError
 from hitchid.units import known_unit
 
 SEPARATORS = ("\t", ";", "|", ",", " ")
-LINES, HEADER_ROWS, LONGEST_SHOWN = 200, 10, 60
+LINES, HEADER_ROWS, LONGEST_SHOWN, LONGEST_NAME = 200, 10, 60, 200
 NOT_TEXT = 0.3
 NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf(inity)?)", re.IGNORECASE)
 UNIT_LABELS = ("unit", "units", "einheit", "einheiten")
@@ -43,7 +44,7 @@ class Dialect(NamedTuple):
 
     def place(self, asked: str) -> int | None:
         """Return which column is asked for, by its name with or without the unit in brackets behind it."""
-        bare = [BRACKETS.sub(r"\1", name) for name in self.names]
+        bare = [_bare(name) for name in self.names]
         return next((names.index(asked) for names in (self.names, bare) if asked in names), None)
 
 
@@ -100,22 +101,28 @@ def dialect_of(text: str, source: Path, asked: Sequence[str] = ()) -> Dialect:
         raise LogError(source, shown, line=rows[0].line, column=wanted)
     header, names = max(
         reversed([row for row in above if not _units(row.cells)] or above),
-        key=lambda row: sum(cell in asked or BRACKETS.sub(r"\1", cell) in asked for cell in row.cells),
+        key=lambda row: sum(cell in asked or _bare(cell) in asked for cell in row.cells),
     )
+    count = Counter(names)
     for name in names:
-        if name and names.count(name) > 1:
+        if name and count[name] > 1:
             raise LogError(source, "this column name stands twice", line=header, column=name)
     below = next((row.cells for row in above if _units(row.cells)), ())
     units = {
         name: unit for name, unit in zip(names, below, strict=False) if unit and name and known_unit(unit)
     }
     for name in names:
-        bracketed = BRACKETS.fullmatch(name)
+        bracketed = BRACKETS.fullmatch(name[: LONGEST_NAME + 1])
         if bracketed:
             units.setdefault(name, bracketed.group(2).strip())
     comma = separator != "," and _decimal_comma(text, separator)
     first = header + 1 if data is None else rows[data].line
     return Dialect(separator, comma, tuple(names), units, header, first)
+
+
+def _bare(name: str) -> str:
+    """Return a name without the unit in brackets behind it; what is too long for a name is left as it is."""
+    return BRACKETS.sub(r"\1", name) if len(name) <= LONGEST_NAME else name
 
 
 class _Row(NamedTuple):
@@ -183,8 +190,10 @@ def _units(cells: Sequence[str]) -> bool:
 
 def _decimal_comma(text: str, separator: str) -> bool:
     """Tell whether decimals follow a comma: some number in the text has one."""
-    gap = r"\s" if separator == " " else re.escape(separator)
+    # Where white space separates, padding must not take it, too: long runs of it would be gone through anew
+    # from each of their places.
+    gap, pad = (r"\s", '"*') if separator == " " else (re.escape(separator), '[ "]*')
     found = re.search(
-        rf'(?:^|{gap})[ "]*[+-]?\d*,\d+(?:[eE][+-]?\d+)?[ "]*(?:{gap}|\r?$)', text, re.MULTILINE
+        rf"(?:^|{gap}){pad}[+-]?\d*,\d+(?:[eE][+-]?\d+)?{pad}(?:{gap}|\r?$)", text, re.MULTILINE
     )
     return found is not None

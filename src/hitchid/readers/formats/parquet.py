@@ -27,7 +27,12 @@ def read(path: Path, wanted: Wanted) -> Content:
         LogError: the file is damaged, a column is missing or there twice, or pyarrow is missing.
     """
     arrow, parquet = (needed(module, "parquet", path) for module in ("pyarrow", "pyarrow.parquet"))
-    with damage(path, KIND), parquet.ParquetFile(path, page_checksum_verification=True) as file:
+    # Handed the open file: Arrow knows no names that are not UTF-8.
+    with (
+        damage(path, KIND),
+        path.open("rb") as stream,
+        parquet.ParquetFile(stream, page_checksum_verification=True) as file,
+    ):
         fields = list(file.schema_arrow) if file.metadata.num_rows > 1 else []
         named = {field.name: field for field in fields if _holds_numbers(arrow, field.type)}
         found = chosen(path, list(named), wanted)
@@ -60,7 +65,8 @@ def write_table(path: Path, columns: Mapping[str, np.ndarray]) -> None:
     ]
     arrays = [arrow.array(floats(values)) for values in columns.values()]
     table = arrow.Table.from_arrays(arrays, schema=arrow.schema(fields))
-    parquet.write_table(table, path, use_dictionary=False, write_page_checksum=True)
+    with path.open("wb") as stream:
+        parquet.write_table(table, stream, use_dictionary=False, write_page_checksum=True)
 
 
 def _holds_numbers(arrow: Any, kind: Any) -> bool:

@@ -1,0 +1,392 @@
+"""One protocol over every log format: what is written comes back, and nothing else ever does."""
+
+import gzip
+import struct
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import hitchid
+from hitchid.errors import InputError, LogError
+from hitchid.readers import find_logs, format_of, write_table
+from hitchid.readers.content import Wanted
+from hitchid.readers.formats import FORMATS, record_name
+from hitchid.validation import validate
+
+SAMPLES = 60
+RNG = np.random.default_rng(7)
+TABLE = {
+    "time_s": np.arange(SAMPLES) / 100,
+    "current_up_A": RNG.choice([0.0, 0.5, 0.1], SAMPLES),
+    "current_down_A": RNG.normal(size=SAMPLES) / 3,
+    "displacement_mm": 1e3 * RNG.normal(size=SAMPLES),
+}
+TABLE["current_down_A"][:5] = -0.0, 5e-324, 1.7976931348623157e308, -1e-300, 0.1
+NAMES = tuple(TABLE)
+DOUBLES_ON_A_BUS = """VERSION ""
+
+NS_ :
+
+BS_:
+
+BU_: ECU
+
+BO_ 291 Bench: 24 ECU
+ SG_ current_up_A : 0|64@1- (1,0) [0|0] "A" ECU
+ SG_ current_down_A : 64|64@1- (1,0) [0|0] "A" ECU
+ SG_ displacement_mm : 128|64@1- (1,0) [0|0] "mm" ECU
+
+SIG_VALTYPE_ 291 current_up_A : 2;
+SIG_VALTYPE_ 291 current_down_A : 2;
+SIG_VALTYPE_ 291 displacement_mm : 2;
+"""
+
+
+def write_tabbed(path, columns):
+    """Write text with tabs between columns and commas before decimals."""
+    rows = zip(*(values.tolist() for values in columns.values()), strict=True)
+    lines = ["\t".join(columns), *("\t".join(map(repr, row)).replace(".", ",") for row in rows), ""]
+    data = "\n".join(lines).encode()
+    path.write_bytes(gzip.compress(data) if path.name.lower().endswith(".gz") else data)
+
+
+def write_mat5(path, columns):
+    from scipy.io import savemat
+
+    savemat(path, dict(columns))
+
+
+def write_mat73(path, columns):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, values in columns.items():
+            file.create_dataset(name, data=values[None]).attrs["MATLAB_class"] = np.bytes_("double")
+    with path.open("r+b") as stream:
+        head = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124)
+        stream.write(head + struct.pack("<H2s", 0x0200, b"IM"))
+
+
+def write_hdf5(path, columns):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w") as file:
+        for name, values in columns.items():
+            file.create_dataset(f"bench/{name}", data=values).attrs["unit"] = name.rpartition("_")[2]
+
+
+def write_netcdf3(path, columns):
+    from scipy.io import netcdf_file
+
+    with netcdf_file(path, "w") as file:
+        file.createDimension("time_s", columns["time_s"].size)
+        for name, values in columns.items():
+            variable = file.createVariable(name, "d", ("time_s",))
+            variable[:], variable.units = values, name.rpartition("_")[2]
+
+
+def write_bus(path, columns):
+    """Write frames of three doubles each, and beside them the database that says so."""
+    can = pytest.importorskip("can")
+    path.with_name("bus.dbc").write_text(DOUBLES_ON_A_BUS)
+    plain = path.with_name(path.name.lower().removesuffix(".gz"))
+    kind = can.BLFWriter if plain.suffix == ".blf" else can.ASCWriter
+    with kind(plain) as log:
+        for stamp_s, *values in zip(*columns.values(), strict=True):
+            log(
+                can.Message(
+                    timestamp=1.7e9 + stamp_s,
+                    arbitration_id=291,
+                    is_extended_id=False,
+                    is_fd=True,
+                    channel=0,
+                    data=struct.pack("<3d", *values),
+                )
+            )
+    if path.name.lower().endswith(".gz"):
+        path.write_bytes(gzip.compress(plain.read_bytes()))
+        plain.unlink()
+    elif plain != path:
+        plain.rename(path)
+
+
+# How a log of each ending is made; a new format adds its line here.
+WRITERS = {
+    ".csv": write_table,
+    ".csv.gz": write_table,
+    ".tsv": write_tabbed,
+    ".tsv.gz": write_tabbed,
+    ".lvm": write_tabbed,
+    ".tdms": write_table,
+    ".mf4": write_table,
+    ".mdf": write_table,
+    ".mat": write_mat5,
+    ".h5": write_hdf5,
+    ".hdf5": write_hdf5,
+    ".nc": write_netcdf3,
+    ".parquet": write_table,
+    ".asc": write_bus,
+    ".asc.gz": write_bus,
+    ".blf": write_bus,
+}
+PLAIN_TEXT = {".csv", ".tsv", ".lvm", ".asc"}
+ENDINGS = [suffix for known in FORMATS for suffix in known.suffixes]
+every_ending = pytest.mark.parametrize("ending", ENDINGS)
+
+
+@pytest.fixture
+def log(tmp_path):
+    """Return a function that writes a log with an ending and returns format, path and what to ask for."""
+
+    def write(ending, columns=TABLE, name="log"):
+        path = tmp_path / f"{name}{ending}"
+        WRITERS[ending.lower()](path, columns)
+        return format_of(path), path, Wanted("time_s", NAMES[1:], tuple(tmp_path.glob("*.dbc")))
+
+    return write
+
+
+def assert_whole(content, path, samples=SAMPLES):
+    """Check that channels are the first samples of the table, bit for bit, on its clock."""
+    assert content.source == path
+    assert set(NAMES[1:]) <= content.channels.keys() <= set(NAMES)
+    for name in NAMES[1:]:
+        channel, sent = content.channels[name], TABLE[name][:samples]
+        assert channel.values.dtype == np.float64
+        # A signal of a bus has an offset, and -0.0 + 0 is 0.0.
+        sent = sent + 0.0 if format_of(path).suffixes[0] == ".asc" else sent
+        assert channel.values.tobytes() == sent.tobytes(), name
+        if "time_s" in content.channels:
+            assert content.channels["time_s"].values.tobytes() == TABLE["time_s"][:samples].tobytes()
+        else:
+            # A bus keeps the date, to a quarter of a microsecond in a double, the text whole microseconds.
+            np.testing.assert_allclose(channel.clock_s, TABLE["time_s"][:samples], rtol=0, atol=1.5e-6)
+
+
+def test_a_log_of_every_ending_is_made_here():
+    assert sorted(WRITERS) == sorted(ENDINGS)
+    assert len(set(ENDINGS)) == len(ENDINGS)
+
+
+@every_ending
+def test_what_was_written_comes_back_bit_for_bit(log, ending):
+    known, path, wanted = log(ending)
+    assert_whole(known.read(path, wanted), path)
+    everything = known.read(path, wanted._replace(signals=None))
+    assert {name.rpartition("/")[2] for name in everything.channels} >= set(NAMES[1:])
+
+
+@every_ending
+def test_a_format_that_is_written_is_written_bit_for_bit(tmp_path, ending):
+    path = tmp_path / f"log{ending}"
+    if format_of(path).write is None:
+        with pytest.raises(InputError, match="not written in this format"):
+            write_table(path, TABLE)
+        assert not path.exists()
+        return
+    write_table(path, TABLE)
+    assert_whole(format_of(path).read(path, Wanted("time_s", NAMES[1:])), path)
+
+
+@every_ending
+def test_channels_come_once_each_and_no_others(log, ending):
+    known, path, wanted = log(ending)
+    content = known.read(path, wanted._replace(signals=("displacement_mm", "displacement_mm")))
+    assert content.channels.keys() - {"time_s"} == {"displacement_mm"}
+    assert content.channels["displacement_mm"].unit in (None, "mm")
+
+
+@every_ending
+def test_a_missing_channel_is_named_beside_those_there_are(log, ending):
+    known, path, wanted = log(ending)
+    with pytest.raises(LogError) as caught:
+        known.read(path, wanted._replace(signals=("current_up_A", "pressure_bar")))
+    message = str(caught.value)
+    assert message.startswith(f"{path}: ")
+    assert "'pressure_bar'" in message
+    assert all(name in message for name in NAMES[1:])
+
+
+@every_ending
+def test_a_log_cut_short_anywhere_is_refused_by_name_or_gives_what_it_holds(log, ending):
+    known, path, wanted = log(ending)
+    whole = path.read_bytes()
+    refused = 0
+    sizes = np.linspace(0, len(whole) - 1, 20).astype(int)
+    for size in sizes.tolist():
+        path.write_bytes(whole[:size])
+        try:
+            content = known.read(path, wanted)
+        except LogError as error:
+            assert str(error).startswith(f"{path}: ")  # noqa: PT017
+            refused += 1
+            continue
+        if ending not in PLAIN_TEXT:
+            assert_whole(content, path)
+            continue
+        # Plain text cut short is a shorter log; only within its last number can a cut not be seen.
+        rows = content.channels["displacement_mm"].values.size
+        assert rows < SAMPLES or size > len(whole) - 30
+        kept = {
+            name: channel._replace(
+                values=channel.values[: rows - 1],
+                clock_s=None if channel.clock_s is None else channel.clock_s[: rows - 1],
+            )
+            for name, channel in content.channels.items()
+        }
+        assert_whole(type(content)(path, kept), path, rows - 1)
+    assert refused >= (1 if ending in PLAIN_TEXT else 15)
+
+
+NO_LOGS = {
+    "nothing": b"",
+    "a nul": b"\x00",
+    "a line end": b"\n",
+    "every byte": bytes(range(256)),
+    "ones": b"\xff" * 200,
+    "random bytes": np.random.default_rng(11).bytes(3000),
+}
+
+
+@every_ending
+@pytest.mark.parametrize("data", NO_LOGS.values(), ids=NO_LOGS.keys())
+def test_what_is_no_log_of_the_format_is_refused_by_name_and_nothing_else_happens(log, ending, data):
+    known, path, wanted = log(ending)
+    path.write_bytes(data)
+    with pytest.raises(LogError) as caught:
+        known.read(path, wanted)
+    assert str(caught.value).startswith(f"{path}: ")
+
+
+@every_ending
+def test_a_folder_or_a_missing_file_is_refused_by_name(log, tmp_path, ending):
+    known, _, wanted = log(ending)
+    (tmp_path / f"folder{ending}").mkdir()
+    for name in ("folder", "missing"):
+        path = tmp_path / f"{name}{ending}"
+        with pytest.raises(LogError, match="cannot be read") as caught:
+            known.read(path, wanted)
+        assert str(caught.value).startswith(f"{path}: ")
+
+
+@every_ending
+@pytest.mark.parametrize("shouted", [False, True])
+def test_every_ending_reaches_its_format_whatever_its_case(log, tmp_path, ending, shouted):
+    written = ending.upper() if shouted else ending
+    known, path, wanted = log(written, name="step 0.5 A [1]")
+    assert ending in known.suffixes
+    assert_whole(known.read(path, wanted), path)
+    assert find_logs(tmp_path) == [path]
+    assert record_name(path) == "step 0.5 A [1]"
+
+
+@pytest.mark.parametrize(
+    ("writer", "ending", "module", "said"),
+    [
+        (write_table, ".tdms", "nptdms", "required npTDMS to read it: pip install 'hitchid[tdms]'"),
+        (write_table, ".mf4", "asammdf", "required asammdf to read it: pip install 'hitchid[mdf]'"),
+        (write_mat73, ".mat", "h5py", "required h5py to read it: pip install 'hitchid[hdf5]'"),
+        (write_hdf5, ".h5", "h5py", "required h5py to read it: pip install 'hitchid[hdf5]'"),
+        (write_table, ".parquet", "pyarrow", "required pyarrow to read it: pip install 'hitchid[parquet]'"),
+        (write_bus, ".asc", "can", "required python-can to read it: pip install 'hitchid[can]'"),
+        (write_bus, ".blf", "can", "required python-can to read it: pip install 'hitchid[can]'"),
+        (write_bus, ".blf", "cantools", "required cantools to read it: pip install 'hitchid[can]'"),
+    ],
+)
+def test_a_missing_library_is_named_with_the_command_that_brings_it(
+    tmp_path, monkeypatch, writer, ending, module, said
+):
+    path = tmp_path / f"log{ending}"
+    writer(path, TABLE)
+    for name in [name for name in sys.modules if name == module or name.startswith(f"{module}.")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(LogError) as caught:
+        format_of(path).read(path, Wanted("time_s", NAMES[1:], tuple(tmp_path.glob("*.dbc"))))
+    assert str(caught.value) == f"{path}: {said}"
+
+
+def test_every_library_of_others_is_loaded_before_the_time_of_reading_counts():
+    for known in FORMATS:
+        if known.suffixes[0] == ".csv":
+            assert known.libraries == ()
+        for library in known.libraries:
+            __import__(library)
+
+
+# --- one campaign -------------------------------------------------------------------------------------------
+
+WAYS = {
+    "csv.gz": (".csv.gz", write_table),
+    "tsv": (".tsv", write_tabbed),
+    "parquet": (".parquet", write_table),
+    "tdms": (".tdms", write_table),
+    "mf4": (".mf4", write_table),
+    "mat, version 5": (".mat", write_mat5),
+    "mat, version 7.3": (".mat", write_mat73),
+    "hdf5": (".h5", write_hdf5),
+    "netcdf": (".nc", write_netcdf3),
+    "asc": (".asc", write_bus),
+    "blf": (".blf", write_bus),
+}
+
+
+@pytest.fixture(scope="module")
+def judged(bench, quick_settings):
+    """Return a campaign of CSV logs, a model that was identified from it, and its metrics."""
+    campaign = hitchid.read(bench)
+    model = hitchid.identify(campaign, **{**quick_settings, "training": None}).model
+    return campaign, model, validate(model, campaign).metrics
+
+
+def in_another_format(campaign, folder, ending, writer):
+    """Write the logs of a campaign in another format and return what is read of them."""
+    folder.mkdir()
+    for record in campaign.records:
+        columns = {
+            "time_s": np.round(record.time_s, 4),
+            "current_up_A": record.command("lifting"),
+            "current_down_A": record.command("lowering"),
+            "displacement_mm": record.displacement,
+        }
+        writer(folder / f"{record.name}{ending}", columns)
+    return hitchid.read(folder)
+
+
+def assert_same(one, other, key="metrics"):
+    """Check that nested numbers agree to nine digits, and everything else whole."""
+    assert type(one) is type(other), key
+    if isinstance(one, dict):
+        assert one.keys() == other.keys(), key
+        for name in one:
+            assert_same(one[name], other[name], f"{key}.{name}")
+    elif isinstance(one, list | tuple):
+        assert len(one) == len(other), key
+        for number, pair in enumerate(zip(one, other, strict=True)):
+            assert_same(*pair, f"{key}[{number}]")
+    elif isinstance(one, float):
+        assert other == pytest.approx(one, rel=1e-9, abs=0, nan_ok=True), key
+    else:
+        assert one == other, key
+
+
+@pytest.mark.parametrize("way", WAYS.values(), ids=WAYS.keys())
+def test_one_campaign_gives_the_same_metrics_from_every_format(judged, tmp_path, way):
+    campaign, model, metrics = judged
+    again = in_another_format(campaign, tmp_path / "logs", *way)
+    assert [record.name for record in again.records] == [record.name for record in campaign.records]
+    for one, other in zip(campaign.records, again.records, strict=True):
+        assert other.fingerprint == one.fingerprint
+        assert (other.step_s, other.kind, dict(other.units)) == (one.step_s, one.kind, dict(one.units))
+        for role, samples in one.signals.items():
+            assert other.signals[role].tobytes() == samples.tobytes()
+    assert_same(validate(model, again).metrics, metrics)
+
+
+def test_the_tests_of_a_model_are_known_again_in_another_format(judged, tmp_path):
+    campaign, model, _ = judged
+    again = in_another_format(campaign, tmp_path / "logs", ".parquet", write_table)
+    assert {record.fingerprint for record in again.records} >= model.provenance.seen
+    seen = tuple(record for record in again.records if record.fingerprint in model.provenance.seen)
+    with pytest.raises(InputError, match="identification used"):
+        validate(model, replace(again, records=seen))

@@ -1,0 +1,280 @@
+"""Several time bases in one log: what comes out at each time is what was there at that time."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hitchid.errors import LogError
+from hitchid.readers import ReaderProcess, read_log
+from hitchid.readers.content import Channel, Content
+from hitchid.readers.table import table_of
+from hitchid.signals import CampaignFile, Column, SignalMap
+
+EPS = np.finfo(np.float64).eps
+SOURCE = Path("log.mf4")
+FAST, SLOW = np.arange(1000) / 1000, np.arange(100) / 100
+SIGNALS = SignalMap(displacement=Column(column="x", unit="mm"), lifting_command=Column(column="i", unit="A"))
+
+
+def line(time_s):
+    return 7.0 + 30.0 * time_s
+
+
+def stepped(time_s, at=0.5):
+    return np.where(time_s < at, 0.0, 0.6)
+
+
+def merged(channels, signals=SIGNALS):
+    """Return the table of channels, name to clock and samples."""
+    given = {
+        name: Channel(np.asarray(values, dtype=float), clock_s=clock)
+        for name, (clock, values) in channels.items()
+    }
+    return table_of(Content(SOURCE, given), signals)
+
+
+def refused(channels, signals=SIGNALS):
+    with pytest.raises(LogError) as caught:
+        merged(channels, signals)
+    assert str(caught.value).startswith(f"{SOURCE}: ")
+    return str(caught.value)
+
+
+def assert_line(table):
+    """Check that the displacement is the straight line it was, at every stamp of the table."""
+    # Interpolation between two doubles near 37: a slope, a product and a sum.
+    np.testing.assert_allclose(table.signals["displacement"], line(table.time_s), rtol=0, atol=16 * EPS * 37)
+
+
+def test_a_fast_displacement_comes_to_the_clock_of_a_slow_command():
+    table = merged({"x": (FAST, line(FAST)), "i": (SLOW, stepped(SLOW))})
+    assert table.time_s.tobytes() == SLOW.tobytes()
+    assert_line(table)
+    np.testing.assert_array_equal(table.signals["lifting_command"], stepped(SLOW))
+    (notice,) = table.notices
+    for part in ("clock of i", "x 0.001 s", "i 0.01 s"):
+        assert part in notice
+    assert list(table.columns) == ["i", "x"]
+    assert {values.size for values in table.columns.values()} == {SLOW.size}
+
+
+def test_a_fast_command_comes_to_the_clock_of_a_slow_displacement_as_it_stood_at_the_nearest_sample():
+    rng = np.random.default_rng(3)
+    stamps = np.sort(rng.uniform(-0.1, 1.1, 900))
+    levels = rng.choice([0.0, 0.3, 0.6], stamps.size)
+    table = merged({"x": (SLOW, line(SLOW)), "i": (stamps, levels)})
+    nearest = np.abs(table.time_s[:, None] - stamps).argmin(axis=1)
+    np.testing.assert_array_equal(table.signals["lifting_command"], levels[nearest])
+    np.testing.assert_array_equal(table.signals["displacement"], line(table.time_s))
+
+
+@pytest.mark.parametrize("roles", ["command", "lifting_command lowering_command"])
+def test_no_command_takes_a_value_between_its_levels(roles):
+    # Signed commands, too: a valve never saw the values between.
+    columns = {role: Column(column=role, unit="A") for role in roles.split()}
+    signals = SignalMap(displacement=Column(column="x", unit="mm"), **columns)
+    fast = FAST + 0.0004
+    commands = {role: (fast, np.sign(np.sin(40 * fast))) for role in columns}
+    table = merged({"x": (SLOW, line(SLOW)), **commands}, signals)
+    for role in ("lifting_command", "lowering_command"):
+        assert set(table.signals[role]) <= {-1.0, 0.0, 1.0}
+        assert len(set(table.signals[role])) == 2
+    up, down = (table.signals[role] for role in ("lifting_command", "lowering_command"))
+    nearest = np.abs(table.time_s[:, None] - fast).argmin(axis=1)
+    truth = np.sign(np.sin(40 * fast))[nearest]
+    np.testing.assert_array_equal(up - down if roles == "command" else up, truth)
+
+
+def test_a_covariate_is_interpolated_as_the_displacement_is():
+    signals = SIGNALS.model_copy(update={"covariates": ("p",)})
+    offset = FAST + 0.00037
+    table = merged(
+        {"x": (FAST, line(FAST)), "i": (SLOW, stepped(SLOW)), "p": (offset, line(offset))}, signals
+    )
+    assert_line(table)
+    np.testing.assert_allclose(table.signals["p"], line(table.time_s), rtol=0, atol=16 * EPS * 37)
+
+
+@pytest.mark.parametrize(("start", "stop"), [(0.0, 1.0), (0.2, 1.0), (0.0, 0.7), (0.2034, 0.7071), (-3, 9)])
+def test_only_the_time_that_all_channels_share_is_left(start, stop):
+    fast = np.arange(round(start * 1000), round(stop * 1000)) / 1000
+    table = merged({"x": (fast, line(fast)), "i": (SLOW, stepped(SLOW))})
+    inside = [stamp for stamp in SLOW if fast[0] <= stamp <= fast[-1]]
+    assert set(inside) <= set(table.time_s)
+    assert table.time_s[0] >= fast[0] - 1e-9
+    assert table.time_s[-1] <= fast[-1] + 1e-9
+    assert_line(table)
+    np.testing.assert_array_equal(table.signals["lifting_command"], stepped(table.time_s))
+
+
+def test_three_clocks_share_what_all_of_them_cover():
+    signals = SIGNALS.model_copy(update={"covariates": ("p",)})
+    x, i, p = FAST, SLOW + 0.2, np.arange(-0.1, 0.795, 0.002)
+    table = merged({"x": (x, line(x)), "i": (i, stepped(i)), "p": (p, line(p))}, signals)
+    np.testing.assert_array_equal(table.time_s, i[i <= p[-1]])
+    assert table.time_s[-1] == i[59]
+    assert_line(table)
+
+
+@pytest.mark.parametrize("shared", [True, False])
+def test_equal_clocks_leave_every_bit_and_say_nothing(shared):
+    values = np.sqrt(np.arange(100.0))
+    table = merged({"x": (SLOW, values), "i": (SLOW if shared else SLOW.copy(), stepped(SLOW))})
+    assert table.notices == ()
+    assert table.time_s.tobytes() == SLOW.tobytes()
+    assert table.signals["displacement"].tobytes() == values.tobytes()
+    assert table.signals["lifting_command"].tobytes() == stepped(SLOW).tobytes()
+
+
+def test_a_channel_that_holds_the_time_counts_for_all():
+    stamps = SLOW + 5.0
+    given = {
+        "time_s": Channel(stamps),
+        "x": Channel(line(SLOW), clock_s=SLOW),
+        "i": Channel(stepped(SLOW), clock_s=SLOW * 2),
+    }
+    table = table_of(Content(SOURCE, given), SIGNALS)
+    assert table.time_s.tobytes() == stamps.tobytes()
+    assert table.signals["displacement"].tobytes() == line(SLOW).tobytes()
+    assert table.notices == ()
+
+
+# --- gaps ---------------------------------------------------------------------------------------------------
+
+
+def test_nothing_is_made_up_within_a_gap_of_a_fast_channel():
+    outside = (FAST < 0.4) | (FAST >= 0.5)
+    fast = FAST[outside]
+    table = merged({"x": (fast, line(fast)), "i": (SLOW, stepped(SLOW))})
+    distance = np.abs(table.time_s[:, None] - fast).min(axis=1)
+    assert distance.max() <= 1e-9
+    assert set(table.time_s) == set(SLOW[(SLOW < 0.4) | (SLOW >= 0.5)])
+    assert_line(table)
+
+
+def test_a_dropout_shorter_than_a_step_of_the_slow_clock_is_no_gap():
+    fast = np.delete(FAST, slice(405, 414))
+    table = merged({"x": (fast, line(fast)), "i": (SLOW, stepped(SLOW))})
+    assert table.time_s.tobytes() == SLOW.tobytes()
+    assert_line(table)
+
+
+def two_groups(path, fast):
+    """Write an MF4 log of two groups, each on its own clock, and return its path."""
+    asammdf = pytest.importorskip("asammdf")
+    with asammdf.MDF(version="4.10") as log:
+        for name, unit, stamps, values in (
+            ("x", "mm", fast, line(fast)),
+            ("i", "A", SLOW, stepped(SLOW)),
+        ):
+            log.append([asammdf.Signal(values, stamps, name=name, unit=unit)], acq_name=name)
+        log.save(path)
+    return path
+
+
+def test_a_gap_in_the_fast_channel_of_a_log_cuts_its_record_in_two(tmp_path):
+    fast = FAST[(FAST < 0.4) | (FAST >= 0.5)]
+    path = two_groups(tmp_path / "log.mf4", fast)
+    with ReaderProcess() as process:
+        before, after = read_log(path, CampaignFile(signals=SIGNALS), process)
+    assert (before.name, after.name) == ("log@1", "log@2")
+    assert (len(before), len(after)) == (40, 50)
+    assert any("clock of i" in notice for notice in before.notices)
+    assert any("gap of 0.11 s" in notice for notice in after.notices)
+    for record in (before, after):
+        assert record.step_s == 0.01
+        np.testing.assert_allclose(record.displacement, line(record.time_s), rtol=0, atol=32 * EPS * 37)
+        np.testing.assert_array_equal(record.command("lifting"), stepped(np.round(record.time_s, 9)))
+
+
+def test_two_groups_may_call_their_clocks_alike(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        for group, name, stamps, values in (("a", "x", FAST, line(FAST)), ("b", "i", SLOW, stepped(SLOW))):
+            time = file.create_dataset(f"{group}/time_s", data=stamps)
+            time.make_scale("time_s")
+            time.attrs["units"] = "s"
+            file.create_dataset(f"{group}/{name}", data=values).dims[0].attach_scale(time)
+    with ReaderProcess() as process:
+        (record,) = read_log(tmp_path / "log.h5", CampaignFile(signals=SIGNALS), process)
+    assert len(record) == SLOW.size
+    np.testing.assert_allclose(record.displacement, line(SLOW), rtol=0, atol=16 * EPS * 37)
+    np.testing.assert_array_equal(record.command("lifting"), stepped(SLOW))
+
+
+# --- clocks that cannot be used -----------------------------------------------------------------------------
+
+
+def test_channels_without_common_time_are_refused():
+    assert "in common" in refused({"x": (FAST, line(FAST)), "i": (SLOW + 5.0, stepped(SLOW))})
+
+
+@pytest.mark.parametrize("bad", ["x", "i"])
+@pytest.mark.parametrize("move", [-0.5, 0.0])
+def test_time_that_runs_back_or_stands_is_refused_by_the_channels_name(bad, move):
+    stamps = SLOW.copy()
+    stamps[50] = stamps[49] + move
+    channels = {"x": (FAST, line(FAST)), "i": (SLOW, stepped(SLOW))}
+    said = refused({**channels, bad: (stamps, np.zeros(100))})
+    assert f"column '{bad}'" in said
+    assert f"{stamps[50]:g} s came after {stamps[49]:g} s" in said
+
+
+@pytest.mark.parametrize("bad", ["x", "i"])
+def test_a_channel_without_a_clock_is_refused_by_name_with_the_way_out(bad):
+    channels = {"x": (FAST, line(FAST)), "i": (SLOW, stepped(SLOW))}
+    said = refused({**channels, bad: (None, np.zeros(100))})
+    assert f"column '{bad}'" in said
+    assert 'time = "…" in campaign.toml' in said
+
+
+@pytest.mark.parametrize("samples", [0, 1])
+def test_a_channel_of_one_sample_has_no_clock(samples):
+    said = refused({"x": (FAST, line(FAST)), "i": (SLOW[:samples], np.zeros(samples))})
+    assert "column 'i'" in said
+    assert f"{samples} samples" in said
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_clock_that_is_not_finite_is_refused(value):
+    stamps = FAST.copy()
+    stamps[500] = value
+    assert "column 'x'" in refused({"x": (stamps, line(FAST)), "i": (SLOW, stepped(SLOW))})
+
+
+# --- whatever the clocks ------------------------------------------------------------------------------------
+
+clocks = st.builds(
+    lambda step_ms, start_ms, samples: (start_ms + step_ms * np.arange(samples)) / 1000,
+    st.integers(1, 20),
+    st.integers(-200, 200),
+    st.integers(60, 900),
+)
+
+
+@settings(deadline=None)
+@given(x=clocks, i=clocks, p=clocks, order=st.permutations(["x", "i", "p"]))
+def test_the_order_of_the_channels_does_not_matter_and_a_line_stays_one(x, i, p, order):
+    signals = SIGNALS.model_copy(update={"covariates": ("p",)})
+    channels = {"x": (x, line(x)), "i": (i, stepped(i, 0.2)), "p": (p, line(p))}
+    try:
+        table = merged(channels, signals)
+    except LogError as error:
+        assert "in common" in str(error)  # noqa: PT017
+        with pytest.raises(LogError, match="in common"):
+            merged({name: channels[name] for name in order}, signals)
+        return
+    again = merged({name: channels[name] for name in order}, signals)
+    assert again.time_s.tobytes() == table.time_s.tobytes()
+    assert again.notices == table.notices
+    for role, samples in table.signals.items():
+        assert again.signals[role].tobytes() == samples.tobytes()
+    measured = [table.signals["displacement"], table.signals["p"]]
+    # Stamps and values up to 18 s and 550 mm, a slope over at least 1 ms.
+    np.testing.assert_allclose(measured, [line(table.time_s)] * 2, rtol=0, atol=64 * EPS * 550)
+    nearest = np.abs(table.time_s[:, None] - i).min(axis=1)
+    assert nearest.max() <= max(np.diff(clock)[0] for clock in (x, i, p)) / 2 + 1e-9
+    assert set(table.signals["lifting_command"]) <= {0.0, 0.6}

@@ -1,0 +1,193 @@
+"""Where logs, settings and CAN databases are looked for, and what a link must not bring in."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hitchid.errors import InputError
+from hitchid.readers import find_logs, read, settings_of, write_table
+from hitchid.readers.formats import FORMATS
+
+SAMPLES = 40
+COLUMNS = {
+    "time_s": np.arange(SAMPLES) / 100,
+    "current_up_A": np.where(np.arange(SAMPLES) > 5, 0.5, 0.0),
+    "current_down_A": np.zeros(SAMPLES),
+    "displacement_mm": np.sqrt(np.arange(SAMPLES)),
+}
+
+
+@pytest.fixture
+def logs(tmp_path):
+    """Return a folder with one log."""
+    (tmp_path / "logs").mkdir()
+    write_table(tmp_path / "logs" / "a.csv", COLUMNS)
+    return tmp_path / "logs"
+
+
+@pytest.fixture
+def outside(tmp_path):
+    """Return a folder beside that of the logs, with a log, settings and a database."""
+    (tmp_path / "outside").mkdir()
+    write_table(tmp_path / "outside" / "secret.csv", COLUMNS)
+    (tmp_path / "outside" / "campaign.toml").write_text('[tests]\n"a" = "cycle"\n')
+    (tmp_path / "outside" / "bus.dbc").write_text('VERSION ""\n')
+    return tmp_path / "outside"
+
+
+def databases(folder, signals=None):
+    """Return the databases of the logs in a folder, as paths."""
+    return settings_of([folder / "a.csv"], signals)[folder].can.databases
+
+
+# --- which logs ---------------------------------------------------------------------------------------------
+
+
+def test_logs_of_every_format_are_found_in_one_folder_sorted_by_name(logs):
+    suffixes = [suffix for known in FORMATS for suffix in known.suffixes]
+    for number, suffix in enumerate(reversed(suffixes)):
+        (logs / f"b{number:02d}{suffix.upper() if number % 2 else suffix}").touch()
+    for name in ("notes.txt", "campaign.toml", "bus.dbc", "b.mat.bak", "mat"):
+        (logs / name).touch()
+    found = [path.name for path in find_logs(logs)]
+    assert found == sorted(found)
+    assert len(found) == 1 + len(suffixes)
+    assert {suffix for suffix in suffixes if any(name.lower().endswith(suffix) for name in found)} == set(
+        suffixes
+    )
+
+
+def test_logs_of_several_formats_make_one_campaign(logs):
+    for name in ("b.parquet", "c.csv.gz", "d.csv"):
+        write_table(logs / name, COLUMNS)
+    records = read(logs).records
+    assert [record.name for record in records] == ["a", "b", "c", "d"]
+    assert len({record.fingerprint for record in records}) == 1
+
+
+# --- links --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("relative", [False, True])
+def test_a_log_that_is_a_link_out_of_its_folder_is_refused_naming_both(logs, outside, relative):
+    target = outside / "secret.csv"
+    (logs / "b.csv").symlink_to(os.path.relpath(target, logs) if relative else target)
+    with pytest.raises(InputError, match="link out of its folder") as caught:
+        find_logs(logs)
+    assert str(logs / "b.csv") in str(caught.value)
+    assert str(target) in str(caught.value)
+
+
+def test_a_log_behind_two_links_is_refused(logs, outside):
+    (outside / "hop.csv").symlink_to(outside / "secret.csv")
+    (logs / "b.csv").symlink_to(outside / "hop.csv")
+    with pytest.raises(InputError, match="link out of its folder"):
+        read(logs)
+
+
+def test_a_log_behind_a_linked_folder_inside_is_refused(logs, outside):
+    (logs / "sub").symlink_to(outside)
+    (logs / "b.csv").symlink_to("sub/secret.csv")
+    with pytest.raises(InputError, match="link out of its folder"):
+        find_logs(logs)
+
+
+def test_links_within_the_folder_are_followed(logs):
+    (logs / "sub").mkdir()
+    write_table(logs / "sub" / "deep.csv", COLUMNS)
+    (logs / "b.csv").symlink_to("a.csv")
+    (logs / "c.csv").symlink_to(logs / "sub" / "deep.csv")
+    assert [path.name for path in find_logs(logs)] == ["a.csv", "b.csv", "c.csv"]
+
+
+def test_a_folder_that_is_reached_by_a_link_is_as_good_as_its_target(logs, tmp_path):
+    (logs / "b.csv").symlink_to("a.csv")
+    (logs / "campaign.toml").write_text('[tests]\n"*" = "cycle"\n')
+    (tmp_path / "link").symlink_to(logs)
+    records = read(tmp_path / "link").records
+    assert [(record.name, record.kind) for record in records] == [("a", "cycle"), ("b", "cycle")]
+
+
+def test_a_log_given_by_name_may_be_a_link(logs, outside):
+    (logs / "b.csv").symlink_to(outside / "secret.csv")
+    assert [record.name for record in read([logs / "b.csv"]).records] == ["b"]
+
+
+def test_a_link_to_nothing_is_no_log(logs, outside):
+    (logs / "b.csv").symlink_to(outside / "nothing.csv")
+    assert [path.name for path in find_logs(logs)] == ["a.csv"]
+
+
+def test_settings_that_are_a_link_out_of_the_folder_are_refused(logs, outside):
+    (logs / "campaign.toml").symlink_to(outside / "campaign.toml")
+    with pytest.raises(InputError, match="link out of its folder") as caught:
+        read(logs)
+    assert str(logs / "campaign.toml") in str(caught.value)
+    assert read(logs, signals=outside / "campaign.toml").records[0].kind == "cycle"
+
+
+def test_settings_that_are_a_link_within_the_folder_count(logs):
+    (logs / "of-all.toml").write_text('[tests]\n"a" = "cycle"\n')
+    (logs / "campaign.toml").symlink_to("of-all.toml")
+    assert read(logs).records[0].kind == "cycle"
+
+
+# --- databases of CAN ---------------------------------------------------------------------------------------
+
+
+def test_all_databases_beside_the_logs_count_sorted_whatever_the_case(logs):
+    for name in ("z.dbc", "B.DBC", "a.dbc", "a.dbc.bak", "dbc"):
+        (logs / name).touch()
+    assert databases(logs) == tuple(str(logs / name) for name in ("B.DBC", "a.dbc", "z.dbc"))
+
+
+def test_without_databases_there_are_none(logs):
+    assert databases(logs) == ()
+
+
+def test_databases_named_in_the_settings_count_alone_and_lie_beside_them(logs, outside):
+    for name in ("a.dbc", "b.dbc", "c.dbc"):
+        (logs / name).touch()
+    named = '[can]\ndatabases = ["c.dbc", "a.dbc"]\n'
+    (logs / "campaign.toml").write_text(named)
+    assert databases(logs) == (str(logs / "c.dbc"), str(logs / "a.dbc"))
+    (outside / "other.toml").write_text(named)
+    assert databases(logs, outside / "other.toml") == (str(outside / "c.dbc"), str(outside / "a.dbc"))
+
+
+def test_settings_given_by_name_without_databases_leave_those_beside_the_logs(logs, outside):
+    (logs / "a.dbc").touch()
+    assert databases(logs, outside / "campaign.toml") == (str(logs / "a.dbc"),)
+
+
+def test_each_folder_has_its_own_databases(logs, tmp_path):
+    (tmp_path / "more").mkdir()
+    (tmp_path / "more" / "x.dbc").touch()
+    (logs / "a.dbc").touch()
+    paths = [logs / "a.csv", tmp_path / "more" / "b.csv"]
+    found = {folder.name: settings.can.databases for folder, settings in settings_of(paths).items()}
+    assert found == {"logs": (str(logs / "a.dbc"),), "more": (str(tmp_path / "more" / "x.dbc"),)}
+
+
+def test_a_database_that_is_a_link_out_of_the_folder_is_refused(logs, outside):
+    (logs / "bus.dbc").symlink_to(outside / "bus.dbc")
+    with pytest.raises(InputError, match="link out of its folder") as caught:
+        read(logs)
+    assert str(logs / "bus.dbc") in str(caught.value)
+
+
+def test_a_database_that_settings_name_is_no_link_out_of_the_folder_but_may_lie_elsewhere(logs, outside):
+    (logs / "bus.dbc").symlink_to(outside / "bus.dbc")
+    (logs / "campaign.toml").write_text('[can]\ndatabases = ["bus.dbc"]\n')
+    with pytest.raises(InputError, match="link out of its folder"):
+        databases(logs)
+    (logs / "campaign.toml").write_text('[can]\ndatabases = ["../outside/bus.dbc"]\n')
+    (found,) = databases(logs)
+    assert Path(found).samefile(outside / "bus.dbc")
+
+
+def test_a_folder_named_like_a_database_is_none(logs):
+    (logs / "sub.dbc").mkdir()
+    assert databases(logs) == ()
