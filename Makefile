@@ -34,6 +34,8 @@ study: setup
 	$(BIN)/python benchmarks/coverage.py
 	$(BIN)/python benchmarks/bands.py
 	$(BIN)/python benchmarks/advice.py
+	$(BIN)/python benchmarks/fuzz.py
+	$(BIN)/python benchmarks/resume.py
 
 # For maintainers; needs uv in PATH.
 pins:

@@ -102,7 +102,9 @@ def _jitter(record: Record) -> float | None:
 def _quantum(displacement: np.ndarray) -> float | None:
     """Return the step of the grid on which all displacements lie, None where there is none."""
     values = np.unique(displacement[:: -(-displacement.size // LOOKED_AT)])
-    rounding = 16 * np.finfo(float).eps * max(abs(float(values[0])), abs(float(values[-1])))
+    double = np.finfo(float)
+    rounding = 16 * double.eps * max(abs(float(values[0])), abs(float(values[-1])))
+    rounding = max(rounding, float(double.tiny))  # half of a step below it may be nothing
     gaps = np.diff(values)
     gaps = gaps[gaps > rounding]
     if gaps.size < FEWEST_VALUES - 1:

@@ -1,0 +1,707 @@
+"""Damaged and hostile files of every kind, and the doors they are handed in at.
+
+A seed is a folder of files as a user would have them. An input is a seed with one of its files changed: bytes
+at random, words of texts, values of TOML and JSON. Each goes through the door a user would take; out may come
+a result or an error of `hitchid`, nothing else.
+"""
+
+import gzip
+import io
+import json
+import math
+import re
+import shutil
+import signal
+import struct
+import tomllib
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from hashlib import sha256
+from importlib import resources
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import asammdf
+import h5py
+import numpy as np
+from can_logs import frame, logged, message, write_dbc
+from nptdms import ChannelObject, TdmsWriter
+from scipy.io import netcdf_file, savemat
+
+from handmade import hitch
+from hitchid.checkpoints import Checkpoints
+from hitchid.errors import HitchError
+from hitchid.identification.settings_file import read_settings
+from hitchid.inspection import look_over
+from hitchid.model import load, save
+from hitchid.readers import ReaderProcess, assemble, find_logs, read_log, settings_of, write_table
+from hitchid.rig.parameter_files import load_rig
+from hitchid.signals import read_campaign_file
+from hitchid.storage import canonical_json, digest
+from hitchid.validation import read_limits
+
+SAMPLES, STEP_S = 60, 0.01
+REFUSED, ACCEPTED = "refused", "accepted"
+LONGEST_S = 10.0
+HUNG_S = 30
+
+Files = dict[str, bytes]
+Door = Callable[[Path, ReaderProcess], object]
+Change = Callable[[np.random.Generator, bytes], bytes]
+
+
+class Seed(NamedTuple):
+    """A folder that can be read.
+
+    Attributes:
+        name: of the kind of file.
+        files: name to content.
+        changed: names of those that are damaged.
+        door: what reads the folder, and returns what tells one result from another.
+        text: whether words may be changed, not bytes alone.
+        sealed: whether a checksum tells every change, so that no other result may come out.
+        changes: changes of this kind of file alone.
+    """
+
+    name: str
+    files: Files
+    changed: tuple[str, ...]
+    door: Door
+    text: bool = False
+    sealed: bool = False
+    changes: tuple[Callable[[np.random.Generator, Files], Files], ...] = ()
+
+
+class Hung(BaseException):
+    """An input that takes far too long; no error, so that no reader takes it for one of its own."""
+
+
+# --- seeds ------------------------------------------------------------------------------------------------
+
+
+def columns(samples: int = SAMPLES) -> dict[str, np.ndarray]:
+    """Return a lifting log."""
+    time_s = np.round(STEP_S * np.arange(samples), 4)
+    up = np.where(np.arange(samples) > 5, 0.5, 0.0)
+    moved = 7.0 + np.cumsum(0.3 * up) + 0.01 * np.sin(np.arange(samples))
+    return {"time_s": time_s, "current_up_A": up, "current_down_A": 0 * up, "displacement_mm": moved}
+
+
+CAMPAIGN = """[signals]
+time = "time_s"
+lifting_command = { column = "current_up_A", unit = "A" }
+lowering_command = { column = "current_down_A", unit = "A" }
+displacement = { column = "displacement_mm", unit = "mm" }
+covariates = []
+
+[split]
+test = ["b*"]
+
+[tests]
+"b*" = "lifting"
+"""
+SETTINGS = """seed = 3
+drift = true
+
+[lifting]
+structure = "integrator-second-order"
+dead_time = true
+dead_zone = 0.3
+bounds = { gain = [1.0, 90.0] }
+
+[lowering]
+load = "pressure_bar"
+
+[search]
+method = "whale"
+evaluations = 600
+population = 12
+
+[training]
+hidden = 8
+window = 20
+learning_rate = 0.01
+"""
+LIMITS = """unit = "mm"
+
+[lifting]
+tests = 2
+free_run = { rmse = 3.0, fit = 80 }
+one_step = { max_abs = 1.5 }
+horizon = { 10 = 0.5 }
+coverage = [80, 100]
+better_than = ["arx"]
+
+[cycles]
+free_run = { r2 = 0.9 }
+"""
+DBC = (
+    message(
+        0x100,
+        "Valve",
+        'current_up_A : 0|16@1+ (0.001,0) [0|0] "A" ECU',
+        'current_down_A : 16|16@1+ (0.001,0) [0|0] "A" ECU',
+    ),
+    message(0x101, "Hitch", 'displacement_mm : 7|16@0- (0.01,0) [0|0] "mm" ECU'),
+)
+
+
+def seeds(place: Path) -> list[Seed]:
+    """Write a file of every kind and return them as seeds."""
+    place.mkdir(parents=True, exist_ok=True)
+    return [*_texts(place), *_tables(place), *_containers(place), *_buses(place), *_settings(), *_kept(place)]
+
+
+def _log(name: str, content: bytes, **options: Any) -> Seed:
+    ending = name.partition(" ")[0]
+    files = {f"a.{ending}": content, **options.pop("beside", {})}
+    return Seed(name, files, (f"a.{ending}",), read_logs, **options)
+
+
+def _texts(place: Path) -> Iterator[Seed]:
+    write_table(place / "a.csv", columns())
+    plain = (place / "a.csv").read_bytes()
+    rows = [line.split(",") for line in plain.decode().splitlines()]
+    yield _log("csv", plain, text=True)
+    yield _log("csv with another", plain, text=True, beside={"b.csv": plain})
+    comma = "\n".join(";".join(cell.replace(".", ",") for cell in row) for row in rows)
+    yield _log("csv semicolons", f"Logger 7;;;\n{comma}\n".replace("\n", "\r\n").encode("cp1252"), text=True)
+    bracketed = ["time [s],up (A),down (A),moved [mm]", *(",".join(row) for row in rows[1:])]
+    named = CAMPAIGN.replace("time_s", "time").replace("current_up_A", "up")
+    named = named.replace("current_down_A", "down").replace("displacement_mm", "moved").replace("b*", "a*")
+    yield _log(
+        "csv brackets", "\n".join(bracketed).encode(), text=True, beside={"campaign.toml": named.encode()}
+    )
+    yield _log("csv utf-16", plain.decode().encode("utf-16"), text=True)
+    yield _log("tsv", plain.replace(b",", b"\t"), text=True)
+    yield _log("lvm", b"LabVIEW Measurement\r\n" + plain.replace(b",", b"  "), text=True)
+    yield _log("csv.gz", gzip.compress(plain, mtime=0), sealed=True)
+
+
+def _tables(place: Path) -> Iterator[Seed]:
+    for ending in ("tdms", "mf4", "parquet"):
+        write_table(place / f"a.{ending}", columns())
+        yield _log(ending, (place / f"a.{ending}").read_bytes(), sealed=ending == "parquet")
+    waves = {name: values for name, values in columns().items() if name != "time_s"}
+    stated = {"wf_increment": STEP_S, "wf_start_offset": 0.0, "wf_samples": SAMPLES}
+    with TdmsWriter(place / "w.tdms") as writer:
+        for half in (slice(0, 30), slice(30, SAMPLES)):
+            writer.write_segment([ChannelObject("Bench", n, v[half], stated) for n, v in waves.items()])
+    yield _log("tdms waveforms", (place / "w.tdms").read_bytes())
+    for version, compression in (("3.30", 0), ("4.11", 2)):
+        time_s = columns()["time_s"]
+        with asammdf.MDF(version=version) as log:
+            log.append([asammdf.Signal(v, time_s, name=n) for n, v in waves.items()], common_timebase=True)
+            stored = log.save(place / f"m{version}.mf4", overwrite=True, compression=compression)
+        yield _log(f"mf4 {version}", Path(stored).read_bytes())
+
+
+def _containers(place: Path) -> Iterator[Seed]:
+    for name, options in {
+        "mat": {},
+        "mat compressed": {"do_compression": True},
+        "mat version 4": {"format": "4"},
+    }.items():
+        made = io.BytesIO()
+        savemat(made, columns(), **options)
+        yield _log(name, made.getvalue(), sealed=name == "mat compressed")
+    export = {
+        "X": {"Data": columns()["time_s"], "Unit": "s"},
+        "Y": {"Name": "displacement_mm", "Data": columns()["displacement_mm"], "Unit": "mm"},
+    }
+    made = io.BytesIO()
+    savemat(made, {**columns(), "run": export})
+    yield _log("mat structs", made.getvalue())
+    with h5py.File(place / "a.mat", "w", userblock_size=512) as file:
+        for name, values in columns().items():
+            dataset = file.create_dataset(name, data=values[None, :])
+            dataset.attrs["MATLAB_class"] = np.bytes_("double")
+    head = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + struct.pack("<H2s", 0x0200, b"IM")
+    yield _log("mat 7.3", head.ljust(512, b"\0") + (place / "a.mat").read_bytes()[512:])
+    for name, options in {
+        "h5": {},
+        "h5 chunks": {"compression": "gzip", "chunks": (20,), "fletcher32": True},
+    }.items():
+        with h5py.File(place / "a.h5", "w") as file:
+            for column, values in columns().items():
+                file.create_dataset(f"log/{column}", data=values, **options)
+        yield _log(name, (place / "a.h5").read_bytes())
+    with h5py.File(place / "a4.nc", "w", libver="latest") as file:
+        scale = file.create_dataset("time_s", data=1e3 * columns()["time_s"])
+        scale.make_scale("time_s")
+        scale.attrs["units"] = np.bytes_("milliseconds since 2024-05-01 10:00:00")
+        for name, values in columns().items():
+            if name != "time_s":
+                file.create_dataset(name, data=values).dims[0].attach_scale(scale)
+    yield _log("nc 4", (place / "a4.nc").read_bytes())
+    with netcdf_file(place / "a3.nc", "w") as file:
+        file.createDimension("time_s", SAMPLES)
+        for name, values in columns().items():
+            file.createVariable(name, "d", ("time_s",))[:] = values
+        file.variables["time_s"].units = "s"
+    yield _log("nc 3", (place / "a3.nc").read_bytes())
+
+
+def _buses(place: Path) -> Iterator[Seed]:
+    database = write_dbc(place / "bus.dbc", *DBC).read_bytes()
+    grouped = database.replace(b"BO_ 256 ", b"BO_ 2566849278 ")
+    found = columns()
+    frames = []
+    for number, stamp_s in enumerate(found["time_s"]):
+        up, moved = round(1000 * found["current_up_A"][number]), 100 * found["displacement_mm"][number]
+        frames += [
+            frame(stamp_s, 0x100, struct.pack("<HHI", up, 0, 0)),
+            frame(stamp_s, 0x101, struct.pack(">hHI", round(moved), 0, 0)),
+        ]
+    for ending in ("asc", "blf", "mf4"):
+        content = logged(frames, place / f"bus.{ending}").read_bytes()
+        name = "mf4 bus" if ending == "mf4" else ending
+        yield _log(name, content, text=ending == "asc", beside={"bus.dbc": database})
+        if ending == "asc":
+            packed = gzip.compress(content, mtime=0)
+            yield _log("asc.gz", packed, sealed=True, beside={"bus.dbc": database})
+            bus = {"a.asc": content, "bus.dbc": database}
+            yield Seed("dbc", bus, ("bus.dbc",), read_logs, text=True)
+            bus = {"a.asc": content, "bus.dbc": database, "of-a-tractor.dbc": grouped}
+            yield Seed("dbc of two", bus, ("of-a-tractor.dbc",), read_logs, text=True)
+
+
+def _settings() -> Iterator[Seed]:
+    write = io.StringIO()
+    np.savetxt(
+        write, np.transpose(list(columns().values())), "%.6g", ",", header=",".join(columns()), comments=""
+    )
+    log = write.getvalue().encode()
+    beside = {"campaign.toml": CAMPAIGN.encode(), "a.csv": log, "b.csv": log}
+    for name, files, door in (
+        ("campaign.toml", beside, read_campaign),
+        ("settings", {"settings.toml": SETTINGS.encode()}, read_settings_file),
+        ("limits", {"limits.toml": LIMITS.encode()}, read_limits_file),
+        ("rig", {"rig.toml": _nominal()}, read_rig),
+    ):
+        named = next(iter(files))
+        yield Seed(name, files, (named,), door, text=True, changes=(_toml_changed(named),))
+
+
+def _nominal() -> bytes:
+    return (resources.files("hitchid.rig") / "parameters" / "nominal.toml").read_bytes()
+
+
+def _kept(place: Path) -> Iterator[Seed]:
+    shutil.rmtree(place / "model", ignore_errors=True)
+    model = hitch(compensated=True, baselines=True, free_run=True)
+    save(model, place / "model", trace={"lifting": {"fitness": [3.0, 1.5]}})
+    files = {path.name: path.read_bytes() for path in (place / "model").iterdir()}
+    yield Seed("model", files, tuple(files), read_model, sealed=True)
+    changes = (_resealed,)
+    yield Seed("model resealed", files, (), read_model, changes=changes)
+    kept = {"values": np.arange(20.0), "number": np.array(3), "name": np.array("x")}
+    Checkpoints(place / "pieces").arrays("piece", lambda: kept)
+    (piece,) = (place / "pieces").iterdir()
+    yield Seed("checkpoint", {piece.name: piece.read_bytes()}, (piece.name,), read_checkpoint, sealed=True)
+
+
+# --- doors ------------------------------------------------------------------------------------------------
+
+
+def read_logs(folder: Path, process: ReaderProcess) -> object:
+    """Look at a folder of logs as `hitchid inspect` does; return all that its records hold."""
+    paths = find_logs(folder)
+    settings = settings_of(paths)
+    records = [record for path in paths for record in read_log(path, settings[path.parent], process)]
+    campaign = assemble(records, settings)
+    canonical_json(look_over(campaign).describe())
+    held = [(role, values.tobytes()) for each in campaign.records for role, values in each.signals.items()]
+    return [(each.step_s, each.fingerprint, dict(each.units)) for each in campaign.records], held
+
+
+def read_campaign(folder: Path, process: ReaderProcess) -> object:
+    """Read the settings beside logs, then the logs."""
+    read_campaign_file(folder / "campaign.toml")
+    return read_logs(folder, process)
+
+
+def read_settings_file(folder: Path, _: ReaderProcess) -> object:
+    """Read the settings of an identification."""
+    return read_settings(folder / "settings.toml")
+
+
+def read_limits_file(folder: Path, _: ReaderProcess) -> object:
+    """Read the limits of a validation."""
+    return read_limits(folder / "limits.toml")
+
+
+def read_rig(folder: Path, _: ReaderProcess) -> object:
+    """Read the parameters of a rig."""
+    return load_rig(folder / "rig.toml")
+
+
+def read_model(folder: Path, _: ReaderProcess) -> object:
+    """Read a model."""
+    return load(folder).provenance.digest
+
+
+class Redone(HitchError):
+    """What was kept is not used."""
+
+
+def read_checkpoint(folder: Path, _: ReaderProcess) -> object:
+    """Read a piece of a run that was stopped."""
+
+    def work() -> dict[str, np.ndarray]:
+        raise Redone
+
+    found = Checkpoints(folder).arrays("piece", work)
+    return {name: (values.dtype.str, values.tobytes()) for name, values in found.items()}
+
+
+# --- changes ----------------------------------------------------------------------------------------------
+
+BYTES = (0, 1, 0x7F, 0x80, 0xFF, 0x20, 0x0A)
+SIZES = (0, 1, 0x7FFF, 0xFFFF, 2**31 - 1, 2**31, 2**32 - 1, 2**40, 2**60, 2**63 - 1, 2**63, 2**64 - 1)
+WORDS = (
+    *(
+        "",
+        "nan",
+        "inf",
+        "-inf",
+        "1e999",
+        "-1e308",
+        "1e308",
+        "5e-324",
+        "1e-9",
+        "0",
+        "-0",
+        "-1",
+        "1_000",
+        "0x10",
+    ),
+    *("9" * 30, "9" * 5000, "0x" + "f" * 5000, "18446744073709551616", "1e-5000", "1,5", "1.5.2", '"', "'"),
+    *(
+        "true",
+        "[]",
+        "{}",
+        "[[",
+        "\0",
+        "\n",
+        "\r",
+        " " * 300,
+        "(" * 300,
+        "mm",
+        "bar",
+        "\u00b5",
+        "\ufeff",
+        "a" * 3000,
+    ),
+)
+WORD = re.compile(r"[+-]?\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?|[A-Za-z_]+")
+
+
+def _place(rng: np.random.Generator, data: bytes) -> int:
+    return int(rng.integers(0, max(1, len(data))))
+
+
+def _length(rng: np.random.Generator, data: bytes) -> int:
+    return int(min(2 ** rng.uniform(0, 10), len(data)))
+
+
+def _flip(rng: np.random.Generator, data: bytes) -> bytes:
+    changed = bytearray(data)
+    for _ in range(int(rng.integers(1, 4))):
+        if changed:
+            changed[_place(rng, data)] ^= 1 << int(rng.integers(0, 8))
+    return bytes(changed)
+
+
+def _overwrite(rng: np.random.Generator, data: bytes) -> bytes:
+    at, size = _place(rng, data), int(rng.choice([1, 1, 2, 4, 8, 64]))
+    fresh = rng.bytes(size) if rng.random() < 0.3 else bytes([int(rng.choice(BYTES))]) * size
+    return (data[:at] + fresh + data[at + size :])[: max(len(data), 1)]
+
+
+def _insert(rng: np.random.Generator, data: bytes) -> bytes:
+    at = _place(rng, data)
+    return data[:at] + rng.bytes(_length(rng, data)) + data[at:]
+
+
+def _delete(rng: np.random.Generator, data: bytes) -> bytes:
+    at = _place(rng, data)
+    return data[:at] + data[at + _length(rng, data) :]
+
+
+def _duplicate(rng: np.random.Generator, data: bytes) -> bytes:
+    at, size = _place(rng, data), _length(rng, data)
+    return data[: at + size] + data[at : at + size] * int(rng.choice([1, 1, 2, 50])) + data[at + size :]
+
+
+def _truncate(rng: np.random.Generator, data: bytes) -> bytes:
+    return data[: _place(rng, data)]
+
+
+def _move(rng: np.random.Generator, data: bytes) -> bytes:
+    at, to, size = _place(rng, data), _place(rng, data), _length(rng, data)
+    return data[:to] + data[at : at + size] + data[to + size :]
+
+
+def _enlarge(rng: np.random.Generator, data: bytes) -> bytes:
+    """Put a length nothing has where a field of 2, 4 or 8 bytes may be."""
+    size = int(rng.choice([2, 4, 8]))
+    at = _place(rng, data) // size * size
+    number = int(SIZES[int(rng.integers(0, len(SIZES)))]) % 256**size
+    order = "little" if rng.random() < 0.7 else "big"
+    return (data[:at] + number.to_bytes(size, order) + data[at + size :])[: max(len(data), 1)]
+
+
+def _worded(rng: np.random.Generator, data: bytes) -> bytes:
+    text = data.decode("latin-1")
+    found = list(WORD.finditer(text))
+    if not found:
+        return data
+    match = found[int(rng.integers(0, len(found)))]
+    word = WORDS[int(rng.integers(0, len(WORDS)))]
+    return (text[: match.start()] + word + text[match.end() :]).encode(
+        "utf-8" if "\ufeff" in word else "latin-1", "replace"
+    )
+
+
+def _separated(rng: np.random.Generator, data: bytes) -> bytes:
+    marks = (b",", b";", b"\t", b" ", b"|", b".", b"\n", b"\r\n", b'"', b"=", b"[", b":")
+    one, other = (marks[int(rng.integers(0, len(marks)))] for _ in range(2))
+    return data.replace(one, other, -1 if rng.random() < 0.5 else 1)
+
+
+def _lined(rng: np.random.Generator, data: bytes) -> bytes:
+    lines = data.split(b"\n")
+    at, to = (int(rng.integers(0, len(lines))) for _ in range(2))
+    way = int(rng.integers(0, 4))
+    if way == 0:
+        lines.insert(to, lines[0])
+    elif way == 1:
+        lines.insert(to, lines[at])
+    elif way == 2:
+        del lines[at]
+    else:
+        lines[at], lines[to] = lines[to], lines[at]
+    return b"\n".join(lines)
+
+
+BYTE_CHANGES: tuple[Change, ...] = (
+    *(
+        _flip,
+        _flip,
+        _overwrite,
+        _overwrite,
+        _insert,
+        _delete,
+        _duplicate,
+        _truncate,
+        _move,
+        _enlarge,
+        _enlarge,
+    ),
+)
+TEXT_CHANGES: tuple[Change, ...] = (_worded, _worded, _worded, _separated, _lined)
+
+
+def changed(rng: np.random.Generator, seed: Seed, every: list[Seed]) -> Files:
+    """Return the files of a seed with one of them changed, once or a few times."""
+    if seed.changes and (not seed.changed or rng.random() < 0.5):
+        return seed.changes[int(rng.integers(0, len(seed.changes)))](rng, seed.files)
+    name = seed.changed[int(rng.integers(0, len(seed.changed)))]
+    data = seed.files[name]
+    if rng.random() < 0.04:
+        other = every[int(rng.integers(0, len(every)))]
+        foreign = other.files[next(iter(other.files))]
+        return {**seed.files, name: data[: _place(rng, data)] + foreign[_place(rng, foreign) :]}
+    ways = BYTE_CHANGES if not seed.text or rng.random() < 0.3 else TEXT_CHANGES
+    for _ in range(1 + min(int(rng.geometric(0.6)) - 1, 5)):
+        data = ways[int(rng.integers(0, len(ways)))](rng, data)
+    return {**seed.files, name: data}
+
+
+VALUES: tuple[Any, ...] = (
+    *(None, True, False, 0, -1, 1, 2, 10**6, 10**9, 10**18, 10**400, 16**5000, 1e308, -1e308, 5e-324, 0.5),
+    *(
+        math.nan,
+        math.inf,
+        -math.inf,
+        "",
+        "x",
+        "mm",
+        "*",
+        "\0",
+        "../../x",
+        "a" * 5000,
+        "\U0001f600",
+        [],
+        {},
+        [[]],
+    ),
+    *(
+        [1, 2],
+        [2.0, 1.0],
+        ["a", "a"],
+        [math.nan, 1.0],
+        {"x": 1},
+        {"column": "time_s"},
+        {"value": 1},
+        "command",
+    ),
+    *(
+        "time",
+        "displacement",
+        "lifting_command",
+        "integrator",
+        "automatic",
+        "2024-05-01",
+        [None] * 3,
+        [["x"] * 50],
+    ),
+)
+
+
+def _nested(depth: int) -> object:
+    value: object = []
+    for _ in range(depth):
+        value = [value]
+    return value
+
+
+def _node_changed(rng: np.random.Generator, content: object) -> object:
+    """Return a tree of settings with one thing in it changed: a value, a key, or one more of them."""
+    if isinstance(content, dict) and content and rng.random() < 0.85:
+        keys = list(content)
+        key = keys[int(rng.integers(0, len(keys)))]
+        way = rng.random()
+        if way < 0.7:
+            return {**content, key: _node_changed(rng, content[key])}
+        if way < 0.8:
+            return {other: value for other, value in content.items() if other != key}
+        if way < 0.9:
+            return {(f"{key}s" if other == key else other): value for other, value in content.items()}
+        return {**content, keys[int(rng.integers(0, len(keys)))]: content[key], "another": content[key]}
+    if isinstance(content, list) and content and rng.random() < 0.7:
+        at = int(rng.integers(0, len(content)))
+        return [*content[:at], _node_changed(rng, content[at]), *content[at + 1 :]]
+    if rng.random() < 0.03:
+        return _nested(int(rng.choice([20, 200, 3000])))
+    return VALUES[int(rng.integers(0, len(VALUES)))]
+
+
+def as_toml(value: object) -> str:
+    """Return a value as TOML writes it in line."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{json.dumps(key)} = {as_toml(inner)}" for key, inner in value.items()) + "}"
+    if isinstance(value, list):
+        depth = 0  # an empty list deep in lists of one, without recursion
+        while isinstance(value, list) and len(value) == 1:
+            value, depth = value[0], depth + 1
+        inner = "[" + ", ".join(map(as_toml, value)) + "]" if isinstance(value, list) else as_toml(value)
+        return "[" * depth + inner + "]" * depth
+    if isinstance(value, bool) or value is None:
+        return str(value).lower()
+    if isinstance(value, int) and abs(value) > 10**4000:
+        return hex(value)
+    return json.dumps(value) if isinstance(value, str) else repr(value)
+
+
+def _toml_changed(name: str) -> Callable[[np.random.Generator, Files], Files]:
+    def change(rng: np.random.Generator, files: Files) -> Files:
+        content: object = tomllib.loads(files[name].decode())
+        for _ in range(int(rng.geometric(0.6))):
+            content = _node_changed(rng, content)
+        tables = content if isinstance(content, dict) else {"x": content}
+        text = "".join(f"{json.dumps(key)} = {as_toml(value)}\n" for key, value in tables.items())
+        return {**files, name: text.encode(errors="replace")}
+
+    return change
+
+
+def resealed(files: Mapping[str, bytes], content: Mapping[str, Any]) -> Files:
+    """Return a model folder with another description, its digests put right."""
+    listed = {name: digest(data) for name, data in files.items() if name != "model.json"}
+    described = {**content, "files": listed}
+    described.pop("digest", None)
+    described["digest"] = digest(canonical_json(described))
+    return {**files, "model.json": canonical_json(described)}
+
+
+def _resealed(rng: np.random.Generator, files: Files) -> Files:
+    content = json.loads(files["model.json"])
+    data = dict(files)
+    if rng.random() < 0.2:
+        name = ("weights.safetensors", "trace.json")[int(rng.integers(0, 2))]
+        data[name] = BYTE_CHANGES[int(rng.integers(0, len(BYTE_CHANGES)))](rng, data[name])
+    else:
+        content = _node_changed(rng, content)
+    try:
+        return resealed(data, content if isinstance(content, dict) else {})
+    except (ValueError, RecursionError):  # what JSON does not hold
+        return files
+
+
+# --- the run ----------------------------------------------------------------------------------------------
+
+
+class Outcome(NamedTuple):
+    """What became of an input: refused or accepted, or the fault it shows, and what it said."""
+
+    verdict: str
+    said: str = ""
+    fault: BaseException | None = None
+
+
+def put(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Fill a folder with these files and no others."""
+    if folder.is_dir():
+        for path in folder.iterdir():
+            path.unlink()
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, content in files.items():
+        (folder / name).write_bytes(content)
+
+
+@contextmanager
+def hang_ends(after_s: int = HUNG_S) -> Iterator[None]:
+    """End what takes longer in this process.
+
+    Raises:
+        Hung: it did.
+    """
+
+    def end(*_: object) -> None:
+        raise Hung
+
+    before = signal.signal(signal.SIGALRM, end)
+    signal.alarm(after_s)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def told_apart(result: object) -> str:
+    """Return what tells one result from another."""
+    return sha256(repr(result).encode(errors="surrogateescape")).hexdigest()
+
+
+def tried(seed: Seed, folder: Path, process: ReaderProcess, whole: str | None = None) -> Outcome:
+    """Hand a folder in at the door of its seed.
+
+    Args:
+        seed: of which the folder holds a changed copy.
+        folder: the files.
+        process: that reads for it.
+        whole: what tells the result of the seed; None where any result may come.
+    """
+    try:
+        with hang_ends():
+            result = seed.door(folder, process)
+    except HitchError as error:
+        return Outcome(REFUSED, str(error))
+    except (Exception, Hung) as error:  # that anything else comes out is what this looks for
+        return Outcome("fault", f"{type(error).__name__}: {error}"[:300], error)
+    if whole is not None and told_apart(result) != whole:
+        return Outcome("fault", "another result than that of the whole file")
+    return Outcome(ACCEPTED)
