@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 
 import hitchid
+from hitchid.benchmark import Form, structure_named
 from hitchid.checkpoints import NOWHERE, OF, SUFFIX, Checkpoints, holds_pieces, is_run
 from hitchid.errors import InputError, OutputError
+from hitchid.fitting import Comparison, MultiStart
+from hitchid.identification.selection import Automatic
 
 ARRAYS = {
     "doubles": np.array([np.nan, np.inf, -0.0, 5e-324, 0.1]),
@@ -298,7 +301,23 @@ def test_the_model_does_not_tell_whether_pieces_were_kept(whole, campaign, quick
     assert_same_model(tmp_path / "model", whole[0])
 
 
-@pytest.mark.parametrize("change", [{"seed": 1}, {"drift": True}, {"dead_zones": {"lifting": 0.35}}])
+BEGUN_FROM = Automatic(Form(structure_named("integrator"), bounds={"gain": (1.0, 2.0)}))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"structure": {"lifting": Form(structure_named("integrator"))}},
+        {"structure": {"lifting": BEGUN_FROM, "lowering": BEGUN_FROM}},
+        {"search": MultiStart(evaluations=61)},
+        {"training": None},
+        {"dead_zones": {"lifting": 0.35}},
+        {"drift": True},
+        {"comparison": Comparison(seeds=1)},
+        {"seed": 1},
+    ],
+    ids=lambda change: next(iter(change)),
+)
 def test_a_run_of_other_settings_is_refused(campaign, quick_settings, tmp_path, change):
     stopped_after(0, campaign, quick_settings, tmp_path)
     assert not holds_pieces(tmp_path / "kept")

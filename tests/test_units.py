@@ -8,7 +8,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hitchid.errors import SettingsError
-from hitchid.units import UNITS, check_unit, conversion_factor, unit_of_column
+from hitchid.units import (
+    NOT_IN_NAMES,
+    SPELLINGS,
+    UNITS,
+    check_unit,
+    conversion_factor,
+    known_unit,
+    unit_of_column,
+)
 
 EPS = np.finfo(np.float64).eps
 POUND_KG, GRAVITY_M_S2, INCH_M = 0.45359237, 9.80665, 0.0254
@@ -84,9 +92,30 @@ def test_an_unknown_unit_is_named_beside_all_that_are_known(pair):
     assert any(f"'{unit}'" in message for unit in pair if unit not in UNITS)
 
 
-@given(st.text(min_size=1), units)
+@given(st.text(min_size=1), units.filter(lambda unit: unit not in NOT_IN_NAMES))
 def test_a_column_name_says_its_unit_after_its_last_underscore(stem, unit):
     assert unit_of_column(f"{stem}_{unit}") == unit
+
+
+@pytest.mark.parametrize("unit", NOT_IN_NAMES)
+def test_cylinder_1_and_the_lowest_value_are_no_units(unit):
+    assert unit_of_column(f"stroke_{unit}") is None
+
+
+@given(units)
+def test_a_unit_is_known_by_itself_and_in_brackets(unit):
+    assert known_unit(unit) == known_unit(f" [{unit}] ") == unit
+
+
+@pytest.mark.parametrize("spelling", SPELLINGS)
+def test_every_spelling_means_a_unit_there_is(spelling):
+    assert known_unit(spelling.title()) == known_unit(spelling) == SPELLINGS[spelling]
+    assert SPELLINGS[spelling] in UNITS
+
+
+@pytest.mark.parametrize("spelling", ["", "S", "MM", "kN", "degC", "l/min", "furlong"])
+def test_a_unit_that_is_not_known_is_none(spelling):
+    assert known_unit(spelling) is None
 
 
 @pytest.mark.parametrize("column", ["mm", "stroke", "stroke_", "stroke_MM", "stroke_mm_", "strokemm", ""])

@@ -47,7 +47,7 @@ class Checkpoints:
             if place.read_bytes() != stamp:
                 raise InputError(
                     f"{folder}: holds an unfinished run of other logs, other settings or another version; "
-                    "required the same ones, or --force to begin anew"
+                    "required the same ones; --force without --resume begins anew"
                 )
         elif folder.is_dir() and any(not each.name.startswith(f".{OF}-") for each in folder.iterdir()):
             raise InputError(f"{folder}: holds no unfinished run; required another place, or an empty folder")

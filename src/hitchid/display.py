@@ -67,10 +67,10 @@ def show_inspection(found: "Inspection") -> None:
     say("fault", found.faults)
 
 
-def show_audit(findings: Iterable["AuditFinding"]) -> None:
-    """Write to stderr what an audit of the logs found that would spoil a model."""
+def show_audit(findings: Iterable["AuditFinding"], *, quiet: bool = False) -> None:
+    """Write to stderr what an audit of the logs found that would spoil a model; quietly, faults alone."""
     for each in findings:
-        if each.level.value != "note":
+        if each.level.value in (("fault",) if quiet else ("fault", "warning")):
             whose = f"{each.record}: " if each.record else ""
             say(each.level.value, [f"{whose}{each.check}: {each.what}; {each.advice}"])
 

@@ -62,7 +62,7 @@ def write_folder(folder: Path, write: Callable[[Path], None], *, mark: str, forc
                 folder.rename(older)
             try:
                 beside.rename(folder)
-            except OSError:
+            except BaseException:  # Ctrl-C among them: what was there comes back
                 if older.exists():
                     older.rename(folder)
                 raise

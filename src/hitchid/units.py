@@ -31,7 +31,19 @@ UNITS: dict[str, _Unit] = {
     "psi": _Unit("pressure", 6894.757293168361),
     "s": _Unit("time", 1.0),
     "ms": _Unit("time", 1e-3),
+    "us": _Unit("time", 1e-6),
+    "ns": _Unit("time", 1e-9),
+    "min": _Unit("time", 60.0),
+    "h": _Unit("time", 3600.0),
+    "d": _Unit("time", 86400.0),
+    "mV": _Unit("voltage", 1e-3),
+    "kV": _Unit("voltage", 1e3),
+    "um": _Unit("length", 1e-6),
+    "mbar": _Unit("pressure", 1e2),
+    "hPa": _Unit("pressure", 1e2),
 }
+# A column may end so for another reason: cylinder 1, lowest value, height.
+NOT_IN_NAMES = ("1", "min", "h", "d")
 
 SPELLINGS = {
     "%": "percent",
@@ -53,8 +65,35 @@ SPELLINGS = {
     "sec": "s",
     "second": "s",
     "seconds": "s",
+    "secs": "s",
     "msec": "ms",
+    "millisecond": "ms",
     "milliseconds": "ms",
+    "usec": "us",
+    "µs": "us",
+    "μs": "us",
+    "nsec": "ns",
+    "minute": "min",
+    "minutes": "min",
+    "hour": "h",
+    "hours": "h",
+    "hr": "h",
+    "hrs": "h",
+    "mins": "min",
+    "day": "d",
+    "days": "d",
+    "microsecond": "us",
+    "microseconds": "us",
+    "nanosecond": "ns",
+    "nanoseconds": "ns",
+    "millisec": "ms",
+    "millisecs": "ms",
+    "µm": "um",
+    "μm": "um",
+    "millivolt": "mV",
+    "milliampere": "mA",
+    "millimeter": "mm",
+    "millimetre": "mm",
 }
 
 
@@ -76,7 +115,7 @@ def check_unit(unit: str, where: str) -> str:
 def unit_of_column(column: str) -> str | None:
     """Return the unit a column name ends in (`stroke_mm` gives `mm`), or None."""
     _, separator, suffix = column.rpartition("_")
-    return suffix if separator and suffix in UNITS else None
+    return suffix if separator and suffix in UNITS and suffix not in NOT_IN_NAMES else None
 
 
 def conversion_factor(unit: str, target: str, where: str) -> float:

@@ -270,7 +270,7 @@ def field(length, *, signed=False):
         (12, False, 0xFFE),
         (16, False, 0xFAFF),
         (16, True, 0xFFFE),
-        (24, False, 0xFFFFFE),
+        (24, False, 0xFAFFFF),
         (32, False, 0xFAFFFFFF),
         (64, False, 2**64 - 2),
     ],

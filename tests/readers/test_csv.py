@@ -182,7 +182,7 @@ def test_a_cell_is_the_number_it_says_or_is_refused_by_line_and_column(log, cell
         assert message.startswith(f"{path}: line 11: column 'current_up_A': ")
         assert "required a number" in message
         return
-    np.testing.assert_array_equal(read, float(cell))
+    np.testing.assert_array_equal(read, float(cell.strip()))
 
 
 @pytest.mark.parametrize(
@@ -275,6 +275,58 @@ def test_whatever_stands_in_a_file_it_is_read_or_refused_in_one_line(log, conten
         return
     for name, samples in WANTED.items():
         assert same_bits(table.channels[name].values, samples)
+
+
+SHIFTED = {
+    "unquoted decimal commas": "time_ms,current_up_A,x_mm\n" + "0,0,5,12,3\n10,0,5,12,4\n" * 3,
+    "numbers of rows without a name": "time_s\tu_A\tx_mm\n" + "1\t0.0\t0\t10.0\n2\t0.1\t0\t10.1\n" * 3,
+    "units behind names between spaces": "time [s] x [mm] u [A]\n" + "0.0 10.0 0.5\n0.1 10.1 0.5\n" * 3,
+}
+
+
+@pytest.mark.parametrize("content", SHIFTED.values(), ids=SHIFTED.keys())
+def test_samples_that_do_not_lie_under_the_names_are_refused(log, content):
+    with pytest.raises(LogError, match=r"line 2: the line has \d cells, the header in line 1 \d names"):
+        read(log(content), Wanted("no", ("such",)))
+
+
+@pytest.mark.parametrize("foreign", ["degC", "°C", "kN", "l/min", "rpm"])
+def test_a_unit_that_is_not_known_does_not_hide_the_others(log, foreign):
+    rows = "".join(f"{10 * k};{k};20,5;{k}\n" for k in range(30))
+    content = read(log(f"t;u;temp;x\nms;mA;{foreign};cm\n{rows}"), Wanted("t", ("u", "temp", "x")))
+    units = {"t": "ms", "u": "mA", "temp": foreign, "x": "cm"}
+    assert {name: each.unit for name, each in content.channels.items()} == units
+    assert len(content.channels["t"].values) == 30
+
+
+def test_a_name_that_brackets_alone_tell_apart_must_be_whole(log):
+    path = log("t [s];Lift [V];Lift [mm]\n" + "".join(f"{k};{k};{2 * k}\n" for k in range(30)))
+    with pytest.raises(LogError, match=r"column 'Lift': several columns are meant: Lift \[V\], Lift \[mm\]"):
+        read(path, Wanted("t", ("Lift",)))
+    whole = read(path, Wanted("t", ("Lift [mm]",))).channels["Lift [mm]"]
+    assert (whole.values[3], whole.unit) == (6.0, "mm")
+
+
+def test_no_sample_is_lost_above_a_bad_line(log):
+    with pytest.raises(LogError, match="line 3"):
+        read_table(log(PLAIN.replace(ROWS[1], "ERR,overrun,")))
+
+
+def test_commas_that_may_be_thousands_are_refused(log):
+    rows = "".join(f"{k};{k};{cell}\n" for k, cell in enumerate(["998", "999", "1,000", "1,001"] * 5))
+    with pytest.raises(LogError, match="may be a decimal or a thousand"):
+        read(log("time_s;current_up_A;p\n" + rows), Wanted("time_s", ("p",)))
+    for decimal in ("0,998", "1,5", "1,0005"):
+        text = "time_s;current_up_A;p\n" + rows.replace("998", decimal, 1)
+        content = read(log(text), Wanted("time_s", ("p",)))
+        assert content.channels["p"].values[2] == 1.0
+
+
+def test_a_last_line_without_an_end_is_told(log):
+    wanted = Wanted(NAMES[0], NAMES[1:])
+    assert read(log(PLAIN), wanted).notices == ()
+    (notice,) = read(log(PLAIN.rstrip("\n")), wanted).notices
+    assert "cut short" in notice
 
 
 @pytest.mark.parametrize("cell", ["nan", "inf", "-inf", "1e999"])

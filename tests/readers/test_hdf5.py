@@ -8,6 +8,7 @@ from scipy.io import netcdf_file
 
 from hitchid.errors import LogError
 from hitchid.readers.content import Wanted
+from hitchid.readers.formats.cf import decoded
 from hitchid.readers.formats.hdf5 import read
 
 ALL = Wanted("time_s", None)
@@ -249,3 +250,11 @@ def test_classic_netcdf_needs_no_extra(classic, monkeypatch):
 def test_a_classic_netcdf_file_of_others_is_read():
     channels = read(sample("scipy", "io", "tests", "data", "example_3_maskedvals.nc"), ALL).channels
     np.testing.assert_array_equal(np.isnan(channels["var1_fillval0"].values), [False, True, False])
+
+
+def test_numbers_without_a_sign_and_a_valid_range_are_those_of_netcdf():
+    stored = np.array([-1, 5, 100], dtype=">i2")
+    attributes = {"_Unsigned": b"true", "scale_factor": 0.01}
+    np.testing.assert_allclose(decoded(stored, attributes), [655.35, 0.05, 1.0], rtol=1e-15)
+    for valid in ({"valid_range": np.array([0, 50])}, {"valid_min": 0, "valid_max": 50}):
+        np.testing.assert_array_equal(decoded(stored, valid), [np.nan, 5.0, np.nan])

@@ -176,7 +176,9 @@ def test_fields_of_structs_are_named_by_their_path(saved):
     content = read(path, ALL)
     assert sorted(content.channels) == ["log/rig/x", "log/t", "x"]
     np.testing.assert_array_equal(content.channels["log/rig/x"].values, SIGNALS["x"])
-    np.testing.assert_array_equal(read(path, Wanted("t", ("x",))).channels["x"].values, SIGNALS["x"] / 3)
+    np.testing.assert_array_equal(read(path, Wanted("log/t", ("x",))).channels["x"].values, SIGNALS["x"] / 3)
+    with pytest.raises(LogError, match=r"'t': lies in another group than 'x'; required .* 'log/t'"):
+        read(path, Wanted("t", ("x",)))
     assert list(read(path, Wanted("t", ("log/rig/x",))).channels) == ["t", "log/rig/x"]
 
 

@@ -122,6 +122,14 @@ def test_scaled_numbers_are_scaled_in_doubles(log, version, kind):
     np.testing.assert_array_equal(values, raw.astype(float) * 0.1 - 3.7)
 
 
+@pytest.mark.parametrize(("unit", "stated"), [("mm", "mm"), ("", "cm")])
+def test_the_unit_of_a_conversion_counts_where_the_channel_has_none(log, unit, stated):
+    # ASAM MDF 4, CCBLOCK: the channel's unit overwrites the conversion's.
+    converted = signal("x", np.arange(200, dtype=np.int16), unit=unit, conversion={"a": 0.1, "b": 0.0})
+    converted.conversion.unit = "cm"
+    assert read(log(("g", [converted])), Wanted("t", ("x",))).channels["x"].unit == stated
+
+
 def test_a_rational_and_a_table_conversion_are_carried_out(log):
     rational = {"P1": 0, "P2": 2, "P3": 1, "P4": 0, "P5": 0, "P6": 4}
     points = {f"raw_{k}": v for k, v in enumerate((0, 100, 200))}

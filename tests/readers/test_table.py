@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from hitchid.errors import LogError
-from hitchid.readers.content import Channel, Content
+from hitchid.readers.content import Channel, Content, Wanted, chosen
 from hitchid.readers.table import table_of
 from hitchid.signals import COMMANDS, POSITIONS, Column, SignalMap
 from hitchid.units import SPELLINGS, UNITS
@@ -249,3 +249,30 @@ def test_a_channel_of_another_length_than_the_time_is_refused():
     said = refused(content("mm", **short), signal_map("x", "mm"))
     for part in ("column 'x'", "29 samples", "30"):
         assert part in said
+
+
+def test_a_unit_that_the_map_gives_against_the_name_counts_and_is_told():
+    table = table_of(content(name="stroke_m"), signal_map("stroke_m", "mm"))
+    assert table.units["displacement"] == "mm"
+    assert table.signals["displacement"].tobytes() == STROKE.tobytes()
+    assert any("stroke_m: read as mm" in notice for notice in table.notices)
+
+
+def test_a_time_that_is_named_and_not_there_is_refused_although_the_file_keeps_clocks():
+    channels = {name: Channel(values, clock_s=STAMPS) for name, values in (("i", CURRENT), ("x", STROKE))}
+    clocked = Content(SOURCE, channels)
+    assert table_of(clocked, signal_map("x", "mm", time=("time_s", "s"))).time_s.tobytes() == STAMPS.tobytes()
+    assert "column 'Ziet': there is no such channel" in refused(
+        clocked, signal_map("x", "mm", time=("Ziet", "s"))
+    )
+
+
+@pytest.mark.parametrize("time", ["valve/t", "t"])
+def test_the_time_of_one_group_counts_for_another_by_its_full_name_alone(time):
+    names = ["valve/t", "valve/i", "pos/x", "valve/deep/p"]
+    assert set(chosen(SOURCE, names, Wanted(time, ("i", "p")))) == {time, "i", "p"}
+    if time in names:
+        assert chosen(SOURCE, names, Wanted(time, ("x",))) == {time: time, "x": "pos/x"}
+    else:
+        with pytest.raises(LogError, match=r"lies in another group than 'pos/x'; required .* 'valve/t'"):
+            chosen(SOURCE, names, Wanted(time, ("x",)))

@@ -85,6 +85,24 @@ def test_waveforms_that_start_later_are_later(log):
     np.testing.assert_allclose(channels["Bench/b"].clock_s, [0.25, 0.26, 0.27], rtol=0, atol=1e-9)
 
 
+def test_waveforms_of_which_some_start_nobody_knows_when_are_refused(log):
+    start = np.datetime64("2024-05-01T10:00:00.000000")
+    path = log([waveform("a", range(3), wf_start_time=start), waveform("b", range(3))])
+    with pytest.raises(LogError, match="column 'Bench/b': has no start time, others have one"):
+        read(path, Wanted("time_s", ("a", "b")))
+    assert list(read(path, Wanted("time_s", ("b",))).channels) == ["b"]
+
+
+def test_a_recording_that_was_appended_is_refused(log):
+    start = np.datetime64("2024-05-01T10:00:00.000000")
+    later = start + np.timedelta64(1, "h")
+    first = [waveform(name, range(3), wf_start_time=start) for name in "ab"]
+    assert list(read(log(first, [waveform("b", range(3))]), ALL).channels) == ["Bench/a", "Bench/b"]
+    path = log(first, [waveform("b", range(3), wf_start_time=later)])
+    with pytest.raises(LogError, match="holds several recordings, the next from segment 2 on"):
+        read(path, ALL)
+
+
 @pytest.mark.parametrize(
     "properties",
     [{"wf_increment": 0.0}, {"wf_increment": np.nan}, {"wf_xunit_string": "Hz"}],
@@ -95,7 +113,7 @@ def test_a_waveform_not_over_time_has_no_clock(log, properties):
     assert read(path, ALL).channels["Bench/a"].clock_s is None
     with pytest.raises(
         LogError,
-        match="column 'time_s': there is no such channel; .*; found Bench/a",
+        match=r"column 'time_s': there is no such channel; .*; found Bench/a",
     ):
         read(path, Wanted("time_s", ("a",)))
 

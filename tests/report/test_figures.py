@@ -171,7 +171,7 @@ def test_every_axis_of_numbers_says_what_it_is_and_in_which_unit(draw, name):
             if any(map(number, ticks(axes, direction))):
                 assert label, f"{direction} of {name}"
             if label and label not in WITHOUT_UNIT:
-                assert re.search(r"/ \S", label), label
+                assert re.search(r"/\s\S", label), label
 
 
 UNITED = [

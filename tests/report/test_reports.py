@@ -16,7 +16,7 @@ import benches
 import handmade
 import reported
 from hitchid.errors import InputError, OutputError
-from hitchid.model import Provenance, installed_versions
+from hitchid.model import Provenance
 from hitchid.readers import read, write_table
 from hitchid.record import LIFTING, LOWERING
 from hitchid.report import (
@@ -33,6 +33,7 @@ from hitchid.report.document import Findings
 from hitchid.report.svg import svg
 from hitchid.uncertainty import Uncertainty
 from hitchid.validation import Table, check_limits, compare, read_limits, validate
+from hitchid.versions import installed_versions
 
 MODES = (LIFTING, LOWERING)
 COMMAND = "hitchid validate 'my model' logs --out report"
@@ -464,8 +465,17 @@ def test_the_table_of_logs_says_what_each_was_used_for(logs, tmp_path):
         "cycle-01": "unseen cycle",
         "resting": "not used",
     }
-    said = [item.sentence for group in blocks(found, Findings) for item in group.items]
-    assert any("resting" in each.lower() and "no command" in each for each in said)
+
+
+def test_what_the_audit_found_stands_with_the_logs(logs, tmp_path):
+    place = shutil.copytree(logs, tmp_path / "logs")
+    (path,) = place.glob("lifting-02.csv")
+    header, *rows = path.read_text().splitlines()
+    spiked = [*rows[:90], rows[90].rpartition(",")[0] + ",999.0", *rows[91:]]
+    path.write_text("\n".join([header, *spiked, ""]))
+    found = sections.logs(read(place), handmade.hitch("integrator"))
+    said = [item for group in blocks(found, Findings) for item in group.items]
+    assert any(item.level is Level.CAUTION and "lifting-02: spikes" in item.sentence for item in said)
 
 
 def test_lowering_logs_are_not_used_by_a_model_that_only_lifts(report):

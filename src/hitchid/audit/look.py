@@ -9,7 +9,7 @@ from hitchid.audit.finding import AuditFinding, Level, spans_of
 from hitchid.audit.quality import Quality, quality
 from hitchid.campaign import Campaign
 from hitchid.modes import ACTIVE_FRACTION, full_scales
-from hitchid.record import COMMAND, DISPLACEMENT, LIFTING, LOWERING, Record
+from hitchid.record import COMMAND, DISPLACEMENT, Record
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,11 +79,6 @@ def survey(campaign: Campaign) -> Survey:
         Look(record, scales, reach, each) for record, each in zip(campaign.records, qualities, strict=True)
     )
     return Survey(campaign, looks, scales, reach)
-
-
-def other_mode(mode: str) -> str:
-    """Return the opposite direction."""
-    return LOWERING if mode == LIFTING else LIFTING
 
 
 def command_unit(record: Record, mode: str) -> str:

@@ -51,8 +51,7 @@ def identify(
         settings["seed"] = seed
     settings["comparison"] = resumable(settings.get("comparison", Comparison()))
     campaign = read(logs, signals=signals)
-    if not quiet:
-        display.show_audit(audit(campaign))
+    display.show_audit(audit(campaign), quiet=quiet)
     try:
         with display.progress(quiet=quiet) as report:
             found = run(campaign, **settings, progress=report, checkpoints=unfinished)

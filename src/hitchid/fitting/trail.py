@@ -11,6 +11,7 @@ from hitchid.errors import FitError
 from hitchid.fitting.misfit import Misfit
 from hitchid.fitting.search import DifferentialEvolution, Found, MultiStart, Search, Whale
 from hitchid.storage import digest
+from hitchid.versions import installed_versions
 from hitchid.whale import Swarm
 
 BUDGET = 600
@@ -94,7 +95,9 @@ def search_trails(misfit: Misfit, asked: Comparison, first_seed: int = 0) -> tup
     """
     thin = misfit.over(misfit.batch.thinned(SAMPLES))
     arrays = b"".join(np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(thin))
-    stamp = f"{digest(arrays)} {thin.batch.step_s} {thin.batch.direction} {misfit.form!r}"
+    shapes = [(leaf.shape, str(leaf.dtype)) for leaf in map(np.asarray, jax.tree.leaves(thin))]
+    stamp = f"{digest(arrays)} {shapes} {thin.batch.step_s} {thin.batch.direction} {misfit.form!r}"
+    stamp += f" {misfit.apart} {installed_versions()}"
     found = []
     for search in asked.searches:
         runs = []

@@ -1,9 +1,12 @@
 """Campaign in, model and trace out: dead zones, then phase 1, then phase 2, for each direction."""
 
+import platform
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
+
+import jax
 
 from hitchid.benchmark import Form, structure_named
 from hitchid.benchmark.nonlinear import NonlinearStructure
@@ -20,10 +23,11 @@ from hitchid.identification.preparation import mixed_dead_zones, prepare
 from hitchid.identification.selection import Automatic
 from hitchid.identification.trace import describe_channel
 from hitchid.identification.two_modes import compare_modes
-from hitchid.model import Hitch, Provenance, installed_versions, save
+from hitchid.model import Hitch, Provenance, save
 from hitchid.precision import double_precision
 from hitchid.progress import Progress, Step, part, silent
 from hitchid.record import COMMAND, CYCLE, DISPLACEMENT, LIFTING, LOWERING, Record
+from hitchid.versions import installed_versions
 
 PAPER_FORMS: Mapping[str, Form] = MappingProxyType(
     {
@@ -116,11 +120,8 @@ def identify(
     report = progress or silent
     forms = {mode: _loaded(form, campaign) for mode, form in {**CHOSEN, **structure}.items()}
     settings = {**_describe(forms, search, training, dead_zones), "drift": drift}
-    kept = NOWHERE
-    if checkpoints is not None:
-        compared = repr(comparison and replace(comparison, kept=NOWHERE))
-        asked = {"settings": settings, "comparison": compared, "seed": seed, "versions": installed_versions()}
-        kept = Checkpoints.of_run(checkpoints, {**asked, "campaign": campaign.digest})
+    asked = {**settings, "forms": repr(forms), "seed": seed}
+    kept = NOWHERE if checkpoints is None else _checkpoints(checkpoints, campaign, asked, comparison)
     zones = {mode: DeadZone(0.0, None, 0, "structure") for mode, form in forms.items() if _whole(form)}
     zones |= {mode: DeadZone(value, None, 0, "given") for mode, value in dead_zones.items()}
     cut_at: dict[str, float] = {}
@@ -179,6 +180,20 @@ def identify(
         uncertainty={mode: trace.uncertainty for mode, trace in traces.items() if trace.uncertainty},
     )
     return Identification(hitch, traces)
+
+
+def _checkpoints(
+    folder: Path, campaign: Campaign, asked: Mapping[str, object], comparison: Comparison | None
+) -> Checkpoints:
+    """Return where a run is kept: one of the same logs, settings and versions, on a machine of one kind."""
+    stamp = {
+        "asked": dict(asked),
+        "campaign": campaign.digest,
+        "comparison": repr(comparison and replace(comparison, kept=NOWHERE)),
+        "machine": f"{platform.machine()} {jax.default_backend()}",
+        "versions": installed_versions(),
+    }
+    return Checkpoints.of_run(folder, stamp)
 
 
 def _whole(form: Form | Automatic) -> bool:

@@ -10,5 +10,4 @@ from hitchid.model.hitch import Hitch as Hitch
 from hitchid.model.packing import Packed as Packed
 from hitchid.model.provenance import Provenance as Provenance
 from hitchid.model.provenance import TwoModes as TwoModes
-from hitchid.model.provenance import installed_versions as installed_versions
 from hitchid.model.stepping import State as State

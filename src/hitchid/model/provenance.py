@@ -2,21 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from importlib.metadata import PackageNotFoundError, version
-
-PACKAGES = ("hitchid", "jax", "equinox", "optax", "numpy", "scipy")
-
-
-def installed_versions() -> dict[str, str]:
-    """Return package to version, of the packages that figures depend on."""
-
-    def installed(package: str) -> str:
-        try:
-            return version(package)
-        except PackageNotFoundError:
-            return "unknown"
-
-    return {package: installed(package) for package in PACKAGES}
 
 
 @dataclass(frozen=True)

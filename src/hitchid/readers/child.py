@@ -15,12 +15,11 @@ from typing import IO, Any
 import numpy as np
 
 from hitchid.errors import LogError
-from hitchid.readers.content import Content, Wanted
+from hitchid.readers.content import LARGEST_RATIO, Content, Wanted, largest
 from hitchid.readers.formats import Format, format_of
 from hitchid.readers.process import BEGUN
 
 ROOM, ROOM_PER_BYTE = 3 * 2**29, 16
-LARGEST_RATIO, UNSUSPICIOUS = 200, 2**28
 
 
 def main() -> None:
@@ -47,7 +46,7 @@ def main() -> None:
         except Exception as error:  # a library may raise anything on a damaged file
             _tell(answers, {"problem": f"cannot be read: {type(error).__name__}: {error}"})
         else:
-            _hand_over(answers, content, max(UNSUSPICIOUS, LARGEST_RATIO * path.stat().st_size))
+            _hand_over(answers, content, largest(path))
 
 
 def _load(known: Format) -> None:
@@ -58,7 +57,7 @@ def _load(known: Format) -> None:
             return
 
 
-def _hand_over(answers: IO[bytes], content: Content, largest: int) -> None:
+def _hand_over(answers: IO[bytes], content: Content, most: int) -> None:
     clocks = {
         id(each.clock_s): each.clock_s for each in content.channels.values() if each.clock_s is not None
     }
@@ -68,7 +67,7 @@ def _hand_over(answers: IO[bytes], content: Content, largest: int) -> None:
         for name, each in content.channels.items()
     ]
     sizes = [clock.size for clock in clocks.values()]
-    if 8 * (sum(sizes) + sum(each[2] for each in channels)) > largest:
+    if 8 * (sum(sizes) + sum(each[2] for each in channels)) > most:
         _tell(answers, {"problem": f"unpacks to more than {LARGEST_RATIO} times its size; refused"})
         return
     _tell(answers, {"channels": channels, "clocks": sizes, "notices": content.notices})

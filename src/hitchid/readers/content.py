@@ -10,6 +10,7 @@ import numpy as np
 from hitchid.errors import LogError
 
 SHOWN = 30
+LARGEST_RATIO, UNSUSPICIOUS = 200, 2**28
 OR_ELSE = "required it, or another named in campaign.toml"
 
 
@@ -40,6 +41,11 @@ class Channel(NamedTuple):
     values: np.ndarray
     unit: str | None = None
     clock_s: np.ndarray | None = None
+
+
+def largest(path: Path) -> int:
+    """Return to how many bytes a file may unpack without being taken for a trap."""
+    return max(UNSUSPICIOUS, LARGEST_RATIO * path.stat().st_size)
 
 
 def _no_lines(_: int) -> int | None:
@@ -86,18 +92,31 @@ def chosen(source: Path, names: Sequence[str], wanted: Wanted, *, clocked: bool 
         meant = [asked] if asked in names else [name for name in names if name.rpartition("/")[2] == asked]
         needed = asked != wanted.time or not clocked
         if len(meant) > 1 and needed:
-            raise LogError(source, f"several channels are meant: {_listed(meant)}", column=asked)
+            raise LogError(source, f"several channels are meant: {listed(meant)}", column=asked)
         if len(meant) == 1:
             found[asked] = meant[0]
         elif needed:
             raise LogError(
                 source,
-                f"there is no such channel; {OR_ELSE}; found {_listed(names)}",
+                f"there is no such channel; {OR_ELSE}; found {listed(names)}",
                 column=asked,
             )
+    _check_one_group(source, found, wanted.time)
     return found
 
 
-def _listed(names: Sequence[str]) -> str:
+def _check_one_group(source: Path, found: Mapping[str, str], time: str) -> None:
+    """Refuse the time of one group for the channels of another, unless it is asked for by its full name."""
+    group = found.get(time, "").rpartition("/")[0]
+    if not group or found[time] == time:
+        return
+    for name in found.values():
+        if not name.startswith(f"{group}/"):
+            problem = f"lies in another group than '{name}'; required its full name, '{found[time]}'"
+            raise LogError(source, problem, column=time)
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return names as a message lists them, of many the first thirty."""
     more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
     return (", ".join(names[:SHOWN]) or "none with numbers") + more

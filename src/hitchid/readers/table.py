@@ -11,7 +11,7 @@ from hitchid.errors import LogError
 from hitchid.readers.clocks import SIGNED, on_one_clock
 from hitchid.readers.content import Channel, Content
 from hitchid.record import COMMAND, DISPLACEMENT, LIFTING, LOWERING
-from hitchid.signals import DIMENSIONS, Column, SignalMap
+from hitchid.signals import DEFAULT_SIGNALS, DIMENSIONS, Column, SignalMap
 from hitchid.units import UNITS, known_unit, unit_of_column
 
 TIME = "time"
@@ -52,6 +52,9 @@ def table_of(content: Content, signals: SignalMap) -> Table:
             fit together.
     """
     mapped = _mapped(signals, content)
+    if TIME not in mapped and signals.time.column != DEFAULT_SIGNALS.time.column:
+        problem = "there is no such channel; the file keeps clocks of its own, so leave the time out"
+        raise LogError(content.source, problem, column=signals.time.column)
     converted, notices = {}, list(content.notices)
     for role, column in mapped.items():
         converted[role], said = _converted(content, role, column)
@@ -110,6 +113,8 @@ def _converted(content: Content, role: str, column: Column) -> tuple[Channel, li
         notices.append(f"{name}: the unit '{channel.unit}' in the file is not known; read as {asked}")
     elif said not in (None, asked):
         notices.append(f"{name}: converted from {said}, as the file says, to {asked}")
+    elif said is None and unit_of_column(name) not in (None, asked):
+        notices.append(f"{name}: read as {asked}, as the signal map says, although its name ends otherwise")
     had, unit = said or asked, "s" if role == TIME else asked
     factor = 1.0 if had == unit else UNITS[had].factor / UNITS[unit].factor
     values = channel.values if factor == 1.0 else channel.values * factor
@@ -126,16 +131,13 @@ def _check_unit(source: Path, role: str, name: str, asked: str, said: str | None
         )
     if said is None:
         return
+    named = unit_of_column(name)
+    if named not in (None, said) and UNITS[named].dimension == dimension:
+        problem = f"the name says '{named}', the file '{said}'; required one of them to be put right"
+        raise LogError(source, problem, column=name)
     if UNITS[said].dimension != dimension:
         raise LogError(
             source, f"the file says '{said}', the signal map '{asked}': no units of one kind", column=name
-        )
-    named = unit_of_column(name)
-    if named not in (None, said, "1") and UNITS[named].dimension == dimension:
-        raise LogError(
-            source,
-            f"the name says '{named}', the file '{said}'; required one of them to be put right",
-            column=name,
         )
 
 

@@ -1,50 +1,38 @@
 """What NetCDF attributes say of numbers: units of time, scaling, fill values."""
 
 from collections.abc import Mapping
-from typing import NamedTuple
 
 import numpy as np
 
 from hitchid.readers.formats.extra import floats, spelled
-
-
-class _Tick(NamedTuple):
-    factor: float
-    divisor: float
-
-
-_SPELLINGS = {
-    _Tick(1.0, 1e9): ("ns", "nsec", "nanosecond", "nanoseconds"),
-    _Tick(1.0, 1e6): ("us", "µs", "μs", "usec", "microsecond", "microseconds"),
-    _Tick(1.0, 1e3): ("ms", "msec", "millisec", "millisecs", "millisecond", "milliseconds"),
-    _Tick(1.0, 1.0): ("s", "sec", "secs", "second", "seconds"),
-    _Tick(60.0, 1.0): ("min", "mins", "minute", "minutes"),
-    _Tick(3600.0, 1.0): ("h", "hr", "hrs", "hour", "hours"),
-    _Tick(86400.0, 1.0): ("d", "day", "days"),
-}
-_TICKS = {spelling: tick for tick, spellings in _SPELLINGS.items() for spelling in spellings}
+from hitchid.units import UNITS, known_unit
 
 
 def is_time(unit: str | None) -> bool:
     """Return whether the unit is one of time, with or without `since ...`."""
-    return _tick(unit) is not None
+    return _factor(unit) is not None
 
 
 def in_seconds(values: np.ndarray, unit: str | None) -> np.ndarray:
     """Return times in seconds, rounded once; as they are where the unit is none of time."""
-    tick = _tick(unit) or _Tick(1.0, 1.0)
-    return values if tick == (1.0, 1.0) else values * tick.factor / tick.divisor
+    factor = _factor(unit) or 1.0
+    if factor == 1.0:
+        return values
+    return values / round(1 / factor) if factor < 1.0 else values * factor
 
 
 def decoded(raw: np.ndarray, attributes: Mapping[str, object]) -> np.ndarray:
-    """Return the numbers that stored ones stand for: scaled, shifted, NaN where they are filled.
+    """Return the numbers that stored ones stand for: scaled, shifted, NaN where they are filled or not valid.
 
     Args:
         raw: as stored, any shape with one long side.
-        attributes: those of the variable; `scale_factor`, `add_offset`, `_FillValue`, `missing_value` count.
+        attributes: those of the variable; `scale_factor`, `add_offset`, `_FillValue`, `missing_value`,
+            `valid_range`, `valid_min`, `valid_max` and `_Unsigned` count.
     """
-    values = floats(raw)
-    stored = np.asarray(raw).ravel()
+    stored = _as_signed(np.asarray(raw).ravel(), attributes)
+    values = floats(stored)
+    lowest, highest = _valid(attributes)
+    values[(values < lowest) | (values > highest)] = np.nan
     for name in ("_FillValue", "missing_value"):
         fills = np.asarray(attributes.get(name, ()))
         if fills.dtype.kind in "fiu" and fills.size:
@@ -57,14 +45,34 @@ def decoded(raw: np.ndarray, attributes: Mapping[str, object]) -> np.ndarray:
     return values
 
 
+def _as_signed(stored: np.ndarray, attributes: Mapping[str, object]) -> np.ndarray:
+    """Return whole numbers without a sign where the file says so: NetCDF 3 has none to store them in."""
+    unsigned = (spelled(attributes.get("_Unsigned")) or "").lower() == "true"
+    return (
+        stored.view(f"{stored.dtype.byteorder}u{stored.dtype.itemsize}")
+        if unsigned and stored.dtype.kind == "i"
+        else stored
+    )
+
+
+def _valid(attributes: Mapping[str, object]) -> tuple[float, float]:
+    """Return the range outside of which stored numbers are none."""
+    both = np.asarray(attributes.get("valid_range", ())).ravel()
+    if both.size == 2 and both.dtype.kind in "fiu":
+        return float(both[0]), float(both[1])
+    lowest, highest = (_number(attributes.get(name)) for name in ("valid_min", "valid_max"))
+    return -np.inf if lowest is None else lowest, np.inf if highest is None else highest
+
+
 def unit_in(attributes: Mapping[str, object]) -> str | None:
     """Return the unit among the attributes, None where there is none."""
     return spelled(attributes.get("units")) or spelled(attributes.get("unit"))
 
 
-def _tick(unit: str | None) -> _Tick | None:
-    word = (unit or "").strip().partition(" since ")[0].strip()
-    return _TICKS.get(word if len(word) < 3 else word.lower())  # "S" is siemens
+def _factor(unit: str | None) -> float | None:
+    """Return the seconds of a unit of time, None for any other."""
+    known = known_unit((unit or "").partition(" since ")[0])
+    return UNITS[known].factor if known and UNITS[known].dimension == "time" else None
 
 
 def _number(value: object) -> float | None:

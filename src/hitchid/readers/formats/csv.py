@@ -14,13 +14,13 @@ from typing import NamedTuple
 import numpy as np
 
 from hitchid.errors import LogError
-from hitchid.readers.content import OR_ELSE, Channel, Content, Wanted
+from hitchid.readers.content import LARGEST_RATIO, OR_ELSE, Channel, Content, Wanted, largest
 from hitchid.readers.formats.dialect import Dialect, dialect_of, encoding_of
 
 SUFFIXES = (".csv", ".csv.gz", ".tsv", ".tsv.gz", ".lvm")
 HEAD, BLOCK = 2**20, 2**25
-LARGEST_RATIO, UNSUSPICIOUS = 200, 2**26
 LONGEST_SHOWN = 40
+UNENDED = "the last line has no line end: it may have been cut short"
 
 
 def read(path: Path, wanted: Wanted) -> Content:
@@ -36,7 +36,9 @@ def read(path: Path, wanted: Wanted) -> Content:
     dialect = dialect_of(head[:HEAD], path, asked)
     asked = asked or tuple(name for name in dialect.names if name)
     columns = _Columns(path, dialect, asked, tuple(_place(path, dialect, name) for name in asked))
-    parts = [columns.numbers(*block) for block in _below(chain([head], blocks), dialect.first)]
+    parts, last = [], "\n"
+    for line, last in _below(chain([head], blocks), dialect.first):
+        parts.append(columns.numbers(line, last))
     if not parts:
         raise LogError(path, "there are no samples below the header line", line=dialect.header)
     channels = {
@@ -45,7 +47,8 @@ def read(path: Path, wanted: Wanted) -> Content:
     }
     lines = [(part.samples, part.lines) for part in parts]
     ordered = {name: channels[name] for name in asked}
-    return Content(path, ordered, line_of=partial(_line_of, lines))
+    notices = () if last.endswith("\n") else (UNENDED,)
+    return Content(path, ordered, notices, partial(_line_of, lines))
 
 
 def _joined(parts: Sequence[list[np.ndarray]]) -> np.ndarray:
@@ -114,8 +117,11 @@ def _pointed(text: str) -> str:
 
 
 def _place(path: Path, dialect: Dialect, name: str) -> int:
-    place = dialect.place(name)
-    if place is None:
+    places = dialect.places(name)
+    if len(places) > 1:
+        meant = ", ".join(dialect.names[place] for place in places)
+        raise LogError(path, f"several columns are meant: {meant}", line=dialect.header, column=name)
+    if not places:
         found = ", ".join(dialect.names)
         raise LogError(
             path,
@@ -123,7 +129,7 @@ def _place(path: Path, dialect: Dialect, name: str) -> int:
             line=dialect.header,
             column=name,
         )
-    return place
+    return places[0]
 
 
 class _Part(NamedTuple):
@@ -239,11 +245,11 @@ def _blocks(path: Path) -> Iterator[str]:
 
 def _check_unpacked(path: Path) -> None:
     """Refuse what unpacks to absurd size, or does not unpack, before the first number of it is read."""
-    largest, size = max(UNSUSPICIOUS, LARGEST_RATIO * path.stat().st_size), 0
+    most, size = largest(path), 0
     with gzip.open(path) as file:
         for part in iter(partial(file.read, BLOCK), b""):
             size += len(part)
-            if size > largest:
+            if size > most:
                 raise LogError(path, f"unpacks to more than {LARGEST_RATIO} times its size; refused")
 
 

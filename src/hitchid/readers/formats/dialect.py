@@ -17,10 +17,16 @@ SEPARATORS = ("\t", ";", "|", ",", " ")
 LINES, HEADER_ROWS, LONGEST_SHOWN, LONGEST_NAME = 200, 10, 60, 200
 NOT_TEXT = 0.3
 NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf(inity)?)", re.IGNORECASE)
+THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+")
 UNIT_LABELS = ("unit", "units", "einheit", "einheiten")
 BRACKETS = re.compile(r"(.+?)\s*[\[(]([^\[\]()]*)[\])]")
 CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")
 MARKS = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
+
+
+class _Row(NamedTuple):
+    line: int
+    cells: list[str]
 
 
 class Dialect(NamedTuple):
@@ -42,10 +48,11 @@ class Dialect(NamedTuple):
     header: int
     first: int
 
-    def place(self, asked: str) -> int | None:
-        """Return which column is asked for, by its name with or without the unit in brackets behind it."""
-        bare = [_bare(name) for name in self.names]
-        return next((names.index(asked) for names in (self.names, bare) if asked in names), None)
+    def places(self, asked: str) -> list[int]:
+        """Return which columns may be meant: the one of that name, or those with a bracket behind it."""
+        if asked in self.names:
+            return [self.names.index(asked)]
+        return [place for place, name in enumerate(self.names) if _bare(name) == asked]
 
 
 def encoding_of(head: bytes, source: Path) -> str:
@@ -103,31 +110,57 @@ def dialect_of(text: str, source: Path, asked: Sequence[str] = ()) -> Dialect:
         reversed([row for row in above if not _units(row.cells)] or above),
         key=lambda row: sum(cell in asked or _bare(cell) in asked for cell in row.cells),
     )
+    below = [row for row in rows if row.line > header]
+    samples = [row for row in below if data is not None and row.line >= rows[data].line]
+    # A row of numbers above a bad line is a sample, too: the bad line is told, and none is lost.
+    first = next((row.line for row in below if _is_sample(row.cells)), header + 1)
+    _check_width(source, separator, names, samples, header)
     count = Counter(names)
     for name in names:
         if name and count[name] > 1:
             raise LogError(source, "this column name stands twice", line=header, column=name)
-    below = next((row.cells for row in above if _units(row.cells)), ())
-    units = {
-        name: unit for name, unit in zip(names, below, strict=False) if unit and name and known_unit(unit)
-    }
+    told = next((row.cells for row in above if row.cells is not names and _units(row.cells)), ())
+    units = {name: unit for name, unit in zip(names, told, strict=False) if unit and name}
     for name in names:
         bracketed = BRACKETS.fullmatch(name[: LONGEST_NAME + 1])
         if bracketed:
             units.setdefault(name, bracketed.group(2).strip())
     comma = separator != "," and _decimal_comma(text, separator)
-    first = header + 1 if data is None else rows[data].line
+    if comma:
+        _check_thousands(source, samples)
     return Dialect(separator, comma, tuple(names), units, header, first)
+
+
+def _check_width(
+    source: Path, separator: str, names: Sequence[str], samples: Sequence[_Row], header: int
+) -> None:
+    """Refuse samples that do not lie under the names: read by place, they would be taken for each other."""
+    for line, cells in samples:
+        width = max((place for place, cell in enumerate(cells, start=1) if cell), default=0)
+        if width > len(names) or (separator == " " and len(cells) < len(names)):
+            problem = f"the line has {len(cells)} cells, the header in line {header} {len(names)} names"
+            raise LogError(source, f"{problem}; required a name for each", line=line)
+
+
+def _check_thousands(source: Path, samples: Sequence[_Row]) -> None:
+    """Refuse commas that may be thousands: all of them are, and others of the column have none.
+
+    12,345 among 1,234 and 999 is a thousand; 0,345 or 12,5 anywhere says that commas are decimal.
+    """
+    cells = [(place, cell) for row in samples for place, cell in enumerate(row.cells)]
+    commas = [(place, cell) for place, cell in cells if "," in cell and _is_number(cell)]
+    whole = {place for place, cell in cells if cell.lstrip("+-").isdecimal()}
+    mixed = [cell for place, cell in commas if place in whole]
+    if mixed and all(THOUSANDS.fullmatch(cell) for _, cell in commas):
+        problem = (
+            f"'{mixed[0]}' may be a decimal or a thousand; required one sign for decimals, none for thousands"
+        )
+        raise LogError(source, problem)
 
 
 def _bare(name: str) -> str:
     """Return a name without the unit in brackets behind it; what is too long for a name is left as it is."""
     return BRACKETS.sub(r"\1", name) if len(name) <= LONGEST_NAME else name
-
-
-class _Row(NamedTuple):
-    line: int
-    cells: list[str]
 
 
 def _rows(text: str, separator: str) -> list[_Row]:
@@ -181,11 +214,13 @@ def _header_rows(above: Sequence[_Row]) -> list[_Row]:
 
 
 def _units(cells: Sequence[str]) -> bool:
-    """Tell whether a row names units: every cell does that is not empty, a label in front apart."""
+    """Tell whether a row names units: most cells do that are not empty, or a label in front says so."""
     bare = [cell.strip("[]() ") for cell in cells]
     body = bare[1:] if bare and bare[0].lower() in UNIT_LABELS else bare
     named = [cell for cell in body if cell]
-    return any(cell.isalpha() or not cell.isascii() for cell in named) and all(map(known_unit, named))
+    known = [cell for cell in named if known_unit(cell)]
+    spelled = any(cell.isalpha() or not cell.isascii() for cell in known)
+    return spelled and not any(map(_is_number, set(named) - {"1"})) and 2 * len(known) >= len(named)
 
 
 def _decimal_comma(text: str, separator: str) -> bool:

@@ -1,7 +1,8 @@
 """LabVIEW TDMS files: channels in groups, with waveform clocks and time stamps."""
 
+import re
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -19,6 +20,8 @@ GROUP = "log"
 LEAD_IN = 28
 BIG_ENDIAN = 1 << 6
 UNFINISHED = 0xFFFF_FFFF_FFFF_FFFF
+# A channel's path, or its start: type and value behind the name.
+START = re.compile(rb"(?P<path>/'(?:[^']|'')*'/'(?:[^']|'')*')|wf_start_time(?P<start>.{20})", re.DOTALL)
 
 
 class _Waveform(NamedTuple):
@@ -48,7 +51,7 @@ def read(path: Path, wanted: Wanted) -> Content:
             named = {f"{c.group_name}/{c.name}": c for c in every if _holds_numbers(c)}
             waveforms = {name: w for name, c in named.items() if (w := _waveform(c)) is not None}
             found = picked(path, list(named), wanted, waveforms)
-            clocks = _clocks({name: waveforms[name] for name in found.values() if name in waveforms})
+            clocks = _clocks(path, {name: waveforms[name] for name in found.values() if name in waveforms})
             channels = {
                 asked: _channel(path, name, named[name], clocks.get(name)) for asked, name in found.items()
             }
@@ -84,6 +87,7 @@ def _bytes_held(path: Path, stream: BinaryIO) -> int:
     """Walk from segment to segment and return how many bytes of raw data there are in all."""
     size = stream.seek(0, 2)
     position = number = held = 0
+    starts: dict[bytes, bytes] = {}
     while position < size or not number:
         number += 1
         stream.seek(position)
@@ -98,10 +102,26 @@ def _bytes_held(path: Path, stream: BinaryIO) -> int:
             raise LogError(path, f"was cut short: segment {number} {ends}, the file has {size}")
         if raw < 0:
             raise LogError(path, f"cannot be read as {KIND}: segment {number} has its data behind its end")
+        for channel, start in _starts(stream.read(end - stream.tell() - raw)):
+            if starts.setdefault(channel, start) != start:
+                problem = f"holds several recordings, the next from segment {number} on; required one a file"
+                raise LogError(path, problem, column=channel.decode(errors="replace"))
         held += raw
         position = end
     stream.seek(0)
     return held
+
+
+def _starts(metadata: bytes) -> Iterator[tuple[bytes, bytes]]:
+    """Return path and start, as stored, of each channel whose start stands in a segment's metadata.
+
+    npTDMS keeps the last one only: a recording that was appended would follow on the one before it.
+    """
+    path = b""
+    for found in START.finditer(metadata):
+        path, start = found["path"] or path, found["start"]
+        if start is not None:
+            yield path, start
 
 
 def _extent(lead_in: bytes, position: int) -> tuple[int, int]:
@@ -160,10 +180,14 @@ def _waveform(channel: Any) -> _Waveform | None:
     return _Waveform(len(channel), float(offset or 0.0), float(increment), start)
 
 
-def _clocks(waveforms: Mapping[str, _Waveform]) -> dict[str, np.ndarray]:
+def _clocks(path: Path, waveforms: Mapping[str, _Waveform]) -> dict[str, np.ndarray]:
     """Return the clock of each waveform, one array for all alike, from where the first of them starts."""
     starts = [waveform.start for waveform in waveforms.values()]
-    known = all(seconds for seconds, _ in starts)  # LabVIEW writes 1904 where nobody set the start
+    # LabVIEW writes 1904 where nobody set the start.
+    unknown = [name for name, waveform in waveforms.items() if not waveform.start[0]]
+    known = not unknown
+    if unknown and len(unknown) < len(waveforms):
+        raise LogError(path, "has no start time, others have one; required all or none", column=unknown[0])
     clocks: dict[_Waveform, np.ndarray] = {}
     for waveform in waveforms.values():
         late = [ours - first for ours, first in zip(waveform.start, min(starts), strict=True)]

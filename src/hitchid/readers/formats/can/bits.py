@@ -57,8 +57,8 @@ def selected(payload: Payload, field: Field, definition: Definition) -> Bool[np.
 def available(raw: UInt64[np.ndarray, " frames"], field: Field) -> Bool[np.ndarray, " frames"]:
     """Return which raw numbers of a J1939 signal are measured ones.
 
-    Of unsigned signals of 1, 2 and 4 bytes those from 0xFB.. on are none: 0xFF.. is 'not available', 0xFE..
-    an error, the rest reserved. Of 2 to 7 bits all ones is 'not available' and one less an error. Of any
+    Of unsigned signals of 1 to 4 bytes those from 0xFB.. on are none: 0xFF.. is 'not available', 0xFE.. an
+    error, the rest reserved. Of 2 to 7 bits all ones is 'not available' and one less an error. Of any
     other only all ones counts, and one bit is always a number: J1939 leaves no room in it.
 
     Source: SAE J1939-71, ranges of transmitted signals.
@@ -68,6 +68,6 @@ def available(raw: UInt64[np.ndarray, " frames"], field: Field) -> Bool[np.ndarr
         return np.ones(raw.size, dtype=bool)
     if field.signed or field.floating:
         return raw != np.uint64(full)
-    if field.length in (8, 16, 32):
+    if field.length in (8, 16, 24, 32):
         return raw < np.uint64(0xFB << (field.length - 8))
     return raw < np.uint64(full - 1 if field.length < 8 else full)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hitchid.errors import LogError
-from hitchid.readers.content import SHOWN, Channel, Content, Wanted, chosen
+from hitchid.readers.content import Channel, Content, Wanted, chosen, listed
 from hitchid.readers.formats.can.bits import Payload, available, physical, raw_numbers, selected
 from hitchid.readers.formats.can.database import (
     Databases,
@@ -106,7 +106,7 @@ def _found(
     for asked in dict.fromkeys((wanted.time, *wanted.signals)):
         meant = spellings.get(asked, [])
         if len(meant) > 1:
-            raise LogError(source, f"several channels are meant: {_listed(meant)}", column=asked)
+            raise LogError(source, f"several channels are meant: {listed(meant)}", column=asked)
         if meant:
             found[asked] = meant[0]
         elif asked != wanted.time and asked not in {name.rpartition("/")[2] for name in names}:
@@ -125,7 +125,7 @@ def _check_unheard(source: Path, asked: str, definitions: Sequence[Definition], 
         group = parameter_group(each.identifier)
         nodes = [f"{node(met):#04x}" for met in sorted(heard.extended) if parameter_group(met) == group]
         if each.extended and nodes:
-            problem += f"; its parameter group {group} does, from {_listed(nodes)}"
+            problem += f"; its parameter group {group} does, from {listed(nodes)}"
         if each.extended and nodes and not each.grouped:
             problem += ": where the bus is J1939, let the DBC file say so by VFrameFormat 'J1939PG'"
         raise LogError(source, problem, column=asked)
@@ -170,7 +170,7 @@ class _Reading:
             shared = clocks.setdefault(key, block.clock_s if there.all() else block.clock_s[there])
             channels[asked] = Channel(values, place.field.unit, shared)
         if empty:
-            notices.append(f"left out, for they never hold a number: {_listed(empty)}")
+            notices.append(f"left out, for they never hold a number: {listed(empty)}")
         return channels, notices
 
     def _stream_notices(self) -> Iterator[str]:
@@ -217,8 +217,3 @@ def _why_empty(place: _Place, dropped: int) -> str:
 def _odd(heard: Heard) -> Iterator[str]:
     if heard.without_data:
         yield f"{heard.without_data} error and remote frames are left out"
-
-
-def _listed(names: Sequence[str]) -> str:
-    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-    return ", ".join(names[:SHOWN]) + more

@@ -119,7 +119,9 @@ def _clock(path: Path, log: Any, group: int, master: tuple[int, int]) -> np.ndar
     clock = physical(path, log, *master) if is_stored(log, channel) else counted(path, log, *master)
     _check_count(path, log, group, clock, channel.name)
     unit = spelled(channel.unit)
-    return in_seconds(clock, unit) if is_time(unit) else clock
+    if unit is not None and not is_time(unit):
+        raise LogError(path, f"is a clock in '{unit}', required a unit of time", column=channel.name)
+    return in_seconds(clock, unit)
 
 
 def _channel(
@@ -129,7 +131,9 @@ def _channel(
     values = physical(path, log, group, index)
     _check_count(path, log, group, values, name)
     channel = log.groups[group].channels[index]
-    unit = spelled(getattr(channel.conversion, "unit", None)) or spelled(channel.unit)
+    units = spelled(channel.unit), spelled(getattr(channel.conversion, "unit", None))
+    # ASAM MDF 4, CCBLOCK: the conversion's unit applies only where the channel has none; MDF 3 has no other.
+    unit = units[0] or units[1] if log.version >= "4" else units[1] or units[0]
     return Channel(values, unit, clocks.get(group))
 
 
