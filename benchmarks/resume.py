@@ -15,11 +15,16 @@ from pathlib import Path
 import numpy as np
 
 HITCHID = Path(sys.executable).with_name("hitchid")
-SETTINGS = """[search]
-evaluations = 600
+SETTINGS = """[lifting]
+structure = "integrator-second-order"
+[lowering]
+structure = "first-order-lag"
+[search]
+evaluations = 300
+compare = false
 [training]
-epochs = 40
-patience = 40
+epochs = 10
+baselines = false
 """
 FILES = ("model.json", "weights.safetensors", "trace.json")
 
