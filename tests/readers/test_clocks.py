@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from hitchid.errors import LogError
 from hitchid.readers import ReaderProcess, read_log
+from hitchid.readers.clocks import on_one_clock
 from hitchid.readers.content import Channel, Content
 from hitchid.readers.table import table_of
 from hitchid.signals import CampaignFile, Column, SignalMap
@@ -134,7 +135,7 @@ def test_a_channel_that_holds_the_time_counts_for_all():
     given = {
         "time_s": Channel(stamps),
         "x": Channel(line(SLOW), clock_s=SLOW),
-        "i": Channel(stepped(SLOW), clock_s=SLOW * 2),
+        "i": Channel(stepped(SLOW), clock_s=SLOW + 2.0),
     }
     table = table_of(Content(SOURCE, given), SIGNALS)
     assert table.time_s.tobytes() == stamps.tobytes()
@@ -278,3 +279,14 @@ def test_the_order_of_the_channels_does_not_matter_and_a_line_stays_one(x, i, p,
     nearest = np.abs(table.time_s[:, None] - i).min(axis=1)
     assert nearest.max() <= max(np.diff(clock)[0] for clock in (x, i, p)) / 2 + 1e-9
     assert set(table.signals["lifting_command"]) <= {0.0, 0.6}
+
+
+def test_a_time_that_a_channels_own_clock_gives_the_lie_is_refused():
+    time = np.arange(200) / 100
+    slow = Channel(np.arange(200.0), clock_s=2 * time)
+    shifted = Channel(np.arange(200.0), clock_s=time + 5.0)
+    names = {"displacement": "x"}
+    kept, _, _ = on_one_clock(Path("log.tdms"), Channel(time), {"displacement": shifted}, names)
+    np.testing.assert_array_equal(kept, time)
+    with pytest.raises(LogError, match=r"column 'x': lasts 3.98 s by its own clock, 1.99 s by the time"):
+        on_one_clock(Path("log.tdms"), Channel(time), {"displacement": slow}, names)

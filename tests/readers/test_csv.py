@@ -290,6 +290,12 @@ def test_samples_that_do_not_lie_under_the_names_are_refused(log, content):
         read(log(content), Wanted("no", ("such",)))
 
 
+def test_a_row_that_grows_wide_far_below_is_refused(log):
+    rest = "".join(f"{k},0,7\n" for k in range(500))
+    with pytest.raises(LogError, match=r"line 502: the line has 4 cells, the header in line 1 3 names"):
+        read(log(f"time_ms,u_A,x_mm\n{rest}500,0,5,7\n501,0,5,8\n"), Wanted("time_ms", ("u_A", "x_mm")))
+
+
 @pytest.mark.parametrize("foreign", ["degC", "°C", "kN", "l/min", "rpm"])
 def test_a_unit_that_is_not_known_does_not_hide_the_others(log, foreign):
     rows = "".join(f"{10 * k};{k};20,5;{k}\n" for k in range(30))

@@ -42,6 +42,7 @@ def on_one_clock(
                     f"has {channel.values.size} samples, required {time.values.size} as the time",
                     column=names[role],
                 )
+            _check_agrees(source, time.values, channel, names[role])
         return time.values, {role: channel.values for role, channel in channels.items()}, []
     clocks = {role: _clock(source, channel, names[role]) for role, channel in channels.items()}
     steps = {role: float(np.median(np.diff(clock))) for role, clock in clocks.items()}
@@ -62,6 +63,17 @@ def on_one_clock(
     }
     told = ", ".join(f"{names[role]} {steps[role]:.4g} s" for role in channels)
     return at, sampled, [f"merged on the clock of {names[slowest]}: {told}"]
+
+
+def _check_agrees(source: Path, time_s: np.ndarray, channel: Channel, name: str) -> None:
+    """Refuse a time for a channel whose own clock runs otherwise: one of the two is not of this channel."""
+    clock = channel.clock_s
+    if clock is None or clock.size < 2:
+        return
+    lasting, said = float(clock[-1] - clock[0]), float(time_s[-1] - time_s[0])
+    if not abs(lasting - said) <= abs(said) / (clock.size - 1):
+        problem = f"lasts {lasting:g} s by its own clock, {said:g} s by the time that is named"
+        raise LogError(source, f"{problem}; required one that is its own", column=name)
 
 
 def _clock(source: Path, channel: Channel, name: str) -> np.ndarray:

@@ -6,6 +6,7 @@ import gzip
 import io
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -15,7 +16,7 @@ import numpy as np
 
 from hitchid.errors import LogError
 from hitchid.readers.content import LARGEST_RATIO, OR_ELSE, Channel, Content, Wanted, largest
-from hitchid.readers.formats.dialect import Dialect, dialect_of, encoding_of
+from hitchid.readers.formats.dialect import Dialect, check_width, dialect_of, encoding_of
 
 SUFFIXES = (".csv", ".csv.gz", ".tsv", ".tsv.gz", ".lvm")
 HEAD, BLOCK = 2**20, 2**25
@@ -150,6 +151,7 @@ class _Columns(NamedTuple):
 
     def numbers(self, first: int, block: str) -> _Part:
         """Return the numbers of a block that begins at a line."""
+        self.check_width(first, block)
         separator = None if self.dialect.separator == " " else self.dialect.separator
         text = io.StringIO(_pointed(block) if self.dialect.comma else block)
         try:
@@ -160,6 +162,16 @@ class _Columns(NamedTuple):
             raise self.fault(first, block) from None
         columns = [rows[:, place].copy() for place in range(len(self.places))]
         return _Part(len(rows), columns, _lines(block, first, len(rows)))
+
+    def check_width(self, first: int, block: str) -> None:
+        """Refuse rows that are wider than the header; cells are told apart only where there may be some."""
+        separator, names = self.dialect.separator, self.dialect.names
+        if max(line.count(separator) for line in block.split("\n")) < len(names) or separator == " ":
+            return
+        reader = csv.reader(io.StringIO(block), delimiter=separator)
+        rows = ((first + reader.line_num - 1, [cell.strip() for cell in row]) for row in reader)
+        with suppress(csv.Error):  # what cannot be told apart is no number either, and refused as none
+            check_width(self.path, separator, names, rows, self.dialect.header)
 
     def fault(self, first: int, block: str) -> LogError:
         """Find the first cell that is no number."""

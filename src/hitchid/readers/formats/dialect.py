@@ -4,7 +4,7 @@ import csv
 import io
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from itertools import islice
 from pathlib import Path
@@ -114,7 +114,7 @@ def dialect_of(text: str, source: Path, asked: Sequence[str] = ()) -> Dialect:
     samples = [row for row in below if data is not None and row.line >= rows[data].line]
     # A row of numbers above a bad line is a sample, too: the bad line is told, and none is lost.
     first = next((row.line for row in below if _is_sample(row.cells)), header + 1)
-    _check_width(source, separator, names, samples, header)
+    check_width(source, separator, names, samples, header)
     count = Counter(names)
     for name in names:
         if name and count[name] > 1:
@@ -131,8 +131,12 @@ def dialect_of(text: str, source: Path, asked: Sequence[str] = ()) -> Dialect:
     return Dialect(separator, comma, tuple(names), units, header, first)
 
 
-def _check_width(
-    source: Path, separator: str, names: Sequence[str], samples: Sequence[_Row], header: int
+def check_width(
+    source: Path,
+    separator: str,
+    names: Sequence[str],
+    samples: Iterable[tuple[int, Sequence[str]]],
+    header: int,
 ) -> None:
     """Refuse samples that do not lie under the names: read by place, they would be taken for each other."""
     for line, cells in samples:
@@ -214,7 +218,7 @@ def _header_rows(above: Sequence[_Row]) -> list[_Row]:
 
 
 def _units(cells: Sequence[str]) -> bool:
-    """Tell whether a row names units: most cells do that are not empty, or a label in front says so."""
+    """Tell whether a row names units: half of its filled cells do at least, a label in front apart."""
     bare = [cell.strip("[]() ") for cell in cells]
     body = bare[1:] if bare and bare[0].lower() in UNIT_LABELS else bare
     named = [cell for cell in body if cell]
