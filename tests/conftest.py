@@ -67,7 +67,7 @@ def bench_folder(tmp_path_factory):
     return write_bench(tmp_path_factory.mktemp("bench") / "logs", tests=3, samples=250)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def make_record():
     """Return a function that makes a record of given signals at 100 Hz in mm and A."""
 

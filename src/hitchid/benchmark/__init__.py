@@ -6,6 +6,7 @@ from hitchid.benchmark.batch import mean_before_motion as mean_before_motion
 from hitchid.benchmark.batch import padded_length as padded_length
 from hitchid.benchmark.benchmark import Benchmark as Benchmark
 from hitchid.benchmark.discretise import discretise as discretise
+from hitchid.benchmark.discretise import pulse_response as pulse_response
 from hitchid.benchmark.form import Form as Form
 from hitchid.benchmark.registry import STRUCTURES as STRUCTURES
 from hitchid.benchmark.registry import structure_named as structure_named

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from hitchid.benchmark.structure import LinearStructure
@@ -57,13 +58,18 @@ def exponential(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
     one = jnp.eye(matrix.shape[0], dtype=matrix.dtype)
 
     def term(index: Array, total: Array) -> Array:
-        return one + inner @ total / (TERMS - index)
+        return one + _product(inner, total) / (TERMS - index)
 
     def square(index: Array, power: Array) -> Array:
-        return jnp.where(index < halvings, power @ power, power)
+        return jnp.where(index < halvings, _product(power, power), power)
 
     series = jax.lax.fori_loop(0, TERMS, term, one)
     return jax.lax.fori_loop(0, MOST_HALVINGS, square, series)
+
+
+def _product(left: Float[Array, "n n"], right: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """Return the product of two small matrices: summed, it fuses with its surroundings, a call would not."""
+    return jnp.sum(left[:, :, None] * right[None, :, :], axis=1)
 
 
 def discretise(
@@ -104,10 +110,30 @@ def driven(model: Discrete, command: Float[Array, "t n"]) -> Float[Array, "t n"]
     def late(samples: Array) -> Float[Array, "n t"]:
         return jax.lax.dynamic_slice_in_dim(padded, count - samples, count, axis=1).T
 
-    def advance(state: Array, commands: tuple[Array, Array]) -> tuple[Array, Array]:
-        now, before = (each[:, None] for each in commands)
-        return state @ model.transition.T + now * model.now + before * model.before, state[:, 0]
+    def advance(state: Float[Array, "m t"], commands: tuple[Array, Array]) -> tuple[Array, Array]:
+        now, before = commands
+        # Sums over few states, not a matrix product: the whole step is one loop over the tests.
+        onward = jnp.sum(model.transition[:, :, None] * state[None, :, :], axis=1)
+        return onward + model.now[:, None] * now + model.before[:, None] * before, state[0]
 
-    rest = jnp.zeros((tests, model.now.shape[0]), command.dtype)
-    commands = late(model.whole), late(model.whole + 1)
-    return jax.lax.scan(advance, rest, commands, unroll=4)[1].T
+    rest = jnp.zeros((model.now.shape[0], tests), command.dtype)
+    return jax.lax.scan(advance, rest, (late(model.whole), late(model.whole + 1)))[1].T
+
+
+def pulse_response(model: Discrete, samples: int) -> Float[Array, " n"]:
+    """Return y of a discrete model whose command is one for one sample: y(0) = 0, y(1), …
+
+    Some √N powers of Φ and as many of Φ^√N give all: C Φ^(a m + b) Γ = (C Φ^(a m)) (Φ^b Γ), m = √N.
+
+    Args:
+        model: the discrete model.
+        samples: N.
+    """
+    width = int(np.ceil(np.sqrt(samples)))
+    one = jnp.eye(model.now.size, dtype=model.now.dtype)
+    far, near = jax.lax.scan(lambda power, _: (model.transition @ power, power), one, length=width)
+    rows = jax.lax.scan(lambda row, _: (row @ far, row), one[0], length=width)[1]
+    now, before = ((rows @ (near @ gamma).T).reshape(-1) for gamma in (model.now, model.before))
+    prompt = jnp.pad(now, (1, 1)) + jnp.pad(before, (2, 0))
+    padded = jnp.pad(prompt[:samples], (samples, 0))
+    return jax.lax.dynamic_slice_in_dim(padded, samples - model.whole, samples)

@@ -7,11 +7,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from hitchid.benchmark import Batch, Form, Scales
 from hitchid.benchmark.structure import Scale
 from hitchid.errors import FitError
+from hitchid.fitting.bounds import Bounds
 from hitchid.fitting.search import Polished, Problem, polish
 
 TIED = 0.01
@@ -26,17 +27,14 @@ class Misfit(eqx.Module):
         batch: tests.
         form: what is searched.
         scales: what the form's curves are measured in.
-        lower, upper: bounds of its parameters, shape [d].
-        linear: which of them are searched as they are, shape [d].
+        bounds: of its parameters.
         apart: whether each test may be faster or slower by a factor of its own.
     """
 
     batch: Batch
     form: Form = eqx.field(static=True)
     scales: Scales
-    lower: Float[Array, " d"]
-    upper: Float[Array, " d"]
-    linear: Bool[Array, " d"]
+    bounds: Bounds
     apart: bool = eqx.field(static=True, default=False)
 
     @classmethod
@@ -46,10 +44,7 @@ class Misfit(eqx.Module):
         Raises:
             FitError: nothing moves.
         """
-        lower, upper = _bounds(form, batch)
-        linear = np.array([parameter.linear for parameter in form.parameters])
-        bounds = jnp.asarray(lower), jnp.asarray(upper), jnp.asarray(linear)
-        return cls(batch, form, scales_of(batch), *bounds, apart=form.slope)
+        return cls(batch, form, scales_of(batch), _bounds(form, batch), apart=form.slope)
 
     def over(self, batch: Batch) -> "Misfit":
         """Return the misfit over other tests, its bounds and scales kept."""
@@ -59,25 +54,21 @@ class Misfit(eqx.Module):
         """Return the misfit without factors of the tests' own."""
         return replace(self, apart=False)
 
-    def _by_value(self, position: Float[Array, " d"]) -> tuple[Array, Array]:
-        """Return the values at a position and their derivatives by it."""
-        width = self.upper - self.lower
-        span = jnp.log(self.upper / jnp.where(self.linear, self.upper, self.lower))
-        logarithmic = jnp.where(self.linear, 1.0, self.lower) * jnp.exp(position * span)
-        values = jnp.where(self.linear, self.lower + position * width, logarithmic)
-        return values, jnp.where(self.linear, width, values * span)
-
     def values(self, position: np.ndarray) -> np.ndarray:
         """Return the parameters at a position."""
-        return np.asarray(self._by_value(jnp.asarray(position))[0])
+        return np.asarray(self.bounds.values(jnp.asarray(position)))
 
     def slopes(self, position: np.ndarray) -> np.ndarray:
         """Return the parameters' derivatives by their place between the bounds."""
-        return np.asarray(self._by_value(jnp.asarray(position))[1])
+        return np.asarray(self.bounds.slopes(jnp.asarray(position)))
+
+    def position(self, values: np.ndarray) -> np.ndarray:
+        """Return where between their bounds values lie; the inverse of `values`."""
+        return self.bounds.position(values)
 
     def residuals(self, position: Float[Array, " d"]) -> Float[Array, "t n"]:
         """Return the misses at a position; see `misses`."""
-        return self.misses(self._by_value(position)[0])
+        return self.misses(self.bounds.values(position))
 
     def misses(self, values: Float[Array, " d"]) -> Float[Array, "t n"]:
         """Return misses weighted so that every test weighs the same: their mean square is J².
@@ -99,15 +90,6 @@ class Misfit(eqx.Module):
         """Return J at each of p positions."""
         squares = jax.vmap(lambda position: jnp.sum(self.residuals(position) ** 2))(positions)
         return jnp.sqrt(squares / jnp.sum(self.batch.counted))
-
-    def position(self, values: np.ndarray) -> np.ndarray:
-        """Return where between their bounds values lie; the inverse of `values`."""
-        bounds = zip(np.asarray(self.lower), np.asarray(self.upper), np.asarray(self.linear), strict=True)
-        places = [
-            (value - lower) / (upper - lower) if linear else np.log(value / lower) / np.log(upper / lower)
-            for value, (lower, upper, linear) in zip(values, bounds, strict=True)
-        ]
-        return np.clip(places, 0.0, 1.0)
 
     def by_test(self, position: np.ndarray) -> np.ndarray:
         """Return the root mean square error of each test, shape [T]."""
@@ -160,7 +142,7 @@ def scales_of(batch: Batch) -> Scales:
     )
 
 
-def _bounds(form: Form, batch: Batch) -> tuple[np.ndarray, np.ndarray]:
+def _bounds(form: Form, batch: Batch) -> Bounds:
     counted = np.asarray(batch.counted)
     displacement = np.asarray(batch.displacement)[counted]
     sizes = {
@@ -170,11 +152,10 @@ def _bounds(form: Form, batch: Batch) -> tuple[np.ndarray, np.ndarray]:
         Scale.TRAVEL: float(np.ptp(displacement)),
         Scale.HIGHEST: float(displacement.max()),
     }
-    bounds = [
+    limits = [
         form.bounds.get(p.name, (p.lower * sizes[p.scale], p.upper * sizes[p.scale])) for p in form.parameters
     ]
-    lower, upper = np.array(bounds).T
-    return lower, upper
+    return Bounds.of(form.parameters, limits)
 
 
 def _speed_per_command(batch: Batch) -> float:

@@ -10,6 +10,7 @@ from hitchid.checkpoints import NOWHERE, Checkpoints
 from hitchid.errors import FitError
 from hitchid.fitting.misfit import Misfit
 from hitchid.fitting.search import DifferentialEvolution, Found, MultiStart, Search, Whale
+from hitchid.fitting.searchable import searchable
 from hitchid.storage import digest
 from hitchid.versions import installed_versions
 from hitchid.whale import Swarm
@@ -121,7 +122,7 @@ class _Searched:
 
 def _run(misfit: Misfit, search: Search, seed: int) -> _Searched:
     try:
-        found: Found = search.minimise(misfit.problem()[0], seed)
+        found: Found = search.minimise(searchable(misfit), seed)
     except FitError as error:
         return _Searched(np.zeros(0), np.zeros((0, 0)), 0, 0, str(error))
     values = np.array([misfit.values(each) for each in found.best_trace])

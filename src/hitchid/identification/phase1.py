@@ -9,7 +9,7 @@ import numpy as np
 from hitchid.benchmark import Batch, Benchmark, Form
 from hitchid.benchmark.nonlinear import NonlinearStructure
 from hitchid.checkpoints import NOWHERE, Checkpoints
-from hitchid.fitting import Found, Misfit, Search, polish
+from hitchid.fitting import Found, Misfit, Search, polish, searchable
 from hitchid.progress import Heard
 from hitchid.uncertainty import KNOWN, DeadZoneError, Estimate, Estimates, Moves, assess
 
@@ -119,7 +119,7 @@ def find_parameters(
         FitError: nothing moves, or no parameters give a finite error.
     """
     misfit = Misfit.of(batch, form)
-    searched, _ = misfit.over(batch.thinned(SEARCHED)).problem()
+    searched = searchable(misfit.over(batch.thinned(SEARCHED)))
     found = kept.piece("search", Found, lambda: search.minimise(searched, seed, heard))
     starts = [found.best, *_restarts(form, seed), *([] if start is None else [misfit.position(start)])]
     position = kept.arrays("least squares", lambda: {"position": _descended(misfit, starts)})["position"]

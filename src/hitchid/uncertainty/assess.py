@@ -49,9 +49,9 @@ class _Found:
         return cls(
             number=number,
             parameter=misfit.form.parameters[number],
-            lower=float(misfit.lower[number]),
-            upper=float(misfit.upper[number]),
-            linear=bool(misfit.linear[number]),
+            lower=float(misfit.bounds.lower[number]),
+            upper=float(misfit.bounds.upper[number]),
+            linear=bool(misfit.bounds.linear[number]),
             bound="lower" if place < AT_BOUND else "upper" if place > 1 - AT_BOUND else "",
         )
 

@@ -111,7 +111,7 @@ def profile(misfit: Misfit, position: np.ndarray, number: int, dead_zone: DeadZo
     lower, upper = end(0.0), end(1.0)
     if misfit.form.parameters[number].name in misfit.form.bounds:
         lower, upper = lower or 0.0, 1.0 if upper is None else upper
-    bounds = float(misfit.lower[number]), float(misfit.upper[number])
+    bounds = float(misfit.bounds.lower[number]), float(misfit.bounds.upper[number])
     ordered = sorted([best, *held[1:]], key=lambda each: float(each.position[number]))
     return Profile(
         number=number,
@@ -121,7 +121,7 @@ def profile(misfit: Misfit, position: np.ndarray, number: int, dead_zone: DeadZo
         fitness=np.array([each.fitness for each in ordered]),
         allowed=np.array([each.excess <= 1 or each.position[number] in (lower, upper) for each in ordered]),
         along=np.stack([each.along for each in ordered]),
-        room=1.0 if bool(misfit.linear[number]) else float(np.log(bounds[1] / bounds[0])),
+        room=1.0 if bool(misfit.bounds.linear[number]) else float(np.log(bounds[1] / bounds[0])),
     )
 
 
