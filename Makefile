@@ -27,7 +27,10 @@ reproduce: setup
 	$(BIN)/hitchid reproduce --out build/reproduce --force
 
 bench: setup
-	$(BIN)/python benchmarks/rig_speed.py
+	$(BIN)/python -m pip install --disable-pip-version-check --quiet -r benchmarks/peers.txt
+	rm -rf build/speed && mkdir -p build/speed
+	$(BIN)/python -m pytest benchmarks/speed --benchmark-json build/speed/calls.json --timings build/speed/whole.json
+	$(BIN)/python benchmarks/speed/page.py build/speed/calls.json build/speed/whole.json benchmarks/results.md
 
 study: setup
 	$(BIN)/python benchmarks/study.py

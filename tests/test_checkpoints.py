@@ -3,6 +3,7 @@
 import errno
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Lock
 
 import numpy as np
 import pytest
@@ -255,15 +256,16 @@ def whole(campaign, quick_settings, tmp_path_factory):
 
 def stopped_after(count, campaign, settings, place):
     """Identify until so many pieces have been kept, and return how many were done."""
-    keep, done = Checkpoints.arrays, []
+    keep, done, one_at_a_time = Checkpoints.arrays, [], Lock()
 
     def arrays(self, name, work):
         def counted():
-            if len(done) == count:
-                raise Stop
-            found = work()
-            done.append(name)
-            return found
+            # Both directions are worked on at the same time.
+            with one_at_a_time:
+                if len(done) == count:
+                    raise Stop
+                done.append(name)
+            return work()
 
         return keep(self, name, counted)
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hitchid.live_progress import BLOCKS, WIDTH, Curves, falling, progress
-from hitchid.progress import Step, part, rounds
+from hitchid.progress import Step, part, rounds, strands
 
 fractions = st.floats(0, 1)
 
@@ -23,6 +23,18 @@ def test_parts_of_parts_are_named_from_the_outside_in():
     told = []
     part(part(told.append, 0.5, 0.5, "lifting"), 0.2, 0.4)(Step("phase 1", 0.5, "iteration 3", {"RMSE": 1.0}))
     assert told == [Step("lifting: phase 1", 0.5 + 0.5 * (0.2 + 0.4 * 0.5), "iteration 3", {"RMSE": 1.0})]
+
+
+@given(st.lists(st.tuples(st.sampled_from(["lifting", "lowering"]), fractions), min_size=1))
+def test_works_done_at_the_same_time_add_up_to_their_place_in_the_whole(told):
+    heard = []
+    tell = strands(heard.append, 0.2, 0.6, ["lifting", "lowering"])
+    last = {"lifting": 0.0, "lowering": 0.0}
+    for name, fraction in told:
+        tell[name](Step("phase 1", fraction))
+        last[name] = fraction
+        expected = pytest.approx(0.2 + 0.6 * (last["lifting"] + last["lowering"]) / 2)
+        assert heard[-1] == Step(f"{name}: phase 1", expected, strand=name)
 
 
 def test_rounds_go_on_without_reaching_the_end():
@@ -64,6 +76,39 @@ def test_the_figures_of_a_stage_are_shown_in_80_columns_and_go_with_it():
     assert max(map(len, shown)) <= 80
     curves.hear(Step("lifting: phase 2", 0.5))
     assert curves.__rich__().plain == ""
+
+
+def test_works_done_at_the_same_time_have_each_its_curves_until_the_whole_goes_on():
+    curves = Curves()
+    for number in range(20):
+        for name in ("lifting", "lowering"):
+            step = Step(f"{name}: phase 1", 0.1, f"iteration {number}", {"RMSE / mm": 1.0}, name)
+            curves.hear(step)
+    assert curves.stages == "lifting: phase 1 | lowering: phase 1"
+    shown = curves.__rich__().plain.splitlines()
+    assert [line.split()[:2] for line in shown[::2]] == [["lifting", "iteration"], ["lowering", "iteration"]]
+    assert len(shown) == 4
+    curves.hear(Step("validation", 0.9))
+    assert curves.stages == "validation"
+    assert curves.__rich__().plain == ""
+
+
+def test_elsewhere_works_done_at_the_same_time_have_a_line_a_stage_and_one_where_each_ended(capsys):
+    with progress() as report:
+        for number in range(2):
+            for name in ("lifting", "lowering"):
+                figures = {"RMSE / mm": 3.0 - number}
+                report(Step(f"{name}: search", 0.1, f"iteration {number}", figures, name))
+        report(Step("lifting: training", 0.5, strand="lifting"))
+        report(Step("validation", 0.9))
+    assert capsys.readouterr().err.splitlines() == [
+        " 10%  lifting: search",
+        " 10%  lowering: search",
+        "      lifting, iteration 1: RMSE / mm 2",
+        " 50%  lifting: training",
+        "      lowering, iteration 1: RMSE / mm 2",
+        " 90%  validation",
+    ]
 
 
 def test_elsewhere_a_stage_is_a_line_with_where_it_ended_below(capsys):

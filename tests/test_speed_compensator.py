@@ -125,12 +125,13 @@ def by_hand(model, drive):
     return travels, factors
 
 
+@pytest.mark.parametrize("joined", [False, True])
 @pytest.mark.parametrize("direction", [1, -1])
-def test_its_rollout_is_that_of_its_equations(direction):
+def test_its_rollout_is_that_of_its_equations(direction, joined):
     travel, *heard = made_up(samples=60)
     model = speed_compensator(direction=direction)
     drive = driven_by(travel, *heard, model.every)
-    found = eqx.filter_jit(type(model).rollout)(model, model.networks, drive)
+    found = eqx.filter_jit(type(model).rollout)(model, model.networks, drive, joined=joined)
     expected = by_hand(model, drive)
     # Single precision in 20 steps, each sums of nine products of order 1; travel is the sum of them.
     single = 20 * 9 * float(np.finfo(np.float32).eps)

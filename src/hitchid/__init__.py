@@ -14,6 +14,7 @@ from hitchid.errors import HitchError as HitchError
 if TYPE_CHECKING:
     from hitchid.campaign import Campaign as Campaign
     from hitchid.identification import identify as identify
+    from hitchid.identification import identify_many as identify_many
     from hitchid.model import Hitch as Hitch
     from hitchid.model import load as load
     from hitchid.readers import read as read
@@ -25,12 +26,23 @@ _HOME = {
     "Hitch": "hitchid.model",
     "Record": "hitchid.record",
     "identify": "hitchid.identification",
+    "identify_many": "hitchid.identification",
     "load": "hitchid.model",
     "read": "hitchid.readers",
     "validate": "hitchid.validation",
 }
 
-__all__ = ["Campaign", "Hitch", "HitchError", "Record", "identify", "load", "read", "validate"]
+__all__ = [
+    "Campaign",
+    "Hitch",
+    "HitchError",
+    "Record",
+    "identify",
+    "identify_many",
+    "load",
+    "read",
+    "validate",
+]
 
 
 def __getattr__(name: str) -> object:

@@ -7,13 +7,12 @@ from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from scipy.signal import lfilter
 
-from hitchid.lstm import SINGLE, Hidden, Lstm
+from hitchid.lstm import SINGLE, Lstm
 
 
 class Arx(eqx.Module):
@@ -139,13 +138,8 @@ class BlackBox(eqx.Module):
 
 def speeds(network: Lstm, inputs: Float[Array, "t n i"]) -> Float[Array, "t n"]:
     """Return the network's output at every sample of every test, shape [T, N]."""
-
-    def advance(hidden: Hidden, row: Array) -> tuple[Hidden, Array]:
-        hidden = network.read(hidden, row)
-        return hidden, network.output(hidden)
-
-    _, outputs = jax.lax.scan(advance, network.blank((inputs.shape[0],)), jnp.swapaxes(inputs, 0, 1))
-    return outputs.T
+    rows = jnp.swapaxes(inputs, 0, 1)
+    return network.outputs(rows, jnp.ones(rows.shape[:2], bool)).T
 
 
 def accumulated(changes: Float[Array, "t n"]) -> Float[Array, "t n"]:

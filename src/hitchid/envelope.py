@@ -13,6 +13,7 @@ class Range(eqx.Module):
     lowest: Float[Array, ""]
     highest: Float[Array, ""]
 
+    @eqx.filter_jit
     def trust(self, values: Float[Array, "*b"]) -> Float[Array, "*b"]:
         """Return 1 within the range, falling to 0 over a tenth of its width beyond."""
         beyond = jnp.maximum(self.lowest - values, values - self.highest)

@@ -35,33 +35,41 @@ def progress(*, quiet: bool = False) -> Iterator[Progress]:
 
         def show(step: Step) -> None:
             curves.hear(step)
-            bar.update(task, description=step.stage, completed=step.fraction)
+            bar.update(task, description=curves.stages, completed=step.fraction)
 
         yield show
 
 
 class Curves:
-    """What the present stage makes smaller, drawn as it falls."""
+    """What the present stage of each strand makes smaller, drawn as it falls."""
 
     def __init__(self) -> None:
-        self._stage = self._round = ""
-        self._values: dict[str, list[float]] = {}
+        self._strands: dict[str, tuple[Step, dict[str, list[float]]]] = {}
 
     def hear(self, step: Step) -> None:
-        """Take in a step; a new stage begins a new picture."""
-        if step.stage != self._stage:
-            self._values = {}
-        self._stage, self._round = step.stage, step.round
+        """Take in a step; a new stage begins a new picture, and work on the whole ends the strands."""
+        together = {name: each for name, each in self._strands.items() if bool(name) == bool(step.strand)}
+        last, values = together.get(step.strand, (step, {}))
+        values = values if last.stage == step.stage else {}
         for name, value in step.figures.items():
-            self._values.setdefault(name, []).append(value)
+            values.setdefault(name, []).append(value)
+        self._strands = {**together, step.strand: (step, values)}
+
+    @property
+    def stages(self) -> str:
+        """The stages that are being done."""
+        return " | ".join(step.stage for step, _ in self._strands.values())
 
     def __rich__(self) -> Text:
-        """Return a line for each figure, in 80 columns."""
-        lines = [
-            f"{name[:NAME]:{NAME}} {values[-1]:<9.4g} {falling(values)}"
-            for name, values in self._values.items()
-        ]
-        return Text("\n".join([self._round, *lines] if lines else []), no_wrap=True)
+        """Return the round of each strand and a line for each figure, in 80 columns."""
+        lines = []
+        for step, values in self._strands.values():
+            told = [
+                f"{name[:NAME]:{NAME}} {series[-1]:<9.4g} {falling(series)}"
+                for name, series in values.items()
+            ]
+            lines += [" ".join(filter(None, (step.strand, step.round))), *told] if told else []
+        return Text("\n".join(lines), no_wrap=True)
 
 
 def falling(values: list[float]) -> str:
@@ -81,17 +89,22 @@ class _Lines:
     """A line for each stage as it begins, and one for where it ended if it made something smaller."""
 
     def __init__(self) -> None:
-        self._last = Step("", 0.0)
+        self._last: dict[str, Step] = {}
 
     def tell(self, step: Step) -> None:
-        if step.stage != self._last.stage:
-            self.end()
+        last = self._last.get(step.strand)
+        if last is None or step.stage != last.stage:
+            self.end(*filter(None, [step.strand]))
             sys.stderr.write(f"{step.fraction:4.0%}  {step.stage}\n")
             sys.stderr.flush()
-        self._last = step
+        self._last[step.strand] = step
 
-    def end(self) -> None:
-        if self._last.figures:
-            told = ", ".join(f"{name} {value:.4g}" for name, value in self._last.figures.items())
-            sys.stderr.write(f"      {self._last.round}: {told}\n")
-            sys.stderr.flush()
+    def end(self, *strands: str) -> None:
+        """Say where the last stages of strands ended; those of all where none is named."""
+        for strand in strands or tuple(self._last):
+            last = self._last.pop(strand, None)
+            if last is not None and last.figures:
+                told = ", ".join(f"{name} {value:.4g}" for name, value in last.figures.items())
+                stage = f"{strand}, " if strand else ""
+                sys.stderr.write(f"      {stage}{last.round}: {told}\n")
+                sys.stderr.flush()

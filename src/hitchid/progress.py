@@ -1,6 +1,7 @@
 """How long work tells where it stands."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from threading import Lock
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -13,12 +14,14 @@ class Step(NamedTuple):
         fraction: of all work that is done.
         round: how far the stage is, as `iteration 40`; empty where it has no rounds.
         figures: what the stage makes smaller, name to its value now.
+        strand: which of several works done at the same time tells; empty where there is one.
     """
 
     stage: str
     fraction: float
     round: str = ""
     figures: Mapping[str, float] = MappingProxyType({})
+    strand: str = ""
 
 
 Progress = Callable[[Step], None]
@@ -47,6 +50,28 @@ def part(progress: Progress, start: float, width: float, name: str = "") -> Prog
         progress(step._replace(stage=stage, fraction=start + width * step.fraction))
 
     return tell
+
+
+def strands(progress: Progress, start: float, width: float, names: Sequence[str]) -> dict[str, Progress]:
+    """Return what tells of works done at the same time, by name; they tell one after the other.
+
+    Args:
+        progress: of the whole.
+        start, width: where they begin and how much of the whole they are together, fractions.
+        names: put before each stage.
+    """
+    done, one_at_a_time = dict.fromkeys(names, 0.0), Lock()
+
+    def teller(name: str) -> Progress:
+        def tell(step: Step) -> None:
+            with one_at_a_time:
+                done[name] = step.fraction
+                fraction = start + width * sum(done.values()) / len(done)
+                progress(step._replace(stage=f"{name}: {step.stage}", fraction=fraction, strand=name))
+
+        return tell
+
+    return {name: teller(name) for name in names}
 
 
 def rounds(progress: Progress, stage: str, start: float, width: float, name: str) -> Heard:

@@ -3,6 +3,7 @@
 Where the compensator of Sun et al. 2025, sec. 2.2.3, hears the measured displacement, this one hears its own.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -71,7 +72,15 @@ class SpeedCompensator(eqx.Module):
         return jnp.stack([command / self.command, moved / self.moved, *scaled], axis=-1).astype(SINGLE)
 
     def hear(
-        self, networks: Lstm, hidden: Hidden, command: Array, before: Array, place: Array, load: Array
+        self,
+        networks: Lstm,
+        hidden: Hidden,
+        command: Array,
+        before: Array,
+        place: Array,
+        load: Array,
+        *,
+        joined: bool = False,
     ) -> tuple[Hidden, Float[Array, " t"]]:
         """Return the networks' state and the factor on the benchmark's speed in the block that begins.
 
@@ -80,9 +89,11 @@ class SpeedCompensator(eqx.Module):
             hidden: their state, shape [M, T, H].
             command, before: effective command and travel of the benchmark in the block before, shape [T].
             place, load: displacement and second input, shape [T].
+            joined: see `Lstm.read`.
         """
         inputs = self.features(command, before, place, load)
-        hidden = jax.vmap(Lstm.read, in_axes=(0, 0, None))(networks, hidden, inputs)
+        read = partial(Lstm.read, joined=joined)
+        hidden = jax.vmap(read, in_axes=(0, 0, None))(networks, hidden, inputs)
         share = jnp.mean(jnp.tanh(jax.vmap(Lstm.output)(networks, hidden)), axis=0)
         trust = self.envelope.trust(jnp.abs(command), place, load)
         return hidden, 1 + AUTHORITY * trust * share.astype(trust.dtype)
@@ -94,6 +105,7 @@ class SpeedCompensator(eqx.Module):
         *,
         measured: Float[Array, "b t"] | None = None,
         anchored_every: Int[Array, ""] | int = 1,
+        joined: bool = False,
     ) -> tuple[Float[Array, "b t"], Float[Array, "b t"]]:
         """Return travel at the start of each block and the factor on the benchmark's speed in it.
 
@@ -102,6 +114,7 @@ class SpeedCompensator(eqx.Module):
             drive: what is heard.
             measured: measured travel at the start of each block, to start anew from; None for free run.
             anchored_every: blocks between two such starts.
+            joined: see `Lstm.read`.
         """
         blocks, tests = drive.command.shape
         members = networks.head.weight.shape[0]
@@ -115,7 +128,7 @@ class SpeedCompensator(eqx.Module):
             if measured is not None:
                 travel = jnp.where(number % anchored_every == 0, known, travel)
             place = drive.initial + self.direction * travel
-            hidden, factor = self.hear(networks, hidden, command, before, place, drive.load)
+            hidden, factor = self.hear(networks, hidden, command, before, place, drive.load, joined=joined)
             return (hidden, travel + factor * moved), (travel, factor)
 
         start = (networks.blank((members, tests)), jnp.zeros_like(drive.initial))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hitchid.identification import Descent
-from hitchid.identification.descent import Ending, descend
+from hitchid.identification.descent import Ending, descend, filled
 
 RNG = np.random.default_rng(0)
 INPUTS = RNG.normal(size=(64, 3))
@@ -99,6 +99,28 @@ def test_a_loss_that_is_not_finite_ends_the_training_with_the_best_weights_befor
     assert trace.ending is Ending.FAILED
     assert len(trace.training) == 1
     assert trace.best_epoch == 0
+
+
+def weighted_squares(network, data):
+    inputs, target, weight = data
+    return jnp.sum(weight * (inputs @ network.weights - target) ** 2), jnp.sum(weight)
+
+
+def test_every_sequence_counts_once_in_batches_filled_with_such_that_do_not():
+    inputs, target = regression(WEIGHTS, INPUTS[:40])
+    data = (inputs, target, jnp.ones(40))
+    full = filled(data, 16)
+    assert [each.shape[0] for each in full] == [48, 48, 48]
+    for mine, theirs in zip(full, data, strict=True):
+        np.testing.assert_array_equal(mine[:40], theirs)
+        assert not np.any(mine[40:])
+    asked = Descent(epochs=1, batch=16, learning_rate=1e-14)
+    _, trace = descend(Linear(jnp.zeros(3)), weighted_squares, full, full, asked, KEY)
+    # The weights stay zero, so what is missed is the target of all forty.
+    expected = np.sqrt(np.mean(np.square(target)))
+    assert trace.training[0] == pytest.approx(expected, rel=1e-9)
+    assert trace.validation[0] == pytest.approx(expected, rel=1e-9)
+    assert filled(full, 16)[0].shape == full[0].shape
 
 
 def test_fewer_sequences_than_a_batch_are_one_batch():

@@ -316,3 +316,22 @@ def test_a_test_that_is_only_faster_misses_by_what_ties_its_factor():
     expected = ((own - factor) ** 2 + tied * (own - 1) ** 2) * float(np.sum(travel**2))
     assert squares == pytest.approx(expected, rel=1e-9)
     assert squares < 0.02 * float(np.sum((travel - measured) ** 2))
+
+
+@pytest.mark.parametrize("slope", [False, True])
+def test_tests_that_fill_up_a_batch_change_nothing(batch_of, slope):
+    """Five tests are laid beside three that count nowhere, so that five to eight compile once."""
+    batch = batch_of(plants(second_order(21.0, 18.0, 0.3), tests=5), noise=0.1, rng=np.random.default_rng(3))
+    misfit = Misfit.of(batch, Form(SECOND_ORDER, slope=slope))
+    position = np.full(len(misfit.form.parameters), 0.4)
+    problem, test = misfit.problem()
+    assert misfit.over(batch.filled_up()).batch.command.shape[0] == 8
+    plain = np.asarray(misfit.residuals(jnp.asarray(position)))[np.asarray(batch.counted)]
+    # The same sums in programs of two shapes.
+    bound = 10 * SAMPLES * np.finfo(float).eps * np.abs(plain).max()
+    np.testing.assert_allclose(problem.residuals(position), plain, rtol=0, atol=bound)
+    assert np.all(np.isfinite(problem.jacobian(position)))
+    assert set(test) == {0, 1, 2, 3, 4}
+    assert misfit.by_test(position).shape == (5,)
+    mean_square = float(np.mean(misfit.by_test(position) ** 2))
+    assert mean_square == pytest.approx(float(misfit(jnp.asarray(position)[None])[0]) ** 2, rel=1e-9)

@@ -8,14 +8,20 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from hitchid.fitting import Comparison
 
+PROGRAMS = 10_000
+
 
 def prepare_jax() -> None:
     """Keep compiled programs in the user's cache, unless JAX knows a place: the next run starts faster."""
     import jax
 
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-        jax.config.update("jax_compilation_cache_dir", str(_cache() / "compiled"))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+        place = _cache() / "compiled"
+        _forget_oldest(place)
+        jax.config.update("jax_compilation_cache_dir", str(place))
+        # Small ones too: there are hundreds of them, and together they take longer than the large ones.
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+        jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
 
 def resumable(comparison: "Comparison | None") -> "Comparison | None":
@@ -23,6 +29,18 @@ def resumable(comparison: "Comparison | None") -> "Comparison | None":
     from hitchid.checkpoints import Checkpoints
 
     return comparison and replace(comparison, kept=Checkpoints(_cache() / "searches"))
+
+
+def _forget_oldest(programs: Path) -> None:
+    """Keep the newer half of so many programs that their folder would grow without end (some 100 MB)."""
+    try:
+        kept = list(os.scandir(programs)) if programs.is_dir() else []
+        if len(kept) > PROGRAMS:
+            kept.sort(key=lambda entry: entry.stat().st_mtime)
+            for entry in kept[: -PROGRAMS // 2]:
+                Path(entry).unlink(missing_ok=True)
+    except OSError:
+        return  # another process tidies up, or nothing may be removed: neither is worth a word
 
 
 def _cache() -> Path:

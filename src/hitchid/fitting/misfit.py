@@ -91,20 +91,29 @@ class Misfit(eqx.Module):
         squares = jax.vmap(lambda position: jnp.sum(self.residuals(position) ** 2))(positions)
         return jnp.sqrt(squares / jnp.sum(self.batch.counted))
 
+    def error(self, position: np.ndarray) -> float:
+        """Return J at one position."""
+        whole = self.over(self.batch.filled_up())
+        squares = np.sum(np.asarray(_residuals(whole, jnp.asarray(position))) ** 2)
+        return float(np.sqrt(squares / np.sum(np.asarray(self.batch.counted))))
+
     def by_test(self, position: np.ndarray) -> np.ndarray:
         """Return the root mean square error of each test, shape [T]."""
-        squares = np.sum(np.asarray(_residuals(self, jnp.asarray(position))) ** 2, axis=1)
         counts = np.asarray(self.batch.counted).sum(axis=1)
+        whole = self.over(self.batch.filled_up())
+        residuals = np.asarray(_residuals(whole, jnp.asarray(position)))[: counts.size]
+        squares = np.sum(residuals**2, axis=1)
         return np.sqrt(squares * np.count_nonzero(counts) / counts.sum())
 
     def problem(self) -> tuple[Problem, np.ndarray]:
         """Return the search problem over the samples that count, and which test each of them belongs to."""
-        counted = np.asarray(self.batch.counted)
+        whole = self.over(self.batch.filled_up())
+        counted = np.asarray(whole.batch.counted)
         problem = Problem(
             dimensions=len(self.form.parameters),
-            fitness=self,
-            residuals=lambda position: np.asarray(_residuals(self, jnp.asarray(position)))[counted],
-            jacobian=lambda position: np.asarray(_jacobian(self, jnp.asarray(position)))[counted],
+            fitness=whole,
+            residuals=lambda position: np.asarray(_residuals(whole, jnp.asarray(position)))[counted],
+            jacobian=lambda position: np.asarray(_jacobian(whole, jnp.asarray(position)))[counted],
         )
         return problem, np.repeat(np.arange(len(counted)), counted.sum(axis=1))
 

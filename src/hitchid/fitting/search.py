@@ -95,7 +95,7 @@ class Whale(Search):
     def minimise(self, problem: Problem, seed: int, heard: Heard | None = None) -> Found:
         """Search with a swarm of whales, in one compiled program."""
         key = jax.random.key(seed)
-        carry = whale.begin(problem.dimensions, self.swarm, key)
+        carry = _begin(problem.dimensions, self.swarm, key)
         ends = self.swarm.generations
         for until in range(TOLD if heard else ends, ends + TOLD, TOLD):
             carry = _proceed(problem.fitness, carry, self.swarm, key, jnp.asarray(min(until, ends)))
@@ -291,6 +291,7 @@ def polish(problem: Problem, start: np.ndarray, *, limit: int = 200, tolerance: 
     )
 
 
+_begin = eqx.filter_jit(whale.begin)
 _proceed = eqx.filter_jit(whale.proceed)
 
 

@@ -5,10 +5,11 @@ from hitchid.fitting.search import DifferentialEvolution as DifferentialEvolutio
 from hitchid.fitting.search import MultiStart as MultiStart
 from hitchid.fitting.search import Search as Search
 from hitchid.fitting.search import Whale as Whale
+from hitchid.identification.case import Identification as Identification
 from hitchid.identification.descent import Descent as Descent
 from hitchid.identification.direction import ChannelTrace as ChannelTrace
-from hitchid.identification.identify import Identification as Identification
 from hitchid.identification.identify import identify as identify
+from hitchid.identification.identify import identify_many as identify_many
 from hitchid.identification.phase2 import Training as Training
 from hitchid.identification.rollouts import Gate as Gate
 from hitchid.identification.rollouts import Rollouts as Rollouts

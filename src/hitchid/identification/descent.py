@@ -16,6 +16,7 @@ from hitchid.checkpoints import NOWHERE, Arrays, Checkpoints
 from hitchid.identification.weights import weights_of, with_weights
 
 Network = TypeVar("Network")
+Data = TypeVar("Data")
 Progress = Callable[[int, float, float], None]
 SquaredError = Callable[[Any, PyTree], tuple[Float[Array, ""], Float[Array, ""]]]
 
@@ -77,7 +78,8 @@ def descend(
         network: what to train; all its floating-point arrays are.
         error: from network and data to the sum of squared errors and the number of them; one function for
             trainings that are to share a compiled program.
-        training, validation: arrays whose first axis runs over sequences.
+        training, validation: arrays whose first axis runs over sequences; of the training's, those that fill
+            no batch are left out in turn, see `filled`.
         settings: epochs, patience, batch, learning rate.
         key: shuffles the sequences.
         progress: called after each epoch with its number, training and validation loss.
@@ -95,6 +97,12 @@ def descend(
     return with_weights(network, found), trace
 
 
+def filled(data: Data, batch: int) -> Data:
+    """Return sequences and, to fill the last batch, such of zeros: data of like size share a program."""
+    missing = -jax.tree.leaves(data)[0].shape[0] % batch
+    return jax.tree.map(lambda array: jnp.pad(array, ((0, missing), *((0, 0),) * (array.ndim - 1))), data)
+
+
 def _descend(
     network: Network,
     error: SquaredError,
@@ -108,15 +116,15 @@ def _descend(
     batches = sequences // min(settings.batch, sequences)
     state = _optimiser(settings, batches).init(eqx.filter(network, eqx.is_inexact_array))
     best = network
-    best_loss = float(jnp.sqrt(_loss(error, network, validation)))
+    best_loss = float(_loss(error, network, validation))
     best_epoch, ending = 0, Ending.EPOCHS
     trained, validated = [], []
     for number in range(1, settings.epochs + 1):
-        network, state, train_loss, held_loss = _epoch(
-            error, settings, network, state, training, validation, jax.random.fold_in(key, number)
+        network, state, loss = _epoch(
+            error, settings, network, state, training, jax.random.fold_in(key, number)
         )
-        trained.append(float(train_loss))
-        validated.append(float(held_loss))
+        trained.append(float(loss))
+        validated.append(float(_loss(error, network, validation)))
         if progress is not None:
             progress(number, trained[-1], validated[-1])
         if not np.isfinite(trained[-1]):
@@ -143,15 +151,9 @@ def _loss(error: SquaredError, network: PyTree, data: PyTree) -> Float[Array, ""
 
 @eqx.filter_jit
 def _epoch(
-    error: SquaredError,
-    settings: Descent,
-    network: PyTree,
-    state: PyTree,
-    data: PyTree,
-    held: PyTree,
-    key: PRNGKeyArray,
-) -> tuple[PyTree, PyTree, Array, Array]:
-    """Return network and optimiser state after one pass, and the losses of training and validation data."""
+    error: SquaredError, settings: Descent, network: PyTree, state: PyTree, data: PyTree, key: PRNGKeyArray
+) -> tuple[PyTree, PyTree, Array]:
+    """Return network and optimiser state after one pass, and the loss on the way."""
     sequences = jax.tree.leaves(data)[0].shape[0]
     batch = min(settings.batch, sequences)
     batches = sequences // batch
@@ -159,17 +161,17 @@ def _epoch(
     weights, fixed = eqx.partition(network, eqx.is_inexact_array)
     order = jax.random.permutation(key, sequences)[: batches * batch].reshape(batches, batch)
 
-    def mean_square(weights: PyTree, rows: Array) -> Array:
+    def mean_square(weights: PyTree, rows: Array) -> tuple[Array, tuple[Array, Array]]:
         chosen = jax.tree.map(lambda array: array[rows], data)
         squares, count = error(eqx.combine(weights, fixed), chosen)
-        return squares / jnp.maximum(count, 1)
+        return squares / jnp.maximum(count, 1), (squares, count)
 
-    def step(carry: tuple, rows: Array) -> tuple[tuple, Array]:
+    def step(carry: tuple, rows: Array) -> tuple[tuple, tuple[Array, Array]]:
         weights, state = carry
-        value, slope = jax.value_and_grad(mean_square)(weights, rows)
+        (_, missed), slope = jax.value_and_grad(mean_square, has_aux=True)(weights, rows)
         change, state = optimiser.update(slope, state, weights)
-        return (optax.apply_updates(weights, change), state), value
+        return (optax.apply_updates(weights, change), state), missed
 
-    (weights, state), values = jax.lax.scan(step, (weights, state), order)
-    network = eqx.combine(weights, fixed)
-    return network, state, jnp.sqrt(jnp.mean(values)), _loss(error, network, held)
+    (weights, state), (squares, counts) = jax.lax.scan(step, (weights, state), order)
+    loss = jnp.sqrt(jnp.sum(squares) / jnp.maximum(jnp.sum(counts), 1))
+    return eqx.combine(weights, fixed), state, loss

@@ -133,7 +133,7 @@ def _descended(misfit: Misfit, starts: Sequence[np.ndarray]) -> np.ndarray:
     problem, _ = misfit.problem()
     best = polish(problem, min(rough, key=lambda polished: polished.fitness).position, limit=STEPS)
     # Least squares starts strictly inside the bounds: a search that ended on one may be a trifle better.
-    before = float(misfit(jnp.asarray(starts[0])[None])[0])
+    before = misfit.error(starts[0])
     return _levelled(misfit, best.position if best.fitness <= before else starts[0])
 
 
@@ -145,8 +145,8 @@ def assessed(fit: Fit, *, units: Mapping[str, str], dead_zone: DeadZoneError, se
         fit=fit,
         known=known,
         moved=moved,
-        rmse=_pooled(fit.misfit, fit.position),
-        search_rmse=_pooled(fit.misfit, fit.found.best),
+        rmse=fit.misfit.pooled().error(fit.position),
+        search_rmse=fit.misfit.pooled().error(fit.found.best),
     )
 
 
@@ -161,10 +161,6 @@ def _levelled(misfit: Misfit, position: np.ndarray) -> np.ndarray:
         travel = jnp.where(misfit.batch.counted, travel, 0.0)
         values[0] *= float(jnp.sum(travel * measured) / jnp.sum(travel**2))
     return misfit.position(values)
-
-
-def _pooled(misfit: Misfit, position: np.ndarray) -> float:
-    return float(misfit.pooled()(jnp.asarray(position)[None])[0])
 
 
 def _restarts(form: Form, seed: int) -> list[np.ndarray]:

@@ -11,9 +11,9 @@ from jaxtyping import Array, Bool, Float, Float32, PRNGKeyArray
 from hitchid.benchmark import Batch
 from hitchid.checkpoints import NOWHERE, Checkpoints
 from hitchid.compensator import FEATURES, Compensator, Sample, measured_features
-from hitchid.identification.descent import Descent, DescentTrace, Progress, descend
+from hitchid.identification.descent import Descent, DescentTrace, Progress, descend, filled
 from hitchid.identification.rollouts import Rollouts
-from hitchid.lstm import Hidden, Lstm
+from hitchid.lstm import Lstm
 
 
 @dataclass(frozen=True)
@@ -91,6 +91,7 @@ def train_compensator(
     )
     sequences = _sequences(compensator, features, errors, batch)
     held = _sequences(compensator, *_features(*validation), validation[0])
+    sequences, held = (filled(each, settings.descent.batch) for each in (sequences, held))
     network, trace = descend(
         compensator.network, _squared_error, sequences, held, settings.descent, key, progress, kept
     )
@@ -147,15 +148,6 @@ def _sequences(compensator: Compensator, features: np.ndarray, errors: np.ndarra
 
 def _squared_error(network: Lstm, sequences: Sequences) -> tuple[Array, Array]:
     window = sequences.target.shape[1]
-
-    def advance(hidden: Hidden, inputs: tuple[Array, Array]) -> tuple[Hidden, Array]:
-        features, valid = inputs
-        read = network.read(hidden, features)
-        hidden = jax.tree.map(lambda new, old: jnp.where(valid[:, None], new, old), read, hidden)
-        return hidden, network.output(hidden)
-
-    start = network.blank((sequences.target.shape[0],))
-    inputs = (jnp.swapaxes(sequences.features, 0, 1), sequences.valid.T)
-    _, outputs = jax.lax.scan(advance, start, inputs)
+    outputs = network.outputs(jnp.swapaxes(sequences.features, 0, 1), sequences.valid.T)
     misses = (outputs[window:].T - sequences.target) * sequences.counted
     return jnp.sum(misses**2), jnp.sum(sequences.counted)

@@ -158,7 +158,9 @@ def _train(
     def by_test(weights: Lstm, anchored_every: Array) -> Float[Array, " t"]:
         """Return the mean square error of each test for one member."""
         single = jax.tree.map(lambda leaf: leaf[None], eqx.combine(weights, fixed))
-        travel, _ = compensator.rollout(single, drive, measured=measured, anchored_every=anchored_every)
+        travel, _ = compensator.rollout(
+            single, drive, measured=measured, anchored_every=anchored_every, joined=True
+        )
         return jnp.sum(jnp.where(counted, travel - measured, 0.0) ** 2, axis=0) / counts
 
     def loss(weights: Lstm, role: Array, anchored_every: Array) -> tuple[Array, Array]:

@@ -244,7 +244,7 @@ def _judged(
     misfit: Misfit, free: Sequence[int], positions: np.ndarray, folds: Sequence[np.ndarray]
 ) -> _Judged:
     pooled, apart = misfit.pooled(), replace(misfit, apart=True)
-    whole = float(pooled(jnp.asarray(positions)[None])[0])
+    whole = pooled.error(positions)
     held_out, held_apart = [], []
     for held in folds:
         kept = _over(misfit, ~held)

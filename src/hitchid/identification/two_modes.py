@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import jax.numpy as jnp
 import numpy as np
-from scipy.stats import f as f_distribution
+from scipy.special import fdtrc
 
 from hitchid.benchmark import Batch, Form, structure_named
 from hitchid.fitting import Misfit
@@ -65,7 +65,7 @@ def compare_modes(prepared: Mapping[str, Prepared]) -> TwoModes | None:
                 held_out[name][held] = misfit.by_test(refitted)[held]
     shared, two = (float(np.sum(errors[name] ** 2)) for name in ("shared", "two"))
     statistic = max(shared - two, 0.0) / parameters / (two / freedom)
-    chance = float(f_distribution.sf(statistic, parameters, freedom))
+    chance = float(fdtrc(parameters, freedom, statistic))
     return TwoModes(
         needed=proven_better(held_out["two"], held_out["shared"]) and chance < SIGNIFICANT,
         shared_rmse=float(np.sqrt(np.mean(held_out["shared"] ** 2))),

@@ -10,4 +10,5 @@ from hitchid.model.hitch import Hitch as Hitch
 from hitchid.model.packing import Packed as Packed
 from hitchid.model.provenance import Provenance as Provenance
 from hitchid.model.provenance import TwoModes as TwoModes
+from hitchid.model.runs import FreeRun as FreeRun
 from hitchid.model.stepping import State as State

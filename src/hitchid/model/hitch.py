@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
-from scipy import stats
+from scipy.special import ndtri
 
 from hitchid.benchmark import Batch, mean_before_motion
 from hitchid.errors import InputError
@@ -19,7 +19,7 @@ from hitchid.model.channel import Channel
 from hitchid.model.packing import Packed, Packing
 from hitchid.model.possible import possible
 from hitchid.model.provenance import Provenance, TwoModes
-from hitchid.model.runs import FreeRun, ahead_of, from_origins, padded, stepped
+from hitchid.model.runs import FreeRun, Rest, ahead_of, from_origins, padded, stepped, stepped_abreast
 from hitchid.model.stepping import LARGEST, Motion, State
 from hitchid.modes import ACTIVE_FRACTION, effective_command, full_scales
 from hitchid.precision import double_precision
@@ -154,7 +154,7 @@ class Hitch:
         for name, value in (("displacement", displacement), ("load", load)):
             if not abs(value) < LARGEST:
                 raise InputError(f"{name}: required a number within ±{LARGEST:g}, came {value}")
-        return self._packing.pack(self._standing(displacement, load))
+        return self._standing(displacement, load)
 
     def step(
         self, state: Packed, commands: ArrayLike | Sequence[ArrayLike], measured: ArrayLike | None = None
@@ -233,11 +233,10 @@ class Hitch:
         farthest = min(max(horizons), len(own))
         commands = padded(_commands(own), farthest)
         measured = padded(own.displacement, farthest)
-        start = self._start(own)
-        ahead = np.asarray(ahead_of(self._motion, start, commands, measured, farthest, every))
+        rest = self._rest(own)
+        ahead = np.asarray(ahead_of(self._motion, jnp.array(rest), commands, measured, farthest, every))
         rows = [
-            from_origins(ahead, float(start.displacement), min(each, farthest), len(own), every)
-            for each in horizons
+            from_origins(ahead, rest.displacement, min(each, farthest), len(own), every) for each in horizons
         ]
         return np.stack([self._given_back(row, own, record) for row in rows])
 
@@ -249,16 +248,12 @@ class Hitch:
             record: on the model's clock and in its units; see `adopt`.
             compensated: False leaves the compensators out.
         """
-        alone = {"compensator": None} if compensated else {"compensator": None, "speed_compensator": None}
-        channels = [replace(channel, **alone) for channel in self.channels.values()]
-        motion = Motion.of(channels, self.step_s, self.drift)
-        start = self._start(record)
-        start = motion.initial(start.displacement, start.load)
-        displacement, charge = stepped(motion, start, padded(_commands(record), 1))
-        first = np.asarray(start.displacement)[None]
+        rest = self._rest(record)
+        commands = padded(_commands(record), 1)
+        displacement, charge = stepped(self._free_motion(compensated=compensated), jnp.array(rest), commands)
         count = len(record) - 1
         return FreeRun(
-            np.concatenate([first, np.asarray(displacement)[:count]]),
+            _after(rest, np.asarray(displacement)[:count]),
             np.concatenate([np.asarray(charge)[:count], np.asarray(charge)[count - 1 : count]]),
         )
 
@@ -288,7 +283,8 @@ class Hitch:
         own = self.adopt(record)
         run = self.free_run(own)
         if horizon is None:
-            middle, half = self.simulate(record), self._free_run_half(own, run, known, coverage)
+            middle = self._given_back(run.displacement, own, record)
+            half = self._free_run_half(own, run, known, coverage)
         else:
             each = [known[mode].half_width(coverage, horizon) for mode in self.channels]
             middle = self.predict(record, horizon=horizon)
@@ -309,15 +305,17 @@ class Hitch:
     def _free_run_half(
         self, own: Record, run: FreeRun, bands: Mapping[str, Bands], coverage: float
     ) -> Float[np.ndarray, " n"]:
-        floor = [stats.norm.ppf(0.5 + coverage / 2) * each.noise for each in bands.values()]
-        squares = np.full(len(own), float(max(floor)) ** 2)
+        floor = [ndtri(0.5 + coverage / 2) * each.noise for each in bands.values()]
+        others, factors = [], []
         for mode, channel in self.channels.items():
-            widening = bands[mode].multiplier(coverage) ** 2
             for each in bands[mode].alternatives:
                 other = replace(self, channels={**self.channels, mode: possible(channel, each)})
-                apart = each.weight * (other.free_run(own).displacement - run.displacement)
-                squares += widening * apart**2
-        return np.sqrt(squares)
+                others.append(other._free_motion())
+                factors.append(bands[mode].multiplier(coverage) * each.weight)
+        rest = self._rest(own)
+        runs = stepped_abreast(others, jnp.array(rest), padded(_commands(own), 1))[:, : len(own) - 1]
+        apart = np.stack([_after(rest, row) for row in runs]) - run.displacement
+        return np.sqrt(float(max(floor)) ** 2 + np.sum((np.array(factors)[:, None] * apart) ** 2, axis=0))
 
     def adopt(self, record: Record) -> Record:
         """Return a record on the model's clock and in the model's units.
@@ -346,9 +344,20 @@ class Hitch:
     def _motion(self) -> Motion:
         return Motion.of(tuple(self.channels.values()), self.step_s, self.drift)
 
+    def _free_motion(self, *, compensated: bool = True) -> Motion:
+        """Return the motion without what predicts from measurements, or without any compensator."""
+        alone = {"compensator": None} if compensated else {"compensator": None, "speed_compensator": None}
+        channels = [replace(channel, **alone) for channel in self.channels.values()]
+        return Motion.of(channels, self.step_s, self.drift)
+
     @cached_property
     def _packing(self) -> Packing:
-        return Packing(self._standing(0.0, 0.0))
+        return Packing(jax.eval_shape(self._motion.standing))
+
+    @cached_property
+    def _standing(self) -> Callable[[float, float], Packed]:
+        motion, packing = self._motion, self._packing
+        return jax.jit(lambda displacement, load: packing.pack(motion.initial(displacement, load)))
 
     @cached_property
     def _unpacked(self) -> Callable[[Packed], State]:
@@ -358,11 +367,8 @@ class Hitch:
     def _step(self) -> Callable[..., tuple[Packed, Array]]:
         return self._packing.step(self._motion)
 
-    def _standing(self, displacement: float, load: float) -> State:
-        return self._motion.standing(displacement, load)
-
-    def _start(self, record: Record) -> State:
-        """Return the state before a record: the means before any command becomes effective."""
+    def _rest(self, record: Record) -> Rest:
+        """Return where a hitch stands before a record: the means before any command becomes effective."""
         effective = np.zeros(len(record))
         for mode, channel in self.channels.items():
             if mode in record.modes:
@@ -370,7 +376,7 @@ class Hitch:
         load = next((c.benchmark.load for c in self.channels.values() if c.benchmark.load), None)
         if load is not None and load not in record.signals:
             raise InputError(f"record '{record.name}' has no '{load}'; the model hears it as a second input")
-        return self._standing(
+        return Rest(
             mean_before_motion(record.displacement, effective),
             0.0 if load is None else mean_before_motion(record.signals[load], effective),
         )
@@ -381,6 +387,11 @@ class Hitch:
         if own.step_s != record.step_s:
             displacement = np.interp(record.time_s, own.time_s, displacement)
         return displacement * unit
+
+
+def _after(rest: Rest, displacement: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n1"]:
+    """Return a free run from its first sample on."""
+    return np.concatenate([[rest.displacement], displacement])
 
 
 def _same_clock(step_s: float, wanted_s: float, samples: int) -> bool:

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from hitchid.benchmark import Batch
 from hitchid.model.channel import Channel
@@ -21,13 +21,15 @@ def possible(channel: Channel, alternative: Alternative) -> Channel:
         return found
     networks = channel.speed_compensator.networks
     # As many as before, all alike: their mean is the one, and no program is compiled anew.
-    alone = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf[alternative.member], leaf.shape), networks)
+    alone = jax.tree.map(
+        lambda leaf: jnp.asarray(np.broadcast_to(np.asarray(leaf)[alternative.member], leaf.shape)), networks
+    )
     return eqx.tree_at(lambda each: each.speed_compensator.networks, found, alone)
 
 
 def spread(
     channel: Channel, alternatives: Sequence[Alternative], batch: Batch
-) -> tuple[Float[Array, "t n"], Float[np.ndarray, "a t n"]]:
+) -> tuple[Float[np.ndarray, "t n"], Float[np.ndarray, "a t n"]]:
     """Return a channel's free run, and by how much those of its alternatives differ, times their weights.
 
     Args:
@@ -35,6 +37,7 @@ def spread(
         alternatives: what might as well be true.
         batch: tests.
     """
-    simulated = channel.simulate(batch)
-    apart = [each.weight * (possible(channel, each).simulate(batch) - simulated) for each in alternatives]
-    return simulated, np.stack([np.asarray(rows) for rows in apart])
+    simulated = np.asarray(channel.simulate(batch))
+    others = [np.asarray(possible(channel, each).simulate(batch)) for each in alternatives]
+    weights = np.array([each.weight for each in alternatives])
+    return simulated, weights[:, None, None] * (np.stack(others) - simulated)

@@ -1,5 +1,6 @@
 """Whole records through a hitch's motion: free runs, and predictions ahead of every sample."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -11,7 +12,7 @@ from jaxtyping import Array, Float, Int
 from hitchid.benchmark import padded_length
 from hitchid.model.stepping import Motion, State
 
-AT_ONCE = 1024
+ABREAST = 64
 
 
 class FreeRun(NamedTuple):
@@ -26,6 +27,13 @@ class FreeRun(NamedTuple):
     charge: Int[np.ndarray, " n"]
 
 
+class Rest(NamedTuple):
+    """A hitch that stands before a record: displacement and second measured input, in the model's units."""
+
+    displacement: float
+    load: float
+
+
 def padded(samples: np.ndarray, beyond: int) -> Array:
     """Return samples with NaN behind them, so many at least and up to a length for which programs exist."""
     width = padded_length(len(samples) + beyond)
@@ -35,7 +43,7 @@ def padded(samples: np.ndarray, beyond: int) -> Array:
 
 @eqx.filter_jit
 def stepped(
-    motion: Motion, start: State, commands: Float[Array, "n 2"]
+    motion: Motion, rest: Float[Array, "2"], commands: Float[Array, "n 2"]
 ) -> tuple[Float[Array, " n"], Int[Array, " n"]]:
     """Return displacement after each sample without measurements, and the channel in charge meanwhile."""
 
@@ -43,26 +51,48 @@ def stepped(
         state, displacement = motion.step(state, command, jnp.asarray(jnp.nan))
         return state, (displacement, state.mode)
 
-    return jax.lax.scan(advance, start, commands)[1]
+    return jax.lax.scan(advance, motion.initial(*rest), commands)[1]
+
+
+def stepped_abreast(
+    motions: Sequence[Motion], rest: Float[Array, "2"], commands: Float[Array, "n 2"]
+) -> Float[np.ndarray, "m n"]:
+    """Return displacement after each sample as `stepped` does, of several motions; one form, one call."""
+    alike: dict[object, list[int]] = {}
+    for number, motion in enumerate(motions):
+        alike.setdefault(jax.tree.structure(motion), []).append(number)
+    found = np.empty((len(motions), len(commands)))
+    for numbers in alike.values():
+        abreast = jax.tree.map(lambda *leaves: np.stack(leaves), *(motions[number] for number in numbers))
+        found[numbers] = _stepped_abreast(abreast, rest, commands)
+    return found
+
+
+@eqx.filter_jit
+def _stepped_abreast(motions: Motion, rest: Array, commands: Array) -> Float[Array, "m n"]:
+    return jax.vmap(lambda motion: stepped(motion, rest, commands)[0])(motions)
 
 
 @eqx.filter_jit
 def ahead_of(
     motion: Motion,
-    start: State,
+    rest: Float[Array, "2"],
     commands: Float[Array, "n 2"],
     measured: Float[Array, " n"],
     horizon: int,
     every: int,
 ) -> Float[Array, "h m"]:
-    """Return the displacement h = 1 … horizon samples after samples that have so many behind them."""
+    """Return the displacement h = 1 … horizon samples after samples that have so many behind them.
+
+    Origins go side by side in groups of one size: that fills a processor's arithmetic and fits its cache.
+    """
     count = commands.shape[0] - horizon + 1
 
     def heard(state: State, given: tuple[Array, Array]) -> tuple[State, State]:
         state, _ = motion.step(state, *given)
         return state, state
 
-    _, states = jax.lax.scan(heard, start, (commands[:count], measured[:count]))
+    _, states = jax.lax.scan(heard, motion.initial(*rest), (commands[:count], measured[:count]))
 
     def coast(state: State, at: Array) -> Float[Array, " h"]:
         def advance(state: State, ahead: Array) -> tuple[State, Array]:
@@ -71,8 +101,13 @@ def ahead_of(
 
         return jax.lax.scan(advance, state, jnp.arange(1, horizon + 1))[1]
 
-    origins = jax.tree.map(lambda array: array[::every], (states, jnp.arange(count)))
-    return jax.lax.map(lambda given: coast(*given), origins, batch_size=AT_ONCE).T
+    origins = np.arange(0, count, every)
+    groups = jnp.asarray(np.resize(origins, (-(-origins.size // ABREAST), ABREAST)))
+
+    def coasted(group: Array) -> Float[Array, "g h"]:
+        return jax.vmap(coast)(jax.tree.map(lambda array: array[group], states), group)
+
+    return jax.lax.map(coasted, groups).reshape(-1, horizon)[: origins.size].T
 
 
 def from_origins(ahead: np.ndarray, initial: float, horizon: int, count: int, every: int) -> np.ndarray:

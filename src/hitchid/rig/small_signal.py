@@ -2,8 +2,10 @@
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array
 
 from hitchid.precision import double_precision
 from hitchid.rig.bench import Rig, adjusted, hold_pressure
@@ -20,10 +22,10 @@ class OperatingPoint(NamedTuple):
         oil_temperature_c: °C, None for the rig's own.
     """
 
-    displacement_m: float
-    current_a: float
-    load_force_n: float = 0.0
-    oil_temperature_c: float | None = None
+    displacement_m: float | Scalar
+    current_a: float | Scalar
+    load_force_n: float | Scalar = 0.0
+    oil_temperature_c: float | Scalar | None = None
 
 
 class SmallSignal(NamedTuple):
@@ -60,8 +62,7 @@ def small_signal(rig: Rig, operating_point: OperatingPoint) -> SmallSignal:
     and compensator are no part of it. Flows are counted at tank pressure, hence A/σ(p) for A in continuity.
     The steady speed is v = (Q − C_p (p − p₀))/(A + k C/A).
     """
-    warm = _warm(rig, operating_point)
-    return _chain(warm, operating_point, _steady_lifting(warm, operating_point), leaks=-1.0)
+    return SmallSignal(*map(float, _lifting(rig, _in_arrays(rig, operating_point))))
 
 
 @double_precision
@@ -76,16 +77,30 @@ def lowering_small_signal(rig: Rig, operating_point: OperatingPoint) -> SmallSig
     v = (Q + C_p (p − p₀))/(A + k C/A). Two slow terms are left out: k (C_p + k_c), by which speed falls with
     the load's pressure, and v C dk/dx, by which it rises again as the hose gives off less oil.
     """
-    warm = _warm(rig, operating_point)
-    return _chain(warm, operating_point, _steady_lowering(warm, operating_point), leaks=1.0)
+    return SmallSignal(*map(float, _lowering(rig, _in_arrays(rig, operating_point))))
 
 
-def _warm(rig: Rig, point: OperatingPoint) -> Rig:
+def _in_arrays(rig: Rig, point: OperatingPoint) -> OperatingPoint:
+    """Return a point in arrays, its temperature told, so that one compiled program serves all points."""
     given = point.oil_temperature_c
-    return adjusted(rig, rig.oil.temperature if given is None else jnp.asarray(given))
+    told = point._replace(oil_temperature_c=rig.oil.temperature if given is None else given)
+    return OperatingPoint(*(jnp.asarray(each, jnp.float64) for each in told))
 
 
-def _chain(rig: Rig, point: OperatingPoint, steady: Steady, leaks: float) -> SmallSignal:
+@eqx.filter_jit
+def _lifting(rig: Rig, point: OperatingPoint) -> Array:
+    warm = adjusted(rig, jnp.asarray(point.oil_temperature_c))
+    return _chain(warm, point, _steady_lifting(warm, point), leaks=-1.0)
+
+
+@eqx.filter_jit
+def _lowering(rig: Rig, point: OperatingPoint) -> Array:
+    warm = adjusted(rig, jnp.asarray(point.oil_temperature_c))
+    return _chain(warm, point, _steady_lowering(warm, point), leaks=1.0)
+
+
+def _chain(rig: Rig, point: OperatingPoint, steady: Steady, leaks: float) -> Array:
+    """Return the numbers of a `SmallSignal`, shape [4]."""
     displacement = jnp.asarray(point.displacement_m)
     load = rig.linkage.load(displacement)
     mass, stiffness = load.mass, load.weight_slope + point.load_force_n * load.lever_slope
@@ -102,9 +117,7 @@ def _chain(rig: Rig, point: OperatingPoint, steady: Steady, leaks: float) -> Sma
     divisor = taken + damping * losses / area
     omega = jnp.sqrt(area * divisor / (mass * capacity))
     lag = (damping * capacity + mass * losses) / area / divisor
-    return SmallSignal(
-        float(1e3 * steady.flow_gain / divisor), float(omega), float(0.5 * lag * omega), float(1e3 * speed)
-    )
+    return jnp.stack([1e3 * steady.flow_gain / divisor, omega, 0.5 * lag * omega, 1e3 * speed])
 
 
 def _steady_lowering(rig: Rig, point: OperatingPoint) -> Steady:
@@ -115,12 +128,14 @@ def _steady_lowering(rig: Rig, point: OperatingPoint) -> Steady:
     def flow_at(coil: Scalar, pressure: Scalar) -> tuple[Scalar, Scalar]:
         return valve.flow(valve.spool.area(coil / valve.spool.saturation), pressure, density)
 
-    pressure, speed = held, jnp.zeros_like(held)
-    for _ in range(20):  # friction carries part of the weight: a contraction
+    def balanced(_round: Array, last: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
+        pressure, _ = last
         speed = flow_at(current, pressure)[0] * rig.oil.specific_volume(pressure) / cylinder.area
-        pressure = (
-            held - (cylinder.friction.level(speed)[1] + cylinder.friction.viscous * speed) / cylinder.area
-        )
+        rub = cylinder.friction.level(speed)[1] + cylinder.friction.viscous * speed
+        return held - rub / cylinder.area, speed
+
+    # Friction carries part of the weight: a contraction.
+    pressure, speed = jax.lax.fori_loop(0, 20, balanced, (held, jnp.zeros_like(held)))
     flow, flow_pressure = flow_at(current, pressure)
     flow_gain = jax.grad(lambda coil: flow_at(coil, pressure)[0])(current)
     return Steady(pressure, speed, flow, flow_gain, flow_pressure)
@@ -138,19 +153,23 @@ def _steady_lifting(rig: Rig, point: OperatingPoint) -> Steady:
     area_slope = spool.full_area * travel / jnp.sqrt(travel**2 + notch**2)
     area_slope = area_slope / (jnp.sqrt(1 + notch**2) - notch) / (spool.saturation * (1 - overlap))
 
-    pressure = hold_pressure(rig, displacement, jnp.asarray(point.load_force_n))
-    supply_pressure, opening = rig.supply.idle_pressure(), jnp.zeros_like(area)
-    flow = speed = jnp.zeros_like(area)
-    for _ in range(50):  # friction raises the pressure, lifting lowers the supply's: a contraction
+    held, idle = hold_pressure(rig, displacement, jnp.asarray(point.load_force_n)), rig.supply.idle_pressure()
+
+    def balanced(_round: Array, last: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
+        pressure, supply_pressure, opening = last[:3]
         drop = supply_pressure - pressure - valve.check_pressure
         opening = valve.balanced(area, opening, drop)
         flow, _ = valve.flow(area, opening, drop + valve.check_pressure, rig.oil.density)
-        supply_pressure = rig.supply.idle_pressure() - flow / (
-            rig.supply.relief_gain + rig.supply.pump_flow * rig.supply.pump_slip
-        )
+        supply_pressure = idle - flow / (rig.supply.relief_gain + rig.supply.pump_flow * rig.supply.pump_slip)
         speed = flow * rig.oil.specific_volume(pressure) / cylinder.area
         rub = cylinder.friction.level(speed)[1] + cylinder.friction.viscous * speed
-        pressure = hold_pressure(rig, displacement, jnp.asarray(point.load_force_n)) + rub / cylinder.area
+        return held + rub / cylinder.area, supply_pressure, opening, flow, speed
+
+    # Friction raises the pressure, lifting lowers the supply's: a contraction.
+    none = jnp.zeros_like(area)
+    pressure, supply_pressure, opening, flow, speed = jax.lax.fori_loop(
+        0, 50, balanced, (held, idle, none, none, none)
+    )
     # In balance Q = C_d a √(2 Δp_m/ρ) with Δp_m = Δp₀ (1 + d (1 − a_k/a_K)), a_k = a √(Δp_m/(Δp − Δp_m)).
     metering = valve.metering_drop(opening)
     rest = supply_pressure - pressure - valve.check_pressure - metering

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy.special import ndtri
 
 from hitchid.errors import InputError
 
@@ -69,7 +69,7 @@ class Bands:
             coverage: share of samples.
             spread: √(Σ w² (y_a − y)²) at each sample.
         """
-        floor = float(stats.norm.ppf(0.5 + coverage / 2)) * self.noise
+        floor = float(ndtri(0.5 + coverage / 2)) * self.noise
         return np.hypot(floor, self.multiplier(coverage) * spread)
 
     def half_width(self, coverage: float, horizon: int) -> float:
@@ -100,7 +100,7 @@ def free_run_scores(
         noise: standard deviation of the sensor's noise.
         level: share of samples the band shall cover.
     """
-    floor = (float(stats.norm.ppf(0.5 + level / 2)) * noise) ** 2
+    floor = (float(ndtri(0.5 + level / 2)) * noise) ** 2
     return [
         np.sqrt(np.maximum(error**2 - floor, 0.0)) / np.maximum(spread, SMALLEST)
         for error, spread in zip(errors, spreads, strict=True)

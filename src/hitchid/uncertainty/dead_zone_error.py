@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtrit
 
 from hitchid.fitting import Misfit
 
@@ -48,4 +48,4 @@ def degrees_together(variances: np.ndarray, degrees: np.ndarray) -> np.ndarray:
 
 def student(degrees: float) -> float:
     """Return how many standard errors lie on either side of 95 % of Student's t."""
-    return float(stats.t.ppf(0.5 + CONFIDENCE / 2, degrees))
+    return float(stdtrit(degrees, 0.5 + CONFIDENCE / 2))

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
 from hitchid.baselines import BlackBox, ahead
@@ -151,10 +150,11 @@ class _Rival(NamedTuple):
 def _rivals(channel: Channel, batch: Batch, steps: Sequence[int]) -> dict[str, _Rival]:
     """Return the baselines that the model holds, by name."""
     found = {}
-    commands, travels = np.asarray(batch.command), np.asarray(batch.travel)
+    commands, initial = np.asarray(batch.command), np.asarray(batch.initial)
+    travels = batch.direction * (np.asarray(batch.displacement) - initial[:, None])
 
     def of_travel(travel: np.ndarray) -> np.ndarray:
-        return np.asarray(batch.displaced(jnp.asarray(travel)))
+        return initial[:, None] + batch.direction * travel
 
     for name, model in (("arx", channel.arx), ("narx", channel.narx)):
         if model is not None:

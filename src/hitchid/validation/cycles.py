@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from hitchid.metrics import HORIZONS
-from hitchid.model import Band, Hitch
+from hitchid.model import Band, FreeRun, Hitch
 from hitchid.record import Record
 from hitchid.validation.pooled import pooled
 from hitchid.validation.predictions import Predictions
@@ -25,8 +25,9 @@ def cycle_result(model: Hitch, cycles: Sequence[Record], factor: float) -> tuple
     """
     actual = [factor * record.displacement for record in cycles]
     paper = _papers(model)
+    free_runs = [model.free_run(record) for record in cycles]
     runs = {
-        "greybox": [model.simulate(record) for record in cycles],
+        "greybox": [run.displacement for run in free_runs],
         "benchmark": [model.simulate(record, compensated=False) for record in cycles],
         **({} if paper is None else {"transfer_function": [paper.simulate(record) for record in cycles]}),
     }
@@ -57,7 +58,7 @@ def cycle_result(model: Hitch, cycles: Sequence[Record], factor: float) -> tuple
             record.name: {"free_run": pooled([y], [run])}
             for record, y, run in zip(cycles, actual, free["greybox"], strict=True)
         },
-        "max_jump": factor * max(_largest_jump(model, record) for record in cycles),
+        "max_jump": factor * max(map(_largest_jump, free_runs)),
         **({} if bands is None else {"bands": cycle_band_figures(bands, actual)}),
     }
     return metrics, Predictions(
@@ -90,12 +91,11 @@ def _papers(model: Hitch) -> Hitch | None:
     return replace(model, channels=alone) if len(alone) == len(model.channels) else None
 
 
-def _largest_jump(model: Hitch, record: Record) -> float:
-    """Return the largest jump where the channel changes, in the model's unit.
+def _largest_jump(run: FreeRun) -> float:
+    """Return the largest jump of a free run where the channel changes, in the model's unit.
 
     Of the step of displacement at a change, what it differs by from both the step before and the one after.
     """
-    run = model.free_run(record)
     steps = np.diff(run.displacement)
     changes = np.flatnonzero(np.diff(run.charge)) + 1
     inside = changes[(changes > 0) & (changes < steps.size - 1)]

@@ -1,6 +1,7 @@
 """Model and campaign in, one result out: every figure beside its baselines, on tests not seen before."""
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from hitchid.validation.tables import NAMES, RUNS, markdown, tables
 
 METRICS_FILE = "metrics.json"
 TABLES_FILE = "tables.md"
+ABREAST = 2
 
 
 @dataclass(frozen=True)
@@ -89,28 +91,24 @@ def validate(
         campaign = campaign.segmented(cut_at or model.cut_at(campaign.units))
     unit = campaign.records[0].unit
     factor = conversion_factor(model.units[DISPLACEMENT], unit, "displacement")
-    channels, notices, predictions = {}, [], {}
-    for number, mode in enumerate(campaign.modes):
-        report(Step(f"{mode}: horizons and free run", number / (len(campaign.modes) + 1)))
-        tests = [r for r in campaign.of_kind(mode) if not _seen(model, r)]
-        if mode not in model.channels:
-            notices.append(f"{len(tests)} {mode} tests are left out: the model has no {mode} channel")
-        elif tests:
-            own = [model.adopt(record) for record in tests]
-            channels[mode], predictions[mode] = channel_result(
-                model.channels[mode], own, factor, model.uncertainty.get(mode)
-            )
-            notices += _channel_notices(mode, channels[mode])
-            heard = model.channels[mode].benchmark.load
-            notices += _outside_notices(mode, model.channels[mode], own)
-            if heard is not None:
-                notices.append(f"{mode}: in free run too the model hears '{heard}' as measured before motion")
-    report(Step("cycles", len(campaign.modes) / (len(campaign.modes) + 1)))
-    unseen = [record for record in whole.of_kind(CYCLE) if not _seen(model, record)]
-    cycles: dict = {"tests": []}
-    if unseen and len(model.channels) > 1:
-        own = [model.adopt(record) for record in unseen]
-        cycles, predictions["cycles"] = cycle_result(model, own, factor)
+    both = len(model.channels) > 1
+    unseen = [model.adopt(r) for r in whole.of_kind(CYCLE) if both and not _seen(model, r)]
+    channels, cycles, notices, predictions = {}, {"tests": []}, [], {}
+    with ThreadPoolExecutor(ABREAST) as pool:
+        switched = pool.submit(double_precision(cycle_result), model, unseen, factor) if unseen else None
+        directions = {
+            mode: pool.submit(_direction, model, mode, campaign.of_kind(mode), factor)
+            for mode in campaign.modes
+        }
+        for number, (mode, found) in enumerate(directions.items()):
+            report(Step(f"{mode}: horizons and free run", number / (len(directions) + 1)))
+            result, said = found.result()
+            notices += said
+            if result is not None:
+                channels[mode], predictions[mode] = result
+        report(Step("cycles", len(directions) / (len(directions) + 1)))
+        if switched is not None:
+            cycles, predictions["cycles"] = switched.result()
     if not channels and not cycles["tests"]:
         raise InputError(
             "the identification used every test of these logs or has no channel for them; "
@@ -122,6 +120,24 @@ def validate(
         metrics["two_modes"] = asdict(model.two_modes)
         notices.append(model.two_modes.sentence)
     return Validation(metrics, tuple(notices), predictions)
+
+
+@double_precision
+def _direction(
+    model: Hitch, mode: str, records: Sequence[Record], factor: float
+) -> tuple[tuple[dict, Predictions] | None, list[str]]:
+    """Return one direction's figures with what is behind them, None without unseen tests, and notices."""
+    tests = [record for record in records if not _seen(model, record)]
+    if mode not in model.channels:
+        return None, [f"{len(tests)} {mode} tests are left out: the model has no {mode} channel"]
+    if not tests:
+        return None, []
+    own, channel = [model.adopt(record) for record in tests], model.channels[mode]
+    figures, predictions = channel_result(channel, own, factor, model.uncertainty.get(mode))
+    notices = _channel_notices(mode, figures) + _outside_notices(mode, channel, own)
+    if (heard := channel.benchmark.load) is not None:
+        notices.append(f"{mode}: in free run too the model hears '{heard}' as measured before motion")
+    return (figures, predictions), notices
 
 
 def _seen(model: Hitch, record: Record) -> bool:

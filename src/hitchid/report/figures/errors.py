@@ -15,6 +15,7 @@ from hitchid.report.figures.style import (
     LABELS,
     MARKERS,
     PARTS,
+    align_ylabels,
     legend_above,
     logarithmic,
     styled,
@@ -117,7 +118,7 @@ def outputs(tests: Predictions, unit: str, models: Sequence[str] = PAPERS) -> Fi
     below.set_ylabel(f"error / {unit}")
     below.set_xlabel("time, test after test / s")
     legend_above(figure, above)
-    figure.align_ylabels()
+    align_ylabels(figure)
     return figure
 
 

@@ -1,0 +1,64 @@
+"""Phase 1 of the lifting tests as hitchid does it, and the tests as its peer reads them."""
+
+from dataclasses import fields
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from hitchid.benchmark import Batch
+from hitchid.fitting import Misfit, Problem, Whale, searchable
+from hitchid.identification.identify import PAPER_FORMS
+from hitchid.record import LIFTING
+from hitchid.whale import Swarm
+
+FORM = PAPER_FORMS[LIFTING]
+ON_HOST = ("step_s", "direction")
+
+
+def misfit_of(batch: Batch) -> Misfit:
+    """Return the misfit of the paper's lifting benchmark over tests."""
+    return Misfit.of(batch, FORM)
+
+
+def search(batch: Batch, seed: int, whales: int, iterations: int) -> float:
+    """Return the best J found, everything that a search needs made from the tests."""
+    return whales_over(searchable(misfit_of(batch)), seed, whales, iterations)
+
+
+def search_by_simulation(batch: Batch, seed: int, whales: int, iterations: int) -> float:
+    """Return the best J found where every evaluation simulates every test."""
+    return whales_over(misfit_of(batch).problem()[0], seed, whales, iterations)
+
+
+def whales_over(problem: Problem, seed: int, whales: int, iterations: int) -> float:
+    """Return the best J that the whales find."""
+    return Whale(Swarm(population=whales, iterations=iterations)).minimise(problem, seed).best_fitness
+
+
+def save(batch: Batch, path: Path) -> None:
+    """Write tests for a process of its own, hitchid's or its peer's."""
+    arrays = {field.name: np.asarray(getattr(batch, field.name)) for field in fields(batch)}
+    bounds = misfit_of(batch).bounds
+    limits = np.stack([np.asarray(bounds.lower), np.asarray(bounds.upper)])
+    np.savez(path, **arrays, travel=np.asarray(batch.travel), bounds=limits)
+
+
+def load_batch(path: Path) -> Batch:
+    """Read tests that `save` wrote."""
+    with np.load(path) as kept:
+        arrays = {f.name: jnp.asarray(kept[f.name]) for f in fields(Batch) if f.name not in ON_HOST}
+        return Batch(**arrays, step_s=float(kept["step_s"]), direction=int(kept["direction"]))
+
+
+def many_tests(batch: Batch, times: int, seed: int) -> Batch:
+    """Return every test so many times over, each faster or slower and with other noise."""
+    rng = np.random.default_rng(seed)
+    counts = {f.name: np.asarray(getattr(batch, f.name)) for f in fields(batch) if f.name not in ON_HOST}
+    repeated = {name: np.repeat(array, times, axis=0) for name, array in counts.items()}
+    travel = repeated["displacement"] - repeated["initial"][:, None]
+    travel *= rng.uniform(0.9, 1.1, (len(travel), 1))
+    travel += 0.05 * rng.standard_normal(travel.shape)
+    repeated["displacement"] = np.where(repeated["valid"], repeated["initial"][:, None] + travel, 0.0)
+    arrays = {name: jnp.asarray(array) for name, array in repeated.items()}
+    return Batch(**arrays, step_s=batch.step_s, direction=batch.direction)

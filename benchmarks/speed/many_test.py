@@ -1,0 +1,54 @@
+"""Sixty-four campaigns identified together, beside a process for each of them."""
+
+import json
+import os
+import sys
+import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+from campaigns import write_campaigns
+from timings import OURS, process
+
+from hitchid import identification
+
+CAMPAIGNS, SAMPLED = 64, 6
+SCRIPT = Path(__file__).with_name("identify_process.py")
+APART = "a process for each, as many at a time as there are cores"
+
+
+@pytest.mark.skipif(
+    not hasattr(identification, "identify_many"), reason="hitchid identifies one campaign at a time"
+)
+def test_many(tally, pace, tmp_path):
+    """Both as whole processes that read their logs, programs compiled before, with the same options."""
+    count, sampled = (3, 2) if pace.quick else (CAMPAIGNS, CAMPAIGNS if pace.full else SAMPLED)
+    folders, cache = write_campaigns(tmp_path / "logs", count), tmp_path / "cache"
+    together = json.loads(process([sys.executable, SCRIPT, *folders], cache))  # compiles
+    (alone,) = json.loads(process([sys.executable, SCRIPT, folders[0]], cache))
+    same = [[errors[mode] for mode in sorted(errors)] for errors in (together[0], alone)]
+    np.testing.assert_allclose(*same, rtol=1e-3)
+    few, numbers = pace.few, iter(np.random.default_rng(0).permutation(count).tolist() * pace.runs)
+
+    def apart() -> float:
+        chosen = [folders[next(numbers)] for _ in range(sampled)]
+        return _apart_s(chosen, cache) * count / sampled
+
+    work = {OURS: lambda: process([sys.executable, SCRIPT, *folders], cache), APART: apart}
+    scaled = (
+        ""
+        if sampled == count
+        else f"processes: {sampled} of them, their time multiplied by {count / sampled:.4g}"
+    )
+    tally.in_turn(f"{count} campaigns of 20 tests, read and identified", work, few, scaled)
+
+
+def _apart_s(folders: Sequence[Path], cache: Path) -> float:
+    """Return the seconds that a process for each folder takes, as many at a time as there are cores."""
+    begun = time.perf_counter()
+    with ThreadPoolExecutor(os.cpu_count()) as cores:
+        list(cores.map(lambda folder: process([sys.executable, SCRIPT, folder], cache), folders))
+    return time.perf_counter() - begun

@@ -1,0 +1,48 @@
+"""Many campaigns in one call: each model is the one that the campaign alone gives, failures stay apart."""
+
+from dataclasses import replace
+
+import pytest
+
+import hitchid
+from benches import write_bench
+from hitchid.errors import HitchError, InputError
+from hitchid.identification import identify_many
+from hitchid.progress import Step
+
+
+@pytest.fixture(scope="module")
+def campaigns(tmp_path_factory):
+    """Return campaigns of two machines, one of five and one of six tests a direction."""
+    place = tmp_path_factory.mktemp("fleet")
+    return [
+        hitchid.read(write_bench(place / str(tests), tests=tests, samples=250, seed=tests))
+        for tests in (5, 6)
+    ]
+
+
+def test_each_model_is_the_one_its_campaign_alone_gives(campaigns, quick_settings, tmp_path):
+    together = identify_many(campaigns, **quick_settings)
+    for number, (campaign, found) in enumerate(zip(campaigns, together, strict=True)):
+        assert not isinstance(found, HitchError)
+        folders = tmp_path / f"{number}-together", tmp_path / f"{number}-alone"
+        found.save(folders[0])
+        hitchid.identify(campaign, **quick_settings).save(folders[1])
+        for name in ("model.json", "weights.safetensors"):
+            assert (folders[0] / name).read_bytes() == (folders[1] / name).read_bytes()
+
+
+def test_a_campaign_that_fails_leaves_the_others_alone(campaigns, quick_settings):
+    unmatched = replace(campaigns[0], unmatched=("no-such-test-*",))
+    told: list[Step] = []
+    settings = {**quick_settings, "training": None}
+    first, second = identify_many([unmatched, campaigns[1]], **settings, progress=told.append)
+    assert isinstance(first, InputError)
+    assert "no-such-test-*" in str(first)
+    assert not isinstance(second, HitchError)
+    done = [step.fraction for step in told]
+    assert done == sorted(done)
+
+
+def test_no_campaign_gives_no_model():
+    assert identify_many([]) == ()
