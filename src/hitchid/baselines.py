@@ -10,7 +10,6 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy.signal import lfilter
 
 from hitchid.lstm import SINGLE, Lstm
 
@@ -53,6 +52,8 @@ class Arx(eqx.Module):
 
     def free_run(self, command: np.ndarray) -> np.ndarray:
         """Return travel simulated from the command alone, shape [N]."""
+        from scipy.signal import lfilter  # not at the top: half a second
+
         return np.asarray(lfilter(np.append(0.0, self.command), np.append(1.0, -self.past), command))
 
 

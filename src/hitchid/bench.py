@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Literal
@@ -10,6 +11,7 @@ import jax
 import numpy as np
 
 from hitchid import excitation
+from hitchid.abreast import abreast
 from hitchid.identification.deadzone import from_ramps
 from hitchid.readers import write_table
 from hitchid.record import COMMAND, DISPLACEMENT, LIFTING, LOWERING, MODES, RAMP, Record
@@ -84,11 +86,15 @@ def run(
     excited = MODES if "cycle" in tests else modes
     ramps = {mode: _ramps(rig, mode, tests.get("ramp", REPEATS), seed) for mode in excited}
     static = {mode: _static(logs, mode) for mode, logs in ramps.items()}
-    logs = [log for mode in modes for log in ramps[mode]] if "ramp" in tests else []
+    due = {}
     if "prbs" in tests:
-        for mode in modes:
-            logs += _dynamic(rig, mode, static[mode], tests["prbs"], seed)
-    return logs + (_cycles(rig, static, tests["cycle"], seed) if "cycle" in tests else [])
+        due = {mode: partial(_dynamic, rig, mode, static[mode], tests["prbs"], seed) for mode in modes}
+    if "cycle" in tests:
+        due["cycle"] = partial(_cycles, rig, static, tests["cycle"], seed)
+    # Cycles beside the first direction: the second one then finds its program compiled.
+    done = abreast(lambda name: due[name](), sorted(due, key=[*modes[:1], "cycle", *modes[1:]].index))
+    static_logs = [ramps[mode] for mode in modes] if "ramp" in tests else []
+    return [log for logs in (*static_logs, *(done[name] for name in due)) for log in logs]
 
 
 def write_campaign(

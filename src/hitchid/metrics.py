@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtrit
 
 HORIZONS = (1, 2, 5, 10, 20, 50, 100)
 BETTER = 1.02
@@ -112,7 +112,7 @@ def surely_less(errors: np.ndarray, than: np.ndarray, samples: np.ndarray) -> bo
     if not np.all(np.isfinite(without)):  # a model without any error has no logarithm
         return bool(np.all(errors < than))
     error = np.sqrt((tests - 1) / tests * np.sum((without - without.mean()) ** 2))
-    return bool(whole > stats.t.ppf(0.975, tests - 1) * error)
+    return bool(whole > stdtrit(tests - 1, 0.975) * error)
 
 
 def proven_better(errors: np.ndarray, than: np.ndarray) -> bool:

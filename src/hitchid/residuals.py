@@ -4,13 +4,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import correlate
-from scipy.stats import chi2, norm
+from scipy.special import chdtrc, ndtr, ndtri
 
 from hitchid.errors import InputError
 
 LEVEL = 0.01
-BOUND = float(norm.isf(LEVEL / 2))
+BOUND = float(-ndtri(LEVEL / 2))
 LEAST_SAMPLES = 8
 MOST_BINS = 8
 # Eighths of autocorrelated errors differ by chance; by less than this no place is called the worst.
@@ -190,19 +189,19 @@ def residual_tests(
 
     auto = of_error[1 : used + 1]
     whiteness = float((count + 2) / count * np.sum(pairs[1 : used + 1] * auto**2))
-    whiteness_p = float(chi2.sf(whiteness, used)) if used else 1.0
+    whiteness_p = float(chdtrc(used, whiteness)) if used else 1.0
 
     lag = np.arange(-used, used + 1)
     cross = _products(error, command)[size.max() - 1 + lag] / pairs[np.abs(lag)]
     spread = _cross_deviation(of_error, of_command, pairs, used)[np.abs(lag)]
-    independence_p = min(1.0, float(lag.size * 2 * norm.sf(np.max(np.abs(cross) / spread))))
+    independence_p = min(1.0, float(lag.size * 2 * ndtr(-np.max(np.abs(cross) / spread))))
 
     pooled = np.concatenate(error)
     skewness = float(np.mean(pooled**3))
     kurtosis = float(np.mean(pooled**4)) - 3.0 if deviation else 0.0
     third, fourth = (1.0 + 2.0 * float(np.sum(pairs[1:] / count * of_error[1:] ** p)) for p in (3, 4))
     normality_p = float(
-        chi2.sf(count * (skewness**2 / (6 * max(third, 1.0)) + kurtosis**2 / (24 * fourth)), 2)
+        chdtrc(2, count * (skewness**2 / (6 * max(third, 1.0)) + kurtosis**2 / (24 * fourth)))
     )
 
     flat = {name: np.concatenate(each) for name, each in tests.items()}
@@ -271,6 +270,8 @@ def _standardised(tests: Sequence[np.ndarray]) -> tuple[list[np.ndarray], float,
 
 def _products(ones: Sequence[np.ndarray], others: Sequence[np.ndarray]) -> np.ndarray:
     """Return Σ a(t + k) b(t) over all tests, never from one test into another, k = −L..L for length L + 1."""
+    from scipy.signal import correlate  # not at the top: half a second
+
     longest = max(test.size for test in ones)
     total = np.zeros(2 * longest - 1)
     for one, other in zip(ones, others, strict=True):

@@ -1,7 +1,7 @@
 """Whether tests of one mode repeat: their speed, their start, and the command at which ramps set off."""
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtr
 
 from hitchid.audit.finding import AuditFinding, Level
 from hitchid.audit.look import Look, Survey, command_unit, named, travel
@@ -89,7 +89,7 @@ def _trend(travels: np.ndarray, areas: np.ndarray, times: np.ndarray) -> tuple[f
     error = float(np.sqrt(rest @ rest / free / (own @ own)))
     if error <= ROUNDING:
         return float(np.expm1(slope)), 0.0 if abs(slope) > 1e3 * ROUNDING else 1.0
-    return float(np.expm1(slope)), float(2 * stats.t.sf(abs(slope) / error, free))
+    return float(np.expm1(slope)), float(2 * stdtr(free, -abs(slope) / error))
 
 
 def _without(values: np.ndarray, others: np.ndarray) -> np.ndarray:

@@ -6,7 +6,6 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy import signal
 
 from hitchid.benchmark.batch import Batch
 from hitchid.benchmark.discretise import Discrete, discretise, driven
@@ -17,6 +16,7 @@ from hitchid.errors import InputError
 
 if TYPE_CHECKING:
     import control
+    from scipy import signal
 
 
 class Benchmark(eqx.Module):
@@ -88,7 +88,7 @@ class Benchmark(eqx.Module):
         found = eqx.tree_at(lambda b: (b.values, b.dead_time_s), self, (row[:count], row[count]))
         return found if self.shape is None else eqx.tree_at(lambda b: b.shape.values, found, row[count + 1 :])
 
-    def to_scipy(self, step_s: float | None = None) -> signal.TransferFunction:
+    def to_scipy(self, step_s: float | None = None) -> "signal.TransferFunction":
         """Return the transfer function as `scipy.signal` has it.
 
         Args:
@@ -98,6 +98,8 @@ class Benchmark(eqx.Module):
         Raises:
             InputError: a continuous transfer function is asked for but there is a dead time, which has none.
         """
+        from scipy import signal  # not at the top: half a second
+
         numerator, denominator = self._transfer_function(step_s)
         if step_s is None:
             return signal.TransferFunction(numerator, denominator)
@@ -142,6 +144,8 @@ class Benchmark(eqx.Module):
                 )
             numerator, denominator = structure.transfer_function(tuple(map(float, self.values)))
             return np.asarray(numerator), np.asarray(denominator)
+        from scipy import signal
+
         model = self.discretised(step_s)
         n = model.now.shape[0]
         transition, pick = np.asarray(model.transition), np.eye(1, n)

@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from scipy.optimize import differential_evolution, least_squares
-from scipy.stats import qmc
 
 from hitchid import whale
 from hitchid.errors import FitError, InputError
@@ -203,6 +202,8 @@ class MultiStart(Search):
 
     def minimise(self, problem: Problem, seed: int, heard: Heard | None = None) -> Found:
         """Run least squares from one start after the other until the budget is spent."""
+        from scipy.stats import qmc  # not at the top: a quarter of a second
+
         points = qmc.Sobol(problem.dimensions, rng=np.random.default_rng(seed))
         best: list[np.ndarray] = []
         trace: list[float] = []
