@@ -13,6 +13,7 @@ from typing import NoReturn
 PATIENCE_S = 0.5
 STOPPED = 128 + signal.SIGINT
 OBJECTS = 100_000
+UNHEARD = 120  # as Python ends where the last words cannot be said
 
 
 class Stopped(BaseException):
@@ -31,6 +32,8 @@ def main() -> None:
         run()
     except Stopped:
         _end()
+    except SystemExit as ended:
+        _leave(ended.code)
 
 
 def _heed_interrupts() -> None:
@@ -56,6 +59,16 @@ def _heed_interrupts() -> None:
 
     signal.signal(signal.SIGINT, stop)
     threading.Thread(target=watch, daemon=True).start()
+
+
+def _leave(code: object) -> NoReturn:
+    """End without the goodbyes of libraries, which take a second: whatever was to be written is written."""
+    try:
+        sys.stdout.flush()
+        sys.stderr.flush()
+    except OSError:
+        os._exit(UNHEARD)
+    os._exit(code if isinstance(code, int) else 0 if code is None else 1)
 
 
 def _end() -> NoReturn:

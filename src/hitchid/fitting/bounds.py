@@ -29,7 +29,7 @@ class Bounds(eqx.Module):
         linear = np.array([parameter.linear for parameter in parameters])
         return cls(jnp.asarray(lower), jnp.asarray(upper), jnp.asarray(linear))
 
-    def values(self, position: Float[Array, " d"]) -> Float[Array, " d"]:
+    def values(self, position: Float[Array, "*p d"]) -> Float[Array, "*p d"]:
         """Return the parameters at a position."""
         width, span = self._spans()
         logarithmic = jnp.where(self.linear, 1.0, self.lower) * jnp.exp(position * span)

@@ -2,6 +2,8 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -55,8 +57,8 @@ class Misfit(eqx.Module):
         return replace(self, apart=False)
 
     def values(self, position: np.ndarray) -> np.ndarray:
-        """Return the parameters at a position."""
-        return np.asarray(self.bounds.values(jnp.asarray(position)))
+        """Return the parameters at a position, or at each of several, shape [D] or [P, D]."""
+        return np.asarray(_values(self.bounds, jnp.asarray(position)))
 
     def slopes(self, position: np.ndarray) -> np.ndarray:
         """Return the parameters' derivatives by their place between the bounds."""
@@ -93,29 +95,29 @@ class Misfit(eqx.Module):
 
     def error(self, position: np.ndarray) -> float:
         """Return J at one position."""
-        whole = self.over(self.batch.filled_up())
-        squares = np.sum(np.asarray(_residuals(whole, jnp.asarray(position))) ** 2)
+        squares = np.sum(self._compiled().residuals(position) ** 2)
         return float(np.sqrt(squares / np.sum(np.asarray(self.batch.counted))))
 
     def by_test(self, position: np.ndarray) -> np.ndarray:
         """Return the root mean square error of each test, shape [T]."""
         counts = np.asarray(self.batch.counted).sum(axis=1)
-        whole = self.over(self.batch.filled_up())
-        residuals = np.asarray(_residuals(whole, jnp.asarray(position)))[: counts.size]
-        squares = np.sum(residuals**2, axis=1)
+        squares = np.sum(self._compiled().residuals(position)[: counts.size] ** 2, axis=1)
         return np.sqrt(squares * np.count_nonzero(counts) / counts.sum())
 
     def problem(self) -> tuple[Problem, np.ndarray]:
         """Return the search problem over the samples that count, and which test each of them belongs to."""
         whole = self.over(self.batch.filled_up())
-        counted = np.asarray(whole.batch.counted)
+        counted, compiled = np.asarray(whole.batch.counted), Compiled.of(whole)
         problem = Problem(
             dimensions=len(self.form.parameters),
             fitness=whole,
-            residuals=lambda position: np.asarray(_residuals(whole, jnp.asarray(position)))[counted],
-            jacobian=lambda position: np.asarray(_jacobian(whole, jnp.asarray(position)))[counted],
+            residuals=lambda position: compiled.residuals(position)[counted],
+            jacobian=lambda position: compiled.jacobian(position)[counted],
         )
         return problem, np.repeat(np.arange(len(counted)), counted.sum(axis=1))
+
+    def _compiled(self) -> "Compiled":
+        return Compiled.of(self.over(self.batch.filled_up()))
 
 
 def _apart(travel: Float[Array, "t n"], measured: Float[Array, "t n"]) -> Float[Array, "t n"]:
@@ -127,14 +129,40 @@ def _apart(travel: Float[Array, "t n"], measured: Float[Array, "t n"]) -> Float[
     return (own[:, None] * travel - measured).at[:, 0].set(tie)
 
 
-@eqx.filter_jit
-def _residuals(misfit: Misfit, position: Float[Array, " d"]) -> Float[Array, "t n"]:
-    return misfit.residuals(position)
+class Compiled(NamedTuple):
+    """Misses of one misfit and their derivative, compiled; taken apart once for thousands of calls."""
+
+    structure: Any
+    leaves: list[Array]
+
+    @classmethod
+    def of(cls, misfit: Misfit) -> "Compiled":
+        """Take a misfit apart."""
+        leaves, structure = jax.tree.flatten(misfit)
+        return cls(structure, leaves)
+
+    def residuals(self, position: np.ndarray) -> np.ndarray:
+        """Return the misses at a position, shape [T, N]."""
+        return np.asarray(_residuals(self.structure, self.leaves, position))
+
+    def jacobian(self, position: np.ndarray) -> np.ndarray:
+        """Return their derivative by the position, shape [T, N, D]."""
+        return np.asarray(_jacobian(self.structure, self.leaves, position))
+
+
+@partial(jax.jit, static_argnums=0)
+def _residuals(structure: Any, leaves: list[Array], position: Float[Array, " d"]) -> Float[Array, "t n"]:
+    return jax.tree.unflatten(structure, leaves).residuals(position)
+
+
+@partial(jax.jit, static_argnums=0)
+def _jacobian(structure: Any, leaves: list[Array], position: Float[Array, " d"]) -> Float[Array, "t n d"]:
+    return jax.jacfwd(jax.tree.unflatten(structure, leaves).residuals)(position)
 
 
 @eqx.filter_jit
-def _jacobian(misfit: Misfit, position: Float[Array, " d"]) -> Float[Array, "t n d"]:
-    return jax.jacfwd(misfit.residuals)(position)
+def _values(bounds: Bounds, position: Float[Array, "*p d"]) -> Float[Array, "*p d"]:
+    return bounds.values(position)
 
 
 def scales_of(batch: Batch) -> Scales:

@@ -9,7 +9,7 @@ import numpy as np
 from hitchid.checkpoints import NOWHERE, Checkpoints
 from hitchid.errors import FitError
 from hitchid.fitting.misfit import Misfit
-from hitchid.fitting.search import DifferentialEvolution, Found, MultiStart, Search, Whale
+from hitchid.fitting.search import DifferentialEvolution, Found, MultiStart, Problem, Search, Whale
 from hitchid.fitting.searchable import searchable
 from hitchid.storage import digest
 from hitchid.versions import installed_versions
@@ -99,12 +99,13 @@ def search_trails(misfit: Misfit, asked: Comparison, first_seed: int = 0) -> tup
     shapes = [(leaf.shape, str(leaf.dtype)) for leaf in map(np.asarray, jax.tree.leaves(thin))]
     stamp = f"{digest(arrays)} {shapes} {thin.batch.step_s} {thin.batch.direction} {misfit.form!r}"
     stamp += f" {misfit.apart} {installed_versions()}"
+    problem = searchable(thin)
     found = []
     for search in asked.searches:
         runs = []
         for seed in range(first_seed, first_seed + asked.seeds):
             name = digest(f"{stamp} {search!r} {seed}".encode())
-            runs.append(_told(asked.kept.piece(name, _Searched, partial(_run, thin, search, seed))))
+            runs.append(_told(asked.kept.piece(name, _Searched, partial(_run, thin, problem, search, seed))))
         found.append(Trail(search.name, tuple(runs)))
     return tuple(found)
 
@@ -120,13 +121,14 @@ class _Searched:
     reason: str
 
 
-def _run(misfit: Misfit, search: Search, seed: int) -> _Searched:
+def _run(misfit: Misfit, problem: Problem, search: Search, seed: int) -> _Searched:
     try:
-        found: Found = search.minimise(searchable(misfit), seed)
+        found: Found = search.minimise(problem, seed)
     except FitError as error:
         return _Searched(np.zeros(0), np.zeros((0, 0)), 0, 0, str(error))
-    values = np.array([misfit.values(each) for each in found.best_trace])
-    return _Searched(found.fitness_trace, values, found.evaluations, found.failures, found.reason)
+    return _Searched(
+        found.fitness_trace, misfit.values(found.best_trace), found.evaluations, found.failures, found.reason
+    )
 
 
 def _told(run: _Searched) -> Run:
