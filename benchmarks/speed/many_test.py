@@ -27,7 +27,7 @@ def test_many(tally, pace, tmp_path):
     """Both as whole processes that read their logs, programs compiled before, with the same options."""
     count, sampled = (3, 2) if pace.quick else (CAMPAIGNS, CAMPAIGNS if pace.full else SAMPLED)
     folders, cache = write_campaigns(tmp_path / "logs", count), tmp_path / "cache"
-    together = json.loads(process([sys.executable, SCRIPT, *folders], cache))  # compiles
+    together = json.loads(process([sys.executable, SCRIPT, *folders[:2]], cache))  # compiles
     (alone,) = json.loads(process([sys.executable, SCRIPT, folders[0]], cache))
     same = [[errors[mode] for mode in sorted(errors)] for errors in (together[0], alone)]
     np.testing.assert_allclose(*same, rtol=1e-3)

@@ -27,7 +27,7 @@ class Stroke:
     stop: int
 
 
-def effective_command(command: np.ndarray, dead_zone: float) -> np.ndarray:
+def effective_command(command: np.ndarray, dead_zone: float | np.ndarray) -> np.ndarray:
     """Return what of a command lies beyond the dead zone.
 
     u = sign(c)·max(|c| − d, 0); for the one-signed current of a valve this is max(c − d, 0) of Sun et al.

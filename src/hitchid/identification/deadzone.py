@@ -112,9 +112,7 @@ def from_tests(tests: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], step_
     """
     largest = max(float(np.abs(command).max()) for command, _, _ in tests)
     candidates = np.linspace(0.0, 0.95 * largest, CANDIDATES)
-    normal = np.stack(
-        [[_normal_equations(*test, candidate, step_s) for candidate in candidates] for test in tests]
-    )
+    normal = np.stack([_normal_equations(*test, candidates, step_s) for test in tests])
     misfits = _misfits(normal.sum(axis=0))
     energy = float(normal[:, 0, -1, -1].sum())
     if misfits.max() - misfits.min() <= FLAT * max(misfits.max(), ROUNDING * energy):
@@ -128,17 +126,17 @@ def from_tests(tests: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], step_
 
 
 def _normal_equations(
-    command: np.ndarray, travel: np.ndarray, counted: np.ndarray, dead_zone: float, step_s: float
+    command: np.ndarray, travel: np.ndarray, counted: np.ndarray, dead_zones: np.ndarray, step_s: float
 ) -> np.ndarray:
-    """Return Σ of products of [∫u₁ … ∫u₅, w] with themselves over the samples that count, shape [6, 6]."""
-    effective = effective_command(command, dead_zone)
-    covered = step_s * (np.cumsum(effective) - effective)
+    """Return Σ of products of [∫u₁ … ∫u₅, w] over samples that count, by dead zone, shape [C, 6, 6]."""
+    effective = effective_command(command[None, :], dead_zones[:, None])
+    covered = step_s * (np.cumsum(effective, axis=1) - effective)
     columns = [covered]
     for lag in LAGS_S:
         pole = np.exp(-step_s / lag)
         columns.append(np.asarray(lfilter([1 - pole], [1, -pole], covered)))
-    rows = np.column_stack([*columns, travel])[counted]
-    return rows.T @ rows
+    rows = np.stack([*columns, np.broadcast_to(travel, covered.shape)], axis=1)[:, :, counted]
+    return rows @ rows.transpose(0, 2, 1)
 
 
 def _misfits(products: np.ndarray) -> np.ndarray:

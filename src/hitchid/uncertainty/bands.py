@@ -123,10 +123,11 @@ def calibrated(scores: Sequence[np.ndarray], level: float) -> float:
     rows = np.stack([np.quantile(row, GRID) for row in scores])
     if len(rows) == 1:
         return float(rows.max())
-    others = [np.delete(rows, held, axis=0) for held in range(len(rows))]
+    others = [np.sort(np.delete(rows, held, axis=0), axis=None) for held in range(len(rows))]
+    shares = np.linspace(0.0, 1.0, others[0].size)
 
     def limits(probability: float) -> list[float]:
-        return [float(np.quantile(each, probability)) for each in others]
+        return [float(np.interp(probability, shares, each)) for each in others]
 
     def covered(probability: float) -> float:
         pairs = zip(rows, limits(probability), strict=True)

@@ -15,7 +15,6 @@ from hitchid.report.figures.style import (
     LABELS,
     MARKERS,
     PARTS,
-    align_ylabels,
     legend_above,
     logarithmic,
     styled,
@@ -118,7 +117,7 @@ def outputs(tests: Predictions, unit: str, models: Sequence[str] = PAPERS) -> Fi
     below.set_ylabel(f"error / {unit}")
     below.set_xlabel("time, test after test / s")
     legend_above(figure, above)
-    align_ylabels(figure)
+    figure.align_ylabels()
     return figure
 
 

@@ -8,16 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from hitchid.report.figures.style import (
-    COLOURS,
-    COLUMN_IN,
-    FAINT,
-    INK,
-    align_ylabels,
-    legend_above,
-    logarithmic,
-    styled,
-)
+from hitchid.report.figures.style import COLOURS, COLUMN_IN, FAINT, INK, legend_above, logarithmic, styled
 
 SEARCH_COLOURS = {"whale": "one_step", "differential-evolution": "benchmark", "multi-start": "greybox"}
 WRAP = 24
@@ -49,7 +40,7 @@ def convergence(trace: Mapping[str, Any], unit: str) -> Figure:
             logarithmic(axis.yaxis)
     legend_above(figure, *axes[1:])
     axes[-1].set_xlabel("iteration")
-    align_ylabels(figure)
+    figure.align_ylabels()
     return figure
 
 

@@ -162,16 +162,6 @@ def legend_above(figure: Figure, *axes: Axes, columns: int = 2) -> None:
     figure.legend(list(told.values()), list(told), ncols=columns, loc="outside upper left", columnspacing=1.2)
 
 
-def align_ylabels(figure: Figure) -> None:
-    """Lay a finished figure out, then put the labels of its vertical axes into one line."""
-    # In this order: an aligned label asks all others where their ticks are, in each step of the layout anew.
-    layout = figure.get_layout_engine()
-    if layout is not None:
-        layout.execute(figure)
-        figure.set_layout_engine("none")
-    figure.align_ylabels()
-
-
 def logarithmic(axis: Axis) -> None:
     """Make one direction logarithmic, with plain numbers at 1, 2 and 5, or at tens over many decades."""
     set_scale = axis.axes.set_xscale if isinstance(axis, XAxis) else axis.axes.set_yscale

@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from hitchid.record import COMMAND, LIFTING, LOWERING, Record
-from hitchid.report.figures.style import COLOURS, INK, PAGE_IN, align_ylabels, style, styled, thinned
+from hitchid.report.figures.style import COLOURS, INK, PAGE_IN, style, styled, thinned
 from hitchid.segments import BOTH, END_STOP, HOLD, SATURATED, Segment
 from hitchid.storage import write_file
 
@@ -80,7 +80,7 @@ def timeline(records: Sequence[tuple[Record, Sequence[Segment]]], marks: Sequenc
     ]
     handles += [Line2D([], [], color=LINES[mode], label=f"{mode} command") for mode in used_commands]
     figure.legend(handles=handles, loc="outside upper left", ncols=len(handles))
-    align_ylabels(figure)
+    figure.align_ylabels()
     return figure
 
 

@@ -8,16 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, NullFormatter, NullLocator, StrMethodFormatter
 
-from hitchid.report.figures.style import (
-    COLOURS,
-    COLUMN_IN,
-    FAINT,
-    INK,
-    align_ylabels,
-    legend_above,
-    logarithmic,
-    styled,
-)
+from hitchid.report.figures.style import COLOURS, COLUMN_IN, FAINT, INK, legend_above, logarithmic, styled
 
 MARGIN, THINNEST = 0.6, 0.02
 PLACES = {
@@ -93,7 +84,7 @@ def residual_correlations(residuals: Mapping[str, Any]) -> Figure:
     below.set_ylabel("correlation of errors\nwith command")
     below.set_xlabel("errors after command / s")
     legend_above(figure, above)
-    align_ylabels(figure)
+    figure.align_ylabels()
     return figure
 
 
