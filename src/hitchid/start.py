@@ -23,6 +23,8 @@ class Stopped(BaseException):
 def main() -> None:
     """Run the command line; exit code 130 where Ctrl-C ended it, for the others see `hitchid.cli`."""
     _heed_interrupts()
+    # Both directions are worked on at once: further threads of NumPy would wait, busily, on cores in use.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # Libraries hold hundreds of thousands of objects to the end: looking through them for garbage every few
     # hundred new ones takes a tenth of the time.
     gc.set_threshold(OBJECTS)

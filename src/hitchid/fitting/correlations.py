@@ -1,6 +1,7 @@
 """The error of a linear model over all tests from their correlations, collected once."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -51,12 +52,13 @@ class Correlations(eqx.Module):
         gain = float(np.sum(reached * travel) / np.sum(reached**2))
         error = travel - gain * reached
         # Tests end together, what counts of them: Rⱼₖ = Rⱼ₊₁,ₖ₊₁ + the product at the last sample.
-        late, error = (_ending_together(rows, counts[told]) for rows in (command, error))
+        late = _ending_together(command, counts[told])
         return cls(
             gain=jnp.asarray(gain),
             missed=jnp.asarray(np.sum(error**2)),
-            cross=jnp.asarray(_summed_along_diagonals(error.T @ late)[0]),
-            auto=jnp.asarray(_summed_along_diagonals(late.T @ late)),
+            cross=jnp.asarray(_correlated(error, command)),
+            # By JAX: threads of NumPy's library would wait, busily, on the cores that the search needs.
+            auto=jnp.asarray(_summed_along_diagonals(np.array(_products(jnp.asarray(late))))),
         )
 
     def mean_square(self, response: Float[Array, "p n"]) -> Float[Array, " p"]:
@@ -81,6 +83,18 @@ def collectable(batch: Batch) -> bool:
     tests, samples = counted.shape
     first_ones = bool(np.all(counted[:, :-1] >= counted[:, 1:]))
     return first_ones and samples <= min(LONGEST, PER_TEST * tests)
+
+
+@jax.jit
+def _products(rows: Float[Array, "t n"]) -> Float[Array, "n n"]:
+    return rows.T @ rows
+
+
+def _correlated(ones: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Return Σ a(n) b(n − j) over all tests, for every j ≥ 0."""
+    samples = ones.shape[1]
+    one, other = (np.fft.rfft(rows, 2 * samples) for rows in (ones, others))
+    return np.fft.irfft(np.sum(one * other.conj(), axis=0))[:samples]
 
 
 def _ending_together(rows: np.ndarray, counts: np.ndarray) -> np.ndarray:
