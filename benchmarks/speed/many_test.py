@@ -9,20 +9,14 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
-import pytest
 from campaigns import write_campaigns
 from timings import OURS, process
-
-from hitchid import identification
 
 CAMPAIGNS, SAMPLED = 64, 6
 SCRIPT = Path(__file__).with_name("identify_process.py")
 APART = "a process for each, as many at a time as there are cores"
 
 
-@pytest.mark.skipif(
-    not hasattr(identification, "identify_many"), reason="hitchid identifies one campaign at a time"
-)
 def test_many(tally, pace, tmp_path):
     """Both as whole processes that read their logs, programs compiled before, with the same options."""
     count, sampled = (3, 2) if pace.quick else (CAMPAIGNS, CAMPAIGNS if pace.full else SAMPLED)
