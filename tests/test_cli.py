@@ -198,7 +198,7 @@ def bad_log(request, logs):
 
 def test_identify_refuses_a_bad_log(refused, bad_log, tmp_path):
     log, said = bad_log
-    refused("identify", log.parent, "--out", tmp_path / "out", said=said)
+    refused("identify", log.parent, "--out", tmp_path / "out", "--strict", said=said)
 
 
 def test_simulate_refuses_a_bad_log(refused, bad_log, model, tmp_path):
@@ -208,12 +208,20 @@ def test_simulate_refuses_a_bad_log(refused, bad_log, model, tmp_path):
 
 def test_inspect_shows_the_other_logs_and_says_which_is_bad(bad_log):
     log, said = bad_log
-    result = hitchid("inspect", log.parent)
+    result = hitchid("inspect", log.parent, "--strict")
     assert result.code == 2
     assert len(result.err.splitlines()) == 1
     assert result.err.startswith("fault: ")
     assert all(word in result.err for word in said)
     assert "lowering-03" in result.out
+
+
+def test_inspect_leaves_a_bad_log_out_and_counts(logs):
+    (logs / "lifting-02.csv").write_text("")
+    result = hitchid("inspect", logs)
+    assert result.code == 0
+    assert result.err.startswith("warning: lifting-02: left out: ")
+    assert "warning: 1 of 6 logs left out\n" in result.err
 
 
 @pytest.mark.parametrize(
@@ -425,7 +433,7 @@ def test_inspect_lists_every_log_and_prints_json_of_the_same(bench_folder):
     described = hitchid("inspect", bench_folder, "--json")
     assert (described.code, described.err) == (0, "")
     found = json.loads(described.out)
-    assert set(found) == {"records", "notices", "faults", "findings"}
+    assert set(found) == {"records", "notices", "faults", "left_out", "findings"}
     names = [f"{mode}-{number:02d}" for mode in ("lifting", "lowering") for number in (1, 2, 3)]
     assert [record["name"] for record in found["records"]] == names
     assert [record["held_out"] for record in found["records"]] == [False, False, True] * 2
@@ -434,11 +442,14 @@ def test_inspect_lists_every_log_and_prints_json_of_the_same(bench_folder):
 
 def test_inspect_prints_json_of_what_is_bad_too(logs):
     (logs / "lifting-02.csv").write_text("")
-    result = hitchid("inspect", logs, "--json")
+    result = hitchid("inspect", logs, "--json", "--strict")
     assert (result.code, result.err) == (2, "")
     found = json.loads(result.out)
     assert len(found["records"]) == 5
     assert "lifting-02.csv" in found["faults"][0]
+    lenient = json.loads(hitchid("inspect", logs, "--json").out)
+    assert [each["name"] for each in lenient["left_out"]] == ["lifting-02"]
+    assert lenient["faults"] == []
 
 
 def test_inspect_draws_mixed_logs(tests_with_a_cycle, tmp_path):

@@ -80,7 +80,10 @@ def test_a_log_at_fault_does_not_hide_the_others(write_log):
     (folder / "c.csv").write_bytes(b"\x00\xff\xfe")
     write_log("d", pulse(), time_s=np.zeros(100))
     write_log("e", pulse())
-    found = inspect(folder)
+    lenient, found = inspect(folder), inspect(folder, strict=True)
+    assert lenient.faults == found.left_out == ()
+    assert [each.name for each in lenient.left_out] == ["b", "c", "d"]
+    assert lenient.warnings[-1] == "3 of 5 logs left out"
     assert [record["name"] for record in found.records] == ["a", "e"]
     assert len(found.faults) == 3
     for fault, said in zip(found.faults, ("displacement_mm", "UTF-8", "time must increase"), strict=True):
@@ -120,7 +123,7 @@ def test_what_is_odd_but_usable_is_noticed_by_name(write_log):
 def test_logs_that_do_not_fit_together_are_listed_with_the_reason(write_log):
     folder = write_log("a", pulse())
     write_log("b", pulse(), moved=np.full(100, 2.0))
-    found = inspect(folder)
+    found = inspect(folder, strict=True)
     assert [record["kind"] for record in found.records] == ["not told", "not told"]
     assert len(found.faults) == 1
     assert "b.csv" in found.faults[0]

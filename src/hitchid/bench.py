@@ -12,6 +12,7 @@ import numpy as np
 
 from hitchid import excitation
 from hitchid.abreast import abreast
+from hitchid.errors import InputError
 from hitchid.identification.deadzone import from_ramps
 from hitchid.readers import write_table
 from hitchid.record import COMMAND, DISPLACEMENT, LIFTING, LOWERING, MODES, RAMP, Record
@@ -20,6 +21,7 @@ from hitchid.storage import write_folder
 
 Protocol = Literal["prbs", "ramp", "cycle"]
 REPEATS = 3
+MOST_TESTS = 10_000
 TESTS: Mapping[Protocol, int] = MappingProxyType({"prbs": 20})
 RAMP_S = 30.0
 DYNAMIC_S = 10.0
@@ -118,8 +120,12 @@ def write_campaign(
 
     Raises:
         OutputError: the folder exists and `force` is not given, or it cannot be written.
+        InputError: a number of tests is not from 1 to 10 000.
         SettingsError: the rig's parameters cannot be used.
     """
+    for protocol, count in tests.items():
+        if not 1 <= count <= MOST_TESTS:
+            raise InputError(f"{protocol}: required 1 to {MOST_TESTS} tests, came {count}")
     logs = run(load_rig(rig), tests, modes, seed=seed)
 
     def fill(place: Path) -> None:

@@ -2,16 +2,19 @@
 
 import hashlib
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from glob import escape
 
 import numpy as np
 
-from hitchid.errors import InputError, LogError
+from hitchid.errors import InputError, LogError, SettingsError
+from hitchid.left_out import LeftOut, refuse, sentences, sift
 from hitchid.modes import detect_kind, full_scales, ramp_mode, strokes
 from hitchid.record import COMMAND, CYCLE, DISPLACEMENT, IDLE, KINDS, MODES, RAMP, Record
+from hitchid.units import UNITS
 
 HELD_OUT_FRACTION = 0.2
 LARGEST_RATE_RATIO = 100
@@ -26,11 +29,15 @@ class Campaign:
         test_patterns: patterns on names that mark the held-out tests; without any, the last 20 % of each
             mode's tests are held out.
         unmatched: patterns of a settings file that match no test here; only an identification minds.
+        left_out: logs and tests that cannot be used, with their reasons.
+        strict: whether later work refuses all tests for one that cannot be used.
     """
 
     records: tuple[Record, ...]
     test_patterns: tuple[str, ...] | None = None
     unmatched: tuple[str, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()
+    strict: bool = False
 
     @classmethod
     def of(
@@ -39,17 +46,24 @@ class Campaign:
         *,
         test_patterns: Sequence[str] | None = None,
         kinds: Mapping[str, str] | None = None,
+        left_out: Sequence[LeftOut] = (),
+        strict: bool = False,
     ) -> "Campaign":
         """Bring records onto one clock and one set of units, and tell what each one is.
+
+        Left out is a record with other commands or dimensions than most, with a clock far from the others',
+        or with a displacement that never changes although its command does.
 
         Args:
             records: tests, in any order.
             test_patterns: patterns on names that mark the held-out tests.
             kinds: pattern on names to kind, where it should not be found from the commands.
+            left_out: logs that could not be read.
+            strict: whether one record that cannot be used is an error for all.
 
         Raises:
-            InputError: no records, equal names, unlike commands, or a pattern that matches no test.
-            LogError: a record's displacement never changes although its command does.
+            InputError: no records, equal names, a pattern that matches no test, or every test of a direction
+                is left out.
         """
         if not records:
             raise InputError("a campaign needs at least one record, none came")
@@ -58,33 +72,34 @@ class Campaign:
             if names.count(name) > 1:
                 raise InputError(f"two records are called '{name}'; names must differ")
         ordered = sorted(records, key=lambda record: _natural(record.name))
-        first = ordered[0]
-        for record in ordered:
-            if record.modes != first.modes:
-                raise InputError(
-                    f"record '{record.name}' has commands for {' and '.join(record.modes)}, "
-                    f"'{first.name}' for {' and '.join(first.modes)}; one campaign needs one signal map"
-                )
-        same_units = [
-            record if record.units == first.units else record.convert(first.units) for record in ordered
-        ]
-        on_clock = [_on_clock(record, _common_step(ordered)) for record in same_units]
+        like = _most_common(ordered)
+        usable, unlike = sift(_by_name(ordered), lambda record: _alike(record, like), strict=strict)
+        step_s = _common_step(usable)
+        on_clock, off_clock = sift(_by_name(usable), lambda record: _on_clock(record, step_s), strict=strict)
         scales = full_scales(on_clock)
-        told = tuple(replace(record, kind=_kind(record, scales, kinds or {})) for record in on_clock)
-        for record in told:
-            if record.kind != IDLE and np.ptp(record.displacement) == 0:
-                raise LogError(
-                    record.source or record.name,
-                    f"the displacement is constant ({record.displacement[0]:g} {record.unit}) over all "
-                    f"{len(record)} samples although the command changes; required a moving piston "
-                    "(is the sensor connected?)",
-                )
+        known = [replace(record, kind=_kind(record, scales, kinds or {})) for record in on_clock]
+        moving, still = sift(_by_name(known), _moving, strict=strict)
+        here = [*unlike, *off_clock, *still]
+        if not moving:
+            refuse(here, "tests")
+        _check_directions(moving, here, ordered)
+        everything = (*left_out, *here)
         for pattern in test_patterns or ():
-            if not any(fnmatchcase(name, pattern) for name in names):
+            if not any(fnmatchcase(name, pattern) for name in (*names, *(each.name for each in left_out))):
                 raise InputError(
                     f"split.test: the pattern '{pattern}' matches none of the {len(names)} tests"
                 )
-        return cls(told, None if test_patterns is None else tuple(test_patterns))
+        patterns = None if test_patterns is None else tuple(test_patterns)
+        return cls(tuple(moving), patterns, left_out=everything, strict=strict)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is left out and why, how much of all, and whether that leaves nothing held out."""
+        said = sentences(self.left_out, len(self.left_out) + len(self.records), "logs")
+        patterns = self.test_patterns
+        if said and patterns is not None and not any(_matches(r, patterns) for r in self.records):
+            return (*said, "split.test matches only logs that are left out: no test is held out")
+        return said
 
     @property
     def step_s(self) -> float:
@@ -131,9 +146,7 @@ class Campaign:
         """Return the tests of a mode that no identification may see."""
         tests = self.of_kind(mode)
         if self.test_patterns is not None:
-            return tuple(
-                r for r in tests if any(fnmatchcase(r.name, pattern) for pattern in self.test_patterns)
-            )
+            return tuple(record for record in tests if _matches(record, self.test_patterns))
         if len(tests) < 2:
             return ()
         return tests[-max(1, round(HELD_OUT_FRACTION * len(tests))) :]
@@ -163,7 +176,68 @@ class Campaign:
                 cut.append(record.slice(stroke.start, stroke.stop, name=name, kind=stroke.mode))
         held_out = self.held_out(CYCLE)
         patterns = tuple(f"{escape(record.name)}#*" for record in held_out) or None
-        return Campaign(tuple(cut), patterns)
+        return replace(self, records=tuple(cut), test_patterns=patterns)
+
+
+def _matches(record: Record, patterns: Sequence[str]) -> bool:
+    return any(fnmatchcase(record.name, pattern) for pattern in patterns)
+
+
+def _by_name(records: Iterable[Record]) -> list[tuple[str, Record]]:
+    return [(record.name, record) for record in records]
+
+
+def _dimensions(record: Record) -> tuple[tuple[str, str], ...]:
+    """Return displacement and commands with the dimensions of their units."""
+    roles = [role for role in (DISPLACEMENT, *COMMAND.values()) if role in record.signals]
+    units = [record.units.get(role, "") for role in roles]
+    return tuple((r, UNITS[u].dimension if u in UNITS else u) for r, u in zip(roles, units, strict=True))
+
+
+def _most_common(records: Sequence[Record]) -> Record:
+    """Return the first record of those with the commands and dimensions that most have."""
+    counts = Counter(map(_dimensions, records))
+    return max(records, key=lambda record: counts[_dimensions(record)])
+
+
+def _alike(record: Record, first: Record) -> Record:
+    """Return a record in another's units."""
+    if record.modes != first.modes:
+        raise InputError(
+            f"record '{record.name}' has commands for {' and '.join(record.modes)}, "
+            f"'{first.name}' for {' and '.join(first.modes)}; one campaign needs one signal map"
+        )
+    if record.units == first.units:
+        return record
+    try:
+        return record.convert(first.units)
+    except SettingsError as error:  # a unit that the log itself says, mostly
+        raise InputError(str(error)) from error
+
+
+def _moving(record: Record) -> Record:
+    """Return a record unless its displacement stands although it is commanded to move."""
+    if record.kind != IDLE and np.ptp(record.displacement) == 0:
+        raise LogError(
+            record.source or record.name,
+            f"the displacement is constant ({record.displacement[0]:g} {record.unit}) over all "
+            f"{len(record)} samples although the command changes; required a moving piston "
+            "(is the sensor connected?)",
+        )
+    return record
+
+
+def _check_directions(records: Sequence[Record], left_out: Sequence[LeftOut], all_: Sequence[Record]) -> None:
+    """Refuse a campaign of which all tests of one direction are left out: its model would lack it."""
+    causes = {each.name: each for each in left_out}
+    for mode in MODES:
+        lost = [
+            causes[record.name]
+            for record in all_
+            if record.name in causes and detect_kind(record, full_scales([record])) == mode
+        ]
+        if lost and not any(record.kind in (mode, CYCLE) for record in records):
+            refuse(lost, f"{mode} tests")
 
 
 def _natural(name: str) -> list[tuple[int, str]]:

@@ -3,6 +3,7 @@
 import io
 import re
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -14,7 +15,7 @@ from hitchid.storage import canonical_json, digest, write_bytes
 
 Arrays = Mapping[str, np.ndarray]
 Piece = TypeVar("Piece")
-SUFFIX, OF = ".npz", "run.json"
+SUFFIX, OF, FAILED = ".npz", "run.json", "failed"
 SEAL = 64
 LEGIBLE, TOLD_APART = 80, 16
 
@@ -100,6 +101,20 @@ NOWHERE = Checkpoints()
 def holds_pieces(folder: Path) -> bool:
     """Tell whether anything was finished in a folder."""
     return any(folder.glob(f"*{SUFFIX}"))
+
+
+def mark_failed(folder: Path, *, failed: bool) -> None:
+    """Note whether the run in a folder ended with an error: the next one may then begin in its place."""
+    with suppress(OSError):  # a full disk, mostly: the run can then be gone on with, as after a stop
+        if failed:
+            (folder / FAILED).touch()
+        else:
+            (folder / FAILED).unlink(missing_ok=True)
+
+
+def has_failed(folder: Path) -> bool:
+    """Tell whether the run in a folder ended with an error."""
+    return is_run(folder) and (folder / FAILED).is_file()
 
 
 def is_run(folder: Path) -> bool:

@@ -15,6 +15,7 @@ from hitchid.segments import LABELS
 
 if TYPE_CHECKING:
     from hitchid.audit import AuditFinding
+    from hitchid.campaign import Campaign
     from hitchid.design import Advice
     from hitchid.identification import ChannelTrace, Identification
     from hitchid.inspection import Inspection
@@ -64,7 +65,13 @@ def show_inspection(found: "Inspection") -> None:
     elif found.records:
         _say_in("The audit found nothing to mend.")
     say("notice", found.notices)
+    say("warning", found.warnings)
     say("fault", found.faults)
+
+
+def show_left_out(campaign: "Campaign", *, quiet: bool = False) -> None:
+    """Write to stderr which logs are left out and why, and how many; quietly, nothing."""
+    say("warning", () if quiet else campaign.warnings)
 
 
 def show_audit(findings: Iterable["AuditFinding"], *, quiet: bool = False) -> None:

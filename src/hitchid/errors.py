@@ -24,12 +24,13 @@ class LogError(InputError):
     def __init__(self, source: object, problem: str, *, line: int | None = None, column: str | None = None):
         """Compose `source: line N: column 'C': problem`, leaving out what is not known."""
         self.problem, self.line, self.column = problem, line, column
-        place = [str(source)]
+        place = []
         if line is not None:
             place.append(f"line {line}")
         if column is not None:
             place.append(f"column '{column}'")
-        super().__init__(": ".join([*place, problem]))
+        self.reason = ": ".join([*place, problem])
+        super().__init__(f"{source}: {self.reason}")
 
 
 class SettingsError(InputError):

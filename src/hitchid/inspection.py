@@ -8,9 +8,10 @@ import numpy as np
 
 from hitchid.audit import AuditFinding, audit, quality
 from hitchid.campaign import Campaign
-from hitchid.errors import HitchError, LogError
+from hitchid.errors import HitchError
+from hitchid.left_out import LeftOut, sentences
 from hitchid.modes import full_scales
-from hitchid.readers import ReaderProcess, assemble, find_logs, read_log, settings_of
+from hitchid.readers import assemble, find_logs, read_logs, settings_of
 from hitchid.record import CYCLE, MODES, Record
 from hitchid.segments import Segment, Switch, durations_s, segments
 
@@ -26,10 +27,11 @@ class Inspection:
             and range, how good its displacement is, and of a mixed one its stretches of lift, hold, lower and
             so on.
         notices: what was done to logs on the way in, each naming its record.
-        faults: why a log cannot be used, each naming file, line, column.
+        faults: why logs cannot be used at all, each naming file, line, column.
         findings: what in the logs would spoil a model, where, and what to do about it.
         mixed: the mixed records with their stretches.
         looked_at: every record.
+        left_out: logs that cannot be used beside those that can.
     """
 
     records: tuple[Mapping[str, object], ...]
@@ -38,6 +40,12 @@ class Inspection:
     findings: tuple[AuditFinding, ...] = ()
     mixed: tuple[tuple[Record, tuple[Segment, ...]], ...] = ()
     looked_at: tuple[Record, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is left out and why, and how much of all."""
+        return sentences(self.left_out, len(self.left_out) + len(self.records), "logs")
 
     def describe(self) -> dict[str, list]:
         """Return everything as JSON can hold it."""
@@ -45,6 +53,7 @@ class Inspection:
             "records": list(self.records),
             "notices": list(self.notices),
             "faults": list(self.faults),
+            "left_out": [each.describe() for each in self.left_out],
             "findings": [finding.describe() for finding in self.findings],
         }
 
@@ -54,6 +63,7 @@ def inspect(
     *,
     signals: str | Path | None = None,
     switches: Hearing | None = None,
+    strict: bool = False,
 ) -> Inspection:
     """Look at logs one by one, going on past those that cannot be used; changes nothing.
 
@@ -61,6 +71,7 @@ def inspect(
         logs: files and folders.
         signals: a file like `campaign.toml`; without it each folder's own counts.
         switches: from the logs' units to how each mode hears its command, where a model tells.
+        strict: whether a log that cannot be used is a fault.
 
     Raises:
         InputError: there are no logs.
@@ -68,22 +79,17 @@ def inspect(
     """
     paths = find_logs(logs)
     settings = settings_of(paths, signals)
-    records: list[Record] = []
-    faults: list[str] = []
-    with ReaderProcess() as process:
-        for path in paths:
-            try:
-                records += read_log(path, settings[path.parent], process)
-            except LogError as error:
-                faults.append(str(error))
+    records, unread = read_logs(paths, settings)
+    faults = tuple(str(each.error) for each in unread)
     if not records:
-        return Inspection((), (), tuple(faults))
+        return Inspection((), (), faults)
     try:
-        campaign = assemble(records, settings)
+        campaign = assemble(records, settings, unread, strict=strict)
     except HitchError as error:
         entries = tuple({**_entry(record, False), "kind": "not told"} for record in records)
         return Inspection(entries, (), (*faults, str(error)))
-    return replace(look_over(campaign, switches), faults=tuple(faults))
+    found = look_over(campaign, switches)
+    return replace(found, faults=faults, left_out=()) if strict else found
 
 
 def look_over(campaign: Campaign, switches: Hearing | None = None) -> Inspection:
@@ -112,6 +118,7 @@ def look_over(campaign: Campaign, switches: Hearing | None = None) -> Inspection
         findings=audit(campaign),
         mixed=tuple(mixed.values()),
         looked_at=campaign.records,
+        left_out=campaign.left_out,
     )
 
 

@@ -48,7 +48,7 @@ def simulate_log(
     signal_map = settings[log.parent].signals
     with ReaderProcess() as process:
         table = read_table(log, settings[log.parent], process)
-    campaign = assemble(records_of(table, signal_map), settings)
+    campaign = assemble(records_of(table, signal_map), settings, strict=True)
     header, rows = _as_text(log, table, signal_map)
     time_s = table.time_s
     kinds = ("predicted",) if coverage is None else ("predicted", "lower", "upper")

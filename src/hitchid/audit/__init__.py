@@ -3,5 +3,7 @@
 from hitchid.audit.auditing import audit as audit
 from hitchid.audit.finding import AuditFinding as AuditFinding
 from hitchid.audit.finding import Level as Level
+from hitchid.audit.neutral import Run as Run
+from hitchid.audit.neutral import rest_level as rest_level
 from hitchid.audit.quality import Quality as Quality
 from hitchid.audit.quality import quality as quality

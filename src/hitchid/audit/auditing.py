@@ -10,6 +10,7 @@ from hitchid.audit.directions import signs
 from hitchid.audit.excitation import amount, changes, little_motion, short_or_idle
 from hitchid.audit.finding import AuditFinding, Level
 from hitchid.audit.look import Look, Survey, named, survey
+from hitchid.audit.neutral import neutral
 from hitchid.audit.ranges import units
 from hitchid.audit.repeats import drift, ramp_onsets, start_positions
 from hitchid.audit.resolution import noisy, quantisation, renewal
@@ -40,6 +41,7 @@ OF_CAMPAIGN: tuple[Callable[[Survey], list[AuditFinding]], ...] = (
     standing,
     motion_first,
     signs,
+    neutral,
     idle_commands,
     drift,
     start_positions,

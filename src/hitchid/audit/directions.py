@@ -82,6 +82,7 @@ def _of_both(usual: dict[str, int]) -> list[AuditFinding]:
     what = "the displacement falls under lifting and grows under lowering"
     advice = (
         "this is right for a sensor that measures downwards, and each direction is taken as measured; "
-        "otherwise the commands are swapped in campaign.toml"
+        "otherwise the commands are swapped in campaign.toml, or one signal's sign is turned: put scale = -1 "
+        "beside its column"
     )
     return [AuditFinding("sign", Level.WARNING, "", DISPLACEMENT, (), what, advice)]

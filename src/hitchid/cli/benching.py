@@ -42,7 +42,9 @@ def bench(
     out: Annotated[Path, typer.Argument(help="Folder to write.", show_default=False)],
     tests: Annotated[
         int | None,
-        typer.Option("--tests", min=1, help="Tests a direction, or cycles [20]; ramps a direction [3]."),
+        typer.Option(
+            "--tests", min=1, max=10_000, help="Tests a direction, or cycles [20]; ramps a direction [3]."
+        ),
     ] = None,
     protocol: Annotated[Protocol, typer.Option("--protocol", help="What is run.")] = Protocol.PRBS,
     mode: Annotated[Direction, typer.Option("--mode", help="Which direction is excited.")] = Direction.BOTH,

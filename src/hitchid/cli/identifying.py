@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 from hitchid.cli.cache import prepare_jax, resumable
-from hitchid.cli.options import AsJson, Force, Logs, Quiet, Signals
-from hitchid.errors import FitError, HitchError, OutputError
+from hitchid.cli.options import AsJson, Force, Logs, Quiet, Signals, Strict
+from hitchid.errors import InputError, OutputError
 
 
 def identify(
@@ -19,6 +19,7 @@ def identify(
         Path | None, typer.Option("--config", help="Settings in TOML: structures, search, training.")
     ] = None,
     signals: Signals = None,
+    strict: Strict = False,
     seed: Annotated[
         int | None, typer.Option("--seed", min=0, max=2**32 - 1, help="Seed of every random draw [0].")
     ] = None,
@@ -36,11 +37,12 @@ def identify(
     unfinished = out.absolute().with_name(f"{out.absolute().name}.unfinished")
     force = force or (resume and unfinished.is_dir())
     check_folder(out, mark="model.json", force=force)
+    from hitchid.checkpoints import has_failed, holds_pieces, mark_failed
+
     if unfinished.exists() and not resume:
-        _clear(unfinished, force=force)
+        _clear(unfinished, force=force or has_failed(unfinished))
     prepare_jax()
     from hitchid.audit import audit
-    from hitchid.checkpoints import holds_pieces
     from hitchid.fitting import Comparison
     from hitchid.identification import Settings, read_settings
     from hitchid.identification import identify as run
@@ -50,16 +52,33 @@ def identify(
     if seed is not None:
         settings["seed"] = seed
     settings["comparison"] = resumable(settings.get("comparison", Comparison()))
-    campaign = read(logs, signals=signals)
+    campaign = read(logs, signals=signals, strict=strict)
+    display.show_left_out(campaign, quiet=quiet)
     display.show_audit(audit(campaign), quiet=quiet)
+    failed_before = has_failed(unfinished)
+    if failed_before:
+        mark_failed(unfinished, failed=False)
     try:
         with display.progress(quiet=quiet) as report:
             found = run(campaign, **settings, progress=report, checkpoints=unfinished)
-    except HitchError as error:
-        if isinstance(error, FitError) or not holds_pieces(unfinished):
+        found.save(out, force=force)
+    except OutputError:
+        # With room to write, --resume goes on from there; nothing is in the way of a run that begins anew.
+        if holds_pieces(unfinished):
+            mark_failed(unfinished, failed=True)
+        else:
             _forget(unfinished)
         raise
-    found.save(out, force=force)
+    except InputError:
+        # With --resume the pieces may be those of another run, which is not this one's to remove.
+        if not (resume and holds_pieces(unfinished)):
+            _forget(unfinished)
+        elif failed_before:
+            mark_failed(unfinished, failed=True)
+        raise
+    except Exception:
+        _forget(unfinished)
+        raise
     _forget(unfinished)
     if as_json:
         typer.echo(json.dumps(found.describe(), indent=1))

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from hitchid.cli.cache import prepare_jax
-from hitchid.cli.options import AsJson, AsPdf, Force, Logs, Quiet, Signals
+from hitchid.cli.options import AsJson, AsPdf, Force, Logs, Quiet, Signals, Strict
 from hitchid.cli.program import command_line
 from hitchid.errors import InputError
 
@@ -24,6 +24,7 @@ def validate(
     ] = None,
     as_pdf: AsPdf = False,
     signals: Signals = None,
+    strict: Strict = False,
     force: Force = False,
     quiet: Quiet = False,
     as_json: AsJson = False,
@@ -48,7 +49,8 @@ def validate(
     check_pdf(asked=as_pdf)
     limits = None if accept is None else read_limits(accept)
     hitch, trace = load(model), load_trace(model)
-    campaign = read(logs, signals=signals)
+    campaign = read(logs, signals=signals, strict=strict)
+    display.show_left_out(campaign, quiet=quiet)
     if limits is not None:
         limits.check_convertible(campaign.records[0].unit)
     with display.progress(quiet=quiet) as report:
@@ -80,6 +82,7 @@ def compare(
     out: Annotated[Path, typer.Option("--out", help="Folder to write: report.html, comparison.json.")],
     as_pdf: AsPdf = False,
     signals: Signals = None,
+    strict: Strict = False,
     force: Force = False,
     quiet: Quiet = False,
     as_json: AsJson = False,
@@ -97,7 +100,8 @@ def compare(
     from hitchid.validation import compare as run
 
     check_pdf(asked=as_pdf)
-    campaign = read(logs, signals=signals)
+    campaign = read(logs, signals=signals, strict=strict)
+    display.show_left_out(campaign, quiet=quiet)
     with display.progress(quiet=quiet) as report:
         compared = run(load(first), load(second), campaign, progress=report)
         report(Step("report", 0.98))

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hitchid.cli.options import AsJson, Force, Logs, Signals
+from hitchid.cli.options import AsJson, Force, Logs, Signals, Strict
 from hitchid.errors import InputError
 
 if TYPE_CHECKING:
@@ -28,6 +28,7 @@ def inspect(
             "--draw", help="Picture to write, of mixed logs and of findings in place: .png, .svg or .pdf."
         ),
     ] = None,
+    strict: Strict = False,
     force: Force = False,
     as_json: AsJson = False,
 ) -> None:
@@ -43,7 +44,7 @@ def inspect(
         from hitchid.model import load
 
         switches = load(model).switches
-    found = look(logs, signals=signals, switches=switches)
+    found = look(logs, signals=signals, switches=switches, strict=strict)
     if picture is not None:
         _draw(found, picture, force=force)
     if as_json:

@@ -6,12 +6,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import jax
+import numpy as np
 
 from hitchid.benchmark import Form
 from hitchid.benchmark.nonlinear import NonlinearStructure
 from hitchid.campaign import Campaign
 from hitchid.checkpoints import NOWHERE, Checkpoints
-from hitchid.errors import InputError
+from hitchid.errors import InputError, SettingsError
 from hitchid.fitting import Comparison, Search
 from hitchid.identification.deadzone import DeadZone
 from hitchid.identification.direction import Asked, ChannelTrace, levelled
@@ -132,6 +133,8 @@ class Case:
                 f"split.test: the pattern '{pattern}' matches none of the {len(campaign.records)} tests"
             )
         forms = question.forms
+        for mode, value in question.dead_zones.items():
+            _check_dead_zone(campaign, mode, value)
         zones = {mode: DeadZone(0.0, None, 0, "structure") for mode, form in forms.items() if _whole(form)}
         zones |= {mode: DeadZone(value, None, 0, "given") for mode, value in question.dead_zones.items()}
         cut_at: dict[str, float] = {}
@@ -146,6 +149,7 @@ class Case:
         if not campaign.modes:
             raise InputError("no test moves the piston one way, and no cycle holds a stroke to identify from")
         prepared = {m: prepare(campaign, m, zones.get(m), load=forms[m].load) for m in campaign.modes}
+        _check_window(question.training, prepared)
         asked = {m: _asked(question, m, campaign, kept.part(m)) for m in campaign.modes}
         return cls(campaign, question, cycles, cut_at, frozenset(seen), prepared, asked)
 
@@ -160,7 +164,7 @@ class Case:
         """Return the model that channels make up, with all that is to be known of it."""
         campaign, traces = self.campaign, {mode: trace for mode, (_, trace) in found.items()}
         provenance = Provenance(
-            identification={mode: _names(campaign.identification(mode)) for mode in found},
+            identification={mode: self._used(mode) for mode in found},
             validation={mode: self.prepared[mode].validation_names for mode in found},
             held_out={mode: _names(campaign.held_out(mode)) for mode in found},
             seen=self.seen,
@@ -178,6 +182,11 @@ class Case:
         )
         return Identification(hitch, traces)
 
+    def _used(self, mode: str) -> tuple[str, ...]:
+        """Return the names of a direction's tests that it is identified from."""
+        left_out = {each.name for each in self.prepared[mode].left_out}
+        return tuple(n for n in _names(self.campaign.identification(mode)) if n not in left_out)
+
     def _hitch(self, found: Found) -> Hitch:
         forms, campaign = self.question.forms.values(), self.campaign
         roles = (DISPLACEMENT, *COMMAND.values(), *(form.load for form in forms if form.load))
@@ -187,6 +196,29 @@ class Case:
         whole = self.cycles or tuple(r for mode in found for r in campaign.identification(mode))
         drift = hold_drift(whole, zones) if self.question.drift else 0.0
         return Hitch(channels, campaign.step_s, units, drift=drift)
+
+
+def _check_dead_zone(campaign: Campaign, mode: str, value: float) -> None:
+    """Refuse a dead zone that no command of the tests to identify from goes beyond."""
+    tests = [
+        record for kind in (mode, CYCLE) for record in campaign.identification(kind) if mode in record.modes
+    ]
+    highest = max((float(np.max(np.abs(record.command(mode)))) for record in tests), default=np.inf)
+    if not 0 <= value < highest:
+        raise SettingsError(
+            f"{mode}: dead_zone is {value:g} {campaign.units.get(COMMAND[mode], '')}; required from 0 to "
+            f"below the largest command, {highest:.4g}"
+        )
+
+
+def _check_window(training: Training | None, prepared: Mapping[str, Prepared]) -> None:
+    """Refuse a window that no test fills: it is allocated whole, for every stretch of every test."""
+    longest = max(int(tests.everything.valid.sum(axis=1).max()) for tests in prepared.values())
+    if training is not None and training.window > max(longest, Training.window):
+        raise SettingsError(
+            f"training: window is {training.window} samples, required at most {longest}, those of the "
+            "longest test"
+        )
 
 
 def _asked(question: Question, mode: str, campaign: Campaign, kept: Checkpoints) -> Asked:

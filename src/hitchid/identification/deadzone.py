@@ -53,17 +53,25 @@ def from_ramps(ramps: Sequence[Record], mode: str, direction: int) -> DeadZone:
     Raises:
         LogError: a ramp ends before the piston moves.
     """
-    values = np.array([_ramp_onset(record, mode, direction) for record in ramps])
+    return of_onsets([ramp_onset(record, mode, direction) for record in ramps])
+
+
+def of_onsets(onsets: Sequence[float]) -> DeadZone:
+    """Return mean and spread of the commands at which ramps set the piston in motion."""
+    values = np.array(onsets)
     spread = float(values.std(ddof=1)) if values.size > 1 else None
     return DeadZone(float(values.mean()), spread, values.size, "ramps")
 
 
-def _ramp_onset(record: Record, mode: str, direction: int) -> float:
+def ramp_onset(record: Record, mode: str, direction: int) -> float:
     """Return the command d that best explains a ramp as drift, then motion.
 
     x(t) = x₀ + c t + Σ bₙ wⁿ, n = 2, 2.5, 3, w = max(u(t) − d, 0), b ≥ 0. Leakage lets the piston creep
     before the valve opens, and an opening valve's speed grows from zero, so a threshold on displacement would
     be early in the first case and late in the second.
+
+    Raises:
+        LogError: the ramp ends before the piston moves.
     """
     command = record.command(mode)
     stop = int(np.argmax(command)) + 1

@@ -70,8 +70,8 @@ def identify(
             stopped, it goes on from there to the same model. None keeps none.
 
     Raises:
-        InputError: there is no test of one direction, all are held out, or a setting does not fit.
-        LogError: a ramp ends before the piston moves.
+        InputError: there is no test of one direction, all are held out or cannot be used, or a setting does
+            not fit.
         FitError: the identification could not be carried out on these data.
     """
     question = Question(

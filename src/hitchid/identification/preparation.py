@@ -8,14 +8,16 @@ import numpy as np
 
 from hitchid.benchmark import Batch, before_end_stop
 from hitchid.campaign import Campaign
-from hitchid.errors import InputError
-from hitchid.identification.deadzone import DeadZone, from_ramps, from_tests
+from hitchid.errors import InputError, LogError
+from hitchid.identification.deadzone import DeadZone, from_tests, of_onsets, ramp_onset
+from hitchid.left_out import LeftOut, refuse, sentences, sift
 from hitchid.modes import end_stop_contact, mode_changes
 from hitchid.record import CYCLE, LIFTING, MODES, Record
 
 VALIDATION_EVERY = 4
 VALIDATION_FRACTION = 0.25
 STOP_AGREEMENT = 0.02
+FEWEST_SAMPLES = 3
 
 
 @dataclass(frozen=True)
@@ -31,6 +33,7 @@ class Prepared:
         training, validation: those that train and those that stop the training, for phase 2.
         validation_names: names of the latter.
         notices: what the user should know.
+        left_out: tests and ramps that cannot be used.
     """
 
     mode: str
@@ -42,12 +45,16 @@ class Prepared:
     validation: Batch
     validation_names: tuple[str, ...]
     notices: tuple[str, ...]
+    left_out: tuple[LeftOut, ...] = ()
 
 
 def prepare(
     campaign: Campaign, mode: str, dead_zone: DeadZone | None, *, load: str | None = None
 ) -> Prepared:
     """Prepare the identification tests of one direction.
+
+    Left out are tests that lack the second input or are all at the end stop, and ramps that end before the
+    piston moves; of a strict campaign the first of them is an error. What is held out stays so.
 
     Args:
         campaign: tests, of one direction each.
@@ -56,33 +63,43 @@ def prepare(
         load: name of a second measured input.
 
     Raises:
-        InputError: every test of the direction is held out, or one lacks the second input.
-        LogError: a ramp ends before the piston moves.
+        InputError: every test of the direction is held out or left out.
     """
     records = campaign.identification(mode)
     if not records:
         raise InputError(
             f"all {len(campaign.of_kind(mode))} {mode} tests are held out; none is left to identify from"
         )
-    notices = [f"{record.name}: {notice}" for record in records for notice in record.notices]
+    strict, total = campaign.strict, len(records)
+    records, lacking = sift(_by_name(records), lambda record: _measuring(record, load), strict=strict)
+    if not records:
+        refuse(lacking, f"{mode} tests")
     direction = _direction(records, mode)
+    end_stop, contacts = _end_stop(records, mode, direction)
+    records, stopped = sift(
+        _by_name(records), lambda record: _before_stop(record, direction, end_stop), strict=strict
+    )
+    if not records:
+        refuse([*lacking, *stopped], f"{mode} tests")
+    left_out = [*lacking, *stopped]
+    notices = [f"{record.name}: {notice}" for record in records for notice in record.notices]
+    notices += sentences(left_out, total, f"{mode} tests")
     if direction != _usual(mode):
         notices.append(
             f"the displacement {'grows' if direction > 0 else 'falls'} in {mode}: taken as measured"
         )
-    end_stop, contacts = _end_stop(records, mode, direction)
     if end_stop is not None:
         notices.append(
-            f"end stop at {end_stop:.4g} {records[0].unit}, met in {contacts} of {len(records)} tests; "
-            "samples at it are left out"
+            f"end stop at {end_stop:.4g} {records[0].unit}, met in {contacts} of {total - len(lacking)} "
+            "tests; samples at it are left out"
         )
-    ramps = campaign.ramps(mode)
     if dead_zone is None:
-        dead_zone = (
-            from_ramps(ramps, mode, direction)
-            if ramps
-            else from_tests([_travelled(r, mode, direction, end_stop) for r in records], campaign.step_s)
-        )
+        dead_zone, unmoved = _of_ramps(campaign, mode, direction)
+        notices += sentences(unmoved, len(campaign.ramps(mode)), f"{mode} ramps")
+        left_out += unmoved
+    if dead_zone is None:
+        travelled = [_travelled(record, mode, direction, end_stop) for record in records]
+        dead_zone = from_tests(travelled, campaign.step_s)
     if dead_zone.origin == "none":
         notices.append("the dead zone cannot be told from one level of command: taken as zero")
     everything = Batch.of(
@@ -101,6 +118,7 @@ def prepare(
         validation=validation,
         validation_names=tuple(records[row].name for row in chosen),
         notices=tuple(notices),
+        left_out=tuple(left_out),
     )
 
 
@@ -112,9 +130,9 @@ def mixed_dead_zones(campaign: Campaign) -> dict[str, DeadZone]:
     cycles = campaign.identification(CYCLE)
     found = {}
     for mode in MODES:
-        ramps = campaign.ramps(mode)
-        if ramps:
-            found[mode] = from_ramps(ramps, mode, _usual(mode))
+        of_ramps, _ = _of_ramps(campaign, mode, _usual(mode))
+        if of_ramps is not None:
+            found[mode] = of_ramps
             continue
         stretches = [
             record.slice(stroke.start, stroke.stop)
@@ -128,6 +146,38 @@ def mixed_dead_zones(campaign: Campaign) -> dict[str, DeadZone]:
                 [_travelled(r, mode, direction, None) for r in stretches], campaign.step_s
             )
     return found
+
+
+def _by_name(records: Sequence[Record]) -> list[tuple[str, Record]]:
+    return [(record.name, record) for record in records]
+
+
+def _measuring(record: Record, load: str | None) -> Record:
+    """Return a record unless it lacks the second input."""
+    if load is not None and load not in record.signals:
+        raise InputError(f"record '{record.name}' has no '{load}'; the model hears it as a second input")
+    return record
+
+
+def _before_stop(record: Record, direction: int, end_stop: float | None) -> Record:
+    """Return a record unless all of it is at the end stop."""
+    if np.count_nonzero(before_end_stop(record.displacement, direction, end_stop)) < FEWEST_SAMPLES:
+        raise LogError(
+            record.source or record.name,
+            f"the piston is at its end stop of {end_stop:.4g} {record.unit} from the start; "
+            "required a test that begins away from it",
+        )
+    return record
+
+
+def _of_ramps(campaign: Campaign, mode: str, direction: int) -> tuple[DeadZone | None, list[LeftOut]]:
+    """Return the dead zone from the ramps that move the piston, None without any, and the other ramps."""
+    onsets, unmoved = sift(
+        _by_name(campaign.ramps(mode)),
+        lambda ramp: ramp_onset(ramp, mode, direction),
+        strict=campaign.strict,
+    )
+    return (of_onsets(onsets) if onsets else None), unmoved
 
 
 def _usual(mode: str) -> int:

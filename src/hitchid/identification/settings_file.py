@@ -84,7 +84,7 @@ class TrainingSection(Strict):
     """`[training]`."""
 
     compensator: bool = True
-    hidden: Count = Training.hidden
+    hidden: int = Field(default=Training.hidden, ge=1, le=1000)
     window: int = Field(default=Training.window, ge=2, le=10**9)
     epochs: Count = Descent.epochs
     patience: Count = Descent.patience

@@ -8,5 +8,6 @@ from hitchid.readers.process import ReaderProcess as ReaderProcess
 from hitchid.readers.reading import assemble as assemble
 from hitchid.readers.reading import read as read
 from hitchid.readers.reading import read_log as read_log
+from hitchid.readers.reading import read_logs as read_logs
 from hitchid.readers.reading import read_table as read_table
 from hitchid.readers.reading import records_of as records_of

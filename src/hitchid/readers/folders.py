@@ -14,8 +14,10 @@ DATABASE = ".dbc"
 def find_logs(logs: str | Path | Iterable[str | Path]) -> list[Path]:
     """Return every log among files and folders, sorted within each folder.
 
+    Files that are named are taken whatever their format, as long as that of one is known.
+
     Raises:
-        InputError: a path does not exist, a file's format is not known, a folder holds no log, or a link out
+        InputError: a path does not exist, no file's format is known, a folder holds no log, or a link out
             of it.
     """
     given = [logs] if isinstance(logs, str | Path) else list(logs)
@@ -29,12 +31,13 @@ def find_logs(logs: str | Path | Iterable[str | Path]) -> list[Path]:
                 raise InputError(f"{path}: no log in this folder; required files ending in {endings()}")
             found.update(dict.fromkeys(inside))
         elif path.is_file():
-            format_of(path)
             found[path] = None
         else:
             raise InputError(f"{path}: there is no such file or folder")
     if not found:
         raise InputError("no logs were named; required files or folders")
+    if not any(map(known_format, found)):
+        format_of(next(iter(found)))
     return list(found)
 
 

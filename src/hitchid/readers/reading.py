@@ -11,9 +11,10 @@ import numpy as np
 from hitchid.campaign import Campaign
 from hitchid.errors import LogError
 from hitchid.grid import Section, sections
+from hitchid.left_out import LeftOut, refuse, sift
 from hitchid.readers.content import Wanted
 from hitchid.readers.folders import find_logs, settings_of
-from hitchid.readers.formats import format_of, record_name
+from hitchid.readers.formats import format_of, known_format, record_name
 from hitchid.readers.process import ReaderProcess
 from hitchid.readers.table import Table, table_of
 from hitchid.record import Record, resampled
@@ -22,31 +23,68 @@ from hitchid.signals import CampaignFile, SignalMap
 SHORTEST = 20
 
 
-def read(logs: str | Path | Iterable[str | Path], *, signals: str | Path | None = None) -> Campaign:
-    """Read logs into a campaign.
+def read(
+    logs: str | Path | Iterable[str | Path],
+    *,
+    signals: str | Path | None = None,
+    strict: bool = False,
+) -> Campaign:
+    """Read logs into a campaign; those that cannot be used are left out, see `Campaign.left_out`.
 
     Args:
         logs: files and folders of any known format.
         signals: a file like `campaign.toml`; without it each folder's own is used, or the default columns
             `time_s, current_up_A, current_down_A, displacement_mm`.
+        strict: whether one log that cannot be used is an error for all.
 
     Returns:
         One record a test, a log with gaps giving several, on one clock and in one set of units.
 
     Raises:
-        LogError: a log cannot be used.
+        LogError: no log can be used.
         SettingsError: a settings file cannot be used.
-        InputError: there are no logs, or they do not fit together.
+        InputError: there are no logs, or none of a direction can be used.
     """
     paths = find_logs(logs)
     settings = settings_of(paths, signals)
+    records, left_out = read_logs(paths, settings, strict=strict)
+    if not records:
+        refuse(left_out, "logs")
+    return assemble(records, settings, left_out, strict=strict)
+
+
+def read_logs(
+    paths: Sequence[Path], settings: Mapping[Path, CampaignFile], *, strict: bool = False
+) -> tuple[list[Record], list[LeftOut]]:
+    """Read logs one by one; return their records, and the logs that cannot be read.
+
+    Raises:
+        LogError: with `strict`, a log cannot be read.
+    """
+    names = [record_name(path) if known_format(path) else path.name for path in paths]
     with ReaderProcess() as process:
-        records = [record for path in paths for record in read_log(path, settings[path.parent], process)]
-    return assemble(records, settings)
+        found, left_out = sift(
+            zip(names, paths, strict=True),
+            lambda path: read_log(path, settings[path.parent], process),
+            strict=strict,
+        )
+    return [record for records in found for record in records], left_out
 
 
-def assemble(records: Sequence[Record], settings: Mapping[Path, CampaignFile]) -> Campaign:
+def assemble(
+    records: Sequence[Record],
+    settings: Mapping[Path, CampaignFile],
+    left_out: Sequence[LeftOut] = (),
+    *,
+    strict: bool = False,
+) -> Campaign:
     """Make a campaign of records and what the settings of each one's folder say of split and kinds.
+
+    Args:
+        records: tests.
+        settings: of each folder.
+        left_out: logs that could not be read; a pattern that matches one of them is not misspelt.
+        strict: see `Campaign.of`.
 
     Raises:
         InputError, LogError: as `Campaign.of`.
@@ -63,8 +101,15 @@ def assemble(records: Sequence[Record], settings: Mapping[Path, CampaignFile]) -
             if fnmatchcase(record.name, pattern):
                 kinds.setdefault(escape(own.name), kind)
     splits = [each.split for each in settings.values() if each.split]
-    campaign = Campaign.of(named, test_patterns=held_out if splits else None, kinds=kinds)
-    unmatched = {pattern for split in splits for pattern in split.test} - matched
+    campaign = Campaign.of(
+        named,
+        test_patterns=held_out if splits else None,
+        kinds=kinds,
+        left_out=left_out,
+        strict=strict,
+    )
+    patterns = {pattern for split in splits for pattern in split.test} - matched
+    unmatched = {p for p in patterns if not any(fnmatchcase(each.name, p) for each in left_out)}
     return replace(campaign, unmatched=tuple(sorted(unmatched)))
 
 

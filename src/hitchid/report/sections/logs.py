@@ -32,7 +32,8 @@ def logs(campaign: Campaign, model: Hitch) -> Section:
     """Return the section on the logs: the audit's findings, every log, mixed ones as a picture."""
     found = look_over(campaign, model.switches)
     findings = tuple(_told(finding) for finding in found.findings if finding.level in LEVELS)
-    findings += tuple(Finding(Level.CAUTION, sentence(notice)) for notice in found.notices)
+    said = (*campaign.warnings, *found.notices)
+    findings += tuple(Finding(Level.CAUTION, sentence(notice)) for notice in said)
     told: Block = Findings(findings) if findings else Text("The audit of the logs found nothing to mend.")
     blocks: list[Block] = [told, _table(campaign, model)]
     if found.mixed:

@@ -1,0 +1,90 @@
+"""Tests that cannot be used: left out with their reason, or where strictness is wanted an error at once."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import NoReturn, TypeVar
+
+from hitchid.errors import InputError, LogError, SettingsError
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+SHOWN = 10
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A log or test that is not used.
+
+    Attributes:
+        name: of the log or test.
+        error: why, as it would have been raised.
+    """
+
+    name: str
+    error: InputError
+
+    @property
+    def reason(self) -> str:
+        """Why it is not used, without its name."""
+        return self.error.reason if isinstance(self.error, LogError) else str(self.error)
+
+    def describe(self) -> dict[str, str]:
+        """Return name and reason as JSON can hold them."""
+        return {"name": self.name, "reason": self.reason}
+
+
+def sift(
+    items: Iterable[tuple[str, Item]], work: Callable[[Item], Result], *, strict: bool
+) -> tuple[list[Result], list[LeftOut]]:
+    """Return what work makes of each item, and which items it cannot use.
+
+    Args:
+        items: name and item.
+        work: raises `InputError` for an item that cannot be used.
+        strict: whether the first such item is an error for all.
+
+    Raises:
+        SettingsError: a settings file is wrong, which is no item's fault.
+        InputError: with `strict`, an item cannot be used.
+    """
+    usable, left_out = [], []
+    for name, item in items:
+        try:
+            usable.append(work(item))
+        except SettingsError:
+            raise
+        except InputError as error:
+            if strict:
+                raise
+            left_out.append(LeftOut(name, error.with_traceback(None)))
+    return usable, left_out
+
+
+def sentences(left_out: Sequence[LeftOut], total: int, what: str) -> tuple[str, ...]:
+    """Return a sentence for each reason that names what it concerns, and one that counts.
+
+    Args:
+        left_out: what is not used.
+        total: how many there were.
+        what: what is counted, such as `logs`.
+    """
+    if not left_out:
+        return ()
+    names: dict[str, list[str]] = {}
+    for each in left_out:
+        names.setdefault(each.reason, []).append(each.name)
+    said = [f"{', '.join(which)}: left out: {reason}" for reason, which in names.items()]
+    return (*said, f"{len(left_out)} of {total} {what} left out")
+
+
+def refuse(left_out: Sequence[LeftOut], what: str) -> NoReturn:
+    """Raise why nothing can be used: the one cause that all share, else all causes.
+
+    Raises:
+        InputError: always; the first item's own error where all have the same.
+    """
+    if len({each.reason for each in left_out}) == 1:
+        raise left_out[0].error
+    causes = [f"{each.name}: {each.reason}" for each in left_out[:SHOWN]]
+    more = [f"and {len(left_out) - SHOWN} more"] if len(left_out) > SHOWN else []
+    raise InputError(f"none of the {len(left_out)} {what} can be used: {'; '.join([*causes, *more])}")
