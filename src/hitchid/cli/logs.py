@@ -28,6 +28,10 @@ def inspect(
             "--draw", help="Picture to write, of mixed logs and of findings in place: .png, .svg or .pdf."
         ),
     ] = None,
+    propose: Annotated[
+        bool, typer.Option("--propose", help="Write a first campaign.toml instead, with reasons.")
+    ] = False,
+    out: Annotated[Path | None, typer.Option("--out", help="File for --propose [standard output].")] = None,
     strict: Strict = False,
     force: Force = False,
     as_json: AsJson = False,
@@ -37,6 +41,11 @@ def inspect(
     from hitchid.audit import Level
     from hitchid.inspection import inspect as look
 
+    if out is not None and not propose:
+        raise InputError("--out: required --propose beside it")
+    if propose:
+        _propose(logs, out, force=force)
+        return
     if picture is not None:
         _check_picture(picture, force=force)
     switches = None
@@ -55,6 +64,19 @@ def inspect(
         raise typer.Exit(2)
     if any(finding.level is Level.FAULT for finding in found.findings):
         raise typer.Exit(1)
+
+
+def _propose(logs: list[Path], out: Path | None, *, force: bool) -> None:
+    from hitchid.proposal import propose
+    from hitchid.storage import check_file, write_bytes
+
+    if out is not None:
+        check_file(out, force=force)
+    text = propose(logs)
+    if out is None:
+        typer.echo(text, nl=False)
+    else:
+        write_bytes(out, text.encode("utf-8", errors="surrogateescape"), force=force)
 
 
 def _check_picture(path: Path, *, force: bool) -> None:

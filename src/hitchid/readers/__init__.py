@@ -1,5 +1,7 @@
 """From files to a campaign: `read` finds the logs, their signal map and their format."""
 
+from hitchid.readers.content import Content as Content
+from hitchid.readers.content import Wanted as Wanted
 from hitchid.readers.folders import find_logs as find_logs
 from hitchid.readers.folders import settings_of as settings_of
 from hitchid.readers.formats import format_of as format_of
@@ -7,6 +9,7 @@ from hitchid.readers.formats import write_table as write_table
 from hitchid.readers.process import ReaderProcess as ReaderProcess
 from hitchid.readers.reading import assemble as assemble
 from hitchid.readers.reading import read as read
+from hitchid.readers.reading import read_content as read_content
 from hitchid.readers.reading import read_log as read_log
 from hitchid.readers.reading import read_logs as read_logs
 from hitchid.readers.reading import read_table as read_table

@@ -12,7 +12,7 @@ from hitchid.campaign import Campaign
 from hitchid.errors import LogError
 from hitchid.grid import Section, sections
 from hitchid.left_out import LeftOut, refuse, sift
-from hitchid.readers.content import Wanted
+from hitchid.readers.content import Content, Wanted
 from hitchid.readers.folders import find_logs, settings_of
 from hitchid.readers.formats import format_of, known_format, record_name
 from hitchid.readers.process import ReaderProcess
@@ -132,9 +132,13 @@ def read_table(path: Path, settings: CampaignFile, process: ReaderProcess) -> Ta
     wanted = Wanted(
         settings.signals.time.column, _wanted(settings.signals), tuple(map(Path, settings.can.databases))
     )
+    return table_of(read_content(path, wanted, process), settings.signals)
+
+
+def read_content(path: Path, wanted: Wanted, process: ReaderProcess) -> Content:
+    """Read the wanted channels of a log as they stand in it; see `read_log`."""
     known = format_of(path)
-    content = process.read(path, wanted) if known.libraries else known.read(path, wanted)
-    return table_of(content, settings.signals)
+    return process.read(path, wanted) if known.libraries else known.read(path, wanted)
 
 
 def records_of(table: Table, signals: SignalMap) -> list[Record]:

@@ -1,0 +1,78 @@
+"""Which signals move with which: windows of all logs, in which one's mean goes with another's change."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hitchid.readers import Content
+
+WINDOW_S = 0.2
+WINDOW_SAMPLES = 3
+LAGS = (0, 1)
+MOST_CHANNELS = 80
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Means and changes of every channel over the windows of all logs.
+
+    Attributes:
+        means: channel to its mean over each window, shape [W].
+        rates: channel to its change per second over each window, shape [W].
+        follows: whether a window comes right after the one before it, of the same log, shape [W].
+    """
+
+    means: Mapping[str, np.ndarray]
+    rates: Mapping[str, np.ndarray]
+    follows: np.ndarray
+
+    def correlation(self, command: np.ndarray, displacement: str) -> float:
+        """Return the correlation of a command's means, shape [W], with the rate of a displacement.
+
+        Of the same window or the one before, whichever is stronger: motion comes late.
+        """
+        rate, best = self.rates[displacement], 0.0
+        for lag in LAGS:
+            now = self.follows[1:] if lag else slice(None)
+            cause, effect = command[: command.size - lag][now], rate[lag:][now]
+            if cause.size > 2 and np.ptp(cause) > 0 and np.ptp(effect) > 0:
+                found = float(np.corrcoef(cause, effect)[0, 1])
+                best = found if abs(found) > abs(best) else best
+        return best
+
+
+def windows(logs: Sequence[tuple[Content, Mapping[str, np.ndarray]]], names: Sequence[str]) -> Windows:
+    """Cut logs into windows of 0.2 s, or of three samples where they are longer.
+
+    Args:
+        logs: content, and channel to the time of its samples, s, shape [N].
+        names: the channels to look at; of very many the first.
+    """
+    names = names[:MOST_CHANNELS]
+    means: dict[str, list[np.ndarray]] = {name: [] for name in names}
+    rates: dict[str, list[np.ndarray]] = {name: [] for name in names}
+    follows: list[np.ndarray] = []
+    for content, times in logs:
+        slowest = max(float(np.median(np.diff(times[name]))) for name in names)
+        width = max(WINDOW_S, WINDOW_SAMPLES * slowest)
+        begin = max(float(times[name][0]) for name in names)
+        end = min(float(times[name][-1]) for name in names)
+        edges = begin + width * np.arange(int((end - begin) / width) + 1)
+        if edges.size < 2:
+            continue
+        follows.append(np.arange(edges.size - 1) > 0)
+        for name in names:
+            time, values = times[name], content.channels[name].values
+            steps = np.diff(time, append=time[-1])
+            # A reading holds until the next: its integral is a line from sample to sample.
+            integral = np.concatenate([[0.0], np.cumsum(values * steps)[:-1]])
+            means[name].append(np.diff(np.interp(edges, time, integral)) / width)
+            rates[name].append(np.diff(np.interp(edges, time, values)) / width)
+    if not follows:
+        return Windows({}, {}, np.zeros(0, dtype=bool))
+    return Windows(
+        {name: np.concatenate(parts) for name, parts in means.items()},
+        {name: np.concatenate(parts) for name, parts in rates.items()},
+        np.concatenate(follows),
+    )
