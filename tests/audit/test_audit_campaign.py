@@ -217,3 +217,36 @@ def test_missing_ramps_tests_and_held_out_tests_are_noted(clean, make_test, foun
     assert {each.level for each in findings} == {Level.NOTE}
     without = found([r for r in clean if "ramp" not in r.name], "excitation")
     assert [each.signal for each in without] == [f"{mode}_command" for mode in MODES]
+
+
+def signed_around(make_test, changed, zero):
+    """Return tests of one signed command that rests at a reading, mapped as campaign.toml says no zero."""
+    records = []
+    for number in range(3):
+        record = make_test(f"test-{number}", seed=number)
+        pulses = np.repeat(np.random.default_rng(number).choice([-1.0, 0.0, 0.0, 1.0], 24), 50)
+        reading = zero + pulses
+        moved = 80 + 0.4 * np.cumsum(pulses)
+        commands = {"lifting_command": np.maximum(reading, 0), "lowering_command": np.maximum(-reading, 0)}
+        records.append(changed(record, signals={"displacement": moved, **commands}))
+    return records
+
+
+@pytest.mark.parametrize(("zero", "level"), [(7.4745, Level.FAULT), (-0.2, Level.WARNING)])
+def test_a_command_that_rests_at_a_constant_gets_its_zero_proposed(make_test, changed, found, zero, level):
+    (finding,) = found(signed_around(make_test, changed, zero), "neutral")
+    assert finding.level is level
+    assert f"zero = {zero:g} " in finding.advice
+
+
+def test_commands_that_rest_at_zero_or_never_rest_have_no_other_zero(make_test, changed, clean, found):
+    assert found(signed_around(make_test, changed, 0.0), "neutral") == []
+    assert found(clean, "neutral") == []
+    busy = [make_test(f"b-{n}", command=np.repeat([0.4, 0.6, 0.5], 400)) for n in range(3)]
+    assert found(busy, "neutral") == []
+
+
+def test_motion_against_both_commands_gets_a_turned_sign_proposed(clean, changed, found):
+    turned = [changed(record, signals={"displacement": -record.displacement}) for record in clean]
+    (finding,) = found(turned, "sign")
+    assert "scale = -1" in finding.advice

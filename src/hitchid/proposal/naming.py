@@ -52,7 +52,7 @@ def unit_of(
         name: of the column.
         unit: as the file spells it.
         largest: largest reading, whatever its sign.
-        zero: reading at which a command rests; a servo's pulse of 1.5 ms every 20 ms is a duty of 7.5 percent.
+        zero: reading at which a command rests; a servo's 1.5 ms in 20 ms are 7.5 percent.
     """
     known, source = said_unit(name, unit)
     if known is not None and UNITS[known].dimension in DIMENSIONS[role]:

@@ -17,7 +17,7 @@ from hitchid.proposal.motion import Windows, windows
 from hitchid.readers import Content, ReaderProcess, Wanted, find_logs, read_content, settings_of
 from hitchid.units import UNITS
 
-MOST_LOGS = 24
+MOST_LOGS, SHOWN = 24, 6
 RISING = 0.99
 SMOOTHEST = 0.05
 LEAST_OF_PAIR, PAIR_GAIN = 0.05, 0.02
@@ -79,7 +79,8 @@ def propose(logs: str | Path | Iterable[str | Path]) -> str:
         raise InputError(
             f"no two columns move together as command and displacement do; found {', '.join(names) or 'none'}"
         )
-    return "\n".join(_lines(guesses, time, timed, names))
+    # A name with a line break must not end the comment it stands in.
+    return "\n".join(line.replace("\n", " ") for line in _lines(guesses, time, timed, names))
 
 
 def _time(contents: Sequence[Content]) -> _Time:
@@ -253,13 +254,11 @@ def _covariates(best: _Guess, contents: Sequence[Content], names: Sequence[str])
         name
         for name in names
         if name not in (*best.commands, best.displacement)
-        and (
-            naming.words(name) & naming.PRESSURE or UNITS.get(units[name] or "", UNITS["1"])[0] == "pressure"
-        )
+        and (naming.words(name) & naming.PRESSURE or UNITS[units[name] or "1"].dimension == "pressure")
     ]
     like.sort(key=lambda name: (not naming.words(name) & naming.LOADED_SIDE, -np.ptp(_range(name, contents))))
     if like:
-        also = f"; also there: {', '.join(like[1:])}" if like[1:] else ""
+        also = f"; also there: {', '.join(like[1:SHOWN])}" if like[1:] else ""
         yield f"# a pressure by its name, which may tell the load{also}"
         yield f"covariates = [{json.dumps(like[0], ensure_ascii=False)}]"
 
@@ -269,7 +268,7 @@ def _others(guesses: Sequence[_Guess]) -> Iterator[str]:
     best = guesses[0]
     close = [each for each in guesses[1:4] if each.score > best.score - ALIKE]
     for each in close:
-        yield f"# nearly as good: {' and '.join(each.commands)} with {each.displacement}".replace("\n", " ")
+        yield f"# nearly as good: {' and '.join(each.commands)} with {each.displacement}"
 
 
 def _range(name: str, contents: Sequence[Content]) -> tuple[float, float]:
