@@ -1,6 +1,5 @@
 """How good a record's displacement is: its clock, its smallest step, its noise."""
 
-import re
 from dataclasses import dataclass
 from math import isfinite
 
@@ -85,18 +84,13 @@ def quality(record: Record) -> Quality:
         samples=len(record),
         step_s=record.step_s,
         duration_s=(len(record) - 1) * record.step_s,
-        jitter=_jitter(record),
+        jitter=record.clock.jitter or None,
         unit=record.unit,
         lowest=float(displacement.min()),
         highest=float(displacement.max()),
         quantum=quantum,
         noise=noise if isfinite(noise) else 0.0,
     )
-
-
-def _jitter(record: Record) -> float | None:
-    said = re.search(r"jitters by ([\d.]+) ?%", " ".join(record.notices))
-    return float(said.group(1)) / 100 if said else None
 
 
 def _quantum(displacement: np.ndarray) -> float | None:

@@ -1,0 +1,52 @@
+"""The label rows of text that dSPACE ControlDesk exports, below which every row holds time and samples."""
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import NamedTuple
+
+NAMES, UNITS, PATHS, SAMPLES = "trace_names", "trace_units", "path", "trace_values"
+TIME = "time_s"
+
+
+class Labels(NamedTuple):
+    """What the label rows say.
+
+    Attributes:
+        names: of the columns, in order; the first holds labels alone.
+        units: name to unit, where there is one.
+        header: line of the names, from 1.
+        first: line of the first sample, from 1.
+    """
+
+    names: tuple[str, ...]
+    units: dict[str, str]
+    header: int
+    first: int
+
+
+def labels_of(rows: Sequence[tuple[int, Sequence[str]]]) -> Labels | None:
+    """Return what label rows say, None where a text has none.
+
+    A name that stands twice gives way to the last part of its path. The time has no name: it is `time_s`.
+
+    Args:
+        rows: line and cells of the first rows of a text.
+    """
+    labelled = {cells[0]: (line, cells) for line, cells in rows if cells and cells[0]}
+    if NAMES not in labelled or SAMPLES not in labelled:
+        return None
+    header, given = labelled[NAMES]
+    first, samples = labelled[SAMPLES]
+
+    def cells(label: str) -> list[str]:
+        row = list(labelled.get(label, (0, []))[1])
+        return row + [""] * (len(samples) - len(row))
+
+    paths, count = cells(PATHS), Counter(given)
+    names = [
+        paths[place].rpartition("/")[2] or name if count[name] > 1 else name
+        for place, name in enumerate(cells(NAMES))
+    ]
+    names[:2] = "", names[1] or TIME
+    units = {name: unit for name, unit in zip(names, cells(UNITS), strict=True) if name and unit}
+    return Labels(tuple(names), {TIME: "s"} | units, header, first)
