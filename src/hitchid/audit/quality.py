@@ -5,6 +5,7 @@ from math import isfinite
 
 import numpy as np
 
+from hitchid.grid import KEPT_DEVIATION
 from hitchid.record import Record
 
 LOOKED_AT = 2**20
@@ -84,7 +85,7 @@ def quality(record: Record) -> Quality:
         samples=len(record),
         step_s=record.step_s,
         duration_s=(len(record) - 1) * record.step_s,
-        jitter=record.clock.jitter or None,
+        jitter=record.clock.jitter if record.clock.jitter > KEPT_DEVIATION else None,
         unit=record.unit,
         lowest=float(displacement.min()),
         highest=float(displacement.max()),

@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import NamedTuple
 
-NAMES, UNITS, PATHS, SAMPLES = "trace_names", "trace_units", "path", "trace_values"
+NAMES, UNITS, RASTERS, PATHS, SAMPLES = "trace_names", "trace_units", "raster", "path", "trace_values"
 TIME = "time_s"
 
 
@@ -27,7 +27,8 @@ class Labels(NamedTuple):
 def labels_of(rows: Sequence[tuple[int, Sequence[str]]]) -> Labels | None:
     """Return what label rows say, None where a text has none.
 
-    A name that stands twice gives way to the last part of its path. The time has no name: it is `time_s`.
+    A name that stands twice gives way to the last part of its path. The time has no name: it is `time_s`;
+    where there are several, one for each raster, `time_s/` and the raster.
 
     Args:
         rows: line and cells of the first rows of a text.
@@ -35,18 +36,21 @@ def labels_of(rows: Sequence[tuple[int, Sequence[str]]]) -> Labels | None:
     labelled = {cells[0]: (line, cells) for line, cells in rows if cells and cells[0]}
     if NAMES not in labelled or SAMPLES not in labelled:
         return None
-    header, given = labelled[NAMES]
-    first, samples = labelled[SAMPLES]
+    header, first = labelled[NAMES][0], labelled[SAMPLES][0]
+    width = len(labelled[SAMPLES][1])
 
     def cells(label: str) -> list[str]:
-        row = list(labelled.get(label, (0, []))[1])
-        return row + [""] * (len(samples) - len(row))
+        row = labelled[label][1] if label in labelled else ()
+        return [*row, *[""] * width][:width]
 
-    paths, count = cells(PATHS), Counter(given)
-    names = [
-        paths[place].rpartition("/")[2] or name if count[name] > 1 else name
-        for place, name in enumerate(cells(NAMES))
-    ]
-    names[:2] = "", names[1] or TIME
-    units = {name: unit for name, unit in zip(names, cells(UNITS), strict=True) if name and unit}
-    return Labels(tuple(names), {TIME: "s"} | units, header, first)
+    given = cells(NAMES)
+    count = Counter(given[1:])
+    names = [""]
+    for name, path, raster in list(zip(given, cells(PATHS), cells(RASTERS), strict=True))[1:]:
+        if name:
+            names.append(path.rpartition("/")[2] or name if count[name] > 1 else name)
+        else:
+            names.append(TIME if count[""] == 1 else f"{TIME}/{raster}")
+    units = {name: "s" for name in names if name.startswith(TIME)}
+    units |= {name: unit for name, unit in zip(names, cells(UNITS), strict=True) if name and unit}
+    return Labels(tuple(names), units, header, first)
