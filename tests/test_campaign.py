@@ -114,6 +114,14 @@ def test_records_of_another_rate_come_on_the_clock_of_the_most():
     assert any("resampled" in notice for notice in last.notices)
 
 
+@pytest.mark.parametrize(
+    ("steps", "common"), [((0.01, 0.02), 0.01), ((0.001, 0.004), 0.001), ((4.0, 2.0), 2.0)]
+)
+def test_two_rates_meet_on_one_of_them(steps, common):
+    records = [a_test(name, step_s=step) for name, step in zip("ab", steps, strict=True)]
+    assert Campaign.of(records).step_s == common
+
+
 def test_a_rate_the_stamps_cannot_tell_from_the_common_one_is_adopted_as_it_is():
     odd = a_test("b", step_s=0.01 * (1 + 1e-6))
     campaign = Campaign.of([a_test("a"), odd, a_test("c")])

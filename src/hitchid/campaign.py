@@ -7,6 +7,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from glob import escape
+from statistics import median_low
 
 import numpy as np
 
@@ -246,7 +247,8 @@ def _natural(name: str) -> list[tuple[int, str]]:
 
 
 def _common_step(records: Sequence[Record]) -> float:
-    return float(f"{np.median([record.step_s for record in records]):.4g}")
+    """Return the step of a middle record: one that logs have, where the mean of two would fit neither."""
+    return float(f"{median_low(record.step_s for record in records):.4g}")
 
 
 def _on_clock(record: Record, step_s: float) -> Record:

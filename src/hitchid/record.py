@@ -9,6 +9,7 @@ from types import MappingProxyType
 import numpy as np
 
 from hitchid.errors import InputError
+from hitchid.grid import EVEN, KEPT_DEVIATION, ClockQuality
 from hitchid.units import UNITS, conversion_factor
 
 DISPLACEMENT = "displacement"
@@ -38,6 +39,7 @@ class Record:
         start_s: time of the first sample in the log, s.
         source: the file it was read from.
         notices: what was done to the log on the way in.
+        clock: how even the log's clock was.
     """
 
     name: str
@@ -48,6 +50,7 @@ class Record:
     start_s: float = 0.0
     source: Path | None = None
     notices: tuple[str, ...] = field(default=())
+    clock: ClockQuality = EVEN
 
     def __post_init__(self) -> None:
         """Check what every later room relies on, and freeze the samples."""
@@ -183,7 +186,8 @@ def resampled(
 ) -> dict[str, np.ndarray]:
     """Take signals from one time base to another.
 
-    Commands are piecewise constant, so the nearest sample is taken; everything measured is interpolated.
+    A command is in force from its sample on (zero-order hold), one that comes within 2 % of a step counting
+    as there already; everything measured is interpolated.
 
     Args:
         signals: role to samples, each of shape [N].
@@ -193,9 +197,9 @@ def resampled(
     Returns:
         Role to samples, each of shape [M].
     """
-    middle = (had_s[1:] + had_s[:-1]) / 2
-    nearest = np.searchsorted(middle, wanted_s)
+    slack = KEPT_DEVIATION * float(np.median(np.diff(had_s))) if had_s.size > 1 else 0.0
+    in_force = np.maximum(np.searchsorted(had_s, wanted_s + slack, side="right") - 1, 0)
     return {
-        role: samples[nearest] if role in COMMAND.values() else np.interp(wanted_s, had_s, samples)
+        role: samples[in_force] if role in COMMAND.values() else np.interp(wanted_s, had_s, samples)
         for role, samples in signals.items()
     }

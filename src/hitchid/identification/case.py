@@ -18,6 +18,7 @@ from hitchid.identification.deadzone import DeadZone
 from hitchid.identification.direction import Asked, ChannelTrace, levelled
 from hitchid.identification.holding import hold_drift
 from hitchid.identification.levelling import levelling
+from hitchid.identification.optional import attempt
 from hitchid.identification.phase2 import Training
 from hitchid.identification.preparation import Prepared, mixed_dead_zones, prepare
 from hitchid.identification.selection import Automatic
@@ -157,7 +158,9 @@ class Case:
         """Return benchmarks with the gains on which strokes cut from mixed logs agree best as whole logs."""
         if len(found) < 2 or not self.cut_at:
             return found
-        factors = levelling(self._hitch(found), self.cycles)
+        factors = attempt("gain calibration", lambda: levelling(self._hitch(found), self.cycles), [])
+        if factors is None:
+            return found
         return {**found, **{mode: levelled(*found[mode], factor) for mode, factor in factors.items()}}
 
     def closed(self, found: Found) -> Identification:
@@ -177,7 +180,9 @@ class Case:
         hitch = replace(
             self._hitch(found),
             provenance=provenance,
-            two_modes=compare_modes(self.prepared) if same_unit else None,
+            two_modes=attempt("test of two modes", lambda: compare_modes(self.prepared), [])
+            if same_unit
+            else None,
             uncertainty={mode: trace.uncertainty for mode, trace in traces.items() if trace.uncertainty},
         )
         return Identification(hitch, traces)

@@ -10,14 +10,14 @@ import numpy as np
 
 from hitchid.campaign import Campaign
 from hitchid.errors import LogError
-from hitchid.grid import Section, sections
+from hitchid.grid import Section, first_of_each_stamp, sections, uniform
 from hitchid.left_out import LeftOut, refuse, sift
 from hitchid.readers.content import Content, Wanted
 from hitchid.readers.folders import find_logs, settings_of
 from hitchid.readers.formats import format_of, known_format, record_name
 from hitchid.readers.process import ReaderProcess
 from hitchid.readers.table import Table, table_of
-from hitchid.record import Record, resampled
+from hitchid.record import COMMAND, DISPLACEMENT, Record, resampled
 from hitchid.signals import CampaignFile, SignalMap
 
 SHORTEST = 20
@@ -147,8 +147,13 @@ def records_of(table: Table, signals: SignalMap) -> list[Record]:
     Raises:
         LogError: the clock cannot be used, or no stretch is long enough.
     """
-    time_s, path, column = table.time_s, table.source, signals.time.column
-    parts = sections(time_s, path, column=column, line_of=table.line_of)
+    path, column = table.source, signals.time.column
+    rows = first_of_each_stamp(table.time_s, path, column=column, line_of=table.line_of)
+    repeated = table.time_s.size - rows.size
+    table = _rows(table, rows) if repeated else table
+    time_s = table.time_s
+    commands = {role: values for role, values in table.signals.items() if role in COMMAND.values()}
+    parts = sections(time_s, commands, table.signals[DISPLACEMENT])
     usable = [part for part in parts if part.stop - part.start >= SHORTEST]
     if not usable:
         longest = max((part.stop - part.start for part in parts), default=time_s.size)
@@ -159,6 +164,8 @@ def records_of(table: Table, signals: SignalMap) -> list[Record]:
         for number, part in enumerate(usable, start=1)
     ]
     said = list(table.notices)
+    if repeated:
+        said.append(f"{repeated} rows are left out: their time is that of the row before")
     left_out = time_s.size - sum(part.stop - part.start for part in usable)
     if left_out:
         said.append(f"{left_out} of {time_s.size} samples are left out: fewer than {SHORTEST} in a row")
@@ -166,13 +173,16 @@ def records_of(table: Table, signals: SignalMap) -> list[Record]:
     return records
 
 
+def _rows(table: Table, rows: np.ndarray) -> Table:
+    samples = {role: values[rows] for role, values in table.signals.items()}
+    return replace(table, time_s=table.time_s[rows], signals=samples)
+
+
 def _record(name: str, table: Table, part: Section) -> Record:
     stamps = table.time_s[part.start : part.stop]
     samples = {role: values[part.start : part.stop] for role, values in table.signals.items()}
     if part.resampled:
-        count = round(float(stamps[-1] - stamps[0]) / part.step_s) + 1
-        grid = np.minimum(stamps[0] + part.step_s * np.arange(count), stamps[-1])
-        samples = resampled(samples, stamps, grid)
+        samples = resampled(samples, stamps, uniform(stamps, part.step_s))
     return Record(
         name=name,
         step_s=part.step_s,
@@ -181,6 +191,7 @@ def _record(name: str, table: Table, part: Section) -> Record:
         start_s=float(stamps[0]),
         source=table.source,
         notices=(part.notice,) if part.notice else (),
+        clock=part.clock,
     )
 
 
@@ -191,7 +202,7 @@ def _wanted(signals: SignalMap) -> tuple[str, ...]:
         signals.lifting_command,
         signals.lowering_command,
     )
-    return tuple(dict.fromkeys([*(c.column for c in mapped if c is not None), *signals.covariates]))
+    return tuple(dict.fromkeys(c.column for c in (*mapped, *signals.covariates) if c is not None))
 
 
 def _distinct(records: Sequence[Record]) -> Sequence[Record]:
