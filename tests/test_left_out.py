@@ -1,12 +1,13 @@
 """One bad log does not refuse a campaign: what is left out, why, and that held-out tests stay so."""
 
-import shutil
-
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from hitchid.campaign import Campaign
-from hitchid.errors import InputError, LogError, SettingsError
+from hitchid.checkpoints import Checkpoints, has_failed, is_run
+from hitchid.cli import app
+from hitchid.errors import FitError, InputError, LogError, OutputError, SettingsError
 from hitchid.identification.case import _check_dead_zone, _check_window
 from hitchid.identification.deadzone import DeadZone
 from hitchid.identification.phase2 import Training
@@ -194,16 +195,30 @@ def test_settings_that_contradict_the_logs_are_refused_before_any_search(five):
         _check_window(Training(window=100_000), prepared)
 
 
-def test_a_run_that_failed_is_not_in_the_way_of_the_next(five, tmp_path):
-    from hitchid.checkpoints import Checkpoints, has_failed, is_run, mark_failed
+@pytest.mark.parametrize(
+    ("error", "stays"), [(FitError("no"), False), (RuntimeError("bug"), False), (OutputError("full"), True)]
+)
+def test_a_run_that_failed_is_not_in_the_way_of_the_next(five, tmp_path, monkeypatch, error, stays):
+    unfinished = tmp_path / "model.unfinished"
+    runs = []
 
-    folder = tmp_path / "model.unfinished"
-    Checkpoints.of_run(folder, {"seed": 0})
-    assert is_run(folder)
-    assert not has_failed(folder)
-    mark_failed(folder, failed=True)
-    assert has_failed(folder)
-    Checkpoints.of_run(folder, {"seed": 0})
-    mark_failed(folder, failed=False)
-    assert not has_failed(folder)
-    shutil.rmtree(folder)
+    def fail(campaign, *, checkpoints, **_):
+        runs.append(campaign)
+        kept = Checkpoints.of_run(checkpoints, {"seed": 0})
+        kept.arrays("piece", lambda: {"a": np.zeros(1)})
+        raise error
+
+    monkeypatch.setattr("hitchid.identification.identify", fail)
+    monkeypatch.setattr("hitchid.cli.identifying.prepare_jax", lambda: None)
+    identify = ["identify", str(five), "--out", str(tmp_path / "model"), "--quiet"]
+    for number in (1, 2):
+        assert CliRunner().invoke(app, identify).exception is error
+        assert len(runs) == number
+        assert is_run(unfinished) == has_failed(unfinished) == stays
+    # What a user stopped is no failure: it is kept, and a plain run says what is required.
+    monkeypatch.setattr("hitchid.identification.identify", None)
+    Checkpoints.of_run(unfinished, {"seed": 0})
+    (unfinished / "failed").unlink(missing_ok=True)
+    with pytest.raises(OutputError, match=r"required --resume .*--force"):
+        CliRunner().invoke(app, identify, catch_exceptions=False)
+    assert is_run(unfinished)

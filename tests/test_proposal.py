@@ -53,7 +53,7 @@ def test_two_one_sided_commands_are_found_with_units_and_covariate(logs):
     assert signals.lowering_command.column == "duty_dn"
     assert signals.lifting_command.unit == signals.lowering_command.unit == "percent"
     assert (signals.displacement.column, signals.displacement.unit) == ("stroke_mm", "mm")
-    assert signals.covariates == ("head_pressure",)
+    assert [covariate.column for covariate in signals.covariates] == ["head_pressure"]
     assert signals.command is None
 
 

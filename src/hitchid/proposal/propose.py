@@ -233,9 +233,9 @@ def _why(role: str, best: _Guess) -> str:
 
 def _zero(best: _Guess, timed: Sequence[tuple[Content, Mapping[str, np.ndarray]]]) -> float | None:
     """Return the reading at which a signed command rests, where it is not zero."""
-    if len(best.commands) > 1:
+    if len(best.commands) != 1:
         return None
-    command, displacement = best.commands[0], best.displacement
+    (command,), displacement = best.commands, best.displacement
     largest = max(float(np.abs(content.channels[command].values).max()) for content, _ in timed)
     runs = []
     for content, times in timed:
