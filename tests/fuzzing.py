@@ -309,7 +309,7 @@ def read_logs(folder: Path, process: ReaderProcess) -> object:
     paths = find_logs(folder)
     settings = settings_of(paths)
     records = [record for path in paths for record in read_log(path, settings[path.parent], process)]
-    campaign = assemble(records, settings)
+    campaign = assemble(records, settings, strict=True)
     canonical_json(look_over(campaign).describe())
     held = [(role, values.tobytes()) for each in campaign.records for role, values in each.signals.items()]
     return [(each.step_s, each.fingerprint, dict(each.units)) for each in campaign.records], held

@@ -34,8 +34,8 @@ def zero_order_hold(
 ) -> tuple[Float[Array, "n n"], Float[Array, " n"]]:
     """Return Φ = exp(A h) and Γ = ∫₀ʰ exp(A s) ds B for a command held over the duration h.
 
-    Both stand in the exponential of the block matrix [[A, B], [0, 0]] h (Van Loan 1978), B scaled to size one:
-    its size is a matter of units.
+    Both stand in the exponential of the block matrix [[A, B], [0, 0]] h (Van Loan 1978), with B
+    scaled to size one, for that is a matter of units.
     """
     n = b.shape[0]
     size = jax.lax.stop_gradient(jnp.max(jnp.abs(b)))

@@ -24,7 +24,7 @@ from hitchid.identification.preparation import Prepared, mixed_dead_zones, prepa
 from hitchid.identification.selection import Automatic
 from hitchid.identification.trace import describe_channel
 from hitchid.identification.two_modes import compare_modes
-from hitchid.model import Channel, Hitch, Provenance, save
+from hitchid.model import Channel, Hitch, Provenance, TravelLimits, save
 from hitchid.record import COMMAND, CYCLE, DISPLACEMENT, Record
 from hitchid.versions import installed_versions
 
@@ -196,9 +196,11 @@ class Case:
         forms, campaign = self.question.forms.values(), self.campaign
         roles = (DISPLACEMENT, *COMMAND.values(), *(form.load for form in forms if form.load))
         units = {role: campaign.units[role] for role in roles if role in campaign.units}
-        channels = {mode: channel for mode, (channel, _) in found.items()}
-        zones = {mode: channel.dead_zone for mode, channel in channels.items()}
         whole = self.cycles or tuple(r for mode in found for r in campaign.identification(mode))
+        stops = {c.direction: c.end_stop for c, _ in found.values() if c.end_stop is not None}
+        limits = TravelLimits.of(whole, stops)
+        channels = {mode: _limited(channel, limits) for mode, (channel, _) in found.items()}
+        zones = {mode: channel.dead_zone for mode, channel in channels.items()}
         drift = hold_drift(whole, zones) if self.question.drift else 0.0
         return Hitch(channels, campaign.step_s, units, drift=drift)
 
@@ -224,6 +226,12 @@ def _check_window(training: Training | None, prepared: Mapping[str, Prepared]) -
             f"training: window is {training.window} samples, required at most {longest}, those of the "
             "longest test"
         )
+
+
+def _limited(channel: Channel, limits: TravelLimits) -> Channel:
+    """Return a channel, and the paper's method beside it, held within the limits of the plant."""
+    paper = None if channel.paper is None else replace(channel.paper, limits=limits)
+    return replace(channel, limits=limits, paper=paper)
 
 
 def _asked(question: Question, mode: str, campaign: Campaign, kept: Checkpoints) -> Asked:

@@ -21,6 +21,7 @@ from hitchid.errors import InputError, ModelFolderError
 from hitchid.lstm import Lstm
 from hitchid.model.channel import Channel
 from hitchid.model.hitch import Hitch
+from hitchid.model.limits import TravelLimits
 from hitchid.model.migration import SCHEMA, STEPS, migrated, readable
 from hitchid.model.provenance import Provenance, TwoModes
 from hitchid.narx import Narx
@@ -123,6 +124,7 @@ def _describe_channel(channel: Channel) -> dict:
         "direction": channel.direction,
         "dead_zone": channel.dead_zone,
         "end_stop": channel.end_stop,
+        "limits": None if channel.limits is None else channel.limits._asdict(),
         "structure": benchmark.structure.name,
         "values": [float(value) for value in benchmark.values],
         "dead_time_s": float(benchmark.dead_time_s),
@@ -232,6 +234,7 @@ def _channel(mode: str, described: dict, tensors: dict[str, np.ndarray], owner: 
             _shape(described["shape"]),
             described["load"],
         ),
+        limits=_limits(described.get("limits")),
     )
     parts: dict = {}
     if described["compensator"] is not None:
@@ -267,6 +270,10 @@ def _channel(mode: str, described: dict, tensors: dict[str, np.ndarray], owner: 
         list(parts.values()),
         is_leaf=lambda leaf: leaf is None,
     )
+
+
+def _limits(described: dict | None) -> TravelLimits | None:
+    return None if described is None else TravelLimits(**described)
 
 
 def _check_room(tensors: Mapping[str, np.ndarray], count: int) -> None:

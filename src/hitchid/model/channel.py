@@ -12,6 +12,7 @@ from hitchid.baselines import Arx, BlackBox
 from hitchid.benchmark import Batch, Benchmark
 from hitchid.compensator import Compensator, Sample, free_run, predicted_errors
 from hitchid.envelope import Envelope
+from hitchid.model.limits import TravelLimits
 from hitchid.narx import Narx
 from hitchid.record import Record
 from hitchid.speed_compensator import SpeedCompensator, compensated
@@ -25,6 +26,7 @@ class Channel(eqx.Module):
         direction: +1 where the displacement grows with the command, −1 where it falls.
         dead_zone: dead zone of the command, in its unit.
         end_stop: displacement the piston cannot pass, in the displacement's unit; None where none was met.
+        limits: between what displacements a free run is held; None in models that know none.
         benchmark: the model from commands to displacement.
         compensator: predicts the benchmark's error from what was measured before; None leaves it alone.
         speed_compensator: corrects the benchmark in free run; None where it did not prove itself.
@@ -46,6 +48,7 @@ class Channel(eqx.Module):
     narx: Narx | None = None
     black_box: BlackBox | None = None
     paper: Optional["Channel"] = None
+    limits: TravelLimits | None = eqx.field(static=True, default=None)
 
     def batch(self, records: Sequence[Record], initial: Sequence[float] | None = None) -> Batch:
         """Lay records side by side as this channel hears them; see `Batch.of`."""
@@ -103,11 +106,12 @@ class Channel(eqx.Module):
         }
 
     def _displaced(self, batch: Batch, travel: Float[Array, "t n"]) -> Float[Array, "t n"]:
-        """Return the displacement that belongs to a travel, no farther than the end stop."""
+        """Return the displacement that belongs to a travel, no farther than the end stop and the limits."""
         if self.end_stop is not None:
             room = jnp.maximum(self.direction * (self.end_stop - batch.initial), 0.0)
             travel = jnp.minimum(travel, room[:, None])
-        return batch.displaced(travel)
+        displacement = batch.displaced(travel)
+        return displacement if self.limits is None else self.limits.hold(displacement, batch.initial[:, None])
 
     def predict(self, batch: Batch, horizons: tuple[int, ...]) -> Float[Array, "h t n"]:
         """Return predictions that may use the measured displacement up to h samples before.

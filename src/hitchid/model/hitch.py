@@ -16,6 +16,7 @@ from scipy.special import ndtri
 from hitchid.benchmark import Batch, mean_before_motion
 from hitchid.errors import InputError
 from hitchid.model.channel import Channel
+from hitchid.model.limits import TravelLimits
 from hitchid.model.packing import Packed, Packing
 from hitchid.model.possible import possible
 from hitchid.model.provenance import Provenance, TwoModes
@@ -90,7 +91,20 @@ class Hitch:
                         f"{mode}: the {name} leaves what the tests covered, {self._covered(mode, name)}, in "
                         f"{samples} of {len(own)} samples"
                     )
-        return tuple(found)
+        return (*found, *self._at_limits(displacement))
+
+    def _at_limits(self, displacement: np.ndarray) -> list[str]:
+        """Tell in words where a free run is held at a limit of the plant that is no mechanical stop."""
+        samples = 0 if self.limits is None else int(np.sum(self.limits.reached(displacement)))
+        if not samples or self.limits is None:
+            return []
+        unit = self.units[DISPLACEMENT]
+        return [f"{self.limits.sentence(unit)}; this one is in {samples} of {displacement.size} samples"]
+
+    @property
+    def limits(self) -> TravelLimits | None:
+        """Between what displacements a free run is held; None in models that know no limits."""
+        return next((channel.limits for channel in self.channels.values()), None)
 
     def _covered(self, mode: str, name: str) -> str:
         channel = self.channels[mode]

@@ -6,6 +6,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from hitchid.campaign import Campaign
 from hitchid.errors import InputError
 from hitchid.model import Channel, Hitch
@@ -109,6 +111,7 @@ def validate(
         report(Step("cycles", len(directions) / (len(directions) + 1)))
         if switched is not None:
             cycles, predictions["cycles"] = switched.result()
+            notices += _limit_notices(model, predictions["cycles"], factor)
     if not channels and not cycles["tests"]:
         raise InputError(
             "the identification used every test of these logs or has no channel for them; "
@@ -167,6 +170,16 @@ def _channel_notices(mode: str, metrics: dict) -> list[str]:
         if better:
             said.append(f"{mode}: in {RUNS[run]} the grey box is no better than {' and '.join(better)}")
     return said
+
+
+def _limit_notices(model: Hitch, cycles: Predictions, factor: float) -> list[str]:
+    """Tell in how many mixed logs the free run is held at a limit that is no mechanical stop."""
+    if model.limits is None:
+        return []
+    limits = model.limits
+    held = sum(bool(np.any(limits.reached(run / factor))) for run in cycles.models["free_run"])
+    said = limits.sentence(model.units[DISPLACEMENT])
+    return [f"cycles: {said}; {held} of {len(cycles.names)} reach a limit"] if held else []
 
 
 def _cycle_notices(cycles: dict) -> list[str]:
