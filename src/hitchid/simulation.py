@@ -9,7 +9,7 @@ from hitchid.readers import ReaderProcess, assemble, read_table, records_of, set
 from hitchid.readers.formats.csv import SUFFIXES, read_rows, write_rows
 from hitchid.readers.table import Table
 from hitchid.signals import SignalMap
-from hitchid.storage import write_file
+from hitchid.storage import check_inputs, write_file
 from hitchid.units import UNITS
 
 
@@ -44,6 +44,7 @@ def simulate_log(
     Raises:
         InputError: the log, its signal map or the place to write cannot be used.
     """
+    check_inputs(out, [log, signals])
     settings = settings_of([log], signals)
     signal_map = settings[log.parent].signals
     with ReaderProcess() as process:
