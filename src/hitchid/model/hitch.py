@@ -87,12 +87,18 @@ class Hitch:
                 samples = int(np.sum(outside[0, : len(own)] & driven))
                 if samples:
                     found.append(
-                        f"{mode}: the {name} leaves what the tests covered, {self._covered(mode, name)}, in "
+                        f"{mode}: the {name} leaves what the tests covered, {self.covered(mode, name)}, in "
                         f"{samples} of {len(own)} samples"
                     )
         return tuple(found)
 
-    def _covered(self, mode: str, name: str) -> str:
+    def covered(self, mode: str, name: str) -> str:
+        """Return in words from where to where the tests of a mode went.
+
+        Args:
+            mode: of a channel that knows it.
+            name: `command`, `displacement` or `load`.
+        """
         channel = self.channels[mode]
         load = channel.benchmark.load or ""
         role = {"command": COMMAND[mode], "displacement": DISPLACEMENT, "load": load}[name]
