@@ -164,9 +164,9 @@ def test_an_input_is_never_an_output(tmp_path):
     log.touch()
     link.symlink_to(log)
     (logs / "out.csv").touch()
-    for out, given in [(log, log), (link, log), (log, link), (logs, log), (tmp_path, link), (logs, logs)]:
-        with pytest.raises(OutputError, match=f"{given.name} is read from there"):
-            check_inputs(out, [None, given])
+    for out, source in [(log, log), (link, log), (log, link), (logs, log), (tmp_path, link), (logs, logs)]:
+        with pytest.raises(OutputError, match=f"{source.name} is read from there"):
+            check_inputs(out, [None, source])
     with pytest.raises(OutputError, match=r"out\.csv: lies in .*logs, which is read"):
         check_inputs(logs / "out.csv", [logs])
     check_inputs(logs / "out.csv", [log])

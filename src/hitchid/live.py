@@ -159,7 +159,7 @@ class Live:
         return flags + self._out_of_range(sample, int(situation.mode))
 
     def _out_of_range(self, sample: Sample, charge: int) -> list[str]:
-        """Tell what of a sample leaves what the tests covered; a displacement where any channel may move it."""
+        """Tell what of a sample leaves the tests; a displacement, those of each channel that may move it."""
         model, found = self._model, []
         for mode, channel in model.channels.items():
             command = abs(effective_command(np.array([sample.get(COMMAND[mode], 0.0)]), channel.dead_zone)[0])
@@ -184,7 +184,7 @@ class Live:
 
 
 def _ranges(channel: Channel) -> dict[str, tuple[float, float]]:
-    """Return the lowest and highest command beyond the dead zone, and displacement, that the tests covered."""
+    """Return from where to where commands beyond the dead zone, and displacements, went in the tests."""
     if channel.envelope is None:
         return dict.fromkeys(("command", DISPLACEMENT), (-math.inf, math.inf))
     covered = {"command": channel.envelope.command, DISPLACEMENT: channel.envelope.displacement}

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hitchid import checks
 from hitchid.model import Hitch
 from hitchid.readers import ReaderProcess, assemble, read_table, records_of, settings_of
 from hitchid.readers.formats.csv import SUFFIXES, read_rows, write_rows
@@ -44,6 +45,9 @@ def simulate_log(
     Raises:
         InputError: the log, its signal map or the place to write cannot be used.
     """
+    checks.instance(model, Hitch, "model", "a model as hitchid.load returns it")
+    log, out = checks.path(log, "log"), checks.path(out, "out")
+    signals = None if signals is None else checks.path(signals, "signals")
     check_inputs(out, [log, signals])
     settings = settings_of([log], signals)
     signal_map = settings[log.parent].signals

@@ -55,7 +55,7 @@ def bench(
     from hitchid.storage import check_folder, check_inputs
 
     check_folder(out, mark="campaign.toml", force=force)
-    check_inputs(out, [Path(rig)])
+    check_inputs(out, [Path(rig)] if rig.endswith(".toml") else [])
     prepare_jax()
     from hitchid.bench import REPEATS, TESTS, write_campaign
     from hitchid.record import MODES
@@ -89,7 +89,7 @@ def reproduce(
     from hitchid.storage import check_folder, check_inputs
 
     check_folder(out, mark="study.md", force=force)
-    check_inputs(out, [Path(rig)])
+    check_inputs(out, [Path(rig)] if rig.endswith(".toml") else [])
     prepare_jax()
     from hitchid.study import Plan, quick_plan
     from hitchid.study import reproduce as run
