@@ -58,6 +58,8 @@ class Campaign:
         checks.instance(kinds or {}, Mapping, "kinds", "pattern on names to kind")
         if not records:
             raise InputError("a campaign needs at least one record, none came")
+        if empty := [record.name for record in records if not len(record)]:
+            raise InputError(f"record '{empty[0]}' holds no samples; required at least one")
         names = [record.name for record in records]
         for name in names:
             if names.count(name) > 1:

@@ -122,7 +122,7 @@ def design(
     checks.instance(limits, Limits, "limits", "Limits")
     for name, value in vars(limits).items():
         if value is not None:
-            checks.number(value, f"limits, {name}", above=0.0)
+            checks.number(value, f"limits, {name}")
     checks.whole(seed, "seed")
     mode, parameter, information = _chosen(model, mode, parameter)
     channel, number = model.channels[mode], information.names.index(parameter)

@@ -63,7 +63,7 @@ class Record:
             )
         if not any(role in self.signals for role in COMMAND.values()):
             raise InputError(f"record '{self.name}': at least one command signal is required, none came")
-        if not checks.number(self.step_s, f"record '{self.name}': step_s") > 0:
+        if not checks.number(self.step_s, f"record '{self.name}': the sampling time") > 0:
             raise InputError(
                 f"record '{self.name}': the sampling time must be positive, came {self.step_s} s"
             )
@@ -75,8 +75,6 @@ class Record:
                     f"record '{self.name}': '{role}' has no unit; required one of {', '.join(UNITS)}"
                 )
             check_unit(self.units[role], f"record '{self.name}': '{role}'")
-            if array.shape == (0,):
-                raise InputError(f"record '{self.name}': '{role}' holds no samples")
             wanted = np.shape(self.signals[DISPLACEMENT])[:1] or (1,)
             if array.shape != wanted:
                 raise InputError(f"record '{self.name}': '{role}' has shape {array.shape}, required {wanted}")
