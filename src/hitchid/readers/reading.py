@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hitchid import checks
 from hitchid.campaign import Campaign
 from hitchid.errors import LogError
 from hitchid.grid import Section, first_of_each_stamp, sections, uniform
@@ -20,6 +21,7 @@ from hitchid.record import COMMAND, DISPLACEMENT, Record, resampled
 from hitchid.signals import CampaignFile, SignalMap
 
 SHORTEST = 20
+LOGS = "files and folders of logs"
 
 
 def read(logs: str | Path | Iterable[str | Path], *, signals: str | Path | None = None) -> Campaign:
@@ -38,8 +40,9 @@ def read(logs: str | Path | Iterable[str | Path], *, signals: str | Path | None 
         SettingsError: a settings file cannot be used.
         InputError: there are no logs, or they do not fit together.
     """
-    paths = find_logs(logs)
-    settings = settings_of(paths, signals)
+    given = logs if isinstance(logs, str | Path) else checks.several(logs, (str, Path), "logs", LOGS)
+    paths = find_logs(given)
+    settings = settings_of(paths, None if signals is None else checks.path(signals, "signals"))
     with ReaderProcess() as process:
         records = [record for path in paths for record in read_log(path, settings[path.parent], process)]
     return assemble(records, settings)
