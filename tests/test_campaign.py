@@ -14,6 +14,7 @@ from hitchid.errors import InputError, LogError, SettingsError
 from hitchid.record import CYCLE, LIFTING, LOWERING, Record
 
 EPS = np.finfo(np.float64).eps
+LIFTED = {"displacement": np.ones(9), "lifting_command": np.ones(9)}
 
 
 def a_test(name, kind=LIFTING, *, samples=40, unit="mm", step_s=0.01, moved=None):
@@ -79,7 +80,7 @@ def test_a_name_with_brackets_is_matched_by_its_escaped_pattern():
         ([], ["at least one record"]),
         ([a_test("x"), a_test("x", LOWERING)], ["'x'", "names must differ"]),
         (
-            [a_test("x"), Record("y", 0.01, {"displacement": np.ones(9), "lifting_command": np.ones(9)}, {})],
+            [a_test("x"), Record("y", 0.01, LIFTED, {"displacement": "mm", "lifting_command": "A"})],
             ["'y'", "'x'", "lifting and lowering"],
         ),
         ([a_test("x", moved=np.full(40, 3.25))], ["x", "constant", "3.25 mm", "40 samples"]),

@@ -32,7 +32,7 @@ def fresh(**changes):
         ({"signals": {"displacement": np.ones(5)}}, ["command", "none"]),
         ({"step_s": 0.0}, ["sampling time", "0.0 s"]),
         ({"step_s": -0.01}, ["sampling time", "-0.01 s"]),
-        ({"step_s": float("nan")}, ["sampling time", "nan s"]),
+        ({"step_s": float("nan")}, ["sampling time", "nan"]),
         (
             {"signals": {"displacement": np.ones(5), "lifting_command": np.ones(4)}},
             ["'lifting_command'", "(4,)", "(5,)"],

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Literal
+from typing import Literal, get_args
 
 import jax
 import numpy as np
 
-from hitchid import excitation
+from hitchid import checks, excitation
 from hitchid.abreast import abreast
 from hitchid.errors import InputError
 from hitchid.identification.deadzone import from_ramps
@@ -85,6 +85,12 @@ def run(
         modes: directions to excite; cycles excite both.
         seed: every random draw comes from it.
     """
+    for protocol, count in checks.keyed(tests, get_args(Protocol), "tests").items():
+        if checks.whole(count, f"tests, {protocol}", least=1) > MOST_TESTS:
+            raise InputError(f"tests, {protocol}: required at most {MOST_TESTS}, came {count}")
+    for mode in checks.several(modes, str, "modes", "directions"):
+        checks.chosen(mode, MODES, "direction")
+    checks.whole(seed, "seed")
     excited = MODES if "cycle" in tests else modes
     ramps = {mode: _ramps(rig, mode, tests.get("ramp", REPEATS), seed) for mode in excited}
     static = {mode: _static(logs, mode) for mode, logs in ramps.items()}
@@ -123,10 +129,10 @@ def write_campaign(
         InputError: a number of tests is not from 1 to 10 000.
         SettingsError: the rig's parameters cannot be used.
     """
-    for protocol, count in tests.items():
-        if not 1 <= count <= MOST_TESTS:
-            raise InputError(f"{protocol}: required 1 to {MOST_TESTS} tests, came {count}")
-    logs = run(load_rig(rig), tests, modes, seed=seed)
+    place = checks.path(out, "out")
+    logs = run(
+        load_rig(checks.instance(rig, (str, Path), "rig", "a name or a path")), tests, modes, seed=seed
+    )
 
     def fill(place: Path) -> None:
         (place / TRUTH).mkdir()
@@ -136,7 +142,7 @@ def write_campaign(
             write_table(place / TRUTH / f"{log.name}.{suffix}", truth)
         (place / "campaign.toml").write_text(COLUMNS, encoding="utf-8")
 
-    write_folder(Path(out), fill, mark="campaign.toml", force=force)
+    write_folder(place, fill, mark="campaign.toml", force=force)
 
 
 def _ramps(rig: Rig, mode: str, repeats: int, seed: int) -> list[Log]:

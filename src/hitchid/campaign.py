@@ -11,6 +11,7 @@ from statistics import median_low
 
 import numpy as np
 
+from hitchid import checks
 from hitchid.errors import InputError, LogError, SettingsError
 from hitchid.left_out import LeftOut, refuse, sentences, sift
 from hitchid.modes import detect_kind, full_scales, ramp_mode, strokes
@@ -66,8 +67,14 @@ class Campaign:
             InputError: no records, equal names, a pattern that matches no test, or every test of a direction
                 is left out.
         """
+        records = checks.several(records, Record, "records", "records, each a hitchid.Record")
+        if test_patterns is not None:
+            test_patterns = checks.several(test_patterns, str, "test_patterns", "patterns on names")
+        checks.instance(kinds or {}, Mapping, "kinds", "pattern on names to kind")
         if not records:
             raise InputError("a campaign needs at least one record, none came")
+        if empty := [record.name for record in records if not len(record)]:
+            raise InputError(f"record '{empty[0]}' holds no samples; required at least one")
         names = [record.name for record in records]
         for name in names:
             if names.count(name) > 1:
@@ -167,6 +174,8 @@ class Campaign:
         Strokes of a held-out cycle are held out; where no whole cycle is, the last 20 % of each mode's
         strokes are.
         """
+        zones = checks.keyed(dead_zones, MODES, "dead_zones")
+        dead_zones = {mode: checks.number(zone, f"dead_zones, {mode}") for mode, zone in zones.items()}
         cut = []
         for record in self.records:
             if record.kind != CYCLE:

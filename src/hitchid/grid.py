@@ -88,8 +88,12 @@ def first_of_each_stamp(time_s: np.ndarray, source: object, *, column: str, line
         raise LogError(source, problem, line=line_of(1), column=column)
     rows = np.concatenate([[0], np.flatnonzero(intervals) + 1]) if time_s.size else np.arange(0)
     median = float(np.median(intervals[intervals > 0])) if intervals.size else SHORTEST_STEP_S
-    if not SHORTEST_STEP_S <= median < np.inf:
-        problem = f"the sampling time is {median:g} s; required {SHORTEST_STEP_S:g} s or more"
+    longest = float(np.max(intervals, initial=median))
+    if not SHORTEST_STEP_S <= median <= longest < np.inf:
+        problem = (
+            f"the sampling time is {median:g} s, the longest interval {longest:g} s; "
+            f"required {SHORTEST_STEP_S:g} s or more, and no interval without end"
+        )
         raise LogError(source, problem, column=column)
     return rows
 

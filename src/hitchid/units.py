@@ -135,7 +135,7 @@ def known_unit(spelling: str) -> str | None:
 
 def check_unit(unit: str, where: str) -> str:
     """Return `unit` if it is known, else raise `SettingsError` naming `where` it stands."""
-    if unit not in UNITS:
+    if not isinstance(unit, str) or unit not in UNITS:
         raise SettingsError(f"{where}: unit '{unit}' is not known; required one of {', '.join(UNITS)}")
     return unit
 

@@ -47,7 +47,7 @@ def inspect(
         _propose(logs, out, force=force)
         return
     if picture is not None:
-        _check_picture(picture, force=force)
+        _check_picture(picture, force=force, inputs=[*logs, signals, model])
     switches = None
     if model is not None:
         from hitchid.model import load
@@ -68,10 +68,11 @@ def inspect(
 
 def _propose(logs: list[Path], out: Path | None, *, force: bool) -> None:
     from hitchid.proposal import propose
-    from hitchid.storage import check_file, write_bytes
+    from hitchid.storage import check_file, check_inputs, write_bytes
 
     if out is not None:
         check_file(out, force=force)
+        check_inputs(out, logs)
     text = propose(logs)
     if out is None:
         typer.echo(text, nl=False)
@@ -79,12 +80,13 @@ def _propose(logs: list[Path], out: Path | None, *, force: bool) -> None:
         write_bytes(out, text.encode("utf-8", errors="surrogateescape"), force=force)
 
 
-def _check_picture(path: Path, *, force: bool) -> None:
-    from hitchid.storage import check_file
+def _check_picture(path: Path, *, force: bool, inputs: list[Path | None]) -> None:
+    from hitchid.storage import check_file, check_inputs
 
     if path.suffix not in PICTURES:
         raise InputError(f"--draw: required a name ending in {', '.join(PICTURES)}, came '{path.name}'")
     check_file(path, force=force)
+    check_inputs(path, inputs)
 
 
 def _draw(found: "Inspection", path: Path, *, force: bool) -> None:

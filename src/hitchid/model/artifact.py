@@ -13,6 +13,7 @@ import numpy as np
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
+from hitchid import checks
 from hitchid.baselines import Arx, BlackBox
 from hitchid.benchmark import SHAPE, Benchmark, Scales, Shape, structure_named
 from hitchid.compensator import FEATURES, Compensator
@@ -49,6 +50,7 @@ def save(
     Raises:
         OutputError: the folder exists, or cannot be written.
     """
+    checks.instance(hitch, Hitch, "model", "a model as hitchid.load returns it")
     weights = save_tensors(_tensors(hitch))
     traces = canonical_json(trace or {})
     content = _description(hitch)
@@ -60,7 +62,7 @@ def save(
         (place / TRACE_FILE).write_bytes(traces)
         (place / MODEL_FILE).write_bytes(canonical_json(content))
 
-    write_folder(Path(folder), write, mark=MODEL_FILE, force=force)
+    write_folder(checks.path(folder, "folder"), write, mark=MODEL_FILE, force=force)
 
 
 @double_precision
@@ -70,7 +72,7 @@ def load(folder: str | Path) -> Hitch:
     Raises:
         ModelFolderError: the folder or a file is missing, was cut short or edited, or is of a newer schema.
     """
-    place = Path(folder)
+    place = checks.path(folder, "folder")
     content = _read_description(place)
     weights = _read_checked(place / WEIGHTS_FILE, content)
     _read_checked(place / TRACE_FILE, content)
@@ -87,7 +89,7 @@ def load_trace(folder: str | Path) -> dict:
     Raises:
         ModelFolderError: as `load`.
     """
-    place = Path(folder)
+    place = checks.path(folder, "folder")
     data = _read_checked(place / TRACE_FILE, _read_description(place))
     try:
         return json.loads(data)

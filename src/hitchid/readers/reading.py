@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hitchid import checks
 from hitchid.campaign import Campaign
 from hitchid.errors import LogError
 from hitchid.grid import Section, first_of_each_stamp, sections, uniform
@@ -21,6 +22,7 @@ from hitchid.record import COMMAND, DISPLACEMENT, Record, resampled
 from hitchid.signals import CampaignFile, SignalMap
 
 SHORTEST = 20
+LOGS = "files and folders of logs"
 
 
 def read(
@@ -45,8 +47,9 @@ def read(
         SettingsError: a settings file cannot be used.
         InputError: there are no logs, or none of a direction can be used.
     """
-    paths = find_logs(logs)
-    settings = settings_of(paths, signals)
+    given = logs if isinstance(logs, str | Path) else checks.several(logs, (str, Path), "logs", LOGS)
+    paths = find_logs(given)
+    settings = settings_of(paths, None if signals is None else checks.path(signals, "signals"))
     records, left_out = read_logs(paths, settings, strict=strict)
     if not records:
         refuse(left_out, "logs")

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from hitchid import checks
 from hitchid.campaign import Campaign
 from hitchid.errors import InputError
 from hitchid.model import Channel, Hitch
@@ -52,7 +53,12 @@ class Validation:
             OutputError: the folder exists and `force` is not given, or it cannot be written.
         """
 
-        write_folder(Path(folder), lambda place: put(place, self.files()), mark=METRICS_FILE, force=force)
+        write_folder(
+            checks.path(folder, "folder"),
+            lambda place: put(place, self.files()),
+            mark=METRICS_FILE,
+            force=force,
+        )
 
     def files(self) -> dict[str, bytes]:
         """Return `metrics.json` and `tables.md` with what they hold."""
@@ -87,6 +93,8 @@ def validate(
         InputError: the identification used every test, or none fits the model's channels.
         SettingsError: a unit is of another dimension than the model's.
     """
+    checks.instance(model, Hitch, "model", "a model as hitchid.load returns it")
+    checks.instance(campaign, Campaign, "campaign", 'a campaign as hitchid.read("logs") returns it')
     report = progress or silent
     whole = campaign
     if not campaign.modes:
