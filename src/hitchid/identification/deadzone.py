@@ -51,7 +51,7 @@ class DeadZone:
             return quantity("dead zone", unit, self.value, (self.value, self.value), 0.0)
         if self.spread is None:
             return quantity("dead zone", unit, self.value, (None, None), 0.0)
-        reach = student(self.error.degrees) * self.error.size
+        reach = student(float(self.error.degrees)) * self.error.size
         interval = max(0.0, self.value - reach), self.value + reach
         return quantity("dead zone", unit, self.value, interval, 0.0)
 

@@ -60,7 +60,8 @@ def measured_speeds(
         loaded: whether the tests have a measured load.
     """
     counted, displacement = np.asarray(batch.counted), np.asarray(batch.displacement)
-    logged, travel = np.abs(np.asarray(batch.logged)), np.asarray(batch.travel)
+    logged = np.abs(np.asarray(batch.logged))
+    travel = np.sign(np.asarray(batch.logged)) * np.asarray(batch.travel)
     low, high = displacement[counted].min(), displacement[counted].max()
     middle = np.abs(displacement - 0.5 * (low + high)) <= AROUND * 0.5 * (high - low)
     wait = int(np.ceil(SETTLED * response_time / batch.step_s)) + 1

@@ -12,7 +12,6 @@ from jaxtyping import Array, Float
 from hitchid.benchmark import Form, Scales
 from hitchid.benchmark.structure import LinearStructure
 from hitchid.fitting import Misfit, polish_some
-from hitchid.fitting.bounds import Bounds
 from hitchid.uncertainty.characteristics import SAMPLES, Characteristics, SpeedPoint, quantity
 from hitchid.uncertainty.dead_zone_error import DeadZoneError, degrees_together, student
 from hitchid.uncertainty.estimate import Interval, Quantity
@@ -20,10 +19,11 @@ from hitchid.uncertainty.moves import Moves
 from hitchid.uncertainty.operating_points import measured_speeds, operating_levels, operating_loads
 from hitchid.uncertainty.profile import GOES, Profile
 from hitchid.uncertainty.profile import STEP as EDGE
-from hitchid.uncertainty.step_response import opening_command, steady_speed, step_times
+from hitchid.uncertainty.step_response import opening_command, speed_lag, steady_speed, step_times
 
 STEP, TINY = 1e-3, 1e-300
-COARSE, REFITTED, TOLERANCE = 2048, 8, 1e-4
+COARSE, REFITTED, TOLERANCE = 2048, 15, 1e-7
+INSTANT_S = 1e-6
 TOGETHER = 64
 FINE = 0.05
 
@@ -96,7 +96,7 @@ def characteristics(
         quantity(name, unit, float(value), interval, resolution)
         for (name, unit, resolution), value, interval in zip(named, values[-3:], ends[-3:], strict=True)
     )
-    lags = response_time.value > 0
+    lags = response_time.value > INSTANT_S
     return Characteristics(
         command_unit=units["u"],
         speed_unit=f"{units['x']}/s",
@@ -146,7 +146,7 @@ def _intervals(
 
 
 def _gradient(at: Callable[[np.ndarray], np.ndarray], position: np.ndarray) -> Float[np.ndarray, "d q"]:
-    """Return derivatives by the position, central differences over two steps after Richardson, shape [D, Q]."""
+    """Return derivatives by the position, central differences after Richardson, shape [D, Q]."""
     steps = STEP * np.eye(position.size)
     near, far = (
         np.subtract(*np.split(at(np.concatenate([position + width, position - width])), 2)) / (2 * STEP)
@@ -195,7 +195,9 @@ def _beside(
         moved = position.copy()
         shifted = coarse.over(coarse.batch.behind(coarse.batch.dead_zone + shift))
         if np.any(free):
-            moved[free] = polish_some(shifted, np.flatnonzero(free), position, REFITTED, TOLERANCE).position
+            moved[free] = polish_some(
+                shifted, np.flatnonzero(free).tolist(), position, REFITTED, TOLERANCE
+            ).position
         found.append(at(moved[None], points._replace(dead_zone=points.dead_zone + shift))[0])
     return 0.5 * (found[0] - found[1])
 
@@ -206,7 +208,7 @@ def _most_worse(rows: int, parameters: int) -> float:
     A profile's test is weak far from the estimate where tests are few; this keeps to what still fits.
     """
     left = max(rows - parameters, 1)
-    return float(np.sqrt(1 + student(left) ** 2 / left))
+    return float(np.sqrt(1 + student(float(left)) ** 2 / left))
 
 
 def _beyond(
@@ -234,27 +236,27 @@ def _beyond(
 
 def _evaluated(misfit: Misfit, positions: np.ndarray, points: _Points) -> Float[np.ndarray, "p q"]:
     """Return the quantities at each position: speeds, then delay, response time and opening."""
-    rows = []
+    structure, rows = misfit.form.structure, []
+    assert isinstance(structure, LinearStructure)  # noqa: S101 - others have no characteristics
     for start in range(0, len(positions), TOGETHER):
         some = positions[start : start + TOGETHER]
         filled = np.concatenate([some, np.repeat(some[-1:], TOGETHER - len(some), axis=0)])
-        found = _quantities(misfit.form, misfit.scales, misfit.bounds, jnp.asarray(filled), points)
+        values = misfit.values(filled)
+        lags = [speed_lag(structure, row[: len(structure.parameters)]) for row in values]
+        found = _quantities(misfit.form, misfit.scales, jnp.asarray(values), jnp.asarray(lags), points)
         rows.append(np.asarray(found)[: len(some)])
     return np.concatenate(rows)
 
 
 @eqx.filter_jit
 def _quantities(
-    form: Form, scales: Scales, bounds: Bounds, positions: Float[Array, "p d"], points: _Points
+    form: Form, scales: Scales, values: Float[Array, "p d"], lags: Float[Array, " p"], points: _Points
 ) -> Float[Array, "p q"]:
-    return jax.vmap(lambda position: _at(form, scales, bounds, position, points))(positions)
+    def at(values: Float[Array, " d"], lag_s: Float[Array, ""]) -> Float[Array, " q"]:
+        benchmark = form.benchmark(values, scales)
+        speeds = steady_speed(benchmark, points.levels, points.loads, points.dead_zone, scales.centre)
+        times = step_times(benchmark, points.level, points.load, points.dead_zone, lag_s)
+        opening = opening_command(benchmark, points.load, points.dead_zone)
+        return jnp.concatenate([speeds, jnp.stack([*times, opening])])
 
-
-def _at(
-    form: Form, scales: Scales, bounds: Bounds, position: Float[Array, " d"], points: _Points
-) -> Float[Array, " q"]:
-    benchmark = form.benchmark(bounds.values(position), scales)
-    speeds = steady_speed(benchmark, points.levels, points.loads, points.dead_zone, scales.centre)
-    times = step_times(benchmark, points.level, points.load, points.dead_zone)
-    opening = opening_command(benchmark, points.load, points.dead_zone)
-    return jnp.concatenate([speeds, jnp.stack([*times, opening])])
+    return jax.vmap(at)(values, lags)

@@ -6,6 +6,7 @@ from jaxtyping import Array, Float
 
 from hitchid.benchmark import SHAPE, Benchmark, Shape, discretise
 from hitchid.benchmark.discretise import driven
+from hitchid.benchmark.structure import LinearStructure
 
 Scalar = Float[Array, ""] | float
 CELLS, TIME_CONSTANTS, SHORTEST_S = 1000, 8.0, 1e-9
@@ -41,16 +42,27 @@ def steady_speed(
     return benchmark.values[0] * flow * benchmark.shape.gain(jnp.full_like(loads, displacement), loads)
 
 
+def speed_lag(structure: LinearStructure, values: np.ndarray) -> float:
+    """Return how slow the speed is, |a₁| + √a₂ + … of the denominator 1 + a₁ s + a₂ s² + … of s G(s), s.
+
+    Without an integrator the command moves the speed at once.
+    """
+    *slower, one, last = structure.transfer_function(tuple(map(float, values)))[1]
+    if last != 0:
+        return 0.0
+    return float(sum(abs(a / one) ** (1 / power) for power, a in enumerate(slower[::-1], start=1)))
+
+
 def step_times(
-    benchmark: Benchmark, level: Scalar, load: Scalar, dead_zone: Scalar
+    benchmark: Benchmark, level: Scalar, load: Scalar, dead_zone: Scalar, lag_s: Scalar
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """Return when after a step of the command the speed reaches 5 % and 63.2 % of its final value, s.
 
     The form is simulated from rest on a clock that its lags set, without its gain along the stroke; the dead
-    time is added. Both are zero for a form that has neither lag nor dead time.
+    time is added. Both are zero for a form that has neither lag nor dead time. `lag_s` is `speed_lag`.
     """
     shape, structure = benchmark.shape, benchmark.linear
-    lag = _lag(structure.transfer_function(tuple(benchmark.values))[1])
+    lag = jnp.asarray(lag_s)
     if shape is not None:
         # A lagging spool reaches the opening only after a while: c (1 − exp(−t/τ)) = d.
         open_at = jnp.clip(opening_command(benchmark, load, dead_zone) / level, 0.0, ALMOST)
@@ -60,9 +72,8 @@ def step_times(
     flow = jnp.maximum(command - dead_zone, 0.0)
     final = flow[0, -1]
     if shape is not None:
-        loads = jnp.full((1, 1), load)
-        final = shape.flow(final, loads)[0, 0]
-        flow = shape.flow(shape.effective(command, zone, step_s), loads)
+        final = shape.flow(final, jnp.asarray(load))
+        flow = shape.flow(shape.effective(command, zone, step_s), jnp.full((1, 1), load))
     travel = driven(discretise(structure, benchmark.values, 0.0, step_s), flow)[0]
     share = jnp.diff(travel) / (step_s * benchmark.values[0] * final)
     rising = jnp.concatenate([jnp.zeros(1), share])
@@ -70,17 +81,6 @@ def step_times(
     time_s = jnp.concatenate([jnp.zeros(1), (jnp.arange(CELLS - 1) + 0.5) * step_s])
     begun, reached = (_crossing(time_s, rising, part) for part in (BEGUN, REACHED))
     return benchmark.dead_time_s + begun, benchmark.dead_time_s + reached
-
-
-def _lag(denominator: list) -> Float[Array, ""]:
-    """Return how slow the speed of a transfer function is, |a₁| + √a₂ + … of its 1 + a₁ s + a₂ s² + …
-
-    Without an integrator the command moves the speed at once.
-    """
-    *slower, one, last = denominator
-    if not (isinstance(last, float) and last == 0.0):
-        return jnp.zeros(())
-    return sum((jnp.abs(a / one) ** (1 / (n + 1)) for n, a in enumerate(slower[::-1])), jnp.zeros(()))
 
 
 def _crossing(time_s: Float[Array, " n"], rising: Float[Array, " n"], part: float) -> Float[Array, ""]:
