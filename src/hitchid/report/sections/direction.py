@@ -179,7 +179,12 @@ def parameters(known: Direction) -> Section:
                 known.named("speed-map"),
                 figures.speed_map(trusted.characteristics),
                 "Speed map: steady speed at mid stroke over the command, as the fitted form has it, with its "
-                "95 % band; open circles are mean speeds of identification tests while their command stood.",
+                "95 % band; open circles are mean speeds of identification tests while their command stood."
+                + (
+                    f" One line for each load ({trusted.characteristics.load})."
+                    if metrics["characteristics"]["load"]
+                    else ""
+                ),
                 " ".join(said),
             )
         )
