@@ -98,6 +98,7 @@ def quantity(name: str, unit: str, value: float, interval: Interval, resolution:
         resolution: a width that is fine whatever the value, in the unit.
     """
     lower, upper = interval
-    closed = lower is not None and upper is not None
-    narrow = closed and (upper <= NARROW * lower or upper - lower <= resolution)
+    narrow = (
+        lower is not None and upper is not None and (upper <= NARROW * lower or upper - lower <= resolution)
+    )
     return Quantity(name, unit, value, interval, narrow)

@@ -33,7 +33,8 @@ def operating_levels(batch: Batch, opening: float) -> Float[np.ndarray, " l"]:
     narrow = all(np.ptp(group) <= WIDEST * SAME * beyond[-1] for group in steady)
     if narrow and len(steady) <= MOST and sum(map(len, steady)) >= MOSTLY * beyond.size:
         return np.array([np.median(group) for group in steady])
-    return np.linspace(*np.quantile(beyond, QUANTILES), GRID)
+    slowest, fastest = np.quantile(beyond, QUANTILES)
+    return np.linspace(slowest, fastest, GRID)
 
 
 def operating_loads(batch: Batch, *, measured: bool) -> Float[np.ndarray, " k"]:

@@ -32,11 +32,11 @@ def speed_map(known: Characteristics) -> Figure:
         commands = [point.command for point in points]
         lower = [0.0 if point.interval[0] is None else point.interval[0] for point in points]
         upper = [highest if point.interval[1] is None else point.interval[1] for point in points]
-        shade = {"color": COLOURS[colour]}
+        shade = COLOURS[colour]
         label = "benchmark" if load is None else f"{load:.4g}"
         if len(points) == 1:
-            axis.vlines(commands, lower, upper, alpha=FAINTLY, linewidth=4, **shade)
-        axis.fill_between(commands, lower, upper, alpha=FAINTLY, linewidth=0, **shade)
+            axis.vlines(commands, lower, upper, alpha=FAINTLY, linewidth=4, color=shade)
+        axis.fill_between(commands, lower, upper, alpha=FAINTLY, linewidth=0, color=shade)
         axis.plot(
             commands,
             [point.speed for point in points],
@@ -44,7 +44,7 @@ def speed_map(known: Characteristics) -> Figure:
             marker=marker,
             markersize=3,
             label=label,
-            **shade,
+            color=shade,
         )
     if known.measured:
         commands, speeds = np.array([(each.command, each.speed) for each in known.measured]).T

@@ -171,7 +171,7 @@ def parameters(known: Direction) -> Section:
     blocks: list[Block] = []
     pictures = []
     trusted = model.uncertainty.get(mode)
-    if trusted is not None and trusted.characteristics is not None:
+    if trusted is not None and trusted.characteristics is not None and "characteristics" in metrics:
         said = [sentence(each) for each in characteristic_sentences(trusted.characteristics, mode)]
         blocks += [Text(" ".join(said)), *characteristic_tables(mode, metrics["characteristics"])]
         pictures.append(
