@@ -110,12 +110,16 @@ def _durations(record: Mapping[str, object]) -> Mapping[str, float]:
 
 def show_identification(found: "Identification", out: Path) -> None:
     """Print what was found of each direction, in 80 columns, and where the model lies."""
+    from hitchid.uncertainty import characteristic_sentences
+
     for mode, trace in found.channels.items():
         _summary().print(_parameters(mode, found.model.units[f"{mode}_command"], trace))
         displacement = found.model.units["displacement"]
         chosen = [each.name for each in trace.candidates if each.chosen]
         form = f"form taken of {len(trace.candidates)}: {chosen[0]}; " if chosen else ""
         _say_in(f"{form}RMSE {trace.phase1.rmse:.4g} {displacement} over the identification tests, free run")
+        for each in characteristic_sentences(trace.characteristics, mode) if trace.characteristics else ():
+            _say_in(each, indent=2)
         if trace.seconds:
             spent = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in trace.seconds.items())
             _say_in(f"time: {spent}")

@@ -10,7 +10,7 @@ from hitchid.report import Document, Finding, Level, Picture, Pictures, Section,
 from hitchid.report.document import Findings
 from hitchid.residuals import residual_tests
 from hitchid.segments import segments
-from hitchid.uncertainty import Estimate, Estimates
+from hitchid.uncertainty import Characteristics, Estimate, Estimates, MeasuredSpeed, Quantity, SpeedPoint
 from hitchid.validation import Predictions, Table
 from hitchid.validation.uncertainty import parameter_figures
 
@@ -111,6 +111,28 @@ def known_estimates(*parameters):
 def known_parameters(*parameters):
     """Return parameters in the form of `metrics.json`."""
     return parameter_figures(known_estimates(*parameters))
+
+
+def characteristics(unit="mm"):
+    """Return operating characteristics at three levels and three loads, one end of them open."""
+    points = tuple(
+        SpeedPoint.of(level, load, speed, (0.9 * speed, 1.1 * speed if level < 0.8 else None), 30.0)
+        for level in (0.4, 0.6, 0.8)
+        for load in (90.0, 120.0, 150.0)
+        for speed in [60.0 * (level - 0.3) * (1 - load / 500)]
+    )
+    return Characteristics(
+        command_unit="A",
+        speed_unit=f"{unit}/s",
+        load="head_pressure",
+        dead_zone=Quantity("dead zone", "A", 0.3, (0.29, 0.31), True),
+        opening=Quantity("opening", "A", 0.32, (0.3, 0.34), True),
+        level=0.6,
+        delay=Quantity("delay", "s", 0.05, (0.04, 0.06), True),
+        response_time=Quantity("response time", "s", 0.12, (0.1, None), False),
+        speed_map=points,
+        measured=(MeasuredSpeed(0.4, 92.0, 4.5), MeasuredSpeed(0.8, 148.0, 20.5)),
+    )
 
 
 def trace(*parameters, iterations=20, candidates=3, phase2=True, notices=("the search ended early",)):

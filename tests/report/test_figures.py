@@ -83,6 +83,7 @@ DRAWN = {
     "residual_correlations": lambda unit: figures.residual_correlations(reported.residuals()),
     "residuals_by_place": lambda unit: figures.residuals_by_place(reported.residuals(), unit, "A"),
     "searches": lambda unit: figures.searches(reported.searches(), unit),
+    "speed_map": lambda unit: figures.speed_map(reported.characteristics(unit)),
     "structures": lambda unit: figures.structures(reported.trace()["candidates"], unit),
 }
 
@@ -590,6 +591,24 @@ def test_the_map_of_the_valve_has_gain_and_dead_zone_of_the_benchmark(pressed, r
         assert middle == pytest.approx(steady(place), abs=1e-6)
 
 
+def test_the_speed_map_shows_speeds_bands_and_measured_points_for_each_load():
+    known = reported.characteristics()
+    axes = figures.speed_map(known).axes[0]
+    lines = {line.get_label(): line for line in axes.get_lines()}
+    assert set(lines) == {"90", "120", "150", "measured"}
+    for load, band in zip((90.0, 120.0, 150.0), axes.collections, strict=True):
+        points = [point for point in known.speed_map if point.load == load]
+        drawn = np.column_stack(lines[f"{load:g}"].get_data())
+        np.testing.assert_array_equal(drawn, [(point.command, point.speed) for point in points])
+        corners = {tuple(corner) for path in band.get_paths() for corner in path.vertices}
+        highest = axes.get_ylim()[1]
+        for point in points:
+            lower, upper = point.interval
+            assert {(point.command, lower), (point.command, highest if upper is None else upper)} <= corners
+    measured = np.column_stack(lines["measured"].get_data())
+    np.testing.assert_array_equal(measured, [(each.command, each.speed) for each in known.measured])
+
+
 def test_the_map_of_the_valve_needs_no_ramp_and_no_command_that_stands(make_record):
     command = 0.4 + 0.1 * np.sin(np.arange(200))
     moving = make_record(100 + np.arange(200.0), command, 0 * command)
@@ -663,6 +682,9 @@ def without_an_end():
 
 
 SPARSE = {
+    "one level": lambda: figures.speed_map(
+        replace(reported.characteristics(), speed_map=reported.characteristics().speed_map[:1], measured=())
+    ),
     "one test": lambda: figures.outputs(reported.predictions((30,), band=False), "mm"),
     "one model": lambda: figures.errors_by_test(reported.predictions((30,)), "mm", ["free_run"]),
     "constant errors": lambda: figures.error_distribution({"free_run": np.full(100, 0.1)}, "mm"),

@@ -91,7 +91,7 @@ class Shape(eqx.Module):
     scales: Scales
 
     def effective(
-        self, logged: Float[Array, "t n"], dead_zone: Float[Array, " t"], step_s: float
+        self, logged: Float[Array, "t n"], dead_zone: Float[Array, " t"], step_s: Float[Array, ""] | float
     ) -> Float[Array, "t n"]:
         """Return u, in the command's unit, from the command as logged; before its first sample it is zero."""
 
@@ -102,7 +102,11 @@ class Shape(eqx.Module):
         return jax.lax.scan(advance, Spool(rest, rest), logged.T)[1].T
 
     def follow(
-        self, spool: Spool, command: Float[Array, "*b"], dead_zone: Float[Array, "*b"], step_s: float
+        self,
+        spool: Spool,
+        command: Float[Array, "*b"],
+        dead_zone: Float[Array, "*b"],
+        step_s: Float[Array, ""] | float,
     ) -> tuple[Spool, Float[Array, "*b"]]:
         """Let the spool follow the command over one sample; return it, and u in the command's unit."""
         hysteresis, lag = self._named("hysteresis", "spool_lag")

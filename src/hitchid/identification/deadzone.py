@@ -10,7 +10,8 @@ from scipy.signal import lfilter
 from hitchid.errors import LogError
 from hitchid.modes import ACTIVE_FRACTION, effective_command
 from hitchid.record import Record
-from hitchid.uncertainty import KNOWN, DeadZoneError
+from hitchid.uncertainty import KNOWN, DeadZoneError, Quantity, quantity
+from hitchid.uncertainty.dead_zone_error import student
 
 CANDIDATES = 400
 FLAT = 1e-3
@@ -43,6 +44,16 @@ class DeadZone:
             return KNOWN
         mean = self.spread / np.sqrt(self.count) if self.origin == "ramps" else self.spread
         return DeadZoneError(float(mean), self.count)
+
+    def stated(self, unit: str) -> Quantity:
+        """Return it with its 95 % interval, which is open where no error is known."""
+        if self.origin == "given":
+            return quantity("dead zone", unit, self.value, (self.value, self.value), 0.0)
+        if self.spread is None:
+            return quantity("dead zone", unit, self.value, (None, None), 0.0)
+        reach = student(float(self.error.degrees)) * self.error.size
+        interval = max(0.0, self.value - reach), self.value + reach
+        return quantity("dead zone", unit, self.value, interval, 0.0)
 
 
 def from_ramps(ramps: Sequence[Record], mode: str, direction: int) -> DeadZone:

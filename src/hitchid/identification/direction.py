@@ -30,7 +30,7 @@ from hitchid.identification.selection import Automatic, Candidate, choose_form
 from hitchid.model import Channel
 from hitchid.progress import ROUNDS, Heard, Progress, Step, part, rounds
 from hitchid.record import MODES
-from hitchid.uncertainty import Estimates, Information, Uncertainty
+from hitchid.uncertainty import Characteristics, Estimates, Information, Uncertainty, characteristics
 
 
 @dataclass(frozen=True)
@@ -46,6 +46,7 @@ class ChannelTrace:
         candidates: the forms that were compared, where the form was chosen automatically.
         seconds: what was fitted to the time it took, s.
         uncertainty: how far the channel can be trusted.
+        characteristics: speed map, dead zone, delay and response time; None where there are none.
     """
 
     dead_zone: DeadZone
@@ -56,6 +57,7 @@ class ChannelTrace:
     candidates: tuple[Candidate, ...] = ()
     seconds: Mapping[str, float] = field(default_factory=dict)
     uncertainty: Uncertainty | None = None
+    characteristics: Characteristics | None = None
 
 
 @dataclass(frozen=True)
@@ -104,8 +106,17 @@ def find_benchmark(tests: Prepared, asked: Asked, progress: Progress) -> tuple[C
     with _timed(seconds, "benchmark"):
         phase1, candidates = _benchmark(tests, asked, part(progress, 0.02, 0.98))
     channel = replace(_uncompensated(tests, phase1), envelope=envelope_of(tests.everything))
-    notices = (*tests.notices, *_vague(phase1))
-    return channel, ChannelTrace(tests.dead_zone, phase1, None, None, notices, candidates, seconds)
+    with _timed(seconds, "speed map"):
+        known, said = _characteristics(tests.dead_zone, phase1, asked.units)
+    trace = ChannelTrace(
+        dead_zone=tests.dead_zone,
+        phase1=phase1,
+        notices=(*tests.notices, *_vague(phase1), *said),
+        candidates=candidates,
+        seconds=seconds,
+        characteristics=known,
+    )
+    return channel, trace
 
 
 def levelled(channel: Channel, trace: ChannelTrace, factor: float) -> tuple[Channel, ChannelTrace]:
@@ -114,7 +125,8 @@ def levelled(channel: Channel, trace: ChannelTrace, factor: float) -> tuple[Chan
     known = trace.phase1.known.scaled(factor)
     phase1 = replace(trace.phase1, benchmark=channel.benchmark, known=known)
     said = f"gain times {factor:.4f}, so that whole mixed logs agree best in free run"
-    return channel, replace(trace, phase1=phase1, notices=(*trace.notices, said))
+    told = trace.characteristics and trace.characteristics.scaled(factor)
+    return channel, replace(trace, phase1=phase1, notices=(*trace.notices, said), characteristics=told)
 
 
 def find_compensators(
@@ -189,7 +201,9 @@ def _with_uncertainty(
         lambda: Information.of(fit.misfit, fit.position, trace.phase1.moved),
         notices,
     )
-    known = Uncertainty(trace.phase1.known, paper, bands, trails, searched, information)
+    known = Uncertainty(
+        trace.phase1.known, paper, bands, trails, searched, information, trace.characteristics
+    )
     return replace(trace, uncertainty=known, seconds=seconds, notices=(*trace.notices, *notices))
 
 
@@ -205,6 +219,29 @@ def envelope_of(batch: Batch) -> Envelope:
         displacement=spanned(np.asarray(batch.displacement)[counted]),
         load=spanned(np.asarray(batch.load)),
     )
+
+
+def _characteristics(
+    dead_zone: DeadZone, phase1: Phase1, units: Mapping[str, str]
+) -> tuple[Characteristics | None, list[str]]:
+    """Return the operating characteristics; a notice takes their place where they cannot be computed."""
+    notices: list[str] = []
+    moved = phase1.moved
+    if not moved.free.any():
+        return None, notices
+    found = attempt(
+        "speed map, delay and response time",
+        lambda: characteristics(
+            phase1.fit.misfit,
+            phase1.fit.position,
+            moved,
+            dead_zone=dead_zone.stated(units["u"]),
+            error=dead_zone.error,
+            units=units,
+        ),
+        notices,
+    )
+    return found, notices
 
 
 def _vague(phase1: Phase1) -> list[str]:

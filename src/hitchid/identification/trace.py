@@ -22,6 +22,7 @@ def describe_channel(trace: ChannelTrace) -> dict:
             "count": dead_zone.count,
             "origin": dead_zone.origin,
         },
+        "characteristics": None if trace.characteristics is None else asdict(trace.characteristics),
         "phase1": {
             "uncertainty": asdict(phase1.known),
             "rmse": phase1.rmse,

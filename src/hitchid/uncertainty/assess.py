@@ -121,7 +121,7 @@ def assess(
         tests=int(np.sum(np.asarray(misfit.batch.counted).any(axis=1))),
         rows=len(moved.by_test),
     )
-    return known, moved
+    return known, moved._replace(profiles=tuple(profiles))
 
 
 def unassessed(

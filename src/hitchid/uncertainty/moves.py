@@ -4,10 +4,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from hitchid.fitting import Misfit
 from hitchid.uncertainty.dead_zone_error import DeadZoneError, degrees_together, student
+from hitchid.uncertainty.profile import Profile
 from hitchid.uncertainty.scores import LEAST, Scores
 
 DRAWS = 999
@@ -21,18 +22,27 @@ class Moves(NamedTuple):
         by_dead_zone: by how much a standard error of the dead zone does, shape [D].
         degrees: degrees of freedom of each standard error, shape [D].
         redrawn: estimates from tests drawn anew, less the estimate, shape [B, D]; the dead zone is drawn too.
+        scores: slopes and curvatures of the tests, over the parameters that are free.
+        free: which of the parameters these are, shape [D].
+        profiles: of parameters that are not determined.
     """
 
     by_test: Float[np.ndarray, "t d"]
     by_dead_zone: Float[np.ndarray, " d"]
     degrees: Float[np.ndarray, " d"]
     redrawn: Float[np.ndarray, "b d"]
+    scores: Scores
+    free: Bool[np.ndarray, " d"]
+    profiles: tuple[Profile, ...] = ()
 
     @classmethod
     def none(cls, tests: int, parameters: int) -> "Moves":
         """Return what is known where nothing could be computed: that nothing moves anything."""
         nothing = np.zeros((tests, parameters))
-        return cls(nothing, nothing[0], np.ones(parameters), nothing)
+        scores = Scores(np.zeros((tests, 0)), np.zeros((tests, 0, 0)))
+        return cls(
+            nothing, np.zeros(parameters), np.ones(parameters), nothing, scores, np.zeros(parameters, bool)
+        )
 
     @property
     def covariance(self) -> Float[np.ndarray, "d d"]:
@@ -51,6 +61,10 @@ class Moves(NamedTuple):
     def reach(self, along: np.ndarray, degrees: float) -> float:
         """Return half the width of the 95 % interval of a combination of parameters."""
         return student(degrees) * self.error(along)
+
+    def degrees_of(self, combinations: Float[np.ndarray, "d q"]) -> Float[np.ndarray, " q"]:
+        """Return the degrees of freedom of the standard errors of combinations, the dead zone's aside."""
+        return self.scores.degrees(combinations[self.free])
 
 
 def moves(
@@ -94,6 +108,8 @@ def moves(
         spread(by_dead_zone),
         np.maximum(spread(degrees), 1.0),
         spread(_solved(scores, drawn) + other_ramps * by_dead_zone),
+        scores[0],
+        free,
     )
 
 

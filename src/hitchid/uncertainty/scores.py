@@ -65,15 +65,19 @@ class Scores(NamedTuple):
         inverse, freed = self._freed()
         return -np.einsum("tij,tj->ti", freed, self.slopes) @ inverse
 
-    def degrees(self) -> Float[np.ndarray, " d"]:
-        """Return the degrees of freedom of each parameter's standard error, shape [D], at least one.
+    def degrees(self, combinations: Float[np.ndarray, "d q"] | None = None) -> Float[np.ndarray, " q"]:
+        """Return the degrees of freedom of standard errors, shape [Q], at least one.
 
         (tr Ω)²/‖Ω‖² with Ωₜₛ = |pₜ|² [t = s] − qₜᵀ H⁻¹ qₛ, qₜ = Fₜ Hₜ H⁻¹ c, |pₜ|² = cᵀ H⁻¹ Fₜ qₜ, c the
-        parameter: tests count by their share of what is known (Bell & McCaffrey 2002, with white errors).
+        combination: tests count by their share of what is known (Bell & McCaffrey 2002, with white errors).
+
+        Args:
+            combinations: weights c of the parameters, shape [D, Q]; by default each parameter alone.
         """
         inverse, freed = self._freed()
-        pulled = np.einsum("tij,tjk,kd->tid", freed, self.curvatures, inverse)
-        sizes = np.einsum("di,tij,tjd->td", inverse, freed, pulled)
+        along = inverse if combinations is None else inverse @ combinations
+        pulled = np.einsum("tij,tjk,kd->tid", freed, self.curvatures, along)
+        sizes = np.einsum("id,tij,tjd->td", along, freed, pulled)
         together = np.einsum("tid,ij,sjd->dts", pulled, inverse, pulled)
         own = np.einsum("td,ts->dts", np.maximum(sizes, 0.0), np.eye(len(sizes)))
         spread = own - together

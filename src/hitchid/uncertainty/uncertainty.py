@@ -6,6 +6,7 @@ from pydantic import TypeAdapter
 
 from hitchid.fitting import Trail
 from hitchid.uncertainty.bands import Bands
+from hitchid.uncertainty.characteristics import Characteristics
 from hitchid.uncertainty.estimate import Estimates
 from hitchid.uncertainty.information import Information
 
@@ -23,6 +24,8 @@ class Uncertainty:
             were not compared.
         searched: what they searched: the form's parameters, by name.
         information: what the tests say of the parameters together, for the design of the next one.
+        characteristics: speed map, dead zone, delay and response time; None where the form has no steady
+            speed, where they could not be found, or in a model of an older version.
     """
 
     benchmark: Estimates
@@ -31,6 +34,7 @@ class Uncertainty:
     searches: tuple[Trail, ...] = ()
     searched: tuple[str, ...] = ()
     information: Information | None = None
+    characteristics: Characteristics | None = None
 
     def describe(self) -> dict:
         """Return it as JSON can hold it."""

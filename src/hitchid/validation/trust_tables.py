@@ -16,6 +16,8 @@ def trust_tables(mode: str, channel: Mapping[str, Any], unit: str) -> list[Table
     found = []
     if "parameters" in channel:
         found.append(parameter_table(f"{mode}: parameters of the benchmark", channel["parameters"]))
+    if "characteristics" in channel:
+        found += characteristic_tables(mode, channel["characteristics"])
     if "paper_parameters" in channel:
         title = f"{mode}: parameters of the paper's transfer function"
         found.append(parameter_table(title, channel["paper_parameters"]))
@@ -64,6 +66,48 @@ def parameter_table(title: str, known: Mapping[str, Any]) -> Table:
         "verdict",
     )
     return Table(title, header, tuple(rows))
+
+
+def characteristic_tables(mode: str, known: Mapping[str, Any]) -> list[Table]:
+    """Return the speed map of a direction, and its dead zone, delay and response time."""
+    unit, speed, load = known["command_unit"], known["speed_unit"], known["load"]
+    rows = tuple(
+        (
+            f"{point['command']:.4g}",
+            *([f"{point['load']:.4g}"] if load else []),
+            f"{point['speed']:.4g}",
+            interval_text((point["lower"], point["upper"])),
+            "determined" if point["determined"] else "not determined",
+        )
+        for point in known["speed_map"]
+    )
+    header = (f"command / {unit}", *([load] if load else []), f"speed / ({speed})", "95 %", "verdict")
+    step = f"step to {known['step_command']:.4g} {unit}"
+    named = {
+        "dead_zone": ("dead zone", unit),
+        "flow_begins": ("command at which flow begins", unit),
+        "delay_s": (f"delay until 5 % of the speed, {step}", "s"),
+        "response_time_s": (f"response time until 63 % of the speed, {step}", "s"),
+    }
+    times = tuple(
+        (
+            name,
+            own,
+            f"{known[key]['value']:.4g}",
+            interval_text((known[key]["lower"], known[key]["upper"])),
+            "determined" if known[key]["determined"] else "not determined",
+        )
+        for key, (name, own) in named.items()
+        if known[key] is not None
+    )
+    return [
+        Table(f"{mode}: speed map, at mid stroke", header, rows),
+        Table(
+            f"{mode}: dead zone, delay, response time",
+            ("quantity", "unit", "value", "95 %", "verdict"),
+            times,
+        ),
+    ]
 
 
 def band_table(mode: str, bands: Mapping[str, Any], unit: str) -> Table:

@@ -10,7 +10,7 @@ from hitchid.fitting import Trail
 from hitchid.model import Band, Channel
 from hitchid.model.possible import spread
 from hitchid.residuals import residual_tests
-from hitchid.uncertainty import Bands, Estimates, Uncertainty
+from hitchid.uncertainty import Bands, Characteristics, Estimates, Quantity, Uncertainty
 
 COVERAGE = 0.9
 
@@ -24,6 +24,8 @@ def trust_figures(known: Uncertainty, factor: float = 1.0) -> dict:
             the model's units, which are told with them.
     """
     found = {"parameters": parameter_figures(known.benchmark, factor)}
+    if known.characteristics is not None:
+        found["characteristics"] = characteristic_figures(known.characteristics)
     if known.paper is not None:
         found["paper_parameters"] = parameter_figures(known.paper, factor)
     if known.searches:
@@ -69,6 +71,39 @@ def parameter_figures(known: Estimates, factor: float = 1.0) -> dict:
         },
         "correlation": [list(row) for row in known.correlation],
     }
+
+
+def characteristic_figures(known: Characteristics) -> dict:
+    """Return speed map, dead zone, delay and response time, as JSON can hold them, in the model's units."""
+    return {
+        "command_unit": known.command_unit,
+        "speed_unit": known.speed_unit,
+        "load": known.load,
+        "dead_zone": _quantity(known.dead_zone),
+        "flow_begins": _quantity(known.opening),
+        "step_command": known.level,
+        "delay_s": _quantity(known.delay),
+        "response_time_s": _quantity(known.response_time),
+        "speed_map": [
+            {
+                "command": point.command,
+                "load": point.load,
+                "speed": point.speed,
+                "lower": point.interval[0],
+                "upper": point.interval[1],
+                "determined": point.determined,
+            }
+            for point in known.speed_map
+        ],
+        "measured_speeds": [asdict(each) for each in known.measured],
+    }
+
+
+def _quantity(known: Quantity | None) -> dict | None:
+    if known is None:
+        return None
+    lower, upper = known.interval
+    return {"value": known.value, "lower": lower, "upper": upper, "determined": known.determined}
 
 
 def _search(trail: Trail, factor: float) -> dict:

@@ -11,6 +11,7 @@ from hitchid.report.figures.search import convergence as convergence
 from hitchid.report.figures.search import losses as losses
 from hitchid.report.figures.search import searches as searches
 from hitchid.report.figures.search import structures as structures
+from hitchid.report.figures.speed_map import speed_map as speed_map
 from hitchid.report.figures.timeline import timeline as timeline
 from hitchid.report.figures.trust import coverage as coverage
 from hitchid.report.figures.trust import intervals as intervals

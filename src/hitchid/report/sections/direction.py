@@ -10,9 +10,16 @@ from hitchid.model import Hitch
 from hitchid.record import COMMAND, DISPLACEMENT, Record
 from hitchid.report import figures
 from hitchid.report.document import Block, Picture, Pictures, Section, Text, sentence
+from hitchid.uncertainty import characteristic_sentences
 from hitchid.validation import Predictions
 from hitchid.validation.tables import accuracy_table, horizon_table, single_test_table
-from hitchid.validation.trust_tables import band_table, parameter_table, residual_table, search_table
+from hitchid.validation.trust_tables import (
+    band_table,
+    characteristic_tables,
+    parameter_table,
+    residual_table,
+    search_table,
+)
 
 SHOWN = 4
 RIVALS = ("lstm", "narx", "arx", "transfer_function", "benchmark", "free_run")
@@ -163,6 +170,24 @@ def parameters(known: Direction) -> Section:
     metrics, model, mode = known.metrics, known.model, known.mode
     blocks: list[Block] = []
     pictures = []
+    trusted = model.uncertainty.get(mode)
+    if trusted is not None and trusted.characteristics is not None and "characteristics" in metrics:
+        said = [sentence(each) for each in characteristic_sentences(trusted.characteristics, mode)]
+        blocks += [Text(" ".join(said)), *characteristic_tables(mode, metrics["characteristics"])]
+        pictures.append(
+            Picture(
+                known.named("speed-map"),
+                figures.speed_map(trusted.characteristics),
+                "Speed map: steady speed at mid stroke over the command, as the fitted form has it, with its "
+                "95 % band; open circles are mean speeds of identification tests while their command stood."
+                + (
+                    f" One line for each load ({trusted.characteristics.load})."
+                    if metrics["characteristics"]["load"]
+                    else ""
+                ),
+                " ".join(said),
+            )
+        )
     for key, title, name in (
         ("parameters", f"{mode}: parameters of the benchmark", "intervals"),
         ("paper_parameters", f"{mode}: parameters of the paper's transfer function", "paper-intervals"),

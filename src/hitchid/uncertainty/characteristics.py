@@ -1,0 +1,104 @@
+"""What the operator of a plant wants to know of one direction: speed at each command, dead zone, delay."""
+
+from dataclasses import dataclass, replace
+
+from hitchid.uncertainty.estimate import NARROW, Interval, Quantity
+
+CLOSE, SLOW = 0.25, 0.05
+SAMPLES = 2
+
+
+@dataclass(frozen=True)
+class SpeedPoint:
+    """Steady speed at one level of the command, at mid stroke.
+
+    Attributes:
+        command: size of the command as logged.
+        load: the covariate before motion; None where the form has none.
+        speed: the way the command drives, displacement's unit per s.
+        interval: 95 %; None for an end that the tests do not give.
+        determined: whether both ends lie within a quarter of the speed, or within a twentieth of the
+            fastest one of the map.
+    """
+
+    command: float
+    load: float | None
+    speed: float
+    interval: Interval
+    determined: bool
+
+    @classmethod
+    def of(
+        cls, command: float, load: float | None, speed: float, interval: Interval, fastest: float
+    ) -> "SpeedPoint":
+        """Judge by its interval whether a speed is determined; `fastest` is the fastest of the map."""
+        lower, upper = interval
+        near = max(CLOSE * speed, SLOW * fastest)
+        close = lower is not None and upper is not None and max(speed - lower, upper - speed) <= near
+        return cls(command, load, speed, interval, close)
+
+    def scaled(self, factor: float) -> "SpeedPoint":
+        """Return it with a factor on the gain."""
+        lower, upper = self.interval
+        ends = None if lower is None else factor * lower, None if upper is None else factor * upper
+        return replace(self, speed=factor * self.speed, interval=ends)
+
+
+@dataclass(frozen=True)
+class MeasuredSpeed:
+    """Mean speed of an identification test around mid stroke while its command stood at one level.
+
+    Attributes:
+        command, load, speed: as in `SpeedPoint`, measured.
+    """
+
+    command: float
+    load: float | None
+    speed: float
+
+
+@dataclass(frozen=True)
+class Characteristics:
+    """Operating characteristics of one direction, derived from the fitted form.
+
+    Attributes:
+        command_unit, speed_unit: of all commands and speeds.
+        load: name of the covariate; None where the form has none.
+        dead_zone: of the command, from ramps or tests, or as it was given.
+        opening: the command at which flow begins, where the form has a valve curve.
+        level: the command of the steps that delay and response time are told for.
+        delay: from a step of the command at rest until the speed reaches 5 % of its final value, s; None
+            where the form has neither dead time nor lag.
+        response_time: from the step until it reaches 63.2 %, delay included, s; None likewise.
+        speed_map: steady speed at mid stroke at each level, for each load.
+        measured: what identification tests that stood at one level long enough show.
+    """
+
+    command_unit: str
+    speed_unit: str
+    load: str | None
+    dead_zone: Quantity
+    opening: Quantity | None
+    level: float
+    delay: Quantity | None
+    response_time: Quantity | None
+    speed_map: tuple[SpeedPoint, ...]
+    measured: tuple[MeasuredSpeed, ...]
+
+    def scaled(self, factor: float) -> "Characteristics":
+        """Return them with a factor on the gain; what was measured stays."""
+        return replace(self, speed_map=tuple(point.scaled(factor) for point in self.speed_map))
+
+
+def quantity(name: str, unit: str, value: float, interval: Interval, resolution: float) -> Quantity:
+    """Return a quantity, determined where its interval is closed and within a factor of three, or fine.
+
+    Args:
+        name, unit, value, interval: see `Quantity`.
+        resolution: a width that is fine whatever the value, in the unit.
+    """
+    lower, upper = interval
+    narrow = (
+        lower is not None and upper is not None and (upper <= NARROW * lower or upper - lower <= resolution)
+    )
+    return Quantity(name, unit, value, interval, narrow)

@@ -1,0 +1,288 @@
+"""Speed map, dead zone, delay and response time hold what was simulated, with the coverage they claim."""
+
+import json
+from dataclasses import replace
+from types import SimpleNamespace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import signal, stats
+
+from hitchid.benchmark import SHAPE, Batch, Benchmark, Form, Scales, Shape, structure_named
+from hitchid.benchmark.shape import NEUTRAL
+from hitchid.fitting import Misfit
+from hitchid.fitting.search import polish
+from hitchid.identification import direction
+from hitchid.identification.deadzone import DeadZone
+from hitchid.identification.phase1 import Phase1
+from hitchid.record import LIFTING
+from hitchid.uncertainty import (
+    Characteristics,
+    DeadZoneError,
+    Estimates,
+    Uncertainty,
+    characteristic_sentences,
+    characteristics,
+)
+from hitchid.uncertainty.moves import Moves, moves
+from hitchid.uncertainty.operating_points import measured_speeds, operating_levels
+from hitchid.uncertainty.profile import Profile
+from hitchid.uncertainty.scores import Scores
+from hitchid.uncertainty.step_response import speed_lag, steady_speed, step_times
+from truth import STEP_S, held, second_order, shifted
+
+UNITS = {"x": "mm", "u": "A"}
+FIRST_ORDER = Form(structure_named("integrator-first-order"), dead_time=True)
+INTEGRATOR = Form(structure_named("integrator"))
+GAIN, LAG_S, LATE = 30.0, 0.1, 5
+LEVELS = (0.4, 0.7, 1.0)
+SAMPLES = 200
+
+
+@pytest.fixture
+def batch_of(make_record):
+    def make(tests, *, dead_zone=0.0):
+        records = [make_record(80.0 + travel, command) for command, travel in tests]
+        return Batch.of(records, LIFTING, dead_zone=dead_zone, direction=1, initial=[80.0] * len(records))
+
+    return make
+
+
+def step(level, *, rest=20):
+    return np.concatenate([np.zeros(rest), np.full(SAMPLES - rest, level)])
+
+
+def steps(rng, *, scatter, noise, levels=LEVELS * 3):
+    """Return steps of plants whose gains scatter, K / (s (τ s + 1)) with a dead time, and sensor noise."""
+    unit = [held([1.0], [LAG_S, 1.0, 0.0], shifted(step(level), LATE)) for level in levels]
+    return [
+        (
+            step(level),
+            GAIN * (1 + scatter * rng.standard_normal()) * travel + noise * rng.standard_normal(travel.size),
+        )
+        for level, travel in zip(levels, unit, strict=True)
+    ]
+
+
+def fitted(batch, form, values, *, error=DeadZoneError(), profiles=()):  # noqa: B008
+    """Return the characteristics from the least squares next to known values."""
+    misfit = Misfit.of(batch, form)
+    problem, _ = misfit.problem()
+    position = polish(problem, misfit.position(np.array(values)), limit=30).position
+    moved = moves(misfit, position, np.ones(position.size, bool), error, seed=0)
+    moved = moved._replace(profiles=tuple(profile(misfit, position) for profile in profiles))
+    zone = DeadZone(float(batch.dead_zone[0]), None, 0, "given").stated("A")
+    return characteristics(misfit, position, moved, dead_zone=zone, error=error, units=UNITS), moved, position
+
+
+def test_of_integrators_alike_the_speed_has_students_interval_of_their_gains(batch_of):
+    gains = GAIN * (1 + 0.02 * np.random.default_rng(1).standard_normal(6))
+    command = step(0.5)
+    known, _, _ = fitted(
+        batch_of([(command, k * held([1.0], [1.0, 0.0], command)) for k in gains]), INTEGRATOR, [GAIN]
+    )
+    (point,) = known.speed_map
+    reach = stats.t.ppf(0.975, gains.size - 1) * gains.std(ddof=1) / np.sqrt(gains.size)
+    assert (point.command, point.load, point.determined) == (0.5, None, True)
+    assert point.speed == pytest.approx(0.5 * gains.mean(), rel=1e-6)
+    assert point.interval == pytest.approx(
+        (0.5 * (gains.mean() - reach), 0.5 * (gains.mean() + reach)), rel=1e-5
+    )
+    assert (known.delay, known.response_time, known.opening) == (None, None, None)
+    assert known.speed_unit == "mm/s"
+
+
+def test_intervals_hold_the_true_speeds_and_times_as_often_as_they_say(batch_of):
+    draws, rng = 40, np.random.default_rng(5)
+    values, ends = [], []
+    for _ in range(draws):
+        batch = batch_of(steps(rng, scatter=0.03, noise=0.05))
+        known, _, _ = fitted(batch, FIRST_ORDER, [GAIN, LAG_S, LATE * STEP_S])
+        asked = [*known.speed_map, known.delay, known.response_time]
+        values.append([getattr(each, "speed", None) or each.value for each in asked])
+        ends.append([each.interval for each in asked])
+        assert all(each.determined for each in asked)
+    late = LATE * STEP_S
+    truth = [*(GAIN * level for level in LEVELS), late - LAG_S * np.log(0.95), late + LAG_S]
+    lower, upper = np.moveaxis(np.array(ends), 2, 0)
+    held_in = np.sum((lower <= truth) & (truth <= upper), axis=0)
+    # Of 40 draws at 95 % fewer than 33 hold the truth once in a thousand times.
+    assert held_in.min() >= stats.binom.ppf(1e-3, draws, 0.95)
+    reach = stats.t.ppf(0.975, 6) * np.std(values, axis=0)
+    assert np.mean(upper - lower, axis=0) == pytest.approx(2 * reach, rel=0.5)
+
+
+def test_at_a_level_that_occurred_the_speed_is_known_though_the_dead_zone_is_not(batch_of):
+    tests = steps(np.random.default_rng(2), scatter=0.01, noise=0.0, levels=(0.7,) * 6)
+    values = [GAIN * 0.7 / 0.4, LAG_S, LATE * STEP_S]
+    sure, _, _ = fitted(batch_of(tests, dead_zone=0.3), FIRST_ORDER, values)
+    vague, moved, _ = fitted(
+        batch_of(tests, dead_zone=0.3), FIRST_ORDER, values, error=DeadZoneError(0.05, 6)
+    )
+    # The gain is K (c − d) over c − d: off by 0.05/0.4 with the dead zone, the speed not at all.
+    assert moved.by_dead_zone[0] * np.log(1e4) == pytest.approx(0.05 / 0.4, rel=0.2)
+    assert vague.speed_map[0].interval == pytest.approx(sure.speed_map[0].interval, rel=1e-4)
+
+
+def profile_of(reach, fitness, *, lower=0.4, upper=0.6):
+    """Return what makes a profile of the gain that others do not follow."""
+
+    def make(misfit, position):
+        positions = np.stack([position + shift * np.eye(position.size)[0] for shift in (-reach, 0.0, reach)])
+        along = np.tile(np.eye(position.size)[0], (3, 1))
+        room = float(np.log(misfit.bounds.upper[0] / misfit.bounds.lower[0]))
+        return Profile(0, lower, upper, positions, np.array(fitness), np.ones(3, bool), along, room)
+
+    return make
+
+
+def test_a_profile_widens_a_speed_to_what_still_fits_and_opens_it_where_it_has_no_end(batch_of):
+    batch = batch_of(steps(np.random.default_rng(3), scatter=0.01, noise=0.02))
+    values = [GAIN, LAG_S, LATE * STEP_S]
+    plain, _, _ = fitted(batch, FIRST_ORDER, values)
+    ratio = np.exp(0.05 * np.log(1e4))
+
+    def told(*profiles):
+        return fitted(batch, FIRST_ORDER, values, profiles=profiles)[0].speed_map[1]
+
+    point = plain.speed_map[1]
+    assert told(profile_of(0.05, [1.1, 1.0, 1.1])).interval == pytest.approx(
+        (point.speed / ratio, point.speed * ratio), rel=1e-6
+    )
+    assert told(profile_of(0.05, [3.0, 1.0, 3.0])).interval == pytest.approx(point.interval)
+    opened = told(profile_of(0.05, [1.1, 1.0, 1.1], upper=None))
+    assert opened.interval[1] is None
+    assert not opened.determined
+
+
+def shaped(**values):
+    neutral = {parameter.name: NEUTRAL.get(parameter.name, 0.0) for parameter in SHAPE}
+    scales = Scales(*map(jnp.asarray, (2.0, 100.0, 50.0, 10.0, 4.0)))
+    return Shape(jnp.asarray([{**neutral, **values}[parameter.name] for parameter in SHAPE]), scales)
+
+
+def test_steady_speed_follows_the_valve_curve_and_the_load():
+    shape = shaped(
+        opening=0.1, exponent=1.5, saturation=0.6, load_shift=0.05, load_gain=-0.2, position_curve=0.3
+    )
+    benchmark = Benchmark(INTEGRATOR.structure, jnp.asarray([20.0]), jnp.zeros(()), shape)
+    commands, loads = np.array([0.4, 1.0, 2.2]), np.array([10.0, 14.0, 14.0])
+    z, load = (np.maximum(commands - 0.3, 0) / 2.0), (loads - 10.0) / 4.0
+    v = np.maximum(z - 0.05 * load - 0.1, 0) ** 1.5
+    w = 2.0 * v / (1 + (v / 0.6) ** 4) ** 0.25
+    expected = 20.0 * w * np.exp(-0.3 / 3 - 0.2 * load)
+    found = steady_speed(benchmark, jnp.asarray(commands), jnp.asarray(loads), 0.3, 100.0)
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("omega", "damping"), [(12.0, 0.3), (5.0, 1.0), (40.0, 8.0)])
+def test_delay_and_response_time_are_those_of_the_step_response(omega, damping):
+    structure = structure_named("integrator-second-order")
+    benchmark = Benchmark(structure, jnp.asarray([30.0, omega, damping]), jnp.asarray(0.07))
+    (num,), den = second_order(1.0, omega, damping)
+    time_s, speed = signal.step(([num], den[:-1]), T=np.linspace(0, 40 * damping / omega, 200_001))
+    for found, part in zip(
+        step_times(benchmark, 1.0, 0.0, 0.3, speed_lag(structure, np.asarray(benchmark.values))),
+        (0.05, 1 - np.exp(-1)),
+        strict=True,
+    ):
+        exact = time_s[np.argmax(speed >= part)]
+        assert float(found) == pytest.approx(0.07 + exact, abs=0.01 * exact + 1e-4)
+
+
+def test_a_lagging_spool_delays_motion_until_it_has_passed_the_dead_zone():
+    benchmark = Benchmark(INTEGRATOR.structure, jnp.asarray([30.0]), jnp.asarray(0.02), shaped(spool_lag=0.2))
+    delay, response_time = step_times(benchmark, 1.0, 10.0, 0.5, 0.0)
+    # c (1 − exp(−t/τ)) − d is a part p of c − d at t = τ ln(c / ((1 − p) (c − d))).
+    for found, part in ((delay, 0.05), (response_time, 1 - np.exp(-1))):
+        assert float(found) == pytest.approx(0.02 + 0.2 * np.log(2 / (1 - part)), rel=0.01)
+
+
+def test_levels_are_those_at_which_tests_stood_else_a_grid_within_what_occurred(batch_of):
+    rng = np.random.default_rng(0)
+    stood = [(step(level) + 1e-3 * rng.standard_normal(SAMPLES), np.zeros(SAMPLES)) for level in LEVELS]
+    assert operating_levels(batch_of(stood), 0.1) == pytest.approx(LEVELS, abs=1e-3)
+    swung = 0.6 + 0.3 * np.sin(np.arange(SAMPLES) / 9)
+    found = operating_levels(batch_of([(swung, np.zeros(SAMPLES))]), 0.5)
+    assert found.size == 7
+    assert np.ptp(np.diff(found)) == pytest.approx(0, abs=1e-12)
+    assert 0.5 < found[0] < found[-1] < 0.9
+    assert operating_levels(batch_of([(swung, np.zeros(SAMPLES))]), 2.0).size == 0
+
+
+def test_measured_speeds_are_those_of_the_plant_around_mid_stroke(batch_of):
+    batch = batch_of(steps(np.random.default_rng(0), scatter=0.0, noise=0.0, levels=(1.0, 0.95, -0.9)))
+    found = measured_speeds(batch, 0.3, 0.15, loaded=False)
+    assert [each.command for each in found] == pytest.approx([0.9, 0.95, 1.0])
+    assert [each.speed for each in found] == pytest.approx([0.9 * GAIN, 0.95 * GAIN, GAIN], rel=0.01)
+
+
+def test_a_factor_on_the_gain_scales_speeds_and_their_intervals_and_a_description_comes_back(batch_of):
+    known, _, _ = fitted(
+        batch_of(steps(np.random.default_rng(4), scatter=0.01, noise=0.02)), FIRST_ORDER, [GAIN, LAG_S, 0.05]
+    )
+    scaled = known.scaled(1.1)
+    for before, after in zip(known.speed_map, scaled.speed_map, strict=True):
+        assert (after.speed, *after.interval) == pytest.approx(
+            [1.1 * v for v in (before.speed, *before.interval)]
+        )
+    assert replace(scaled, speed_map=known.speed_map) == known
+    whole = Uncertainty(Estimates((), (), (), 3, 3), characteristics=scaled)
+    described = json.loads(json.dumps(whole.describe()))
+    assert Uncertainty.of(described) == whole
+    del described["characteristics"]
+    assert Uncertainty.of(described).characteristics is None
+
+
+def test_a_structure_without_a_steady_speed_has_no_speed_map(batch_of):
+    batch = batch_of(steps(np.random.default_rng(0), scatter=0.0, noise=0.0))
+    misfit = Misfit.of(batch, Form(structure_named("inertia-with-friction")))
+    zone = DeadZone(0.0, None, 0, "structure")
+    none = np.zeros((1, 8))
+    moved = Moves(none, none[0], none[0], none, Scores(none, np.zeros((1, 8, 8))), np.ones(8, bool))
+    found = characteristics(
+        misfit, np.full(8, 0.5), moved, dead_zone=zone.stated("A"), error=zone.error, units=UNITS
+    )
+    assert found is None
+
+
+def test_what_cannot_be_computed_is_left_out_with_a_notice(monkeypatch):
+    def fails(*_, **__):
+        raise FloatingPointError("too large")
+
+    monkeypatch.setattr(direction, "characteristics", fails)
+    phase1 = object.__new__(Phase1)
+    vars(phase1).update(fit=SimpleNamespace(misfit=None, position=None), moved=None)
+    found, said = direction._characteristics(DeadZone(0.3, None, 0, "given"), phase1, UNITS)
+    assert found is None
+    assert said == ["speed map, delay and response time are left out: too large"]
+
+
+@pytest.mark.parametrize(
+    ("zone", "interval", "determined"),
+    [
+        (DeadZone(0.3, None, 0, "given"), (0.3, 0.3), True),
+        (DeadZone(0.3, None, 2, "tests"), (None, None), False),
+        (DeadZone(0.0, None, 2, "none"), (None, None), False),
+        (DeadZone(0.3, 0.03, 4, "ramps"), (0.3 - 3.182 * 0.015, 0.3 + 3.182 * 0.015), True),
+        (DeadZone(0.3, 0.2, 4, "tests"), (0.0, 0.3 + 3.182 * 0.2), False),
+    ],
+)
+def test_a_dead_zone_is_determined_by_its_standard_error(zone, interval, determined):
+    known = zone.stated("A")
+    assert known.determined is determined
+    assert known.interval == (interval if None in interval else pytest.approx(interval, rel=1e-3))
+
+
+def test_characteristics_are_told_in_plain_words(batch_of):
+    known, _, _ = fitted(
+        batch_of(steps(np.random.default_rng(4), scatter=0.01, noise=0.02)), FIRST_ORDER, [GAIN, LAG_S, 0.05]
+    )
+    assert isinstance(known, Characteristics)
+    zone, speeds, times = characteristic_sentences(known, LIFTING)
+    point = known.speed_map[-1]
+    assert zone == "dead zone 0 A"
+    assert f"at 1 A {point.speed:.3g} mm/s ({point.interval[0]:.4g} … {point.interval[1]:.4g})" in speeds
+    assert speeds.startswith("the piston lifts at mid stroke")
+    assert times.startswith("after a step to 0.7 A motion begins")
