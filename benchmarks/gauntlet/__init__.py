@@ -7,6 +7,6 @@
     python -m benchmarks.gauntlet --set rig-a         # one measured set
     python -m benchmarks.gauntlet --seed 3405691582   # the twelve that a failed run has named
 
-From the root of the repository, with `HITCHID_DATA` as the tests take it. Single runs print what they found and write
-no page. The exit code is 1 where a bar is missed.
+From the root of the repository, with `HITCHID_DATA` as the tests take it. Single runs print what they found
+and write no page. The exit code is 1 where something failed or missed its bar.
 """

@@ -113,7 +113,7 @@ class Design:
 
 
 def draw_design(seed: int) -> Design:
-    """Draw a campaign: nearly every second has nothing that hitchid cannot choose, so that truth can be held."""
+    """Draw a campaign; nearly every second has nothing beyond the forms that hitchid chooses from."""
     rng = np.random.default_rng(seed)
     plain = bool(rng.random() < 0.45)
     structure = str(rng.choice(STRUCTURES[:3] if plain else STRUCTURES, p=None if plain else WEIGHTS))
@@ -179,7 +179,7 @@ def _schedule(rng: Rng, clock: Clock) -> tuple[Schedule, str]:
         bool(rng.random() < 0.15),
         float(rng.uniform(0.02, 0.15)) if rng.random() < 0.3 else 0.0,
         str(rng.choice(DEFECTS)) if tests >= 4 and rng.random() < 0.35 else "",
-        str(rng.choice(["no motion", "below the dead zone"])) if rng.random() < 0.06 else "",
+        str(rng.choice(["no motion", "below the dead zone"])) if rng.random() < 0.12 else "",
     )
     return schedule, layout
 

@@ -1,7 +1,6 @@
 """One campaign of the zoo from its logs to a verdict."""
 
 import tempfile
-from dataclasses import replace
 from math import inf
 from pathlib import Path
 from typing import Any
@@ -139,8 +138,8 @@ def _compare(outcome: Outcome, model: Hitch, mode: str, truth: Truth) -> None:
 def _comparable(values: dict[str, float], names: set[str], slack_s: float) -> dict[str, float]:
     """Return the true values that mean the same in the form that was taken.
 
-    A lag is another quantity where the form has a lag that the plant has not, or the other way round; the shape
-    of a second-order lag has no slack to compare by where the clock is uneven.
+    A lag is another quantity where the form has a lag that the plant has not, or the other way round; the
+    shape of a second-order lag has no slack to compare by where the clock is uneven.
     """
     parts = {name for name in values if name in (*LAGS, "dead_time")}
     same = parts == names & {*LAGS, "dead_time", "spool_lag"}

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from .commands import SHAPES, alternating, rested
-from .design import Design, draw_design
+from .design import Design, Schedule, draw_design
 from .plants import Controller, Plant
 
 Rng = np.random.Generator
@@ -90,7 +90,7 @@ def words(design: Design) -> str:
         "saturation" if valve.saturation < np.inf else "",
         "stops" if design.stops else "",
         "load scatter" if schedule.scatter else "",
-        f"{schedule.tests} × {schedule.samples} every {clock.step_s:g} s",
+        f"{schedule.tests} x {schedule.samples} every {clock.step_s:g} s",
         f"jitter {clock.jitter:.0%}" if clock.jitter else "",
         f"{clock.gaps} gaps" if clock.gaps else "",
         f"{columns.displacement_unit} over {columns.command_unit}",
@@ -108,7 +108,7 @@ def words(design: Design) -> str:
     return ", ".join(part for part in parts if part)
 
 
-def _sound(design: Design):
+def _sound(design: Design) -> Schedule:
     """Return the schedule of tests that nothing is wrong with."""
     return replace(design.schedule, defect="", shapes=tuple(s for s in design.schedule.shapes if s != "ramp"))
 
@@ -135,7 +135,7 @@ def _planned(rng: Rng, design: Design, number: int) -> _Test:
 
 
 def _gains(rng: Rng, design: Design, tests: list[_Test]) -> tuple[float, float]:
-    """Return speeds per command with which the longest way fills the travel, or more where there are stops."""
+    """Return speeds per command with which the longest way fills the travel, or goes beyond its stops."""
     flows = [
         np.array([design.valves[0 if c > 0 else 1].flow(abs(c)) * np.sign(c) for c in test.command])
         for test in tests
