@@ -1,7 +1,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup lint test docs reproduce bench study pins clean
+.PHONY: setup lint test gauntlet gauntlet-full docs reproduce bench study pins clean
 
 setup: .venv/.ready
 
@@ -19,6 +19,12 @@ lint: setup
 
 test: setup lint
 	$(BIN)/python -m pytest -n 2 --dist worksteal
+
+gauntlet: setup
+	$(BIN)/python -m benchmarks.gauntlet
+
+gauntlet-full: setup
+	$(BIN)/python -m benchmarks.gauntlet --full
 
 docs: setup
 	$(BIN)/sphinx-build -W --keep-going -n -b html docs build/docs

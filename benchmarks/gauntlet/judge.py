@@ -50,40 +50,38 @@ def _run(outcome: Outcome, truth: Truth, settings: dict[str, Any], place: Path) 
         campaign, fresh = hitchid.read(truth.logs), hitchid.read(truth.fresh)
     with outcome.timed("identify"):
         found = hitchid.identify(campaign, **settings)
-    model = used(outcome, found, fresh, place)
+    model, _ = used(outcome, found, fresh, place)
     for mode in model.channels:
         _compare(outcome, model, mode, truth)
 
 
-def used(
-    outcome: Outcome, found: Any, fresh: hitchid.Campaign, place: Path, *, figures: bool = True
-) -> Hitch:
-    """Save, load, validate, simulate and step an identified model; return what was loaded.
+def used(outcome: Outcome, found: Any, fresh: hitchid.Campaign, place: Path) -> tuple[Hitch, dict]:
+    """Save, load, validate, simulate and step an identified model; return what was loaded, and its metrics.
 
     Args:
         outcome: gets times, figures, and what should not be.
         found: what `identify` returned.
         fresh: tests the identification has not seen.
         place: an existing folder.
-        figures: whether the free run's figures are kept.
     """
     with outcome.timed("save and load"):
         found.save(place / "model")
         model = hitchid.load(place / "model")
     with outcome.timed("validate"):
         metrics = hitchid.validate(model, fresh).metrics
-    if figures:
-        for name, channel in {**metrics["channels"], "cycles": metrics["cycles"]}.items():
-            if "greybox" in channel:
-                run = channel["greybox"]["free_run"]
-                outcome.figures |= {f"{name}: {key}": run[key] for key in ("rmse", "r2")}
+    for name, channel in {**metrics["channels"], "cycles": metrics["cycles"]}.items():
+        if "greybox" in channel:
+            run = channel["greybox"]["free_run"]
+            outcome.figures |= {f"{name}: {key}": run[key] for key in ("rmse", "r2") if run[key] is not None}
+            if run["rmse"] is None:
+                outcome.failures.append(f"{name}: the free run diverges on unseen tests")
     with outcome.timed("simulate and step"):
         record = max(fresh.records, key=lambda record: float(np.ptp(record.displacement)))
         if not np.all(np.isfinite(model.simulate(record))):
             outcome.failures.append("simulate: a displacement is not finite")
         if not np.all(np.isfinite(_stepped(model, record))):
             outcome.failures.append("step: a displacement is not finite")
-    return model
+    return model, metrics
 
 
 def _stepped(model: Hitch, record: hitchid.Record) -> np.ndarray:
