@@ -38,6 +38,7 @@ def judge(seed: int, *, physics: bool, folder: str | None = None) -> Outcome:
             truth = draw(seed, target)
         outcome.words = truth.words
         attempted(outcome, lambda told: _run(told, truth, PHYSICS if physics else {}, Path(place)))
+        outcome.message = outcome.message.replace(f"{target}/", "")
     if outcome.result == REFUSED:
         outcome.failures += _unjustified(outcome, truth)
     elif outcome.result == MODEL and truth.unusable:
@@ -126,10 +127,11 @@ def _compare(outcome: Outcome, model: Hitch, mode: str, truth: Truth) -> None:
         outcome.determined += 1
         outcome.held += outside == 0
         if outside:
-            said = f"{mode} {estimate.name}: {value:.4g}, determined as {lower:.4g} to {upper:.4g}"
-            gross = outside > GROSS * (upper - lower)
-            (outcome.failures if gross else outcome.verdicts).append(
-                f"{'gross miss' if gross else 'miss'}: {said}"
+            kind = "gross miss" if outside > GROSS * (upper - lower) else "miss"
+            channel, zone = model.channels[mode], truth.values[mode]["dead_zone"]
+            outcome.verdicts.append(
+                f"{kind}: {mode} {estimate.name}: {value:.4g}, determined as {lower:.4g} to {upper:.4g}; the "
+                f"form has {', '.join(sorted(names))}; dead zone {zone:.4g}, found {channel.dead_zone:.4g}"
             )
 
 

@@ -3,6 +3,7 @@
 import os
 import tempfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from .long_job import write_long_job
 from .outcome import REFUSED, Outcome, attempted
 
 DATA = Path(os.environ.get("HITCHID_DATA", Path(__file__).parents[3] / "shared" / "data"))
+PAUSE_S = 60.0
 MILLIMETRES = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 # Half of the last digit that excavator-boom states of angle, duty and pressure.
 ROUNDING = {DISPLACEMENT: 0.5e-4, "command": 0.5, "covariate": 0.5e-3}
@@ -72,10 +74,35 @@ def _read(outcome: Outcome, name: str) -> hitchid.Campaign:
 
 
 def rig(outcome: Outcome, name: str) -> None:
-    """Free run, one step and cycles of the simulated hitch bench."""
-    _, metrics = _identified(outcome, _read(outcome, name))
+    """Free run, one step, bands and cycles of the simulated hitch bench, and whether it stands undriven."""
+    campaign = _read(outcome, name)
+    model, metrics = _identified(outcome, campaign)
     for mode, channel in metrics["channels"].items():
-        outcome.figures[f"{mode}: one step rmse"] = channel["greybox"]["one_step"]["rmse"]
+        covered = channel["bands"]["free_run"]["covered"], channel["bands"]["horizons"]["covered"][0]
+        outcome.figures |= {
+            f"{mode}: one step rmse": channel["greybox"]["one_step"]["rmse"],
+            f"{mode}: free run in its band": covered[0],
+            f"{mode}: one step in its band": covered[1],
+            f"{mode}: moved in a pause": _moved_in_a_pause(model, campaign.held_out(mode)[0]),
+        }
+    cycles = metrics["cycles"]
+    outcome.figures |= {
+        "cycles: 10 steps rmse": cycles["horizons"]["greybox"][cycles["horizons"]["steps"].index(10)],
+        "cycles: largest jump": cycles["max_jump"],
+    }
+
+
+def _moved_in_a_pause(model: hitchid.Hitch, record: hitchid.Record) -> float:
+    """Return how far a model moves in a minute without commands, a second after a test's middle."""
+    middle, pause, settling = len(record) // 2, round(PAUSE_S / record.step_s), round(1.0 / record.step_s)
+
+    def held(role: str, samples: np.ndarray) -> np.ndarray:
+        rest = 0.0 if role in COMMAND.values() else samples[middle]
+        return np.concatenate([samples[:middle], np.full(pause, rest), samples[middle:]])
+
+    signals = {role: held(role, samples) for role, samples in record.signals.items()}
+    displacement = model.simulate(replace(record, signals=signals))
+    return float(np.ptp(displacement[middle + settling : middle + pause]))
 
 
 def boom(outcome: Outcome, name: str) -> None:

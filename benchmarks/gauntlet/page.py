@@ -10,9 +10,9 @@ from .outcome import Outcome
 
 HEAD = """# The gauntlet
 
-Default `identify` and `validate` on measured data and on made-up campaigns, `make gauntlet`
-([how](gauntlet/__init__.py)). A figure that is worse than its bar by more than 5 % fails, and so does whatever
-ends in neither a model nor a refusal that is right. Errors are in the unit of the set.
+Default `identify` and `validate` on measured data and on made-up campaigns: `make gauntlet`, single runs by
+`python -m benchmarks.gauntlet --help`. A figure that is worse than its bar by more than 5 % fails, and so
+does whatever ends in neither a model nor a refusal that is right. Errors are in the unit of the set.
 """
 LONGEST = 160
 
@@ -47,8 +47,11 @@ def page(outcomes: Sequence[Outcome], bars: Bars, *, left_out: Sequence[str], se
         "\n| run | plant and logs | result | R² unseen | s |\n| --- | --- | --- | --- | ---: |\n",
         *(_campaign(outcome) for outcome in zoo),
     ]
+    missed = [outcome for outcome in zoo if outcome.verdicts]
+    if missed:
+        text += ["\n### Misses\n\n", *(line for o in missed for line in _listed(o.name, o.verdicts))]
     if failed:
-        text += ["\n## Failures\n\n", *(line for outcome in failed for line in _failures(outcome))]
+        text += ["\n## Failures\n\n", *(line for o in failed for line in _listed(o.name, o.failures))]
     return "".join(text)
 
 
@@ -79,8 +82,8 @@ def _campaign(outcome: Outcome) -> str:
     return f"| {outcome.name} | {outcome.words} | {result} | {', '.join(fits)} | {spent:.1f} |\n"
 
 
-def _failures(outcome: Outcome) -> Iterable[str]:
-    return (f"- {outcome.name}: {_line(sentence)}\n" for sentence in outcome.failures)
+def _listed(name: str, sentences: Iterable[str]) -> Iterable[str]:
+    return (f"- {name}: {_line(sentence)}\n" for sentence in sentences)
 
 
 def _line(sentence: str) -> str:

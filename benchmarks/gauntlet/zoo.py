@@ -219,5 +219,5 @@ def _values(design: Design, gains: tuple[float, float], signs: set[int]) -> dict
         if sign in signs and valve.saturation == np.inf:
             # The power of an opening curve changes what a gain is measured in.
             shaped = {"exponent": valve.exponent} if valve.exponent != 1 else {"gain": gain}
-            found[direction] = {**shaped, **design.values}
+            found[direction] = {**shaped, "dead_zone": valve.dead_zone, **design.values}
     return found
