@@ -3,6 +3,7 @@
 import multiprocessing
 import os
 import queue
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
@@ -100,6 +101,7 @@ class _Worker:
             self.close()
             code = self._process.exitcode
             return _lost(job, TRACEBACK, f"the process ended with code {code}", time.perf_counter() - started)
+        self._process.kill()
         self.close()
         return _lost(job, HUNG, f"no answer in {job.timeout_s:.0f} s", job.timeout_s)
 
@@ -140,6 +142,5 @@ def _serve(link: Connection, core: set[int] | None) -> None:
             return
         link.send(job.work(**job.arguments))
         # A process may map only so many compiled programs into memory.
-        import jax
-
-        jax.clear_caches()
+        if "jax" in sys.modules:
+            sys.modules["jax"].clear_caches()

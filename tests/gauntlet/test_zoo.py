@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-
 from benchmarks.gauntlet.design import draw_design
 from benchmarks.gauntlet.plants import (
     Plant,
