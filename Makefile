@@ -18,7 +18,7 @@ lint: setup
 	$(BIN)/lint-imports
 
 test: setup lint
-	$(BIN)/python -m pytest -n 2 --dist worksteal
+	$(BIN)/python -m pytest -n 2 --dist worksteal --durations 20
 
 gauntlet: setup
 	$(BIN)/python -m benchmarks.gauntlet

@@ -208,6 +208,8 @@ def _rms(errors: list[np.ndarray]) -> float:
 
 
 SETS: dict[str, Callable[[Outcome, str], None]] = {
+    # The longest first, so that all cores end together.
+    "long-job": long_job,
     "rig-a": rig,
     "excavator-boom": boom,
     "hanging-load": hanging_load,
@@ -216,7 +218,6 @@ SETS: dict[str, Callable[[Outcome, str], None]] = {
     "dspace-raw": dspace,
     "emps": emps,
     "cascaded-tanks": tanks,
-    "long-job": long_job,
 }
 SOURCES = {"long-job": "field-excavator"}
 WARM = ("rig-a", "long-job")
