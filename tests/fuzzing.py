@@ -291,7 +291,7 @@ def _kept(place: Path) -> Iterator[Seed]:
     shutil.rmtree(place / "model", ignore_errors=True)
     model = hitch(compensated=True, baselines=True, free_run=True)
     save(model, place / "model", trace={"lifting": {"fitness": [3.0, 1.5]}})
-    files = {path.name: path.read_bytes() for path in (place / "model").iterdir()}
+    files = {path.name: path.read_bytes() for path in (place / "model").iterdir() if path.name[0] != "."}
     yield Seed("model", files, tuple(files), read_model, sealed=True)
     changes = (_resealed,)
     yield Seed("model resealed", files, (), read_model, changes=changes)

@@ -14,6 +14,7 @@ from hitchid.errors import InputError, LogError, SettingsError
 from hitchid.record import CYCLE, LIFTING, LOWERING, Record
 
 EPS = np.finfo(np.float64).eps
+LIFTED = {"displacement": np.ones(9), "lifting_command": np.ones(9)}
 
 
 def a_test(name, kind=LIFTING, *, samples=40, unit="mm", step_s=0.01, moved=None):
@@ -79,7 +80,7 @@ def test_a_name_with_brackets_is_matched_by_its_escaped_pattern():
         ([], ["at least one record"]),
         ([a_test("x"), a_test("x", LOWERING)], ["'x'", "names must differ"]),
         (
-            [a_test("x"), Record("y", 0.01, {"displacement": np.ones(9), "lifting_command": np.ones(9)}, {})],
+            [a_test("x"), Record("y", 0.01, LIFTED, {"displacement": "mm", "lifting_command": "A"})],
             ["'y'", "'x'", "lifting and lowering"],
         ),
         ([a_test("x", moved=np.full(40, 3.25))], ["x", "constant", "3.25 mm", "40 samples"]),
@@ -112,6 +113,14 @@ def test_records_of_another_rate_come_on_the_clock_of_the_most():
     assert len(last) == 39
     np.testing.assert_allclose(last.displacement, 0.01 * np.arange(39), atol=4 * EPS)
     assert any("resampled" in notice for notice in last.notices)
+
+
+@pytest.mark.parametrize(
+    ("steps", "common"), [((0.01, 0.02), 0.01), ((0.001, 0.004), 0.001), ((4.0, 2.0), 2.0)]
+)
+def test_two_rates_meet_on_one_of_them(steps, common):
+    records = [a_test(name, step_s=step) for name, step in zip("ab", steps, strict=True)]
+    assert Campaign.of(records).step_s == common
 
 
 def test_a_rate_the_stamps_cannot_tell_from_the_common_one_is_adopted_as_it_is():

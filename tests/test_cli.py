@@ -17,6 +17,7 @@ import handmade
 from hitchid import cli
 from hitchid.model import save
 from hitchid.readers import read
+from hitchid.storage import MANIFEST_FILE
 
 COMMANDS = [command.callback.__name__ for command in cli.app.registered_commands]
 QUICK = """
@@ -471,8 +472,8 @@ def test_run_answers_every_line_with_one(tmp_path):
         '{"time_s": 0.02, "lifting_command": 0.5, "lowering_command": 0.0, "displacement": 100.1}',
     ]
     result = hitchid("run", tmp_path / "model", heard="\n".join([*lines, ""]))
-    assert (result.code, result.err) == (0, "")
-    first, odd, last = (json.loads(line) for line in result.out.splitlines())
+    assert (result.code, result.err) == (0, "ready\n")
+    first, odd, blank, last = (json.loads(line) for line in result.out.splitlines())
     # A gain of 30 mm/(s A) moves the piston by 0.045 mm a sample at 0.15 A beyond the dead zone.
     assert first == {
         "time_s": 0.01,
@@ -482,6 +483,7 @@ def test_run_answers_every_line_with_one(tmp_path):
     }
     assert "not understood: the line is no JSON" in odd["flags"]
     assert odd["displacement"] == pytest.approx(100.09, rel=1e-12)
+    assert blank["flags"] == odd["flags"]
     assert (last["displacement"], last["flags"]) == (pytest.approx(100.145, rel=1e-12), [])
 
 
@@ -599,7 +601,8 @@ def test_validate_shows_a_summary_or_prints_the_metrics_it_writes(validated, met
 
 def test_validate_writes_a_report_with_its_figures(validated):
     out = validated[2]
-    assert {path.name for path in out.iterdir()} == {"metrics.json", "tables.md", "report.html", "figures"}
+    written = {"metrics.json", "tables.md", "report.html", "figures", MANIFEST_FILE}
+    assert {path.name for path in out.iterdir()} == written
     page = (out / "report.html").read_text()
     assert page.startswith("<!doctype html>")
     assert "hitchid validate" in page
@@ -665,6 +668,7 @@ def test_two_models_are_compared_on_tests_neither_has_seen(tests_with_a_cycle, m
         "tables.md",
         "report.html",
         "figures",
+        MANIFEST_FILE,
     }
     assert all(f"{part}, RMSE / mm" in shown.out for part in ("lifting", "lowering", "cycles"))
     assert max(map(len, shown.out.splitlines())) <= 80
@@ -752,7 +756,8 @@ def test_identify_writes_a_model_and_prints_what_it_found(bench_folder, tmp_path
     arguments = ("identify", bench_folder, "--out", out, "--config", tmp_path / "quick.toml", "--seed", "3")
     shown = hitchid(*arguments)
     assert shown.code == 0
-    assert {path.name for path in out.iterdir()} == {"model.json", "weights.safetensors", "trace.json"}
+    written = {"model.json", "weights.safetensors", "trace.json", MANIFEST_FILE}
+    assert {path.name for path in out.iterdir()} == written
     assert all(word in shown.out for word in ("lifting", "lowering", "dead zone", "mm/(s·A)"))
     assert max(map(len, shown.out.splitlines())) <= 80
     assert "lowering: phase 2" in shown.err

@@ -3,6 +3,8 @@
 import json
 import math
 
+import jax
+import jax.monitoring
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,7 +13,7 @@ from hypothesis import strategies as st
 import handmade
 from handmade import DEAD_ZONES, GAINS, STEP_S
 from hitchid.errors import InputError
-from hitchid.live import KNOWN, LONGEST_GAP, Live
+from hitchid.live import KNOWN, LONGEST_GAP, SET_BACK, Live
 from hitchid.record import LIFTING
 from truth import levels
 
@@ -109,6 +111,74 @@ def test_samples_that_come_late_are_made_up_for(missed):
     assert expected.flags == ()
 
 
+@settings(max_examples=20, deadline=None)
+@given(st.lists(st.floats(-1.4, 1.4), min_size=2, max_size=30), st.sampled_from([0.004, STEP_S, 0.017]))
+def test_every_sample_of_a_jittered_clock_counts_for_the_time_it_is_nearest_to(jitter, every_s):
+    live, stamps = Live(MODEL), np.sort(every_s * (np.arange(len(jitter)) + np.array(jitter)))
+    stamps = np.concatenate([stamps[:1], stamps[1:][np.diff(stamps) > 0]])
+    for stamp in stamps:
+        answer = live.hear(sample(float(stamp), LIFT, 0.0, START if stamp == stamps[0] else None))
+        assert not said(answer, "out of order")
+        assert abs(answer.time_s - stamp - STEP_S) <= 0.5 * STEP_S + 1e-8
+    steps = round((answer.time_s - stamps[0]) / STEP_S)
+    alone = Live(MODEL)
+    alone.hear(full(0.0))
+    for _ in range(steps - 1):
+        expected = alone.hear(sample(lifting=LIFT, lowering=0.0)).displacement
+    assert steps == 1 or answer.displacement == pytest.approx(expected, rel=1e-12)
+
+
+def test_of_two_samples_for_one_time_the_later_counts():
+    live, told = Live(MODEL), Live(MODEL)
+    for each in (live, told):
+        each.hear(full(0.0))
+    live.hear(sample(0.006, LIFT, 0.0, 102.0))
+    answer = live.hear(sample(0.014, 0.0, LIFT))
+    assert said(answer, "early: 0.014 s takes the place of 0.006 s")
+    expected = told.hear(sample(0.01, 0.0, LIFT, 102.0))
+    assert (answer.displacement, answer.mode) == (expected.displacement, expected.mode)
+
+
+def test_lines_without_a_time_do_not_use_up_the_time_of_samples():
+    live, told = Live(MODEL), Live(MODEL)
+    for k in range(20):
+        live.hear("")
+        live.hear("nonsense")
+        answer, expected = live.hear(full(STEP_S * k)), told.hear(full(STEP_S * k))
+        if k:
+            assert answer == expected
+
+
+def test_what_leaves_the_tests_is_told():
+    covered = handmade.envelope(command=(0.05, 0.4), displacement=(50.0, 150.0))
+    live = Live(handmade.hitch("integrator", covered=covered))
+    assert live.hear(full(0.0)).flags == ()
+    zone = DEAD_ZONES[LIFTING]
+    assert live.hear(full(0.01, lifting=zone + 0.39, displacement=149.0)).flags == ()
+    for lifting, displacement in ((zone + 0.41, 100.0), (zone + 0.04, 100.0)):
+        (flag,) = live.hear(full(None, lifting=lifting, displacement=displacement)).flags
+        assert flag == (
+            f"outside: lifting_command {lifting:g}; the tests covered 0.05 to 0.4 A beyond the dead zone"
+        )
+    (flag,) = live.hear(full(None, displacement=151.0)).flags
+    assert flag.startswith("outside: displacement 151; the tests covered 50 to 150 mm")
+
+
+def test_everything_is_compiled_before_the_first_sample():
+    compiled = []
+    jax.monitoring.register_event_duration_secs_listener(
+        lambda name, *_, **__: compiled.append(name) if "compile" in name or "trace" in name else None
+    )
+    try:
+        live = Live(handmade.hitch("integrator-first-order", compensated=True, free_run=True))
+        assert compiled
+        compiled.clear()
+        live.hear(full(0.0))
+        assert compiled == []
+    finally:
+        jax.monitoring.clear_event_listeners()
+
+
 @pytest.mark.parametrize("early", [0.02, 0.0, -50.0])
 def test_a_sample_out_of_order_is_not_taken_in(early):
     live, other = Live(MODEL), Live(MODEL)
@@ -122,7 +192,7 @@ def test_a_sample_out_of_order_is_not_taken_in(early):
     assert live.hear(full(0.03)) == other.hear(full(0.03))
 
 
-@pytest.mark.parametrize("early", [-STEP_S * (LONGEST_GAP + 2), -1e300])
+@pytest.mark.parametrize("early", [-STEP_S * (SET_BACK + 2), -1e300])
 def test_a_clock_set_far_back_starts_anew(early):
     live = Live(MODEL)
     for k in range(3):

@@ -60,3 +60,32 @@ def test_ramps_and_dynamic_tests_agree_on_the_dead_zone_of_rig_a(data):
     assert tests.spread is not None
     # Three standard errors of their difference: two estimates of one number by different experiments.
     assert abs(ramps.value - tests.value) <= 3 * np.hypot(ramps.spread, tests.spread)
+
+
+@pytest.mark.parametrize("name", ["raise-060-light", "lower-060-heavy"])
+def test_an_export_of_controldesk_gives_the_signals_that_were_made_of_it(data, name):
+    (raw,) = read(data("dspace-raw") / f"{name}.csv.gz").records
+    (made,) = read(data("excavator-boom") / f"{name}.csv.gz").records
+    assert (len(raw), raw.step_s, raw.kind) == (len(made), made.step_s, made.kind)
+    # Written with four decimals, the pressure with three: half of the last one, and its own rounding.
+    for role, decimals in (("displacement", 4), ("lifting_command", 4), ("lowering_command", 4)):
+        np.testing.assert_allclose(raw.signals[role], made.signals[role], rtol=0, atol=0.5001 * 10**-decimals)
+    pressure = raw.signals["Boom_UpH_Cyl_P"]
+    np.testing.assert_allclose(pressure, made.signals["head_pressure"], rtol=0, atol=0.5001e-3)
+
+
+def test_logs_as_recorded_are_read_on_their_clock_with_their_zero_and_scale(data):
+    field = read(data("field-excavator"))
+    assert field.step_s == 0.053
+    assert {record.name.partition("@")[0] for record in field.records} == {f"field-0{k}" for k in range(1, 7)}
+    for record in field.records:
+        assert np.mean(np.abs(record.command("lifting")) + np.abs(record.command("lowering")) < 0.01) > 0.2
+        assert record.command("lifting").max() < 2.6
+        assert record.clock.jitter > 0.2
+    actuator = read(data("electro-hydraulic-actuator"))
+    assert actuator.step_s == 0.001
+    for record in actuator.records:
+        assert record.units["lifting_command"] == "rpm"
+        counts = record.displacement / 0.025
+        np.testing.assert_allclose(counts, np.round(counts), atol=1e-6)
+        assert 24 < np.ptp(record.displacement) < 51

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from hitchid.errors import InputError, SettingsError
+from hitchid.grid import KEPT_DEVIATION
 from hitchid.record import Record, resampled
 
 EPS = np.finfo(np.float64).eps
@@ -31,7 +32,7 @@ def fresh(**changes):
         ({"signals": {"displacement": np.ones(5)}}, ["command", "none"]),
         ({"step_s": 0.0}, ["sampling time", "0.0 s"]),
         ({"step_s": -0.01}, ["sampling time", "-0.01 s"]),
-        ({"step_s": float("nan")}, ["sampling time", "nan s"]),
+        ({"step_s": float("nan")}, ["sampling time", "nan"]),
         (
             {"signals": {"displacement": np.ones(5), "lifting_command": np.ones(4)}},
             ["'lifting_command'", "(4,)", "(5,)"],
@@ -163,6 +164,23 @@ def test_resampling_keeps_a_straight_line(offset, slope, had, count):
     # by at most the interval's own length again.
     size = np.abs(offset) + np.abs(slope) * had_s[-1]
     np.testing.assert_allclose(taken, offset + slope * wanted_s, rtol=0, atol=16 * EPS * size)
+
+
+@given(
+    had=st.lists(st.floats(0.001, 0.1), min_size=1, max_size=50),
+    wanted=st.lists(st.floats(-0.1, 5.5), min_size=1, max_size=50),
+)
+def test_a_command_is_in_force_from_its_stamp_on(had, wanted):
+    had_s, wanted_s = np.cumsum([0.0, *had]), np.sort(wanted)
+    slack = KEPT_DEVIATION * np.median(np.diff(had_s))
+    taken = resampled({"lifting_command": had_s}, had_s, wanted_s)["lifting_command"]
+    assert np.all(np.diff(taken) >= 0)
+    for at, stamp in zip(wanted_s, taken, strict=True):
+        # The command's value is its own stamp: that of the last one at or before the instant.
+        assert stamp >= had_s[had_s <= at].max(initial=0.0)
+        assert stamp <= max(0.0, at + slack)
+    same = resampled({"lifting_command": had_s}, had_s, had_s * (1 - 1e-12))
+    assert np.all(same["lifting_command"] >= had_s)  # no stamp is missed by rounding
 
 
 @given(arrays(np.float64, 30, elements=lengths), st.floats(0.001, 0.1))

@@ -33,7 +33,7 @@ def test_the_file_of_the_contract_is_understood(tmp_path):
     assert file.signals.lifting_command == Column(column="duty_up_percent", unit="percent")
     assert file.signals.lowering_command == Column(column="duty_down_percent", unit="percent")
     assert file.signals.displacement == Column(column="angle_deg", unit="deg")
-    assert file.signals.covariates == ("head_pressure",)
+    assert file.signals.covariates == (Column.model_validate({"column": "head_pressure"}),)
     assert file.split is not None
     assert file.split.test == ("*-050-*", "*-090-*")
     assert file.tests == {"warm-up-*": "cycle"}
@@ -102,3 +102,25 @@ def test_a_file_that_is_not_there_is_named(tmp_path):
         with pytest.raises(SettingsError, match="cannot be read") as caught:
             read_campaign_file(path)
         assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize("command", ["rpm", "1/min", "Hz", "l/min", "bar", "m3/s", "percent"])
+def test_a_column_may_have_zero_and_scale_and_covariates_may_be_tables(tmp_path, command):
+    signals = parse(
+        tmp_path,
+        f"""
+        [signals]
+        command = {{ column = "Boom Cmd", unit = "{command}", zero = 7.4745, scale = -1 }}
+        covariates = ["oil", {{ column = "T", unit = "degC", zero = 273.15, scale = 1 }}]
+        """,
+    ).signals
+    assert signals.command == Column(column="Boom Cmd", unit=command, zero=7.4745, scale=-1.0)
+    assert [each.column for each in signals.covariates] == ["oil", "T"]
+    assert signals.covariates[1].unit == "degC"
+
+
+@pytest.mark.parametrize("given", ["scale = 0", "scale = nan", "scale = inf", "zero = nan", 'zero = "x"'])
+def test_zero_and_scale_are_numbers_with_an_inverse(tmp_path, given):
+    key = given.split(" ")[0]
+    with pytest.raises(SettingsError, match=rf"key 'signals\.command\.{key}'"):
+        parse(tmp_path, f'[signals]\ncommand = {{ column = "u", unit = "V", {given} }}')

@@ -14,7 +14,16 @@ from hypothesis import strategies as st
 
 import benches
 from hitchid.errors import OutputError
-from hitchid.storage import canonical_json, check_file, check_folder, digest, write_file, write_folder
+from hitchid.storage import (
+    MANIFEST_FILE,
+    canonical_json,
+    check_file,
+    check_folder,
+    check_inputs,
+    digest,
+    write_file,
+    write_folder,
+)
 
 characters = st.text(st.characters(codec="utf-8"))
 numbers = st.floats(allow_nan=False, allow_infinity=False) | st.integers()
@@ -74,19 +83,94 @@ def test_a_folder_appears_with_what_was_written(tmp_path, before):
         folder.mkdir()
     write_folder(folder, fill("new"), mark="mark.json", force=False)
     assert (folder / "mark.json").read_text() == "new"
-    assert left_in(folder.parent) == [folder.name, f"{folder.name}/mark.json"]
+    assert left_in(folder.parent) == [
+        folder.name,
+        f"{folder.name}/{MANIFEST_FILE}",
+        f"{folder.name}/mark.json",
+    ]
 
 
 def test_a_folder_that_is_there_is_replaced_whole_and_only_by_force(tmp_path):
     folder = tmp_path / "a"
     write_folder(folder, fill("old"), mark="mark.json", force=False)
-    (folder / "more").write_text("old")
     with pytest.raises(OutputError, match=r"a: exists already.*--force"):
         write_folder(folder, fill("new"), mark="mark.json", force=False)
     assert (folder / "mark.json").read_text() == "old"
     write_folder(folder, fill("new"), mark="mark.json", force=True)
-    assert left_in(tmp_path) == ["a", "a/mark.json"]
+    assert left_in(tmp_path) == ["a", f"a/{MANIFEST_FILE}", "a/mark.json"]
     assert (folder / "mark.json").read_text() == "new"
+
+
+def no_manifest(folder):
+    (folder / MANIFEST_FILE).unlink()
+
+
+@pytest.mark.parametrize(
+    ("touch", "said"),
+    [
+        (lambda folder: (folder / "deep" / "my.csv").write_text("mine"), r"1 file .*: deep/my\.csv;"),
+        (lambda folder: (folder / "mark.json").write_text("edited"), r"1 file .*: mark\.json;"),
+        (lambda folder: (folder / "link").symlink_to(folder / "mark.json"), r"1 file .*: link;"),
+        (lambda folder: [(folder / f"{n}").touch() for n in range(5)], r"5 files .*: 0, 1, 2 and 2 more;"),
+        (no_manifest, rf"holds no \{MANIFEST_FILE}"),
+        (lambda folder: (folder / MANIFEST_FILE).write_text("[]"), rf"holds no \{MANIFEST_FILE}"),
+    ],
+    ids=["added", "edited", "linked", "many", "of no version that lists its files", "manifest damaged"],
+)
+def test_force_replaces_nothing_that_was_added_or_changed(tmp_path, touch, said):
+    folder = tmp_path / "a"
+    write_folder(folder, fill("old"), mark="mark.json", force=False)
+    (folder / "deep").mkdir()
+    touch(folder)
+    before = left_in(folder)
+    with pytest.raises(OutputError, match=said):
+        write_folder(folder, fill("new"), mark="mark.json", force=True)
+    assert left_in(folder) == before
+    assert (folder / "mark.json").read_text() != "new"
+
+
+def test_force_replaces_no_result_of_another_kind_though_it_holds_such_a_file(tmp_path):
+    folder = tmp_path / "study"
+    write_folder(folder, fill("old"), mark="study.md", force=False)
+    with pytest.raises(OutputError, match=r"study\.md, not with mark\.json"):
+        write_folder(folder, fill("new"), mark="mark.json", force=True)
+
+
+def test_what_is_put_there_during_the_work_stays(tmp_path):
+    folder = tmp_path / "a"
+    write_folder(folder, fill("old"), mark="mark.json", force=False)
+
+    def slow(place):
+        (place / "mark.json").write_text("new")
+        (folder / "notes.txt").write_text("mine")
+
+    with pytest.raises(OutputError, match=r"notes\.txt"):
+        write_folder(folder, slow, mark="mark.json", force=True)
+    assert left_in(tmp_path) == ["a", f"a/{MANIFEST_FILE}", "a/mark.json", "a/notes.txt"]
+
+
+def test_what_a_link_points_to_is_replaced_and_the_link_stays(tmp_path):
+    write_folder(tmp_path / "a", fill("old"), mark="mark.json", force=False)
+    (tmp_path / "link").symlink_to(tmp_path / "a")
+    write_folder(tmp_path / "link", fill("new"), mark="mark.json", force=True)
+    assert (tmp_path / "link").is_symlink()
+    assert (tmp_path / "a" / "mark.json").read_text() == "new"
+
+
+def test_an_input_is_never_an_output(tmp_path):
+    logs = tmp_path / "real" / "logs"
+    logs.mkdir(parents=True)
+    log, link = logs / "1.csv", tmp_path / "link.csv"
+    log.touch()
+    link.symlink_to(log)
+    (logs / "out.csv").touch()
+    for out, source in [(log, log), (link, log), (log, link), (logs, log), (tmp_path, link), (logs, logs)]:
+        with pytest.raises(OutputError, match=f"{source.name} is read from there"):
+            check_inputs(out, [None, source])
+    with pytest.raises(OutputError, match=r"out\.csv: lies in .*logs, which is read"):
+        check_inputs(logs / "out.csv", [logs])
+    check_inputs(logs / "out.csv", [log])
+    check_inputs(logs / "model", [logs, log])
 
 
 @pytest.mark.parametrize("foreign", ["a folder", "a file"])
@@ -94,7 +178,7 @@ def test_force_replaces_nothing_of_another_kind(tmp_path, foreign):
     precious = tmp_path / "a" / "precious" if foreign == "a folder" else tmp_path / "a"
     precious.parent.mkdir(exist_ok=True)
     precious.write_text("mine")
-    with pytest.raises(OutputError, match=r"holds no mark.json.*another place"):
+    with pytest.raises(OutputError, match=r"holds no .hitchid.json.*another place"):
         write_folder(tmp_path / "a", fill("new"), mark="mark.json", force=True)
     assert precious.read_text() == "mine"
 
@@ -207,8 +291,7 @@ structure = "integrator"
 @pytest.mark.skipif(os.name == "nt", reason="there are no such limits")
 def test_a_file_that_cannot_grow_is_told_and_leaves_all_as_it_was(tmp_path):
     place = tmp_path / "place"
-    (place / "folder").mkdir(parents=True)
-    (place / "folder" / "mark").write_text("old")
+    write_folder(place / "folder", lambda beside: (beside / "mark").touch(), mark="mark", force=False)
     (place / "file").write_text("old")
     before = {path: path.read_bytes() for path in place.rglob("*") if path.is_file()}
     command = [sys.executable, "-c", WRITE_TOO_MUCH, str(place)]
@@ -217,7 +300,7 @@ def test_a_file_that_cannot_grow_is_told_and_leaves_all_as_it_was(tmp_path):
     assert of_file.startswith(f"{place / 'file'}: cannot be written: ")
     assert of_folder.startswith(f"{place / 'folder'}: cannot be written: ")
     assert {path: path.read_bytes() for path in place.rglob("*") if path.is_file()} == before
-    assert left_in(place) == ["file", "folder", "folder/mark"]
+    assert left_in(place) == ["file", "folder", f"folder/{MANIFEST_FILE}", "folder/mark"]
 
 
 @pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="permissions do not bind root")
@@ -289,7 +372,7 @@ def test_a_full_disk_is_told_and_the_run_goes_on_once_there_is_room(mounted):
     assert "run.json" in kept
     assert len(kept) > 2
     assert out[:2] == ["exit 2", "model.unfinished"]
-    assert out[2:] == ["exit 0", "model", "model.json", "trace.json", "weights.safetensors"]
+    assert out[2:] == ["exit 0", "model", MANIFEST_FILE, "model.json", "trace.json", "weights.safetensors"]
 
 
 def test_a_disk_that_is_read_only_is_told_in_one_line(mounted):

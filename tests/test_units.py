@@ -113,7 +113,7 @@ def test_every_spelling_means_a_unit_there_is(spelling):
     assert SPELLINGS[spelling] in UNITS
 
 
-@pytest.mark.parametrize("spelling", ["", "S", "MM", "kN", "degC", "l/min", "furlong"])
+@pytest.mark.parametrize("spelling", ["", "S", "MM", "kNm", "degF", "l/h", "furlong"])
 def test_a_unit_that_is_not_known_is_none(spelling):
     assert known_unit(spelling) is None
 

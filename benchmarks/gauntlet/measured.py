@@ -20,7 +20,7 @@ DATA = Path(os.environ.get("HITCHID_DATA", Path(__file__).parents[3] / "shared" 
 PAUSE_S = 60.0
 MILLIMETRES = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 # Half of the last digit that excavator-boom states of angle, duty and pressure.
-ROUNDING = {DISPLACEMENT: 0.5e-4, "command": 0.5, "covariate": 0.5e-3}
+ROUNDING = {DISPLACEMENT: 0.5e-4, "command": 0.5e-4, "covariate": 0.5e-3}
 UNSEEN = {"field-excavator": ("field-05", "field-06"), "electro-hydraulic-actuator": ("load3-",)}
 EMPS = """[signals]
 time = { column = "t", unit = "s" }

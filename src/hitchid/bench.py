@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Literal
+from typing import Literal, get_args
 
 import jax
 import numpy as np
 
-from hitchid import excitation
+from hitchid import checks, excitation
 from hitchid.abreast import abreast
 from hitchid.identification.deadzone import from_ramps
 from hitchid.readers import write_table
@@ -83,6 +83,11 @@ def run(
         modes: directions to excite; cycles excite both.
         seed: every random draw comes from it.
     """
+    for protocol, count in checks.keyed(tests, get_args(Protocol), "tests").items():
+        checks.whole(count, f"tests, {protocol}", least=1)
+    for mode in checks.several(modes, str, "modes", "directions"):
+        checks.chosen(mode, MODES, "direction")
+    checks.whole(seed, "seed")
     excited = MODES if "cycle" in tests else modes
     ramps = {mode: _ramps(rig, mode, tests.get("ramp", REPEATS), seed) for mode in excited}
     static = {mode: _static(logs, mode) for mode, logs in ramps.items()}
@@ -120,7 +125,10 @@ def write_campaign(
         OutputError: the folder exists and `force` is not given, or it cannot be written.
         SettingsError: the rig's parameters cannot be used.
     """
-    logs = run(load_rig(rig), tests, modes, seed=seed)
+    place = checks.path(out, "out")
+    logs = run(
+        load_rig(checks.instance(rig, (str, Path), "rig", "a name or a path")), tests, modes, seed=seed
+    )
 
     def fill(place: Path) -> None:
         (place / TRUTH).mkdir()
@@ -130,7 +138,7 @@ def write_campaign(
             write_table(place / TRUTH / f"{log.name}.{suffix}", truth)
         (place / "campaign.toml").write_text(COLUMNS, encoding="utf-8")
 
-    write_folder(Path(out), fill, mark="campaign.toml", force=force)
+    write_folder(place, fill, mark="campaign.toml", force=force)
 
 
 def _ramps(rig: Rig, mode: str, repeats: int, seed: int) -> list[Log]:

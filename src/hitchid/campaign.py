@@ -6,9 +6,11 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from glob import escape
+from statistics import median_low
 
 import numpy as np
 
+from hitchid import checks
 from hitchid.errors import InputError, LogError
 from hitchid.modes import detect_kind, full_scales, ramp_mode, strokes
 from hitchid.record import COMMAND, CYCLE, DISPLACEMENT, IDLE, KINDS, MODES, RAMP, Record
@@ -51,8 +53,14 @@ class Campaign:
             InputError: no records, equal names, unlike commands, or a pattern that matches no test.
             LogError: a record's displacement never changes although its command does.
         """
+        records = checks.several(records, Record, "records", "records, each a hitchid.Record")
+        if test_patterns is not None:
+            test_patterns = checks.several(test_patterns, str, "test_patterns", "patterns on names")
+        checks.instance(kinds or {}, Mapping, "kinds", "pattern on names to kind")
         if not records:
             raise InputError("a campaign needs at least one record, none came")
+        if empty := [record.name for record in records if not len(record)]:
+            raise InputError(f"record '{empty[0]}' holds no samples; required at least one")
         names = [record.name for record in records]
         for name in names:
             if names.count(name) > 1:
@@ -153,6 +161,8 @@ class Campaign:
         Strokes of a held-out cycle are held out; where no whole cycle is, the last 20 % of each mode's
         strokes are.
         """
+        zones = checks.keyed(dead_zones, MODES, "dead_zones")
+        dead_zones = {mode: checks.number(zone, f"dead_zones, {mode}") for mode, zone in zones.items()}
         cut = []
         for record in self.records:
             if record.kind != CYCLE:
@@ -172,7 +182,8 @@ def _natural(name: str) -> list[tuple[int, str]]:
 
 
 def _common_step(records: Sequence[Record]) -> float:
-    return float(f"{np.median([record.step_s for record in records]):.4g}")
+    """Return the step of a middle record: one that logs have, where the mean of two would fit neither."""
+    return float(f"{median_low(record.step_s for record in records):.4g}")
 
 
 def _on_clock(record: Record, step_s: float) -> Record:

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.stats import qmc
 
+from hitchid import checks
 from hitchid.benchmark import DEAD_TIME, SHAPE, Batch, Benchmark, padded_length
 from hitchid.errors import InputError
 from hitchid.excitation import prbs, precompensated
@@ -117,6 +118,12 @@ def design(
     Raises:
         InputError: the model knows nothing of a direction or parameter, or no test stays within the limits.
     """
+    checks.instance(model, Hitch, "model", "a model as hitchid.load returns it")
+    checks.instance(limits, Limits, "limits", "Limits")
+    for name, value in vars(limits).items():
+        if value is not None:
+            checks.number(value, f"limits, {name}")
+    checks.whole(seed, "seed")
     mode, parameter, information = _chosen(model, mode, parameter)
     channel, number = model.channels[mode], information.names.index(parameter)
     now, usual = information.widths(), information.widths_with_another()

@@ -1,6 +1,6 @@
 """From the time stamps of a logger to a uniform grid: kept, resampled, or split at gaps."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -10,20 +10,43 @@ from hitchid.errors import LogError
 
 LineOf = Callable[[int], int | None]
 KEPT_DEVIATION = 0.02
-LARGEST_JITTER = 0.20
 GAP = 1.5
 SHORTEST_STEP_S = 1e-9
+# A hydraulic axis takes a fifth of a second to change its speed; two samples may get lost on any clock.
+SHORT_GAP_S, SHORT_GAP_STEPS = 0.2, 3
+# Beyond, an interpolated stretch would stand for an experiment of its own.
+LONGEST_BRIDGE_S, LONGEST_BRIDGE_STEPS = 1.0, 10
+SAME_COMMAND, SAME_MOTION, SPEED_ROWS = 0.1, 0.05, 5
+
+
+@dataclass(frozen=True)
+class ClockQuality:
+    """How even a record's clock was in its log; all zero where the stamps lie on a uniform grid.
+
+    Attributes:
+        jitter: largest deviation of an interval without lost samples, as a fraction of the sampling time.
+        longest_gap_s: longest interval that was bridged, s; 0 where no sample was lost.
+        interpolated_share: share of samples further from any stamp than 2 % of the sampling time.
+    """
+
+    jitter: float = 0.0
+    longest_gap_s: float = 0.0
+    interpolated_share: float = 0.0
+
+
+EVEN = ClockQuality()
 
 
 @dataclass(frozen=True)
 class Section:
-    """Rows `start:stop` of a log that lie on one clock.
+    """Rows `start:stop` of a log that become one record.
 
     Attributes:
         start, stop: row range.
         step_s: sampling time of the uniform grid, s.
         resampled: whether the rows must be interpolated onto the grid.
         notice: what was found and done, empty where the clock was regular.
+        clock: the same in numbers.
     """
 
     start: int
@@ -31,14 +54,11 @@ class Section:
     step_s: float
     resampled: bool
     notice: str
+    clock: ClockQuality = EVEN
 
 
-def sections(time_s: np.ndarray, source: object, *, column: str, line_of: LineOf) -> list[Section]:
-    """Cut a time column into stretches with a uniform clock.
-
-    An interval beyond 1.5 times the median is a gap and splits the log; a stretch whose stamps stay within
-    2 % of a sampling time of the uniform grid is kept as it is; one whose intervals jitter by less than
-    20 % is to be resampled.
+def first_of_each_stamp(time_s: np.ndarray, source: object, *, column: str, line_of: LineOf) -> np.ndarray:
+    """Return the rows whose time is not that of the row before, indices of shape [M].
 
     Args:
         time_s: time stamps, s, shape [N].
@@ -47,67 +67,144 @@ def sections(time_s: np.ndarray, source: object, *, column: str, line_of: LineOf
         line_of: from a row to its line in the file, None where the format has no lines.
 
     Raises:
-        LogError: time does not increase, jitters by 20 % of the sampling time or more, or has steps that no
-            logger has.
+        LogError: time is not finite, runs backwards, stands still, or has steps that no logger has.
     """
-
+    bad = np.flatnonzero(~np.isfinite(time_s))
+    if bad.size:
+        problem = f"required finite time stamps, came {time_s[bad[0]]}"
+        raise LogError(source, problem, line=line_of(int(bad[0])), column=column)
     intervals = np.diff(time_s)
-    if intervals.size == 0:
-        return []
-    backward = np.flatnonzero(intervals <= 0)
+    backward = np.flatnonzero(intervals < 0)
     if backward.size:
         row = int(backward[0]) + 1
         raise LogError(
             source,
-            f"time must increase from sample to sample; {time_s[row]:g} s came after {time_s[row - 1]:g} s",
+            f"time must not run backwards; {time_s[row]:g} s came after {time_s[row - 1]:g} s",
             line=line_of(row),
             column=column,
         )
-    median = float(np.median(intervals))
-    if not SHORTEST_STEP_S <= median <= np.max(intervals) < np.inf:
-        raise LogError(
-            source,
-            f"the sampling time is {median:g} s, the longest interval {np.max(intervals):g} s; "
-            f"required {SHORTEST_STEP_S:g} s or more, and no interval without end",
-            column=column,
+    if intervals.size and not np.any(intervals):
+        problem = f"all {time_s.size} time stamps are {time_s[0]:g} s; required a time that increases"
+        raise LogError(source, problem, line=line_of(1), column=column)
+    rows = np.concatenate([[0], np.flatnonzero(intervals) + 1]) if time_s.size else np.arange(0)
+    median = float(np.median(intervals[intervals > 0])) if intervals.size else SHORTEST_STEP_S
+    longest = float(np.max(intervals, initial=median))
+    if not SHORTEST_STEP_S <= median <= longest < np.inf:
+        problem = (
+            f"the sampling time is {median:g} s, the longest interval {longest:g} s; "
+            f"required {SHORTEST_STEP_S:g} s or more, and no interval without end"
         )
-    cuts = np.flatnonzero(intervals > GAP * median) + 1
-    edges = [0, *(int(cut) for cut in cuts), time_s.size]
+        raise LogError(source, problem, column=column)
+    return rows
+
+
+def sections(time_s: np.ndarray, commands: Mapping[str, np.ndarray], position: np.ndarray) -> list[Section]:
+    """Cut a time column into stretches that each become one record on a uniform grid.
+
+    The sampling time is the median interval. Stamps within 2 % of a uniform grid are kept; any others are to
+    be resampled. An interval beyond 1.5 sampling times is a gap. It is bridged where it lasts 0.2 s or three
+    sampling times at most; and up to 1 s or ten where no command changes over it by more than a tenth of its
+    range, and the speeds before and after meet the displacement within 5 % of its range. Any other gap
+    splits the log.
+
+    Args:
+        time_s: increasing time stamps, s, shape [N].
+        commands: role to command, each of shape [N].
+        position: measured displacement, shape [N].
+    """
+    intervals = np.diff(time_s)
+    if intervals.size == 0:
+        return []
+    median = float(np.median(intervals))
+    short = max(SHORT_GAP_S, (SHORT_GAP_STEPS + KEPT_DEVIATION) * median)
+    longest = max(LONGEST_BRIDGE_S, (LONGEST_BRIDGE_STEPS + KEPT_DEVIATION) * median)
+    gaps = np.flatnonzero(intervals > max(short, GAP * median))
+    quiet = _Quiet(time_s, commands, position)
+    cuts = [int(gap) + 1 for gap in gaps if intervals[gap] > longest or not quiet.across(int(gap))]
     found = []
-    for start, stop in pairwise(edges):
+    for start, stop in pairwise([0, *cuts, time_s.size]):
         if stop - start < 2:
             continue
         notice = ""
         if start > 0:
             gap = time_s[start] - time_s[start - 1]
             notice = f"split at {time_s[start]:g} s: a gap of {gap:.3g} s, {gap / median:.1f} sampling times"
-        found.append(_section(time_s, start, stop, notice, source, column, line_of(start)))
+        found.append(_section(time_s, start, stop, notice, median))
     return found
 
 
-def _section(
-    time_s: np.ndarray, start: int, stop: int, notice: str, source: object, column: str, line: int | None
-) -> Section:
+class _Quiet:
+    """Whether a log says what happened in a gap: no command changed, and the axis stood or kept its speed."""
+
+    def __init__(self, time_s: np.ndarray, commands: Mapping[str, np.ndarray], position: np.ndarray) -> None:
+        self.time_s, self.position = time_s, position
+        self.commands = [(command, SAME_COMMAND * np.ptp(command)) for command in commands.values()]
+        self.tolerance = SAME_MOTION * np.ptp(position)
+
+    def across(self, row: int) -> bool:
+        """Tell it of the gap behind a row."""
+        if any(abs(command[row + 1] - command[row]) > tolerance for command, tolerance in self.commands):
+            return False
+        last = self.time_s.size - 1
+        before, after = max(0, row - SPEED_ROWS), min(last, row + 1 + SPEED_ROWS)
+        if before == row or after == row + 1:
+            return False
+        moved = self.position[row + 1] - self.position[row]
+        gap_s = self.time_s[row + 1] - self.time_s[row]
+        speeds = (self._speed(before, row), self._speed(row + 1, after))
+        return all(abs(moved - speed * gap_s) <= self.tolerance for speed in speeds)
+
+    def _speed(self, first: int, last: int) -> float:
+        gone = self.position[last] - self.position[first]
+        return float(gone / (self.time_s[last] - self.time_s[first]))
+
+
+def uniform(stamps: np.ndarray, step_s: float) -> np.ndarray:
+    """Return the instants of a uniform grid from the first stamp to the last, s, shape [M]."""
+    count = int((stamps[-1] - stamps[0]) / step_s * (1 + 1e-12) + 1e-6) + 1
+    return stamps[0] + step_s * np.arange(count)
+
+
+def _section(time_s: np.ndarray, start: int, stop: int, notice: str, median: float) -> Section:
     stamps = time_s[start:stop]
-    step = _nominal_step(stamps)
-    deviation = np.max(np.abs(stamps - stamps[0] - step * np.arange(stamps.size))) / step
-    if deviation <= KEPT_DEVIATION:
+    intervals = np.diff(stamps)
+    places = np.concatenate([[0], np.cumsum(np.maximum(1, np.rint(intervals / median)))])
+    step = _nominal_step(stamps, int(places[-1]))
+    deviation = np.max(np.abs(stamps - stamps[0] - step * places)) / step
+    if deviation <= KEPT_DEVIATION and places[-1] == stamps.size - 1:
         return Section(start, stop, step, resampled=False, notice=notice)
-    jitter = float(np.max(np.abs(np.diff(stamps) - step))) / step
-    if jitter >= LARGEST_JITTER:
-        raise LogError(
-            source,
-            f"the clock jitters by {jitter:.0%} of its sampling time of {step:.4g} s; required below 20 %",
-            line=line,
-            column=column,
-        )
-    said = f"resampled: the clock jitters by {jitter:.1%} of {step:.4g} s"
-    return Section(start, stop, step, resampled=True, notice="; ".join(filter(None, [notice, said])))
+    # Between stamps that lie on no grid, a step of two digits is as good, and the same for like logs.
+    step = step if deviation <= KEPT_DEVIATION else float(f"{median:.2g}")
+    clock = _quality(stamps, step, median)
+    said = (
+        f"resampled: the clock jitters by {clock.jitter:.1%} of {step:.4g} s"
+        f"{_gap_said(clock)}; {clock.interpolated_share:.1%} of the samples are interpolated"
+    )
+    notice = "; ".join(filter(None, [notice, said]))
+    return Section(start, stop, step, resampled=True, notice=notice, clock=clock)
 
 
-def _nominal_step(stamps: np.ndarray) -> float:
-    """Return the mean interval, rounded to four digits where the stamps cannot tell the difference."""
-    step = float(stamps[-1] - stamps[0]) / (stamps.size - 1)
+def _gap_said(clock: ClockQuality) -> str:
+    return f", the longest gap is {clock.longest_gap_s:.3g} s" if clock.longest_gap_s else ""
+
+
+def _quality(stamps: np.ndarray, step: float, median: float) -> ClockQuality:
+    intervals = np.diff(stamps)
+    whole = intervals[intervals <= GAP * median]
+    longest = float(np.max(intervals))
+    instants = uniform(stamps, step)
+    after = np.clip(np.searchsorted(stamps, instants), 1, stamps.size - 1)
+    near = np.minimum(np.abs(instants - stamps[after]), np.abs(instants - stamps[after - 1]))
+    return ClockQuality(
+        jitter=float(np.max(np.abs(whole - step), initial=0.0)) / step,
+        longest_gap_s=longest if longest > GAP * median else 0.0,
+        interpolated_share=float(np.mean(near > KEPT_DEVIATION * step)),
+    )
+
+
+def _nominal_step(stamps: np.ndarray, steps: int) -> float:
+    """Return the mean step, rounded to four digits where the stamps cannot tell the difference."""
+    step = float(stamps[-1] - stamps[0]) / steps
     rounded = float(f"{step:.4g}")
-    drift = abs(rounded - step) * (stamps.size - 1)
+    drift = abs(rounded - step) * steps
     return rounded if drift <= KEPT_DEVIATION * step else step

@@ -8,8 +8,10 @@ from types import MappingProxyType
 
 import numpy as np
 
+from hitchid import checks
 from hitchid.errors import InputError
-from hitchid.units import UNITS, conversion_factor
+from hitchid.grid import EVEN, KEPT_DEVIATION, ClockQuality
+from hitchid.units import UNITS, check_unit, conversion_factor
 
 DISPLACEMENT = "displacement"
 LIFTING = "lifting"
@@ -38,6 +40,7 @@ class Record:
         start_s: time of the first sample in the log, s.
         source: the file it was read from.
         notices: what was done to the log on the way in.
+        clock: how even the log's clock was.
     """
 
     name: str
@@ -48,26 +51,36 @@ class Record:
     start_s: float = 0.0
     source: Path | None = None
     notices: tuple[str, ...] = field(default=())
+    clock: ClockQuality = EVEN
 
     def __post_init__(self) -> None:
         """Check what every later room relies on, and freeze the samples."""
+        checks.instance(self.name, str, "record: name", "text")
+        checks.instance(self.signals, Mapping, f"record '{self.name}': signals", "role to samples")
+        checks.instance(self.units, Mapping, f"record '{self.name}': units", "role to unit")
+        checks.number(self.start_s, f"record '{self.name}': start_s")
+        checks.chosen(self.kind, KINDS, f"record '{self.name}': kind")
         if DISPLACEMENT not in self.signals:
             raise InputError(
                 f"record '{self.name}': a displacement signal is required, came {sorted(self.signals)}"
             )
         if not any(role in self.signals for role in COMMAND.values()):
             raise InputError(f"record '{self.name}': at least one command signal is required, none came")
-        if not self.step_s > 0:
+        if not checks.number(self.step_s, f"record '{self.name}': the sampling time") > 0:
             raise InputError(
                 f"record '{self.name}': the sampling time must be positive, came {self.step_s} s"
             )
         frozen = {}
         for role, samples in self.signals.items():
-            array = _frozen(samples)
-            if array.shape != (len(self),):
+            array = _frozen(samples, f"record '{self.name}': '{role}'")
+            if role not in self.units:
                 raise InputError(
-                    f"record '{self.name}': '{role}' has shape {array.shape}, required ({len(self)},)"
+                    f"record '{self.name}': '{role}' has no unit; required one of {', '.join(UNITS)}"
                 )
+            check_unit(self.units[role], f"record '{self.name}': '{role}'")
+            wanted = np.shape(self.signals[DISPLACEMENT])[:1] or (1,)
+            if array.shape != wanted:
+                raise InputError(f"record '{self.name}': '{role}' has shape {array.shape}, required {wanted}")
             if not np.all(np.isfinite(array)):
                 row = int(np.flatnonzero(~np.isfinite(array))[0])
                 raise InputError(f"record '{self.name}': '{role}' is {array[row]} at sample {row}")
@@ -105,7 +118,7 @@ class Record:
         Raises:
             InputError: the record has no such command.
         """
-        role = COMMAND[mode]
+        role = COMMAND[checks.chosen(mode, MODES, "direction")]
         if role not in self.signals:
             raise InputError(
                 f"record '{self.name}': there is no {mode} command; signals: {', '.join(self.signals)}"
@@ -140,6 +153,7 @@ class Record:
 
     def resample(self, step_s: float) -> "Record":
         """Return the record on a clock of `step_s`; see `resampled`."""
+        checks.number(step_s, "step_s", above=0.0)
         count = int(np.floor((len(self) - 1) * self.step_s / step_s * (1 + 1e-12))) + 1
         wanted = step_s * np.arange(count)
         had = self.step_s * np.arange(len(self))
@@ -156,6 +170,7 @@ class Record:
         Raises:
             SettingsError: a unit is of another dimension.
         """
+        checks.instance(units, Mapping, "units", "role to unit")
         factors = {
             role: conversion_factor(self.units[role], unit, f"record '{self.name}', {role}")
             for role, unit in units.items()
@@ -168,12 +183,15 @@ class Record:
         )
 
 
-def _frozen(samples: np.ndarray) -> np.ndarray:
+def _frozen(samples: np.ndarray, name: str) -> np.ndarray:
     """Return samples that nobody can change: themselves where nobody can already, else a copy."""
     whole = samples if getattr(samples, "base", None) is None else samples.base
     if isinstance(whole, np.ndarray) and samples.dtype == np.float64 and not whole.flags.writeable:
         return samples
-    array = np.array(samples, dtype=np.float64)
+    try:
+        array = np.array(samples, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise checks.refusal(name, "numbers", samples) from error
     array.setflags(write=False)
     return array
 
@@ -183,7 +201,8 @@ def resampled(
 ) -> dict[str, np.ndarray]:
     """Take signals from one time base to another.
 
-    Commands are piecewise constant, so the nearest sample is taken; everything measured is interpolated.
+    A command is in force from its sample on (zero-order hold), one that comes within 2 % of a step counting
+    as there already; everything measured is interpolated.
 
     Args:
         signals: role to samples, each of shape [N].
@@ -193,9 +212,9 @@ def resampled(
     Returns:
         Role to samples, each of shape [M].
     """
-    middle = (had_s[1:] + had_s[:-1]) / 2
-    nearest = np.searchsorted(middle, wanted_s)
+    slack = KEPT_DEVIATION * float(np.median(np.diff(had_s))) if had_s.size > 1 else 0.0
+    in_force = np.maximum(np.searchsorted(had_s, wanted_s + slack, side="right") - 1, 0)
     return {
-        role: samples[nearest] if role in COMMAND.values() else np.interp(wanted_s, had_s, samples)
+        role: samples[in_force] if role in COMMAND.values() else np.interp(wanted_s, had_s, samples)
         for role, samples in signals.items()
     }

@@ -16,7 +16,7 @@ CAMPAIGN_FILE = "campaign.toml"
 LONGEST, MOST_DOTS = 2**20, 100
 LONGEST_SHOWN, MOST_SPELLED = 200, 10**100
 POSITIONS = ("length", "angle", "voltage", "ratio")
-COMMANDS = ("current", "voltage", "ratio")
+COMMANDS = ("current", "voltage", "ratio", "pressure", "flow", "frequency")
 DIMENSIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "time": ("time",),
@@ -36,10 +36,20 @@ class Strict(BaseModel):
 
 
 class Column(Strict):
-    """A column of the log and the unit it is wanted in; None where the log says it."""
+    """A column of the log, and how its readings become a signal: (reading − zero) · scale.
+
+    Attributes:
+        column: its name.
+        unit: of the signal; None where the log says it.
+        zero: the reading that means none, as it stands in the log.
+        scale: `unit` per reading, a negative one turns the sign; None where readings stand in the unit that
+            the log says, else in `unit`.
+    """
 
     column: str
     unit: str | None = None
+    zero: float = Field(default=0.0, allow_inf_nan=False)
+    scale: float | None = Field(default=None, allow_inf_nan=False)
 
     @model_validator(mode="before")
     @classmethod
@@ -56,6 +66,13 @@ class Column(Strict):
         except SettingsError as error:
             raise ValueError(str(error)) from error
 
+    @field_validator("scale")
+    @classmethod
+    def _not_zero(cls, scale: float | None) -> float | None:
+        if scale == 0:
+            raise ValueError("required a number other than zero: the unit per reading")
+        return scale
+
 
 class SignalMap(Strict):
     """Which column of a log holds which signal.
@@ -70,7 +87,15 @@ class SignalMap(Strict):
     command: Column | None = None
     lifting_command: Column | None = None
     lowering_command: Column | None = None
-    covariates: tuple[str, ...] = ()
+    covariates: tuple[Column, ...] = ()
+
+    @field_validator("covariates", mode="before")
+    @classmethod
+    def _by_name(cls, given: object) -> object:
+        """Take names for columns in the unit that the log says, whatever the name ends in."""
+        if not isinstance(given, list | tuple):
+            return given
+        return tuple({"column": each} if isinstance(each, str) else each for each in given)
 
     @model_validator(mode="after")
     def _commands(self) -> "SignalMap":
@@ -78,7 +103,7 @@ class SignalMap(Strict):
             raise ValueError("required either command or lifting_command and lowering_command, not both")
         if not (self.command or self.lifting_command or self.lowering_command):
             raise ValueError("required at least one of command, lifting_command, lowering_command")
-        taken = DIMENSIONS.keys() & set(self.covariates)
+        taken = DIMENSIONS.keys() & {covariate.column for covariate in self.covariates}
         if taken:
             raise ValueError(f"covariates: '{taken.pop()}' is the name of a signal; rename the column")
         for role, dimensions in DIMENSIONS.items():

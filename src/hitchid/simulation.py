@@ -4,12 +4,13 @@ from pathlib import Path
 
 import numpy as np
 
+from hitchid import checks
 from hitchid.model import Hitch
 from hitchid.readers import ReaderProcess, assemble, read_table, records_of, settings_of
 from hitchid.readers.formats.csv import SUFFIXES, read_rows, write_rows
 from hitchid.readers.table import Table
 from hitchid.signals import SignalMap
-from hitchid.storage import write_file
+from hitchid.storage import check_inputs, write_file
 from hitchid.units import UNITS
 
 
@@ -44,6 +45,10 @@ def simulate_log(
     Raises:
         InputError: the log, its signal map or the place to write cannot be used.
     """
+    checks.instance(model, Hitch, "model", "a model as hitchid.load returns it")
+    log, out = checks.path(log, "log"), checks.path(out, "out")
+    signals = None if signals is None else checks.path(signals, "signals")
+    check_inputs(out, [log, signals])
     settings = settings_of([log], signals)
     signal_map = settings[log.parent].signals
     with ReaderProcess() as process:

@@ -5,10 +5,13 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 from hitchid.errors import InputError, OutputError
+
+MANIFEST_FILE = ".hitchid.json"
+NAMED = 3
 
 
 def canonical_json(content: object) -> bytes:
@@ -40,38 +43,55 @@ def own(path: Path) -> Path:
 def write_folder(folder: Path, write: Callable[[Path], None], *, mark: str, force: bool) -> None:
     """Write a folder beside its place and move it there, so that it appears whole or not at all.
 
+    `.hitchid.json` in it lists its files with their SHA-256.
+
     Args:
         folder: where to.
         write: fills a folder.
-        mark: a file that an older result of this kind holds; `force` replaces nothing else.
-        force: replace an older result.
+        mark: the kind of result, named after its main file; `force` replaces no other kind.
+        force: replace an older result, as long as nothing in it was added or changed.
 
     Raises:
         OutputError: something stands there already, or it cannot be written.
     """
     check_folder(folder, mark=mark, force=force)
+    target = Path(os.path.realpath(folder))
     try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        beside = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+        target.parent.mkdir(parents=True, exist_ok=True)
+        beside = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
         try:
             write(beside)
+            put(beside, {MANIFEST_FILE: canonical_json({"kind": mark, "files": _digests(beside)})})
             os.chmod(beside, 0o755)  # noqa: S103
             _settle(*beside.rglob("*"), beside)
+            check_folder(folder, mark=mark, force=force)  # what was put there meanwhile stays
             older = beside.with_name(f"{beside.name}-older")
-            if folder.exists():
-                folder.rename(older)
+            if target.exists():
+                target.rename(older)
             try:
-                beside.rename(folder)
+                beside.rename(target)
             except BaseException:  # Ctrl-C among them: what was there comes back
                 if older.exists():
-                    older.rename(folder)
+                    older.rename(target)
                 raise
-            _settle(folder.parent)
+            _settle(target.parent)
             shutil.rmtree(older, ignore_errors=True)
         finally:
             shutil.rmtree(beside, ignore_errors=True)
     except OSError as error:
         raise OutputError(f"{folder}: cannot be written: {error}") from error
+
+
+def _digests(folder: Path) -> dict[str, str]:
+    """Return the SHA-256 of every file below a folder but its manifest, by its path there; "" for no file."""
+    found = sorted(path for path in folder.rglob("*") if path.is_symlink() or not path.is_dir())
+    return {
+        path.relative_to(folder).as_posix(): ""
+        if path.is_symlink() or not path.is_file()
+        else digest(path.read_bytes())
+        for path in found
+        if path != folder / MANIFEST_FILE
+    }
 
 
 def _settle(*places: Path) -> None:
@@ -111,10 +131,58 @@ def check_folder(folder: Path, *, mark: str, force: bool) -> None:
     occupied = folder.exists() and not (folder.is_dir() and not any(folder.iterdir()))
     if occupied and not force:
         raise OutputError(f"{folder}: exists already; required a new folder, or --force to replace it")
-    if occupied and not (folder / mark).is_file():
+    if occupied:
+        _check_ours(folder, mark)
+
+
+def _check_ours(folder: Path, mark: str) -> None:
+    """Refuse to replace a folder that holds anything but an older result of the same kind, as written."""
+    try:
+        manifest = json.loads((folder / MANIFEST_FILE).read_bytes())
+        kind, files = manifest["kind"], dict(manifest["files"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
         raise OutputError(
-            f"{folder}: holds no {mark}, so --force does not replace it; required another place"
+            f"{folder}: holds no {MANIFEST_FILE} that says what of it is a result, so --force does not "
+            "replace it; required another place"
+        ) from error
+    if kind != mark:
+        raise OutputError(
+            f"{folder}: is a result with {kind}, not with {mark}, so --force does not replace it; "
+            "required another place"
         )
+    try:
+        foreign = [name for name, known in _digests(folder).items() if files.get(name) != known]
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be read: {error}") from error
+    if foreign:
+        more = f" and {len(foreign) - NAMED} more" if len(foreign) > NAMED else ""
+        raise OutputError(
+            f"{folder}: holds {len(foreign)} file{'s' if len(foreign) > 1 else ''} that the command did not "
+            f"write or that changed since: {', '.join(foreign[:NAMED])}{more}; --force does not replace it; "
+            "required another place"
+        )
+
+
+def check_inputs(out: Path, inputs: Iterable[Path | None]) -> None:
+    """Refuse to replace what a command reads: the output is an input, or holds one, or lies beside one.
+
+    Args:
+        out: file or folder to write.
+        inputs: files and folders that are read; None for one that is not given.
+
+    Raises:
+        OutputError: it would be replaced.
+    """
+    if not out.exists():
+        return
+    for given in inputs:
+        if given is None or not given.exists():
+            continue
+        place = Path(os.path.realpath(given))
+        if any(os.path.samefile(out, each) for each in (place, *place.parents)):
+            raise OutputError(f"{out}: {given} is read from there; required another place to write")
+        if out.is_file() and place.is_dir() and os.path.samefile(Path(os.path.realpath(out)).parent, place):
+            raise OutputError(f"{out}: lies in {given}, which is read; required another place to write")
 
 
 def _check_place(path: Path) -> None:

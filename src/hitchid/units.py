@@ -41,6 +41,18 @@ UNITS: dict[str, _Unit] = {
     "um": _Unit("length", 1e-6),
     "mbar": _Unit("pressure", 1e2),
     "hPa": _Unit("pressure", 1e2),
+    "Hz": _Unit("frequency", 1.0),
+    "rpm": _Unit("frequency", 1 / 60),
+    "1/min": _Unit("frequency", 1 / 60),
+    "m3/s": _Unit("flow", 1.0),
+    "l/min": _Unit("flow", 1e-3 / 60),
+    "m/s": _Unit("speed", 1.0),
+    "mm/s": _Unit("speed", 1e-3),
+    "N": _Unit("force", 1.0),
+    "kN": _Unit("force", 1e3),
+    # Two dimensions: their zeros differ, and conversion is by a factor alone.
+    "degC": _Unit("temperature above freezing", 1.0),
+    "K": _Unit("absolute temperature", 1.0),
 }
 # A column may end so for another reason: cylinder 1, lowest value, height.
 NOT_IN_NAMES = ("1", "min", "h", "d")
@@ -94,6 +106,22 @@ SPELLINGS = {
     "milliampere": "mA",
     "millimeter": "mm",
     "millimetre": "mm",
+    "rpm": "rpm",
+    "r/min": "rpm",
+    "rev/min": "rpm",
+    "u/min": "1/min",
+    "min-1": "1/min",
+    "min^-1": "1/min",
+    "hz": "Hz",
+    "l/min": "l/min",
+    "lpm": "l/min",
+    "m³/s": "m3/s",
+    "m^3/s": "m3/s",
+    "kn": "kN",
+    "newton": "N",
+    "°c": "degC",
+    "celsius": "degC",
+    "kelvin": "K",
 }
 
 
@@ -107,7 +135,7 @@ def known_unit(spelling: str) -> str | None:
 
 def check_unit(unit: str, where: str) -> str:
     """Return `unit` if it is known, else raise `SettingsError` naming `where` it stands."""
-    if unit not in UNITS:
+    if not isinstance(unit, str) or unit not in UNITS:
         raise SettingsError(f"{where}: unit '{unit}' is not known; required one of {', '.join(UNITS)}")
     return unit
 

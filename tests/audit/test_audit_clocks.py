@@ -92,19 +92,23 @@ def test_creeping_before_a_test_is_a_warning_and_a_spike_is_not_motion(clean, ch
 
 
 def test_resampled_logs_are_told(clean, changed, found):
+    from hitchid.grid import ClockQuality
     from hitchid.record import Record
 
     slow = Record("lifting-0", 0.02, {role: x[::2] for role, x in clean[0].signals.items()}, clean[0].units)
-    jitter = changed(clean[1], notices=("resampled: the clock jitters by 15.0% of 0.01 s",))
-    little = changed(clean[2], notices=("resampled: the clock jitters by 3.1% of 0.01 s",))
-    told = found([slow, clean[0], jitter, little, *clean[3:]], "sampling")
+    jitter = changed(clean[1], clock=ClockQuality(0.15, 0.0, 0.9))
+    little = changed(clean[2], clock=ClockQuality(0.031, 0.0, 0.9))
+    lost = changed(clean[3], clock=ClockQuality(0.001, 0.03, 0.06))
+    told = found([slow, clean[0], jitter, little, lost, *clean[4:]], "sampling")
     assert [(each.record, each.level) for each in told] == [
         ("lifting-0", Level.WARNING),
         ("lifting-2", Level.WARNING),
+        ("lifting-4", Level.WARNING),
         ("lifting-3", Level.NOTE),
     ]
     assert "sampled every 0.02 s, the campaign every 0.01 s" in told[0].what
     assert "15.0%" in told[1].what
+    assert "6.0% of the samples were lost" in told[2].what
 
 
 def test_a_step_too_coarse_for_the_motion_is_found(make_test, changed, found):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from hitchid.audit import Level, quality
+from hitchid.grid import ClockQuality
 
 # The median of |d²y| has a relative standard error of 1.17/√N; neighbours share samples, which makes it
 # √1.94 times larger, 1.94 being 1 + 2 (ρ₁² + ρ₂²).
@@ -39,11 +40,11 @@ def test_steady_motion_without_noise_is_not_quantised(make_record):
     assert (told.quantum, told.noise) == (None, 0.0)
 
 
-def test_a_jittering_clock_is_read_from_the_notices(make_test, changed):
+def test_a_jittering_clock_is_told_as_reading_found_it(make_test, changed):
     record = make_test("a")
     assert quality(record).jitter is None
-    told = quality(changed(record, notices=("resampled: the clock jitters by 12.5% of 0.01 s",)))
-    assert told.jitter == pytest.approx(0.125)
+    assert quality(changed(record, clock=ClockQuality(jitter=0.125))).jitter == 0.125
+    assert quality(changed(record, clock=ClockQuality(jitter=1e-9, longest_gap_s=0.02))).jitter is None
 
 
 def test_a_coarse_sensor_is_found(clean, changed, found):

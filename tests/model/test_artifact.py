@@ -87,7 +87,7 @@ def test_a_model_with_every_part_simulates_and_predicts_as_before(tmp_path, make
 
 def test_saving_twice_gives_the_same_bytes(folder, tmp_path):
     save(load(folder), tmp_path / "again", trace={"lifting": {"fitness": [3.0, 1.5]}})
-    assert sorted(path.name for path in folder.iterdir()) == sorted(FILES)
+    assert sorted(path.name for path in folder.iterdir()) == sorted([".hitchid.json", *FILES])
     for name in FILES:
         assert (tmp_path / "again" / name).read_bytes() == (folder / name).read_bytes()
 

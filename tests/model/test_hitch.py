@@ -196,7 +196,9 @@ def test_a_model_of_one_channel_refuses_an_effective_command_it_cannot_hear_what
 @pytest.mark.parametrize("horizon", [0, -1])
 def test_a_horizon_below_one_sample_is_refused(make_record, horizon):
     record = make_record(np.full(SAMPLES, 100.0), np.zeros(SAMPLES), np.zeros(SAMPLES))
-    with pytest.raises(InputError, match=f"required at least 1 sample, came {horizon}"):
+    with pytest.raises(
+        InputError, match=f"horizon: required a whole number of at least 1, came int {horizon}"
+    ):
         INTEGRATORS.predict(record, horizon=horizon)
 
 

@@ -205,7 +205,7 @@ BAD = {
     "no header": ("\n".join(ROWS[1:]), ["line 1", "'time_s'", "0.01"]),
     "a column too few": (PLAIN.replace("current_up_A", "current_A"), ["'current_up_A'", "current_A"]),
     "another case": (PLAIN.replace("time_s", "Time_s"), ["'time_s'", "Time_s"]),
-    "a name twice": (PLAIN.replace("\n", ",1\n").replace(",1", ",time_s", 1), ["'time_s'", "twice"]),
+    "a name twice": (PLAIN.replace("\n", ",1\n").replace(",1", ",time_s", 1), ["'time_s'", "several"]),
     "a short row": (PLAIN.replace(ROWS[9], "0.09,0"), ["line 11", "'displacement_mm'", "2 cells", "3"]),
     "a cut last row": (PLAIN.removesuffix(",43.5\n"), ["line 31", "'displacement_mm'"]),
     "a line of spaces": (PLAIN.replace(ROWS[9], "   "), ["line 11"]),
@@ -366,3 +366,56 @@ def test_rows_come_under_the_names_the_table_knows(log, content):
     header, rows = read_rows(log(content))
     assert header == list(NAMES)
     assert rows == [row.split(",") for row in ROWS]
+
+
+# --- dSPACE ControlDesk -------------------------------------------------------------------------------------
+
+
+def exported(second="", times=(0.0, 0.0099887, 0.0200245), *, names="In1,In1,up"):
+    """Return the bytes of a ControlDesk export of two inputs that paths tell apart and a named signal."""
+    head = f"""descriptions,General,User,bench
+,General,DateTime,2025-09-03 ???? 2:46:24
+,General,Origin,"Software revision: a.sdf, a.rta"
+
+trace_size,{len(times)}
+trace_types,5,4,4,4
+trace_names,,{names}
+trace_units,,bar,deg,%
+raster,10ms,10ms,10ms,{second or "10ms"}
+path,,Model Root/Pressure(22.03)/Head_P,Model Root/Joint/Boom_ang,Model Root/Duty
+flags,,2,2,2
+min,,-1.7e+308,-1.7e+308,0
+max,,1.7e+308,1.7e+308,100
+"""
+    rows = [f"{time},{90 + k},{-1.5 * k},{10 * k}" for k, time in enumerate(times)]
+    text = head + "\n".join(["trace_values," + rows[0], *("," + row for row in rows[1:])]) + "\n"
+    return text.encode().replace(b"????", bytes([0xBF, 0xC0, 0xC8, 0xC4]))
+
+
+def test_an_export_of_controldesk_is_read_by_the_last_parts_of_paths(log):
+    content = read(log(exported()), Wanted("time_s", ("Boom_ang", "Head_P", "up")))
+    units = {"time_s": "s", "Boom_ang": "deg", "Head_P": "bar", "up": "%"}
+    assert {name: channel.unit for name, channel in content.channels.items()} == units
+    np.testing.assert_array_equal(content.channels["time_s"].values, [0.0, 0.0099887, 0.0200245])
+    np.testing.assert_array_equal(content.channels["Boom_ang"].values, [0.0, -1.5, -3.0])
+    np.testing.assert_array_equal(content.channels["Head_P"].values, [90, 91, 92])
+    np.testing.assert_array_equal(content.channels["up"].values, [0, 10, 20])
+    assert content.line_of(1) == 15
+    header, rows = read_rows(log(exported()))
+    assert header == ["", "time_s", "Head_P", "Boom_ang", "up"]
+    assert rows[1] == ["", "0.0099887", "91", "-1.5", "10"]
+
+
+def test_every_raster_of_controldesk_has_a_time_of_its_own(log):
+    content = read(log(exported("1ms", names="In1,In1,")), Wanted("time_s/10ms", ("Head_P",)))
+    np.testing.assert_array_equal(content.channels["time_s/10ms"].values, [0.0, 0.0099887, 0.0200245])
+    with pytest.raises(LogError, match=r"no such column.*time_s/10ms.*time_s/1ms"):
+        read(log(exported("1ms", names="In1,In1,")), Wanted("time_s", ("Head_P",)))
+
+
+def test_a_name_that_stands_twice_does_no_harm_unless_it_is_asked_for(log):
+    doubled = PLAIN.replace("\n", ",1,2\n").replace(",1,2", ",In1,In1", 1)
+    assert read(log(doubled), Wanted("time_s", ("current_up_A",))).channels["time_s"].values.size == len(ROWS)
+    assert "In1" not in read(log(doubled), Wanted("time_s", None)).channels
+    with pytest.raises(LogError, match="column 'In1': several columns are meant: In1, In1"):
+        read(log(doubled), Wanted("time_s", ("In1",)))

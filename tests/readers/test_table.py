@@ -174,8 +174,9 @@ def test_a_map_without_a_unit_takes_the_files(unit):
         ("oil", "bar", "bar"),
         ("oil_bar", None, "bar"),
         ("oil_bar", "bar", "bar"),
-        ("oil_bar", "°C", "bar"),
-        ("oil", "°C", "1"),
+        ("oil_bar", "°R", "bar"),
+        ("oil", "°R", "1"),
+        ("oil", "°C", "degC"),
         ("valve_in", "V", "V"),  # no inch
     ],
 )
@@ -185,9 +186,9 @@ def test_a_covariate_has_the_unit_of_the_file_else_of_its_name_else_none(name, s
     assert table.units[name] == unit
     assert table.signals[name].tobytes() == STROKE.tobytes()
     assert table.columns[name].tobytes() == STROKE.tobytes()
-    unknown = said == "°C"
+    unknown = said == "°R"
     assert len(table.notices) == 1 + unknown
-    assert not unknown or f"{name}: the unit '°C'" in table.notices[1]
+    assert not unknown or f"{name}: the unit '°R'" in table.notices[1]
 
 
 def test_a_covariate_whose_name_contradicts_the_file_is_refused():
@@ -276,3 +277,76 @@ def test_the_time_of_one_group_counts_for_another_by_its_full_name_alone(time):
     else:
         with pytest.raises(LogError, match=r"lies in another group than 'pos/x'; required .* 'valve/t'"):
             chosen(SOURCE, names, Wanted(time, ("x",)))
+
+
+# --- zero and scale ---------------------------------------------------------------------------------------
+
+NUMBERS = st.floats(-1e3, 1e3)
+SCALES = NUMBERS.filter(lambda scale: abs(scale) > 1e-3)
+
+
+def scaled(unit=None, *, said=None, **more):
+    """Return the displacement of a column with zero and scale, and the notices."""
+    signals = signal_map("x").model_copy(update={"displacement": Column(column="x", unit=unit, **more)})
+    table = table_of(content(said), signals)
+    return table.signals["displacement"], table.units["displacement"], table.notices[1:]
+
+
+@given(zero=NUMBERS, scale=SCALES)
+def test_a_signal_is_the_reading_less_zero_times_scale(zero, scale):
+    values, unit, notices = scaled("mm", zero=zero, scale=scale)
+    np.testing.assert_allclose(values, (STROKE - zero) * scale, rtol=4 * EPS)
+    assert (unit, notices) == ("mm", ())
+    opposite, _, _ = scaled("mm", zero=zero, scale=-scale)
+    np.testing.assert_array_equal(opposite, -values)
+
+
+@given(zero=NUMBERS)
+def test_zero_stands_in_the_unit_of_the_readings_and_leaves_conversion_as_it_is(zero):
+    values, unit, notices = scaled("mm", said="cm", zero=zero)
+    np.testing.assert_allclose(values, 10 * (STROKE - zero), rtol=8 * EPS)
+    assert unit == "mm"
+    assert "from cm" in notices[0]
+
+
+@pytest.mark.parametrize(
+    ("unit", "said", "result"), [("mm", "V", "mm"), (None, "V", "V"), ("mm", "mm", "mm")]
+)
+def test_with_a_scale_the_result_is_in_the_unit_asked_for_else_the_files(unit, said, result):
+    values, found, notices = scaled(unit, said=said, scale=-2.0)
+    np.testing.assert_array_equal(values, -2.0 * STROKE)
+    assert found == result
+    assert len(notices) == (said != result)
+
+
+def test_a_scaled_time_is_in_seconds():
+    signals = signal_map("x", "mm").model_copy(
+        update={"time": Column(column="t", unit="ms", scale=5.0, zero=STAMPS[0])}
+    )
+    np.testing.assert_allclose(table_of(content(), signals).time_s, STAMPS * 5e-3, rtol=4 * EPS)
+
+
+def test_a_signed_command_with_a_neutral_that_is_not_zero_rests_at_none():
+    signals = SignalMap(
+        time=Column(column="t", unit="s"),
+        displacement=Column(column="x", unit="mm"),
+        command=Column(column="i", unit="percent", zero=7.5, scale=-1.0),
+    )
+    readings = np.where(STAMPS[10] > STAMPS, 7.5, np.where(STAMPS[20] > STAMPS, 5.0, 9.0))
+    table = table_of(content(i=Channel(readings)), signals)
+    np.testing.assert_array_equal(table.signals["lifting_command"], np.maximum(7.5 - readings, 0))
+    np.testing.assert_array_equal(table.signals["lowering_command"], np.maximum(readings - 7.5, 0))
+
+
+def test_a_covariate_may_have_unit_zero_and_scale():
+    oil = Column(column="p", unit="bar", zero=0.5, scale=100.0)
+    table = table_of(content("mm", p=Channel(CURRENT, "V")), signal_map("x", covariates=[oil, "i"]))
+    assert (table.units["p"], table.units["i"]) == ("bar", "1")
+    np.testing.assert_array_equal(table.signals["p"], (CURRENT - 0.5) * 100.0)
+
+
+@pytest.mark.parametrize("unit", [unit for unit in UNITS if UNITS[unit].dimension in COMMANDS])
+def test_a_command_comes_in_any_unit_a_valve_or_a_pump_is_commanded_in(unit):
+    table = table_of(content("mm"), signal_map("x", command=("i", unit)))
+    assert table.units["lifting_command"] == unit
+    assert table.signals["lifting_command"].tobytes() == CURRENT.tobytes()

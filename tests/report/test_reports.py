@@ -585,7 +585,14 @@ def write():
 def test_a_report_is_written_with_its_figures_and_what_goes_with_it(write, tmp_path):
     write(tmp_path / "out")
     written = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*.*")}
-    names = ("report.html", "metrics.json", "tables.md", f"{FIGURES}/curve.svg", f"{FIGURES}/long.svg")
+    names = (
+        ".hitchid.json",
+        "report.html",
+        "metrics.json",
+        "tables.md",
+        f"{FIGURES}/curve.svg",
+        f"{FIGURES}/long.svg",
+    )
     assert written == {f"out/{name}" for name in names}
     assert (tmp_path / "out" / "metrics.json").read_bytes() == b"{}"
 
@@ -608,12 +615,13 @@ def test_what_is_there_is_replaced_by_force_and_only_where_it_is_a_report(write,
     (place / "mine.txt").write_text("mine")
     with pytest.raises(OutputError, match="--force"):
         write(place)
-    assert (place / "mine.txt").exists()
+    with pytest.raises(OutputError, match=r"mine\.txt"):
+        write(place, force=True)
+    (place / "mine.txt").unlink()
     write(place, force=True)
-    assert not (place / "mine.txt").exists()
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "mine.txt").write_text("mine")
-    with pytest.raises(OutputError, match=r"metrics\.json"):
+    with pytest.raises(OutputError, match=r"holds no \.hitchid\.json"):
         write(tmp_path / "other", force=True)
     assert (tmp_path / "other" / "mine.txt").read_text() == "mine"
 

@@ -1,11 +1,11 @@
 """How good a record's displacement is: its clock, its smallest step, its noise."""
 
-import re
 from dataclasses import dataclass
 from math import isfinite
 
 import numpy as np
 
+from hitchid.grid import KEPT_DEVIATION
 from hitchid.record import Record
 
 LOOKED_AT = 2**20
@@ -85,18 +85,13 @@ def quality(record: Record) -> Quality:
         samples=len(record),
         step_s=record.step_s,
         duration_s=(len(record) - 1) * record.step_s,
-        jitter=_jitter(record),
+        jitter=record.clock.jitter if record.clock.jitter > KEPT_DEVIATION else None,
         unit=record.unit,
         lowest=float(displacement.min()),
         highest=float(displacement.max()),
         quantum=quantum,
         noise=noise if isfinite(noise) else 0.0,
     )
-
-
-def _jitter(record: Record) -> float | None:
-    said = re.search(r"jitters by ([\d.]+) ?%", " ".join(record.notices))
-    return float(said.group(1)) / 100 if said else None
 
 
 def _quantum(displacement: np.ndarray) -> float | None:

@@ -20,9 +20,10 @@ def steps(look: Look) -> list[AuditFinding]:
 
     From another step: a note, a warning beyond a factor 1.5, where interpolation invents or smooths motion.
     For a jittering clock: a note, a warning from 10 %, which at working speed moves the piston by a tenth of
-    its one-step motion.
+    its one-step motion. For lost samples that were interpolated: a note, a warning from 5 % of all on.
     """
     found = []
+    clock = look.record.clock
     said = "; ".join(look.record.notices)
     moved = re.search(r"resampled from ([\d.e+-]+) s to ([\d.e+-]+) s", said)
     if moved:
@@ -45,6 +46,17 @@ def steps(look: Look) -> list[AuditFinding]:
                 f"the clock jitters by {look.quality.jitter:.1%} of {look.record.step_s:g} s; "
                 "the log was resampled",
                 "log on the controller's own clock, or give each sample the time it was taken at",
+                signal="",
+            )
+        )
+    elif clock.longest_gap_s:
+        found.append(
+            look.finding(
+                "sampling",
+                Level.WARNING if clock.interpolated_share >= MUCH_LOST else Level.NOTE,
+                f"{clock.interpolated_share:.1%} of the samples were lost and are interpolated; "
+                f"the longest gap is {clock.longest_gap_s:.3g} s",
+                "find out why the logger dropped samples",
                 signal="",
             )
         )

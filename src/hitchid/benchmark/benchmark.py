@@ -12,7 +12,9 @@ from hitchid.benchmark.discretise import Discrete, discretise, driven
 from hitchid.benchmark.nonlinear import NonlinearStructure, simulated
 from hitchid.benchmark.shape import SHAPE, Shape
 from hitchid.benchmark.structure import DEAD_TIME, LinearStructure, Structure
+from hitchid.checks import number
 from hitchid.errors import InputError
+from hitchid.precision import double_precision
 
 if TYPE_CHECKING:
     import control
@@ -36,6 +38,7 @@ class Benchmark(eqx.Module):
     shape: Shape | None = None
     load: str | None = eqx.field(default=None, static=True)
 
+    @double_precision
     def travel(self, batch: Batch) -> Float[Array, "t n"]:
         """Simulate tests from commands, initial displacement and any second input: travel, shape [T, N]."""
         if isinstance(self.structure, NonlinearStructure):
@@ -47,6 +50,7 @@ class Benchmark(eqx.Module):
         linear = self.response(flow, batch.step_s)
         return _shaped(self.shape, linear, batch.load, batch.initial, batch.direction)
 
+    @double_precision
     def response(self, command: Float[Array, "t n"], step_s: float) -> Float[Array, "t n"]:
         """Simulate from rest: y[0] = 0, then y of the command held between samples.
 
@@ -61,6 +65,7 @@ class Benchmark(eqx.Module):
         """
         return driven(self.discretised(step_s), command)
 
+    @double_precision
     def discretised(self, step_s: float) -> Discrete:
         """Return the exact discrete model for a command held between samples.
 
@@ -77,17 +82,20 @@ class Benchmark(eqx.Module):
         return {**named, DEAD_TIME.name: float(self.dead_time_s)} if float(self.dead_time_s) else named
 
     @property
+    @double_precision
     def row(self) -> Float[Array, " r"]:
         """Every number of it in one row: the structure's, dead time, and curves where there are any."""
         curves = () if self.shape is None else (self.shape.values,)
         return jnp.concatenate([self.values, self.dead_time_s[None], *curves])
 
+    @double_precision
     def of_row(self, row: Float[Array, " r"]) -> "Benchmark":
         """Return the benchmark of the same form with other numbers; see `row`."""
         count = self.values.size
         found = eqx.tree_at(lambda b: (b.values, b.dead_time_s), self, (row[:count], row[count]))
         return found if self.shape is None else eqx.tree_at(lambda b: b.shape.values, found, row[count + 1 :])
 
+    @double_precision
     def to_scipy(self, step_s: float | None = None) -> "signal.TransferFunction":
         """Return the transfer function as `scipy.signal` has it.
 
@@ -105,6 +113,7 @@ class Benchmark(eqx.Module):
             return signal.TransferFunction(numerator, denominator)
         return signal.TransferFunction(numerator, denominator, dt=step_s)
 
+    @double_precision
     def to_control(self, step_s: float | None = None) -> "control.TransferFunction":
         """Return the transfer function as python-control has it; see `to_scipy`.
 
@@ -136,6 +145,8 @@ class Benchmark(eqx.Module):
                 "a benchmark with curves of valve or stroke has no transfer function; "
                 "required one identified without them"
             )
+        if step_s is not None:
+            number(step_s, "step_s", above=0.0)
         if step_s is None:
             if float(self.dead_time_s):
                 raise InputError(

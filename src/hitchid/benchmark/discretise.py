@@ -34,12 +34,15 @@ def zero_order_hold(
 ) -> tuple[Float[Array, "n n"], Float[Array, " n"]]:
     """Return Φ = exp(A h) and Γ = ∫₀ʰ exp(A s) ds B for a command held over the duration h.
 
-    Both stand in the exponential of the block matrix [[A, B], [0, 0]] h (Van Loan 1978).
+    Both stand in the exponential of the block matrix [[A, B], [0, 0]] h (Van Loan 1978), with B
+    scaled to size one, for that is a matter of units.
     """
     n = b.shape[0]
-    block = jnp.zeros((n + 1, n + 1), b.dtype).at[:n, :n].set(a).at[:n, n].set(b)
+    size = jax.lax.stop_gradient(jnp.max(jnp.abs(b)))
+    scale = jnp.where(size > 0, size, 1.0)
+    block = jnp.zeros((n + 1, n + 1), b.dtype).at[:n, :n].set(a).at[:n, n].set(b / scale)
     whole = exponential(block * duration_s)
-    return whole[:n, :n], whole[:n, n]
+    return whole[:n, :n], scale * whole[:n, n]
 
 
 def exponential(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:

@@ -11,6 +11,7 @@ from hitchid.benchmark.structure import Parameter
 
 SHARPNESS = 4
 SHUT = 1e-3
+CREVICE = 1e-6
 REACH = 1.5
 FARTHEST = 0.7
 LOW_LEVELS = "levels just above the dead zone"
@@ -75,8 +76,9 @@ class Shape(eqx.Module):
 
     With z = u/U and the second input c in its own spread, v = max(z − s c − d, 0)ⁿ and
     w = U v/(1 + (v/σ)⁴)^¼: beyond the opening d flow grows with the power n of the command until it
-    saturates. A negative opening says that the valve opens below the dead zone. Where u is less than a
-    thousandth of U nothing flows: h ≤ 1 and the end of the lag make sure of that for a command of zero.
+    saturates. Within a millionth of U of its opening flow is a straight line, for a power below one has no
+    derivative at zero. A negative opening says that the valve opens below the dead zone. Where u is less than
+    a thousandth of U nothing flows: h ≤ 1 and the end of the lag make sure of that for a command of zero.
     Travel grows by g = exp(a ξ + b (ξ² − ⅓) + γ c) times what the linear model's does, ξ the displacement
     within its range; farther out than 1½ of it b ξ² is held, and a ξ goes on to at most twice or half.
 
@@ -122,7 +124,8 @@ class Shape(eqx.Module):
         size = jnp.abs(command) / self.scales.command
         beyond = size - opening - shift * self._load(load)
         open_ = (size > SHUT) & (beyond > 0)
-        grown = jnp.where(open_, jnp.where(open_, beyond, 1.0) ** exponent, 0.0)
+        power = jnp.maximum(beyond, CREVICE) ** exponent * jnp.minimum(beyond / CREVICE, 1.0)
+        grown = jnp.where(open_, power, 0.0)
         limited = grown / (1 + (grown / saturation) ** SHARPNESS) ** (1 / SHARPNESS)
         return jnp.sign(command) * self.scales.command * limited
 

@@ -52,9 +52,10 @@ def bench(
     force: Force = False,
 ) -> None:
     """Run tests on the virtual test bench; write one log a test and campaign.toml."""
-    from hitchid.storage import check_folder
+    from hitchid.storage import check_folder, check_inputs
 
     check_folder(out, mark="campaign.toml", force=force)
+    check_inputs(out, [Path(rig)] if rig.endswith(".toml") else [])
     prepare_jax()
     from hitchid.bench import REPEATS, TESTS, write_campaign
     from hitchid.record import MODES
@@ -85,9 +86,10 @@ def reproduce(
 ) -> None:
     """Redo the published study on the virtual bench: every table and figure, ours beside theirs."""
     from hitchid import display
-    from hitchid.storage import check_folder
+    from hitchid.storage import check_folder, check_inputs
 
     check_folder(out, mark="study.md", force=force)
+    check_inputs(out, [Path(rig)] if rig.endswith(".toml") else [])
     prepare_jax()
     from hitchid.study import Plan, quick_plan
     from hitchid.study import reproduce as run

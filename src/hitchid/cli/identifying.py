@@ -31,11 +31,12 @@ def identify(
 ) -> None:
     """Identify a model from logs: dead zones, benchmarks, compensators."""
     from hitchid import display
-    from hitchid.storage import check_folder
+    from hitchid.storage import check_folder, check_inputs
 
     unfinished = out.absolute().with_name(f"{out.absolute().name}.unfinished")
     force = force or (resume and unfinished.is_dir())
     check_folder(out, mark="model.json", force=force)
+    check_inputs(out, [*logs, config, signals])
     if unfinished.exists() and not resume:
         _clear(unfinished, force=force)
     prepare_jax()

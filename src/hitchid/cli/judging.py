@@ -30,13 +30,16 @@ def validate(
 ) -> None:
     """Compare a model with tests its identification has not used."""
     from hitchid import display
-    from hitchid.storage import check_file, check_folder, write_bytes
+    from hitchid.storage import check_file, check_folder, check_inputs, write_bytes
 
+    inputs = [model, *logs, accept, signals]
     check_folder(out, mark="metrics.json", force=force)
+    check_inputs(out, inputs)
     if junit is not None:
         if accept is None:
             raise InputError("--junit: required --accept with limits, came none")
         check_file(junit, force=force)
+        check_inputs(junit, inputs)
     prepare_jax()
     from hitchid.model import load, load_trace
     from hitchid.progress import Step
@@ -86,9 +89,10 @@ def compare(
 ) -> None:
     """Compare two models with each other on tests that neither has used."""
     from hitchid import display
-    from hitchid.storage import check_folder
+    from hitchid.storage import check_folder, check_inputs
 
     check_folder(out, mark="comparison.json", force=force)
+    check_inputs(out, [first, second, *logs, signals])
     prepare_jax()
     from hitchid.model import load
     from hitchid.progress import Step

@@ -37,7 +37,7 @@ def inspect(
     from hitchid.inspection import inspect as look
 
     if picture is not None:
-        _check_picture(picture, force=force)
+        _check_picture(picture, force=force, inputs=[*logs, signals, model])
     switches = None
     if model is not None:
         from hitchid.model import load
@@ -56,12 +56,13 @@ def inspect(
         raise typer.Exit(1)
 
 
-def _check_picture(path: Path, *, force: bool) -> None:
-    from hitchid.storage import check_file
+def _check_picture(path: Path, *, force: bool, inputs: list[Path | None]) -> None:
+    from hitchid.storage import check_file, check_inputs
 
     if path.suffix not in PICTURES:
         raise InputError(f"--draw: required a name ending in {', '.join(PICTURES)}, came '{path.name}'")
     check_file(path, force=force)
+    check_inputs(path, inputs)
 
 
 def _draw(found: "Inspection", path: Path, *, force: bool) -> None:

@@ -18,7 +18,10 @@ app = typer.Typer(
 
 
 def main() -> None:
-    """Run the command line; exit 0 for success, 2 for wrong use or bad input, 1 for a run that failed."""
+    """Run the command line; exit 0 for success, 2 for wrong use or bad input, 1 for a run that failed.
+
+    What is read and written for a user raises its own errors; any other OSError is an output that failed.
+    """
     try:
         app()
     except InputError as error:
@@ -26,6 +29,10 @@ def main() -> None:
         sys.exit(2)
     except HitchError as error:
         sys.stderr.write(f"hitchid: {error}\n")
+        sys.exit(1)
+    except OSError as error:
+        what = error.filename or "standard output: cannot be written"
+        sys.stderr.write(f"hitchid: {what}: {error.strerror or error}\n")
         sys.exit(1)
 
 

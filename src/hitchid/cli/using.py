@@ -42,9 +42,10 @@ def simulate(
 ) -> None:
     """Write the predicted displacement beside a log's columns."""
     from hitchid import display
-    from hitchid.storage import check_file
+    from hitchid.storage import check_file, check_inputs
 
     check_file(out, force=force)
+    check_inputs(out, [model, log, signals])
     steps = _horizon(horizon)
     prepare_jax()
     from hitchid.model import load
@@ -92,10 +93,11 @@ def design(
 ) -> None:
     """Propose the next test: the one that narrows the least determined parameter most."""
     from hitchid import display
-    from hitchid.storage import check_file
+    from hitchid.storage import check_file, check_inputs
 
     if out is not None:
         check_file(out, force=force)
+        check_inputs(out, [model])
     prepare_jax()
     from hitchid.design import Limits, write_command
     from hitchid.design import design as run
@@ -128,10 +130,11 @@ def run(
     live = Live(load_model(model), initial=initial, load=load)
     if isinstance(sys.stdin, TextIOWrapper):
         sys.stdin.reconfigure(encoding="utf-8", errors="replace")
+    sys.stderr.write("ready\n")
+    sys.stderr.flush()
     for line in sys.stdin:
-        if line.strip():
-            sys.stdout.write(live.hear(line).line() + "\n")
-            sys.stdout.flush()
+        sys.stdout.write(live.hear(line).line() + "\n")
+        sys.stdout.flush()
 
 
 def _horizon(text: str) -> int | None:

@@ -18,6 +18,7 @@ from hitchid.fitting.bounds import Bounds
 from hitchid.fitting.search import Polished, Problem, polish
 
 TIED = 0.01
+TRACE = 1e-9
 RESIDUALS = 4000
 TOLERANCE = 1e-6
 
@@ -122,10 +123,12 @@ class Misfit(eqx.Module):
 
 def _apart(travel: Float[Array, "t n"], measured: Float[Array, "t n"]) -> Float[Array, "t n"]:
     """Return misses apart from a factor of each test's own; see `Misfit.residuals`."""
-    held = TIED * jnp.sum(measured**2, axis=1)
+    moved = jnp.sum(measured**2, axis=1)
+    # A test in which nothing moves has no factor of its own: a trace of the others' motion ties it to one.
+    held = TIED * (moved + TRACE * jnp.mean(moved))
     along = jnp.sum(travel * measured, axis=1) + held
-    own = along / jnp.maximum(jnp.sum(travel**2, axis=1) + held, jnp.finfo(travel.dtype).tiny)
-    tie = jnp.sqrt(held + jnp.finfo(travel.dtype).tiny) * (own - 1)
+    own = along / (jnp.sum(travel**2, axis=1) + held)
+    tie = jnp.sqrt(held) * (own - 1)
     return (own[:, None] * travel - measured).at[:, 0].set(tie)
 
 

@@ -17,6 +17,7 @@ from hitchid.progress import Heard
 from hitchid.whale import Objective
 
 EVALUATIONS, TOLD = 3000, 5
+RESTARTS = 8
 
 
 @dataclass(frozen=True)
@@ -266,23 +267,32 @@ def polish(problem: Problem, start: np.ndarray, *, limit: int = 200, tolerance: 
         limit: largest number of steps.
         tolerance: relative change of fitness or position below which to stop.
 
+    A step to where residuals or their derivative are not finite is rejected and a shorter one tried.
+
     Raises:
-        FitError: the residuals at the start are not finite.
+        FitError: the residuals at the start or their derivative are not finite.
     """
-    first = problem.residuals(np.asarray(start))
-    if not np.all(np.isfinite(first)):
+    guarded = _Guarded(problem)
+    if not (np.all(np.isfinite(guarded.residuals(start))) and guarded.defined(start)):
         raise FitError("the simulation failed at the start of the least squares; narrow the bounds")
-    outcome = least_squares(
-        problem.residuals,
-        start,
-        jac=problem.jacobian,  # pyright: ignore[reportArgumentType]
-        bounds=(0.0, 1.0),
-        xtol=tolerance,
-        ftol=tolerance,
-        gtol=tolerance,
-        x_scale="jac",
-        max_nfev=limit,
-    )
+    for _ in range(RESTARTS):
+        try:
+            outcome = least_squares(
+                guarded.residuals,
+                start,
+                jac=guarded.jacobian,  # pyright: ignore[reportArgumentType]
+                bounds=(0.0, 1.0),
+                xtol=tolerance,
+                ftol=tolerance,
+                gtol=tolerance,
+                x_scale="jac",
+                max_nfev=limit,
+            )
+            break
+        except _NoDerivativeError:
+            start = guarded.last
+    else:
+        raise FitError("least squares met no derivative wherever it stepped; narrow the bounds")
     return Polished(
         position=outcome.x,
         fitness=float(np.sqrt(np.mean(outcome.fun**2))),
@@ -290,6 +300,46 @@ def polish(problem: Problem, start: np.ndarray, *, limit: int = 200, tolerance: 
         residuals=np.asarray(outcome.fun),
         jacobian=np.asarray(outcome.jac),
     )
+
+
+class _NoDerivativeError(Exception):
+    """The residuals have no finite derivative where a step ended."""
+
+
+class _Guarded:
+    """A problem whose residuals are infinite wherever their derivative turned out not to be finite.
+
+    Attributes:
+        last: the last position with a finite derivative, shape [D].
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        self.last = np.zeros(problem.dimensions)
+        self._problem = problem
+        self._rejected: set[bytes] = set()
+        self._cached: tuple[bytes, np.ndarray] | None = None
+
+    def residuals(self, position: np.ndarray) -> np.ndarray:
+        found = self._problem.residuals(np.asarray(position))
+        return np.full_like(found, np.inf) if position.tobytes() in self._rejected else found
+
+    def jacobian(self, position: np.ndarray) -> np.ndarray:
+        """Return the derivative, or reject the position."""
+        if not self.defined(position):
+            raise _NoDerivativeError
+        return self._cached[1]  # pyright: ignore[reportOptionalSubscript]
+
+    def defined(self, position: np.ndarray) -> bool:
+        """Tell whether the derivative at a position is finite."""
+        key = np.asarray(position).tobytes()
+        if self._cached is None or self._cached[0] != key:
+            self._cached = key, self._problem.jacobian(np.asarray(position))
+        finite = bool(np.all(np.isfinite(self._cached[1])))
+        if finite:
+            self.last = np.array(position)
+        else:
+            self._rejected.add(key)
+        return finite
 
 
 _begin = eqx.filter_jit(whale.begin)

@@ -17,12 +17,13 @@ from hitchid.identification.deadzone import DeadZone
 from hitchid.identification.direction import Asked, ChannelTrace, levelled
 from hitchid.identification.holding import hold_drift
 from hitchid.identification.levelling import levelling
+from hitchid.identification.optional import attempt
 from hitchid.identification.phase2 import Training
 from hitchid.identification.preparation import Prepared, mixed_dead_zones, prepare
 from hitchid.identification.selection import Automatic
 from hitchid.identification.trace import describe_channel
 from hitchid.identification.two_modes import compare_modes
-from hitchid.model import Channel, Hitch, Provenance, save
+from hitchid.model import Channel, Hitch, Provenance, TravelLimits, save
 from hitchid.record import COMMAND, CYCLE, DISPLACEMENT, Record
 from hitchid.versions import installed_versions
 
@@ -153,7 +154,9 @@ class Case:
         """Return benchmarks with the gains on which strokes cut from mixed logs agree best as whole logs."""
         if len(found) < 2 or not self.cut_at:
             return found
-        factors = levelling(self._hitch(found), self.cycles)
+        factors = attempt("gain calibration", lambda: levelling(self._hitch(found), self.cycles), [])
+        if factors is None:
+            return found
         return {**found, **{mode: levelled(*found[mode], factor) for mode, factor in factors.items()}}
 
     def closed(self, found: Found) -> Identification:
@@ -173,7 +176,9 @@ class Case:
         hitch = replace(
             self._hitch(found),
             provenance=provenance,
-            two_modes=compare_modes(self.prepared) if same_unit else None,
+            two_modes=attempt("test of two modes", lambda: compare_modes(self.prepared), [])
+            if same_unit
+            else None,
             uncertainty={mode: trace.uncertainty for mode, trace in traces.items() if trace.uncertainty},
         )
         return Identification(hitch, traces)
@@ -182,11 +187,19 @@ class Case:
         forms, campaign = self.question.forms.values(), self.campaign
         roles = (DISPLACEMENT, *COMMAND.values(), *(form.load for form in forms if form.load))
         units = {role: campaign.units[role] for role in roles if role in campaign.units}
-        channels = {mode: channel for mode, (channel, _) in found.items()}
-        zones = {mode: channel.dead_zone for mode, channel in channels.items()}
         whole = self.cycles or tuple(r for mode in found for r in campaign.identification(mode))
+        stops = {c.direction: c.end_stop for c, _ in found.values() if c.end_stop is not None}
+        limits = TravelLimits.of(whole, stops)
+        channels = {mode: _limited(channel, limits) for mode, (channel, _) in found.items()}
+        zones = {mode: channel.dead_zone for mode, channel in channels.items()}
         drift = hold_drift(whole, zones) if self.question.drift else 0.0
         return Hitch(channels, campaign.step_s, units, drift=drift)
+
+
+def _limited(channel: Channel, limits: TravelLimits) -> Channel:
+    """Return a channel, and the paper's method beside it, held within the limits of the plant."""
+    paper = None if channel.paper is None else replace(channel.paper, limits=limits)
+    return replace(channel, limits=limits, paper=paper)
 
 
 def _asked(question: Question, mode: str, campaign: Campaign, kept: Checkpoints) -> Asked:

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key, PRNGKeyArray
 
+from hitchid.baselines import BlackBox
 from hitchid.benchmark import Batch, Form
 from hitchid.checkpoints import NOWHERE, Checkpoints
 from hitchid.envelope import Envelope, Range
@@ -20,6 +21,7 @@ from hitchid.identification.deadzone import DeadZone
 from hitchid.identification.descent import DescentTrace
 from hitchid.identification.levelling import with_gain
 from hitchid.identification.narx import fit_narx
+from hitchid.identification.optional import attempt
 from hitchid.identification.phase1 import Phase1, identify_benchmark
 from hitchid.identification.phase2 import Training, train_compensator
 from hitchid.identification.preparation import Prepared
@@ -148,9 +150,11 @@ def find_compensators(
             )
         channel = replace(channel, speed_compensator=speed)
         trace = replace(trace, gate=gate, notices=(*trace.notices, gate.sentence))
+    notices: list[str] = []
     paper = None
     if asked.training.baselines:
-        channel, paper = _with_baselines(channel, tests, asked, keys[2:], progress, seconds)
+        channel, paper = _with_baselines(channel, tests, asked, keys[2:], progress, seconds, notices)
+    trace = replace(trace, notices=(*trace.notices, *notices))
     return channel, _with_uncertainty(channel, trace, tests, asked, paper, seconds)
 
 
@@ -162,18 +166,31 @@ def _with_uncertainty(
     paper: Estimates | None,
     seconds: dict[str, float],
 ) -> ChannelTrace:
+    notices: list[str] = []
     trails: tuple[Trail, ...] = ()
-    if asked.comparison is not None:
+    comparison = asked.comparison
+    if comparison is not None:
         with _timed(seconds, "searches compared"):
             misfit = Misfit.of(tests.everything, asked.searched)
-            trails = search_trails(misfit, asked.comparison, asked.seed)
+            found = attempt(
+                "comparison of searches", lambda: search_trails(misfit, comparison, asked.seed), notices
+            )
+            trails = found or ()
     with _timed(seconds, "bands"):
-        bands = calibrate(channel, trace.phase1, tests.everything, tests.validation)
+        bands = attempt(
+            "bands around predictions",
+            lambda: calibrate(channel, trace.phase1, tests.everything, tests.validation),
+            notices,
+        )
     searched = tuple(parameter.name for parameter in asked.searched.parameters) if trails else ()
     fit = trace.phase1.fit
-    information = Information.of(fit.misfit, fit.position, trace.phase1.moved)
+    information = attempt(
+        "information for the design of tests",
+        lambda: Information.of(fit.misfit, fit.position, trace.phase1.moved),
+        notices,
+    )
     known = Uncertainty(trace.phase1.known, paper, bands, trails, searched, information)
-    return replace(trace, uncertainty=known, seconds=seconds)
+    return replace(trace, uncertainty=known, seconds=seconds, notices=(*trace.notices, *notices))
 
 
 def envelope_of(batch: Batch) -> Envelope:
@@ -269,15 +286,13 @@ def _with_baselines(
     keys: Key[Array, " k"],
     progress: Progress,
     seconds: dict[str, float],
+    notices: list[str],
 ) -> tuple[Channel, Estimates | None]:
     training = asked.training
     assert training is not None  # noqa: S101 - baselines are fitted beside a compensator
-    with _timed(seconds, "ARX"):
-        arx = fit_arx(tests.training, tests.validation)
-    with _timed(seconds, "NARX"):
-        narx = fit_narx(tests.training, tests.validation)
-    with _timed(seconds, "black-box LSTM"):
-        black_box = fit_black_box(
+
+    def black_box() -> BlackBox:
+        return fit_black_box(
             tests.training,
             tests.validation,
             hidden=training.hidden,
@@ -286,15 +301,28 @@ def _with_baselines(
             progress=_epochs(progress, "black-box baseline", 0.6, 0.2),
             kept=asked.kept.part("black box"),
         )
-    channel = replace(channel, arx=arx, narx=narx, black_box=black_box)
-    if asked.form == asked.paper:
-        return channel, None
-    with _timed(seconds, "paper's method"):
+
+    def of_the_paper() -> tuple[Channel, Phase1]:
         kept = asked.kept.part("paper")
         phase1 = _identified(tests, asked, asked.paper, kept)
         alone = _uncompensated(tests, phase1)
-        hear = _epochs(progress, "paper's method", 0.8, 0.2)
-        paper, _ = _compensated(alone, tests, training, keys[1], hear, kept)
+        report_epoch = _epochs(progress, "paper's method", 0.8, 0.2)
+        return _compensated(alone, tests, training, keys[1], report_epoch, kept)[0], phase1
+
+    with _timed(seconds, "ARX"):
+        arx = attempt("ARX", lambda: fit_arx(tests.training, tests.validation), notices)
+    with _timed(seconds, "NARX"):
+        narx = attempt("NARX", lambda: fit_narx(tests.training, tests.validation), notices)
+    with _timed(seconds, "black-box LSTM"):
+        lstm = attempt("black-box LSTM", black_box, notices)
+    channel = replace(channel, arx=arx, narx=narx, black_box=lstm)
+    if asked.form == asked.paper:
+        return channel, None
+    with _timed(seconds, "paper's method"):
+        found = attempt("the paper's method", of_the_paper, notices)
+    if found is None:
+        return channel, None
+    paper, phase1 = found
     return replace(channel, paper=paper), phase1.known
 
 

@@ -6,10 +6,12 @@ from types import MappingProxyType
 
 from hitchid.benchmark import Form, structure_named
 from hitchid.campaign import Campaign
+from hitchid.checks import path, several
 from hitchid.errors import HitchError
 from hitchid.fitting import Comparison, Search, Whale
+from hitchid.identification.arguments import CAMPAIGN, campaign_of, question_of
 from hitchid.identification.carrying_out import carried_out
-from hitchid.identification.case import Identification, Question
+from hitchid.identification.case import Identification
 from hitchid.identification.phase2 import Training
 from hitchid.identification.selection import Automatic
 from hitchid.precision import double_precision
@@ -39,7 +41,7 @@ NONE_KNOWN: Mapping[str, float] = MappingProxyType({})
 def identify(
     campaign: Campaign,
     *,
-    structure: Mapping[str, Form | Automatic] = CHOSEN,
+    structure: Mapping[str, Form | Automatic | str] = CHOSEN,
     search: Search = WHALE,
     training: Training | None = TRAINING,
     dead_zones: Mapping[str, float] = NONE_KNOWN,
@@ -47,7 +49,7 @@ def identify(
     comparison: Comparison | None = COMPARISON,
     seed: int = 0,
     progress: Progress | None = None,
-    checkpoints: Path | None = None,
+    checkpoints: str | Path | None = None,
 ) -> Identification:
     """Identify a grey-box model from the tests of a campaign that are not held out.
 
@@ -57,8 +59,9 @@ def identify(
 
     Args:
         campaign: tests; ramps, where there are any, give the dead zones.
-        structure: mode to the form of its benchmark, or `Automatic` to have it chosen by free run on
-            operating points held out in turn, as it is for a mode left out; `PAPER_FORMS` are the paper's.
+        structure: mode to the form of its benchmark or the name of a structure, or `Automatic` to have it
+            chosen by free run on operating points held out in turn, as it is for a mode left out;
+            `PAPER_FORMS` are the paper's.
         search: the global search of phase 1: `Whale`, `DifferentialEvolution` or `MultiStart`.
         training: settings of phase 2; None identifies benchmarks alone.
         dead_zones: mode to dead zone, in the command's unit, where it is known.
@@ -70,14 +73,23 @@ def identify(
             stopped, it goes on from there to the same model. None keeps none.
 
     Raises:
-        InputError: there is no test of one direction, all are held out, or a setting does not fit.
+        InputError: there is no test of one direction, all are held out, or an argument does not fit.
         LogError: a ramp ends before the piston moves.
         FitError: the identification could not be carried out on these data.
     """
-    question = Question(
-        {**CHOSEN, **structure}, PAPER_FORMS, search, training, dead_zones, drift, comparison, seed
+    question = question_of(
+        CHOSEN,
+        PAPER_FORMS,
+        structure=structure,
+        search=search,
+        training=training,
+        dead_zones=dead_zones,
+        drift=drift,
+        comparison=comparison,
+        seed=seed,
     )
-    (found,) = carried_out([campaign], question, progress or silent, checkpoints)
+    kept = None if checkpoints is None else path(checkpoints, "checkpoints")
+    (found,) = carried_out([campaign_of(campaign)], question, progress or silent, kept)
     if isinstance(found, HitchError):
         raise found
     return found
@@ -87,7 +99,7 @@ def identify(
 def identify_many(
     campaigns: Sequence[Campaign],
     *,
-    structure: Mapping[str, Form | Automatic] = CHOSEN,
+    structure: Mapping[str, Form | Automatic | str] = CHOSEN,
     search: Search = WHALE,
     training: Training | None = TRAINING,
     dead_zones: Mapping[str, float] = NONE_KNOWN,
@@ -110,7 +122,16 @@ def identify_many(
         In the order of the campaigns what was found, or the error with which a campaign ended; the others are
         not touched by it.
     """
-    question = Question(
-        {**CHOSEN, **structure}, PAPER_FORMS, search, training, dead_zones, drift, comparison, seed
+    question = question_of(
+        CHOSEN,
+        PAPER_FORMS,
+        structure=structure,
+        search=search,
+        training=training,
+        dead_zones=dead_zones,
+        drift=drift,
+        comparison=comparison,
+        seed=seed,
     )
-    return carried_out(campaigns, question, progress or silent)
+    given = several(campaigns, Campaign, "campaigns", f"several, each {CAMPAIGN}")
+    return carried_out(given, question, progress or silent)

@@ -10,8 +10,9 @@ from hitchid.benchmark import Batch, Benchmark, Form
 from hitchid.benchmark.nonlinear import NonlinearStructure
 from hitchid.checkpoints import NOWHERE, Checkpoints
 from hitchid.fitting import Found, Misfit, Search, polish, searchable
+from hitchid.identification.optional import attempt
 from hitchid.progress import Heard
-from hitchid.uncertainty import KNOWN, DeadZoneError, Estimate, Estimates, Moves, assess
+from hitchid.uncertainty import KNOWN, DeadZoneError, Estimate, Estimates, Moves, assess, unassessed
 
 LEVELLINGS = 3
 SEARCHED, COARSE = 8192, 2048
@@ -138,8 +139,17 @@ def _descended(misfit: Misfit, starts: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def assessed(fit: Fit, *, units: Mapping[str, str], dead_zone: DeadZoneError, seed: int) -> Phase1:
-    """Return a fit as a benchmark, with what the tests say of its parameters; see `assess`."""
-    known, moved = assess(fit.misfit, fit.position, units=units, dead_zone=dead_zone, seed=seed)
+    """Return a fit as a benchmark, with what the tests say of its parameters; see `assess`.
+
+    Where that cannot be computed every interval is open, and the verdict says why.
+    """
+    failures: list[str] = []
+    found = attempt(
+        "intervals of the parameters",
+        lambda: assess(fit.misfit, fit.position, units=units, dead_zone=dead_zone, seed=seed),
+        failures,
+    )
+    known, moved = found or unassessed(fit.misfit, fit.position, units=units, cause=" ".join(failures))
     return Phase1(
         benchmark=fit.misfit.form.benchmark(jnp.asarray(fit.values), fit.misfit.scales),
         fit=fit,

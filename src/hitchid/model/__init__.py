@@ -7,6 +7,7 @@ from hitchid.model.channel import Channel as Channel
 from hitchid.model.channel import unpadded as unpadded
 from hitchid.model.hitch import Band as Band
 from hitchid.model.hitch import Hitch as Hitch
+from hitchid.model.limits import TravelLimits as TravelLimits
 from hitchid.model.packing import Packed as Packed
 from hitchid.model.provenance import Provenance as Provenance
 from hitchid.model.provenance import TwoModes as TwoModes

@@ -13,6 +13,7 @@ import numpy as np
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
+from hitchid import checks
 from hitchid.baselines import Arx, BlackBox
 from hitchid.benchmark import SHAPE, Benchmark, Scales, Shape, structure_named
 from hitchid.compensator import FEATURES, Compensator
@@ -21,6 +22,7 @@ from hitchid.errors import InputError, ModelFolderError
 from hitchid.lstm import Lstm
 from hitchid.model.channel import Channel
 from hitchid.model.hitch import Hitch
+from hitchid.model.limits import TravelLimits
 from hitchid.model.migration import SCHEMA, STEPS, migrated, readable
 from hitchid.model.provenance import Provenance, TwoModes
 from hitchid.narx import Narx
@@ -48,6 +50,7 @@ def save(
     Raises:
         OutputError: the folder exists, or cannot be written.
     """
+    checks.instance(hitch, Hitch, "model", "a model as hitchid.load returns it")
     weights = save_tensors(_tensors(hitch))
     traces = canonical_json(trace or {})
     content = _description(hitch)
@@ -59,7 +62,7 @@ def save(
         (place / TRACE_FILE).write_bytes(traces)
         (place / MODEL_FILE).write_bytes(canonical_json(content))
 
-    write_folder(Path(folder), write, mark=MODEL_FILE, force=force)
+    write_folder(checks.path(folder, "folder"), write, mark=MODEL_FILE, force=force)
 
 
 @double_precision
@@ -69,7 +72,7 @@ def load(folder: str | Path) -> Hitch:
     Raises:
         ModelFolderError: the folder or a file is missing, was cut short or edited, or is of a newer schema.
     """
-    place = Path(folder)
+    place = checks.path(folder, "folder")
     content = _read_description(place)
     weights = _read_checked(place / WEIGHTS_FILE, content)
     _read_checked(place / TRACE_FILE, content)
@@ -86,7 +89,7 @@ def load_trace(folder: str | Path) -> dict:
     Raises:
         ModelFolderError: as `load`.
     """
-    place = Path(folder)
+    place = checks.path(folder, "folder")
     data = _read_checked(place / TRACE_FILE, _read_description(place))
     try:
         return json.loads(data)
@@ -123,6 +126,7 @@ def _describe_channel(channel: Channel) -> dict:
         "direction": channel.direction,
         "dead_zone": channel.dead_zone,
         "end_stop": channel.end_stop,
+        "limits": None if channel.limits is None else channel.limits._asdict(),
         "structure": benchmark.structure.name,
         "values": [float(value) for value in benchmark.values],
         "dead_time_s": float(benchmark.dead_time_s),
@@ -232,6 +236,7 @@ def _channel(mode: str, described: dict, tensors: dict[str, np.ndarray], owner: 
             _shape(described["shape"]),
             described["load"],
         ),
+        limits=_limits(described.get("limits")),
     )
     parts: dict = {}
     if described["compensator"] is not None:
@@ -267,6 +272,10 @@ def _channel(mode: str, described: dict, tensors: dict[str, np.ndarray], owner: 
         list(parts.values()),
         is_leaf=lambda leaf: leaf is None,
     )
+
+
+def _limits(described: dict | None) -> TravelLimits | None:
+    return None if described is None else TravelLimits(**described)
 
 
 def _check_room(tensors: Mapping[str, np.ndarray], count: int) -> None:

@@ -8,13 +8,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from hitchid import checks
 from hitchid.baselines import Arx, BlackBox
 from hitchid.benchmark import Batch, Benchmark
 from hitchid.compensator import Compensator, Sample, free_run, predicted_errors
 from hitchid.envelope import Envelope
+from hitchid.model.limits import TravelLimits
 from hitchid.narx import Narx
+from hitchid.precision import double_precision
 from hitchid.record import Record
 from hitchid.speed_compensator import SpeedCompensator, compensated
+
+RECORDS = 'records as hitchid.read("logs").records holds them'
 
 
 class Channel(eqx.Module):
@@ -25,6 +30,7 @@ class Channel(eqx.Module):
         direction: +1 where the displacement grows with the command, −1 where it falls.
         dead_zone: dead zone of the command, in its unit.
         end_stop: displacement the piston cannot pass, in the displacement's unit; None where none was met.
+        limits: between what displacements a free run is held; None in models that know none.
         benchmark: the model from commands to displacement.
         compensator: predicts the benchmark's error from what was measured before; None leaves it alone.
         speed_compensator: corrects the benchmark in free run; None where it did not prove itself.
@@ -46,11 +52,13 @@ class Channel(eqx.Module):
     narx: Narx | None = None
     black_box: BlackBox | None = None
     paper: Optional["Channel"] = None
+    limits: TravelLimits | None = eqx.field(static=True, default=None)
 
+    @double_precision
     def batch(self, records: Sequence[Record], initial: Sequence[float] | None = None) -> Batch:
         """Lay records side by side as this channel hears them; see `Batch.of`."""
         return Batch.of(
-            records,
+            checks.several(records, Record, "records", RECORDS),
             self.mode,
             dead_zone=self.dead_zone,
             direction=self.direction,
@@ -59,10 +67,12 @@ class Channel(eqx.Module):
             load=self.benchmark.load,
         )
 
+    @double_precision
     def simulate_benchmark(self, batch: Batch) -> Float[Array, "t n"]:
         """Return the benchmark's free run from commands and initial displacement, shape [T, N]."""
         return self._displaced(batch, self.benchmark.travel(batch))
 
+    @double_precision
     def simulate(self, batch: Batch) -> Float[Array, "t n"]:
         """Return the grey box's free run from commands and initial displacement, shape [T, N]."""
         if self.speed_compensator is None:
@@ -72,6 +82,7 @@ class Channel(eqx.Module):
         )
         return self._displaced(batch, travel)
 
+    @double_precision
     def echo(self, batch: Batch) -> Float[Array, "t n"]:
         """Return the free run of the compensator for predictions, which hears itself, shape [T, N].
 
@@ -84,6 +95,7 @@ class Channel(eqx.Module):
         errors = free_run(self.compensator, time_s, batch.command.T, benchmark.T, batch.step_s)
         return benchmark + errors.T
 
+    @double_precision
     def outside(self, batch: Batch, displacement: Float[Array, "t n"]) -> Mapping[str, np.ndarray]:
         """Tell where a simulation leaves what the identification tests covered.
 
@@ -103,12 +115,14 @@ class Channel(eqx.Module):
         }
 
     def _displaced(self, batch: Batch, travel: Float[Array, "t n"]) -> Float[Array, "t n"]:
-        """Return the displacement that belongs to a travel, no farther than the end stop."""
+        """Return the displacement that belongs to a travel, no farther than the end stop and the limits."""
         if self.end_stop is not None:
             room = jnp.maximum(self.direction * (self.end_stop - batch.initial), 0.0)
             travel = jnp.minimum(travel, room[:, None])
-        return batch.displaced(travel)
+        displacement = batch.displaced(travel)
+        return displacement if self.limits is None else self.limits.hold(displacement, batch.initial[:, None])
 
+    @double_precision
     def predict(self, batch: Batch, horizons: tuple[int, ...]) -> Float[Array, "h t n"]:
         """Return predictions that may use the measured displacement up to h samples before.
 

@@ -13,9 +13,11 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 from scipy.special import ndtri
 
+from hitchid import checks
 from hitchid.benchmark import Batch, mean_before_motion
 from hitchid.errors import InputError
 from hitchid.model.channel import Channel
+from hitchid.model.limits import TravelLimits
 from hitchid.model.packing import Packed, Packing
 from hitchid.model.possible import possible
 from hitchid.model.provenance import Provenance, TwoModes
@@ -87,12 +89,31 @@ class Hitch:
                 samples = int(np.sum(outside[0, : len(own)] & driven))
                 if samples:
                     found.append(
-                        f"{mode}: the {name} leaves what the tests covered, {self._covered(mode, name)}, in "
+                        f"{mode}: the {name} leaves what the tests covered, {self.covered(mode, name)}, in "
                         f"{samples} of {len(own)} samples"
                     )
-        return tuple(found)
+        return (*found, *self._at_limits(displacement))
 
-    def _covered(self, mode: str, name: str) -> str:
+    def _at_limits(self, displacement: np.ndarray) -> list[str]:
+        """Tell in words where a free run is held at a limit of the plant that is no mechanical stop."""
+        samples = 0 if self.limits is None else int(np.sum(self.limits.reached(displacement)))
+        if not samples or self.limits is None:
+            return []
+        unit = self.units[DISPLACEMENT]
+        return [f"{self.limits.sentence(unit)}; this one is in {samples} of {displacement.size} samples"]
+
+    @property
+    def limits(self) -> TravelLimits | None:
+        """Between what displacements a free run is held; None in models that know no limits."""
+        return next((channel.limits for channel in self.channels.values()), None)
+
+    def covered(self, mode: str, name: str) -> str:
+        """Return in words from where to where the tests of a mode went.
+
+        Args:
+            mode: of a channel that knows it.
+            name: `command`, `displacement` or `load`.
+        """
         channel = self.channels[mode]
         load = channel.benchmark.load or ""
         role = {"command": COMMAND[mode], "displacement": DISPLACEMENT, "load": load}[name]
@@ -115,6 +136,7 @@ class Hitch:
         Raises:
             SettingsError: a unit is of another dimension than the model's.
         """
+        checks.instance(units, Mapping, "units", "role to unit")
         found = {}
         for mode, channel in self.channels.items():
             benchmark = channel.benchmark
@@ -132,6 +154,7 @@ class Hitch:
         Raises:
             SettingsError: a unit is of another dimension than the model's.
         """
+        checks.instance(units, Mapping, "units", "role to unit")
         zones = self.provenance.cut_at or self.dead_zones
         return {mode: zone * self._command_factor(mode, units) for mode, zone in zones.items()}
 
@@ -151,10 +174,12 @@ class Hitch:
         Raises:
             InputError: a value is not finite, or beyond 1e9.
         """
+        numbers = []
         for name, value in (("displacement", displacement), ("load", load)):
-            if not abs(value) < LARGEST:
+            numbers.append(checks.number(value, name))
+            if not abs(numbers[-1]) < LARGEST:
                 raise InputError(f"{name}: required a number within ±{LARGEST:g}, came {value}")
-        return self._standing(displacement, load)
+        return self._standing(*numbers)
 
     def step(
         self, state: Packed, commands: ArrayLike | Sequence[ArrayLike], measured: ArrayLike | None = None
@@ -167,18 +192,28 @@ class Hitch:
         Args:
             state: from `initial` or an earlier step; `situation` tells what is in it.
             commands: lifting and lowering command over the coming interval, in the model's unit, shape [2];
-                a mode without a channel is not heard.
+                a mode without a channel is not heard. A model of one channel takes its command alone, too,
+                shape [1].
             measured: displacement now, in the model's unit; None or NaN where there is none.
 
         Returns:
             The next state and its displacement, in the model's unit, shape [].
+
+        Raises:
+            InputError: the state is none of this model, or commands or measurement have another shape.
         """
         with jax.enable_x64(True):
-            return self._step(state, _given(commands, np.nan if measured is None else measured))
+            self._check_state(state)
+            return self._step(state, self._given(commands, np.nan if measured is None else measured))
 
     def situation(self, state: Packed) -> State:
-        """Return what a state says: displacement, channel in charge, what is missing."""
+        """Return what a state says: displacement, channel in charge, what is missing.
+
+        Raises:
+            InputError: the state is none of this model.
+        """
         with jax.enable_x64(True):
+            self._check_state(state)
             return self._unpacked(state)
 
     @double_precision
@@ -227,8 +262,10 @@ class Hitch:
             record, horizons: as `predict` takes them.
             every: predict from one sample in so many; what is not predicted is NaN.
         """
-        if min(horizons) < 1:
-            raise InputError(f"horizon: required at least 1 sample, came {min(horizons)}")
+        horizons = [checks.whole(each, "horizon", least=1) for each in horizons]
+        if not horizons:
+            raise InputError("horizons: required at least one number of samples, none came")
+        checks.whole(every, "every", least=1)
         own = self.adopt(record)
         farthest = min(max(horizons), len(own))
         commands = padded(_commands(own), farthest)
@@ -273,6 +310,7 @@ class Hitch:
             InputError: the model has no bands, the share lies beyond them, or as `simulate`.
             SettingsError: a unit is of another dimension than the model's.
         """
+        checks.number(coverage, "coverage")
         known = self._bands
         lacking = [mode for mode in self.channels if mode not in known]
         if lacking:
@@ -286,6 +324,7 @@ class Hitch:
             middle = self._given_back(run.displacement, own, record)
             half = self._free_run_half(own, run, known, coverage)
         else:
+            checks.whole(horizon, "horizon", least=1)
             each = [known[mode].half_width(coverage, horizon) for mode in self.channels]
             middle = self.predict(record, horizon=horizon)
             half = np.where(run.charge < 0, max(each), np.array(each)[run.charge])
@@ -324,6 +363,7 @@ class Hitch:
             InputError: the record has no command for any channel, or one effective that no channel hears.
             SettingsError: a unit is of another dimension than the model's.
         """
+        checks.instance(record, Record, "record", 'one of hitchid.read("logs").records')
         if not any(mode in record.modes for mode in self.channels):
             raise InputError(
                 f"record '{record.name}' has commands for {' and '.join(record.modes)}; "
@@ -350,6 +390,13 @@ class Hitch:
         channels = [replace(channel, **alone) for channel in self.channels.values()]
         return Motion.of(channels, self.step_s, self.drift)
 
+    def _check_state(self, state: Packed) -> None:
+        """Refuse what is no state of this model; shapes alone are looked at, so that it may be traced."""
+        required = "a state of this model, from `initial` or `step`"
+        checks.instance(state, Packed, "state", required)
+        if tuple(map(np.shape, state)) != self._state_shapes:
+            raise checks.refusal("state", required, tuple(map(np.shape, state)))
+
     @cached_property
     def _packing(self) -> Packing:
         return Packing(jax.eval_shape(self._motion.standing))
@@ -366,6 +413,29 @@ class Hitch:
     @cached_property
     def _step(self) -> Callable[..., tuple[Packed, Array]]:
         return self._packing.step(self._motion)
+
+    @cached_property
+    def _state_shapes(self) -> tuple[tuple[int, ...], ...]:
+        return tuple(part.shape for part in jax.eval_shape(self._standing, 0.0, 0.0))
+
+    def _given(self, commands: ArrayLike | Sequence[ArrayLike], measured: ArrayLike) -> Array | np.ndarray:
+        """Return lifting and lowering command and measured displacement in one array, shape [3]."""
+        parts = commands if isinstance(commands, Sequence) else (commands,)
+        xp = jnp if any(isinstance(each, jax.Array) for each in (*parts, measured)) else np
+        try:
+            both, now = xp.asarray(commands), xp.asarray(measured)
+        except (TypeError, ValueError) as error:
+            raise checks.refusal("commands, measured", "numbers", (commands, measured)) from error
+        if {both.dtype.kind, now.dtype.kind} - set("iuf"):
+            raise checks.refusal("commands, measured", "numbers", (commands, measured))
+        if both.shape == (1,) and len(self.channels) == 1:
+            (mode,) = self.channels
+            both = xp.zeros(len(MODES)) + both * np.array([each == mode for each in MODES])
+        if both.shape != (len(MODES),):
+            raise InputError(f"commands: required lifting and lowering, shape (2,), came shape {both.shape}")
+        if now.shape != ():
+            raise InputError(f"measured: required one displacement, shape (), came shape {now.shape}")
+        return xp.append(both, now).astype(np.float64)
 
     def _rest(self, record: Record) -> Rest:
         """Return where a hitch stands before a record: the means before any command becomes effective."""
@@ -396,14 +466,6 @@ def _after(rest: Rest, displacement: Float[np.ndarray, " n"]) -> Float[np.ndarra
 
 def _same_clock(step_s: float, wanted_s: float, samples: int) -> bool:
     return abs(step_s - wanted_s) * samples <= 0.05 * wanted_s
-
-
-def _given(commands: ArrayLike | Sequence[ArrayLike], measured: ArrayLike) -> Array | np.ndarray:
-    """Return both in one array, shape [3]."""
-    parts = commands if isinstance(commands, Sequence) else (commands,)
-    if any(isinstance(each, jax.Array) for each in (*parts, measured)):
-        return jnp.append(jnp.asarray(commands, jnp.float64), measured)
-    return np.append(np.asarray(commands, dtype=np.float64), measured)
 
 
 def _commands(record: Record) -> Float[np.ndarray, "n 2"]:

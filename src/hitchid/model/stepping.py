@@ -220,7 +220,7 @@ class Motion(eqx.Module):
         now, scaled, trust = self._asked(now, fresh)
         for number in range(len(self.channels)):
             now = self._moved(number, now)
-        now = self._crept(now, ~jnp.any(jnp.stack(calls)))
+        now = self._limited(self._crept(now, ~jnp.any(jnp.stack(calls))))
         return now, Question(
             number=jnp.maximum(mode, 0),
             scaled=scaled,
@@ -259,6 +259,15 @@ class Motion(eqx.Module):
                 within = jnp.minimum if channel.direction > 0 else jnp.maximum
                 displacement = within(displacement, beyond(channel.end_stop, state.start))
         return displacement
+
+    def _limited(self, state: State) -> State:
+        """Hold the benchmark and the free run within the limits of the plant: beyond them nothing goes on."""
+        limits = self.channels[0].limits
+        if limits is None:
+            return state
+        return state._replace(
+            benchmark=limits.hold(state.benchmark, state.start), free=limits.hold(state.free, state.start)
+        )
 
     def _crept(self, state: State, held: Bool[Array, ""]) -> State:
         """Let a held piston creep, from the end stop if it stands there."""

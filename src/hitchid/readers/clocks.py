@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from hitchid.errors import LogError
-from hitchid.grid import GAP
+from hitchid.grid import GAP, first_of_each_stamp
 from hitchid.readers.content import Channel
 from hitchid.record import COMMAND, LIFTING, resampled
 
@@ -21,8 +21,8 @@ def on_one_clock(
     """Return time stamps, s, and every channel's samples at them, and what was done.
 
     Where a channel holds the time, it counts for all. Else each channel has a clock of its own, and all are
-    taken to the slowest: commands as they stood at the nearest sample, everything else interpolated. What
-    falls into a gap of some channel is left out.
+    taken to the slowest: commands as they are in force, everything else interpolated. What falls into a gap
+    of some channel is left out; of samples with one time stamp the first is kept.
 
     Args:
         source: the file, for messages.
@@ -31,8 +31,8 @@ def on_one_clock(
         names: role to column, for messages.
 
     Raises:
-        LogError: a channel has no clock, another length than the time, or time that does not increase; or the
-            channels have no time in common.
+        LogError: a channel has no clock, another length than the time, or time that runs backwards or stands
+            still; or the channels have no time in common.
     """
     if time is not None:
         for role, channel in channels.items():
@@ -44,7 +44,8 @@ def on_one_clock(
                 )
             _check_agrees(source, time.values, channel, names[role])
         return time.values, {role: channel.values for role, channel in channels.items()}, []
-    clocks = {role: _clock(source, channel, names[role]) for role, channel in channels.items()}
+    channels = {role: _clocked(source, channel, names[role]) for role, channel in channels.items()}
+    clocks = {role: channel.clock_s for role, channel in channels.items() if channel.clock_s is not None}
     steps = {role: float(np.median(np.diff(clock))) for role, clock in clocks.items()}
     slowest = max(steps, key=lambda role: steps[role])
     target = clocks[slowest]
@@ -76,23 +77,18 @@ def _check_agrees(source: Path, time_s: np.ndarray, channel: Channel, name: str)
         raise LogError(source, f"{problem}; required one that is its own", column=name)
 
 
-def _clock(source: Path, channel: Channel, name: str) -> np.ndarray:
+def _clocked(source: Path, channel: Channel, name: str) -> Channel:
+    """Return a channel whose clock increases from sample to sample."""
     clock = channel.clock_s
     if clock is None:
         problem = 'the file keeps no clock for it; required the time\'s column: time = "…" in campaign.toml'
         raise LogError(source, problem, column=name)
     if clock.size < 2:
         raise LogError(source, f"has {clock.size} samples, required at least 2", column=name)
-    steps = np.diff(clock)
-    back = np.flatnonzero(~((steps > 0) & (steps < np.inf)))
-    if back.size:
-        before, after = clock[back[0] : back[0] + 2]
-        raise LogError(
-            source,
-            f"its time must increase from sample to sample; {after:g} s came after {before:g} s",
-            column=name,
-        )
-    return clock
+    rows = first_of_each_stamp(clock, source, column=name, line_of=lambda _: None)
+    if rows.size == clock.size:
+        return channel
+    return channel._replace(values=channel.values[rows], clock_s=clock[rows])
 
 
 def _sampled(role: str, samples: np.ndarray, had_s: np.ndarray, wanted_s: np.ndarray) -> np.ndarray:

@@ -8,18 +8,20 @@ from pathlib import Path
 
 import numpy as np
 
+from hitchid import checks
 from hitchid.campaign import Campaign
 from hitchid.errors import LogError
-from hitchid.grid import Section, sections
+from hitchid.grid import Section, first_of_each_stamp, sections, uniform
 from hitchid.readers.content import Wanted
 from hitchid.readers.folders import find_logs, settings_of
 from hitchid.readers.formats import format_of, record_name
 from hitchid.readers.process import ReaderProcess
 from hitchid.readers.table import Table, table_of
-from hitchid.record import Record, resampled
+from hitchid.record import COMMAND, DISPLACEMENT, Record, resampled
 from hitchid.signals import CampaignFile, SignalMap
 
 SHORTEST = 20
+LOGS = "files and folders of logs"
 
 
 def read(logs: str | Path | Iterable[str | Path], *, signals: str | Path | None = None) -> Campaign:
@@ -38,8 +40,9 @@ def read(logs: str | Path | Iterable[str | Path], *, signals: str | Path | None 
         SettingsError: a settings file cannot be used.
         InputError: there are no logs, or they do not fit together.
     """
-    paths = find_logs(logs)
-    settings = settings_of(paths, signals)
+    given = logs if isinstance(logs, str | Path) else checks.several(logs, (str, Path), "logs", LOGS)
+    paths = find_logs(given)
+    settings = settings_of(paths, None if signals is None else checks.path(signals, "signals"))
     with ReaderProcess() as process:
         records = [record for path in paths for record in read_log(path, settings[path.parent], process)]
     return assemble(records, settings)
@@ -98,8 +101,13 @@ def records_of(table: Table, signals: SignalMap) -> list[Record]:
     Raises:
         LogError: the clock cannot be used, or no stretch is long enough.
     """
-    time_s, path, column = table.time_s, table.source, signals.time.column
-    parts = sections(time_s, path, column=column, line_of=table.line_of)
+    path, column = table.source, signals.time.column
+    rows = first_of_each_stamp(table.time_s, path, column=column, line_of=table.line_of)
+    repeated = table.time_s.size - rows.size
+    table = _rows(table, rows) if repeated else table
+    time_s = table.time_s
+    commands = {role: values for role, values in table.signals.items() if role in COMMAND.values()}
+    parts = sections(time_s, commands, table.signals[DISPLACEMENT])
     usable = [part for part in parts if part.stop - part.start >= SHORTEST]
     if not usable:
         longest = max((part.stop - part.start for part in parts), default=time_s.size)
@@ -110,6 +118,8 @@ def records_of(table: Table, signals: SignalMap) -> list[Record]:
         for number, part in enumerate(usable, start=1)
     ]
     said = list(table.notices)
+    if repeated:
+        said.append(f"{repeated} rows are left out: their time is that of the row before")
     left_out = time_s.size - sum(part.stop - part.start for part in usable)
     if left_out:
         said.append(f"{left_out} of {time_s.size} samples are left out: fewer than {SHORTEST} in a row")
@@ -117,13 +127,16 @@ def records_of(table: Table, signals: SignalMap) -> list[Record]:
     return records
 
 
+def _rows(table: Table, rows: np.ndarray) -> Table:
+    samples = {role: values[rows] for role, values in table.signals.items()}
+    return replace(table, time_s=table.time_s[rows], signals=samples)
+
+
 def _record(name: str, table: Table, part: Section) -> Record:
     stamps = table.time_s[part.start : part.stop]
     samples = {role: values[part.start : part.stop] for role, values in table.signals.items()}
     if part.resampled:
-        count = round(float(stamps[-1] - stamps[0]) / part.step_s) + 1
-        grid = np.minimum(stamps[0] + part.step_s * np.arange(count), stamps[-1])
-        samples = resampled(samples, stamps, grid)
+        samples = resampled(samples, stamps, uniform(stamps, part.step_s))
     return Record(
         name=name,
         step_s=part.step_s,
@@ -132,6 +145,7 @@ def _record(name: str, table: Table, part: Section) -> Record:
         start_s=float(stamps[0]),
         source=table.source,
         notices=(part.notice,) if part.notice else (),
+        clock=part.clock,
     )
 
 
@@ -142,7 +156,7 @@ def _wanted(signals: SignalMap) -> tuple[str, ...]:
         signals.lifting_command,
         signals.lowering_command,
     )
-    return tuple(dict.fromkeys([*(c.column for c in mapped if c is not None), *signals.covariates]))
+    return tuple(dict.fromkeys(c.column for c in (*mapped, *signals.covariates) if c is not None))
 
 
 def _distinct(records: Sequence[Record]) -> Sequence[Record]:

@@ -75,10 +75,7 @@ def table_of(content: Content, signals: SignalMap) -> Table:
 
 def _mapped(signals: SignalMap, content: Content) -> dict[str, Column]:
     """Return role to column, the time only where the log has such a channel."""
-    covariates = {
-        name: Column(column=name, unit=_covariate_unit(content.channels[name], name))
-        for name in signals.covariates
-    }
+    covariates = {column.column: column for column in signals.covariates}
     given = {
         TIME: signals.time if signals.time.column in content.channels else None,
         COMMAND[LIFTING]: signals.lifting_command,
@@ -89,17 +86,13 @@ def _mapped(signals: SignalMap, content: Content) -> dict[str, Column]:
     return {**{role: column for role, column in given.items() if column is not None}, **covariates}
 
 
-def _covariate_unit(channel: Channel, name: str) -> str:
-    return known_unit(channel.unit or "") or unit_of_column(name) or "1"
-
-
 def _converted(content: Content, role: str, column: Column) -> tuple[Channel, list[str]]:
-    """Return a channel in the unit it is asked in, and what was done to it."""
+    """Return a channel in the unit it is asked in, (reading − zero) · scale, and what was done to it."""
     name, source = column.column, content.source
     channel = content.channels[name]
     _check_finite(content, name)
     said = known_unit(channel.unit or "")
-    asked = column.unit or said
+    asked = column.unit or said or unit_of_column(name) or (None if role in DIMENSIONS else "1")
     if asked is None:
         raise LogError(
             source,
@@ -107,7 +100,14 @@ def _converted(content: Content, role: str, column: Column) -> tuple[Channel, li
             f'required {{ column = "{name}", unit = "…" }} in campaign.toml',
             column=name,
         )
-    _check_unit(source, role, name, asked, said)
+    _check_dimension(source, role, name, asked)
+    unit = "s" if role == TIME else asked
+    if column.scale is not None:
+        # The scale says what a reading is worth, whatever unit the file gives it.
+        factor = column.scale * UNITS[asked].factor / UNITS[unit].factor
+        notices = [] if said in (None, asked) else [f"{name}: scaled to {asked}; the file's unit is {said}"]
+        return channel._replace(values=(channel.values - column.zero) * factor, unit=unit), notices
+    _check_agrees(source, name, asked, said)
     notices = []
     if channel.unit and said is None:
         notices.append(f"{name}: the unit '{channel.unit}' in the file is not known; read as {asked}")
@@ -115,13 +115,14 @@ def _converted(content: Content, role: str, column: Column) -> tuple[Channel, li
         notices.append(f"{name}: converted from {said}, as the file says, to {asked}")
     elif said is None and unit_of_column(name) not in (None, asked):
         notices.append(f"{name}: read as {asked}, as the signal map says, although its name ends otherwise")
-    had, unit = said or asked, "s" if role == TIME else asked
+    had = said or asked
     factor = 1.0 if had == unit else UNITS[had].factor / UNITS[unit].factor
-    values = channel.values if factor == 1.0 else channel.values * factor
+    values = channel.values - column.zero if column.zero else channel.values
+    values = values if factor == 1.0 else values * factor
     return channel._replace(values=values, unit=unit), notices
 
 
-def _check_unit(source: Path, role: str, name: str, asked: str, said: str | None) -> None:
+def _check_dimension(source: Path, role: str, name: str, asked: str) -> None:
     dimension, dimensions = UNITS[asked].dimension, DIMENSIONS.get(role)
     if dimensions and dimension not in dimensions:
         raise LogError(
@@ -129,8 +130,13 @@ def _check_unit(source: Path, role: str, name: str, asked: str, said: str | None
             f"'{asked}' is a unit of {dimension}, required one of {', '.join(dimensions)} for {role}",
             column=name,
         )
+
+
+def _check_agrees(source: Path, name: str, asked: str, said: str | None) -> None:
+    """Refuse a unit that the file says in its name and beside it, or as the map, in two ways."""
     if said is None:
         return
+    dimension = UNITS[asked].dimension
     named = unit_of_column(name)
     if named not in (None, said) and UNITS[named].dimension == dimension:
         problem = f"the name says '{named}', the file '{said}'; required one of them to be put right"

@@ -1,6 +1,7 @@
 """Estimates: how well tests determine parameters, and what they leave open."""
 
 from hitchid.uncertainty.assess import assess as assess
+from hitchid.uncertainty.assess import unassessed as unassessed
 from hitchid.uncertainty.bands import Alternative as Alternative
 from hitchid.uncertainty.bands import Bands as Bands
 from hitchid.uncertainty.dead_zone_error import KNOWN as KNOWN

@@ -62,10 +62,10 @@ class _Found:
         return self.lower * (self.upper / self.lower) ** place
 
     def between(self, lower: float | None, upper: float | None) -> Interval:
-        """Return the values of two places between the bounds."""
+        """Return the values of two places; an end beyond the bounds is open."""
         return (
-            None if lower is None else self.value(lower),
-            None if upper is None else self.value(upper),
+            None if lower is None or not lower >= 0 else self.value(lower),
+            None if upper is None or not upper <= 1 else self.value(upper),
         )
 
     def narrow(self, interval: Interval, factor: float = NARROW, share: float = HALF) -> bool:
@@ -124,6 +124,40 @@ def assess(
     return known, moved
 
 
+def unassessed(
+    misfit: Misfit, position: np.ndarray, *, units: Mapping[str, str], cause: str
+) -> tuple[Estimates, Moves]:
+    """Return estimates of which nothing but the value is known.
+
+    Args:
+        misfit, position, units: as for `assess`.
+        cause: why, the verdict of every parameter.
+    """
+    values = misfit.values(position)
+    estimates = tuple(
+        Estimate(
+            name=parameter.name,
+            symbol=parameter.symbol or parameter.name.replace("_", " "),
+            unit=parameter.unit.format(**units),
+            value=float(values[number]),
+            error=None,
+            interval=(None, None),
+            method="none",
+            bootstrap=None,
+            lower=float(misfit.bounds.lower[number]),
+            upper=float(misfit.bounds.upper[number]),
+            linear=bool(misfit.bounds.linear[number]),
+            determined=False,
+            verdict=cause,
+            sensitivity=0.0,
+        )
+        for number, parameter in enumerate(misfit.form.parameters)
+    )
+    tests = int(np.sum(np.asarray(misfit.batch.counted).any(axis=1)))
+    nothing = tuple((0.0,) * position.size for _ in estimates)
+    return Estimates(estimates, (), nothing, tests, tests), Moves.none(tests, position.size)
+
+
 def _with_interval(
     found: _Found, misfit: Misfit, position: np.ndarray, moved: Moves, dead_zone: DeadZoneError
 ) -> _Found:
@@ -133,7 +167,7 @@ def _with_interval(
         along = np.eye(position.size)[found.number]
         reach = moved.reach(along, float(moved.degrees[found.number]))
         interval = found.between(place - reach, place + reach)
-        if reach < min(place, 1 - place) and found.narrow(interval, TIGHT, LITTLE):
+        if found.narrow(interval, TIGHT, LITTLE):
             return replace(found, interval=interval)
     coarse = misfit.over(misfit.batch.thinned(PROFILED))
     curve = profile(coarse, position, found.number, dead_zone)

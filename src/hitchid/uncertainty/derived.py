@@ -54,8 +54,8 @@ def derived(
         reach = moved.reach(np.array(along), degrees)
         found = [_log(value) - reach, _log(value) + reach, *(_log(each[name][0]) for each in allowed)]
         falls, rises = beyond(profiles, lambda place, name=name: _log(at(place)[name][0]))
-        lower = None if falls else exp(min(found))
-        upper = None if rises else exp(max(found))
+        lower = None if falls else _exp(min(found))
+        upper = None if rises else _exp(max(found))
         narrow = lower is not None and upper is not None and upper <= NARROW * lower
         quantities.append(Quantity(name, unit.format(**units), value, (lower, upper), narrow))
     return tuple(quantities)
@@ -63,6 +63,11 @@ def derived(
 
 def _log(value: float) -> float:
     return log(max(value, LEAST))
+
+
+def _exp(logarithm: float) -> float | None:
+    """Return the number that has a logarithm; None, an open end, where no number of double precision has."""
+    return exp(logarithm) if abs(logarithm) < -log(LEAST) else None
 
 
 def sensitivities(misfit: Misfit, position: np.ndarray) -> tuple[float, ...]:

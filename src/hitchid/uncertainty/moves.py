@@ -28,6 +28,12 @@ class Moves(NamedTuple):
     degrees: Float[np.ndarray, " d"]
     redrawn: Float[np.ndarray, "b d"]
 
+    @classmethod
+    def none(cls, tests: int, parameters: int) -> "Moves":
+        """Return what is known where nothing could be computed: that nothing moves anything."""
+        nothing = np.zeros((tests, parameters))
+        return cls(nothing, nothing[0], np.ones(parameters), nothing)
+
     @property
     def covariance(self) -> Float[np.ndarray, "d d"]:
         """Of the estimates, shape [D, D]."""

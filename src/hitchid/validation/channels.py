@@ -8,6 +8,7 @@ import numpy as np
 
 from hitchid.baselines import BlackBox, ahead
 from hitchid.benchmark import Batch
+from hitchid.benchmark.structure import LinearStructure
 from hitchid.metrics import HORIZONS
 from hitchid.model import Channel, unpadded
 from hitchid.record import Record
@@ -164,10 +165,22 @@ def _rivals(channel: Channel, batch: Batch, steps: Sequence[int]) -> dict[str, _
     if channel.black_box is not None:
         travel = eqx.filter_jit(BlackBox.free_run)(channel.black_box, batch.command, batch.initial)
         found["lstm"] = _Rival(of_travel(np.asarray(travel)))
-    paper = channel if channel.paper is None else channel.paper
-    if channel.arx is not None:
+    paper = papers_channel(channel)
+    if paper is not None:
         found["transfer_function"] = _Rival(np.asarray(paper.simulate_benchmark(batch)))
         if paper.compensator is not None:
             rows = list(np.asarray(paper.predict(batch, tuple(steps))))
             found["paper"] = _Rival(np.asarray(paper.echo(batch)), rows)
     return found
+
+
+def papers_channel(channel: Channel) -> Channel | None:
+    """Return the method of Sun et al. 2025 beside a channel, the channel itself where it is that.
+
+    None where no baselines were fitted, or that one could not be.
+    """
+    if channel.paper is not None:
+        return channel.paper
+    benchmark = channel.benchmark
+    plain = isinstance(benchmark.structure, LinearStructure) and benchmark.shape is None
+    return channel if plain and channel.arx is not None else None

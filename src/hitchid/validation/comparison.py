@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from hitchid import checks
 from hitchid.campaign import Campaign
 from hitchid.errors import InputError
 from hitchid.model import Hitch
@@ -167,6 +168,9 @@ def compare(
         InputError: no test is left, or the models have no direction or not one clock in common.
         SettingsError: a unit is of another dimension than a model's.
     """
+    for each in (first, second):
+        checks.instance(each, Hitch, "model", "a model as hitchid.load returns it")
+    checks.instance(campaign, Campaign, "campaign", 'a campaign as hitchid.read("logs") returns it')
     report = progress or silent
     seen = first.provenance.seen | second.provenance.seen
     left = campaign.without(seen)

@@ -8,6 +8,7 @@ import numpy as np
 from hitchid.metrics import HORIZONS
 from hitchid.model import Band, FreeRun, Hitch
 from hitchid.record import Record
+from hitchid.validation.channels import papers_channel
 from hitchid.validation.pooled import pooled
 from hitchid.validation.predictions import Predictions
 from hitchid.validation.uncertainty import COVERAGE, cycle_band_figures
@@ -82,11 +83,11 @@ def _bands(model: Hitch, cycles: Sequence[Record], factor: float) -> list[Band] 
 
 def _papers(model: Hitch) -> Hitch | None:
     """Return the transfer functions of Sun et al. 2025 as one hitch; None where they were not fitted."""
-    papers = {
-        mode: channel.paper or channel for mode, channel in model.channels.items() if channel.arx is not None
-    }
+    papers = {mode: papers_channel(channel) for mode, channel in model.channels.items()}
     alone = {
-        mode: replace(channel, compensator=None, speed_compensator=None) for mode, channel in papers.items()
+        mode: replace(channel, compensator=None, speed_compensator=None)
+        for mode, channel in papers.items()
+        if channel is not None
     }
     return replace(model, channels=alone) if len(alone) == len(model.channels) else None
 

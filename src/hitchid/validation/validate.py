@@ -6,6 +6,9 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from hitchid import checks
 from hitchid.campaign import Campaign
 from hitchid.errors import InputError
 from hitchid.model import Channel, Hitch
@@ -50,7 +53,12 @@ class Validation:
             OutputError: the folder exists and `force` is not given, or it cannot be written.
         """
 
-        write_folder(Path(folder), lambda place: put(place, self.files()), mark=METRICS_FILE, force=force)
+        write_folder(
+            checks.path(folder, "folder"),
+            lambda place: put(place, self.files()),
+            mark=METRICS_FILE,
+            force=force,
+        )
 
     def files(self) -> dict[str, bytes]:
         """Return `metrics.json` and `tables.md` with what they hold."""
@@ -85,6 +93,8 @@ def validate(
         InputError: the identification used every test, or none fits the model's channels.
         SettingsError: a unit is of another dimension than the model's.
     """
+    checks.instance(model, Hitch, "model", "a model as hitchid.load returns it")
+    checks.instance(campaign, Campaign, "campaign", 'a campaign as hitchid.read("logs") returns it')
     report = progress or silent
     whole = campaign
     if not campaign.modes:
@@ -109,6 +119,7 @@ def validate(
         report(Step("cycles", len(directions) / (len(directions) + 1)))
         if switched is not None:
             cycles, predictions["cycles"] = switched.result()
+            notices += _limit_notices(model, predictions["cycles"], factor)
     if not channels and not cycles["tests"]:
         raise InputError(
             "the identification used every test of these logs or has no channel for them; "
@@ -167,6 +178,16 @@ def _channel_notices(mode: str, metrics: dict) -> list[str]:
         if better:
             said.append(f"{mode}: in {RUNS[run]} the grey box is no better than {' and '.join(better)}")
     return said
+
+
+def _limit_notices(model: Hitch, cycles: Predictions, factor: float) -> list[str]:
+    """Tell in how many mixed logs the free run is held at a limit that is no mechanical stop."""
+    if model.limits is None:
+        return []
+    limits = model.limits
+    held = sum(bool(np.any(limits.reached(run / factor))) for run in cycles.models["free_run"])
+    said = limits.sentence(model.units[DISPLACEMENT])
+    return [f"cycles: {said}; {held} of {len(cycles.names)} reach a limit"] if held else []
 
 
 def _cycle_notices(cycles: dict) -> list[str]:

@@ -5,6 +5,7 @@ import csv
 import gzip
 import io
 import zlib
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
@@ -35,7 +36,8 @@ def read(path: Path, wanted: Wanted) -> Content:
     head = next(blocks, "")
     asked = () if wanted.signals is None else tuple(dict.fromkeys((wanted.time, *wanted.signals)))
     dialect = dialect_of(head[:HEAD], path, asked)
-    asked = asked or tuple(name for name in dialect.names if name)
+    # Where all are wanted, a name that stands twice names none.
+    asked = asked or tuple(name for name, times in Counter(dialect.names).items() if name and times == 1)
     columns = _Columns(path, dialect, asked, tuple(_place(path, dialect, name) for name in asked))
     parts, last = [], "\n"
     for line, last in _below(chain([head], blocks), dialect.first):

@@ -3,7 +3,6 @@
 import csv
 import io
 import re
-from collections import Counter
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from itertools import islice
@@ -11,6 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from hitchid.errors import LogError
+from hitchid.readers.formats.controldesk import labels_of
 from hitchid.units import known_unit
 
 SEPARATORS = ("\t", ";", "|", ",", " ")
@@ -49,10 +49,9 @@ class Dialect(NamedTuple):
     first: int
 
     def places(self, asked: str) -> list[int]:
-        """Return which columns may be meant: the one of that name, or those with a bracket behind it."""
-        if asked in self.names:
-            return [self.names.index(asked)]
-        return [place for place, name in enumerate(self.names) if _bare(name) == asked]
+        """Return which columns may be meant: those of that name, or those with a bracket behind it."""
+        exact = [place for place, name in enumerate(self.names) if name == asked]
+        return exact or [place for place, name in enumerate(self.names) if _bare(name) == asked]
 
 
 def encoding_of(head: bytes, source: Path) -> str:
@@ -100,6 +99,10 @@ def dialect_of(text: str, source: Path, asked: Sequence[str] = ()) -> Dialect:
     if not _numbers(read[separator]):
         separator = max((",", *SEPARATORS), key=lambda each: len(read[each][0].cells))
     rows = read[separator]
+    labels = labels_of(rows)
+    if labels is not None:
+        comma = separator != "," and _decimal_comma(text, separator)
+        return Dialect(separator, comma, *labels)
     data = _first_sample(rows)
     above = _header_rows(rows[:1] if data is None else rows[:data])
     if not above:
@@ -115,10 +118,6 @@ def dialect_of(text: str, source: Path, asked: Sequence[str] = ()) -> Dialect:
     # A row of numbers above a bad line is a sample, too: the bad line is told, and none is lost.
     first = next((row.line for row in below if _is_sample(row.cells)), header + 1)
     check_width(source, separator, names, samples, header)
-    count = Counter(names)
-    for name in names:
-        if name and count[name] > 1:
-            raise LogError(source, "this column name stands twice", line=header, column=name)
     told = next((row.cells for row in above if row.cells is not names and _units(row.cells)), ())
     units = {name: unit for name, unit in zip(names, told, strict=False) if unit and name}
     for name in names:

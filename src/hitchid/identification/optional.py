@@ -1,0 +1,25 @@
+"""Parts of a result that may fail without the model: what failed is left out, with a notice."""
+
+from collections.abc import Callable
+from typing import TypeVar
+
+Result = TypeVar("Result")
+
+
+def attempt(part: str, compute: Callable[[], Result], notices: list[str]) -> Result | None:
+    """Compute a part of a result that the model can do without.
+
+    Args:
+        part: what it is, for the notice.
+        compute: computes it.
+        notices: gets a sentence where the part fails.
+
+    Returns:
+        The part; None where it failed, for whatever cause.
+    """
+    try:
+        return compute()
+    except Exception as error:
+        cause = str(error) or "no message"
+        notices.append(f"{part} left out: it could not be computed ({type(error).__name__}: {cause})")
+        return None

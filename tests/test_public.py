@@ -1,0 +1,218 @@
+"""What users call from Python, in a process of its own: without x64 switched on, and with wrong arguments."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+import handmade
+from hitchid.model import save
+
+CHILD = """
+import json, sys, traceback
+from pathlib import Path
+import jax
+import jax.numpy as jnp
+import numpy as np
+import hitchid
+from hitchid.bench import write_campaign
+from hitchid.design import Limits, design
+from hitchid.model import save
+from hitchid.simulation import simulate_log
+from hitchid.validation import compare
+
+folder, logs, out = map(Path, sys.argv[1:])
+campaign = hitchid.read(logs)
+record = campaign.records[0]
+model = hitchid.load(folder)
+channel = model.channels["lifting"]
+benchmark = channel.benchmark
+batch = channel.batch([record], [1.0])
+state = model.initial(120.1)
+
+
+def stepped():
+    after = state
+    for _ in range(3):
+        after, displacement = model.step(after, [0.55, 0.0], 120.1)
+    return after, displacement, model.situation(after)
+
+
+calls = {
+    "load": lambda: [c for c in jax.tree.leaves(hitchid.load(folder).channels["lifting"].benchmark)],
+    "initial": lambda: model.initial(120.1),
+    "step": stepped,
+    "simulate": lambda: model.simulate(record),
+    "predict": lambda: model.predict(record, horizon=3),
+    "band": lambda: model.band(record),
+    "batch": lambda: channel.batch([record], [1.0]),
+    "channel": lambda: (channel.simulate(batch), channel.simulate_benchmark(batch), channel.echo(batch)),
+    "channel, predict": lambda: channel.predict(batch, (1, 5)),
+    "outside": lambda: channel.outside(batch, batch.displacement),
+    "response": lambda: benchmark.response(batch.command, 0.01),
+    "discretised": lambda: benchmark.discretised(60.0),
+    "row": lambda: benchmark.of_row(benchmark.row),
+    "to_scipy": lambda: [(g.num, g.den) for g in (benchmark.to_scipy(0.001), benchmark.to_scipy(60.0))],
+    "to_control": lambda: benchmark.to_control(0.001).den[0][0],
+    "validate": lambda: hitchid.validate(model, campaign).metrics,
+    "bands": lambda: model.uncertainty["lifting"].bands.half_width(0.9, 3),
+}
+
+
+def numbers(value):
+    if isinstance(value, dict):
+        value = list(value.values())
+    if isinstance(value, (list, tuple)):
+        return np.concatenate([np.zeros(0), *map(numbers, value)])
+    if isinstance(value, (str, type(None))):
+        return np.zeros(0)
+    if isinstance(value, (int, float, np.ndarray, np.generic, jax.Array)):
+        assert getattr(value, "dtype", None) != np.float32 or np.ndim(value) == 3, value  # a network's state
+        return np.ravel(np.asarray(value, float))
+    return numbers(jax.tree.leaves(value))
+
+
+def apart(call):
+    assert not jax.config.jax_enable_x64
+    single = numbers(call())
+    with jax.enable_x64(True):
+        double = numbers(call())
+    return float(np.max(np.abs(single - double) / np.maximum(np.abs(double), 1e-3), initial=0.0))
+
+
+units = {"displacement": "mm", "lifting_command": "A"}
+signals = {"displacement": np.zeros(3), "lifting_command": np.zeros(3)}
+wrong = {
+    'a campaign as hitchid.read("logs")': [
+        lambda: hitchid.identify("logs"),
+        lambda: hitchid.identify_many("logs"),
+        lambda: hitchid.identify_many([campaign, "logs"]),
+        lambda: hitchid.validate(model, "logs"),
+        lambda: compare(model, model, "logs"),
+    ],
+    "a model as hitchid.load": [
+        lambda: hitchid.validate("model", campaign),
+        lambda: compare(model, None, campaign),
+        lambda: design("model"),
+        lambda: simulate_log("model", logs, out),
+        lambda: save("model", out),
+    ],
+    "there is no structure 'spring'": [lambda: hitchid.identify(campaign, structure={"lifting": "spring"})],
+    "one of lifting, lowering, came str 'up'": [
+        lambda: hitchid.identify(campaign, structure={"up": "integrator"}),
+        lambda: hitchid.identify(campaign, dead_zones={"up": 0.1}),
+        lambda: record.command("up"),
+        lambda: campaign.segmented({"up": 0.1}),
+        lambda: write_campaign(out, modes=["up"]),
+    ],
+    "required": [
+        lambda: hitchid.identify(campaign, structure="integrator"),
+        lambda: hitchid.identify(campaign, structure={"lifting": 3}),
+        lambda: hitchid.identify(campaign, dead_zones={"lifting": [0.1]}),
+        lambda: hitchid.identify(campaign, search="whale"),
+        lambda: hitchid.identify(campaign, training="none"),
+        lambda: hitchid.identify(campaign, comparison=True),
+        lambda: hitchid.identify(campaign, drift="yes"),
+        lambda: hitchid.identify(campaign, seed=-1),
+        lambda: hitchid.identify(campaign, seed=1.5),
+        lambda: hitchid.read(3),
+        lambda: hitchid.read([3]),
+        lambda: hitchid.read(logs, signals=3),
+        lambda: hitchid.load(None),
+        lambda: hitchid.Campaign.of("logs"),
+        lambda: hitchid.Campaign.of([record], test_patterns="*"),
+        lambda: hitchid.Record("a", [0.01], signals, units),
+        lambda: hitchid.Record("a", "0.01", signals, units),
+        lambda: hitchid.Record("a", 0.01, [0.0], units),
+        lambda: hitchid.Record("a", 0.01, {**signals, "displacement": ["x", "y", "z"]}, units),
+        lambda: hitchid.Record("a", 0.01, signals, {}),
+        lambda: hitchid.Record("a", 0.01, signals, units, kind="up"),
+        lambda: record.resample("1"),
+        lambda: record.convert(["mm"]),
+        lambda: model.simulate("log.csv"),
+        lambda: model.predict(record, horizon="1"),
+        lambda: model.predict(record, horizon=0),
+        lambda: model.predictions(record, ()),
+        lambda: model.band(record, coverage="0.9"),
+        lambda: model.band(record, horizon=1.5),
+        lambda: model.switches("A"),
+        lambda: model.initial("120"),
+        lambda: model.initial([120.0]),
+        lambda: model.initial(float("nan")),
+        lambda: model.step(state, 0.5),
+        lambda: model.step(state, [0.5]),
+        lambda: model.step(state, [0.5, 0.0, 120.0]),
+        lambda: model.step(state, jnp.zeros(3)),
+        lambda: model.step(state, np.zeros((1, 2))),
+        lambda: model.step(state, ["up", "down"]),
+        lambda: model.step(state, [0.5, 0.0], [120.0]),
+        lambda: model.step(state, [0.5, 0.0], "120"),
+        lambda: model.step(120.0, [0.5, 0.0]),
+        lambda: model.step(state._replace(numbers=state.numbers[1:]), [0.5, 0.0]),
+        lambda: jax.jit(model.step)(state, jnp.zeros(3)),
+        lambda: model.situation(120.0),
+        lambda: channel.batch("logs"),
+        lambda: benchmark.to_scipy("1 ms"),
+        lambda: benchmark.to_scipy(0.0),
+        lambda: benchmark.to_control([0.001]),
+        lambda: design(model, limits=3),
+        lambda: design(model, limits=Limits(highest="1")),
+        lambda: design(model, "up"),
+        lambda: write_campaign(3),
+        lambda: write_campaign(out, 3),
+        lambda: write_campaign(out, tests=20),
+        lambda: write_campaign(out, tests={"prbs": "20"}),
+        lambda: simulate_log(model, 3, out),
+    ],
+    "unit 'millimetre' is not known; required one of A, mA": [
+        lambda: hitchid.Record("a", 0.01, signals, {**units, "displacement": "millimetre"}),
+        lambda: record.convert({"displacement": "millimetre"}),
+    ],
+}
+
+
+def outcome(call):
+    try:
+        call()
+    except hitchid.HitchError as error:
+        return str(error)
+    except Exception:
+        return traceback.format_exc()
+    return "took it"
+
+
+print(json.dumps({
+    "apart": {name: apart(call) for name, call in calls.items()},
+    "pole": [list(benchmark.to_scipy(0.001).den), list(benchmark.to_scipy(60.0).num)],
+    "said": [(word, outcome(call)) for word, attempts in wrong.items() for call in attempts],
+    "left": out.exists(),
+}))
+"""
+
+
+@pytest.fixture(scope="module")
+def surface(bench_folder, tmp_path_factory):
+    """Return what a process without x64 computed and refused."""
+    place = tmp_path_factory.mktemp("public")
+    save(handmade.with_bands(handmade.hitch(), "lifting", "lowering"), place / "model")
+    command = [sys.executable, "-c", CHILD, str(place / "model"), str(bench_folder), str(place / "out")]
+    done = subprocess.run(command, capture_output=True, text=True)  # noqa: S603
+    assert done.returncode == 0, done.stderr
+    assert "truncated to dtype float32" not in done.stderr
+    return json.loads(done.stdout)
+
+
+def test_every_call_computes_in_double_precision_whatever_jax_is_set_to(surface):
+    assert {name: apart for name, apart in surface["apart"].items() if apart > 1e-12} == {}
+
+
+def test_an_integrator_handed_over_has_its_pole_at_one_and_the_gain_of_its_step(surface):
+    pole, step = surface["pole"]
+    assert pole == [1.0, -1.0]
+    assert step == pytest.approx([60.0 * handmade.GAINS["lifting"]], rel=1e-15)
+
+
+def test_what_does_not_fit_is_refused_where_it_enters(surface):
+    assert [(word, said) for word, said in surface["said"] if word not in said or "Traceback" in said] == []
+    assert not surface["left"]
