@@ -1,7 +1,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup lint test docs reproduce bench study pins clean
+.PHONY: setup lint test gauntlet gauntlet-full docs reproduce bench study pins clean
 
 setup: .venv/.ready
 
@@ -18,7 +18,13 @@ lint: setup
 	$(BIN)/lint-imports
 
 test: setup lint
-	$(BIN)/python -m pytest -n 2 --dist worksteal
+	$(BIN)/python -m pytest -n 2 --dist worksteal --durations 20
+
+gauntlet: setup
+	$(BIN)/python -m benchmarks.gauntlet
+
+gauntlet-full: setup
+	$(BIN)/python -m benchmarks.gauntlet --full
 
 docs: setup
 	$(BIN)/sphinx-build -W --keep-going -n -b html docs build/docs

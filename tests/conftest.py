@@ -27,7 +27,7 @@ from benches import write_bench  # noqa: E402
 from hitchid.record import Record  # noqa: E402
 
 # From the longest: begun last, they would keep one core waiting for the other.
-LONG = ("test_measured.py", "test_study.py", "test_selection.py", "test_whole.py")
+LONG = ("test_study.py", "test_examples.py", "test_checkpoints.py", "test_measured.py", "test_selection.py")
 DATA = Path(os.environ.get("HITCHID_DATA", Path(__file__).parents[2] / "shared" / "data"))
 
 

@@ -1,4 +1,4 @@
-"""What must hold on measured data; skipped where the data are missing."""
+"""What must hold on measured data beside the gauntlet's bars; skipped where the data are missing."""
 
 from dataclasses import replace
 
@@ -7,83 +7,16 @@ import numpy as np
 import pytest
 
 from hitchid import identify, read, validate
-from hitchid.benchmark import Form, structure_named
-from hitchid.campaign import Campaign
-from hitchid.identification import Descent, MultiStart, Rollouts, Training, Whale
+from hitchid.identification import MultiStart, Whale
 from hitchid.identification.identify import PAPER_FORMS
 from hitchid.identification.phase1 import find_parameters
 from hitchid.identification.preparation import prepare
-from hitchid.record import Record
-
-BRIEF = {
-    "comparison": None,
-    "search": MultiStart(evaluations=200),
-    "training": Training(
-        hidden=8,
-        window=20,
-        descent=Descent(epochs=4, patience=4),
-        rollouts=Rollouts(hidden=4, epochs=20),
-    ),
-}
-SHORT = replace(BRIEF["training"], rollouts=None, baselines=False)
-PAUSE_S = 60.0
-EMPS = """
-[signals]
-time = { column = "t", unit = "s" }
-lifting_command = { column = "vir", unit = "V" }
-displacement = { column = "qm", unit = "m" }
-
-[split]
-test = ["*PULSES"]
-"""
-
-
-def paused(record, mode):
-    """Return a record with a minute of no command in its middle, and where that begins."""
-    middle, pause = len(record) // 2, round(PAUSE_S / record.step_s)
-    commands = {role for role in record.signals if role.endswith("_command")}
-    signals = {
-        role: np.concatenate(
-            [samples[:middle], np.full(pause, 0.0 if role in commands else samples[middle]), samples[middle:]]
-        )
-        for role, samples in record.signals.items()
-    }
-    assert np.abs(record.command(mode)[:middle]).max() > 0
-    return replace(record, signals=signals), middle
-
-
-def test_the_default_model_of_rig_a_is_accurate_and_stands_where_it_is_not_driven(data):
-    """One identification, for it takes a minute: bounds of the goals set for this data."""
-    campaign = read(data("rig-a"))
-    model = identify(campaign, training=Training(baselines=False), comparison=None).model
-    metrics = validate(model, campaign).metrics
-    for mode, free_run in (("lifting", 0.33), ("lowering", 0.48)):
-        channel = metrics["channels"][mode]
-        one_step = channel["greybox"]["one_step"]["rmse"]
-        assert one_step <= 0.0575
-        assert one_step < channel["baselines"]["persistence"]["one_step"]["rmse"]
-        assert channel["greybox"]["free_run"]["rmse"] <= free_run
-        assert np.isfinite(channel["benchmark"]["free_run"]["rmse"])
-        assert channel["tests"] == [f"{mode}-{number}" for number in (17, 18, 19, 20)]
-        # Four tests a direction: all of them may lie inside a band that nine of ten samples shall.
-        bands = channel["bands"]
-        assert bands["free_run"]["covered"] >= 0.85
-        assert 0.85 <= bands["horizons"]["covered"][0] <= 0.95
-        record, middle = paused(campaign.held_out(mode)[0], mode)
-        found = model.simulate(record)
-        settled = middle + round(1.0 / record.step_s)
-        standing = found[settled : middle + round(PAUSE_S / record.step_s)]
-        assert np.ptp(standing) < 0.05
-        assert abs(standing[0] - found[0]) > 1.0
-    cycles = metrics["cycles"]
-    assert len(cycles["tests"]) == 4
-    assert cycles["greybox"]["free_run"]["rmse"] <= 2.0
-    assert cycles["horizons"]["greybox"][cycles["horizons"]["steps"].index(10)] <= 0.10
-    assert cycles["max_jump"] < 0.02
+from hitchid.record import LOWERING
 
 
 def test_the_lag_of_the_papers_lowering_model_is_not_printed_as_if_it_were_determined(data):
-    campaign = read(data("rig-a"))
+    whole = read(data("rig-a"))
+    campaign = replace(whole, records=(*whole.of_kind(LOWERING), *whole.ramps(LOWERING)))
     model = identify(campaign, structure=PAPER_FORMS, training=None, comparison=None).model
     result = validate(model, campaign)
     known = result.metrics["channels"]["lowering"]["parameters"]["estimates"]
@@ -111,7 +44,7 @@ def test_phase_1_reaches_the_best_of_64_starts_from_every_seed(data, mode):
         return float(fit.misfit(jnp.asarray(fit.position)[None])[0])
 
     best = rmse(MultiStart(evaluations=10**6, starts=64), 0)
-    for seed in range(10):
+    for seed in range(4):
         assert rmse(Whale(), seed) <= 1.001 * best
 
 
@@ -127,58 +60,6 @@ def test_ramps_and_dynamic_tests_agree_on_the_dead_zone_of_rig_a(data):
     assert tests.spread is not None
     # Three standard errors of their difference: two estimates of one number by different experiments.
     assert abs(ramps.value - tests.value) <= 3 * np.hypot(ramps.spread, tests.spread)
-
-
-@pytest.mark.parametrize("name", ["hanging-load", "excavator-boom"])
-def test_real_logs_of_two_way_plants_are_identified_and_validated(data, name):
-    campaign = read(data(name))
-    model = identify(campaign, structure=PAPER_FORMS, **{**BRIEF, "training": SHORT}).model
-    metrics = validate(model, campaign).metrics
-    assert tuple(metrics["channels"]) == ("lifting", "lowering")
-    for channel in metrics["channels"].values():
-        assert np.isfinite(channel["benchmark"]["free_run"]["rmse"])
-        assert channel["greybox"]["free_run"]["rmse"] is not None
-
-
-def test_a_real_plant_with_one_signed_channel_is_identified_from_matlab_files(data, tmp_path):
-    (tmp_path / "emps.toml").write_text(EMPS)
-    campaign = read(data("emps"), signals=tmp_path / "emps.toml")
-    metrics = validate(identify(campaign, **BRIEF).model, campaign).metrics
-    assert list(metrics["channels"]) == ["lifting"]
-    assert metrics["unit"] == "m"
-    assert np.isfinite(metrics["channels"]["lifting"]["benchmark"]["free_run"]["rmse"])
-
-
-def root_mean_square(errors):
-    return float(np.sqrt(np.mean(errors**2)))
-
-
-def test_cascaded_tanks_are_identified_by_the_structure_that_knows_them(data):
-    columns = np.genfromtxt(data("cascaded-tanks") / "dataBenchmark.csv", delimiter=",", names=True)
-    units = {"displacement": "V", "lifting_command": "V"}
-    records = [
-        Record(
-            name, 4.0, {"displacement": columns[f"y{name}"], "lifting_command": columns[f"u{name}"]}, units
-        )
-        for name in ("Est", "Val")
-    ]
-    campaign = Campaign.of(records, test_patterns=["Val"], kinds={"*": "lifting"})
-    form = Form(structure_named("cascaded-tanks"))
-    model = identify(campaign, structure={"lifting": form}, training=None, comparison=None).model
-    (test,) = campaign.held_out("lifting")
-    # The first 50 samples are left out by the benchmark's rules: the upper level is not known at the start.
-    assert root_mean_square((model.simulate(test) - test.displacement)[50:]) <= 0.30
-
-
-def test_an_axis_with_friction_is_identified_by_the_structure_that_knows_it(data, tmp_path):
-    (tmp_path / "emps.toml").write_text(EMPS)
-    campaign = read(data("emps"), signals=tmp_path / "emps.toml")
-    form = Form(structure_named("inertia-with-friction"))
-    model = identify(campaign, structure={"lifting": form}, training=None, comparison=None).model
-    (test,) = campaign.held_out("lifting")
-    assert test.unit == "m"
-    # The first 20 samples are left out by the benchmark's rules.
-    assert root_mean_square((model.simulate(test) - test.displacement)[20:]) <= 4.6e-3
 
 
 @pytest.mark.parametrize("name", ["raise-060-light", "lower-060-heavy"])

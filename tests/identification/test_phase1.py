@@ -56,9 +56,8 @@ def values(phase1):
     return {estimate.name: estimate.value for estimate in phase1.estimates}
 
 
-@pytest.mark.parametrize("direction", [1, -1])
-@pytest.mark.parametrize(("omega", "damping"), [(18.0, 0.3), (25.0, 0.8), (18.0, 1.8)])
-def test_gain_natural_frequency_and_damping_are_found_again(batch_of, direction, omega, damping):
+@pytest.mark.parametrize(("omega", "damping", "direction"), [(18.0, 0.3, 1), (25.0, 0.8, -1), (18.0, 1.8, 1)])
+def test_gain_natural_frequency_and_damping_are_found_again(batch_of, omega, damping, direction):
     batch = batch_of(plants(second_order(21.0, omega, damping)), direction=direction)
     found = identified(batch, SECOND_ORDER)
     expected = {"gain": 21.0, "natural_frequency": omega, "damping_ratio": damping}
@@ -115,7 +114,7 @@ def chi_bounds(count):
     return np.sqrt(stats.chi2.ppf([0.0005, 0.9995], count - 1) / (count - 1))
 
 
-@pytest.mark.parametrize(("tests", "start"), [(2, 80.0), (12, 80.0), (12, None)], ids=lambda each: str(each))
+@pytest.mark.parametrize(("tests", "start"), [(2, 80.0), (12, None)], ids=lambda each: str(each))
 def test_standard_errors_under_white_noise_are_the_scatter_over_repetitions(batch_of, tests, start):
     # Where the start is not known, it is the mean of six noisy samples: one more error in every residual of
     # a test, which takes more tests than parameters to show; two tests are cut into stretches.

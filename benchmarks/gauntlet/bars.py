@@ -1,0 +1,55 @@
+"""Figures against committed bars."""
+
+import tomllib
+from collections.abc import Iterable
+from pathlib import Path
+
+from .outcome import Outcome
+
+SLACK = 1.05
+BARS = Path(__file__).with_name("bars.toml")
+ZOO, HOLDS = "zoo", "share of determined parameters that hold the truth"
+Bars = dict[str, dict[str, dict[str, float]]]
+
+
+def read_bars(path: Path = BARS) -> Bars:
+    """Return run to figure to its bar."""
+    return tomllib.loads(path.read_text(encoding="utf-8"))
+
+
+def holds(bar: dict[str, float], value: float | None) -> bool:
+    """Tell whether a figure is at most 5 % worse than its bar; one that is missing or not finite never is."""
+    if value is None or not abs(value) < float("inf"):
+        return False
+    ((kind, limit),) = bar.items()
+    if kind == "most":
+        return value <= SLACK * limit
+    if kind == "least":
+        return value >= limit / SLACK
+    return 1 - value <= SLACK * (1 - limit)
+
+
+def shown(bar: dict[str, float]) -> str:
+    """Return a bar as a table has it."""
+    ((kind, limit),) = bar.items()
+    return f"{'≤' if kind == 'most' else '≥'} {limit:g}"
+
+
+def compare(outcomes: Iterable[Outcome], bars: Bars) -> None:
+    """Add a failure to each outcome for every figure that misses its bar."""
+    for outcome in outcomes:
+        for figure, bar in bars.get(outcome.name, {}).items():
+            value = outcome.figures.get(figure)
+            if not holds(bar, value):
+                came = "missing" if value is None else f"{value:.4g}"
+                outcome.failures.append(f"{figure}: {came}, required {shown(bar)}")
+
+
+def zoo_total(outcomes: Iterable[Outcome]) -> Outcome:
+    """Return what all campaigns of the zoo say together."""
+    own = [outcome for outcome in outcomes if outcome.name.startswith("zoo ")]
+    determined = sum(outcome.determined for outcome in own)
+    total = Outcome(ZOO, f"{len(own)} campaigns, {determined} determined parameters with a known truth")
+    if determined:
+        total.figures[HOLDS] = sum(outcome.held for outcome in own) / determined
+    return total

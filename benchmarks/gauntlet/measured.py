@@ -1,0 +1,228 @@
+"""The measured sets of `HITCHID_DATA` by default identify, each with the figures it has bars for."""
+
+import os
+import tempfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+import hitchid
+from hitchid.benchmark import Form, structure_named
+from hitchid.record import COMMAND, DISPLACEMENT, IDLE, LIFTING
+
+from .judge import used
+from .long_job import write_long_job
+from .outcome import REFUSED, Outcome, attempted
+
+DATA = Path(os.environ.get("HITCHID_DATA", Path(__file__).parents[3] / "shared" / "data"))
+PAUSE_S = 60.0
+MILLIMETRES = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
+# Half of the last digit that excavator-boom states of angle, duty and pressure.
+ROUNDING = {DISPLACEMENT: 0.5e-4, "command": 0.5e-4, "covariate": 0.5e-3}
+UNSEEN = {"field-excavator": ("field-05", "field-06"), "electro-hydraulic-actuator": ("load3-",)}
+EMPS = """[signals]
+time = { column = "t", unit = "s" }
+lifting_command = { column = "vir", unit = "V" }
+displacement = { column = "qm", unit = "m" }
+
+[split]
+test = ["*PULSES"]
+"""
+
+
+def judge_set(name: str) -> Outcome:
+    """Identify, use and judge one measured set."""
+    return _required(attempted(Outcome(name), lambda outcome: SETS[name](outcome, name)))
+
+
+def judge_speed(name: str) -> Outcome:
+    """Time one default identification, its programs compiled before."""
+    return _required(attempted(Outcome(f"{name}, warm"), lambda outcome: _warm(outcome, name)))
+
+
+def _required(outcome: Outcome) -> Outcome:
+    """Return an outcome that must not be a refusal: each of these sets has a model."""
+    if outcome.result == REFUSED:
+        outcome.failures.append(f"{outcome.stage}: refused: {outcome.message}")
+    return outcome
+
+
+def _warm(outcome: Outcome, name: str) -> None:
+    with tempfile.TemporaryDirectory() as place:
+        campaign = _long_job(Path(place)) if name == "long-job" else hitchid.read(DATA / name)
+        with outcome.timed("identify"):
+            hitchid.identify(campaign)
+    outcome.figures["identify / s"] = outcome.seconds["identify"]
+
+
+def _identified(outcome: Outcome, campaign: hitchid.Campaign, **settings) -> tuple[hitchid.Hitch, dict]:
+    with outcome.timed("identify"):
+        found = hitchid.identify(campaign, **settings)
+    with tempfile.TemporaryDirectory() as place:
+        model, metrics = used(outcome, found, campaign, Path(place))
+    for mode, known in model.uncertainty.items():
+        for estimate in known.benchmark.parameters:
+            outcome.verdicts.append(f"{mode} {estimate.name}: {estimate.verdict}")
+    return model, metrics
+
+
+def _read(outcome: Outcome, name: str) -> hitchid.Campaign:
+    with outcome.timed("read"):
+        return hitchid.read(DATA / name)
+
+
+def rig(outcome: Outcome, name: str) -> None:
+    """Free run, one step, bands and cycles of the simulated hitch bench, and whether it stands undriven."""
+    campaign = _read(outcome, name)
+    model, metrics = _identified(outcome, campaign)
+    for mode, channel in metrics["channels"].items():
+        covered = channel["bands"]["free_run"]["covered"], channel["bands"]["horizons"]["covered"][0]
+        outcome.figures |= {
+            f"{mode}: one step rmse": channel["greybox"]["one_step"]["rmse"],
+            f"{mode}: free run in its band": covered[0],
+            f"{mode}: one step in its band": covered[1],
+            f"{mode}: moved in a pause": _moved_in_a_pause(model, campaign.held_out(mode)[0]),
+        }
+    cycles = metrics["cycles"]
+    outcome.figures |= {
+        "cycles: 10 steps rmse": cycles["horizons"]["greybox"][cycles["horizons"]["steps"].index(10)],
+        "cycles: largest jump": cycles["max_jump"],
+    }
+
+
+def _moved_in_a_pause(model: hitchid.Hitch, record: hitchid.Record) -> float:
+    """Return how far a model moves in a minute without commands, a second after a test's middle."""
+    middle, pause, settling = len(record) // 2, round(PAUSE_S / record.step_s), round(1.0 / record.step_s)
+
+    def held(role: str, samples: np.ndarray) -> np.ndarray:
+        rest = 0.0 if role in COMMAND.values() else samples[middle]
+        return np.concatenate([samples[:middle], np.full(pause, rest), samples[middle:]])
+
+    signals = {role: held(role, samples) for role, samples in record.signals.items()}
+    displacement = model.simulate(replace(record, signals=signals))
+    return float(np.ptp(displacement[middle + settling : middle + pause]))
+
+
+def boom(outcome: Outcome, name: str) -> None:
+    """R² of unseen duties, each stroke by itself."""
+    _, metrics = _identified(outcome, _read(outcome, name))
+    for mode, channel in metrics["channels"].items():
+        fits = [test["free_run"]["r2"] for test in channel["per_test"].values()]
+        outcome.figures |= {f"{mode}: mean R²": float(np.mean(fits)), f"{mode}: worst R²": float(min(fits))}
+
+
+def hanging_load(outcome: Outcome, name: str) -> None:
+    """Free run beside the paper's transfer function."""
+    _, metrics = _identified(outcome, _read(outcome, name))
+    for mode, channel in metrics["channels"].items():
+        beside = channel["baselines"].get("transfer_function", channel["benchmark"])["free_run"]["rmse"]
+        outcome.figures[f"{mode}: share of the paper's"] = channel["greybox"]["free_run"]["rmse"] / beside
+
+
+def whole_logs(outcome: Outcome, name: str) -> None:
+    """Free run over whole unseen logs, and one second ahead beside persistence."""
+    campaign = _read(outcome, name)
+    model, _ = _identified(outcome, campaign)
+    free, ahead, still = [], [], []
+    for record in campaign.records:
+        if record.kind == IDLE or not record.name.startswith(UNSEEN[name]):
+            continue
+        factor, second = MILLIMETRES[record.unit], max(1, round(1.0 / record.step_s))
+        measured = factor * record.displacement
+        free.append(factor * model.simulate(record) - measured)
+        ahead.append((factor * model.predict(record, horizon=second) - measured)[second:])
+        still.append(measured[:-second] - measured[second:])
+    outcome.figures["whole logs: free run / mm"] = _rms(free)
+    outcome.figures["whole logs: 1 s ahead / persistence"] = _rms(ahead) / _rms(still)
+    outcome.figures["whole logs: largest error / mm"] = float(max(np.abs(error).max() for error in free))
+
+
+def dspace(outcome: Outcome, name: str) -> None:
+    """ControlDesk's files beside the same records as excavator-boom holds them."""
+    raw = {record.name: record for record in _read(outcome, name).records}
+    clean = {record.name: record for record in hitchid.read(DATA / "excavator-boom").records}
+    worst = 0.0
+    for key, record in raw.items():
+        other = clean[key]
+        if len(record) != len(other):
+            outcome.failures.append(f"{key}: {len(record)} samples, excavator-boom has {len(other)}")
+            continue
+        for role, samples in record.signals.items():
+            same = other.signals[role] if role in other.signals else other.signals["head_pressure"]
+            kind = "command" if role in COMMAND.values() else role
+            rounding = ROUNDING.get(kind, ROUNDING["covariate"])
+            worst = max(worst, float(np.max(np.abs(samples - same))) / rounding)
+    outcome.figures["largest difference / rounding"] = worst
+
+
+def emps(outcome: Outcome, name: str) -> None:
+    """RMSE of the official test without its first 20 samples."""
+    with tempfile.TemporaryDirectory() as place:
+        settings = Path(place) / "emps.toml"
+        settings.write_text(EMPS, encoding="utf-8")
+        with outcome.timed("read"):
+            campaign = hitchid.read(DATA / name, signals=settings)
+    model, _ = _identified(outcome, campaign, structure=_structure("inertia-with-friction"))
+    outcome.figures["RMSE / mm"] = 1000 * _official(model, campaign, 20)
+
+
+def tanks(outcome: Outcome, name: str) -> None:
+    """RMSE of the official test without its first 50 samples."""
+    table = np.genfromtxt(DATA / name / "dataBenchmark.csv", delimiter=",", names=True)
+    units = {DISPLACEMENT: "V", COMMAND[LIFTING]: "V"}
+    records = [
+        hitchid.Record(key, 4.0, {COMMAND[LIFTING]: table[f"u{key}"], DISPLACEMENT: table[f"y{key}"]}, units)
+        for key in ("Est", "Val")
+    ]
+    campaign = hitchid.Campaign.of(records, test_patterns=["Val"], kinds={"*": LIFTING})
+    model, _ = _identified(outcome, campaign, structure=_structure("cascaded-tanks"))
+    outcome.figures["RMSE / V"] = _official(model, campaign, 50)
+
+
+def long_job(outcome: Outcome, name: str) -> None:
+    """Identify and use 14 logs made from the field's, in free run over the last two of them."""
+    with tempfile.TemporaryDirectory() as place, outcome.timed("read"):
+        campaign = _long_job(Path(place))
+    outcome.words = f"{len(campaign.records)} logs, {sum(map(len, campaign.records))} samples"
+    _identified(outcome, campaign)
+
+
+def _long_job(place: Path) -> hitchid.Campaign:
+    write_long_job(DATA / "field-excavator", place / "job")
+    return hitchid.read(place / "job")
+
+
+def _structure(name: str) -> dict[str, Form]:
+    return {LIFTING: Form(structure_named(name))}
+
+
+def _official(model: hitchid.Hitch, campaign: hitchid.Campaign, skipped: int) -> float:
+    (record,) = campaign.held_out(LIFTING)
+    return _rms([(model.simulate(record) - record.displacement)[skipped:]])
+
+
+def _rms(errors: list[np.ndarray]) -> float:
+    return float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
+
+
+SETS: dict[str, Callable[[Outcome, str], None]] = {
+    # The longest first, so that all cores end together.
+    "long-job": long_job,
+    "rig-a": rig,
+    "excavator-boom": boom,
+    "hanging-load": hanging_load,
+    "field-excavator": whole_logs,
+    "electro-hydraulic-actuator": whole_logs,
+    "dspace-raw": dspace,
+    "emps": emps,
+    "cascaded-tanks": tanks,
+}
+SOURCES = {"long-job": "field-excavator"}
+WARM = ("rig-a", "long-job")
+
+
+def missing(name: str) -> bool:
+    """Tell whether a set's folder is not there."""
+    return not (DATA / SOURCES.get(name, name)).is_dir()
