@@ -28,7 +28,7 @@ def search(batch: Batch, seed: int, whales: int, iterations: int) -> float:
 
 def search_by_simulation(batch: Batch, seed: int, whales: int, iterations: int) -> float:
     """Return the best J found where every evaluation simulates every test."""
-    return whales_over(misfit_of(batch).problem()[0], seed, whales, iterations)
+    return whales_over(misfit_of(batch).problem(), seed, whales, iterations)
 
 
 def whales_over(problem: Problem, seed: int, whales: int, iterations: int) -> float:

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hitchid.errors import FitError, InputError
+from hitchid.fitting.least_squares import NormalEquations, StopReason
 from hitchid.fitting.search import Problem, polish
 from hitchid.identification import DifferentialEvolution, MultiStart, Whale
 from hitchid.whale import Swarm
@@ -28,6 +29,10 @@ def shifted_quadratic(positions):
 HEIGHT = 1e-3 / np.sqrt(12)
 
 
+def equations(residuals, jacobian):
+    return NormalEquations(float(residuals @ residuals), jacobian.T @ residuals, jacobian.T @ jacobian)
+
+
 class Counter:
     """A problem that counts the positions it simulates, a Jacobian as one for each dimension."""
 
@@ -37,7 +42,7 @@ class Counter:
         self.fails_beyond = fails_beyond
 
     def problem(self):
-        return Problem(3, fitness_failing_beyond(self.fails_beyond), self._one, self._slope)
+        return Problem(3, fitness_failing_beyond(self.fails_beyond), 12, self._normal_equations)
 
     def count(self, positions):
         self.asked.append(np.array(positions))
@@ -45,13 +50,11 @@ class Counter:
         self.simulated += failed.size
         self.failed += int(failed.sum())
 
-    def _one(self, position):
+    def _normal_equations(self, position):
         self.count(position)
-        return np.where(position[0] > self.fails_beyond, np.nan, shifted_quadratic(position))
-
-    def _slope(self, position):
         self.simulated += 3
-        return ROWS.copy()
+        residuals = np.where(position[0] > self.fails_beyond, np.nan, shifted_quadratic(position))
+        return equations(residuals, ROWS)
 
     def run(self, search, seed=0):
         COUNTING[:] = [self]
@@ -185,27 +188,59 @@ def test_a_number_of_starts_ends_the_search_before_its_budget():
 def test_polish_reaches_the_exact_minimum_from_anywhere(start, optimum):
     target = ROWS @ np.array(optimum) + 1e-3 * REST
     problem = Problem(
-        dimensions=3,
-        fitness=lambda positions: positions[:, 0],
-        residuals=lambda position: ROWS @ position - target,
-        jacobian=lambda position: ROWS.copy(),
+        3, lambda positions: positions[:, 0], 12, lambda at: equations(ROWS @ at - target, ROWS)
     )
     best = polish(problem, np.array(start))
     exact = np.linalg.lstsq(ROWS, target, rcond=None)[0]
     # At a relative change of 1e-14 of the sum of squares h² + |A δ|², |A δ| is 1e-7 h, h = 1e-3.
     assert np.abs(best.position - exact).max() <= 1e-9
     assert best.fitness == pytest.approx(HEIGHT, rel=1e-12)
-    np.testing.assert_allclose(best.jacobian, ROWS)
+    assert best.reason is StopReason.CONVERGED
 
 
 def test_polish_stops_at_the_wall_before_a_minimum_outside_the_cube():
-    def residuals(position):
-        return position - np.array([1.4, 0.5, -0.3])
-
-    problem = Problem(3, lambda positions: positions[:, 0], residuals, lambda position: np.eye(3))
+    outside = np.array([1.4, 0.5, -0.3])
+    problem = Problem(3, lambda positions: positions[:, 0], 3, lambda at: equations(at - outside, np.eye(3)))
     best = polish(problem, np.array([0.4, 0.6, 0.5]))
-    # The trust region only nears a wall; the sum of squares 0.25 is flat to 1e-14 of itself there.
-    np.testing.assert_allclose(best.position, [1.0, 0.5, 0.0], atol=1e-6)
+    np.testing.assert_allclose(best.position, [1.0, 0.5, 0.0], atol=1e-7)
+
+
+@pytest.mark.parametrize("broken", ["residuals", "derivative"])
+def test_a_step_to_where_nothing_is_finite_is_rejected_and_a_shorter_one_taken(broken):
+    """r = log x − log 0.2 from x = 0.9: the full step goes beyond x = 0.15, where the simulation fails."""
+
+    def failing(at):
+        residuals, jacobian = np.log(at / 0.2), np.diag(1 / at)
+        if at[0] < 0.15:
+            residuals, jacobian = (
+                (residuals * np.nan, jacobian) if broken == "residuals" else (residuals, jacobian * np.inf)
+            )
+        return equations(residuals, jacobian)
+
+    best = polish(Problem(1, lambda positions: positions[:, 0], 1, failing), np.array([0.9]))
+    assert best.position[0] == pytest.approx(0.2, rel=1e-6)
+
+
+def test_least_squares_that_can_step_nowhere_says_so():
+    def failing(at):
+        return equations(at - 2.0, np.eye(1)) if at[0] == 0.5 else equations(at * np.nan, np.eye(1))
+
+    best = polish(Problem(1, lambda positions: positions[:, 0], 1, failing), np.array([0.5]))
+    assert best.reason is StopReason.NOT_FINITE
+    assert best.position[0] == 0.5
+
+
+@settings(deadline=None, max_examples=25)
+@given(start=st.lists(st.floats(0, 1), min_size=2, max_size=2))
+def test_rosenbrocks_valley_is_followed_to_its_end(start):
+    """r = (10 (y − x²), 1 − x), x = 4 p − 2: the minimum is at (1, 1), curved and narrow on the way."""
+
+    def valley(at):
+        x, y = 4 * at - 2
+        return equations(np.array([10 * (y - x**2), 1 - x]), 4 * np.array([[-20 * x, 10.0], [-1.0, 0.0]]))
+
+    best = polish(Problem(2, lambda positions: positions[:, 0], 2, valley), np.array(start))
+    np.testing.assert_allclose(best.position, [0.75, 0.75], atol=1e-6)
 
 
 def test_polish_refuses_a_start_that_cannot_be_simulated():

@@ -323,13 +323,16 @@ def test_tests_that_fill_up_a_batch_change_nothing(batch_of, slope):
     batch = batch_of(plants(second_order(21.0, 18.0, 0.3), tests=5), noise=0.1, rng=np.random.default_rng(3))
     misfit = Misfit.of(batch, Form(SECOND_ORDER, slope=slope))
     position = np.full(len(misfit.form.parameters), 0.4)
-    problem, test = misfit.problem()
+    residuals, jacobian, test = misfit.linearised(position)
     assert misfit.over(batch.filled_up()).batch.command.shape[0] == 8
     plain = np.asarray(misfit.residuals(jnp.asarray(position)))[np.asarray(batch.counted)]
     # The same sums in programs of two shapes.
     bound = 10 * SAMPLES * np.finfo(float).eps * np.abs(plain).max()
-    np.testing.assert_allclose(problem.residuals(position), plain, rtol=0, atol=bound)
-    assert np.all(np.isfinite(problem.jacobian(position)))
+    np.testing.assert_allclose(residuals, plain, rtol=0, atol=bound)
+    equations = misfit.problem().normal_equations(position)
+    assert equations.cost == pytest.approx(float(plain @ plain), rel=1e-12)
+    np.testing.assert_allclose(equations.gradient, jacobian.T @ plain, rtol=1e-9)
+    np.testing.assert_allclose(equations.curvature, jacobian.T @ jacobian, rtol=1e-9)
     assert set(test) == {0, 1, 2, 3, 4}
     assert misfit.by_test(position).shape == (5,)
     mean_square = float(np.mean(misfit.by_test(position) ** 2))

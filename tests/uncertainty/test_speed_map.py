@@ -68,7 +68,7 @@ def steps(rng, *, scatter, noise, levels=LEVELS * 3):
 def fitted(batch, form, values, *, error=DeadZoneError(), profiles=()):  # noqa: B008
     """Return the characteristics from the least squares next to known values."""
     misfit = Misfit.of(batch, form)
-    problem, _ = misfit.problem()
+    problem = misfit.problem()
     position = polish(problem, misfit.position(np.array(values)), limit=30).position
     moved = moves(misfit, position, np.ones(position.size, bool), error, seed=0)
     moved = moved._replace(profiles=tuple(profile(misfit, position) for profile in profiles))

@@ -15,11 +15,11 @@ from hitchid.benchmark import Batch, Form, Scales
 from hitchid.benchmark.structure import Scale
 from hitchid.errors import FitError
 from hitchid.fitting.bounds import Bounds
+from hitchid.fitting.least_squares import NormalEquations
 from hitchid.fitting.search import Polished, Problem, polish
 
 TIED = 0.01
 TRACE = 1e-9
-RESIDUALS = 4000
 TOLERANCE = 1e-6
 
 
@@ -105,17 +105,29 @@ class Misfit(eqx.Module):
         squares = np.sum(self._compiled().residuals(position)[: counts.size] ** 2, axis=1)
         return np.sqrt(squares * np.count_nonzero(counts) / counts.sum())
 
-    def problem(self) -> tuple[Problem, np.ndarray]:
-        """Return the search problem over the samples that count, and which test each of them belongs to."""
+    def problem(self) -> Problem:
+        """Return the search problem over the samples that count."""
         whole = self.over(self.batch.filled_up())
-        counted, compiled = np.asarray(whole.batch.counted), Compiled.of(whole)
-        problem = Problem(
+        return Problem(
             dimensions=len(self.form.parameters),
             fitness=whole,
-            residuals=lambda position: compiled.residuals(position)[counted],
-            jacobian=lambda position: compiled.jacobian(position)[counted],
+            samples=int(np.sum(np.asarray(self.batch.counted))),
+            normal_equations=Compiled.of(whole).normal_equations,
         )
-        return problem, np.repeat(np.arange(len(counted)), counted.sum(axis=1))
+
+    def linearised(self, position: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return residuals, their derivative, and which test each belongs to, of the samples that count.
+
+        Args:
+            position: in the unit cube, shape [D].
+
+        Returns:
+            Shapes [M], [M, D] and [M].
+        """
+        whole = self.over(self.batch.filled_up())
+        counted, compiled = np.asarray(whole.batch.counted), Compiled.of(whole)
+        test = np.repeat(np.arange(len(counted)), counted.sum(axis=1))
+        return compiled.residuals(position)[counted], compiled.jacobian(position)[counted], test
 
     def _compiled(self) -> "Compiled":
         return Compiled.of(self.over(self.batch.filled_up()))
@@ -152,6 +164,11 @@ class Compiled(NamedTuple):
         """Return their derivative by the position, shape [T, N, D]."""
         return np.asarray(_jacobian(self.structure, self.leaves, position))
 
+    def normal_equations(self, position: np.ndarray) -> NormalEquations:
+        """Return ‖r‖², Jᵀr and JᵀJ at the position."""
+        cost, gradient, curvature = _normal_equations(self.structure, self.leaves, position)
+        return NormalEquations(float(cost), np.asarray(gradient), np.asarray(curvature))
+
 
 @partial(jax.jit, static_argnums=0)
 def _residuals(structure: Any, leaves: list[Array], position: Float[Array, " d"]) -> Float[Array, "t n"]:
@@ -161,6 +178,21 @@ def _residuals(structure: Any, leaves: list[Array], position: Float[Array, " d"]
 @partial(jax.jit, static_argnums=0)
 def _jacobian(structure: Any, leaves: list[Array], position: Float[Array, " d"]) -> Float[Array, "t n d"]:
     return jax.jacfwd(jax.tree.unflatten(structure, leaves).residuals)(position)
+
+
+@partial(jax.jit, static_argnums=0)
+def _normal_equations(
+    structure: Any, leaves: list[Array], position: Float[Array, " d"]
+) -> tuple[Float[Array, ""], Float[Array, " d"], Float[Array, "d d"]]:
+    misfit = jax.tree.unflatten(structure, leaves)
+
+    def twice(position: Array) -> tuple[Array, Array]:
+        found = misfit.residuals(position)
+        return found, found
+
+    derivative, residuals = jax.jacfwd(twice, has_aux=True)(position)
+    rows, errors = derivative.reshape(-1, position.size), residuals.reshape(-1)
+    return errors @ errors, rows.T @ errors, rows.T @ rows
 
 
 @eqx.filter_jit
@@ -216,8 +248,6 @@ def polish_some(
 ) -> Polished:
     """Descend over some of the parameters by least squares, the others staying where they start.
 
-    Neighbouring samples err alike: some thousands of them tell as much as all.
-
     Args:
         misfit: the tests.
         free: numbers of the parameters that move.
@@ -228,18 +258,12 @@ def polish_some(
     Returns:
         The outcome; its position is of the free parameters alone.
     """
-    whole, test = misfit.problem()
-    columns, every = list(free), -(-test.size // RESIDUALS)
+    whole, columns = misfit.problem(), np.asarray(free)
 
-    def filled(position: np.ndarray) -> np.ndarray:
+    def some(position: np.ndarray) -> NormalEquations:
         moved = start.copy()
         moved[columns] = position
-        return moved
+        return whole.normal_equations(moved).over(columns)
 
-    problem = Problem(
-        dimensions=len(columns),
-        fitness=whole.fitness,
-        residuals=lambda position: whole.residuals(filled(position))[::every],
-        jacobian=lambda position: whole.jacobian(filled(position))[::every, columns],
-    )
+    problem = replace(whole, dimensions=len(columns), normal_equations=some)
     return polish(problem, start[columns], limit=limit, tolerance=tolerance)

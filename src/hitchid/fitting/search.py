@@ -9,15 +9,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy.optimize import differential_evolution, least_squares
+from scipy.optimize import differential_evolution
 
 from hitchid import whale
 from hitchid.errors import FitError, InputError
+from hitchid.fitting.least_squares import NormalEquations, StopReason, minimise
 from hitchid.progress import Heard
 from hitchid.whale import Objective
 
 EVALUATIONS, TOLD = 3000, 5
-RESTARTS = 8
 
 
 @dataclass(frozen=True)
@@ -28,14 +28,14 @@ class Problem:
         dimensions: D.
         fitness: from positions of shape [P, D] to fitness of shape [P], fit for jit; as a module it is
             compiled once for all searches over tests of one shape.
-        residuals: from a position of shape [D] to residuals of shape [M], compiled.
-        jacobian: from a position of shape [D] to their derivative of shape [M, D], compiled.
+        samples: M, how many residuals there are.
+        normal_equations: of the residuals at a position of shape [D], compiled.
     """
 
     dimensions: int
     fitness: Objective
-    residuals: Callable[[np.ndarray], np.ndarray]
-    jacobian: Callable[[np.ndarray], np.ndarray]
+    samples: int
+    normal_equations: Callable[[np.ndarray], NormalEquations]
 
 
 @dataclass(frozen=True)
@@ -216,7 +216,7 @@ class MultiStart(Search):
                 local = polish(problem, start, limit=max(1, (self.evaluations - spent - 1) // per_round))
             except FitError:
                 failures += 1
-                spent += 1
+                spent += per_round
                 continue
             spent += local.evaluations
             improved = not trace or local.fitness < trace[-1]
@@ -247,19 +247,17 @@ class Polished:
         position: in the unit cube, shape [D].
         fitness: root mean square of the residuals.
         evaluations: simulations of all tests, a Jacobian counting one for each dimension.
-        residuals: residuals there, shape [M].
-        jacobian: their derivative, shape [M, D].
+        reason: why it stopped.
     """
 
     position: np.ndarray
     fitness: float
     evaluations: int
-    residuals: np.ndarray
-    jacobian: np.ndarray
+    reason: StopReason
 
 
 def polish(problem: Problem, start: np.ndarray, *, limit: int = 200, tolerance: float = 1e-14) -> Polished:
-    """Descend from a position to the bottom of its valley by bounded nonlinear least squares.
+    """Descend from a position to the bottom of its valley by bounded nonlinear least squares; see `minimise`.
 
     Args:
         problem: what to minimise.
@@ -267,79 +265,18 @@ def polish(problem: Problem, start: np.ndarray, *, limit: int = 200, tolerance: 
         limit: largest number of steps.
         tolerance: relative change of fitness or position below which to stop.
 
-    A step to where residuals or their derivative are not finite is rejected and a shorter one tried.
-
     Raises:
         FitError: the residuals at the start or their derivative are not finite.
     """
-    guarded = _Guarded(problem)
-    if not (np.all(np.isfinite(guarded.residuals(start))) and guarded.defined(start)):
+    found = minimise(problem.normal_equations, start, limit=limit, tolerance=tolerance)
+    if found is None:
         raise FitError("the simulation failed at the start of the least squares; narrow the bounds")
-    for _ in range(RESTARTS):
-        try:
-            outcome = least_squares(
-                guarded.residuals,
-                start,
-                jac=guarded.jacobian,  # pyright: ignore[reportArgumentType]
-                bounds=(0.0, 1.0),
-                xtol=tolerance,
-                ftol=tolerance,
-                gtol=tolerance,
-                x_scale="jac",
-                max_nfev=limit,
-            )
-            break
-        except _NoDerivativeError:
-            start = guarded.last
-    else:
-        raise FitError("least squares met no derivative wherever it stepped; narrow the bounds")
     return Polished(
-        position=outcome.x,
-        fitness=float(np.sqrt(np.mean(outcome.fun**2))),
-        evaluations=int(1 + outcome.nfev + problem.dimensions * outcome.njev),
-        residuals=np.asarray(outcome.fun),
-        jacobian=np.asarray(outcome.jac),
+        position=found.position,
+        fitness=float(np.sqrt(found.equations.cost / problem.samples)),
+        evaluations=found.steps * (1 + problem.dimensions),
+        reason=found.reason,
     )
-
-
-class _NoDerivativeError(Exception):
-    """The residuals have no finite derivative where a step ended."""
-
-
-class _Guarded:
-    """A problem whose residuals are infinite wherever their derivative turned out not to be finite.
-
-    Attributes:
-        last: the last position with a finite derivative, shape [D].
-    """
-
-    def __init__(self, problem: Problem) -> None:
-        self.last = np.zeros(problem.dimensions)
-        self._problem = problem
-        self._rejected: set[bytes] = set()
-        self._cached: tuple[bytes, np.ndarray] | None = None
-
-    def residuals(self, position: np.ndarray) -> np.ndarray:
-        found = self._problem.residuals(np.asarray(position))
-        return np.full_like(found, np.inf) if position.tobytes() in self._rejected else found
-
-    def jacobian(self, position: np.ndarray) -> np.ndarray:
-        """Return the derivative, or reject the position."""
-        if not self.defined(position):
-            raise _NoDerivativeError
-        return self._cached[1]  # pyright: ignore[reportOptionalSubscript]
-
-    def defined(self, position: np.ndarray) -> bool:
-        """Tell whether the derivative at a position is finite."""
-        key = np.asarray(position).tobytes()
-        if self._cached is None or self._cached[0] != key:
-            self._cached = key, self._problem.jacobian(np.asarray(position))
-        finite = bool(np.all(np.isfinite(self._cached[1])))
-        if finite:
-            self.last = np.array(position)
-        else:
-            self._rejected.add(key)
-        return finite
 
 
 _begin = eqx.filter_jit(whale.begin)

@@ -44,7 +44,7 @@ class FromCorrelations(eqx.Module):
 
 def searchable(misfit: Misfit) -> Problem:
     """Return the problem that a global search of a misfit is given."""
-    problem, _ = misfit.problem()
+    problem = misfit.problem()
     form, batch = misfit.form, misfit.batch
     linear = isinstance(form.structure, LinearStructure) and not form.shaped
     if not (linear and collectable(batch)):

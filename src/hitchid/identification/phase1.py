@@ -129,9 +129,9 @@ def find_parameters(
 
 def _descended(misfit: Misfit, starts: Sequence[np.ndarray]) -> np.ndarray:
     """Return where least squares ends from the best of several starts, the first of them the search's."""
-    coarse, _ = misfit.over(misfit.batch.thinned(COARSE)).problem()
+    coarse = misfit.over(misfit.batch.thinned(COARSE)).problem()
     rough = [polish(coarse, each, limit=ROUGH_STEPS, tolerance=ROUGH) for each in starts]
-    problem, _ = misfit.problem()
+    problem = misfit.problem()
     best = polish(problem, min(rough, key=lambda polished: polished.fitness).position, limit=STEPS)
     # Least squares starts strictly inside the bounds: a search that ended on one may be a trifle better.
     before = misfit.error(starts[0])

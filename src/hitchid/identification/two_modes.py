@@ -103,5 +103,5 @@ def _together(batches: list[Batch]) -> tuple[Batch, np.ndarray]:
 def _fitted(misfit: Misfit, tests: np.ndarray, start: np.ndarray, limit: int) -> np.ndarray:
     """Return the least squares over some tests; shapes stay, so that one program does for all."""
     counted = jnp.asarray(np.broadcast_to(tests[:, None], misfit.batch.counted.shape))
-    problem, _ = misfit.over(misfit.batch.counting(counted)).problem()
+    problem = misfit.over(misfit.batch.counting(counted)).problem()
     return polish(problem, start, limit=limit).position

@@ -49,9 +49,9 @@ class Information:
             position: the estimates, shape [D].
             moved: by how much each test moves each estimate.
         """
-        problem, test = misfit.problem()
+        errors, whole, test = misfit.linearised(position)
         free = np.flatnonzero(np.any(moved.by_test != 0, axis=0))
-        jacobian, errors = problem.jacobian(position)[:, free], problem.residuals(position)
+        jacobian = whole[:, free]
         curvature = jacobian.T @ jacobian
         covariance = (moved.by_test.T @ moved.by_test)[np.ix_(free, free)]
         counts = np.bincount(test)

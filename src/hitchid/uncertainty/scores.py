@@ -27,8 +27,7 @@ class Scores(NamedTuple):
     @classmethod
     def of(cls, misfit: Misfit, position: np.ndarray) -> "Scores":
         """Take slopes and curvatures of a misfit at a position in the unit cube."""
-        problem, test = misfit.problem()
-        residuals, jacobian = problem.residuals(position), problem.jacobian(position)
+        residuals, jacobian, test = misfit.linearised(position)
         rows = _rows(test, jacobian.shape[1])
         starts = np.flatnonzero(np.diff(rows, prepend=-1))
         slopes = np.add.reduceat(jacobian * residuals[:, None], starts)

@@ -1,0 +1,132 @@
+"""Bounded nonlinear least squares in the unit cube, from the normal equations of compiled programs."""
+
+from collections.abc import Callable
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-12, 1e12
+ACCEPTED = 1e-4
+FINEST = 1e-300
+
+
+class NormalEquations(NamedTuple):
+    """The sum of squared residuals at a position, to second order as Gauss and Newton have it.
+
+    Attributes:
+        cost: ‖r‖².
+        gradient: Jᵀ r, shape [D].
+        curvature: Jᵀ J, shape [D, D].
+    """
+
+    cost: float
+    gradient: Float[np.ndarray, " d"]
+    curvature: Float[np.ndarray, "d d"]
+
+    @property
+    def finite(self) -> bool:
+        """Whether every number is finite."""
+        return bool(
+            np.isfinite(self.cost) and np.isfinite(self.gradient).all() and np.isfinite(self.curvature).all()
+        )
+
+    def over(self, columns: np.ndarray) -> "NormalEquations":
+        """Return those of some of the parameters, by their numbers."""
+        return NormalEquations(self.cost, self.gradient[columns], self.curvature[np.ix_(columns, columns)])
+
+
+class StopReason(Enum):
+    """Why least squares stopped, with what to try."""
+
+    CONVERGED = "the sum of squares no longer falls"
+    LIMIT = "all steps were taken; more of them may still improve the fit"
+    NOT_FINITE = "the simulation or its derivative is not finite wherever a step leads; narrow the bounds"
+
+
+class Minimum(NamedTuple):
+    """Where least squares ended.
+
+    Attributes:
+        position: in the unit cube, shape [D].
+        equations: the normal equations there.
+        steps: positions at which they were taken.
+        reason: why it stopped.
+    """
+
+    position: Float[np.ndarray, " d"]
+    equations: NormalEquations
+    steps: int
+    reason: StopReason
+
+
+def minimise(
+    equations: Callable[[np.ndarray], NormalEquations],
+    start: Float[np.ndarray, " d"],
+    *,
+    limit: int,
+    tolerance: float,
+) -> Minimum | None:
+    """Descend from a position to the bottom of its valley within the unit cube.
+
+    (JᵀJ + λ D) s = −Jᵀr with D the largest diagonal of JᵀJ met so far, projected onto the cube; parameters at
+    a bound that the gradient holds there stay. λ follows the gain ratio (Nielsen 1999, IMM-REP-1999-05); a
+    step to where anything is not finite is rejected like one that does not descend.
+
+    Args:
+        equations: the normal equations at a position.
+        start: a position in the unit cube, shape [D].
+        limit: largest number of positions.
+        tolerance: relative change of cost or position below which to stop.
+
+    Returns:
+        The minimum; None where the equations are not finite at the start.
+
+    Source: Marquardt 1963, J. SIAM 11, 431; Moré 1978, Lecture Notes in Mathematics 630, 105 (scaling).
+    """
+    position = np.clip(np.asarray(start, float), 0.0, 1.0)
+    here = equations(position)
+    if not here.finite:
+        return None
+    damping, growth, steps = DAMPING, 2.0, 1
+    scale = np.maximum(np.diag(here.curvature), FINEST)
+    reason = StopReason.LIMIT
+    while steps < limit:
+        free = ~(((position <= 0) & (here.gradient > 0)) | ((position >= 1) & (here.gradient < 0)))
+        step = _step(here, free, position, damping * scale)
+        fall = -(2 * here.gradient @ step + step @ here.curvature @ step)
+        if not fall > tolerance * here.cost or np.all(
+            np.abs(step) <= tolerance * (tolerance + np.abs(position))
+        ):
+            reason = StopReason.CONVERGED
+            break
+        there = equations(position + step)
+        steps += 1
+        ratio = (here.cost - there.cost) / fall if there.finite else -np.inf
+        if ratio > ACCEPTED:
+            converged = here.cost - there.cost <= tolerance * here.cost
+            position, here = position + step, there
+            scale = np.maximum(scale, np.diag(here.curvature))
+            damping = max(damping * max(1 / 3, 1 - (2 * ratio - 1) ** 3), LEAST_DAMPING)
+            growth = 2.0
+            if converged:
+                reason = StopReason.CONVERGED
+                break
+        else:
+            damping, growth = damping * growth, 2 * growth
+            if damping > MOST_DAMPING:
+                reason = StopReason.CONVERGED if there.finite else StopReason.NOT_FINITE
+                break
+    return Minimum(position, here, steps, reason)
+
+
+def _step(
+    here: NormalEquations, free: np.ndarray, position: np.ndarray, damping: np.ndarray
+) -> Float[np.ndarray, " d"]:
+    """Return the damped step of the free parameters, cut off at the bounds of the cube."""
+    step = np.zeros_like(position)
+    if free.any():
+        damped = here.curvature[np.ix_(free, free)] + np.diag(damping[free])
+        step[free] = -np.linalg.lstsq(damped, here.gradient[free], rcond=None)[0]
+    return np.clip(position + step, 0.0, 1.0) - position
