@@ -93,40 +93,44 @@ def minimise(
     scale = np.maximum(np.diag(here.curvature), FINEST)
     reason = StopReason.LIMIT
     while steps < limit:
-        free = ~(((position <= 0) & (here.gradient > 0)) | ((position >= 1) & (here.gradient < 0)))
-        step = _step(here, free, position, damping * scale)
-        fall = -(2 * here.gradient @ step + step @ here.curvature @ step)
-        if not fall > tolerance * here.cost or np.all(
-            np.abs(step) <= tolerance * (tolerance + np.abs(position))
-        ):
+        step = _step(here, position, damping * scale)
+        fall = -float(2 * here.gradient @ step + step @ here.curvature @ step)
+        if np.all(np.abs(step) <= tolerance * (tolerance + np.abs(position))):
             reason = StopReason.CONVERGED
             break
         there = equations(position + step)
         steps += 1
-        ratio = (here.cost - there.cost) / fall if there.finite else -np.inf
-        if ratio > ACCEPTED:
-            converged = here.cost - there.cost <= tolerance * here.cost
+        gained = here.cost - there.cost if there.finite else -np.inf
+        if fall > 0 and gained > ACCEPTED * fall:
+            settled = max(gained, fall) <= tolerance * here.cost
             position, here = position + step, there
             scale = np.maximum(scale, np.diag(here.curvature))
-            damping = max(damping * max(1 / 3, 1 - (2 * ratio - 1) ** 3), LEAST_DAMPING)
+            damping = max(damping * max(1 / 3, 1 - (2 * gained / fall - 1) ** 3), LEAST_DAMPING)
             growth = 2.0
-            if converged:
-                reason = StopReason.CONVERGED
-                break
         else:
+            settled = there.finite and abs(fall) <= tolerance * here.cost
             damping, growth = damping * growth, 2 * growth
             if damping > MOST_DAMPING:
                 reason = StopReason.CONVERGED if there.finite else StopReason.NOT_FINITE
                 break
+        if settled:
+            reason = StopReason.CONVERGED
+            break
     return Minimum(position, here, steps, reason)
 
 
-def _step(
-    here: NormalEquations, free: np.ndarray, position: np.ndarray, damping: np.ndarray
-) -> Float[np.ndarray, " d"]:
-    """Return the damped step of the free parameters, cut off at the bounds of the cube."""
+def _step(here: NormalEquations, position: np.ndarray, damping: np.ndarray) -> Float[np.ndarray, " d"]:
+    """Return the damped step within the cube; what meets a bound stays there, the others go on without it."""
     step = np.zeros_like(position)
-    if free.any():
-        damped = here.curvature[np.ix_(free, free)] + np.diag(damping[free])
-        step[free] = -np.linalg.lstsq(damped, here.gradient[free], rcond=None)[0]
-    return np.clip(position + step, 0.0, 1.0) - position
+    held = ((position <= 0) & (here.gradient > 0)) | ((position >= 1) & (here.gradient < 0))
+    damped = here.curvature + np.diag(damping)
+    while not held.all():
+        free = ~held
+        pull = here.gradient[free] + here.curvature[np.ix_(free, held)] @ step[held]
+        step[free] = -np.linalg.lstsq(damped[np.ix_(free, free)], pull, rcond=None)[0]
+        beyond = free & ((position + step < 0) | (position + step > 1))
+        if not beyond.any():
+            break
+        held |= beyond
+        step = np.clip(position + step, 0.0, 1.0) - position
+    return step
