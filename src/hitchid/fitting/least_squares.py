@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-12, 1e12
 ACCEPTED = 1e-4
+FARTHEST, NEARER, CLOSE = 0.1, 0.9, 1e-3
 FINEST = 1e-300
 
 
@@ -120,17 +121,23 @@ def minimise(
 
 
 def _step(here: NormalEquations, position: np.ndarray, damping: np.ndarray) -> Float[np.ndarray, " d"]:
-    """Return the damped step within the cube; what meets a bound stays there, the others go on without it."""
+    """Return the damped step, which ends within the cube.
+
+    It goes no farther than a tenth of the cube, and nine tenths of the way to a bound until it is close: what
+    meets a bound early stays there while the others go the wrong way. The others are solved anew without it.
+    """
     step = np.zeros_like(position)
     held = ((position <= 0) & (here.gradient > 0)) | ((position >= 1) & (here.gradient < 0))
     damped = here.curvature + np.diag(damping)
+    lowest = np.where(position <= CLOSE, -position, -NEARER * position)
+    highest = np.where(1 - position <= CLOSE, 1 - position, NEARER * (1 - position))
     while not held.all():
         free = ~held
         pull = here.gradient[free] + here.curvature[np.ix_(free, held)] @ step[held]
         step[free] = -np.linalg.lstsq(damped[np.ix_(free, free)], pull, rcond=None)[0]
-        beyond = free & ((position + step < 0) | (position + step > 1))
+        beyond = free & ((step < lowest) | (step > highest))
         if not beyond.any():
             break
         held |= beyond
-        step = np.clip(position + step, 0.0, 1.0) - position
-    return step
+        step = np.clip(step, lowest, highest)
+    return step * min(1.0, FARTHEST / max(float(np.abs(step).max()), FARTHEST))
