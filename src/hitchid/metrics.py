@@ -9,6 +9,7 @@ from scipy.special import stdtrit
 HORIZONS = (1, 2, 5, 10, 20, 50, 100)
 BETTER = 1.02
 MOST = 2 / 3
+FEWEST, CONFIDENCE = 6, 0.9
 
 
 class ErrorFigures(NamedTuple):
@@ -118,10 +119,18 @@ def surely_less(errors: np.ndarray, than: np.ndarray, samples: np.ndarray) -> bo
 def proven_better(errors: np.ndarray, than: np.ndarray) -> bool:
     """Tell whether held-out tests prove one model better than another.
 
-    It is better by 2 % in root mean square over all tests, and on two thirds of them: no single test decides.
+    It is better by 2 % in root mean square over all tests, on two thirds of them, and by more than a standard
+    error of the mean difference of the squared errors: no single test decides. Of fewer than six tests the
+    standard error is itself uncertain; there Student's t at 90 %, one-sided, is required.
 
     Args:
         errors, than: root mean square error of each test, of the one and of the other, shape [T].
     """
     total, other = (float(np.sqrt(np.mean(each**2))) for each in (errors, than))
-    return BETTER * total < other and float(np.mean(errors < than)) >= MOST
+    if not (BETTER * total < other and float(np.mean(errors < than)) >= MOST):
+        return False
+    gained, tests = than**2 - errors**2, errors.size
+    if tests < 2:
+        return False
+    required = 1.0 if tests >= FEWEST else float(stdtrit(tests - 1, CONFIDENCE))
+    return bool(gained.mean() > required * gained.std(ddof=1) / np.sqrt(tests))

@@ -31,7 +31,8 @@ class Misfit(eqx.Module):
         form: what is searched.
         scales: what the form's curves are measured in.
         bounds: of its parameters.
-        apart: whether each test may be faster or slower by a factor of its own.
+        apart: whether each test may be faster or slower by a factor of its own; never where each stands at
+            one level of command, for then factors and the curve of the valve are one.
     """
 
     batch: Batch
@@ -47,7 +48,9 @@ class Misfit(eqx.Module):
         Raises:
             FitError: nothing moves.
         """
-        return cls(batch, form, scales_of(batch), _bounds(form, batch), apart=form.slope)
+        return cls(
+            batch, form, scales_of(batch), _bounds(form, batch), apart=form.slope and batch.levels_vary
+        )
 
     def over(self, batch: Batch) -> "Misfit":
         """Return the misfit over other tests, its bounds and scales kept."""

@@ -17,6 +17,9 @@ CANDIDATES = 400
 FLAT = 1e-3
 ROUNDING = 1e-6
 MOVED = 0.2
+UNKNOWN = 0.5
+FEWEST, GROUPS = 6, 24
+SAMPLES, LARGEST = 2048, 1_000_000
 LAGS_S = (0.03, 0.1, 0.3, 1.0)
 
 
@@ -119,7 +122,8 @@ def from_tests(tests: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], step_
 
     w = Σ gᵢ ∫ uᵢ dt, where uᵢ is u = sign(c)·max(|c| − d, 0) behind a lag of 0, 0.03, 0.1, 0.3 and 1 s: for
     each candidate d the gains gᵢ ≥ 0 follow by least squares over all tests, and together they stand for any
-    short lag or dead time. The standard error is the jackknife's over tests.
+    short lag or dead time. The standard error is the jackknife's over tests, over at most 24 groups of them,
+    and of fewer than six tests over their stretches.
 
     Args:
         tests: command, travel and which samples count, arrays of shape [N_i] for each test.
@@ -127,35 +131,51 @@ def from_tests(tests: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], step_
 
     Returns:
         The dead zone; zero with origin `none` where all candidates explain the tests equally well, as with
-        one constant command.
+        one constant command: then its spread is half of the largest command.
     """
     largest = max(float(np.abs(command).max()) for command, _, _ in tests)
     candidates = np.linspace(0.0, 0.95 * largest, CANDIDATES)
-    normal = np.stack([_normal_equations(*test, candidates, step_s) for test in tests])
-    misfits = _misfits(normal.sum(axis=0))
-    energy = float(normal[:, 0, -1, -1].sum())
+    stretches = -(-FEWEST // len(tests))
+    normal = np.concatenate([_normal_equations(*test, candidates, step_s, stretches) for test in tests])
+    whole = normal.sum(axis=0)
+    misfits, energy = _misfits(whole), float(whole[0, -1, -1])
     if misfits.max() - misfits.min() <= FLAT * max(misfits.max(), ROUNDING * energy):
-        return DeadZone(0.0, None, len(tests), "none")
+        return DeadZone(0.0, UNKNOWN * largest, len(tests), "none")
     best = _vertex(candidates, misfits)
-    if len(tests) < 3:
-        return DeadZone(best, None, len(tests), "tests")
-    left_out = np.array([_vertex(candidates, _misfits(normal.sum(axis=0) - each)) for each in normal])
-    error = np.sqrt((len(tests) - 1) / len(tests) * np.sum((left_out - left_out.mean()) ** 2))
+    groups = np.array_split(normal, min(GROUPS, len(normal)))
+    left_out = np.array([_vertex(candidates, _misfits(whole - group.sum(axis=0))) for group in groups])
+    error = np.sqrt((len(groups) - 1) / len(groups) * np.sum((left_out - left_out.mean()) ** 2))
     return DeadZone(best, float(error), len(tests), "tests")
 
 
 def _normal_equations(
-    command: np.ndarray, travel: np.ndarray, counted: np.ndarray, dead_zones: np.ndarray, step_s: float
+    command: np.ndarray,
+    travel: np.ndarray,
+    counted: np.ndarray,
+    dead_zones: np.ndarray,
+    step_s: float,
+    stretches: int,
 ) -> np.ndarray:
-    """Return Σ of products of [∫u₁ … ∫u₅, w] over samples that count, by dead zone, shape [C, 6, 6]."""
+    """Return Σ of products of [∫u₁ … ∫u₅, w] over stretches of a test, by dead zone, shape [S, C, 6, 6]."""
+    samples = np.flatnonzero(counted)[:: -(-counted.size // SAMPLES)]
+    together = max(1, LARGEST // command.size)
+    blocks = [
+        _rows(command, travel, dead_zones[first : first + together], step_s)[:, :, samples]
+        for first in range(0, dead_zones.size, together)
+    ]
+    rows = np.concatenate(blocks)
+    return np.stack([part @ part.transpose(0, 2, 1) for part in np.array_split(rows, stretches, axis=2)])
+
+
+def _rows(command: np.ndarray, travel: np.ndarray, dead_zones: np.ndarray, step_s: float) -> np.ndarray:
+    """Return [∫u₁ … ∫u₅, w] at every sample, by dead zone, shape [C, 6, N]."""
     effective = effective_command(command[None, :], dead_zones[:, None])
     covered = step_s * (np.cumsum(effective, axis=1) - effective)
     columns = [covered]
     for lag in LAGS_S:
         pole = np.exp(-step_s / lag)
         columns.append(np.asarray(lfilter([1 - pole], [1, -pole], covered)))
-    rows = np.stack([*columns, np.broadcast_to(travel, covered.shape)], axis=1)[:, :, counted]
-    return rows @ rows.transpose(0, 2, 1)
+    return np.stack([*columns, np.broadcast_to(travel, covered.shape)], axis=1)
 
 
 def _misfits(products: np.ndarray) -> np.ndarray:

@@ -99,7 +99,8 @@ def choose_form(
     its least squares from the optimum of the one before, its new curves from a few shapes. A larger form
     takes the place of a smaller one where held-out tests prove it better; a gain that grows along the stroke,
     where six or more of them do apart from a factor on the speed of each test, for a load that nobody
-    measures differs from test to test and weighs more than the gain. The one taken is identified as any
+    measures differs from test to test and weighs more than the gain; not so where each test stands at one
+    level. The one taken is identified as any
     other, by global search and least squares.
 
     Args:
@@ -148,11 +149,12 @@ def choose_form(
     values[names.index("gain")] = plain.values[0]
     positions = misfit.position(values)
     found: list[np.ndarray] = [np.array([])]
+    varied = batch.levels_vary
     for name, form in _larger(widest):
         free = [names.index(parameter.name) for parameter in form.parameters]
-        misfit = replace(misfit, apart=form.slope)
+        misfit = replace(misfit, apart=form.slope and varied)
         fresh = _starts(form, [] if len(tried) == 1 else list(tried[-1].form.parameters))
-        starts = [_with(positions, names, start) for start in fresh]
+        starts = [_with(positions, names, start) for start in ({}, *fresh)]
         judged = kept.piece(f"form {name}", _Judged, partial(_fitted, misfit, free, starts, folds))
         positions = judged.positions
         tried.append(judged.candidate(name, form))
@@ -164,7 +166,7 @@ def choose_form(
         before = tried[chosen]
         proven = (
             candidate.apart.size >= FEWEST_APART and proven_better(candidate.apart, before.apart)
-            if candidate.form.slope
+            if candidate.form.slope and varied
             else proven_better(candidate.held_out, before.held_out)
         )
         chosen = number if proven else chosen
