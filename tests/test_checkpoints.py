@@ -234,8 +234,8 @@ def test_a_full_disk_is_told_by_the_place_and_leaves_what_was_kept(tmp_path, mon
 # --- identify, stopped and gone on with ---------------------------------------------------------------------
 
 
-class Stop(Exception):
-    """Somebody stops the run."""
+class Stop(KeyboardInterrupt):
+    """Somebody stops the run; no error, so that no optional part is left out for it."""
 
 
 @pytest.fixture(scope="module")
