@@ -289,6 +289,6 @@ def test_characteristics_are_told_in_plain_words(batch_of):
     zone, speeds, times = characteristic_sentences(known, LIFTING)
     point = known.speed_map[-1]
     assert zone == "dead zone 0 A"
-    assert f"at 1 A {point.speed:.3g} mm/s ({point.interval[0]:.4g} … {point.interval[1]:.4g})" in speeds
+    assert f"{point.speed:.3g} mm/s ({point.interval[0]:.4g} … {point.interval[1]:.4g}) at 1 A" in speeds
     assert speeds.startswith("the piston lifts at mid stroke")
     assert times.startswith("after a step to 0.7 A motion begins")
