@@ -45,7 +45,7 @@ def _ticks(edge: np.ndarray) -> Locator:
     """Return ticks that stand apart on a logarithmic axis: at even values only where it is short."""
     if edge[1] < WIDE * edge[0]:
         return MaxNLocator(4)
-    return FixedLocator(sorted({float(f"{x:.1g}") for x in np.geomspace(*edge, 5)[1:-1]}))
+    return FixedLocator(sorted({float(f"{x:.1g}") for x in np.geomspace(edge[0], edge[1], 5)[1:-1]}))
 
 
 def _interval(axis: Axes, each: Mapping[str, Any]) -> None:
