@@ -13,6 +13,7 @@ from hitchid.benchmark import Form, structure_named
 from hitchid.checkpoints import NOWHERE, OF, SUFFIX, Checkpoints, holds_pieces, is_run
 from hitchid.errors import InputError, OutputError
 from hitchid.fitting import Comparison, MultiStart
+from hitchid.identification.optional import attempt
 from hitchid.identification.selection import Automatic
 
 ARRAYS = {
@@ -231,11 +232,22 @@ def test_a_full_disk_is_told_by_the_place_and_leaves_what_was_kept(tmp_path, mon
     assert_bits(dict(kept.arrays("training", Work())), ARRAYS)
 
 
+def test_a_part_is_left_out_where_it_fails_but_not_for_a_disk_that_is_full():
+    def full():
+        raise OutputError("No space left")
+
+    notices = []
+    with pytest.raises(OutputError, match="No space left"):
+        attempt("bands", full, notices)
+    assert attempt("bands", lambda: 1 / 0, notices) is None
+    assert notices == ["bands left out: it could not be computed (ZeroDivisionError: division by zero)"]
+
+
 # --- identify, stopped and gone on with ---------------------------------------------------------------------
 
 
-class Stop(Exception):
-    """Somebody stops the run."""
+class Stop(KeyboardInterrupt):
+    """Somebody stops the run; no error, so that no optional part is left out for it."""
 
 
 @pytest.fixture(scope="module")

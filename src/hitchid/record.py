@@ -125,6 +125,16 @@ class Record:
             )
         return self.signals[role]
 
+    def require(self, covariate: str | None) -> "Record":
+        """Return the record itself where it has a covariate, or where none is required.
+
+        Raises:
+            InputError: it lacks the covariate.
+        """
+        if covariate is not None and covariate not in self.signals:
+            raise InputError(f"record '{self.name}' has no '{covariate}'; the model requires this covariate")
+        return self
+
     @property
     def fingerprint(self) -> str:
         """SHA-256 of the shape of the displacement, by which a test is known again.

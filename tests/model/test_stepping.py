@@ -540,9 +540,9 @@ def test_a_model_of_one_channel_does_not_hear_the_command_of_the_other(mode):
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_a_start_that_is_no_number_is_refused(value):
-    with pytest.raises(InputError, match="displacement: required a number within"):
+    with pytest.raises(InputError, match="displacement: required a finite number"):
         PLAIN.initial(value)
-    with pytest.raises(InputError, match="load: required a number within"):
+    with pytest.raises(InputError, match="load: required a finite number"):
         PLAIN.initial(100.0, value)
 
 

@@ -326,7 +326,7 @@ def test_whatever_a_name_holds_it_is_read_as_it_was_written(said):
         assert image["aria-label"].replace("\r\n", "\n") == heard
 
 
-@settings(max_examples=40)
+@settings(deadline=None, max_examples=40)
 @given(said=st.text(max_size=30))
 def test_no_text_breaks_the_page(said):
     small = Document(

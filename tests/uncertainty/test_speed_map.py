@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import cache
 from types import SimpleNamespace
 
 import jax.numpy as jnp
@@ -53,15 +54,17 @@ def step(level, *, rest=20):
     return np.concatenate([np.zeros(rest), np.full(SAMPLES - rest, level)])
 
 
+@cache
+def unit_gain_travel(level):
+    return held([1.0], [LAG_S, 1.0, 0.0], shifted(step(level), LATE))
+
+
 def steps(rng, *, scatter, noise, levels=LEVELS * 3):
     """Return steps of plants whose gains scatter, K / (s (τ s + 1)) with a dead time, and sensor noise."""
-    unit = [held([1.0], [LAG_S, 1.0, 0.0], shifted(step(level), LATE)) for level in levels]
+    gains = [GAIN * (1 + scatter * rng.standard_normal()) for _ in levels]
     return [
-        (
-            step(level),
-            GAIN * (1 + scatter * rng.standard_normal()) * travel + noise * rng.standard_normal(travel.size),
-        )
-        for level, travel in zip(levels, unit, strict=True)
+        (step(level), gain * unit_gain_travel(level) + noise * rng.standard_normal(SAMPLES))
+        for level, gain in zip(levels, gains, strict=True)
     ]
 
 
@@ -94,7 +97,7 @@ def test_of_integrators_alike_the_speed_has_students_interval_of_their_gains(bat
 
 
 def test_intervals_hold_the_true_speeds_and_times_as_often_as_they_say(batch_of):
-    draws, rng = 40, np.random.default_rng(5)
+    draws, rng = 30, np.random.default_rng(5)
     values, ends = [], []
     for _ in range(draws):
         batch = batch_of(steps(rng, scatter=0.03, noise=0.05))
@@ -107,14 +110,14 @@ def test_intervals_hold_the_true_speeds_and_times_as_often_as_they_say(batch_of)
     truth = [*(GAIN * level for level in LEVELS), late - LAG_S * np.log(0.95), late + LAG_S]
     lower, upper = np.moveaxis(np.array(ends), 2, 0)
     held_in = np.sum((lower <= truth) & (truth <= upper), axis=0)
-    # Of 40 draws at 95 % fewer than 33 hold the truth once in a thousand times.
+    # Of 30 draws at 95 % fewer than 24 hold the truth once in a thousand times.
     assert held_in.min() >= stats.binom.ppf(1e-3, draws, 0.95)
     reach = stats.t.ppf(0.975, 6) * np.std(values, axis=0)
     assert np.mean(upper - lower, axis=0) == pytest.approx(2 * reach, rel=0.5)
 
 
 def test_at_a_level_that_occurred_the_speed_is_known_though_the_dead_zone_is_not(batch_of):
-    tests = steps(np.random.default_rng(2), scatter=0.01, noise=0.0, levels=(0.7,) * 6)
+    tests = steps(np.random.default_rng(2), scatter=0.01, noise=0.0, levels=(0.7,) * 9)
     values = [GAIN * 0.7 / 0.4, LAG_S, LATE * STEP_S]
     sure, _, _ = fitted(batch_of(tests, dead_zone=0.3), FIRST_ORDER, values)
     vague, moved, _ = fitted(
@@ -253,10 +256,13 @@ def test_what_cannot_be_computed_is_left_out_with_a_notice(monkeypatch):
 
     monkeypatch.setattr(direction, "characteristics", fails)
     phase1 = object.__new__(Phase1)
-    vars(phase1).update(fit=SimpleNamespace(misfit=None, position=None), moved=None)
+    moved = SimpleNamespace(free=np.ones(1, bool))
+    vars(phase1).update(fit=SimpleNamespace(misfit=None, position=None), moved=moved)
     found, said = direction._characteristics(DeadZone(0.3, None, 0, "given"), phase1, UNITS)
     assert found is None
-    assert said == ["speed map, delay and response time are left out: too large"]
+    part, cause = said[0].split(" left out: ")
+    assert part == "speed map, delay and response time"
+    assert cause == "it could not be computed (FloatingPointError: too large)"
 
 
 @pytest.mark.parametrize(
@@ -283,6 +289,6 @@ def test_characteristics_are_told_in_plain_words(batch_of):
     zone, speeds, times = characteristic_sentences(known, LIFTING)
     point = known.speed_map[-1]
     assert zone == "dead zone 0 A"
-    assert f"at 1 A {point.speed:.3g} mm/s ({point.interval[0]:.4g} … {point.interval[1]:.4g})" in speeds
+    assert f"{point.speed:.3g} mm/s ({point.interval[0]:.4g} … {point.interval[1]:.4g}) at 1 A" in speeds
     assert speeds.startswith("the piston lifts at mid stroke")
     assert times.startswith("after a step to 0.7 A motion begins")

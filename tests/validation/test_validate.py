@@ -7,7 +7,7 @@ import equinox as eqx
 import numpy as np
 import pytest
 
-from handmade import AHEAD, DEAD_ZONES, GAINS, envelope, hitch, with_bands
+from handmade import AHEAD, DEAD_ZONES, GAINS, channel, envelope, hitch, hitch_of, with_bands
 from hitchid.baselines import ahead
 from hitchid.campaign import Campaign
 from hitchid.errors import InputError, OutputError
@@ -15,7 +15,7 @@ from hitchid.fitting import Run, Trail
 from hitchid.metrics import HORIZONS
 from hitchid.model import Provenance, TwoModes, unpadded
 from hitchid.record import LIFTING, LOWERING
-from hitchid.validation import validate
+from hitchid.validation import compare, validate
 from hitchid.validation.cycles import ORIGINS
 from hitchid.validation.tables import NAMES
 from truth import STEP_S, levels
@@ -100,6 +100,33 @@ def test_persistence_is_the_displacement_measured_before(tests_of):
     for step, found in zip(horizons["steps"], horizons["persistence"], strict=True):
         rmse = by_hand([y[step:] for y in measured], [y[:-step] for y in measured])["rmse"]
         assert found == pytest.approx(rmse, rel=1e-12)
+
+
+def measuring(record):
+    """Return a record with the covariate that a handmade channel with curves requires."""
+    signals = {**record.signals, "pressure": np.full(len(record), 55.0)}
+    return replace(record, signals=signals, units={**record.units, "pressure": "bar"})
+
+
+def test_a_test_that_lacks_a_covariate_of_its_direction_is_left_out(tests_of):
+    model = hitch_of(channel(LIFTING, shape=True), channel(LOWERING))
+    (bare, *others), lowering = tests_of(), tests_of(LOWERING)
+    complete = [*map(measuring, others), *lowering]
+    found = validate(model, Campaign.of([bare, *complete]))
+    without = validate(model, Campaign.of(complete))
+    assert found.metrics == without.metrics
+    assert found.notices == (
+        "lifting-00: left out: record 'lifting-00' has no 'pressure'; the model requires this covariate",
+        "1 of 6 tests left out",
+        *without.notices,
+    )
+    compared = compare(model, hitch(), Campaign.of([bare, *complete]))
+    assert compared.first.metrics == without.metrics
+    assert compared.second.metrics["channels"][LIFTING]["tests"] == ["lifting-01", "lifting-02"]
+    assert compared.notices[:2] == found.notices[:2]
+    for refused in (Campaign.of([bare]), Campaign.of([bare, *complete], strict=True)):
+        with pytest.raises(InputError, match="record 'lifting-00' has no 'pressure'"):
+            validate(model, refused)
 
 
 @pytest.mark.parametrize("mode", [LIFTING, LOWERING])

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from hitchid.errors import InputError
 from hitchid.modes import effective_command
 from hitchid.record import Record
 
@@ -74,9 +73,8 @@ class Batch(eqx.Module):
         Raises:
             InputError: a record lacks the second input.
         """
-        lacking = [record.name for record in records if load is not None and load not in record.signals]
-        if lacking:
-            raise InputError(f"record '{lacking[0]}' has no '{load}'; the model hears it as a second input")
+        for record in records:
+            record.require(load)
         commands = [effective_command(record.command(mode), dead_zone) for record in records]
         displacements = [record.displacement for record in records]
         if initial is None:

@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from typing import TypeVar
 
+from hitchid.errors import OutputError
+
 Result = TypeVar("Result")
 
 
@@ -16,9 +18,14 @@ def attempt(part: str, compute: Callable[[], Result], notices: list[str]) -> Res
 
     Returns:
         The part; None where it failed, for whatever cause.
+
+    Raises:
+        OutputError: a finished piece cannot be written; with room on the disk the run goes on.
     """
     try:
         return compute()
+    except OutputError:
+        raise
     except Exception as error:
         cause = str(error) or "no message"
         notices.append(f"{part} left out: it could not be computed ({type(error).__name__}: {cause})")

@@ -71,7 +71,7 @@ def prepare(
             f"all {len(campaign.of_kind(mode))} {mode} tests are held out; none is left to identify from"
         )
     strict, total = campaign.strict, len(records)
-    records, lacking = sift(_by_name(records), lambda record: _measuring(record, load), strict=strict)
+    records, lacking = sift(_by_name(records), lambda record: record.require(load), strict=strict)
     if not records:
         refuse(lacking, f"{mode} tests")
     direction = _direction(records, mode)
@@ -150,13 +150,6 @@ def mixed_dead_zones(campaign: Campaign) -> dict[str, DeadZone]:
 
 def _by_name(records: Sequence[Record]) -> list[tuple[str, Record]]:
     return [(record.name, record) for record in records]
-
-
-def _measuring(record: Record, load: str | None) -> Record:
-    """Return a record unless it lacks the second input."""
-    if load is not None and load not in record.signals:
-        raise InputError(f"record '{record.name}' has no '{load}'; the model hears it as a second input")
-    return record
 
 
 def _before_stop(record: Record, direction: int, end_stop: float | None) -> Record:

@@ -444,8 +444,7 @@ class Hitch:
             if mode in record.modes:
                 effective += np.abs(effective_command(record.command(mode), channel.dead_zone))
         load = next((c.benchmark.load for c in self.channels.values() if c.benchmark.load), None)
-        if load is not None and load not in record.signals:
-            raise InputError(f"record '{record.name}' has no '{load}'; the model hears it as a second input")
+        record.require(load)
         return Rest(
             mean_before_motion(record.displacement, effective),
             0.0 if load is None else mean_before_motion(record.signals[load], effective),

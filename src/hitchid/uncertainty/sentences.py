@@ -23,13 +23,13 @@ def characteristic_sentences(known: Characteristics, mode: str) -> tuple[str, ..
     loads = sorted({point.load for point in known.speed_map if point.load is not None})
     middle = loads[len(loads) // 2] if loads else None
     speeds = [
-        f"at {point.command:.3g} {unit} "
-        + _value(point.speed, known.speed_unit, point.interval, determined=point.determined)
+        _value(point.speed, known.speed_unit, point.interval, determined=point.determined)
+        + f" at {point.command:.3g} {unit}"
         for point in known.speed_map
         if point.load == middle
     ]
-    under = f", with {known.load} {middle:.4g}," if middle is not None else ""
-    said.append(f"the piston {VERBS[mode]} at mid stroke{under} {'; '.join(speeds)}")
+    under = f", with {known.load} {middle:.4g}" if middle is not None else ""
+    said.append(f"the piston {VERBS[mode]} at mid stroke{under}: {'; '.join(speeds)}")
     if known.delay is not None and known.response_time is not None:
         said.append(
             f"after a step to {known.level:.3g} {unit} motion begins (5 % of the speed) after "

@@ -18,6 +18,7 @@ from hitchid.validation.limits import CYCLES
 from hitchid.validation.predictions import FEWEST, Predictions
 from hitchid.validation.table import Table, digits, error_cells
 from hitchid.validation.tables import RUNS, error_header, markdown
+from hitchid.validation.usable import with_covariates
 from hitchid.validation.validate import TABLES_FILE, Validation, validate
 
 COMPARISON_FILE = "comparison.json"
@@ -33,12 +34,14 @@ class ModelComparison:
         first, second: what the validation of each found; the tests are the same, in the same order.
         left_out: how many tests one of them has seen.
         step_s: sampling time of both, s.
+        lacking: which tests lack a covariate that one of them requires, as sentences.
     """
 
     first: Validation
     second: Validation
     left_out: int
     step_s: float
+    lacking: tuple[str, ...] = ()
 
     @property
     def unit(self) -> str:
@@ -128,6 +131,7 @@ class ModelComparison:
         left = [f"{self.left_out} tests are left out: one of the models was identified from them"]
         return (
             *(left if self.left_out else []),
+            *self.lacking,
             *(each for each in ours if each in theirs),
             *(f"model A: {each}" for each in ours if each not in theirs),
             *(f"model B: {each}" for each in theirs if each not in ours),
@@ -173,7 +177,7 @@ def compare(
     checks.instance(campaign, Campaign, "campaign", 'a campaign as hitchid.read("logs") returns it')
     report = progress or silent
     seen = first.provenance.seen | second.provenance.seen
-    left = campaign.without(seen)
+    unseen = campaign.without(seen)
     if not any(name in second.channels for name in first.channels):
         raise InputError(
             f"model A has channels for {' and '.join(first.channels)}, model B for "
@@ -184,12 +188,13 @@ def compare(
             f"model A has a sampling time of {first.step_s:g} s, model B of {second.step_s:g} s; required "
             "the same, for they are compared sample by sample"
         )
-    if not left.records:
+    if not unseen.records:
         raise InputError("one of the models was identified from every test; required tests neither has seen")
+    left, lacking = with_covariates(unseen, first, second)
     cut_at = first.cut_at(campaign.units)
     one = validate(first, left, cut_at=cut_at, progress=part(report, 0.0, 0.5, "model A"))
     other = validate(second, left, cut_at=cut_at, progress=part(report, 0.5, 0.5, "model B"))
-    found = ModelComparison(one, other, len(campaign.records) - len(left.records), first.step_s)
+    found = ModelComparison(one, other, len(campaign.records) - len(unseen.records), first.step_s, lacking)
     if not found.parts:
         raise InputError("the models have no test in common; required tests of a direction that both have")
     return found

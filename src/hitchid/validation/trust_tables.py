@@ -86,8 +86,8 @@ def characteristic_tables(mode: str, known: Mapping[str, Any]) -> list[Table]:
     named = {
         "dead_zone": ("dead zone", unit),
         "flow_begins": ("command at which flow begins", unit),
-        "delay_s": (f"delay until 5 % of the speed, {step}", "s"),
-        "response_time_s": (f"response time until 63 % of the speed, {step}", "s"),
+        "delay_s": ("delay (5 %)", "s"),
+        "response_time_s": ("response time (63 %)", "s"),
     }
     times = tuple(
         (
@@ -103,7 +103,7 @@ def characteristic_tables(mode: str, known: Mapping[str, Any]) -> list[Table]:
     return [
         Table(f"{mode}: speed map, at mid stroke", header, rows),
         Table(
-            f"{mode}: dead zone, delay, response time",
+            f"{mode}: dead zone, delay, response time ({step})",
             ("quantity", "unit", "value", "95 %", "verdict"),
             times,
         ),

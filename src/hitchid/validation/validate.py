@@ -21,6 +21,7 @@ from hitchid.validation.channels import channel_result
 from hitchid.validation.cycles import cycle_result
 from hitchid.validation.predictions import Predictions
 from hitchid.validation.tables import NAMES, RUNS, markdown, tables
+from hitchid.validation.usable import with_covariates
 
 METRICS_FILE = "metrics.json"
 TABLES_FILE = "tables.md"
@@ -84,7 +85,8 @@ def validate(
 
     Args:
         model: an identified hitch.
-        campaign: logs; those the identification used are left out, recognised by their content.
+        campaign: logs; those the identification used are left out, recognised by their content, and those
+            that lack a covariate the model requires.
         cut_at: mode to dead zone, with which mixed cycles are cut into strokes where there is nothing else;
             by default the model's own.
         progress: called with what is being done and the fraction of all work that is done.
@@ -96,6 +98,7 @@ def validate(
     checks.instance(model, Hitch, "model", "a model as hitchid.load returns it")
     checks.instance(campaign, Campaign, "campaign", 'a campaign as hitchid.read("logs") returns it')
     report = progress or silent
+    campaign, lacking = with_covariates(campaign, model)
     whole = campaign
     if not campaign.modes:
         campaign = campaign.segmented(cut_at or model.cut_at(campaign.units))
@@ -103,7 +106,7 @@ def validate(
     factor = conversion_factor(model.units[DISPLACEMENT], unit, "displacement")
     both = len(model.channels) > 1
     unseen = [model.adopt(r) for r in whole.of_kind(CYCLE) if both and not _seen(model, r)]
-    channels, cycles, notices, predictions = {}, {"tests": []}, [], {}
+    channels, cycles, notices, predictions = {}, {"tests": []}, [*lacking], {}
     with ThreadPoolExecutor(ABREAST) as pool:
         switched = pool.submit(double_precision(cycle_result), model, unseen, factor) if unseen else None
         directions = {

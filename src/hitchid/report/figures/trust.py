@@ -6,11 +6,18 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator, NullFormatter, NullLocator, StrMethodFormatter
+from matplotlib.ticker import (
+    FixedLocator,
+    Locator,
+    MaxNLocator,
+    NullFormatter,
+    NullLocator,
+    StrMethodFormatter,
+)
 
 from hitchid.report.figures.style import COLOURS, COLUMN_IN, FAINT, INK, legend_above, logarithmic, styled
 
-MARGIN, THINNEST = 0.6, 0.02
+MARGIN, THINNEST, WIDE = 0.6, 0.02, 5
 PLACES = {
     "position": "displacement / {unit}",
     "speed": "speed / ({unit}/s)",
@@ -32,6 +39,13 @@ def intervals(known: Mapping[str, Any]) -> Figure:
     for axis, each in zip(np.atleast_1d(figure.subplots(len(estimates), 1)), estimates, strict=True):
         _interval(axis, each)
     return figure
+
+
+def _ticks(edge: np.ndarray) -> Locator:
+    """Return ticks that stand apart on a logarithmic axis: at even values only where it is short."""
+    if edge[1] < WIDE * edge[0]:
+        return MaxNLocator(4)
+    return FixedLocator(sorted({float(f"{x:.1g}") for x in np.geomspace(edge[0], edge[1], 5)[1:-1]}))
 
 
 def _interval(axis: Axes, each: Mapping[str, Any]) -> None:
@@ -56,7 +70,7 @@ def _interval(axis: Axes, each: Mapping[str, Any]) -> None:
     axis.set_ylim(-1, 1)
     axis.set_yticks([])
     axis.spines["left"].set_visible(False)
-    axis.xaxis.set_major_locator(MaxNLocator(4))
+    axis.xaxis.set_major_locator(_ticks(edge) if positive else MaxNLocator(4))
     axis.xaxis.set_major_formatter(StrMethodFormatter("{x:.4g}"))
     axis.xaxis.set_minor_locator(NullLocator())
     axis.xaxis.set_minor_formatter(NullFormatter())

@@ -188,6 +188,18 @@ def parameters(known: Direction) -> Section:
                 " ".join(said),
             )
         )
+    own = [model.adopt(record) for record in known.tests]
+    ramps = [model.adopt(record) for record in known.ramps]
+    unit = model.units[DISPLACEMENT]
+    channel = model.channels[mode]
+    pictures.append(
+        Picture(
+            known.named("valve"),
+            figures.valve_map(channel, own, ramps, unit, known.command_unit),
+            "Map of the valve: speed over command. Below the dead zone, points show motion dying away.",
+            f"Speed in {unit}/s over command in {known.command_unit}: benchmark, tests and ramps.",
+        )
+    )
     for key, title, name in (
         ("parameters", f"{mode}: parameters of the benchmark", "intervals"),
         ("paper_parameters", f"{mode}: parameters of the paper's transfer function", "paper-intervals"),
@@ -205,18 +217,6 @@ def parameters(known: Direction) -> Section:
                     ),
                 )
             )
-    own = [model.adopt(record) for record in known.tests]
-    ramps = [model.adopt(record) for record in known.ramps]
-    unit = model.units[DISPLACEMENT]
-    channel = model.channels[mode]
-    pictures.append(
-        Picture(
-            known.named("valve"),
-            figures.valve_map(channel, own, ramps, unit, known.command_unit),
-            "Map of the valve: speed over command. Below the dead zone, points show motion dying away.",
-            f"Speed in {unit}/s over command in {known.command_unit}: benchmark, tests and ramps.",
-        )
-    )
     zone = known.trace.get("dead_zone")
     if ramps and zone and zone["value"] > 0:
         pictures.append(

@@ -94,6 +94,8 @@ def _bands(mode: str, bands: Mapping[str, Any], count: int, unit: str) -> Findin
     doubt = max(HOLDS, 2 * error)
     if covered < asked - doubt:
         return Finding(Level.BAD, f"{said}: it is too narrow for these tests.")
+    if covered < asked - HOLDS:
+        return Finding(Level.CAUTION, f"{said}: less than it is made for, as {count} tests may do by chance.")
     if covered > asked + doubt:
         return Finding(Level.CAUTION, f"{said}: wider than these tests need.")
     return Finding(Level.GOOD, f"{said}.")
