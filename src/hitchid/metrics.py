@@ -9,7 +9,8 @@ from scipy.special import stdtrit
 HORIZONS = (1, 2, 5, 10, 20, 50, 100)
 BETTER = 1.02
 MOST = 2 / 3
-FEWEST, CONFIDENCE = 6, 0.9
+FEWEST, ONE_ERROR, CONFIDENCE = 6, 0.84, 0.9
+NO_ERROR = 1e-300
 
 
 class ErrorFigures(NamedTuple):
@@ -119,18 +120,18 @@ def surely_less(errors: np.ndarray, than: np.ndarray, samples: np.ndarray) -> bo
 def proven_better(errors: np.ndarray, than: np.ndarray) -> bool:
     """Tell whether held-out tests prove one model better than another.
 
-    It is better by 2 % in root mean square over all tests, on two thirds of them, and by more than a standard
-    error of the mean difference of the squared errors: no single test decides. Of fewer than six tests the
-    standard error is itself uncertain; there Student's t at 90 %, one-sided, is required.
+    It is better by 2 % in root mean square over all tests, on two thirds of them, and the mean of ln(r₂/r) lies
+    above zero by a standard error, r₂ being the error of the other: by Student's t at 84 %, one-sided, and with
+    fewer than six tests, whose scatter is itself uncertain, at 90 %. No single test decides. Logarithms, for
+    errors scatter by factors.
 
     Args:
         errors, than: root mean square error of each test, of the one and of the other, shape [T].
     """
     total, other = (float(np.sqrt(np.mean(each**2))) for each in (errors, than))
-    if not (BETTER * total < other and float(np.mean(errors < than)) >= MOST):
+    tests = errors.size
+    if tests < 2 or not (BETTER * total < other and float(np.mean(errors < than)) >= MOST):
         return False
-    gained, tests = than**2 - errors**2, errors.size
-    if tests < 2:
-        return False
-    required = 1.0 if tests >= FEWEST else float(stdtrit(tests - 1, CONFIDENCE))
+    gained = np.log(np.maximum(than, NO_ERROR) / np.maximum(errors, NO_ERROR))
+    required = float(stdtrit(tests - 1, ONE_ERROR if tests >= FEWEST else CONFIDENCE))
     return bool(gained.mean() > required * gained.std(ddof=1) / np.sqrt(tests))

@@ -20,7 +20,7 @@ from hitchid.uncertainty import KNOWN, DeadZoneError
 FOLDS = 4
 SAME_LEVEL = 0.01
 STEPS = 40
-REFITTED = 15
+REFITTED = 3
 SAMPLES = 2048
 RAMPED = (-0.1, 0.1)
 FEWEST_APART = 6
@@ -245,6 +245,11 @@ def _fitted(
 def _judged(
     misfit: Misfit, free: Sequence[int], positions: np.ndarray, folds: Sequence[np.ndarray]
 ) -> _Judged:
+    """Judge a form by tests held out in turn.
+
+    The others refit it from its best position by three damped steps: those reach what the tests determine,
+    and leave what they do not where it was, as a full descent would not.
+    """
     pooled, apart = misfit.pooled(), replace(misfit, apart=True)
     whole = pooled.error(positions)
     held_out, held_apart = [], []
