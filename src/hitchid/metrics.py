@@ -120,10 +120,10 @@ def surely_less(errors: np.ndarray, than: np.ndarray, samples: np.ndarray) -> bo
 def proven_better(errors: np.ndarray, than: np.ndarray) -> bool:
     """Tell whether held-out tests prove one model better than another.
 
-    It is better by 2 % in root mean square over all tests, on two thirds of them, and the mean of ln(r₂/r) lies
-    above zero by a standard error, r₂ being the error of the other: by Student's t at 84 %, one-sided, and with
-    fewer than six tests, whose scatter is itself uncertain, at 90 %. No single test decides. Logarithms, for
-    errors scatter by factors.
+    It is better by 2 % in root mean square over all tests, on two thirds of them, and the mean of ln(r₂/r)
+    lies above zero by a standard error, r₂ being the error of the other: by Student's t at 84 %, one-sided,
+    and with fewer than six tests, whose scatter is itself uncertain, at 90 %. No single test decides.
+    Logarithms, for errors scatter by factors.
 
     Args:
         errors, than: root mean square error of each test, of the one and of the other, shape [T].

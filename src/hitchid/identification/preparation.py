@@ -82,7 +82,10 @@ def prepare(
     if not records:
         refuse([*lacking, *stopped], f"{mode} tests")
     left_out = [*lacking, *stopped]
-    notices = [f"{record.name}: {notice}" for record in records for notice in record.notices]
+    # Strokes of one log share its notices; `log#003` is a stroke of `log`.
+    notices = list(
+        dict.fromkeys(f"{r.name.partition('#')[0]}: {notice}" for r in records for notice in r.notices)
+    )
     notices += sentences(left_out, total, f"{mode} tests")
     if direction != _usual(mode):
         notices.append(

@@ -1,0 +1,83 @@
+"""Every form has finite errors and finite derivatives everywhere between its bounds and at them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hitchid.benchmark import STRUCTURES, Batch, Form, structure_named
+from hitchid.benchmark.structure import LinearStructure
+from hitchid.fitting import Misfit
+from hitchid.record import LIFTING
+from truth import levels
+
+SAMPLES = 120
+WIDEST = Form(
+    structure_named("integrator-second-order"),
+    dead_time=True,
+    curve=True,
+    spool=True,
+    position=True,
+    load="p",
+)
+PLAIN = [Form(each, dead_time=True) for each in STRUCTURES.values() if isinstance(each, LinearStructure)]
+# A nonlinear structure is integrated step by step, on clocks of the plants it is for.
+CLOCKS = {"inertia-with-friction": (1e-3,), "cascaded-tanks": (4.0,)}
+CASES = [
+    *((form, clock) for form in PLAIN for clock in (1e-3, 4.0)),
+    *((WIDEST, clock) for clock in (1e-3, 0.05, 4.0)),
+    (replace(WIDEST, position=False, slope=True), 0.01),
+    *((Form(structure_named(name)), clock) for name, clocks in CLOCKS.items() for clock in clocks),
+]
+
+
+def batch_for(make_record, clock, form):
+    """Return tests of both signs of command, saturated, without motion, and one that never leaves rest."""
+    rng = np.random.default_rng(5)
+    commands = [
+        levels(rng, SAMPLES, low=-0.6, high=1.0),
+        np.ones(SAMPLES),
+        levels(rng, SAMPLES),
+        np.zeros(SAMPLES),
+    ]
+    travels = [np.cumsum(clock * command) for command in commands]
+    travels[2] = np.zeros(SAMPLES)
+    records = [
+        replace(
+            make_record(5.0 + travel, command),
+            step_s=clock,
+            signals={
+                "displacement": 5.0 + travel,
+                "lifting_command": command,
+                "p": np.full(SAMPLES, 90.0 + number),
+            },
+            units={"displacement": "mm", "lifting_command": "A", "p": "bar"},
+        )
+        for number, (command, travel) in enumerate(zip(commands, travels, strict=True))
+    ]
+    return Batch.of(records, LIFTING, dead_zone=0.1, direction=1, load=form.load)
+
+
+@pytest.mark.parametrize(
+    ("form", "clock"),
+    CASES,
+    ids=lambda each: (
+        getattr(each, "structure", each)
+        and str(
+            each
+            if isinstance(each, float)
+            else f"{each.structure.name}{' with all curves' if each.curve else ''}"
+        )
+    ),
+)
+def test_errors_and_derivatives_are_finite_between_bounds_and_at_them(make_record, form, clock):
+    misfit = Misfit.of(batch_for(make_record, clock, form), form)
+    equations = misfit.problem().normal_equations
+    count, rng = len(form.parameters), np.random.default_rng(7)
+    inside = rng.random((40, count))
+    corners = rng.integers(0, 2, (40, count)).astype(float)
+    edges = np.where(rng.random((40, count)) < 0.3, corners, inside)
+    for position in np.concatenate([inside, corners, edges]):
+        assert equations(position).finite, dict(
+            zip((p.name for p in form.parameters), misfit.values(position), strict=True)
+        )
