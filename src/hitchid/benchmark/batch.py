@@ -15,7 +15,6 @@ BUCKETS = (256, 512, 1024)
 TOGETHER = 4
 REST_SAMPLES = 50
 STOP_FRACTION = 0.01
-ONE_LEVEL = 0.05
 
 
 class Batch(eqx.Module):
@@ -113,14 +112,6 @@ class Batch(eqx.Module):
     def displaced(self, travel: Float[Array, "t n"]) -> Float[Array, "t n"]:
         """Return the displacement that belongs to a travel; the inverse of `travel`."""
         return self.initial[:, None] + self.direction * travel
-
-    @property
-    def levels_vary(self) -> bool:
-        """Whether commands take several levels within most tests, not one level each."""
-        size, counted = np.abs(np.asarray(self.command)), np.asarray(self.counted)
-        active = [row[on & (row > 0)] for row, on in zip(size, counted, strict=True)]
-        spreads = [row.std() / row.mean() for row in active if row.size]
-        return bool(spreads) and float(np.median(spreads)) > ONE_LEVEL
 
     def behind(self, dead_zone: Float[Array, " t"]) -> "Batch":
         """Return the tests behind another dead zone, in the command's unit."""

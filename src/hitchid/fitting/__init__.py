@@ -1,6 +1,7 @@
 """Fitting: the misfit of a form over tests, global searches of it, and the least-squares polish."""
 
 from hitchid.fitting.misfit import Misfit as Misfit
+from hitchid.fitting.misfit import free_speeds as free_speeds
 from hitchid.fitting.misfit import polish_some as polish_some
 from hitchid.fitting.search import DifferentialEvolution as DifferentialEvolution
 from hitchid.fitting.search import Found as Found

@@ -20,6 +20,7 @@ from hitchid.fitting.search import Polished, Problem, polish
 
 TIED = 0.01
 TRACE = 1e-9
+FREE_TESTS = 4
 TOLERANCE = 1e-6
 
 
@@ -31,8 +32,7 @@ class Misfit(eqx.Module):
         form: what is searched.
         scales: what the form's curves are measured in.
         bounds: of its parameters.
-        apart: whether each test may be faster or slower by a factor of its own; never where each stands at
-            one level of command, for then factors and the curve of the valve are one.
+        apart: whether each test may be faster or slower by a factor of its own; see `free_speeds`.
     """
 
     batch: Batch
@@ -48,9 +48,7 @@ class Misfit(eqx.Module):
         Raises:
             FitError: nothing moves.
         """
-        return cls(
-            batch, form, scales_of(batch), _bounds(form, batch), apart=form.slope and batch.levels_vary
-        )
+        return cls(batch, form, scales_of(batch), _bounds(form, batch), apart=free_speeds(batch, form))
 
     def over(self, batch: Batch) -> "Misfit":
         """Return the misfit over other tests, its bounds and scales kept."""
@@ -134,6 +132,16 @@ class Misfit(eqx.Module):
 
     def _compiled(self) -> "Compiled":
         return Compiled.of(self.over(self.batch.filled_up()))
+
+
+def free_speeds(batch: Batch, form: Form) -> bool:
+    """Tell whether the tests of a form with a gain along the stroke may each have a speed of their own.
+
+    Only where there are four tests more than parameters: of fewer, each at a level of its own, the factors
+    take up the curve of the valve.
+    """
+    tests = int(np.sum(np.asarray(batch.counted).any(axis=1)))
+    return form.slope and tests >= len(form.parameters) + FREE_TESTS
 
 
 def _apart(travel: Float[Array, "t n"], measured: Float[Array, "t n"]) -> Float[Array, "t n"]:

@@ -11,7 +11,7 @@ import numpy as np
 from hitchid.benchmark import Batch, Form, structure_named
 from hitchid.benchmark.shape import CURVE, SPOOL
 from hitchid.checkpoints import NOWHERE, Checkpoints
-from hitchid.fitting import Misfit, Search, polish_some
+from hitchid.fitting import Misfit, Search, free_speeds, polish_some
 from hitchid.identification.phase1 import Phase1, assessed, find_parameters
 from hitchid.metrics import proven_better
 from hitchid.progress import Heard, Progress, Step, rounds, silent
@@ -99,9 +99,8 @@ def choose_form(
     its least squares from the optimum of the one before, its new curves from a few shapes. A larger form
     takes the place of a smaller one where held-out tests prove it better; a gain that grows along the stroke,
     where six or more of them do apart from a factor on the speed of each test, for a load that nobody
-    measures differs from test to test and weighs more than the gain; not so where each test stands at one
-    level. The one taken is identified as any
-    other, by global search and least squares.
+    measures differs from test to test and weighs more than the gain; see `free_speeds`. The one taken is
+    identified as any other, by global search and least squares.
 
     Args:
         batch: identification tests.
@@ -149,10 +148,9 @@ def choose_form(
     values[names.index("gain")] = plain.values[0]
     positions = misfit.position(values)
     found: list[np.ndarray] = [np.array([])]
-    varied = batch.levels_vary
     for name, form in _larger(widest):
         free = [names.index(parameter.name) for parameter in form.parameters]
-        misfit = replace(misfit, apart=form.slope and varied)
+        misfit = replace(misfit, apart=free_speeds(coarse, form))
         fresh = _starts(form, [] if len(tried) == 1 else list(tried[-1].form.parameters))
         starts = [_with(positions, names, start) for start in ({}, *fresh)]
         judged = kept.piece(f"form {name}", _Judged, partial(_fitted, misfit, free, starts, folds))
@@ -166,7 +164,7 @@ def choose_form(
         before = tried[chosen]
         proven = (
             candidate.apart.size >= FEWEST_APART and proven_better(candidate.apart, before.apart)
-            if candidate.form.slope and varied
+            if free_speeds(coarse, candidate.form)
             else proven_better(candidate.held_out, before.held_out)
         )
         chosen = number if proven else chosen
