@@ -7,6 +7,7 @@ from pathlib import Path
 from .outcome import Outcome
 
 SLACK = 1.05
+GOAL = "goal"
 BARS = Path(__file__).with_name("bars.toml")
 ZOO, HOLDS = "zoo", "share of determined parameters that hold the truth"
 Bars = dict[str, dict[str, dict[str, float]]]
@@ -21,7 +22,7 @@ def holds(bar: dict[str, float], value: float | None) -> bool:
     """Tell whether a figure is at most 5 % worse than its bar; one that is missing or not finite never is."""
     if value is None or not abs(value) < float("inf"):
         return False
-    ((kind, limit),) = bar.items()
+    kind, limit = _limit(bar)
     if kind == "most":
         return value <= SLACK * limit
     if kind == "least":
@@ -30,9 +31,16 @@ def holds(bar: dict[str, float], value: float | None) -> bool:
 
 
 def shown(bar: dict[str, float]) -> str:
-    """Return a bar as a table has it."""
-    ((kind, limit),) = bar.items()
-    return f"{'≤' if kind == 'most' else '≥'} {limit:g}"
+    """Return a bar as a table has it, with the goal where that is not reached yet."""
+    kind, limit = _limit(bar)
+    sign = "≤" if kind == "most" else "≥"
+    return f"{sign} {limit:g}" + (f", goal {sign} {bar[GOAL]:g}" if GOAL in bar else "")
+
+
+def _limit(bar: dict[str, float]) -> tuple[str, float]:
+    """Return the kind of a bar, `most`, `least` or `r2`, and its limit."""
+    ((kind, limit),) = ((key, value) for key, value in bar.items() if key != GOAL)
+    return kind, limit
 
 
 def compare(outcomes: Iterable[Outcome], bars: Bars) -> None:
