@@ -12,7 +12,6 @@ from hypothesis.extra.numpy import arrays
 from hitchid.modes import (
     LEAD_IN_S,
     REST_S,
-    SETTLING_S,
     SHORTEST_STROKE_S,
     STALL_S,
     STALL_SPEED_FRACTION,
@@ -181,14 +180,6 @@ def test_a_stroke_starts_its_lead_before_the_command_after_a_rest():
     lead = round(LEAD_IN_S / STEP_S)
     found = [(s.mode, s.start, s.stop) for s in strokes(record, ZONES)]
     assert found == [("lifting", 100 - lead, 280 - lead), ("lowering", 280 - lead, 380)]
-
-
-@pytest.mark.parametrize("moving", [100, 300])
-def test_what_is_held_for_long_after_a_stroke_is_none_of_it(moving):
-    record = held((moving, 1, 0), (5000, 0, 0), (100, 0, 1))
-    first = strokes(record, ZONES)[0]
-    settled = max(round(SETTLING_S / STEP_S), moving)
-    assert abs(first.stop - (moving + settled)) <= 1
 
 
 def test_a_pause_shorter_than_a_rest_does_not_cut_a_stroke():

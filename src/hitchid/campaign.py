@@ -19,6 +19,7 @@ from hitchid.record import COMMAND, CYCLE, DISPLACEMENT, IDLE, KINDS, MODES, RAM
 from hitchid.units import UNITS
 
 HELD_OUT_FRACTION = 0.2
+STROKE_MARK = "#"
 LARGEST_RATE_RATIO = 100
 
 
@@ -182,10 +183,10 @@ class Campaign:
                 cut.append(record)
                 continue
             for number, stroke in enumerate(strokes(record, dead_zones), start=1):
-                name = f"{record.name}#{number:03d}"
+                name = f"{record.name}{STROKE_MARK}{number:03d}"
                 cut.append(record.slice(stroke.start, stroke.stop, name=name, kind=stroke.mode))
         held_out = self.held_out(CYCLE)
-        patterns = tuple(f"{escape(record.name)}#*" for record in held_out) or None
+        patterns = tuple(f"{escape(record.name)}{STROKE_MARK}*" for record in held_out) or None
         return replace(self, records=tuple(cut), test_patterns=patterns)
 
 

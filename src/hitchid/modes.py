@@ -16,7 +16,6 @@ STALL_COMMAND_FRACTION = 0.8
 REST_S = 0.5
 LEAD_IN_S = 0.1
 SHORTEST_STROKE_S = 0.5
-SETTLING_S, SETTLING_SAMPLES = 2.0, 20
 
 
 @dataclass(frozen=True)
@@ -127,9 +126,7 @@ def strokes(record: Record, dead_zones: Mapping[str, float]) -> list[Stroke]:
     """Cut a mixed record into strokes that each begin at rest, fit to identify one mode from.
 
     A stroke begins 0.1 s before its command becomes effective after at least 0.5 s without effect, or where
-    the mode changes. It lasts until the next begins, but after its last effective command no longer than it
-    took until then, or 2 s: a piston that is held longer says no more. Strokes shorter than 0.5 s are left
-    out.
+    the mode changes, and lasts until the next begins. Strokes shorter than 0.5 s are left out.
     """
     direction = directions(record, dead_zones)
     moving = np.flatnonzero(direction)
@@ -137,7 +134,6 @@ def strokes(record: Record, dead_zones: Mapping[str, float]) -> list[Stroke]:
         return []
     rest = round(REST_S / record.step_s)
     lead, shortest = round(LEAD_IN_S / record.step_s), SHORTEST_STROKE_S / record.step_s
-    settling = max(SETTLING_SAMPLES, round(SETTLING_S / record.step_s))
     rested = np.diff(moving, prepend=-rest - 1) > rest
     turned = np.diff(direction[moving], prepend=direction[moving[0]]) != 0
     fresh = rested | turned
@@ -145,9 +141,7 @@ def strokes(record: Record, dead_zones: Mapping[str, float]) -> list[Stroke]:
     leads = np.where(rested[fresh], lead, 0)
     starts = [max(0, int(onset) - int(ahead)) for onset, ahead in zip(onsets, leads, strict=True)]
     found = []
-    for onset, start, following in zip(onsets, starts, [*starts[1:], len(record)], strict=True):
-        last = int(moving[np.searchsorted(moving, following) - 1])
-        stop = min(following, last + 1 + max(settling, last - start))
+    for onset, start, stop in zip(onsets, starts, [*starts[1:], len(record)], strict=True):
         if stop - start >= shortest:
             found.append(Stroke(LIFTING if direction[onset] > 0 else LOWERING, start, stop))
     return found

@@ -7,16 +7,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from hitchid.benchmark import Batch, before_end_stop
-from hitchid.campaign import Campaign
+from hitchid.campaign import STROKE_MARK, Campaign
 from hitchid.errors import InputError, LogError
 from hitchid.identification.deadzone import DeadZone, from_tests, of_onsets, ramp_onset
 from hitchid.left_out import LeftOut, refuse, sentences, sift
-from hitchid.modes import end_stop_contact, mode_changes
+from hitchid.modes import ACTIVE_FRACTION, end_stop_contact, mode_changes
 from hitchid.record import CYCLE, LIFTING, MODES, Record
 
 VALIDATION_EVERY = 4
 VALIDATION_FRACTION = 0.25
 STOP_AGREEMENT = 0.02
+STRETCHED, SETTLING_S = 2.0, 2.0
 FEWEST_SAMPLES = 3
 
 
@@ -82,9 +83,10 @@ def prepare(
     if not records:
         refuse([*lacking, *stopped], f"{mode} tests")
     left_out = [*lacking, *stopped]
+    records = _without_long_rests(records, mode)
     # Strokes of one log share its notices; `log#003` is a stroke of `log`.
     notices = list(
-        dict.fromkeys(f"{r.name.partition('#')[0]}: {notice}" for r in records for notice in r.notices)
+        dict.fromkeys(f"{r.name.partition(STROKE_MARK)[0]}: {said}" for r in records for said in r.notices)
     )
     notices += sentences(left_out, total, f"{mode} tests")
     if direction != _usual(mode):
@@ -149,6 +151,25 @@ def mixed_dead_zones(campaign: Campaign) -> dict[str, DeadZone]:
                 [_travelled(r, mode, direction, None) for r in stretches], campaign.step_s
             )
     return found
+
+
+def _without_long_rests(records: Sequence[Record], mode: str) -> list[Record]:
+    """Return strokes cut from mixed logs with none much longer for the rest at its end.
+
+    All tests of a direction are computed at the length of the longest. Where a stroke is more than twice as
+    long as the median one, what it rests beyond that is cut off, but not the first 2 s after its command.
+    """
+    longest = STRETCHED * float(np.median([len(record) for record in records]))
+
+    def cut(record: Record) -> Record:
+        if STROKE_MARK not in record.name or len(record) <= longest:
+            return record
+        command = np.abs(record.command(mode))
+        active = np.flatnonzero(command > ACTIVE_FRACTION * command.max())
+        moving = int(active[-1]) + 1 if active.size else 0
+        return record.slice(0, max(round(longest), moving + round(SETTLING_S / record.step_s)))
+
+    return [cut(record) for record in records]
 
 
 def _by_name(records: Sequence[Record]) -> list[tuple[str, Record]]:
