@@ -33,7 +33,7 @@ def page(outcomes: Sequence[Outcome], bars: Bars, *, left_out: Sequence[str], se
     text = [
         HEAD,
         f"\n{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}, jax "
-        f"{version('jax')}; {len(outcomes) - 1} runs, {len(failed)} of them with a failure. The twelve drawn "
+        f"{version('jax')}; {len(outcomes) - 1} runs, {len(failed)} of them with a failure. The ones drawn "
         f"from the commit began at seed {seed}.\n",
         *(f"\n**Left out:** {name}, its folder is missing.\n" for name in left_out),
         "\n## Measured sets\n\n| set | figure | here | bar |\n| --- | --- | ---: | ---: |\n",

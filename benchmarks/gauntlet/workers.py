@@ -93,11 +93,11 @@ class _Worker:
         """Return what came of a job."""
         link = self._begun()
         started = time.perf_counter()
-        link.send(job)
         try:
+            link.send(job)
             if link.poll(job.timeout_s):
                 return link.recv()
-        except EOFError:
+        except (EOFError, OSError):
             self.close()
             code = self._process.exitcode
             return _lost(job, TRACEBACK, f"the process ended with code {code}", time.perf_counter() - started)
@@ -138,7 +138,7 @@ def _serve(link: Connection, core: set[int] | None) -> None:
     while True:
         try:
             job = link.recv()
-        except EOFError:
+        except (EOFError, OSError):
             return
         link.send(job.work(**job.arguments))
         # A process may map only so many compiled programs into memory.

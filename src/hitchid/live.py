@@ -81,14 +81,14 @@ class Live:
         stamp = sample.get(TIME, math.nan)
         stamped = math.isfinite(stamp)
         time_s = stamp if stamped else self._due_s
-        if self._origin_s is None:
+        if self._origin_s is None or (stamped and self._latest_s == -math.inf):
             self._restart(time_s)
         behind = _whole((time_s - self._due_s) / self._model.step_s)
         if behind < -SET_BACK:
             flags.append(f"the clock was set back from {self._latest_s:g} s: starting anew")
             self._forget(time_s)
             behind = 0
-        elif behind < 0 and stamp <= self._latest_s:
+        elif behind < 0 and (stamp <= self._latest_s or -behind > len(self._recent)):
             return self._answer([*flags, f"out of order: {stamp:g} s came after {self._latest_s:g} s"])
         elif behind > 0:
             flags.append(f"late: {behind} samples are missing before {time_s:g} s")

@@ -164,7 +164,9 @@ def _check_ours(folder: Path, mark: str) -> None:
 
 
 def check_inputs(out: Path, inputs: Iterable[Path | None]) -> None:
-    """Refuse to replace what a command reads: the output is an input, or holds one, or lies beside one.
+    """Refuse to replace what a command reads.
+
+    The output is an input, or holds one, or is a file in a folder that is read.
 
     Args:
         out: file or folder to write.

@@ -10,6 +10,7 @@ from hitchid.fitting.search import Polished as Polished
 from hitchid.fitting.search import Problem as Problem
 from hitchid.fitting.search import Search as Search
 from hitchid.fitting.search import Whale as Whale
+from hitchid.fitting.search import best_polished as best_polished
 from hitchid.fitting.search import polish as polish
 from hitchid.fitting.searchable import searchable as searchable
 from hitchid.fitting.trail import Comparison as Comparison

@@ -16,7 +16,7 @@ from hitchid.benchmark.structure import Scale
 from hitchid.errors import FitError
 from hitchid.fitting.bounds import Bounds
 from hitchid.fitting.least_squares import NormalEquations
-from hitchid.fitting.search import Polished, Problem, polish
+from hitchid.fitting.search import Polished, Problem, best_polished
 
 TIED = 0.01
 TRACE = 1e-9
@@ -145,7 +145,7 @@ def free_speeds(batch: Batch, form: Form) -> bool:
 
 
 def _apart(travel: Float[Array, "t n"], measured: Float[Array, "t n"]) -> Float[Array, "t n"]:
-    """Return misses apart from a factor of each test's own; see `Misfit.residuals`."""
+    """Return misses apart from a factor of each test's own; see `Misfit.misses`."""
     moved = jnp.sum(measured**2, axis=1)
     # A test in which nothing moves has no factor of its own: a trace of the others' motion ties it to one.
     held = TIED * (moved + TRACE * jnp.mean(moved))
@@ -255,26 +255,33 @@ def _speed_per_command(batch: Batch) -> float:
 
 
 def polish_some(
-    misfit: Misfit, free: Sequence[int], start: np.ndarray, limit: int, tolerance: float = TOLERANCE
+    misfit: Misfit,
+    free: Sequence[int],
+    starts: Sequence[np.ndarray],
+    limit: int,
+    tolerance: float = TOLERANCE,
 ) -> Polished:
     """Descend over some of the parameters by least squares, the others staying where they start.
 
     Args:
         misfit: the tests.
         free: numbers of the parameters that move.
-        start: a position of all parameters, shape [D].
-        limit: largest number of steps.
+        starts: positions of all parameters, each of shape [D]; the others stay where they are in the first.
+        limit: largest number of positions, the start included.
         tolerance: relative change of fitness or position below which to stop.
 
     Returns:
-        The outcome; its position is of the free parameters alone.
+        The best outcome; its position is of the free parameters alone.
+
+    Raises:
+        FitError: none of the starts can be simulated.
     """
     whole, columns = misfit.problem(), np.asarray(free)
 
     def some(position: np.ndarray) -> NormalEquations:
-        moved = start.copy()
+        moved = starts[0].copy()
         moved[columns] = position
         return whole.normal_equations(moved).over(columns)
 
     problem = replace(whole, dimensions=len(columns), normal_equations=some)
-    return polish(problem, start[columns], limit=limit, tolerance=tolerance)
+    return best_polished(problem, [start[columns] for start in starts], limit=limit, tolerance=tolerance)

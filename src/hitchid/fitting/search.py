@@ -1,7 +1,7 @@
 """Global searches of the unit cube on one budget of evaluations, and the least-squares polish."""
 
 import abc
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 import equinox as eqx
@@ -262,7 +262,7 @@ def polish(problem: Problem, start: np.ndarray, *, limit: int = 200, tolerance: 
     Args:
         problem: what to minimise.
         start: a position in the unit cube.
-        limit: largest number of steps.
+        limit: largest number of positions, the start included.
         tolerance: relative change of fitness or position below which to stop.
 
     Raises:
@@ -277,6 +277,25 @@ def polish(problem: Problem, start: np.ndarray, *, limit: int = 200, tolerance: 
         evaluations=found.steps * (1 + problem.dimensions),
         reason=found.reason,
     )
+
+
+def best_polished(
+    problem: Problem, starts: Iterable[np.ndarray], *, limit: int, tolerance: float
+) -> Polished:
+    """Return the best of several least squares; a start that cannot be simulated counts for nothing.
+
+    Raises:
+        FitError: none of the starts can be simulated.
+    """
+    found, failure = [], FitError("least squares: required at least one start, came none")
+    for start in starts:
+        try:
+            found.append(polish(problem, start, limit=limit, tolerance=tolerance))
+        except FitError as error:
+            failure = error
+    if not found:
+        raise failure
+    return min(found, key=lambda polished: polished.fitness)
 
 
 _begin = eqx.filter_jit(whale.begin)

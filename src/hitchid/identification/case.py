@@ -1,7 +1,7 @@
 """One campaign on its way to a model: what is asked of it, its tests made ready, and what comes of them."""
 
 import platform
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -158,9 +158,10 @@ class Case:
         """Return benchmarks with the gains on which strokes cut from mixed logs agree best as whole logs."""
         if len(found) < 2 or not self.cut_at:
             return found
-        factors = attempt("gain calibration", lambda: levelling(self._hitch(found), self.cycles), [])
+        notices: list[str] = []
+        factors = attempt("gain calibration", lambda: levelling(self._hitch(found), self.cycles), notices)
         if factors is None:
-            return found
+            return _noticed(found, notices)
         return {**found, **{mode: levelled(*found[mode], factor) for mode, factor in factors.items()}}
 
     def closed(self, found: Found) -> Identification:
@@ -177,12 +178,15 @@ class Case:
             versions=installed_versions(),
         )
         same_unit = len({campaign.units[COMMAND[mode]] for mode in found}) == 1
+        notices: list[str] = []
+        two_modes = None
+        if same_unit:
+            two_modes = attempt("test of two modes", lambda: compare_modes(self.prepared), notices)
+        traces = {mode: trace for mode, (_, trace) in _noticed(found, notices).items()}
         hitch = replace(
             self._hitch(found),
             provenance=provenance,
-            two_modes=attempt("test of two modes", lambda: compare_modes(self.prepared), [])
-            if same_unit
-            else None,
+            two_modes=two_modes,
             uncertainty={mode: trace.uncertainty for mode, trace in traces.items() if trace.uncertainty},
         )
         return Identification(hitch, traces)
@@ -226,6 +230,14 @@ def _check_window(training: Training | None, prepared: Mapping[str, Prepared]) -
             f"training: window is {training.window} samples, required at most {longest}, those of the "
             "longest test"
         )
+
+
+def _noticed(found: Found, notices: Sequence[str]) -> Found:
+    """Return channels with further notices on their traces."""
+    return {
+        mode: (channel, replace(trace, notices=(*trace.notices, *notices)))
+        for mode, (channel, trace) in found.items()
+    }
 
 
 def _limited(channel: Channel, limits: TravelLimits) -> Channel:

@@ -9,7 +9,7 @@ import numpy as np
 from hitchid.benchmark import Batch, Benchmark, Form
 from hitchid.benchmark.nonlinear import NonlinearStructure
 from hitchid.checkpoints import NOWHERE, Checkpoints
-from hitchid.fitting import Found, Misfit, Search, polish, searchable
+from hitchid.fitting import Found, Misfit, Search, best_polished, polish, searchable
 from hitchid.identification.optional import attempt
 from hitchid.progress import Heard
 from hitchid.uncertainty import KNOWN, DeadZoneError, Estimate, Estimates, Moves, assess, unassessed
@@ -130,10 +130,10 @@ def find_parameters(
 def _descended(misfit: Misfit, starts: Sequence[np.ndarray]) -> np.ndarray:
     """Return where least squares ends from the best of several starts, the first of them the search's."""
     coarse = misfit.over(misfit.batch.thinned(COARSE)).problem()
-    rough = [polish(coarse, each, limit=ROUGH_STEPS, tolerance=ROUGH) for each in starts]
+    rough = best_polished(coarse, starts, limit=ROUGH_STEPS, tolerance=ROUGH)
     problem = misfit.problem()
-    best = polish(problem, min(rough, key=lambda polished: polished.fitness).position, limit=STEPS)
-    # Least squares starts strictly inside the bounds: a search that ended on one may be a trifle better.
+    best = polish(problem, rough.position, limit=STEPS)
+    # The rough descent is over thinned samples: over all of them the end of the search may be better.
     before = misfit.error(starts[0])
     return _levelled(misfit, best.position if best.fitness <= before else starts[0])
 

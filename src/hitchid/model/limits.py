@@ -5,11 +5,12 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from hitchid.record import Record
 
 MARGIN = 0.1
+ROUNDING = 1e-9
 
 
 class TravelLimits(NamedTuple):
@@ -48,10 +49,19 @@ class TravelLimits(NamedTuple):
         """Return displacements within the limits, or within the start of a run that begins beyond them."""
         return jnp.clip(displacement, jnp.minimum(self.lower, start), jnp.maximum(self.upper, start))
 
+    def inside(self, displacement: Float[Array, "*b"], start: Float[Array, "*#b"]) -> Bool[Array, "*b"]:
+        """Tell where displacements are not held, of a run that begins at `start`."""
+        return (displacement > jnp.minimum(self.lower, start)) & (
+            displacement < jnp.maximum(self.upper, start)
+        )
+
     def reached(self, displacement: Float[np.ndarray, "*b"]) -> np.ndarray:
         """Tell where displacements are at a limit that is no stop, or beyond it; shape as given."""
-        low = np.zeros(np.shape(displacement), bool) if self.lower_stop else displacement <= self.lower
-        return low | (False if self.upper_stop else displacement >= self.upper)
+        # Conversion to another unit and back rounds.
+        slack = ROUNDING * (self.upper - self.lower)
+        low = displacement <= self.lower + slack
+        high = displacement >= self.upper - slack
+        return (low & (not self.lower_stop)) | (high & (not self.upper_stop))
 
     def sentence(self, unit: str) -> str:
         """Return the limits in words."""

@@ -63,7 +63,7 @@ class State(NamedTuple):
         displacement: what the model says it is: with measurements the benchmark's plus the predicted error,
             without any, the free run.
         error: predicted error of the benchmark.
-        benchmark: the benchmark's, as if there were no end stop.
+        benchmark: the benchmark's, as if there were no end stop, but within the limits of the plant.
         free: free run, compensated, likewise.
         start: where the channel in charge took it.
         mode: place of the channel in charge; −1 while nothing has moved yet.
@@ -323,12 +323,15 @@ class Motion(eqx.Module):
         return ChannelState(valve, plant, jnp.asarray(0), correction)
 
     def _speed(self, mode: Int[Array, ""], state: State) -> Float[Array, ""]:
-        """Return the speed of the piston; none where it is at an end stop."""
+        """Return the speed of the piston; none where it is at an end stop or a limit of the plant."""
         speed = jnp.zeros(())
+        inside = self._stopped(state, state.benchmark) == state.benchmark
+        limits = self.channels[0].limits
+        if limits is not None:
+            inside &= limits.inside(state.benchmark, state.start)
         for number, (sampled, own) in enumerate(zip(self.sampled, state.channels, strict=True)):
             moving = sampled.speed(own.plant, own.valve, state.benchmark, state.load)
-            moving = jnp.where(self._stopped(state, state.benchmark) == state.benchmark, moving, 0.0)
-            speed = jnp.where(mode == number, moving, speed)
+            speed = jnp.where(mode == number, jnp.where(inside, moving, 0.0), speed)
         return speed
 
     def _entered(

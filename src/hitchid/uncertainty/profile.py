@@ -82,7 +82,7 @@ def profile(misfit: Misfit, position: np.ndarray, number: int, dead_zone: DeadZo
         moved = start.copy()
         moved[number] = place
         if others and place != position[number]:
-            moved[others] = polish_some(misfit, others, moved, STEPS, TOLERANCE).position
+            moved[others] = polish_some(misfit, others, [moved], STEPS, TOLERANCE).position
         held.append(_Held.at(misfit, moved, number, dead_zone, best_errors))
         return held[-1]
 

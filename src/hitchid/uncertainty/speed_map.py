@@ -196,7 +196,7 @@ def _beside(
         shifted = coarse.over(coarse.batch.behind(coarse.batch.dead_zone + shift))
         if np.any(free):
             moved[free] = polish_some(
-                shifted, np.flatnonzero(free).tolist(), position, REFITTED, TOLERANCE
+                shifted, np.flatnonzero(free).tolist(), [position], REFITTED, TOLERANCE
             ).position
         found.append(at(moved[None], points._replace(dead_zone=points.dead_zone + shift))[0])
     return 0.5 * (found[0] - found[1])
