@@ -8,11 +8,11 @@ from jaxtyping import Array, PRNGKeyArray
 from hitchid.baselines import Arx, BlackBox, accumulated, speeds
 from hitchid.benchmark import Batch
 from hitchid.checkpoints import NOWHERE, Checkpoints
-from hitchid.identification.descent import Descent, Progress, descend
+from hitchid.identification.descent import Descent, Progress, descend, evenly
 from hitchid.lstm import SINGLE, Lstm
 
 ARX_ORDERS = (1, 2, 3, 5, 8, 12, 20)
-SECTION = 2048
+SECTION, MOST_SECTIONS = 2048, 40
 
 
 def fit_arx(training: Batch, validation: Batch) -> Arx:
@@ -40,7 +40,8 @@ def fit_black_box(
 ) -> BlackBox:
     """Return a black-box LSTM trained on free runs from the start of each test.
 
-    Tests longer than 2048 samples are cut, each section starting from its own measured displacement.
+    Tests longer than 2048 samples are cut, each section starting from its own measured displacement; of more
+    than 40 sections every m-th is taken.
 
     Args:
         training, validation: the tests the compensator has too.
@@ -50,7 +51,7 @@ def fit_black_box(
         progress, kept: see `descend`.
     """
     init_key, key = jax.random.split(key)
-    train, held = _sections(training), _sections(validation)
+    train, held = (evenly(_sections(each), MOST_SECTIONS) for each in (training, validation))
     commands, initial, travel, counted = train
     changes = np.diff(travel, axis=1)[counted[:, 1:]]
     fresh = BlackBox(

@@ -97,6 +97,12 @@ def descend(
     return with_weights(network, found), trace
 
 
+def evenly(data: Data, most: int) -> Data:
+    """Return every m-th sequence, so that no more than so many are left."""
+    every = -(-jax.tree.leaves(data)[0].shape[0] // most)
+    return jax.tree.map(lambda array: array[::every], data)
+
+
 def filled(data: Data, batch: int) -> Data:
     """Return sequences and, to fill the last batch, such of zeros: data of like size share a program."""
     missing = -jax.tree.leaves(data)[0].shape[0] % batch

@@ -11,9 +11,11 @@ from jaxtyping import Array, Bool, Float, Float32, PRNGKeyArray
 from hitchid.benchmark import Batch
 from hitchid.checkpoints import NOWHERE, Checkpoints
 from hitchid.compensator import FEATURES, Compensator, Sample, measured_features
-from hitchid.identification.descent import Descent, DescentTrace, Progress, descend, filled
+from hitchid.identification.descent import Descent, DescentTrace, Progress, descend, evenly, filled
 from hitchid.identification.rollouts import Rollouts
 from hitchid.lstm import Lstm
+
+MOST_STRETCHES = 1000
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,8 @@ def train_compensator(
 ) -> tuple[Compensator, DescentTrace]:
     """Train a compensator on the errors of a frozen benchmark.
 
-    Scaling comes from the training tests alone. A prediction reads between L and 2 L features, because
+    Scaling comes from the training tests alone. Of more than 1000 stretches every m-th is taken: neighbours
+    say the same, and time goes with their number. A prediction reads between L and 2 L features, because
     stretches share them, in training as later; see `Listening`.
 
     Args:
@@ -91,7 +94,9 @@ def train_compensator(
     )
     sequences = _sequences(compensator, features, errors, batch)
     held = _sequences(compensator, *_features(*validation), validation[0])
-    sequences, held = (filled(each, settings.descent.batch) for each in (sequences, held))
+    sequences, held = (
+        filled(evenly(each, MOST_STRETCHES), settings.descent.batch) for each in (sequences, held)
+    )
     network, trace = descend(
         compensator.network, _squared_error, sequences, held, settings.descent, key, progress, kept
     )
