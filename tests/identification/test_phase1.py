@@ -278,9 +278,11 @@ def test_where_tests_are_alike_and_nothing_slopes_a_factor_of_their_own_changes_
     assert max(plain.rmse, sloped.rmse) <= 250 * np.finfo(float).eps * 100.0
 
 
-def test_only_a_slope_sets_tests_apart(batch_of):
-    batch = batch_of(plants(lag(15.0, 0.7)))
+def test_only_a_slope_sets_tests_apart_and_only_where_tests_are_four_more_than_parameters(batch_of):
+    made = plants(lag(15.0, 0.7), tests=6)
+    batch = batch_of(made)
     assert Misfit.of(batch, Form(INTEGRATOR, slope=True)).apart
+    assert not Misfit.of(batch_of(made[:5]), Form(INTEGRATOR, slope=True)).apart
     assert not Misfit.of(batch, Form(INTEGRATOR, slope=True)).pooled().apart
     assert not Misfit.of(batch, Form(INTEGRATOR)).apart
     assert not Misfit.of(batch, Form(INTEGRATOR, position=True)).apart
@@ -293,7 +295,8 @@ def test_misses_apart_are_those_of_the_best_factor_of_each_test(seed, size, othe
     measured = np.concatenate([np.zeros((3, 1)), rng.normal(size=(3, 20))], axis=1)
     travel = size * measured + np.concatenate([np.zeros((3, 1)), rng.normal(size=(3, 20))], axis=1)
     found = np.sum(np.asarray(_apart(jnp.asarray(travel), jnp.asarray(measured))) ** 2, axis=1)
-    held = TIED * np.sum(measured**2, axis=1)
+    moved = np.sum(measured**2, axis=1)
+    held = TIED * (moved + TRACE * moved.mean())
 
     def objective(factor):
         return np.sum((factor * travel - measured) ** 2, axis=1) + held * (factor - 1) ** 2
