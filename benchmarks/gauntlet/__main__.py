@@ -15,7 +15,7 @@ from .outcome import MODEL, Outcome
 from .page import page
 from .workers import Job, carry_out
 
-FIXED, IN_CI, DRAWN = 60, 24, 4
+FIXED, IN_CI, DRAWN = 60, 24, 2
 PAGE = Path(__file__).parents[1] / "gauntlet.md"
 ALONE = 1
 

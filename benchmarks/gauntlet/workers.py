@@ -16,7 +16,7 @@ from .outcome import HUNG, TRACEBACK, Outcome
 
 Report = Callable[[Outcome], None]
 CACHE = Path("build/gauntlet/compiled")
-PATIENCE_S = 900.0
+PATIENCE_S = 1500.0
 
 
 @dataclass(frozen=True)
