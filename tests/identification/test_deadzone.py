@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from hitchid.errors import LogError
-from hitchid.identification.deadzone import CANDIDATES, from_ramps, from_tests
+from hitchid.identification.deadzone import CANDIDATES, delay_of, from_ramps, from_tests, of_onsets, ramp_rate
 from hitchid.record import LIFTING, LOWERING
 from truth import STEP_S, held, levels, shifted
 
@@ -151,3 +151,31 @@ def test_one_level_of_command_does_not_tell_the_dead_zone(noise):
     found = from_tests(tests, STEP_S)
     # Unknown is not exact: the error is half of the level.
     assert (found.value, found.spread, found.count, found.origin) == (0.0, 0.4, 3, "none")
+
+
+@pytest.mark.parametrize("delay_s", [0.1, 0.3])
+def test_a_ramp_faster_than_the_plants_delay_makes_the_dead_zone_less_sure(ramp, delay_s):
+    rng = np.random.default_rng(0)
+    tests = [dynamic(rng, 0.35, dead_samples=round(delay_s / STEP_S)) for _ in range(4)]
+    found = delay_of(tests, 0.35, STEP_S)
+    assert found == pytest.approx(delay_s)
+    late = found * ramp_rate(ramp(0.35), LIFTING)
+    zone = of_onsets([0.35 + late], late)
+    assert zone.error.size == pytest.approx(late)
+    lower, upper = zone.stated("A").interval
+    assert lower <= 0.35 <= upper
+
+
+def test_a_plant_without_a_dead_zone_has_one_of_zero_that_is_not_exact():
+    rng = np.random.default_rng(0)
+    found = from_tests([dynamic(rng, 0.0, noise=1.0) for _ in range(4)], STEP_S)
+    assert found.value <= found.error.size
+    assert 0 < found.error.size < 0.1
+
+
+def test_a_lag_of_some_samples_of_a_slow_clock_does_not_pass_for_a_dead_zone():
+    rng = np.random.default_rng(0)
+    tests = [dynamic(rng, 0.0, time_constant=3 * STEP_S) for _ in range(6)]
+    # The same samples on a clock of 1 s, where three of them are longer than the longest lag of a fast clock.
+    found = from_tests([(command, travel / STEP_S, counts) for command, travel, counts in tests], 1.0)
+    assert found.value <= 0.95 / CANDIDATES

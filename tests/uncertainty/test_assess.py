@@ -10,6 +10,7 @@ from hitchid.fitting import Misfit, MultiStart
 from hitchid.identification.phase1 import find_parameters
 from hitchid.record import LIFTING
 from hitchid.uncertainty import DeadZoneError, assess
+from hitchid.uncertainty.profile import profile
 from truth import STEP_S, held, lag, levels
 
 UNITS = {"x": "mm", "u": "A"}
@@ -97,11 +98,45 @@ def test_the_error_of_the_dead_zone_moves_the_gain_as_a_fit_behind_another_does(
     estimates, _, moved = assessed(batch_of(tests), INTEGRATOR, dead_zone=DeadZoneError(size, 3))
     other, _, _ = assessed(batch_of(tests, dead_zone=size), INTEGRATOR)
     shift = np.log(other["gain"].value / estimates["gain"].value) / np.log(1e4)
-    # One step of Newton: of the second order in a shift of 2·10⁻⁴.
+    # Fitted anew above and below: of the second order in a shift of 2·10⁻⁴.
     assert moved.by_dead_zone[0] == pytest.approx(shift, rel=1e-3)
     without, _, _ = assessed(batch_of(tests), INTEGRATOR)
     of_zone = moved.by_dead_zone[0] * np.log(1e4) * estimates["gain"].value
     assert estimates["gain"].error == pytest.approx(np.hypot(without["gain"].error, of_zone), rel=1e-6)
+
+
+def test_a_parameter_that_moves_nothing_is_not_determined_however_small_its_scores(batch_of):
+    command = levels(np.random.default_rng(0), SAMPLES, low=0.2)
+    tests = [(command, held(*lag(15.0, 0.05), command)) for _ in range(12)]
+    form = Form(structure_named("integrator-first-order"), curve=True)
+    misfit = Misfit.of(batch_of(tests, noise=0.3), form)
+    values = {"gain": 15.0, "time_constant": 0.05, "opening": 0.0, "exponent": 1.0, "saturation": 3e3}
+    position = misfit.position(np.array([values[parameter.name] for parameter in form.parameters]))
+    known, _ = assess(misfit, position, units=UNITS)
+    saturation = next(each for each in known.parameters if each.name == "saturation")
+    assert saturation.error is None
+    assert not saturation.determined
+    assert saturation.interval[1] is None
+
+
+def test_of_few_tests_an_interval_holds_that_of_tests_drawn_anew(batch_of):
+    estimates, known, _ = assessed(batch_of(alike([15.0, 15.4, 14.7])), INTEGRATOR)
+    gain = estimates["gain"]
+    assert known.rows > known.tests
+    assert gain.interval[0] <= gain.bootstrap[0]
+    assert gain.interval[1] >= gain.bootstrap[1]
+
+
+def test_a_profile_allows_what_another_dead_zone_would(batch_of):
+    command = levels(np.random.default_rng(0), SAMPLES, low=0.4)
+    tests = [(command, held(*lag(15.0, 0.7), command)) for _ in range(8)]
+    batch = batch_of(tests, noise=0.3)
+    misfit = Misfit.of(batch, LAG)
+    position = misfit.position(np.array([15.0, 0.7]))
+    sure = profile(misfit, position, 0)
+    unsure = profile(misfit, position, 0, DeadZoneError(0.02, 3))
+    assert unsure.lower < sure.lower
+    assert unsure.upper > sure.upper
 
 
 def test_what_follows_from_parameters_has_their_interval(batch_of):

@@ -243,7 +243,7 @@ def test_a_structure_without_a_steady_speed_has_no_speed_map(batch_of):
     misfit = Misfit.of(batch, Form(structure_named("inertia-with-friction")))
     zone = DeadZone(0.0, None, 0, "structure")
     none = np.zeros((1, 8))
-    moved = Moves(none, none[0], none[0], none, Scores(none, np.zeros((1, 8, 8))), np.ones(8, bool))
+    moved = Moves(none, none[0], none[0], none, Scores(none, np.zeros((1, 8, 8))), np.ones(8, bool), none[:1])
     found = characteristics(
         misfit, np.full(8, 0.5), moved, dead_zone=zone.stated("A"), error=zone.error, units=UNITS
     )

@@ -11,8 +11,7 @@ from jaxtyping import Array, Bool, Float
 from hitchid.modes import effective_command
 from hitchid.record import Record
 
-BUCKETS = (256, 512, 1024)
-TOGETHER = 4
+SHORTEST, FEWEST = 256, 4
 REST_SAMPLES = 50
 STOP_FRACTION = 0.01
 
@@ -41,8 +40,8 @@ class Batch(eqx.Module):
     counted: Bool[Array, "t n"]
     initial: Float[Array, " t"]
     load: Float[Array, " t"]
-    step_s: float = eqx.field(static=True)
-    direction: int = eqx.field(static=True)
+    step_s: float
+    direction: int
 
     @classmethod
     def of(
@@ -58,7 +57,7 @@ class Batch(eqx.Module):
     ) -> "Batch":
         """Lay records side by side, padded so that like shapes compile once.
 
-        The padded length is 256, 512 or a multiple of 1024 samples.
+        The padded length is a power of two, 256 or more, or one and a half of it.
 
         Args:
             records: tests of one clock.
@@ -158,10 +157,10 @@ class Batch(eqx.Module):
     def filled_up(self) -> "Batch":
         """Return the tests with others behind them that count nowhere, so that like numbers compile once.
 
-        The number of tests becomes a multiple of four.
+        The number of tests becomes four, eight, twelve, sixteen, and so on as lengths do.
         """
         tests = self.command.shape[0]
-        lacking = -tests % TOGETHER
+        lacking = _bucket(tests, FEWEST) - tests
         if not lacking:
             return self
         filled = self.take([*range(tests), *[tests - 1] * lacking])
@@ -170,13 +169,23 @@ class Batch(eqx.Module):
     def take(self, indices: Sequence[int]) -> "Batch":
         """Return some of the tests."""
         rows = np.asarray(indices, dtype=np.int64)
-        return jax.tree.map(lambda array: jnp.asarray(np.asarray(array)[rows]), self)
+        tests, clock = eqx.partition(self, eqx.is_array)
+        return eqx.combine(jax.tree.map(lambda array: jnp.asarray(np.asarray(array)[rows]), tests), clock)
 
 
 def padded_length(samples: int) -> int:
     """Return the length that so many samples are padded to, so that like shapes compile once."""
-    largest = BUCKETS[-1]
-    return next((size for size in BUCKETS if samples <= size), -(-samples // largest) * largest)
+    return _bucket(samples, SHORTEST)
+
+
+def _bucket(count: int, least: int) -> int:
+    """Return the least number not below a count of those that are `least` doubled, or that and its half."""
+    size = least
+    while size < count:
+        if size > least and count <= size + size // 2:
+            return size + size // 2
+        size *= 2
+    return size
 
 
 def mean_before_motion(samples: np.ndarray, effective: np.ndarray) -> float:

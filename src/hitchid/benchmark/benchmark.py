@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from hitchid.benchmark.batch import Batch
-from hitchid.benchmark.discretise import Discrete, discretise, driven
+from hitchid.benchmark.discretise import Discrete, Scalar, discretise, driven
 from hitchid.benchmark.nonlinear import NonlinearStructure, simulated
 from hitchid.benchmark.shape import SHAPE, Shape
 from hitchid.benchmark.structure import DEAD_TIME, LinearStructure, Structure
@@ -51,7 +51,7 @@ class Benchmark(eqx.Module):
         return _shaped(self.shape, linear, batch.load, batch.initial, batch.direction)
 
     @double_precision
-    def response(self, command: Float[Array, "t n"], step_s: float) -> Float[Array, "t n"]:
+    def response(self, command: Float[Array, "t n"], step_s: Scalar) -> Float[Array, "t n"]:
         """Simulate from rest: y[0] = 0, then y of the command held between samples.
 
         Before its first sample a test's command is taken as zero.
@@ -66,7 +66,7 @@ class Benchmark(eqx.Module):
         return driven(self.discretised(step_s), command)
 
     @double_precision
-    def discretised(self, step_s: float) -> Discrete:
+    def discretised(self, step_s: Scalar) -> Discrete:
         """Return the exact discrete model for a command held between samples.
 
         Raises:
@@ -181,7 +181,7 @@ def _flow(
     logged: Float[Array, "t n"],
     dead_zone: Float[Array, " t"],
     load: Float[Array, " t"],
-    step_s: float,
+    step_s: Scalar,
 ) -> Float[Array, "t n"]:
     return shape.flow(shape.effective(logged, dead_zone, step_s), load[:, None])
 
@@ -192,13 +192,13 @@ def _shaped(
     linear: Float[Array, "t n"],
     load: Float[Array, " t"],
     initial: Float[Array, " t"],
-    sign: int,
+    sign: int | Int[Array, ""],
 ) -> Float[Array, "t n"]:
     return shape.travel(linear, load, initial, sign)
 
 
 @eqx.filter_jit
 def _discretised(
-    structure: LinearStructure, values: Float[Array, " p"], dead_time_s: Float[Array, ""], step_s: float
+    structure: LinearStructure, values: Float[Array, " p"], dead_time_s: Float[Array, ""], step_s: Scalar
 ) -> Discrete:
     return discretise(structure, values, dead_time_s, step_s)

@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 from jaxtyping import Array, Float
 
+from hitchid.benchmark.discretise import Scalar
 from hitchid.benchmark.structure import Structure
 
 
@@ -38,7 +39,7 @@ def simulated(
     values: Float[Array, " p"],
     command: Float[Array, "t n"],
     displacement: Float[Array, " t"],
-    step_s: float,
+    step_s: Scalar,
 ) -> Float[Array, "t n"]:
     """Return displacement at every sample, the command held between samples, shape [T, N].
 
@@ -63,7 +64,7 @@ def advanced(
     values: Float[Array, " p"],
     state: Float[Array, "n t"],
     command: Float[Array, " t"],
-    step_s: float,
+    step_s: Scalar,
 ) -> Float[Array, "n t"]:
     """Return the state one sample later, the command held; see `simulated`."""
     width = step_s / structure.substeps

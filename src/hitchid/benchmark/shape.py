@@ -5,7 +5,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from hitchid.benchmark.structure import Parameter
 
@@ -147,7 +147,11 @@ class Shape(eqx.Module):
         return jnp.exp(slope * near + beyond + curve * (near**2 - 1 / 3) + gain * self._load(load))
 
     def travel(
-        self, linear: Float[Array, "t n"], load: Float[Array, " t"], initial: Float[Array, " t"], sign: int
+        self,
+        linear: Float[Array, "t n"],
+        load: Float[Array, " t"],
+        initial: Float[Array, " t"],
+        sign: int | Int[Array, ""],
     ) -> Float[Array, "t n"]:
         """Return travel from the linear model's.
 

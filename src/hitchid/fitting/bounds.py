@@ -41,13 +41,18 @@ class Bounds(eqx.Module):
         return jnp.where(self.linear, width, self.values(position) * span)
 
     def position(self, values: np.ndarray) -> np.ndarray:
-        """Return where between their bounds values lie; the inverse of `values`."""
+        """Return where between their bounds values lie, at a bound those beyond it."""
+        return np.clip(self.place(values), 0.0, 1.0)
+
+    def place(self, values: np.ndarray) -> np.ndarray:
+        """Return the position of values, outside the unit cube where they lie beyond a bound."""
         bounds = zip(np.asarray(self.lower), np.asarray(self.upper), np.asarray(self.linear), strict=True)
-        places = [
-            (value - lower) / (upper - lower) if linear else np.log(value / lower) / np.log(upper / lower)
-            for value, (lower, upper, linear) in zip(values, bounds, strict=True)
-        ]
-        return np.clip(places, 0.0, 1.0)
+        return np.array(
+            [
+                (value - lower) / (upper - lower) if linear else np.log(value / lower) / np.log(upper / lower)
+                for value, (lower, upper, linear) in zip(values, bounds, strict=True)
+            ]
+        )
 
     def _spans(self) -> tuple[Float[Array, " d"], Float[Array, " d"]]:
         """Return the widths between the bounds, and between their logarithms."""

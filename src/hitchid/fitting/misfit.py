@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -17,6 +17,8 @@ from hitchid.errors import FitError
 from hitchid.fitting.bounds import Bounds
 from hitchid.fitting.least_squares import NormalEquations
 from hitchid.fitting.search import Polished, Problem, best_polished
+
+_Fitness = TypeVar("_Fitness", bound=eqx.Module)
 
 TIED = 0.01
 TRACE = 1e-9
@@ -39,7 +41,7 @@ class Misfit(eqx.Module):
     form: Form = eqx.field(static=True)
     scales: Scales
     bounds: Bounds
-    apart: bool = eqx.field(static=True, default=False)
+    apart: bool = False
 
     @classmethod
     def of(cls, batch: Batch, form: Form) -> "Misfit":
@@ -84,7 +86,7 @@ class Misfit(eqx.Module):
         measured = jnp.where(self.batch.counted, self.batch.travel, 0.0)
         travel = self.form.benchmark(values, self.scales).travel(self.batch)
         travel = jnp.where(self.batch.counted, travel, 0.0)
-        misses = _apart(travel, measured) if self.apart else travel - measured
+        misses = jnp.where(self.apart, _apart(travel, measured), travel - measured)
         counts = jnp.sum(self.batch.counted, axis=1, keepdims=True)
         tests = jnp.sum(counts > 0)
         weight = jnp.sqrt(jnp.sum(counts) / (tests * jnp.maximum(counts, 1)))
@@ -95,40 +97,57 @@ class Misfit(eqx.Module):
         squares = jax.vmap(lambda position: jnp.sum(self.residuals(position) ** 2))(positions)
         return jnp.sqrt(squares / jnp.sum(self.batch.counted))
 
+    def cost(self, position: np.ndarray) -> float:
+        """Return the sum of the squared residuals at one position."""
+        return float(self.by_equations(position).costs.sum())
+
     def error(self, position: np.ndarray) -> float:
         """Return J at one position."""
-        squares = np.sum(self._compiled().residuals(position) ** 2)
-        return float(np.sqrt(squares / np.sum(np.asarray(self.batch.counted))))
+        return float(np.sqrt(self.cost(position) / np.sum(np.asarray(self.batch.counted))))
 
     def by_test(self, position: np.ndarray) -> np.ndarray:
         """Return the root mean square error of each test, shape [T]."""
         counts = np.asarray(self.batch.counted).sum(axis=1)
-        squares = np.sum(self._compiled().residuals(position)[: counts.size] ** 2, axis=1)
-        return np.sqrt(squares * np.count_nonzero(counts) / counts.sum())
+        costs = self.by_equations(position).costs
+        return np.sqrt(costs * np.count_nonzero(counts) / counts.sum())
+
+    def by_equations(self, position: np.ndarray) -> "ByTest":
+        """Return the squared residuals of each test at a position, to second order."""
+        return self._compiled().by_test(position).over(self.batch.command.shape[0])
 
     def problem(self) -> Problem:
         """Return the search problem over the samples that count."""
         whole = self.over(self.batch.filled_up())
         return Problem(
             dimensions=len(self.form.parameters),
-            fitness=whole,
+            fitness=traced(whole),
             samples=int(np.sum(np.asarray(self.batch.counted))),
             normal_equations=Compiled.of(whole).normal_equations,
         )
 
-    def linearised(self, position: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return residuals, their derivative, and which test each belongs to, of the samples that count.
+    def by_stretch(self, position: np.ndarray, pieces: int) -> "ByTest":
+        """Return the squared residuals of as many stretches of each test, weighted as in the whole."""
+        counted = np.asarray(self.batch.counted)
+        counts, weights = counted.sum(axis=1), self._weights()
+        place = (np.cumsum(counted, axis=1) - 1) * pieces // np.maximum(counts, 1)[:, None]
+        found = []
+        for piece in range(pieces):
+            part = self.over(self.batch.counting(jnp.asarray(place == piece)))
+            moving = np.asarray(part.batch.counted).any(axis=1)
+            ratio = np.where(moving, weights / np.where(moving, part._weights(), 1.0), 0.0)
+            found.append(part.by_equations(position).times(ratio))
+        return ByTest(*(np.concatenate(rows) for rows in zip(*found, strict=True)))
 
-        Args:
-            position: in the unit cube, shape [D].
+    def errors(self, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the weighted misses of the samples that count, and which test each belongs to, shape [M]."""
+        counted = np.asarray(self.batch.counted)
+        misses = self._compiled().misses(position)[: len(counted)]
+        return misses[counted], np.repeat(np.arange(len(counted)), counted.sum(axis=1))
 
-        Returns:
-            Shapes [M], [M, D] and [M].
-        """
-        whole = self.over(self.batch.filled_up())
-        counted, compiled = np.asarray(whole.batch.counted), Compiled.of(whole)
-        test = np.repeat(np.arange(len(counted)), counted.sum(axis=1))
-        return compiled.residuals(position)[counted], compiled.jacobian(position)[counted], test
+    def _weights(self) -> Float[np.ndarray, " t"]:
+        """Return by what the squares of each test are multiplied; see `misses`."""
+        counts = np.asarray(self.batch.counted).sum(axis=1)
+        return counts.sum() / (np.count_nonzero(counts) * np.maximum(counts, 1))
 
     def _compiled(self) -> "Compiled":
         return Compiled.of(self.over(self.batch.filled_up()))
@@ -155,6 +174,34 @@ def _apart(travel: Float[Array, "t n"], measured: Float[Array, "t n"]) -> Float[
     return (own[:, None] * travel - measured).at[:, 0].set(tie)
 
 
+def traced(fitness: _Fitness) -> _Fitness:
+    """Return a module whose numbers are arrays, so that a program compiled for one clock serves all."""
+    return jax.tree.map(jnp.asarray, fitness)
+
+
+class ByTest(NamedTuple):
+    """The sum of squared residuals of each test at a position, to second order as Gauss and Newton have it.
+
+    Attributes:
+        costs: ‖r‖², shape [T].
+        slopes: Jᵀ r, shape [T, D].
+        curvatures: Jᵀ J, shape [T, D, D].
+    """
+
+    costs: Float[np.ndarray, " t"]
+    slopes: Float[np.ndarray, "t d"]
+    curvatures: Float[np.ndarray, "t d d"]
+
+    def over(self, tests: int) -> "ByTest":
+        """Return those of the first tests."""
+        return ByTest(*(each[:tests] for each in self))
+
+    def times(self, weights: Float[np.ndarray, " t"]) -> "ByTest":
+        """Return them with each test's squares multiplied by a weight."""
+        costs, slopes, curvatures = self
+        return ByTest(weights * costs, weights[:, None] * slopes, weights[:, None, None] * curvatures)
+
+
 class Compiled(NamedTuple):
     """Misses of one misfit and their derivative, compiled; taken apart once for thousands of calls."""
 
@@ -167,34 +214,25 @@ class Compiled(NamedTuple):
         leaves, structure = jax.tree.flatten(misfit)
         return cls(structure, leaves)
 
-    def residuals(self, position: np.ndarray) -> np.ndarray:
+    def misses(self, position: np.ndarray) -> np.ndarray:
         """Return the misses at a position, shape [T, N]."""
-        return np.asarray(_residuals(self.structure, self.leaves, position))
+        return np.asarray(_by_test(self.structure, self.leaves, position)[0])
 
-    def jacobian(self, position: np.ndarray) -> np.ndarray:
-        """Return their derivative by the position, shape [T, N, D]."""
-        return np.asarray(_jacobian(self.structure, self.leaves, position))
+    def by_test(self, position: np.ndarray) -> ByTest:
+        """Return the squared misses of each test at a position, to second order."""
+        return ByTest(*map(np.asarray, _by_test(self.structure, self.leaves, position)[1:]))
 
     def normal_equations(self, position: np.ndarray) -> NormalEquations:
         """Return ‖r‖², Jᵀr and JᵀJ at the position."""
-        cost, gradient, curvature = _normal_equations(self.structure, self.leaves, position)
-        return NormalEquations(float(cost), np.asarray(gradient), np.asarray(curvature))
+        costs, slopes, curvatures = self.by_test(position)
+        return NormalEquations(float(costs.sum()), slopes.sum(axis=0), curvatures.sum(axis=0))
 
 
+# One program for all that is asked of a misfit: compiling takes longer than most fits.
 @partial(jax.jit, static_argnums=0)
-def _residuals(structure: Any, leaves: list[Array], position: Float[Array, " d"]) -> Float[Array, "t n"]:
-    return jax.tree.unflatten(structure, leaves).residuals(position)
-
-
-@partial(jax.jit, static_argnums=0)
-def _jacobian(structure: Any, leaves: list[Array], position: Float[Array, " d"]) -> Float[Array, "t n d"]:
-    return jax.jacfwd(jax.tree.unflatten(structure, leaves).residuals)(position)
-
-
-@partial(jax.jit, static_argnums=0)
-def _normal_equations(
+def _by_test(
     structure: Any, leaves: list[Array], position: Float[Array, " d"]
-) -> tuple[Float[Array, ""], Float[Array, " d"], Float[Array, "d d"]]:
+) -> tuple[Float[Array, "t n"], Float[Array, " t"], Float[Array, "t d"], Float[Array, "t d d"]]:
     misfit = jax.tree.unflatten(structure, leaves)
 
     def twice(position: Array) -> tuple[Array, Array]:
@@ -202,8 +240,10 @@ def _normal_equations(
         return found, found
 
     derivative, residuals = jax.jacfwd(twice, has_aux=True)(position)
-    rows, errors = derivative.reshape(-1, position.size), residuals.reshape(-1)
-    return errors @ errors, rows.T @ errors, rows.T @ rows
+    columns = jnp.moveaxis(derivative, 2, 1)
+    slopes = jnp.einsum("tdn,tn->td", columns, residuals)
+    curvatures = jnp.einsum("tdn,ten->tde", columns, columns)
+    return residuals, jnp.sum(residuals**2, axis=1), slopes, curvatures
 
 
 @eqx.filter_jit

@@ -11,7 +11,7 @@ from hitchid.benchmark import Form, Scales, pulse_response
 from hitchid.benchmark.structure import LinearStructure
 from hitchid.fitting.bounds import Bounds
 from hitchid.fitting.correlations import Correlations, collectable
-from hitchid.fitting.misfit import Misfit
+from hitchid.fitting.misfit import Misfit, traced
 from hitchid.fitting.search import Problem
 
 
@@ -30,7 +30,7 @@ class FromCorrelations(eqx.Module):
     form: Form = eqx.field(static=True)
     scales: Scales
     bounds: Bounds
-    step_s: float = eqx.field(static=True)
+    step_s: float
 
     def __call__(self, positions: Float[Array, "p d"]) -> Float[Array, " p"]:
         """Return J at each of p positions."""
@@ -50,4 +50,5 @@ def searchable(misfit: Misfit) -> Problem:
     if not (linear and collectable(batch)):
         return problem
     found = Correlations.of(batch)
-    return replace(problem, fitness=FromCorrelations(found, form, misfit.scales, misfit.bounds, batch.step_s))
+    fitness = FromCorrelations(found, form, misfit.scales, misfit.bounds, batch.step_s)
+    return replace(problem, fitness=traced(fitness))

@@ -148,7 +148,10 @@ class Case:
             campaign = campaign.segmented(cut_at)
             seen |= _fingerprints(campaign, campaign.modes)
         if not campaign.modes:
-            raise InputError("no test moves the piston one way, and no cycle holds a stroke to identify from")
+            raise InputError(
+                "no test moves the piston one way, and no cycle holds a stroke to identify from; measure "
+                "tests whose command goes well beyond the dead zone, and check the units of the signals"
+            )
         prepared = {m: prepare(campaign, m, zones.get(m), load=forms[m].load) for m in campaign.modes}
         _check_window(question.training, prepared)
         asked = {m: _asked(question, m, campaign, kept.part(m)) for m in campaign.modes}

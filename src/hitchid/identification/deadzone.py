@@ -20,7 +20,7 @@ MOVED = 0.2
 UNKNOWN = 0.5
 FEWEST, GROUPS = 6, 24
 SAMPLES, LARGEST = 2048, 1_000_000
-LAGS_S = (0.03, 0.1, 0.3, 1.0)
+LAGS_S, FAST_S = (0.03, 0.1, 0.3, 1.0), 0.1
 
 
 @dataclass(frozen=True)
@@ -33,26 +33,29 @@ class DeadZone:
             in the command's unit; None where it is not known.
         count: ramps or tests it was found from.
         origin: `ramps`, `tests`, `given` or `none` (not determined by the data, taken as zero).
+        late: by how much the ramps' commands go on rising before the plant answers, in the command's unit.
     """
 
     value: float
     spread: float | None
     count: int
     origin: str
+    late: float = 0.0
 
     @property
     def error(self) -> DeadZoneError:
-        """How well it is known: the standard error of the mean over ramps, or the jackknife's."""
-        if self.spread is None:
+        """How well it is known: the error of the mean over ramps and their delay, or the jackknife's."""
+        if self.spread is None and not self.late:
             return KNOWN
-        mean = self.spread / np.sqrt(self.count) if self.origin == "ramps" else self.spread
-        return DeadZoneError(float(mean), self.count)
+        spread = self.spread or 0.0
+        mean = spread / np.sqrt(self.count) if self.origin == "ramps" else spread
+        return DeadZoneError(float(np.hypot(mean, self.late)), self.count)
 
     def stated(self, unit: str) -> Quantity:
         """Return it with its 95 % interval, which is open where no error is known."""
         if self.origin == "given":
             return quantity("dead zone", unit, self.value, (self.value, self.value), 0.0)
-        if self.spread is None:
+        if not self.error.size and self.spread is None:
             return quantity("dead zone", unit, self.value, (None, None), 0.0)
         reach = student(float(self.error.degrees)) * self.error.size
         interval = max(0.0, self.value - reach), self.value + reach
@@ -70,11 +73,11 @@ def from_ramps(ramps: Sequence[Record], mode: str, direction: int) -> DeadZone:
     return of_onsets([ramp_onset(record, mode, direction) for record in ramps])
 
 
-def of_onsets(onsets: Sequence[float]) -> DeadZone:
+def of_onsets(onsets: Sequence[float], late: float = 0.0) -> DeadZone:
     """Return mean and spread of the commands at which ramps set the piston in motion."""
     values = np.array(onsets)
     spread = float(values.std(ddof=1)) if values.size > 1 else None
-    return DeadZone(float(values.mean()), spread, values.size, "ramps")
+    return DeadZone(float(values.mean()), spread, values.size, "ramps", late)
 
 
 def ramp_onset(record: Record, mode: str, direction: int) -> float:
@@ -88,10 +91,8 @@ def ramp_onset(record: Record, mode: str, direction: int) -> float:
         LogError: the ramp ends before the piston moves.
     """
     command = record.command(mode)
-    stop = int(np.argmax(command)) + 1
-    active = np.flatnonzero(command[:stop] > ACTIVE_FRACTION * command.max())
+    slope, offset, stop = _line(record, mode)
     time_s = record.step_s * np.arange(stop)
-    slope, offset = np.polyfit(time_s[active], command[active], 1)
     ramp = slope * time_s + offset
     travel = direction * (record.displacement[:stop] - record.displacement[0])
 
@@ -117,13 +118,47 @@ def ramp_onset(record: Record, mode: str, direction: int) -> float:
     return _vertex(candidates, misfits**2)
 
 
+def ramp_rate(record: Record, mode: str) -> float:
+    """Return how fast the command of a ramp rises, in its unit per second."""
+    return _line(record, mode)[0]
+
+
+def _line(record: Record, mode: str) -> tuple[float, float, int]:
+    """Return slope and offset of the line that a ramp's command follows, and where the ramp ends."""
+    command = record.command(mode)
+    stop = int(np.argmax(command)) + 1
+    active = np.flatnonzero(command[:stop] > ACTIVE_FRACTION * command.max())
+    slope, offset = np.polyfit(record.step_s * active, command[active], 1)
+    return float(slope), float(offset), stop
+
+
+def delay_of(
+    tests: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], dead_zone: float, step_s: float
+) -> float:
+    """Return the lag, s, by which half of the speed of dynamic tests has followed the command.
+
+    The weighted median of the lags of `from_tests` by their gains behind a dead zone.
+
+    Args:
+        tests, step_s: as for `from_tests`.
+        dead_zone: in the command's unit.
+    """
+    products = [_normal_equations(*test, np.array([dead_zone]), step_s, 1) for test in tests]
+    gains, _ = _gains(np.concatenate(products).sum(axis=0)[0])
+    if not gains.any():
+        return 0.0
+    share = np.cumsum(gains) / gains.sum()
+    return (0.0, *_lags_s(step_s))[int(np.searchsorted(share, 0.5))]
+
+
 def from_tests(tests: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], step_s: float) -> DeadZone:
     """Return the dead zone with which an integrator explains dynamic tests best.
 
-    w = Σ gᵢ ∫ uᵢ dt, where uᵢ is u = sign(c)·max(|c| − d, 0) behind a lag of 0, 0.03, 0.1, 0.3 and 1 s: for
-    each candidate d the gains gᵢ ≥ 0 follow by least squares over all tests, and together they stand for any
-    short lag or dead time. The standard error is the jackknife's over tests, over at most 24 groups of them,
-    and of fewer than six tests over their stretches.
+    w = Σ gᵢ ∫ uᵢ dt, where uᵢ is u = sign(c)·max(|c| − d, 0) behind a lag of 0, 0.03, 0.1, 0.3 and 1 s, in
+    proportion longer where the clock is slower than 0.1 s: for each candidate d the gains gᵢ ≥ 0 follow by
+    least squares over all tests, and together they stand for any short lag or dead time. The standard error
+    is the jackknife's over tests, over at most 24 groups of them, and of fewer than six tests over their
+    stretches; at zero, where leaving tests out may move nothing, what the groups do not contradict.
 
     Args:
         tests: command, travel and which samples count, arrays of shape [N_i] for each test.
@@ -145,7 +180,27 @@ def from_tests(tests: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], step_
     groups = np.array_split(normal, min(GROUPS, len(normal)))
     left_out = np.array([_vertex(candidates, _misfits(whole - group.sum(axis=0))) for group in groups])
     error = np.sqrt((len(groups) - 1) / len(groups) * np.sum((left_out - left_out.mean()) ** 2))
+    if not error:
+        error = _uncontradicted(candidates, np.stack([group.sum(axis=0) for group in groups])) - best
     return DeadZone(best, float(error), len(tests), "tests")
+
+
+def _uncontradicted(candidates: np.ndarray, groups: np.ndarray) -> float:
+    """Return the largest dead zone at which groups of tests are not fitted worse by a standard error.
+
+    Args:
+        candidates: dead zones, the first of them the best, shape [C].
+        groups: products of each group, shape [G, C, 6, 6].
+    """
+    errors = []
+    for number in range(candidates.size):
+        gains, _ = _gains(groups[:, number].sum(axis=0))
+        weights = np.append(gains, -1.0)
+        errors.append(np.einsum("i,gij,j->g", weights, groups[:, number], weights))
+    worse = np.array(errors) - errors[0]
+    spread = worse.std(axis=1, ddof=1) / np.sqrt(len(groups))
+    contradicted = np.flatnonzero(worse.mean(axis=1) > spread)
+    return float(candidates[contradicted[0]] if contradicted.size else candidates[-1])
 
 
 def _normal_equations(
@@ -172,7 +227,7 @@ def _rows(command: np.ndarray, travel: np.ndarray, dead_zones: np.ndarray, step_
     effective = effective_command(command[None, :], dead_zones[:, None])
     covered = step_s * (np.cumsum(effective, axis=1) - effective)
     columns = [covered]
-    for lag in LAGS_S:
+    for lag in _lags_s(step_s):
         pole = np.exp(-step_s / lag)
         columns.append(np.asarray(lfilter([1 - pole], [1, -pole], covered)))
     return np.stack([*columns, np.broadcast_to(travel, covered.shape)], axis=1)
@@ -180,13 +235,20 @@ def _rows(command: np.ndarray, travel: np.ndarray, dead_zones: np.ndarray, step_
 
 def _misfits(products: np.ndarray) -> np.ndarray:
     """Return the residual sum of squares for each candidate's products, shape [C]."""
-    misfits = []
-    for product in products:
-        # Any square root of the products is as good as the rows themselves.
-        values, vectors = np.linalg.eigh(product)
-        root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
-        misfits.append(nnls(root[:, :-1], root[:, -1])[1] ** 2)
-    return np.array(misfits)
+    return np.array([_gains(product)[1] ** 2 for product in products])
+
+
+def _gains(product: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return the gains that least squares finds from products of the rows, and the residuals' norm."""
+    # Any square root of the products is as good as the rows themselves.
+    values, vectors = np.linalg.eigh(product)
+    root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+    return nnls(root[:, :-1], root[:, -1])
+
+
+def _lags_s(step_s: float) -> list[float]:
+    """Return the lags by which an integrator's speed may follow, s."""
+    return [lag * max(1.0, step_s / FAST_S) for lag in LAGS_S]
 
 
 def _vertex(candidates: np.ndarray, misfits: np.ndarray) -> float:

@@ -9,7 +9,14 @@ import numpy as np
 from hitchid.benchmark import Batch, before_end_stop
 from hitchid.campaign import STROKE_MARK, Campaign
 from hitchid.errors import InputError, LogError
-from hitchid.identification.deadzone import DeadZone, from_tests, of_onsets, ramp_onset
+from hitchid.identification.deadzone import (
+    DeadZone,
+    delay_of,
+    from_tests,
+    of_onsets,
+    ramp_onset,
+    ramp_rate,
+)
 from hitchid.left_out import LeftOut, refuse, sentences, sift
 from hitchid.modes import ACTIVE_FRACTION, end_stop_contact, mode_changes
 from hitchid.record import CYCLE, LIFTING, MODES, Record
@@ -18,6 +25,7 @@ VALIDATION_EVERY = 4
 VALIDATION_FRACTION = 0.25
 STOP_AGREEMENT = 0.02
 STRETCHED, SETTLING_S = 2.0, 2.0
+Travelled = tuple[np.ndarray, np.ndarray, np.ndarray]
 FEWEST_SAMPLES = 3
 
 
@@ -98,12 +106,12 @@ def prepare(
             f"end stop at {end_stop:.4g} {records[0].unit}, met in {contacts} of {total - len(lacking)} "
             "tests; samples at it are left out"
         )
+    travelled = [_travelled(record, mode, direction, end_stop) for record in records]
     if dead_zone is None:
-        dead_zone, unmoved = _of_ramps(campaign, mode, direction)
+        dead_zone, unmoved = _of_ramps(campaign, mode, direction, travelled)
         notices += sentences(unmoved, len(campaign.ramps(mode)), f"{mode} ramps")
         left_out += unmoved
     if dead_zone is None:
-        travelled = [_travelled(record, mode, direction, end_stop) for record in records]
         dead_zone = from_tests(travelled, campaign.step_s)
     if dead_zone.origin == "none":
         notices.append("the dead zone cannot be told from one level of command: taken as zero")
@@ -135,7 +143,7 @@ def mixed_dead_zones(campaign: Campaign) -> dict[str, DeadZone]:
     cycles = campaign.identification(CYCLE)
     found = {}
     for mode in MODES:
-        of_ramps, _ = _of_ramps(campaign, mode, _usual(mode))
+        of_ramps, _ = _of_ramps(campaign, mode, _usual(mode), [])
         if of_ramps is not None:
             found[mode] = of_ramps
             continue
@@ -178,6 +186,11 @@ def _by_name(records: Sequence[Record]) -> list[tuple[str, Record]]:
 
 def _before_stop(record: Record, direction: int, end_stop: float | None) -> Record:
     """Return a record unless all of it is at the end stop."""
+    if len(record) < FEWEST_SAMPLES:
+        raise LogError(
+            record.source or record.name,
+            f"the stroke has {len(record)} samples; required {FEWEST_SAMPLES} or more",
+        )
     if np.count_nonzero(before_end_stop(record.displacement, direction, end_stop)) < FEWEST_SAMPLES:
         raise LogError(
             record.source or record.name,
@@ -187,23 +200,30 @@ def _before_stop(record: Record, direction: int, end_stop: float | None) -> Reco
     return record
 
 
-def _of_ramps(campaign: Campaign, mode: str, direction: int) -> tuple[DeadZone | None, list[LeftOut]]:
-    """Return the dead zone from the ramps that move the piston, None without any, and the other ramps."""
-    onsets, unmoved = sift(
+def _of_ramps(
+    campaign: Campaign, mode: str, direction: int, travelled: Sequence[Travelled]
+) -> tuple[DeadZone | None, list[LeftOut]]:
+    """Return the dead zone from the ramps that move the piston, None without any, and the other ramps.
+
+    A ramp shows motion late by the plant's delay, in which its command rises on: the tests tell that delay.
+    """
+    ramps, unmoved = sift(
         _by_name(campaign.ramps(mode)),
-        lambda ramp: ramp_onset(ramp, mode, direction),
+        lambda ramp: (ramp_onset(ramp, mode, direction), ramp_rate(ramp, mode)),
         strict=campaign.strict,
     )
-    return (of_onsets(onsets) if onsets else None), unmoved
+    if not ramps:
+        return None, unmoved
+    onsets, rates = zip(*ramps, strict=True)
+    delay_s = delay_of(travelled, float(np.mean(onsets)), campaign.step_s) if travelled else 0.0
+    return of_onsets(onsets, delay_s * float(np.mean(rates))), unmoved
 
 
 def _usual(mode: str) -> int:
     return 1 if mode == LIFTING else -1
 
 
-def _travelled(
-    record: Record, mode: str, direction: int, end_stop: float | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _travelled(record: Record, mode: str, direction: int, end_stop: float | None) -> Travelled:
     """Return command, travel, and which samples come before the end stop is met."""
     travel = direction * (record.displacement - record.displacement[0])
     return record.command(mode), travel, before_end_stop(record.displacement, direction, end_stop)

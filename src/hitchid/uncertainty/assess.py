@@ -19,6 +19,7 @@ HALF = 0.5
 TIGHT, LITTLE = 1.4, 0.2
 TAILS = (2.5, 97.5)
 PROFILED = 2048
+BLIND = 1e-5
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,7 @@ class _Found:
         number, parameter: which.
         lower, upper, linear: bounds of its search, and whether that runs between them as they are.
         bound: `lower` or `upper` where the estimate lies at one, else empty.
+        blind: whether the tests change so little with it that no error can be computed.
         interval: 95 %.
         profile: where the interval comes from one.
     """
@@ -39,6 +41,7 @@ class _Found:
     upper: float
     linear: bool
     bound: str
+    blind: bool = False
     interval: Interval = (None, None)
     profile: Profile | None = None
 
@@ -107,8 +110,13 @@ def assess(
         What is known, and by how much each test moves each estimate.
     """
     found = [_Found.of(misfit, position, number) for number in range(position.size)]
-    free = np.array([not each.bound for each in found])
-    position = np.where(free, position, np.round(position))
+    inside = np.array([not each.bound for each in found])
+    position = np.where(inside, position, np.round(position))
+    seen = np.sqrt(np.einsum("tdd->d", misfit.by_equations(position).curvatures))
+    found = [
+        replace(each, blind=bool(own < BLIND * seen.max())) for each, own in zip(found, seen, strict=True)
+    ]
+    free = np.array([not (each.bound or each.blind) for each in found])
     moved = moves(misfit, position, free, dead_zone, seed=seed)
     found = [_with_interval(each, misfit, position, moved, dead_zone) for each in found]
     profiles = [each.profile for each in found if each.profile is not None]
@@ -118,7 +126,7 @@ def assess(
         parameters=_estimates(found, misfit, position, moved, quantities, units),
         derived=quantities,
         correlation=_correlation(moved),
-        tests=int(np.sum(np.asarray(misfit.batch.counted).any(axis=1))),
+        tests=_tests(misfit),
         rows=len(moved.by_test),
     )
     return known, moved._replace(profiles=tuple(profiles))
@@ -153,7 +161,7 @@ def unassessed(
         )
         for number, parameter in enumerate(misfit.form.parameters)
     )
-    tests = int(np.sum(np.asarray(misfit.batch.counted).any(axis=1)))
+    tests = _tests(misfit)
     nothing = tuple((0.0,) * position.size for _ in estimates)
     return Estimates(estimates, (), nothing, tests, tests), Moves.none(tests, position.size)
 
@@ -161,25 +169,54 @@ def unassessed(
 def _with_interval(
     found: _Found, misfit: Misfit, position: np.ndarray, moved: Moves, dead_zone: DeadZoneError
 ) -> _Found:
-    """Return it with the interval of Gauss and Newton, or a profile's where that is wide or meets a bound."""
+    """Return it with the interval of Gauss and Newton, or a profile's where that is wide or meets a bound.
+
+    Of few tests the rows are stretches, which are not independent: the interval then holds the bootstrap's.
+    """
     place = float(position[found.number])
-    if not found.bound:
+    bootstrap = None
+    if not (found.bound or found.blind):
         along = np.eye(position.size)[found.number]
         reach = moved.reach(along, float(moved.degrees[found.number]))
         interval = found.between(place - reach, place + reach)
+        bootstrap = _redrawn(found, position, moved) if len(moved.by_test) > _tests(misfit) else None
+        interval = _holding(interval, bootstrap)
         if found.narrow(interval, TIGHT, LITTLE):
             return replace(found, interval=interval)
     coarse = misfit.over(misfit.batch.thinned(PROFILED))
     curve = profile(coarse, position, found.number, dead_zone)
-    return replace(found, interval=found.between(curve.lower, curve.upper), profile=curve)
+    interval = _holding(found.between(curve.lower, curve.upper), bootstrap)
+    return replace(found, interval=interval, profile=curve)
+
+
+def _holding(interval: Interval, other: Interval | None) -> Interval:
+    """Return an interval that holds both; an open end stays so."""
+    if other is None:
+        return interval
+    (lower, upper), (lowest, highest) = interval, other
+    return (
+        None if lower is None or lowest is None else min(lower, lowest),
+        None if upper is None or highest is None else max(upper, highest),
+    )
+
+
+def _redrawn(found: _Found, position: np.ndarray, moved: Moves) -> Interval:
+    """Return the 95 % interval from tests drawn anew."""
+    tails = position[found.number] + np.percentile(moved.redrawn[:, found.number], TAILS)
+    return found.between(*map(float, np.clip(tails, 0.0, 1.0)))
+
+
+def _tests(misfit: Misfit) -> int:
+    return int(np.sum(np.asarray(misfit.batch.counted).any(axis=1)))
 
 
 def _opened(found: _Found, profiles: Sequence[Profile]) -> Interval:
     """Return an interval without the ends beyond which a parameter goes with another that is left free."""
 
+    room = found.upper - found.lower if found.linear else float(np.log(found.upper / found.lower))
+
     def told(place: np.ndarray) -> float:
-        value = found.value(float(place[found.number]))
-        return value if found.linear else float(np.log(value))
+        return room * float(place[found.number])
 
     falls, rises = beyond((each for each in profiles if each.number != found.number), told)
     lower, upper = found.interval
@@ -205,17 +242,16 @@ def _estimates(
         number, parameter = each.number, each.parameter
         unit = parameter.unit.format(**units)
         standing_in = "" if each.narrow(each.interval) else told.get(instead.get(parameter.name, ""), "")
-        tails = np.clip(position[number] + np.percentile(moved.redrawn[:, number], TAILS), 0.0, 1.0)
         estimates.append(
             Estimate(
                 name=parameter.name,
                 symbol=parameter.symbol or parameter.name.replace("_", " "),
                 unit=unit,
                 value=float(values[number]),
-                error=None if each.bound else float(slopes[number] * moved.errors[number]),
+                error=None if each.bound or each.blind else float(slopes[number] * moved.errors[number]),
                 interval=each.interval,
                 method="Gauss-Newton" if each.profile is None else "profile",
-                bootstrap=None if each.bound else each.between(float(tails[0]), float(tails[1])),
+                bootstrap=None if each.bound or each.blind else _redrawn(each, position, moved),
                 lower=each.lower,
                 upper=each.upper,
                 linear=each.linear,

@@ -3,11 +3,7 @@
 from collections.abc import Mapping, Sequence
 from math import exp, log
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from hitchid.fitting import Misfit
 from hitchid.uncertainty.estimate import NARROW, Quantity
@@ -77,16 +73,9 @@ def sensitivities(misfit: Misfit, position: np.ndarray) -> tuple[float, ...]:
         misfit: tests and form.
         position: the estimates, shape [D].
     """
-    values, one = misfit.values(position), np.eye(position.size)
-    around = values * np.stack(
-        [np.ones((position.size, position.size)) + sign * one * PERTURBATION for sign in (1, -1)]
-    )
-    best, *errors = _rmse(misfit.pooled(), jnp.asarray(np.concatenate([values[None], *around])))
-    changes = np.abs(np.array(errors) - best) / best
-    return tuple(map(float, changes.reshape(2, -1).mean(axis=0)))
-
-
-@eqx.filter_jit
-def _rmse(misfit: Misfit, values: Float[Array, "p d"]) -> Float[Array, " p"]:
-    squares = jax.lax.map(lambda each: jnp.sum(misfit.misses(each) ** 2), values)
-    return jnp.sqrt(squares / jnp.sum(misfit.batch.counted))
+    values, pooled = misfit.values(position), misfit.pooled()
+    best, changes = pooled.error(position), []
+    for factors in np.eye(position.size) * PERTURBATION:
+        around = [pooled.error(misfit.bounds.place(values * (1 + sign * factors))) for sign in (1, -1)]
+        changes.append(float(np.mean(np.abs(np.array(around) - best) / best)))
+    return tuple(changes)

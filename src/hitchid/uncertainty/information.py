@@ -49,10 +49,9 @@ class Information:
             position: the estimates, shape [D].
             moved: by how much each test moves each estimate.
         """
-        errors, whole, test = misfit.linearised(position)
+        errors, test = misfit.errors(position)
         free = np.flatnonzero(np.any(moved.by_test != 0, axis=0))
-        jacobian = whole[:, free]
-        curvature = jacobian.T @ jacobian
+        curvature = misfit.by_equations(position).curvatures.sum(axis=0)[np.ix_(free, free)]
         covariance = (moved.by_test.T @ moved.by_test)[np.ix_(free, free)]
         counts = np.bincount(test)
         every = max(1, int(counts.max()) // LAGS)

@@ -6,12 +6,14 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from hitchid.fitting import Misfit
+from hitchid.fitting import Misfit, polish_some
 from hitchid.uncertainty.dead_zone_error import DeadZoneError, degrees_together, student
 from hitchid.uncertainty.profile import Profile
 from hitchid.uncertainty.scores import LEAST, Scores
 
 DRAWS = 999
+COARSE, REFITTED, TOLERANCE = 2048, 15, 1e-12
+GAIN = 0
 
 
 class Moves(NamedTuple):
@@ -20,6 +22,7 @@ class Moves(NamedTuple):
     Attributes:
         by_test: by how much each test moves each estimate, shape [T, D]; zero for one at a bound.
         by_dead_zone: by how much a standard error of the dead zone does, shape [D].
+        beside: what fits best a standard error of the dead zone above and below it, shape [2, D].
         degrees: degrees of freedom of each standard error, shape [D].
         redrawn: estimates from tests drawn anew, less the estimate, shape [B, D]; the dead zone is drawn too.
         scores: slopes and curvatures of the tests, over the parameters that are free.
@@ -33,6 +36,7 @@ class Moves(NamedTuple):
     redrawn: Float[np.ndarray, "b d"]
     scores: Scores
     free: Bool[np.ndarray, " d"]
+    beside: Float[np.ndarray, "2 d"]
     profiles: tuple[Profile, ...] = ()
 
     @classmethod
@@ -40,9 +44,8 @@ class Moves(NamedTuple):
         """Return what is known where nothing could be computed: that nothing moves anything."""
         nothing = np.zeros((tests, parameters))
         scores = Scores(np.zeros((tests, 0)), np.zeros((tests, 0, 0)))
-        return cls(
-            nothing, np.zeros(parameters), np.ones(parameters), nothing, scores, np.zeros(parameters, bool)
-        )
+        free, beside = np.zeros(parameters, bool), np.zeros((2, parameters))
+        return cls(nothing, np.zeros(parameters), np.ones(parameters), nothing, scores, free, beside)
 
     @property
     def covariance(self) -> Float[np.ndarray, "d d"]:
@@ -89,10 +92,8 @@ def moves(
     tests = len(by_test)
     rng = np.random.default_rng(seed)
     drawn = rng.multinomial(tests, np.full(tests, 1 / tests), DRAWS)
-    by_dead_zone = np.zeros(int(free.sum()))
-    if dead_zone.size > 0:
-        other = _both(dead_zone.beside(misfit), position, free)
-        by_dead_zone = _solved(scores, np.ones((1, tests)), away_from=other)[0]
+    beside = _beside(misfit, position, free, dead_zone)
+    by_dead_zone = 0.5 * (beside[0] - beside[1])[free]
     variances = np.stack([np.sum(by_test**2, axis=0), by_dead_zone**2])
     own = scores[0].degrees()
     degrees = degrees_together(variances, np.stack([own, np.full_like(own, dead_zone.degrees)]))
@@ -110,7 +111,34 @@ def moves(
         spread(_solved(scores, drawn) + other_ramps * by_dead_zone),
         scores[0],
         free,
+        beside,
     )
+
+
+def _beside(
+    misfit: Misfit, position: np.ndarray, free: np.ndarray, dead_zone: DeadZoneError
+) -> Float[np.ndarray, "2 d"]:
+    """Return what fits best a standard error of the dead zone above and below it.
+
+    A valve curve makes up for most of it, in steps that are too long for a linearisation.
+    """
+    found = np.stack([position, position])
+    if not dead_zone.size > 0 or not free.any():
+        return found
+    coarse = misfit.over(misfit.batch.thinned(COARSE))
+    for row, shift in enumerate((dead_zone.size, -dead_zone.size)):
+        shifted = coarse.over(coarse.batch.behind(coarse.batch.dead_zone + shift))
+        numbers = np.flatnonzero(free).tolist()
+        found[row] = _refitted(shifted, numbers, position)
+        if misfit.apart and free[GAIN]:
+            found[row] = _refitted(shifted.pooled(), [GAIN], found[row])
+    return found
+
+
+def _refitted(misfit: Misfit, numbers: list[int], position: np.ndarray) -> np.ndarray:
+    moved = position.copy()
+    moved[numbers] = polish_some(misfit, numbers, [position], REFITTED, TOLERANCE).position
+    return moved
 
 
 def _both(misfit: Misfit, position: np.ndarray, free: np.ndarray) -> list[Scores]:
@@ -130,20 +158,14 @@ def _influence(scores: Scores, level: Scores | None = None) -> np.ndarray:
     return found
 
 
-def _solved(
-    scores: Sequence[Scores], weights: np.ndarray, *, away_from: Sequence[Scores] | None = None
-) -> np.ndarray:
-    """Return by how much estimates move where tests have other weights, or other slopes, shape [B, D].
+def _solved(scores: Sequence[Scores], weights: np.ndarray) -> np.ndarray:
+    """Return by how much estimates move where tests have other weights, shape [B, D].
 
     Args:
         scores: at the estimate.
         weights: of each test, shape [B, T].
-        away_from: scores in place of these, less these.
     """
-    changed = [each.slopes for each in scores]
-    if away_from is not None:
-        changed = [other.slopes - own for other, own in zip(away_from, changed, strict=True)]
-    slopes = [weights @ each for each in changed]
+    slopes = [weights @ each.slopes for each in scores]
     curvatures = [np.einsum("bt,tij->bij", weights, each.curvatures) for each in scores]
     found = -np.einsum("bij,bj->bi", np.linalg.pinv(curvatures[0], hermitian=True), slopes[0])
     if len(scores) > 1:

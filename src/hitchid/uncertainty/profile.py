@@ -1,6 +1,6 @@
 """Profiles: one parameter held at a value, all others fitted, until the tests contradict it."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -14,7 +14,9 @@ FIRST = 0.02
 HALVINGS = 4
 STEPS, TOLERANCE = 5, 1e-4
 FEWEST = 4
-STEP, GOES = 1e-4, 0.1
+STEP, GOES, FASTEST = 1e-4, 0.1, 10.0
+# A share of the squared misses that no number of samples makes significant: slopes below are rounding.
+LEAST_FALL = 1e-9
 
 
 class Profile(NamedTuple):
@@ -44,7 +46,8 @@ class Profile(NamedTuple):
         """Tell whether something falls, and whether it rises, where the tests leave this parameter free.
 
         At an end that is a bound of the search alone the parameter might as well go farther; what goes with
-        it by more than a tenth of its own pace is no better known than it is.
+        it by more than a tenth of its own pace is no better known than it is. What would follow at more than
+        ten times its pace hardly moves the model, and counts with that.
 
         Args:
             told: from a position, shape [D], to a number, or to its logarithm where that is positive.
@@ -52,7 +55,8 @@ class Profile(NamedTuple):
         ends = [(0, -STEP)] * (self.lower is None) + [(-1, STEP)] * (self.upper is None)
         falls = rises = False
         for number, step in ends:
-            end, outward = self.positions[number], step * self.along[number]
+            end = self.positions[number]
+            outward = step * np.clip(self.along[number], -FASTEST, FASTEST)
             pace = (told(end + outward) - told(end - outward)) / (2 * STEP * self.room)
             falls, rises = falls or pace < -GOES, rises or pace > GOES
         return falls, rises
@@ -76,14 +80,15 @@ def profile(misfit: Misfit, position: np.ndarray, number: int, dead_zone: DeadZo
     """
     others = [each for each in range(position.size) if each != number]
     held: list[_Held] = []
-    best_errors = misfit.by_test(position)
+    around = [misfit] if dead_zone.size == 0 else [misfit, dead_zone.beside(misfit)]
+    best_errors = [each.by_test(position) for each in around]
 
     def hold(place: float, start: np.ndarray) -> _Held:
         moved = start.copy()
         moved[number] = place
         if others and place != position[number]:
             moved[others] = polish_some(misfit, others, [moved], STEPS, TOLERANCE).position
-        held.append(_Held.at(misfit, moved, number, dead_zone, best_errors))
+        held.append(_Held.at(around, moved, number, dead_zone, best_errors))
         return held[-1]
 
     def between(inside: float, outside: float, start: np.ndarray) -> float:
@@ -137,35 +142,47 @@ class _Held:
     @classmethod
     def at(
         cls,
-        misfit: Misfit,
+        around: Sequence[Misfit],
         position: np.ndarray,
         number: int,
         dead_zone: DeadZoneError,
-        best_errors: np.ndarray,
+        best_errors: Sequence[np.ndarray],
     ) -> "_Held":
-        scores = Scores.of(misfit, position)
+        """Hold a parameter at a position; `around` is the misfit, and that beside the dead zone."""
+        scores, *beside = [Scores.of(misfit, position) for misfit in around]
         along = scores.along(number)
         slopes = scores.slopes @ along
-        shift = 0.0
-        if dead_zone.size > 0:
-            beside = Scores.of(dead_zone.beside(misfit), position).slopes @ along
-            shift = float(beside.sum() - slopes.sum())
-        variances = np.array([slopes.size * slopes.var(ddof=1), shift**2])
-        left = max(slopes.size - position.size, 1)
-        limit = student(float(degrees_together(variances, np.array([left, dead_zone.degrees]))))
-        spread = float(np.sqrt(variances.sum()))
-        excess = abs(float(slopes.sum())) / (limit * spread) if spread > 0 else 0.0
-        errors = misfit.by_test(position)
+        shift = sum((float((other.slopes @ along).sum() - slopes.sum()) for other in beside), 0.0)
+        left = slopes.size - position.size
+        errors, *others = [misfit.by_test(position) for misfit in around]
+        excess = 0.0
+        if slopes.sum() ** 2 > LEAST_FALL * (along @ scores.curvature @ along) * around[0].cost(position):
+            excess = _contradicted(abs(float(slopes.mean())), slopes, shift / slopes.size, left, dead_zone)
+        worse, *moved = [own - best for own, best in zip((errors, *others), best_errors, strict=True)]
+        if worse.size >= FEWEST:
+            mean = float(worse.mean())
+            shift = sum((float(other.mean()) - mean for other in moved), 0.0)
+            excess = max(excess, _contradicted(mean, worse, shift, worse.size - 1, dead_zone))
         fitness = float(np.sqrt(np.mean(errors[errors > 0] ** 2)))
-        return cls(position, fitness, max(excess, _worse(errors - best_errors)), along)
+        return cls(position, fitness, excess, along)
 
 
-def _worse(differences: np.ndarray) -> float:
-    """Return the mean of differences over what it must be to lie above zero at 95 %; zero for few tests."""
-    if differences.size < FEWEST:
-        return 0.0
-    spread = float(differences.std(ddof=1)) / np.sqrt(differences.size)
-    return float(differences.mean()) / (student(float(differences.size - 1)) * spread) if spread > 0 else 0.0
+def _contradicted(
+    mean: float, drawn: np.ndarray, shift: float, degrees: int, dead_zone: DeadZoneError
+) -> float:
+    """Return how far a mean over tests lies from zero, 1 where Student's t has its limit at 95 %.
+
+    Args:
+        mean: of what the tests say.
+        drawn: what each of them says.
+        shift: what a standard error of the dead zone adds to the mean.
+        degrees: of freedom of the tests' spread.
+        dead_zone: how well it is known.
+    """
+    variances = np.array([drawn.var(ddof=1) / drawn.size, shift**2])
+    known = degrees_together(variances, np.array([max(degrees, 1), dead_zone.degrees]))
+    spread = student(float(known)) * float(np.sqrt(variances.sum()))
+    return mean / spread if spread > 0 else 0.0
 
 
 def beyond(profiles: Iterable[Profile], told: Callable[[np.ndarray], float]) -> tuple[bool, bool]:

@@ -27,12 +27,14 @@ class Scores(NamedTuple):
     @classmethod
     def of(cls, misfit: Misfit, position: np.ndarray) -> "Scores":
         """Take slopes and curvatures of a misfit at a position in the unit cube."""
-        residuals, jacobian, test = misfit.linearised(position)
-        rows = _rows(test, jacobian.shape[1])
-        starts = np.flatnonzero(np.diff(rows, prepend=-1))
-        slopes = np.add.reduceat(jacobian * residuals[:, None], starts)
-        stretches = np.split(jacobian, starts[1:])
-        return cls(slopes, np.stack([each.T @ each for each in stretches]))
+        moving = np.asarray(misfit.batch.counted).any(axis=1)
+        if np.count_nonzero(moving) >= position.size + FEWEST:
+            found = misfit.by_equations(position)
+            return cls(found.slopes[moving], found.curvatures[moving])
+        pieces = -(-(position.size + FEWEST) // int(np.count_nonzero(moving)))
+        found = misfit.by_stretch(position, pieces)
+        moving = found.costs > 0
+        return cls(found.slopes[moving], found.curvatures[moving])
 
     def over(self, free: np.ndarray) -> "Scores":
         """Return those of some of the parameters.
@@ -88,18 +90,6 @@ class Scores(NamedTuple):
         inverse = np.linalg.pinv(self.curvature, hermitian=True)
         one = np.eye(len(inverse))
         return inverse, np.stack([_power(one - own @ inverse) for own in self.curvatures])
-
-
-def _rows(test: np.ndarray, dimensions: int) -> np.ndarray:
-    """Return which row each residual belongs to: its test, or of few tests its stretch."""
-    tests = int(test.max()) + 1
-    wanted = dimensions + FEWEST
-    if tests >= wanted:
-        return test
-    pieces = -(-wanted // tests)
-    counts = np.bincount(test, minlength=tests)
-    within = np.concatenate([np.arange(count) * pieces // count for count in counts if count])
-    return test * pieces + within
 
 
 def _power(matrix: np.ndarray) -> np.ndarray:

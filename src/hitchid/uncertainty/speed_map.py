@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from hitchid.benchmark import Form, Scales
 from hitchid.benchmark.structure import LinearStructure
-from hitchid.fitting import Misfit, polish_some
+from hitchid.fitting import Misfit
 from hitchid.uncertainty.characteristics import SAMPLES, Characteristics, SpeedPoint, quantity
 from hitchid.uncertainty.dead_zone_error import DeadZoneError, degrees_together, student
 from hitchid.uncertainty.estimate import Interval, Quantity
@@ -22,7 +22,6 @@ from hitchid.uncertainty.profile import STEP as EDGE
 from hitchid.uncertainty.step_response import opening_command, speed_lag, steady_speed, step_times
 
 STEP, TINY = 1e-3, 1e-300
-COARSE, REFITTED, TOLERANCE = 2048, 15, 1e-7
 INSTANT_S = 1e-6
 TOGETHER = 64
 FINE = 0.05
@@ -126,7 +125,7 @@ def _intervals(
 
     best = at(position[None])[0]
     gradient = _gradient(at, position)
-    beside = _beside(misfit, position, moved.free, error, at, points)
+    beside = _beside(moved, error, at, points)
     reach = _half_widths(moved, gradient, beside, error)
     lower, upper = best - reach, best + reach
     most = _most_worse(len(moved.by_test), int(moved.free.sum()))
@@ -177,29 +176,14 @@ def _half_widths(
 
 
 def _beside(
-    misfit: Misfit,
-    position: np.ndarray,
-    free: np.ndarray,
-    error: DeadZoneError,
-    at: Callable[..., np.ndarray],
-    points: _Points,
+    moved: Moves, error: DeadZoneError, at: Callable[..., np.ndarray], points: _Points
 ) -> Float[np.ndarray, " q"]:
-    """Return by how much quantities change with a standard error of the dead zone, parameters fitted anew.
-
-    A valve curve makes up for most of it, in steps that are too long for a linearisation.
-    """
-    if not error.size > 0:
-        return np.zeros(at(position[None], points).shape[1])
-    coarse, found = misfit.over(misfit.batch.thinned(COARSE)), []
-    for shift in (error.size, -error.size):
-        moved = position.copy()
-        shifted = coarse.over(coarse.batch.behind(coarse.batch.dead_zone + shift))
-        if np.any(free):
-            moved[free] = polish_some(
-                shifted, np.flatnonzero(free).tolist(), [position], REFITTED, TOLERANCE
-            ).position
-        found.append(at(moved[None], points._replace(dead_zone=points.dead_zone + shift))[0])
-    return 0.5 * (found[0] - found[1])
+    """Return by how much quantities change with a standard error of the dead zone, parameters fitted anew."""
+    above, below = (
+        at(position[None], points._replace(dead_zone=points.dead_zone + shift))[0]
+        for position, shift in zip(moved.beside, (error.size, -error.size), strict=True)
+    )
+    return 0.5 * (above - below)
 
 
 def _most_worse(rows: int, parameters: int) -> float:
