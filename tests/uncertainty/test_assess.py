@@ -6,7 +6,7 @@ import pytest
 from scipy import stats
 
 from hitchid.benchmark import Batch, Form, structure_named
-from hitchid.fitting import Misfit, MultiStart
+from hitchid.fitting import Misfit, MultiStart, polish_some
 from hitchid.identification.phase1 import find_parameters
 from hitchid.record import LIFTING
 from hitchid.uncertainty import DeadZoneError, assess
@@ -109,10 +109,13 @@ def test_a_parameter_that_moves_nothing_is_not_determined_however_small_its_scor
     command = levels(np.random.default_rng(0), SAMPLES, low=0.2)
     tests = [(command, held(*lag(15.0, 0.05), command)) for _ in range(12)]
     form = Form(structure_named("integrator-first-order"), curve=True)
-    misfit = Misfit.of(batch_of(tests, noise=0.3), form)
-    values = {"gain": 15.0, "time_constant": 0.05, "opening": 0.0, "exponent": 1.0, "saturation": 3e3}
-    position = misfit.position(np.array([values[parameter.name] for parameter in form.parameters]))
-    known, _ = assess(misfit, position, units=UNITS)
+    fit = find_parameters(batch_of(tests, noise=0.3), form, MultiStart(evaluations=10**4, starts=3), 0)
+    names = [parameter.name for parameter in form.parameters]
+    place, others = names.index("saturation"), [n for n, name in enumerate(names) if name != "saturation"]
+    position = fit.position.copy()
+    position[place] = 0.9
+    position[others] = polish_some(fit.misfit, others, [position], 50, 1e-12).position
+    known, _ = assess(fit.misfit, position, units=UNITS)
     saturation = next(each for each in known.parameters if each.name == "saturation")
     assert saturation.error is None
     assert not saturation.determined
