@@ -235,12 +235,10 @@ def _by_test(
 ) -> tuple[Float[Array, "t n"], Float[Array, " t"], Float[Array, "t d"], Float[Array, "t d d"]]:
     misfit = jax.tree.unflatten(structure, leaves)
 
-    def twice(position: Array) -> tuple[Array, Array]:
-        found = misfit.residuals(position)
-        return found, found
+    def along(tangent: Float[Array, " d"]) -> tuple[Array, Array]:
+        return jax.jvp(misfit.residuals, (position,), (tangent,))
 
-    derivative, residuals = jax.jacfwd(twice, has_aux=True)(position)
-    columns = jnp.moveaxis(derivative, 2, 1)
+    residuals, columns = jax.vmap(along, out_axes=(None, 1))(jnp.eye(position.size))
     slopes = jnp.einsum("tdn,tn->td", columns, residuals)
     curvatures = jnp.einsum("tdn,ten->tde", columns, columns)
     return residuals, jnp.sum(residuals**2, axis=1), slopes, curvatures
