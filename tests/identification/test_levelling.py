@@ -7,7 +7,7 @@ import pytest
 
 import handmade
 from handmade import GAINS
-from hitchid.identification.levelling import MOST, levelling, scaled
+from hitchid.identification.levelling import MOST, levelling, levelling_proves_itself, scaled
 from hitchid.record import LIFTING, LOWERING
 
 HITCH = handmade.hitch("integrator")
@@ -59,3 +59,21 @@ def test_no_factor_goes_farther_than_its_bound(simulated):
     found = levelling(HITCH, simulated(scaled(HITCH, {LIFTING: 1.5, LOWERING: 1.5})))
     assert max(found.values()) == pytest.approx(np.exp(MOST), rel=1e-3)
     assert all(-MOST <= np.log(factor) <= MOST + 1e-12 for factor in found.values())
+
+
+def test_factors_that_all_records_share_prove_themselves(simulated):
+    records = simulated(scaled(HITCH, {LIFTING: 1.03, LOWERING: 0.96}), count=4)
+    assert levelling_proves_itself(HITCH, records)
+
+
+def test_one_record_proves_nothing(simulated):
+    assert not levelling_proves_itself(HITCH, simulated(scaled(HITCH, {LIFTING: 1.03}), count=1))
+
+
+def test_records_that_differ_prove_nothing(simulated):
+    factors = (1.03, 0.97, 1.02, 0.98)
+    records = [
+        simulated(scaled(HITCH, {LIFTING: factor, LOWERING: factor}), count=4)[number]
+        for number, factor in enumerate(factors)
+    ]
+    assert not levelling_proves_itself(HITCH, records)

@@ -66,6 +66,20 @@ def test_a_valve_curve_is_found_where_there_is_one(make_record):
     np.testing.assert_allclose(*speeds, rtol=0.02)
 
 
+@pytest.mark.parametrize("revised", [True, False])
+def test_a_dead_zone_that_is_too_large_for_a_valve_curve_is_found_anew(make_record, revised):
+    curved = Form(structure_named("integrator-second-order"), curve=True)
+    batch = simulated(make_record, curved, [20.0, 15.0, 0.8, 0.05, 2.0, 0.6], dead_zone=0.1)
+    found, tried = choose_form(
+        batch.behind_one(0.4), Automatic(PLAIN), SEARCH, 0, units=UNITS, revised=revised
+    )
+    (taken,) = (each for each in tried if each.chosen)
+    assert [each.dead_zone for each in tried[:2]] == [0.4, 0.4]
+    assert (taken.dead_zone < 0.4) == revised
+    # Noise of 0.02 mm; with 0.4 A some of the way is driven by commands that count as none.
+    assert (found.rmse < 0.03) == revised
+
+
 def test_folds_hold_out_levels_between_the_extremes(make_record):
     records = [make_record(np.linspace(80.0, 90.0, 100), np.full(100, level)) for level in (1, 1, 2, 3, 4, 4)]
     batch = Batch.of(records, LIFTING, dead_zone=0.0, direction=1)

@@ -17,7 +17,7 @@ from hitchid.fitting import Comparison, Search
 from hitchid.identification.deadzone import DeadZone
 from hitchid.identification.direction import Asked, ChannelTrace, levelled
 from hitchid.identification.holding import hold_drift
-from hitchid.identification.levelling import levelling
+from hitchid.identification.levelling import levelling, levelling_proves_itself
 from hitchid.identification.optional import attempt
 from hitchid.identification.phase2 import Training
 from hitchid.identification.preparation import Prepared, mixed_dead_zones, prepare
@@ -158,11 +158,19 @@ class Case:
         return cls(campaign, question, cycles, cut_at, frozenset(seen), prepared, asked)
 
     def balanced(self, found: Found) -> Found:
-        """Return benchmarks with the gains on which strokes cut from mixed logs agree best as whole logs."""
+        """Return benchmarks with the gains on which strokes cut from mixed logs agree best as whole logs.
+
+        Only where logs held out in turn prove those gains better.
+        """
         if len(found) < 2 or not self.cut_at:
             return found
         notices: list[str] = []
-        factors = attempt("gain calibration", lambda: levelling(self._hitch(found), self.cycles), notices)
+        hitch, logs = self._hitch(found), self.cycles
+        factors = attempt(
+            "gain calibration",
+            lambda: levelling(hitch, logs) if levelling_proves_itself(hitch, logs) else {},
+            notices,
+        )
         if factors is None:
             return _noticed(found, notices)
         return {**found, **{mode: levelled(*found[mode], factor) for mode, factor in factors.items()}}

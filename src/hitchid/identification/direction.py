@@ -1,7 +1,7 @@
 """One direction from its tests to a channel: benchmark, compensators, and the baselines beside them."""
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
@@ -105,6 +105,7 @@ def find_benchmark(tests: Prepared, asked: Asked, progress: Progress) -> tuple[C
     progress(Step(f"phase 1, {asked.search.name}", 0.02))
     with _timed(seconds, "benchmark"):
         phase1, candidates = _benchmark(tests, asked, part(progress, 0.02, 0.98))
+    tests = tests.behind(_revised(tests.dead_zone, candidates))
     channel = replace(_uncompensated(tests, phase1), envelope=envelope_of(tests.everything))
     with _timed(seconds, "speed map"):
         known, said = _characteristics(tests.dead_zone, phase1, asked.units)
@@ -138,7 +139,7 @@ def find_compensators(
         channel, trace: of phase 1.
         tests, asked, progress: as for `find_benchmark`.
     """
-    seconds = dict(trace.seconds)
+    seconds, tests = dict(trace.seconds), tests.behind(trace.dead_zone)
     if asked.training is None:
         return channel, _with_uncertainty(channel, trace, tests, asked, None, seconds)
     keys = jax.random.split(jax.random.fold_in(jax.random.key(asked.seed), MODES.index(tests.mode)), 4)
@@ -273,6 +274,7 @@ def _benchmark(tests: Prepared, asked: Asked, progress: Progress) -> tuple[Phase
             asked.seed,
             units=asked.units,
             opening_known=ramped,
+            revised=tests.dead_zone.origin == "tests" and tests.dead_zone.value > 0,
             dead_zone=tests.dead_zone.error,
             progress=progress,
             kept=asked.kept,
@@ -280,6 +282,15 @@ def _benchmark(tests: Prepared, asked: Asked, progress: Progress) -> tuple[Phase
     error = f"RMSE / {asked.units['x']}"
     hear = rounds(progress, f"phase 1, {asked.search.name}", 0.0, 0.9, error)
     return _identified(tests, asked, asked.form, asked.kept, hear), ()
+
+
+def _revised(dead_zone: DeadZone, candidates: Iterable[Candidate]) -> DeadZone:
+    """Return the dead zone behind which the form taken was fitted; how far it moved is part of its error."""
+    taken = next((each for each in candidates if each.chosen), None)
+    if taken is None or taken.dead_zone == dead_zone.value:
+        return dead_zone
+    moved = abs(taken.dead_zone - dead_zone.value)
+    return replace(dead_zone, value=taken.dead_zone, spread=max(dead_zone.spread or 0.0, moved))
 
 
 def _identified(

@@ -1,7 +1,7 @@
 """From the tests of one direction to what both phases work on: direction, end stop, dead zone, validation."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -55,6 +55,16 @@ class Prepared:
     validation_names: tuple[str, ...]
     notices: tuple[str, ...]
     left_out: tuple[LeftOut, ...] = ()
+
+    def behind(self, dead_zone: DeadZone) -> "Prepared":
+        """Return the tests behind another dead zone."""
+        if dead_zone == self.dead_zone:
+            return self
+        batches = (self.everything, self.training, self.validation)
+        everything, training, validation = (batch.behind_one(dead_zone.value) for batch in batches)
+        return replace(
+            self, dead_zone=dead_zone, everything=everything, training=training, validation=validation
+        )
 
 
 def prepare(

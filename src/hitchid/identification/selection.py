@@ -25,6 +25,7 @@ REFITTED = 4
 SAMPLES = 2048
 RAMPED = (-0.1, 0.1)
 FEWEST_APART = 6
+SMALLER = (0.75, 0.5, 0.25, 0.0)
 NEUTRAL = {
     "opening": 0.4,
     "exponent": 0.5,
@@ -63,6 +64,7 @@ class Candidate:
         name: what it has that the ones before have not.
         form: the form.
         rmse: free run over all identification tests, each weighing the same.
+        dead_zone: that it was fitted behind, in the command's unit.
         held_out: the same of each test whose operating point was held out in turn, shape [H].
         apart: likewise, apart from a factor on each test's speed, shape [H].
         chosen: whether it is the one that was taken.
@@ -71,6 +73,7 @@ class Candidate:
     name: str
     form: Form
     rmse: float
+    dead_zone: float
     held_out: np.ndarray
     apart: np.ndarray
     chosen: bool = False
@@ -89,6 +92,7 @@ def choose_form(
     *,
     units: Mapping[str, str],
     opening_known: bool = False,
+    revised: bool = False,
     dead_zone: DeadZoneError = KNOWN,
     progress: Progress = silent,
     kept: Checkpoints = NOWHERE,
@@ -111,6 +115,7 @@ def choose_form(
         units: see `identify_benchmark`.
         opening_known: whether the dead zone is where a ramp showed the valve to open: tests at a few levels
             of command say little about flow below the lowest.
+        revised: whether the dead zone may be found anew with a valve curve; see `_behind_another`.
         dead_zone: how well it is known.
         progress: called with what is being done and the fraction that is done.
         kept: where what was found is kept and found again.
@@ -131,7 +136,7 @@ def choose_form(
     misfit = Misfit.of(coarse, asked.plain)
     every = range(plain.position.size)
     judged = kept.piece("form", _Judged, lambda: _judged(misfit, every, plain.position, folds))
-    tried = [judged.candidate("transfer function", asked.plain)]
+    tried = [judged.candidate("transfer function", asked.plain, misfit)]
     widest = replace(
         asked.plain,
         structure=structure_named("integrator-second-order"),
@@ -159,7 +164,10 @@ def choose_form(
         except FitError:
             continue  # a larger form that cannot be fitted is none to choose
         positions = judged.positions
-        tried.append(judged.candidate(name, form))
+        if form.curve and not tried[-1].form.curve and revised:
+            misfit, judged = _behind_another(misfit, judged, free, folds, kept)
+            positions = judged.positions
+        tried.append(judged.candidate(name, form, misfit))
         told = {f"RMSE on levels held out / {units['x']}": tried[-1].held_out_rmse}
         progress(Step("phase 1, structures", 0.3 + 0.05 * len(tried), name, told))
         found.append(misfit.values(positions)[free])
@@ -176,8 +184,10 @@ def choose_form(
     if chosen == 0:
         return assessed(plain, units=units, dead_zone=dead_zone, seed=seed), tuple(tried)
     hear = hearing(tried[chosen].name, 0.7)
+    taken = tried[chosen]
+    behind = batch if taken.dead_zone == tried[0].dead_zone else batch.behind_one(taken.dead_zone)
     fit = find_parameters(
-        batch, tried[chosen].form, search, seed, start=found[chosen], heard=hear, kept=kept.part("chosen")
+        behind, taken.form, search, seed, start=found[chosen], heard=hear, kept=kept.part("chosen")
     )
     return assessed(fit, units=units, dead_zone=dead_zone, seed=seed), tuple(tried)
 
@@ -191,8 +201,9 @@ class _Judged:
     held_out: np.ndarray
     apart: np.ndarray
 
-    def candidate(self, name: str, form: Form) -> Candidate:
-        return Candidate(name, form, self.rmse, self.held_out, self.apart)
+    def candidate(self, name: str, form: Form, misfit: Misfit) -> Candidate:
+        dead_zone = float(misfit.batch.dead_zone[0])
+        return Candidate(name, form, self.rmse, dead_zone, self.held_out, self.apart)
 
 
 def _larger(widest: Form) -> list[tuple[str, Form]]:
@@ -242,6 +253,31 @@ def _fitted(
     positions = starts[0].copy()
     positions[list(free)] = best.position
     return _judged(misfit, free, positions, folds)
+
+
+def _behind_another(
+    misfit: Misfit, judged: _Judged, free: Sequence[int], folds: Sequence[np.ndarray], kept: Checkpoints
+) -> tuple[Misfit, _Judged]:
+    """Return a form with a valve curve behind a smaller dead zone where held-out tests prove that better.
+
+    A dead zone found from tests is that of a valve that is linear beyond it: one that opens slowly seems to
+    open late. Its curve makes up for a dead zone that is too small, not for one that is too large.
+    """
+    names = [parameter.name for parameter in misfit.form.parameters]
+    found, best = float(misfit.batch.dead_zone[0]), (misfit, judged)
+    for share in SMALLER:
+        other = Misfit.of(misfit.batch.behind_one(share * found), misfit.form)
+        start = other.position(misfit.values(judged.positions))
+        starts = [start, *(_with(start, names, curve) for curve in CURVES)]
+        try:
+            fitted = kept.piece(
+                f"form behind {share:g}", _Judged, partial(_fitted, other, free, starts, folds)
+            )
+        except FitError:
+            continue
+        if proven_better(fitted.held_out, best[1].held_out):
+            best = other, fitted
+    return best
 
 
 def _judged(
