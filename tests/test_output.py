@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-PROGRAM = [sys.executable, "-c", "from hitchid.start import main; main()"]
+PROGRAM = [sys.executable, "-m", "hitchid"]
 
 
 def run(*arguments, **options):

@@ -1,6 +1,8 @@
 """From a folder of logs to a validated model, through the public interface."""
 
 import json
+from importlib import resources
+from importlib.metadata import version
 
 import numpy as np
 import pytest
@@ -49,9 +51,26 @@ def test_a_loaded_model_gives_the_same_numbers(identified):
         )
 
 
-def test_every_public_name_is_there():
-    assert dir(hitchid) == sorted(hitchid.__all__)
-    for name in hitchid.__all__:
+PUBLIC = [
+    "Campaign",
+    "Hitch",
+    "HitchError",
+    "Record",
+    "__version__",
+    "identify",
+    "identify_many",
+    "load",
+    "read",
+    "save",
+    "validate",
+]
+
+
+def test_the_public_names_are_these():
+    assert dir(hitchid) == PUBLIC
+    for name in PUBLIC:
         assert getattr(hitchid, name) is not None
+    assert hitchid.__version__ == version("hitchid")
+    assert resources.files("hitchid").joinpath("py.typed").is_file()
     with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
         getattr(hitchid, "nonsense")  # noqa: B009

@@ -17,9 +17,12 @@ if TYPE_CHECKING:
     from hitchid.identification import identify_many as identify_many
     from hitchid.model import Hitch as Hitch
     from hitchid.model import load as load
+    from hitchid.model import save as save
     from hitchid.readers import read as read
     from hitchid.record import Record as Record
     from hitchid.validation import validate as validate
+
+    __version__: str
 
 _HOME = {
     "Campaign": "hitchid.campaign",
@@ -29,6 +32,7 @@ _HOME = {
     "identify_many": "hitchid.identification",
     "load": "hitchid.model",
     "read": "hitchid.readers",
+    "save": "hitchid.model",
     "validate": "hitchid.validation",
 }
 
@@ -37,16 +41,20 @@ __all__ = [
     "Hitch",
     "HitchError",
     "Record",
+    "__version__",
     "identify",
     "identify_many",
     "load",
     "read",
+    "save",
     "validate",
 ]
 
 
 def __getattr__(name: str) -> object:
     """Import a public name where it is first used, so that `import hitchid` stays light."""
+    if name == "__version__":
+        return import_module("importlib.metadata").version("hitchid")
     if name not in _HOME:
         raise AttributeError(f"module 'hitchid' has no attribute '{name}'")
     return getattr(import_module(_HOME[name]), name)
