@@ -1,6 +1,6 @@
 """Default runs over measured data and a zoo of made-up campaigns, against committed bars.
 
-    python -m benchmarks.gauntlet                     # what CI runs: eight sets, 2 + 24 campaigns
+    python -m benchmarks.gauntlet                     # what CI runs: eight sets, 4 + 60 campaigns
     python -m benchmarks.gauntlet --full              # all sixty by default identify
     python -m benchmarks.gauntlet --zoo 7 --physics   # campaign 7 of the zoo, no training, no comparison
     python -m benchmarks.gauntlet --zoo 7 --keep DIR  # its logs stay in DIR
