@@ -14,13 +14,13 @@ import jax
 import numpy as np
 from coverage import PLANTS, UNITS, Plant, campaign, record_of, test
 
-from hitchid.benchmark import Batch
+from hitchid.data.record import COMMAND, DISPLACEMENT, LIFTING
 from hitchid.design import Limits, command_of, design
-from hitchid.fitting import MultiStart
+from hitchid.estimation import MultiStart
 from hitchid.identification.direction import envelope_of
 from hitchid.identification.phase1 import Phase1, identify_benchmark
 from hitchid.model import Channel, Hitch
-from hitchid.record import COMMAND, DISPLACEMENT, LIFTING
+from hitchid.structures import Batch
 from hitchid.uncertainty import Information, Uncertainty
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import jax
 
 import hitchid
-from hitchid.bench import write_campaign
+from hitchid.experiments.virtual_campaign import write_campaign
 
 TESTS, UNSEEN = 20, 100
 

@@ -16,11 +16,11 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.signal import lfilter
 
-from hitchid.benchmark import Batch, Benchmark, Form, Scales, structure_named
-from hitchid.excitation import prbs, precompensated
-from hitchid.fitting import MultiStart
+from hitchid.data.record import LIFTING, Record
+from hitchid.estimation import MultiStart
+from hitchid.experiments.excitation import prbs, precompensated
 from hitchid.identification.phase1 import identify_benchmark
-from hitchid.record import LIFTING, Record
+from hitchid.structures import Batch, Benchmark, Form, Scales, structure_named
 from hitchid.uncertainty import DeadZoneError, Interval
 
 TESTS, DURATION_S, STEP_S = 12, 6.0, 0.01

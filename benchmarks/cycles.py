@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 
 import hitchid
-from hitchid.campaign import Campaign
+from hitchid.data.campaign import Campaign
+from hitchid.data.record import CYCLE, LIFTING, LOWERING, Record
 from hitchid.model import Hitch
-from hitchid.record import CYCLE, LIFTING, LOWERING, Record
 
 DATA = Path(os.environ.get("HITCHID_DATA", Path(__file__).parents[2] / "shared" / "data"))
 TURN_S = 186.0

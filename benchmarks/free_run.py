@@ -20,10 +20,10 @@ import numpy as np
 from scipy.io import loadmat
 
 import hitchid
-from hitchid.benchmark import Form, structure_named
+from hitchid.data.record import COMMAND, DISPLACEMENT, LIFTING, Record
 from hitchid.identification import Training
 from hitchid.identification.preparation import mixed_dead_zones
-from hitchid.record import COMMAND, DISPLACEMENT, LIFTING, Record
+from hitchid.structures import Form, structure_named
 
 DATA = Path(os.environ.get("HITCHID_DATA", Path(__file__).parents[2] / "shared" / "data"))
 TRIAL = Training(baselines=False)

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
+from hitchid.data.record import COMMAND, DISPLACEMENT, MODES, Record
 from hitchid.model import Hitch, load
-from hitchid.record import COMMAND, DISPLACEMENT, MODES, Record
 
 HELD = 50
 WARM_UP = 200

@@ -11,13 +11,13 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from hitchid.benchmark import Form
-from hitchid.fitting.search import EVALUATIONS, DifferentialEvolution, MultiStart, Search, Whale
+from hitchid.estimation.search import EVALUATIONS, DifferentialEvolution, MultiStart, Search, Whale
+from hitchid.estimation.whale import Swarm
 from hitchid.identification.identify import PAPER_FORMS
 from hitchid.identification.phase1 import identify_benchmark
 from hitchid.identification.preparation import prepare
 from hitchid.readers import read
-from hitchid.whale import Swarm
+from hitchid.structures import Form
 
 SEEDS = range(10)
 DATA = Path(os.environ.get("HITCHID_DATA", Path(__file__).parents[2] / "shared" / "data"))

@@ -24,10 +24,10 @@ jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 install_import_hook("hitchid", "beartype.beartype")
 
 from benches import write_bench  # noqa: E402
-from hitchid.record import Record  # noqa: E402
+from hitchid.data.record import Record  # noqa: E402
 
 # From the longest: begun last, they would keep one core waiting for the other.
-LONG = ("test_study.py", "test_examples.py", "test_checkpoints.py", "test_measured.py", "test_selection.py")
+LONG = ("test_sun2025.py", "test_examples.py", "test_checkpoints.py", "test_measured.py", "test_selection.py")
 DATA = Path(os.environ.get("HITCHID_DATA", Path(__file__).parents[2] / "shared" / "data"))
 
 

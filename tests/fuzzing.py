@@ -29,15 +29,15 @@ from nptdms import ChannelObject, TdmsWriter
 from scipy.io import netcdf_file, savemat
 
 from handmade import hitch
-from hitchid.checkpoints import Checkpoints
+from hitchid._support.checkpoints import Checkpoints
+from hitchid._support.storage import canonical_json, digest
+from hitchid.data.signal_map import read_campaign_file
 from hitchid.errors import HitchError
 from hitchid.identification.settings_file import read_settings
-from hitchid.inspection import look_over
+from hitchid.inspection.inspect_logs import look_over
 from hitchid.model import load, save
 from hitchid.readers import ReaderProcess, assemble, find_logs, read_log, settings_of, write_table
 from hitchid.rig.parameter_files import load_rig
-from hitchid.signals import read_campaign_file
-from hitchid.storage import canonical_json, digest
 from hitchid.validation import read_limits
 
 SAMPLES, STEP_S = 60, 0.01

@@ -7,15 +7,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hitchid.baselines import Arx, BlackBox
-from hitchid.benchmark import Benchmark, Scales, Shape, structure_named
-from hitchid.compensator import FEATURES, Compensator
-from hitchid.envelope import Envelope, Range
-from hitchid.lstm import Lstm
+from hitchid.baselines.autoregression import Arx
+from hitchid.baselines.black_box import BlackBox
+from hitchid.baselines.narx import Narx
+from hitchid.data.record import LIFTING, LOWERING
 from hitchid.model import Channel, Hitch, Provenance
-from hitchid.narx import Narx
-from hitchid.record import LIFTING, LOWERING
-from hitchid.speed_compensator import INPUTS, SpeedCompensator
+from hitchid.networks.error_compensator import FEATURES, Compensator
+from hitchid.networks.lstm import Lstm
+from hitchid.networks.operating_range import Envelope, Range
+from hitchid.networks.speed_compensator import INPUTS, SpeedCompensator
+from hitchid.structures import Benchmark, Scales, Shape, structure_named
 from hitchid.uncertainty import Alternative, Bands, Estimates, Uncertainty
 
 UNITS = {"displacement": "mm", "lifting_command": "A", "lowering_command": "A"}

@@ -22,12 +22,12 @@ sys.path.insert(1, str(Path(__file__).parent / "readers"))
 from can_logs import message, write_dbc
 
 import fuzzing
+from hitchid.data.signal_map import read_campaign_file
 from hitchid.errors import HitchError, InputError, LogError, ModelFolderError, SettingsError
 from hitchid.identification.settings_file import read_settings
 from hitchid.model import load
 from hitchid.model.artifact import load_trace
 from hitchid.readers import ReaderProcess, find_logs, read, write_table
-from hitchid.signals import read_campaign_file
 
 INPUTS = 500
 MOST_MEMORY_KB = 2 * 2**20

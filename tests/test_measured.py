@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from hitchid import identify, read, validate
+from hitchid.data.record import LOWERING
 from hitchid.identification import MultiStart, Whale
 from hitchid.identification.identify import PAPER_FORMS
 from hitchid.identification.phase1 import find_parameters
 from hitchid.identification.preparation import prepare
-from hitchid.record import LOWERING
 
 
 def test_the_lag_of_the_papers_lowering_model_is_not_printed_as_if_it_were_determined(data):

@@ -16,10 +16,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import hitchid
-from hitchid.bench import write_campaign
-from hitchid.design import Limits, design
+from hitchid.experiments.virtual_campaign import write_campaign
+from hitchid.design.next_test import Limits, design
 from hitchid.model import save
-from hitchid.simulation import simulate_log
+from hitchid.model.simulate_log import simulate_log
 from hitchid.validation import compare
 
 folder, logs, out = map(Path, sys.argv[1:])

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 import hitchid
+from hitchid.data.record import MODES
 from hitchid.model import Hitch
-from hitchid.record import MODES
 
 from .outcome import MODEL, REFUSED, Outcome, attempted
 from .zoo import Truth, draw

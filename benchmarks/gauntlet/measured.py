@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 import hitchid
-from hitchid.benchmark import Form, structure_named
-from hitchid.record import COMMAND, DISPLACEMENT, IDLE, LIFTING
+from hitchid.data.record import COMMAND, DISPLACEMENT, IDLE, LIFTING
+from hitchid.structures import Form, structure_named
 
 from .judge import used
 from .long_job import write_long_job

@@ -6,11 +6,11 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 
-from hitchid.benchmark import Batch
-from hitchid.fitting import Misfit, Problem, Whale, searchable
+from hitchid.data.record import LIFTING
+from hitchid.estimation import Misfit, Problem, Whale, searchable
+from hitchid.estimation.whale import Swarm
 from hitchid.identification.identify import PAPER_FORMS
-from hitchid.record import LIFTING
-from hitchid.whale import Swarm
+from hitchid.structures import Batch
 
 FORM = PAPER_FORMS[LIFTING]
 ON_HOST = ("step_s", "direction")

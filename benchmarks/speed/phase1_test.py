@@ -14,12 +14,12 @@ from lifting import many_tests, misfit_of, save, search, search_by_simulation
 from search_process import ITERATIONS, SEED, WHALES
 from timings import OURS, process
 
-from hitchid.benchmark import Batch
-from hitchid.fitting import searchable
+from hitchid.data.record import LIFTING
+from hitchid.estimation import searchable
+from hitchid.estimation.whale import Objective
 from hitchid.identification.preparation import prepare
 from hitchid.readers import read
-from hitchid.record import LIFTING
-from hitchid.whale import Objective
+from hitchid.structures import Batch
 
 TIMES = 100
 WARM = "search of 3000 evaluations, in memory, warm"

@@ -10,16 +10,16 @@ import pytest
 from timings import OURS
 from windows_torch import BATCH, EPOCHS, LEARNING_RATE, TORCH, Measured, fastest_threads, train
 
-from hitchid.benchmark import Batch
-from hitchid.compensator import Compensator, Sample, measured_features, predicted_errors
-from hitchid.fitting import Whale
+from hitchid.data.record import MODES
+from hitchid.estimation import Whale
 from hitchid.identification import Descent, Training
 from hitchid.identification.identify import PAPER_FORMS
 from hitchid.identification.phase1 import find_parameters
 from hitchid.identification.phase2 import train_compensator
 from hitchid.identification.preparation import prepare
+from hitchid.networks.error_compensator import Compensator, Sample, measured_features, predicted_errors
 from hitchid.readers import read
-from hitchid.record import MODES
+from hitchid.structures import Batch
 
 SEEDS = (0, 1, 2)
 ALMOST = 1.01

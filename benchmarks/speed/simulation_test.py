@@ -11,9 +11,9 @@ from lfilter_whale import alone
 from scipy.signal import cont2discrete, lfilter, lsim
 from timings import OURS
 
-from hitchid.benchmark import Benchmark, structure_named
-from hitchid.narx import Narx
+from hitchid.baselines.narx import Narx
 from hitchid.rig import load_rig, simulate
+from hitchid.structures import Benchmark, structure_named
 
 VALUES = (20.0, 18.0, 1.8)
 STEP_S, SAMPLES = 0.01, 1001

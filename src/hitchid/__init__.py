@@ -12,22 +12,22 @@ from typing import TYPE_CHECKING
 from hitchid.errors import HitchError as HitchError
 
 if TYPE_CHECKING:
-    from hitchid.campaign import Campaign as Campaign
+    from hitchid.data.campaign import Campaign as Campaign
+    from hitchid.data.record import Record as Record
     from hitchid.identification import identify as identify
     from hitchid.identification import identify_many as identify_many
     from hitchid.model import Hitch as Hitch
     from hitchid.model import load as load
     from hitchid.model import save as save
     from hitchid.readers import read as read
-    from hitchid.record import Record as Record
     from hitchid.validation import validate as validate
 
     __version__: str
 
 _HOME = {
-    "Campaign": "hitchid.campaign",
+    "Campaign": "hitchid.data.campaign",
     "Hitch": "hitchid.model",
-    "Record": "hitchid.record",
+    "Record": "hitchid.data.record",
     "identify": "hitchid.identification",
     "identify_many": "hitchid.identification",
     "load": "hitchid.model",

@@ -7,8 +7,8 @@ import pytest
 from scipy.signal import lfilter
 
 from hitchid.audit import audit
-from hitchid.campaign import Campaign
-from hitchid.record import COMMAND, MODES, Record
+from hitchid.data.campaign import Campaign
+from hitchid.data.record import COMMAND, MODES, Record
 
 STEP_S = 0.01
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hitchid.audit import Level
-from hitchid.record import MODES
+from hitchid.data.record import MODES
 
 
 def scaled(records, changed, role, factor, unit):

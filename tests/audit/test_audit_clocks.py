@@ -92,8 +92,8 @@ def test_creeping_before_a_test_is_a_warning_and_a_spike_is_not_motion(clean, ch
 
 
 def test_resampled_logs_are_told(clean, changed, found):
-    from hitchid.grid import ClockQuality
-    from hitchid.record import Record
+    from hitchid.data.record import Record
+    from hitchid.data.resampling import ClockQuality
 
     slow = Record("lifting-0", 0.02, {role: x[::2] for role, x in clean[0].signals.items()}, clean[0].units)
     jitter = changed(clean[1], clock=ClockQuality(0.15, 0.0, 0.9))
@@ -112,7 +112,7 @@ def test_resampled_logs_are_told(clean, changed, found):
 
 
 def test_a_step_too_coarse_for_the_motion_is_found(make_test, changed, found):
-    from hitchid.record import Record
+    from hitchid.data.record import Record
 
     command = np.concatenate([np.zeros(100), np.full(400, 0.6), np.zeros(100)])
     fine = make_test("a", command=command)

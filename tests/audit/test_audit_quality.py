@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hitchid.audit import Level, quality
-from hitchid.grid import ClockQuality
+from hitchid.data.resampling import ClockQuality
 
 # The median of |d²y| has a relative standard error of 1.17/√N; neighbours share samples, which makes it
 # √1.94 times larger, 1.94 being 1 + 2 (ρ₁² + ρ₂²).

@@ -9,9 +9,9 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from hitchid.audit import AuditFinding, Level, audit, quality
-from hitchid.campaign import Campaign
+from hitchid.data.campaign import Campaign
+from hitchid.data.record import Record
 from hitchid.errors import HitchError
-from hitchid.record import Record
 
 
 def test_clean_logs_have_no_findings(clean, found):

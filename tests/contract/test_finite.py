@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hitchid.benchmark import STRUCTURES, Batch, Form, structure_named
-from hitchid.benchmark.structure import LinearStructure
-from hitchid.fitting import Misfit
-from hitchid.record import LIFTING
+from hitchid.data.record import LIFTING
+from hitchid.estimation import Misfit
+from hitchid.structures import STRUCTURES, Batch, Form, structure_named
+from hitchid.structures.structure import LinearStructure
 from truth import levels
 
 SAMPLES = 120

@@ -6,12 +6,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hitchid.benchmark import STRUCTURES, Batch, Benchmark, Form, structure_named
-from hitchid.benchmark.cascaded_tanks import EMPTY, LOWER_BRIM
-from hitchid.benchmark.inertia_with_friction import TURN
-from hitchid.benchmark.nonlinear import NonlinearStructure, simulated
+from hitchid.data.record import LIFTING
 from hitchid.errors import InputError
-from hitchid.record import LIFTING
+from hitchid.structures import STRUCTURES, Batch, Benchmark, Form, structure_named
+from hitchid.structures.cascaded_tanks import EMPTY, LOWER_BRIM
+from hitchid.structures.inertia_with_friction import TURN
+from hitchid.structures.nonlinear import NonlinearStructure, simulated
 from truth import STEP_S, held, levels
 
 EPS = np.finfo(np.float64).eps

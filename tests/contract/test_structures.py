@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
 
-from hitchid.benchmark import SHAPE, STRUCTURES, Benchmark, Form, Scales, discretise, structure_named
-from hitchid.benchmark.nonlinear import NonlinearStructure
-from hitchid.benchmark.structure import LinearStructure
 from hitchid.errors import InputError
+from hitchid.structures import SHAPE, STRUCTURES, Benchmark, Form, Scales, discretise, structure_named
+from hitchid.structures.nonlinear import NonlinearStructure
+from hitchid.structures.structure import LinearStructure
 from truth import STEP_S, held, levels, shifted
 
 EPS = np.finfo(np.float64).eps

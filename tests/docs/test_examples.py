@@ -18,9 +18,9 @@ from typer.testing import CliRunner
 
 import hitchid
 from hitchid import cli
+from hitchid.data.signal_map import read_campaign_file
 from hitchid.errors import InputError
 from hitchid.identification import identify, read_settings
-from hitchid.signals import read_campaign_file
 from hitchid.validation import read_limits
 
 ROOT = Path(__file__).parents[2]
@@ -189,7 +189,7 @@ def test_there_are_examples_of_every_command():
         if command.line.startswith("hitchid ")
     }
     known = {command.callback.__name__ for command in cli.app.registered_commands}
-    assert shown >= known - {"reproduce"}  # takes minutes; test_study.py runs it
+    assert shown >= known - {"reproduce"}  # takes minutes; test_sun2025.py runs it
 
 
 def test_the_examples_work(subtests, tmp_path):

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import LogError
 from hitchid.identification.deadzone import CANDIDATES, delay_of, from_ramps, from_tests, of_onsets, ramp_rate
-from hitchid.record import LIFTING, LOWERING
 from truth import STEP_S, held, levels, shifted
 
 # The current sensor of the bench: 0.3 % of 3 A. Nobody can read a dead zone better off its logs.

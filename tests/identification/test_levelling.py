@@ -7,8 +7,8 @@ import pytest
 
 import handmade
 from handmade import GAINS
+from hitchid.data.record import LIFTING, LOWERING
 from hitchid.identification.levelling import MOST, levelling, levelling_proves_itself, scaled
-from hitchid.record import LIFTING, LOWERING
 
 HITCH = handmade.hitch("integrator")
 SAMPLES = 400

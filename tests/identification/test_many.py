@@ -6,9 +6,9 @@ import pytest
 
 import hitchid
 from benches import write_bench
+from hitchid._support.progress import Step
 from hitchid.errors import HitchError, InputError
 from hitchid.identification import identify_many
-from hitchid.progress import Step
 
 
 @pytest.fixture(scope="module")

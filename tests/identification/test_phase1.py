@@ -8,13 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from hitchid.benchmark import Batch, structure_named
+from hitchid.data.record import LIFTING
 from hitchid.errors import FitError, InputError
-from hitchid.fitting.misfit import TIED, TRACE, Misfit, _apart
+from hitchid.estimation.misfit import TIED, TRACE, Misfit, _apart
+from hitchid.estimation.whale import Swarm
 from hitchid.identification import Form, MultiStart, Whale
 from hitchid.identification.phase1 import identify_benchmark
-from hitchid.record import LIFTING
-from hitchid.whale import Swarm
+from hitchid.structures import Batch, structure_named
 from truth import STEP_S, held, lag, levels, second_order, shifted
 
 UNITS = {"x": "mm", "u": "A"}

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hitchid.campaign import Campaign
+from hitchid.data.campaign import Campaign
+from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError
 from hitchid.identification.deadzone import DeadZone
 from hitchid.identification.preparation import mixed_dead_zones, prepare
-from hitchid.record import LIFTING, LOWERING
 from truth import STEP_S, held, levels
 
 SAMPLES = 300

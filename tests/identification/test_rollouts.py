@@ -6,12 +6,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hitchid.benchmark import Batch, Benchmark, structure_named
+from hitchid.data.record import LIFTING
 from hitchid.identification import Rollouts
 from hitchid.identification.direction import envelope_of
 from hitchid.identification.rollouts import train_on_rollouts
-from hitchid.record import LIFTING
-from hitchid.speed_compensator import compensated
+from hitchid.networks.speed_compensator import compensated
+from hitchid.structures import Batch, Benchmark, structure_named
 from truth import STEP_S, levels
 
 SAMPLES, GAIN, NOISE = 240, 30.0, 0.02

@@ -4,13 +4,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hitchid.benchmark import Batch, Form, Scales, structure_named
+from hitchid._support.metrics import proven_better
+from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import SettingsError
 from hitchid.identification import Automatic, MultiStart, read_settings
 from hitchid.identification.identify import CHOSEN
 from hitchid.identification.selection import _folds, choose_form
-from hitchid.metrics import proven_better
-from hitchid.record import LIFTING, LOWERING
+from hitchid.structures import Batch, Form, Scales, structure_named
 from truth import levels
 
 SAMPLES = 250

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from benches import binary_command, lagged_integrator
-from hitchid.campaign import Campaign
+from hitchid.data.campaign import Campaign
+from hitchid.data.record import LIFTING, LOWERING
 from hitchid.identification.deadzone import DeadZone
 from hitchid.identification.preparation import prepare
 from hitchid.identification.two_modes import FOLDS, compare_modes
-from hitchid.record import LIFTING, LOWERING
 
 ZONE, SAMPLES, NOISE = 0.35, 200, 0.02
 DIRECTIONS = {LIFTING: 1, LOWERING: -1}

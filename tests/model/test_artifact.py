@@ -11,10 +11,10 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from handmade import hitch
+from hitchid._support.storage import canonical_json, digest
+from hitchid.data.record import LIFTING
 from hitchid.errors import ModelFolderError, OutputError
 from hitchid.model import Provenance, load, save
-from hitchid.record import LIFTING
-from hitchid.storage import canonical_json, digest
 
 FILES = ("model.json", "weights.safetensors", "trace.json")
 PROVENANCE = Provenance(

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hitchid.data.record import Record
 from hitchid.errors import ModelFolderError
 from hitchid.model import load, load_trace, save
 from hitchid.model.migration import SCHEMA, STEPS, migrated, readable
-from hitchid.record import Record
 
 OLDER = Path(__file__).parent / "older"
 STEP_S = 0.01

@@ -5,9 +5,9 @@ import pytest
 from scipy import stats
 
 from handmade import DEAD_ZONES, GAINS, NOISE, hitch, with_bands
+from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError
 from hitchid.model import load, save
-from hitchid.record import LIFTING, LOWERING
 from truth import STEP_S, levels
 
 MODEL = with_bands(hitch(), LIFTING, LOWERING)

@@ -8,11 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from hitchid.data.signal_map import COMMANDS, POSITIONS, Column, SignalMap
+from hitchid.data.units import SPELLINGS, UNITS
 from hitchid.errors import LogError
 from hitchid.readers.content import Channel, Content, Wanted, chosen
 from hitchid.readers.table import table_of
-from hitchid.signals import COMMANDS, POSITIONS, Column, SignalMap
-from hitchid.units import SPELLINGS, UNITS
 
 EPS = np.finfo(np.float64).eps
 SAMPLES = 30

@@ -5,13 +5,13 @@ from functools import cache
 
 import numpy as np
 
-from hitchid.record import Record
+from hitchid.data.record import Record
+from hitchid.data.segmentation import segments
 from hitchid.report import Document, Finding, Level, Picture, Pictures, Section, Text, figures
 from hitchid.report.document import Findings
-from hitchid.residuals import residual_tests
-from hitchid.segments import segments
 from hitchid.uncertainty import Characteristics, Estimate, Estimates, MeasuredSpeed, Quantity, SpeedPoint
 from hitchid.validation import Predictions, Table
+from hitchid.validation.residuals import residual_tests
 from hitchid.validation.uncertainty import parameter_figures
 
 STEP_S = 0.01

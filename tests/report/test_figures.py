@@ -17,7 +17,7 @@ from scipy.integrate import trapezoid
 
 import handmade
 import reported
-from hitchid.record import LIFTING
+from hitchid.data.record import LIFTING
 from hitchid.report import figures
 from hitchid.report.figures.style import COLOURS, LABELS, SHADES, STRETCHES, thinned
 from hitchid.report.figures.valve import ONSET

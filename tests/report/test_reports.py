@@ -15,10 +15,11 @@ import pytest
 import benches
 import handmade
 import reported
+from hitchid._support.versions import installed_versions
+from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError, OutputError
 from hitchid.model import Provenance
 from hitchid.readers import read, write_table
-from hitchid.record import LIFTING, LOWERING
 from hitchid.report import (
     FIGURES,
     Level,
@@ -33,7 +34,6 @@ from hitchid.report.document import Findings
 from hitchid.report.svg import svg
 from hitchid.uncertainty import Uncertainty
 from hitchid.validation import Table, check_limits, compare, read_limits, validate
-from hitchid.versions import installed_versions
 
 MODES = (LIFTING, LOWERING)
 COMMAND = "hitchid validate 'my model' logs --out report"

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from hitchid.data.segmentation import segments
 from hitchid.errors import OutputError
 from hitchid.report.figures.timeline import draw, timeline
-from hitchid.segments import segments
 
 UP, DOWN = np.repeat([0, 1.0, 0, 0], 50), np.repeat([0, 0, 0, 1.0], 50)
 

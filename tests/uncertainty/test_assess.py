@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from hitchid.benchmark import Batch, Form, structure_named
-from hitchid.fitting import Misfit, MultiStart, polish_some
+from hitchid.data.record import LIFTING
+from hitchid.estimation import Misfit, MultiStart, polish_some
 from hitchid.identification.phase1 import find_parameters
-from hitchid.record import LIFTING
+from hitchid.structures import Batch, Form, structure_named
 from hitchid.uncertainty import DeadZoneError, assess
 from hitchid.uncertainty.profile import profile
 from truth import STEP_S, held, lag, levels

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hitchid.benchmark import Batch, Form, structure_named
-from hitchid.fitting import MultiStart, Run, Trail
+from hitchid._support.storage import canonical_json
+from hitchid.data.record import LIFTING
+from hitchid.estimation import MultiStart, Run, Trail
 from hitchid.identification.phase1 import identify_benchmark
-from hitchid.record import LIFTING
-from hitchid.storage import canonical_json
+from hitchid.structures import Batch, Form, structure_named
 from hitchid.uncertainty import KNOWN, Alternative, Bands, DeadZoneError, Information, Uncertainty
 from hitchid.uncertainty.information import _autocovariance
 from truth import held, lag, levels

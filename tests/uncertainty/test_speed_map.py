@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from scipy import signal, stats
 
-from hitchid.benchmark import SHAPE, Batch, Benchmark, Form, Scales, Shape, structure_named
-from hitchid.benchmark.shape import NEUTRAL
-from hitchid.fitting import Misfit
-from hitchid.fitting.search import polish
+from hitchid.data.record import LIFTING
+from hitchid.estimation import Misfit
+from hitchid.estimation.search import polish
 from hitchid.identification import direction
 from hitchid.identification.deadzone import DeadZone
 from hitchid.identification.phase1 import Phase1
-from hitchid.record import LIFTING
+from hitchid.structures import SHAPE, Batch, Benchmark, Form, Scales, Shape, structure_named
+from hitchid.structures.shape import NEUTRAL
 from hitchid.uncertainty import (
     Characteristics,
     DeadZoneError,

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hitchid.benchmark import Parameter
+from hitchid.structures import Parameter
 from hitchid.uncertainty.words import interval_text, stated, verdict
 
 TIME = Parameter("time_constant", "s", 1e-3, 100.0, symbol="τ")

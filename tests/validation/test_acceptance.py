@@ -8,8 +8,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from hitchid._support.metrics import HORIZONS
 from hitchid.errors import SettingsError
-from hitchid.metrics import HORIZONS
 from hitchid.validation.acceptance import check_limits, line
 from hitchid.validation.limits import BASELINES, Limits, read_limits
 

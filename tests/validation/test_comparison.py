@@ -7,10 +7,10 @@ import pytest
 
 from handmade import DEAD_ZONES, GAINS, hitch, hitch_of, with_bands
 from handmade import channel as handmade_channel
-from hitchid.campaign import Campaign
+from hitchid.data.campaign import Campaign
+from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError
 from hitchid.model import Provenance
-from hitchid.record import LIFTING, LOWERING
 from hitchid.validation import compare, validate
 from truth import STEP_S, levels
 

@@ -8,11 +8,11 @@ import pytest
 
 from handmade import DEAD_ZONES, GAINS
 from hitchid import identify, validate
-from hitchid.benchmark import structure_named
-from hitchid.campaign import Campaign
+from hitchid.data.campaign import Campaign
+from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError
 from hitchid.identification import Descent, Form, MultiStart, Rollouts, Training
-from hitchid.record import LIFTING, LOWERING
+from hitchid.structures import structure_named
 from truth import held, levels
 
 FORM = Form(structure_named("integrator-first-order"))

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from handmade import AHEAD, DEAD_ZONES, GAINS, channel, envelope, hitch, hitch_of, with_bands
-from hitchid.baselines import ahead
-from hitchid.campaign import Campaign
+from hitchid._support.metrics import HORIZONS
+from hitchid.baselines.autoregression import ahead
+from hitchid.data.campaign import Campaign
+from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError, OutputError
-from hitchid.fitting import Run, Trail
-from hitchid.metrics import HORIZONS
+from hitchid.estimation import Run, Trail
 from hitchid.model import Provenance, TwoModes, unpadded
-from hitchid.record import LIFTING, LOWERING
 from hitchid.validation import compare, validate
 from hitchid.validation.cycles import ORIGINS
 from hitchid.validation.tables import NAMES

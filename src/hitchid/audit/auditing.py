@@ -18,7 +18,7 @@ from hitchid.audit.sampling import coarse, gaps, steps
 from hitchid.audit.spikes import jumps, spikes
 from hitchid.audit.standing import standing
 from hitchid.audit.stops import end_stops
-from hitchid.campaign import Campaign
+from hitchid.data.campaign import Campaign
 
 MERGED_FROM = 4
 OF_RECORD: tuple[Callable[[Look], list[AuditFinding]], ...] = (

@@ -4,8 +4,8 @@ import numpy as np
 
 from hitchid.audit.finding import AuditFinding, Level
 from hitchid.audit.look import Look, Survey, travel
-from hitchid.record import COMMAND, DISPLACEMENT, RAMP
-from hitchid.units import UNITS
+from hitchid.data.record import COMMAND, DISPLACEMENT, RAMP
+from hitchid.data.units import UNITS
 
 LONGEST_LAG_S = 1.0
 MOST_LAGS = 2000

@@ -4,8 +4,8 @@ import numpy as np
 
 from hitchid.audit.finding import AuditFinding, Level, runs
 from hitchid.audit.look import Look, Survey, command_unit
-from hitchid.modes import ACTIVE_FRACTION
-from hitchid.record import COMMAND, RAMP
+from hitchid.data.record import COMMAND, RAMP
+from hitchid.data.test_kinds import ACTIVE_FRACTION
 
 SHORT_OVERLAP_S = 0.1
 IDLE_FRACTION = 0.01

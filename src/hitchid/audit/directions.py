@@ -4,7 +4,7 @@ import numpy as np
 
 from hitchid.audit.finding import AuditFinding, Level
 from hitchid.audit.look import Look, Survey, named, travel
-from hitchid.record import COMMAND, CYCLE, DISPLACEMENT, LIFTING, LOWERING, MODES, RAMP
+from hitchid.data.record import COMMAND, CYCLE, DISPLACEMENT, LIFTING, LOWERING, MODES, RAMP
 
 CLEAR_FRACTION = 0.02
 CLEAR_OF_TYPICAL = 0.25

@@ -4,7 +4,7 @@ import numpy as np
 
 from hitchid.audit.finding import AuditFinding, Level, runs
 from hitchid.audit.look import Look, Survey, command_unit, named
-from hitchid.record import COMMAND, CYCLE, IDLE, MODES
+from hitchid.data.record import COMMAND, CYCLE, IDLE, MODES
 
 LEVEL_FRACTION = 0.10
 LASTING_PERCENT = (2.0, 98.0)

@@ -7,7 +7,7 @@ from math import isfinite
 
 import numpy as np
 
-from hitchid.record import Record
+from hitchid.data.record import Record
 
 SPANS_KEPT = 50
 

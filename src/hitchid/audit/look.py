@@ -7,9 +7,9 @@ import numpy as np
 
 from hitchid.audit.finding import AuditFinding, Level, spans_of
 from hitchid.audit.quality import Quality, quality
-from hitchid.campaign import Campaign
-from hitchid.modes import ACTIVE_FRACTION, full_scales
-from hitchid.record import COMMAND, DISPLACEMENT, Record
+from hitchid.data.campaign import Campaign
+from hitchid.data.record import COMMAND, DISPLACEMENT, Record
+from hitchid.data.test_kinds import ACTIVE_FRACTION, full_scales
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,8 @@ import numpy as np
 
 from hitchid.audit.finding import AuditFinding, Level
 from hitchid.audit.look import Survey, command_unit
-from hitchid.modes import ACTIVE_FRACTION
-from hitchid.record import COMMAND, LIFTING, LOWERING, Record
+from hitchid.data.record import COMMAND, LIFTING, LOWERING, Record
+from hitchid.data.test_kinds import ACTIVE_FRACTION
 
 RESTING_FRACTION = 0.1
 WORKING_FRACTION = 0.01

@@ -5,8 +5,8 @@ from math import isfinite
 
 import numpy as np
 
-from hitchid.grid import KEPT_DEVIATION
-from hitchid.record import Record
+from hitchid.data.record import Record
+from hitchid.data.resampling import KEPT_DEVIATION
 
 LOOKED_AT = 2**20
 GRID_DEVIATION = 0.05

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 from hitchid.audit.finding import AuditFinding, Level
 from hitchid.audit.look import Survey
-from hitchid.record import COMMAND, DISPLACEMENT
-from hitchid.units import UNITS
+from hitchid.data.record import COMMAND, DISPLACEMENT
+from hitchid.data.units import UNITS
 
 
 class _Range(NamedTuple):

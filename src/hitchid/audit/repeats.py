@@ -5,8 +5,8 @@ from scipy.special import stdtr
 
 from hitchid.audit.finding import AuditFinding, Level
 from hitchid.audit.look import Look, Survey, command_unit, named, travel
-from hitchid.modes import ramp_mode
-from hitchid.record import COMMAND, DISPLACEMENT, MODES, RAMP
+from hitchid.data.record import COMMAND, DISPLACEMENT, MODES, RAMP
+from hitchid.data.test_kinds import ramp_mode
 
 COMPARABLE = 0.25
 FEWEST_TESTS = 5

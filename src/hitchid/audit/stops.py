@@ -4,9 +4,9 @@ import numpy as np
 
 from hitchid.audit.finding import AuditFinding, Level
 from hitchid.audit.look import Look
-from hitchid.modes import end_stop_contact
-from hitchid.record import CYCLE, MODES
-from hitchid.segments import AT_END_FRACTION, END_STOP, segments
+from hitchid.data.record import CYCLE, MODES
+from hitchid.data.segmentation import AT_END_FRACTION, END_STOP, segments
+from hitchid.data.test_kinds import end_stop_contact
 
 PIECE = 2**19
 

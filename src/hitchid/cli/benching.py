@@ -54,13 +54,13 @@ def bench(
     force: Force = False,
 ) -> None:
     """Run tests on the virtual test bench; write one log a test and campaign.toml."""
-    from hitchid.storage import check_folder, check_inputs
+    from hitchid._support.storage import check_folder, check_inputs
 
     check_folder(out, mark="campaign.toml", force=force)
     check_inputs(out, [Path(rig)] if rig.endswith(".toml") else [])
     prepare_jax()
-    from hitchid.bench import REPEATS, TESTS, write_campaign
-    from hitchid.record import MODES
+    from hitchid.data.record import MODES
+    from hitchid.experiments.virtual_campaign import REPEATS, TESTS, write_campaign
 
     usual = REPEATS if protocol is Protocol.RAMP else TESTS["prbs"]
 
@@ -87,14 +87,14 @@ def reproduce(
     as_json: AsJson = False,
 ) -> None:
     """Redo the published study on the virtual bench: every table and figure, ours beside theirs."""
-    from hitchid import display
-    from hitchid.storage import check_folder, check_inputs
+    from hitchid._support.storage import check_folder, check_inputs
+    from hitchid.cli import terminal as display
 
     check_folder(out, mark="study.md", force=force)
     check_inputs(out, [Path(rig)] if rig.endswith(".toml") else [])
     prepare_jax()
-    from hitchid.study import Plan, quick_plan
-    from hitchid.study import reproduce as run
+    from hitchid.studies.sun2025 import Plan, quick_plan
+    from hitchid.studies.sun2025 import reproduce as run
 
     plan = quick_plan() if quick else Plan()
     with display.progress(quiet=quiet) as report:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from hitchid.fitting import Comparison
+    from hitchid.estimation import Comparison
 
 PROGRAMS = 10_000
 
@@ -26,7 +26,7 @@ def prepare_jax() -> None:
 
 def resumable(comparison: "Comparison | None") -> "Comparison | None":
     """Keep finished searches in the user's cache, so that a run that was stopped goes on from there."""
-    from hitchid.checkpoints import Checkpoints
+    from hitchid._support.checkpoints import Checkpoints
 
     return comparison and replace(comparison, kept=Checkpoints(_cache() / "searches"))
 

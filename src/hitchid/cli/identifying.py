@@ -31,20 +31,20 @@ def identify(
     as_json: AsJson = False,
 ) -> None:
     """Identify a model from logs: dead zones, benchmarks, compensators."""
-    from hitchid import display
-    from hitchid.storage import check_folder, check_inputs
+    from hitchid._support.storage import check_folder, check_inputs
+    from hitchid.cli import terminal as display
 
     unfinished = out.absolute().with_name(f"{out.absolute().name}.unfinished")
     force = force or (resume and unfinished.is_dir())
     check_folder(out, mark="model.json", force=force)
     check_inputs(out, [*logs, config, signals])
-    from hitchid.checkpoints import has_failed, holds_pieces, mark_failed
+    from hitchid._support.checkpoints import has_failed, holds_pieces, mark_failed
 
     if unfinished.exists() and not resume:
         _clear(unfinished, force=force or has_failed(unfinished))
     prepare_jax()
     from hitchid.audit import audit
-    from hitchid.fitting import Comparison
+    from hitchid.estimation import Comparison
     from hitchid.identification import Settings, read_settings
     from hitchid.identification import identify as run
     from hitchid.readers import read
@@ -89,7 +89,7 @@ def identify(
 
 def _forget(unfinished: Path) -> None:
     """Remove a run that will not be gone on with."""
-    from hitchid.checkpoints import is_run
+    from hitchid._support.checkpoints import is_run
 
     if is_run(unfinished):
         shutil.rmtree(unfinished, ignore_errors=True)
@@ -97,7 +97,7 @@ def _forget(unfinished: Path) -> None:
 
 def _clear(unfinished: Path, *, force: bool) -> None:
     """Make way for a new run in place of one that was stopped."""
-    from hitchid.checkpoints import is_run
+    from hitchid._support.checkpoints import is_run
 
     if not force:
         raise OutputError(

@@ -30,8 +30,8 @@ def validate(
     as_json: AsJson = False,
 ) -> None:
     """Compare a model with tests its identification has not used."""
-    from hitchid import display
-    from hitchid.storage import check_file, check_folder, check_inputs, write_bytes
+    from hitchid._support.storage import check_file, check_folder, check_inputs, write_bytes
+    from hitchid.cli import terminal as display
 
     inputs = [model, *logs, accept, signals]
     check_folder(out, mark="metrics.json", force=force)
@@ -42,8 +42,8 @@ def validate(
         check_file(junit, force=force)
         check_inputs(junit, inputs)
     prepare_jax()
+    from hitchid._support.progress import Step
     from hitchid.model import load, load_trace
-    from hitchid.progress import Step
     from hitchid.readers import read
     from hitchid.report import check_pdf, validation_report, write_report
     from hitchid.validation import check_limits, junit_xml, read_limits
@@ -91,14 +91,14 @@ def compare(
     as_json: AsJson = False,
 ) -> None:
     """Compare two models with each other on tests that neither has used."""
-    from hitchid import display
-    from hitchid.storage import check_folder, check_inputs
+    from hitchid._support.storage import check_folder, check_inputs
+    from hitchid.cli import terminal as display
 
     check_folder(out, mark="comparison.json", force=force)
     check_inputs(out, [first, second, *logs, signals])
     prepare_jax()
+    from hitchid._support.progress import Step
     from hitchid.model import load
-    from hitchid.progress import Step
     from hitchid.readers import read
     from hitchid.report import check_pdf, comparison_report, write_report
     from hitchid.validation import compare as run

@@ -10,7 +10,7 @@ from hitchid.cli.options import AsJson, Force, Logs, Signals, Strict
 from hitchid.errors import InputError
 
 if TYPE_CHECKING:
-    from hitchid.inspection import Inspection
+    from hitchid.inspection.inspect_logs import Inspection
 
 DRAWN = 12
 PICTURES = (".png", ".svg", ".pdf")
@@ -37,9 +37,9 @@ def inspect(
     as_json: AsJson = False,
 ) -> None:
     """Show what logs hold, and audit them: what would spoil a model, where, and what to measure again."""
-    from hitchid import display
     from hitchid.audit import Level
-    from hitchid.inspection import inspect as look
+    from hitchid.cli import terminal as display
+    from hitchid.inspection.inspect_logs import inspect as look
 
     if out is not None and not propose:
         raise InputError("--out: required --propose beside it")
@@ -67,8 +67,8 @@ def inspect(
 
 
 def _propose(logs: list[Path], out: Path | None, *, force: bool) -> None:
-    from hitchid.proposal import propose
-    from hitchid.storage import check_file, check_inputs, write_bytes
+    from hitchid._support.storage import check_file, check_inputs, write_bytes
+    from hitchid.inspection import propose
 
     if out is not None:
         check_file(out, force=force)
@@ -81,7 +81,7 @@ def _propose(logs: list[Path], out: Path | None, *, force: bool) -> None:
 
 
 def _check_picture(path: Path, *, force: bool, inputs: list[Path | None]) -> None:
-    from hitchid.storage import check_file, check_inputs
+    from hitchid._support.storage import check_file, check_inputs
 
     if path.suffix not in PICTURES:
         raise InputError(f"--draw: required a name ending in {', '.join(PICTURES)}, came '{path.name}'")

@@ -41,15 +41,15 @@ def simulate(
     force: Force = False,
 ) -> None:
     """Write the predicted displacement beside a log's columns."""
-    from hitchid import display
-    from hitchid.storage import check_file, check_inputs
+    from hitchid._support.storage import check_file, check_inputs
+    from hitchid.cli import terminal as display
 
     check_file(out, force=force)
     check_inputs(out, [model, log, signals])
     steps = _horizon(horizon)
     prepare_jax()
     from hitchid.model import load
-    from hitchid.simulation import simulate_log
+    from hitchid.model.simulate_log import simulate_log
 
     outside = simulate_log(
         load(model),
@@ -92,15 +92,15 @@ def design(
     as_json: AsJson = False,
 ) -> None:
     """Propose the next test: the one that narrows the least determined parameter most."""
-    from hitchid import display
-    from hitchid.storage import check_file, check_inputs
+    from hitchid._support.storage import check_file, check_inputs
+    from hitchid.cli import terminal as display
 
     if out is not None:
         check_file(out, force=force)
         check_inputs(out, [model])
     prepare_jax()
-    from hitchid.design import Limits, write_command
-    from hitchid.design import design as run
+    from hitchid.design.next_test import Limits, write_command
+    from hitchid.design.next_test import design as run
     from hitchid.model import load
 
     hitch = load(model)
@@ -124,8 +124,8 @@ def run(
 ) -> None:
     """Answer samples from standard input, line by line, with the displacement one sample later (JSON)."""
     prepare_jax()
-    from hitchid.live import Live
     from hitchid.model import load as load_model
+    from hitchid.online.live import Live
 
     live = Live(load_model(model), initial=initial, load=load)
     if isinstance(sys.stdin, TextIOWrapper):

@@ -2,15 +2,15 @@
 
 from collections.abc import Mapping
 
-from hitchid import checks
-from hitchid.benchmark import Form, structure_named
-from hitchid.campaign import Campaign
+from hitchid._support import checks
+from hitchid.data.campaign import Campaign
+from hitchid.data.record import MODES
 from hitchid.errors import InputError
-from hitchid.fitting import Comparison, Search
+from hitchid.estimation import Comparison, Search
 from hitchid.identification.case import Question
 from hitchid.identification.phase2 import Training
 from hitchid.identification.selection import Automatic
-from hitchid.record import MODES
+from hitchid.structures import Form, structure_named
 
 LARGEST_SEED = 2**32 - 1
 CAMPAIGN = 'a campaign as hitchid.read("logs") returns it'

@@ -5,11 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, PRNGKeyArray
 
-from hitchid.baselines import Arx, BlackBox, accumulated, speeds
-from hitchid.benchmark import Batch
-from hitchid.checkpoints import NOWHERE, Checkpoints
+from hitchid._support.checkpoints import NOWHERE, Checkpoints
+from hitchid.baselines.autoregression import Arx
+from hitchid.baselines.black_box import BlackBox, accumulated, speeds
 from hitchid.identification.descent import Descent, Progress, descend, evenly
-from hitchid.lstm import SINGLE, Lstm
+from hitchid.networks.lstm import SINGLE, Lstm
+from hitchid.structures import Batch
 
 ARX_ORDERS = (1, 2, 3, 5, 8, 12, 20)
 SECTION, MOST_SECTIONS = 2048, 40

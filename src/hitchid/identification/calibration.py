@@ -3,11 +3,11 @@
 import jax.numpy as jnp
 import numpy as np
 
-from hitchid.benchmark import Batch
+from hitchid._support.metrics import HORIZONS
 from hitchid.identification.phase1 import Phase1
-from hitchid.metrics import HORIZONS
 from hitchid.model import Channel
 from hitchid.model.possible import possible, spread
+from hitchid.structures import Batch
 from hitchid.uncertainty.bands import LEVELS, Alternative, Bands, calibrated, free_run_scores, sensor_noise
 
 FEWEST_TESTS = 3

@@ -4,13 +4,13 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import ParamSpec, TypeVar
 
-from hitchid.abreast import abreast
-from hitchid.campaign import Campaign
+from hitchid._support.parallel import abreast
+from hitchid._support.progress import Progress, strands
+from hitchid.data.campaign import Campaign
 from hitchid.errors import HitchError
 from hitchid.identification.case import Case, Found, Identification, Question
 from hitchid.identification.direction import ChannelTrace, find_benchmark, find_compensators
 from hitchid.model import Channel
-from hitchid.progress import Progress, strands
 
 Given = ParamSpec("Given")
 Result = TypeVar("Result")

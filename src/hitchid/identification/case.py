@@ -8,12 +8,12 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from hitchid.benchmark import Form
-from hitchid.benchmark.nonlinear import NonlinearStructure
-from hitchid.campaign import Campaign
-from hitchid.checkpoints import NOWHERE, Checkpoints
+from hitchid._support.checkpoints import NOWHERE, Checkpoints
+from hitchid._support.versions import installed_versions
+from hitchid.data.campaign import Campaign
+from hitchid.data.record import COMMAND, CYCLE, DISPLACEMENT, Record
 from hitchid.errors import InputError, SettingsError
-from hitchid.fitting import Comparison, Search
+from hitchid.estimation import Comparison, Search
 from hitchid.identification.deadzone import DeadZone
 from hitchid.identification.direction import Asked, ChannelTrace, levelled
 from hitchid.identification.holding import hold_drift
@@ -25,8 +25,8 @@ from hitchid.identification.selection import Automatic
 from hitchid.identification.trace import describe_channel
 from hitchid.identification.two_modes import compare_modes
 from hitchid.model import Channel, Hitch, Provenance, TravelLimits, save
-from hitchid.record import COMMAND, CYCLE, DISPLACEMENT, Record
-from hitchid.versions import installed_versions
+from hitchid.structures import Form
+from hitchid.structures.nonlinear import NonlinearStructure
 
 Found = Mapping[str, tuple[Channel, ChannelTrace]]
 

@@ -7,9 +7,9 @@ import numpy as np
 from scipy.optimize import nnls
 from scipy.signal import lfilter
 
+from hitchid.data.record import Record
+from hitchid.data.test_kinds import ACTIVE_FRACTION, effective_command
 from hitchid.errors import LogError
-from hitchid.modes import ACTIVE_FRACTION, effective_command
-from hitchid.record import Record
 from hitchid.uncertainty import KNOWN, DeadZoneError, Quantity, quantity
 from hitchid.uncertainty.dead_zone_error import student
 

@@ -12,7 +12,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
-from hitchid.checkpoints import NOWHERE, Arrays, Checkpoints
+from hitchid._support.checkpoints import NOWHERE, Arrays, Checkpoints
 from hitchid.identification.weights import weights_of, with_weights
 
 Network = TypeVar("Network")

@@ -10,11 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key, PRNGKeyArray
 
-from hitchid.baselines import BlackBox
-from hitchid.benchmark import Batch, Form
-from hitchid.checkpoints import NOWHERE, Checkpoints
-from hitchid.envelope import Envelope, Range
-from hitchid.fitting import Comparison, Misfit, Search, Trail, search_trails
+from hitchid._support.checkpoints import NOWHERE, Checkpoints
+from hitchid._support.progress import ROUNDS, Heard, Progress, Step, part, rounds
+from hitchid.baselines.black_box import BlackBox
+from hitchid.data.record import MODES
+from hitchid.estimation import Comparison, Misfit, Search, Trail, search_trails
 from hitchid.identification.baselines import fit_arx, fit_black_box
 from hitchid.identification.calibration import calibrate
 from hitchid.identification.deadzone import DeadZone
@@ -28,8 +28,8 @@ from hitchid.identification.preparation import Prepared
 from hitchid.identification.rollouts import Gate, train_on_rollouts
 from hitchid.identification.selection import Automatic, Candidate, choose_form
 from hitchid.model import Channel
-from hitchid.progress import ROUNDS, Heard, Progress, Step, part, rounds
-from hitchid.record import MODES
+from hitchid.networks.operating_range import Envelope, Range
+from hitchid.structures import Batch, Form
 from hitchid.uncertainty import Characteristics, Estimates, Information, Uncertainty, characteristics
 
 

@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from hitchid.modes import directions
-from hitchid.record import Record
+from hitchid.data.record import Record
+from hitchid.data.test_kinds import directions
 
 SETTLED_S = 0.5
 SHORTEST_S = 0.5

@@ -4,19 +4,19 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 
-from hitchid.benchmark import Form, structure_named
-from hitchid.campaign import Campaign
-from hitchid.checks import path, several
+from hitchid._support.checks import path, several
+from hitchid._support.precision import double_precision
+from hitchid._support.progress import Progress, silent
+from hitchid.data.campaign import Campaign
+from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import HitchError
-from hitchid.fitting import Comparison, Search, Whale
+from hitchid.estimation import Comparison, Search, Whale
 from hitchid.identification.arguments import CAMPAIGN, campaign_of, question_of
 from hitchid.identification.carrying_out import carried_out
 from hitchid.identification.case import Identification
 from hitchid.identification.phase2 import Training
 from hitchid.identification.selection import Automatic
-from hitchid.precision import double_precision
-from hitchid.progress import Progress, silent
-from hitchid.record import LIFTING, LOWERING
+from hitchid.structures import Form, structure_named
 
 PAPER_FORMS: Mapping[str, Form] = MappingProxyType(
     {

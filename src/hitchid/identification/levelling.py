@@ -7,10 +7,10 @@ import equinox as eqx
 import numpy as np
 from scipy.optimize import least_squares
 
-from hitchid.benchmark.structure import LinearStructure
-from hitchid.metrics import proven_better
+from hitchid._support.metrics import proven_better
+from hitchid.data.record import Record
 from hitchid.model import Channel, Hitch
-from hitchid.record import Record
+from hitchid.structures.structure import LinearStructure
 
 MOST = 0.1
 EVERY = 10

@@ -5,8 +5,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hitchid.benchmark import Batch
-from hitchid.narx import Narx
+from hitchid.baselines.narx import Narx
+from hitchid.structures import Batch
 
 DEGREE = 2
 LAGS = (1, 2, 3, 5, 8)

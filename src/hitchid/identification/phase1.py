@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 
-from hitchid.benchmark import Batch, Benchmark, Form
-from hitchid.benchmark.nonlinear import NonlinearStructure
-from hitchid.checkpoints import NOWHERE, Checkpoints
-from hitchid.fitting import Found, Misfit, Search, best_polished, polish, searchable
+from hitchid._support.checkpoints import NOWHERE, Checkpoints
+from hitchid._support.progress import Heard
+from hitchid.estimation import Found, Misfit, Search, best_polished, polish, searchable
 from hitchid.identification.optional import attempt
-from hitchid.progress import Heard
+from hitchid.structures import Batch, Benchmark, Form
+from hitchid.structures.nonlinear import NonlinearStructure
 from hitchid.uncertainty import KNOWN, DeadZoneError, Estimate, Estimates, Moves, assess, unassessed
 
 LEVELLINGS = 3

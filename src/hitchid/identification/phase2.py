@@ -8,12 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Float32, PRNGKeyArray
 
-from hitchid.benchmark import Batch
-from hitchid.checkpoints import NOWHERE, Checkpoints
-from hitchid.compensator import FEATURES, Compensator, Sample, measured_features
+from hitchid._support.checkpoints import NOWHERE, Checkpoints
 from hitchid.identification.descent import Descent, DescentTrace, Progress, descend, evenly, filled
 from hitchid.identification.rollouts import Rollouts
-from hitchid.lstm import Lstm
+from hitchid.networks.error_compensator import FEATURES, Compensator, Sample, measured_features
+from hitchid.networks.lstm import Lstm
+from hitchid.structures import Batch
 
 MOST_STRETCHES = 1000
 

@@ -6,8 +6,10 @@ from dataclasses import dataclass, replace
 import jax.numpy as jnp
 import numpy as np
 
-from hitchid.benchmark import Batch, before_end_stop
-from hitchid.campaign import STROKE_MARK, Campaign
+from hitchid.data.campaign import STROKE_MARK, Campaign
+from hitchid.data.left_out import LeftOut, refuse, sentences, sift
+from hitchid.data.record import CYCLE, LIFTING, MODES, Record
+from hitchid.data.test_kinds import ACTIVE_FRACTION, end_stop_contact, mode_changes
 from hitchid.errors import InputError, LogError
 from hitchid.identification.deadzone import (
     DeadZone,
@@ -17,9 +19,7 @@ from hitchid.identification.deadzone import (
     ramp_onset,
     ramp_rate,
 )
-from hitchid.left_out import LeftOut, refuse, sentences, sift
-from hitchid.modes import ACTIVE_FRACTION, end_stop_contact, mode_changes
-from hitchid.record import CYCLE, LIFTING, MODES, Record
+from hitchid.structures import Batch, before_end_stop
 
 VALIDATION_EVERY = 4
 VALIDATION_FRACTION = 0.25

@@ -9,13 +9,13 @@ import numpy as np
 import optax
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
-from hitchid.benchmark import Batch
-from hitchid.checkpoints import NOWHERE, Arrays, Checkpoints
-from hitchid.envelope import Envelope
+from hitchid._support.checkpoints import NOWHERE, Arrays, Checkpoints
+from hitchid._support.metrics import proven_better
 from hitchid.identification.weights import weights_of, with_weights
-from hitchid.lstm import Lstm
-from hitchid.metrics import proven_better
-from hitchid.speed_compensator import INPUTS, Drive, SpeedCompensator, driven_by
+from hitchid.networks.lstm import Lstm
+from hitchid.networks.operating_range import Envelope
+from hitchid.networks.speed_compensator import INPUTS, Drive, SpeedCompensator, driven_by
+from hitchid.structures import Batch
 
 MEMBERS = 4
 FEWEST_TESTS = 3
@@ -169,7 +169,6 @@ def _train(
         return mean[0], mean
 
     weights, fixed = eqx.partition(compensator.networks, eqx.is_inexact_array)
-    fixed = jax.tree.map(lambda leaf: leaf, fixed)
     schedule = optax.cosine_decay_schedule(settings.learning_rate, settings.epochs, alpha=0.1)
     optimiser = optax.chain(optax.clip_by_global_norm(1.0), optax.adam(schedule))
     fifth, blocks = settings.epochs // 5, drive.command.shape[0]

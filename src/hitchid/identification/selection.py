@@ -8,14 +8,14 @@ from itertools import pairwise
 import jax.numpy as jnp
 import numpy as np
 
-from hitchid.benchmark import Batch, Form, structure_named
-from hitchid.benchmark.shape import CURVE, SPOOL
-from hitchid.checkpoints import NOWHERE, Checkpoints
+from hitchid._support.checkpoints import NOWHERE, Checkpoints
+from hitchid._support.metrics import proven_better
+from hitchid._support.progress import Heard, Progress, Step, rounds, silent
 from hitchid.errors import FitError
-from hitchid.fitting import Misfit, Search, free_speeds, polish_some
+from hitchid.estimation import Misfit, Search, free_speeds, polish_some
 from hitchid.identification.phase1 import Phase1, assessed, find_parameters
-from hitchid.metrics import proven_better
-from hitchid.progress import Heard, Progress, Step, rounds, silent
+from hitchid.structures import Batch, Form, structure_named
+from hitchid.structures.shape import CURVE, SPOOL
 from hitchid.uncertainty import KNOWN, DeadZoneError
 
 FOLDS = 4

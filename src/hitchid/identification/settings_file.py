@@ -7,18 +7,17 @@ from typing import Annotated, Literal, TypedDict
 
 from pydantic import Field
 
-from hitchid import whale
-from hitchid.benchmark import Form, structure_named
+from hitchid.data.record import MODES
+from hitchid.data.signal_map import Strict, parse_settings
 from hitchid.errors import InputError, SettingsError
-from hitchid.fitting import Comparison, DifferentialEvolution, MultiStart, Search, Whale
-from hitchid.fitting.search import EVALUATIONS
+from hitchid.estimation import Comparison, DifferentialEvolution, MultiStart, Search, Whale, whale
+from hitchid.estimation.search import EVALUATIONS
 from hitchid.identification.descent import Descent
 from hitchid.identification.identify import CHOSEN
 from hitchid.identification.phase2 import Training
 from hitchid.identification.rollouts import Rollouts
 from hitchid.identification.selection import Automatic
-from hitchid.record import MODES
-from hitchid.signals import Strict, parse_settings
+from hitchid.structures import Form, structure_named
 
 AUTOMATIC = "automatic"
 LARGEST_SEED = 2**32 - 1

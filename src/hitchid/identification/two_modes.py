@@ -6,12 +6,12 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.special import fdtrc
 
-from hitchid.benchmark import Batch, Form, structure_named
-from hitchid.fitting import Misfit
-from hitchid.fitting.search import polish
+from hitchid._support.metrics import proven_better
+from hitchid.estimation import Misfit
+from hitchid.estimation.search import polish
 from hitchid.identification.preparation import Prepared
-from hitchid.metrics import proven_better
 from hitchid.model import TwoModes
+from hitchid.structures import Batch, Form, structure_named
 
 FORM = Form(structure_named("integrator-first-order"), dead_time=True)
 STARTS = ((0.5, 0.4, 0.5), (0.5, 0.2, 0.5), (0.5, 0.7, 0.2))

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hitchid.checkpoints import Arrays
+from hitchid._support.checkpoints import Arrays
 
 Network = TypeVar("Network")
 

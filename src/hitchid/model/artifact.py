@@ -13,22 +13,23 @@ import numpy as np
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
-from hitchid import checks
-from hitchid.baselines import Arx, BlackBox
-from hitchid.benchmark import SHAPE, Benchmark, Scales, Shape, structure_named
-from hitchid.compensator import FEATURES, Compensator
-from hitchid.envelope import Envelope, Range
+from hitchid._support import checks
+from hitchid._support.precision import double_precision
+from hitchid._support.storage import canonical_json, digest, own, write_folder
+from hitchid.baselines.autoregression import Arx
+from hitchid.baselines.black_box import BlackBox
+from hitchid.baselines.narx import Narx
 from hitchid.errors import InputError, ModelFolderError
-from hitchid.lstm import Lstm
 from hitchid.model.channel import Channel
 from hitchid.model.hitch import Hitch
 from hitchid.model.limits import TravelLimits
 from hitchid.model.migration import SCHEMA, STEPS, migrated, readable
 from hitchid.model.provenance import Provenance, TwoModes
-from hitchid.narx import Narx
-from hitchid.precision import double_precision
-from hitchid.speed_compensator import INPUTS, SpeedCompensator
-from hitchid.storage import canonical_json, digest, own, write_folder
+from hitchid.networks.error_compensator import FEATURES, Compensator
+from hitchid.networks.lstm import Lstm
+from hitchid.networks.operating_range import Envelope, Range
+from hitchid.networks.speed_compensator import INPUTS, SpeedCompensator
+from hitchid.structures import SHAPE, Benchmark, Scales, Shape, structure_named
 from hitchid.uncertainty import Uncertainty
 
 MODEL_FILE = "model.json"

@@ -8,16 +8,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hitchid import checks
-from hitchid.baselines import Arx, BlackBox
-from hitchid.benchmark import Batch, Benchmark
-from hitchid.compensator import Compensator, Sample, free_run, predicted_errors
-from hitchid.envelope import Envelope
+from hitchid._support import checks
+from hitchid._support.precision import double_precision
+from hitchid.baselines.autoregression import Arx
+from hitchid.baselines.black_box import BlackBox
+from hitchid.baselines.narx import Narx
+from hitchid.data.record import Record
 from hitchid.model.limits import TravelLimits
-from hitchid.narx import Narx
-from hitchid.precision import double_precision
-from hitchid.record import Record
-from hitchid.speed_compensator import SpeedCompensator, compensated
+from hitchid.networks.error_compensator import Compensator, Sample, free_run, predicted_errors
+from hitchid.networks.operating_range import Envelope
+from hitchid.networks.speed_compensator import SpeedCompensator, compensated
+from hitchid.structures import Batch, Benchmark
 
 RECORDS = 'records as hitchid.read("logs").records holds them'
 

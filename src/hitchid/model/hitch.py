@@ -13,8 +13,12 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 from scipy.special import ndtri
 
-from hitchid import checks
-from hitchid.benchmark import Batch, mean_before_motion
+from hitchid._support import checks
+from hitchid._support.precision import double_precision
+from hitchid.data.record import COMMAND, DISPLACEMENT, MODES, Record
+from hitchid.data.segmentation import Switch
+from hitchid.data.test_kinds import ACTIVE_FRACTION, effective_command, full_scales
+from hitchid.data.units import conversion_factor
 from hitchid.errors import InputError
 from hitchid.model.channel import Channel
 from hitchid.model.limits import TravelLimits
@@ -23,12 +27,8 @@ from hitchid.model.possible import possible
 from hitchid.model.provenance import Provenance, TwoModes
 from hitchid.model.runs import FreeRun, Rest, ahead_of, from_origins, padded, stepped, stepped_abreast
 from hitchid.model.stepping import LARGEST, Motion, State
-from hitchid.modes import ACTIVE_FRACTION, effective_command, full_scales
-from hitchid.precision import double_precision
-from hitchid.record import COMMAND, DISPLACEMENT, MODES, Record
-from hitchid.segments import Switch
+from hitchid.structures import Batch, mean_before_motion
 from hitchid.uncertainty import Bands, Uncertainty
-from hitchid.units import conversion_factor
 
 
 class Band(NamedTuple):

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from hitchid.record import Record
+from hitchid.data.record import Record
 
 MARGIN = 0.1
 ROUNDING = 1e-9

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
+from jax.flatten_util import ravel_pytree
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Float32, PyTree
 
@@ -24,31 +24,6 @@ class Packed(NamedTuple):
     hidden: Float32[Array, "2 2 h"]
 
 
-class Layout:
-    """How arrays of one structure lie end to end, integers and truth values as numbers too.
-
-    Args:
-        like: what has that structure.
-    """
-
-    def __init__(self, like: PyTree) -> None:
-        leaves, self._structure = jax.tree.flatten(like)
-        self._shapes = [(leaf.shape, leaf.dtype) for leaf in leaves]
-
-    def flat(self, tree: PyTree) -> Float[Array, " n"]:
-        """Lay arrays end to end."""
-        return jnp.concatenate([jnp.ravel(leaf).astype(jnp.float64) for leaf in jax.tree.leaves(tree)])
-
-    def tree(self, flat: Float[Array, " n"]) -> Any:
-        """Return the arrays again."""
-        leaves, used = [], 0
-        for shape, dtype in self._shapes:
-            size = int(np.prod(shape))
-            leaves.append(flat[used : used + size].reshape(shape).astype(dtype))
-            used += size
-        return jax.tree.unflatten(self._structure, leaves)
-
-
 class Packing:
     """How states of one hitch are laid out.
 
@@ -57,15 +32,15 @@ class Packing:
     """
 
     def __init__(self, like: State) -> None:
-        self._layout = Layout(like._replace(hidden=None))
+        self._unravel = _unravel(like._replace(hidden=None))
 
     def pack(self, state: State) -> Packed:
         """Lay a state's arrays end to end."""
-        return Packed(self._layout.flat(state._replace(hidden=None)), state.hidden)
+        return Packed(ravel_pytree(state._replace(hidden=None))[0], state.hidden)
 
     def unpack(self, packed: Packed) -> State:
         """Return the state again."""
-        return self._layout.tree(packed.numbers)._replace(hidden=packed.hidden)
+        return self._unravel(packed.numbers)._replace(hidden=packed.hidden)
 
     def step(self, motion: Motion) -> Callable[[Packed, ArrayLike], tuple[Packed, Array]]:
         """Return the compiled step of a motion, from packed state to packed state and displacement.
@@ -74,17 +49,19 @@ class Packing:
         threads, whose handing over takes several times as long as the work. What is given is lifting and
         lowering command and measured displacement, shape [3].
         """
-        asked = Layout(jax.eval_shape(lambda: motion.move(motion.standing(), jnp.zeros(2), jnp.zeros(()))[1]))
+        questions = _unravel(
+            jax.eval_shape(lambda: motion.move(motion.standing(), jnp.zeros(2), jnp.zeros(()))[1])
+        )
 
         @jax.jit
         def moved(numbers: Array, given: Array) -> tuple[Array, Array]:
             state = self.unpack(Packed(numbers, motion.blank()))
             after, question = motion.move(state, given[:2], given[2])
-            return self.pack(after).numbers, asked.flat(question)
+            return self.pack(after).numbers, ravel_pytree(question)[0]
 
         @jax.jit
         def answered(numbers: Array, hidden: Array, question: Array) -> tuple[Array, Array, Array]:
-            hidden, error, displacement = motion.answer(hidden, asked.tree(question))
+            hidden, error, displacement = motion.answer(hidden, questions(question))
             return numbers.at[:2].set(jnp.stack([displacement, error])), hidden, displacement
 
         def step(state: Packed, given: ArrayLike) -> tuple[Packed, Array]:
@@ -93,3 +70,8 @@ class Packing:
             return Packed(numbers, hidden), displacement
 
         return step
+
+
+def _unravel(like: PyTree) -> Callable[[Float[Array, " n"]], Any]:
+    """Return what makes arrays of one structure again of numbers laid end to end."""
+    return ravel_pytree(jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), like))[1]

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from hitchid.benchmark import Batch
 from hitchid.model.channel import Channel
+from hitchid.structures import Batch
 from hitchid.uncertainty import Alternative
 
 

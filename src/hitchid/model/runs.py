@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from hitchid.benchmark import padded_length
 from hitchid.model.stepping import Motion, State
+from hitchid.structures import padded_length
 
 ABREAST = 64
 

@@ -12,12 +12,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Float32, Int
 
-from hitchid.benchmark import Sampled, Valve
-from hitchid.compensator import FEATURES, Attention, Compensator, Sample
-from hitchid.lstm import SINGLE, Hidden
+from hitchid.data.record import MODES
+from hitchid.data.test_kinds import ACTIVE_FRACTION
 from hitchid.model.channel import Channel
-from hitchid.modes import ACTIVE_FRACTION
-from hitchid.record import MODES
+from hitchid.networks.error_compensator import FEATURES, Attention, Compensator, Sample
+from hitchid.networks.lstm import SINGLE, Hidden
+from hitchid.structures import Sampled, Valve
 
 Tree = TypeVar("Tree")
 STANDING = -1

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
+from hitchid.data.record import COMMAND, LIFTING, resampled
+from hitchid.data.resampling import GAP, first_of_each_stamp
 from hitchid.errors import LogError
-from hitchid.grid import GAP, first_of_each_stamp
 from hitchid.readers.content import Channel
-from hitchid.record import COMMAND, LIFTING, resampled
 
 SIGNED = "command"
 HELD = (SIGNED, *COMMAND.values())

@@ -3,10 +3,10 @@
 from collections.abc import Iterable
 from pathlib import Path
 
+from hitchid._support.storage import own
+from hitchid.data.signal_map import CAMPAIGN_FILE, CampaignFile, read_campaign_file
 from hitchid.errors import InputError
 from hitchid.readers.formats import endings, format_of, known_format
-from hitchid.signals import CAMPAIGN_FILE, CampaignFile, read_campaign_file
-from hitchid.storage import own
 
 DATABASE = ".dbc"
 

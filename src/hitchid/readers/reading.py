@@ -8,18 +8,18 @@ from pathlib import Path
 
 import numpy as np
 
-from hitchid import checks
-from hitchid.campaign import Campaign
+from hitchid._support import checks
+from hitchid.data.campaign import Campaign
+from hitchid.data.left_out import LeftOut, refuse, sift
+from hitchid.data.record import COMMAND, DISPLACEMENT, Record, resampled
+from hitchid.data.resampling import Section, first_of_each_stamp, sections, uniform
+from hitchid.data.signal_map import CampaignFile, SignalMap
 from hitchid.errors import LogError
-from hitchid.grid import Section, first_of_each_stamp, sections, uniform
-from hitchid.left_out import LeftOut, refuse, sift
 from hitchid.readers.content import Content, Wanted
 from hitchid.readers.folders import find_logs, settings_of
 from hitchid.readers.formats import format_of, known_format, record_name
 from hitchid.readers.process import ReaderProcess
 from hitchid.readers.table import Table, table_of
-from hitchid.record import COMMAND, DISPLACEMENT, Record, resampled
-from hitchid.signals import CampaignFile, SignalMap
 
 SHORTEST = 20
 LOGS = "files and folders of logs"

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from hitchid.data.record import COMMAND, DISPLACEMENT, LIFTING, LOWERING
+from hitchid.data.signal_map import DEFAULT_SIGNALS, DIMENSIONS, Column, SignalMap
+from hitchid.data.units import UNITS, known_unit, unit_of_column
 from hitchid.errors import LogError
 from hitchid.readers.clocks import SIGNED, on_one_clock
 from hitchid.readers.content import Channel, Content
-from hitchid.record import COMMAND, DISPLACEMENT, LIFTING, LOWERING
-from hitchid.signals import DEFAULT_SIGNALS, DIMENSIONS, Column, SignalMap
-from hitchid.units import UNITS, known_unit, unit_of_column
 
 TIME = "time"
 

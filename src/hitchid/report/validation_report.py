@@ -3,9 +3,9 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from hitchid.campaign import Campaign
+from hitchid.data.campaign import Campaign
+from hitchid.data.record import DISPLACEMENT
 from hitchid.model import Hitch
-from hitchid.record import DISPLACEMENT
 from hitchid.report import sections
 from hitchid.report.document import Document, Section, sentence
 from hitchid.report.sections import Direction

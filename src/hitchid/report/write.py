@@ -3,11 +3,11 @@
 from collections.abc import Mapping
 from pathlib import Path
 
+from hitchid._support.storage import put, write_folder
 from hitchid.report.document import Document
 from hitchid.report.page import html
 from hitchid.report.pdf import pdf
 from hitchid.report.svg import svg
-from hitchid.storage import put, write_folder
 
 REPORT_FILE = "report.html"
 PDF_FILE = "report.pdf"

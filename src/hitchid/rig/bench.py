@@ -5,7 +5,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 
-from hitchid.precision import double_precision
+from hitchid._support.precision import double_precision
 from hitchid.rig.cylinder import Cylinder
 from hitchid.rig.linkage import Linkage
 from hitchid.rig.oil import TANK_PRESSURE_PA, Oil, Scalar

@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from hitchid._support.precision import double_precision
 from hitchid.errors import InputError, SettingsError
-from hitchid.precision import double_precision
 from hitchid.rig.bench import Rig
 from hitchid.rig.sensors import Curve
 from hitchid.rig.simulation import SAMPLE_S, Motion

@@ -9,8 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
+from hitchid._support.precision import double_precision
+from hitchid.data.signal_map import describe, toml_of
 from hitchid.errors import SettingsError
-from hitchid.precision import double_precision
 from hitchid.rig.bench import Rig
 from hitchid.rig.cylinder import Cylinder, Friction
 from hitchid.rig.linkage import Linkage
@@ -19,7 +20,6 @@ from hitchid.rig.quantities import Range, admitted
 from hitchid.rig.sensors import Curve, Sensors
 from hitchid.rig.supply import Supply
 from hitchid.rig.valves import LiftingValve, LoweringValve, Spool
-from hitchid.signals import describe, toml_of
 
 CHECKED_POSITIONS = 201
 SETS = resources.files("hitchid.rig") / "parameters"

@@ -5,8 +5,8 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 
+from hitchid.data.units import UNITS
 from hitchid.errors import SettingsError
-from hitchid.units import UNITS
 
 _LITRE = 1e-3
 _MINUTE = 60.0

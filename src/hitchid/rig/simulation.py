@@ -9,8 +9,8 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from hitchid._support.precision import double_precision
 from hitchid.errors import InputError, SettingsError
-from hitchid.precision import double_precision
 from hitchid.rig.bench import Rig, adjusted
 from hitchid.rig.oil import Scalar
 from hitchid.rig.plant import (

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from hitchid.precision import double_precision
+from hitchid._support.precision import double_precision
 from hitchid.rig.bench import Rig, adjusted, hold_pressure
 from hitchid.rig.oil import TANK_PRESSURE_PA, Scalar
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hitchid.benchmark import Parameter
-from hitchid.fitting import Misfit
+from hitchid.estimation import Misfit
+from hitchid.structures import Parameter
 from hitchid.uncertainty.dead_zone_error import KNOWN, DeadZoneError
 from hitchid.uncertainty.derived import derived, sensitivities
 from hitchid.uncertainty.estimate import NARROW, Estimate, Estimates, Interval, Quantity

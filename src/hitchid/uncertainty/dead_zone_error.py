@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import stdtrit
 
-from hitchid.fitting import Misfit
+from hitchid.estimation import Misfit
 
 CONFIDENCE = 0.95
 

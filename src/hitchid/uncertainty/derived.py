@@ -5,7 +5,7 @@ from math import exp, log
 
 import numpy as np
 
-from hitchid.fitting import Misfit
+from hitchid.estimation import Misfit
 from hitchid.uncertainty.estimate import NARROW, Quantity
 from hitchid.uncertainty.moves import Moves
 from hitchid.uncertainty.profile import Profile, beyond

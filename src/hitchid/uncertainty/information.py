@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import toeplitz
 
-from hitchid.fitting import Misfit
-from hitchid.fitting.misfit import TIED
+from hitchid.estimation import Misfit
+from hitchid.estimation.misfit import TIED
 from hitchid.uncertainty.moves import Moves
 
 LAGS = 100

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from hitchid.fitting import Misfit, polish_some
+from hitchid.estimation import Misfit, polish_some
 from hitchid.uncertainty.dead_zone_error import DeadZoneError, degrees_together, student
 from hitchid.uncertainty.profile import Profile
 from hitchid.uncertainty.scores import LEAST, Scores

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from hitchid.benchmark import Batch
+from hitchid.structures import Batch
 from hitchid.uncertainty.characteristics import MeasuredSpeed
 
 SAME = 0.01

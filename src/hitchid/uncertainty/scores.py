@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from hitchid.fitting import Misfit
+from hitchid.estimation import Misfit
 
 FEWEST = 4
 LEAST = 0.05

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hitchid.benchmark import Form, Scales
-from hitchid.benchmark.structure import LinearStructure
-from hitchid.fitting import Misfit
+from hitchid.estimation import Misfit
+from hitchid.structures import Form, Scales
+from hitchid.structures.structure import LinearStructure
 from hitchid.uncertainty.characteristics import SAMPLES, Characteristics, SpeedPoint, quantity
 from hitchid.uncertainty.dead_zone_error import DeadZoneError, degrees_together, student
 from hitchid.uncertainty.estimate import Interval, Quantity

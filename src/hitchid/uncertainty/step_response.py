@@ -4,9 +4,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hitchid.benchmark import SHAPE, Benchmark, Shape, discretise
-from hitchid.benchmark.discretise import driven
-from hitchid.benchmark.structure import LinearStructure
+from hitchid.structures import SHAPE, Benchmark, Shape, discretise
+from hitchid.structures.discretise import driven
+from hitchid.structures.structure import LinearStructure
 
 Scalar = Float[Array, ""] | float
 CELLS, TIME_CONSTANTS, SHORTEST_S = 1000, 8.0, 1e-9

@@ -4,7 +4,7 @@ from dataclasses import asdict, dataclass
 
 from pydantic import TypeAdapter
 
-from hitchid.fitting import Trail
+from hitchid.estimation import Trail
 from hitchid.uncertainty.bands import Bands
 from hitchid.uncertainty.characteristics import Characteristics
 from hitchid.uncertainty.estimate import Estimates

@@ -2,7 +2,7 @@
 
 from math import floor, log10, pi
 
-from hitchid.benchmark import Parameter
+from hitchid.structures import Parameter
 from hitchid.uncertainty.estimate import Interval
 
 

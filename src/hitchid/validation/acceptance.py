@@ -8,7 +8,7 @@ from itertools import count
 from math import inf, isfinite
 from typing import Any, NamedTuple, TypeGuard
 
-from hitchid.units import UNITS
+from hitchid.data.units import UNITS
 from hitchid.validation.limits import BASELINES, CYCLES, FigureLimits, Limits, ModeLimits
 from hitchid.validation.tables import RUNS
 from hitchid.validation.uncertainty import COVERAGE

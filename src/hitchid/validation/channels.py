@@ -6,12 +6,13 @@ from typing import NamedTuple
 import equinox as eqx
 import numpy as np
 
-from hitchid.baselines import BlackBox, ahead
-from hitchid.benchmark import Batch
-from hitchid.benchmark.structure import LinearStructure
-from hitchid.metrics import HORIZONS
+from hitchid._support.metrics import HORIZONS
+from hitchid.baselines.autoregression import ahead
+from hitchid.baselines.black_box import BlackBox
+from hitchid.data.record import Record
 from hitchid.model import Channel, unpadded
-from hitchid.record import Record
+from hitchid.structures import Batch
+from hitchid.structures.structure import LinearStructure
 from hitchid.uncertainty import Uncertainty
 from hitchid.validation.pooled import pooled
 from hitchid.validation.predictions import Predictions

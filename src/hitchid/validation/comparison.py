@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from hitchid import checks
-from hitchid.campaign import Campaign
+from hitchid._support import checks
+from hitchid._support.progress import Progress, part, silent
+from hitchid._support.storage import canonical_json
+from hitchid.data.campaign import Campaign
 from hitchid.errors import InputError
 from hitchid.model import Hitch
-from hitchid.progress import Progress, part, silent
-from hitchid.storage import canonical_json
 from hitchid.uncertainty import stated
 from hitchid.validation.limits import CYCLES
 from hitchid.validation.predictions import FEWEST, Predictions

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from hitchid.metrics import HORIZONS
+from hitchid._support.metrics import HORIZONS
+from hitchid.data.record import Record
 from hitchid.model import Band, FreeRun, Hitch
-from hitchid.record import Record
 from hitchid.validation.channels import papers_channel
 from hitchid.validation.pooled import pooled
 from hitchid.validation.predictions import Predictions

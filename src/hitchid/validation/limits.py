@@ -6,11 +6,11 @@ from typing import Annotated
 
 from pydantic import Field, field_validator, model_validator
 
+from hitchid._support.metrics import HORIZONS
+from hitchid.data.record import MODES
+from hitchid.data.signal_map import Strict, parse_settings
+from hitchid.data.units import UNITS, conversion_factor
 from hitchid.errors import SettingsError
-from hitchid.metrics import HORIZONS
-from hitchid.record import MODES
-from hitchid.signals import Strict, parse_settings
-from hitchid.units import UNITS, conversion_factor
 from hitchid.validation.tables import NAMES
 
 CYCLES = "cycles"

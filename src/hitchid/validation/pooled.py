@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hitchid.metrics import error_figures, rmse_error
+from hitchid._support.metrics import error_figures, rmse_error
 
 
 def pooled(actual: Sequence[np.ndarray], predicted: Sequence[np.ndarray]) -> dict[str, float | None]:

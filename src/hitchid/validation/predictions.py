@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hitchid.metrics import surely_less
+from hitchid._support.metrics import surely_less
 
 FEWEST = 3
 Rows = tuple[np.ndarray, ...]

@@ -5,12 +5,12 @@ from dataclasses import asdict
 
 import numpy as np
 
-from hitchid.benchmark import Batch
-from hitchid.fitting import Trail
+from hitchid.estimation import Trail
 from hitchid.model import Band, Channel
 from hitchid.model.possible import spread
-from hitchid.residuals import residual_tests
+from hitchid.structures import Batch
 from hitchid.uncertainty import Bands, Characteristics, Estimates, Quantity, Uncertainty
+from hitchid.validation.residuals import residual_tests
 
 COVERAGE = 0.9
 

@@ -2,10 +2,10 @@
 
 from dataclasses import replace
 
-from hitchid.campaign import Campaign
-from hitchid.left_out import refuse, sentences, sift
+from hitchid.data.campaign import Campaign
+from hitchid.data.left_out import refuse, sentences, sift
+from hitchid.data.record import CYCLE, Record
 from hitchid.model import Hitch
-from hitchid.record import CYCLE, Record
 
 
 def with_covariates(campaign: Campaign, *models: Hitch) -> tuple[Campaign, tuple[str, ...]]:

@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from hitchid import checks
-from hitchid.campaign import Campaign
+from hitchid._support import checks
+from hitchid._support.precision import double_precision
+from hitchid._support.progress import Progress, Step, silent
+from hitchid._support.storage import canonical_json, put, write_folder
+from hitchid.data.campaign import Campaign
+from hitchid.data.record import CYCLE, DISPLACEMENT, Record
+from hitchid.data.units import conversion_factor
 from hitchid.errors import InputError
 from hitchid.model import Channel, Hitch
-from hitchid.precision import double_precision
-from hitchid.progress import Progress, Step, silent
-from hitchid.record import CYCLE, DISPLACEMENT, Record
-from hitchid.storage import canonical_json, put, write_folder
-from hitchid.units import conversion_factor
 from hitchid.validation.channels import channel_result
 from hitchid.validation.cycles import cycle_result
 from hitchid.validation.predictions import Predictions

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from hitchid.data.units import UNITS, known_unit
 from hitchid.readers.formats.extra import floats, spelled
-from hitchid.units import UNITS, known_unit
 
 
 def is_time(unit: str | None) -> bool:

@@ -9,9 +9,9 @@ from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
+from hitchid.data.units import known_unit
 from hitchid.errors import LogError
 from hitchid.readers.formats.controldesk import labels_of
-from hitchid.units import known_unit
 
 SEPARATORS = ("\t", ";", "|", ",", " ")
 LINES, HEADER_ROWS, LONGEST_SHOWN, LONGEST_NAME = 200, 10, 60, 200

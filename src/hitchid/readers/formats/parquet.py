@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from hitchid.data.units import unit_of_column
 from hitchid.errors import LogError
 from hitchid.readers.content import Channel, Content, Wanted, chosen
 from hitchid.readers.formats.extra import damage, floats, needed, spelled
-from hitchid.units import unit_of_column
 
 SUFFIXES = (".parquet",)
 KIND = "a Parquet file"

@@ -8,11 +8,11 @@ from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
+from hitchid.data.units import unit_of_column
 from hitchid.errors import LogError
 from hitchid.readers.content import Channel, Content, Wanted
 from hitchid.readers.formats.cf import is_time
 from hitchid.readers.formats.extra import damage, floats, needed, picked, spelled
-from hitchid.units import unit_of_column
 
 SUFFIXES = (".tdms",)
 KIND = "a TDMS file"

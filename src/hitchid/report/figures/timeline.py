@@ -11,10 +11,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from hitchid.record import COMMAND, LIFTING, LOWERING, Record
+from hitchid._support.storage import write_file
+from hitchid.data.record import COMMAND, LIFTING, LOWERING, Record
+from hitchid.data.segmentation import BOTH, END_STOP, HOLD, SATURATED, Segment
 from hitchid.report.figures.style import COLOURS, INK, PAGE_IN, style, styled, thinned
-from hitchid.segments import BOTH, END_STOP, HOLD, SATURATED, Segment
-from hitchid.storage import write_file
 
 FILLS = {
     LIFTING: COLOURS["one_step"],

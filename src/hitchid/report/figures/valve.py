@@ -6,9 +6,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.signal import savgol_filter
 
+from hitchid._support.precision import double_precision
+from hitchid.data.record import Record
 from hitchid.model import Channel
-from hitchid.precision import double_precision
-from hitchid.record import Record
 from hitchid.report.figures.style import COLOURS, COLUMN_IN, FAINT, INK, legend_above, styled, thinned
 
 LEVELS, SETTLED_S, END_S = 24, 3.0, 0.5

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from hitchid.data.record import COMMAND, DISPLACEMENT, Record
 from hitchid.model import Hitch
-from hitchid.record import COMMAND, DISPLACEMENT, Record
 from hitchid.report import figures
 from hitchid.report.document import Block, Picture, Pictures, Section, Text, sentence
 from hitchid.uncertainty import characteristic_sentences

@@ -5,10 +5,10 @@ from pathlib import Path
 
 from hitchid import audit
 from hitchid.audit import AuditFinding
-from hitchid.campaign import Campaign
-from hitchid.inspection import look_over
+from hitchid.data.campaign import Campaign
+from hitchid.data.record import CYCLE, IDLE, RAMP, Record
+from hitchid.inspection.inspect_logs import look_over
 from hitchid.model import Hitch
-from hitchid.record import CYCLE, IDLE, RAMP, Record
 from hitchid.report.document import (
     Block,
     Finding,

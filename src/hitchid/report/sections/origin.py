@@ -2,10 +2,10 @@
 
 from collections.abc import Mapping
 
+from hitchid._support.versions import installed_versions
 from hitchid.model import Hitch
 from hitchid.report.document import Section, Text
 from hitchid.validation import Table
-from hitchid.versions import installed_versions
 
 
 def origin(model: Hitch, command: str) -> Section:

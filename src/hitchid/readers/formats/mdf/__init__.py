@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from hitchid.data.units import unit_of_column
 from hitchid.errors import LogError
 from hitchid.readers.content import Channel, Content, Wanted
 from hitchid.readers.formats.cf import in_seconds, is_time
 from hitchid.readers.formats.extra import damage, floats, needed, numbered, picked, spelled
 from hitchid.readers.formats.mdf.blocks import check_whole
 from hitchid.readers.formats.mdf.numbers import counted, holds_numbers, is_master, is_stored, physical
-from hitchid.units import unit_of_column
 
 SUFFIXES = (".mf4", ".mdf")
 KIND = "an MDF file"

@@ -1,0 +1,1 @@
+"""Models without physics that a grey box must beat."""

@@ -1,0 +1,282 @@
+"""All tests of one plant, and which of them are held out."""
+
+import hashlib
+import re
+from collections import Counter
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from glob import escape
+from statistics import median_low
+
+import numpy as np
+
+from hitchid._support import checks
+from hitchid.data.left_out import LeftOut, refuse, sentences, sift
+from hitchid.data.record import COMMAND, CYCLE, DISPLACEMENT, IDLE, KINDS, MODES, RAMP, Record
+from hitchid.data.test_kinds import detect_kind, full_scales, ramp_mode, strokes
+from hitchid.data.units import UNITS
+from hitchid.errors import InputError, LogError, SettingsError
+
+HELD_OUT_FRACTION = 0.2
+STROKE_MARK = "#"
+LARGEST_RATE_RATIO = 100
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """Tests of one plant on one clock and in one set of units.
+
+    Attributes:
+        records: the tests, in the order of their names.
+        test_patterns: patterns on names that mark the held-out tests; without any, the last 20 % of each
+            mode's tests are held out.
+        unmatched: patterns of a settings file that match no test here; only an identification minds.
+        left_out: logs and tests that cannot be used, with their reasons.
+        strict: whether later work refuses all tests for one that cannot be used.
+    """
+
+    records: tuple[Record, ...]
+    test_patterns: tuple[str, ...] | None = None
+    unmatched: tuple[str, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()
+    strict: bool = False
+
+    @classmethod
+    def of(
+        cls,
+        records: Sequence[Record],
+        *,
+        test_patterns: Sequence[str] | None = None,
+        kinds: Mapping[str, str] | None = None,
+        left_out: Sequence[LeftOut] = (),
+        strict: bool = False,
+    ) -> "Campaign":
+        """Bring records onto one clock and one set of units, and tell what each one is.
+
+        Left out is a record with other commands or dimensions than most, with a clock far from the others',
+        or with a displacement that never changes although its command does.
+
+        Args:
+            records: tests, in any order.
+            test_patterns: patterns on names that mark the held-out tests.
+            kinds: pattern on names to kind, where it should not be found from the commands.
+            left_out: logs that could not be read.
+            strict: whether one record that cannot be used is an error for all.
+
+        Raises:
+            InputError: no records, equal names, a pattern that matches no test, or every test of a direction
+                is left out.
+        """
+        records = checks.several(records, Record, "records", "records, each a hitchid.Record")
+        if test_patterns is not None:
+            test_patterns = checks.several(test_patterns, str, "test_patterns", "patterns on names")
+        checks.instance(kinds or {}, Mapping, "kinds", "pattern on names to kind")
+        if not records:
+            raise InputError("a campaign needs at least one record, none came")
+        if empty := [record.name for record in records if not len(record)]:
+            raise InputError(f"record '{empty[0]}' holds no samples; required at least one")
+        names = [record.name for record in records]
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError(f"two records are called '{name}'; names must differ")
+        ordered = sorted(records, key=lambda record: _natural(record.name))
+        like = _most_common(ordered)
+        usable, unlike = sift(_by_name(ordered), lambda record: _alike(record, like), strict=strict)
+        step_s = _common_step(usable)
+        on_clock, off_clock = sift(_by_name(usable), lambda record: _on_clock(record, step_s), strict=strict)
+        scales = full_scales(on_clock)
+        known = [replace(record, kind=_kind(record, scales, kinds or {})) for record in on_clock]
+        moving, still = sift(_by_name(known), _moving, strict=strict)
+        here = [*unlike, *off_clock, *still]
+        if not moving:
+            refuse(here, "tests")
+        _check_directions(moving, here, ordered)
+        everything = (*left_out, *here)
+        for pattern in test_patterns or ():
+            if not any(fnmatchcase(name, pattern) for name in (*names, *(each.name for each in left_out))):
+                raise InputError(
+                    f"split.test: the pattern '{pattern}' matches none of the {len(names)} tests"
+                )
+        patterns = None if test_patterns is None else tuple(test_patterns)
+        return cls(tuple(moving), patterns, left_out=everything, strict=strict)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is left out and why, how much of all, and whether that leaves nothing held out."""
+        said = sentences(self.left_out, len(self.left_out) + len(self.records), "logs")
+        patterns = self.test_patterns
+        if said and patterns is not None and not any(_matches(r, patterns) for r in self.records):
+            return (*said, "split.test matches only logs that are left out: no test is held out")
+        return said
+
+    @property
+    def step_s(self) -> float:
+        """Sampling time of every record, s."""
+        return self.records[0].step_s
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Role to unit, the same for every record."""
+        return self.records[0].units
+
+    @property
+    def covariates(self) -> tuple[str, ...]:
+        """Names of the further measured inputs that every record has."""
+        known = {DISPLACEMENT, *COMMAND.values()}
+        first, *rest = (set(record.signals) - known for record in self.records)
+        return tuple(sorted(first.intersection(*rest)))
+
+    @property
+    def modes(self) -> tuple[str, ...]:
+        """The modes that single-direction tests excite."""
+        return tuple(mode for mode in MODES if self.of_kind(mode))
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of all there is: names, kinds, clocks, units, every sample, what is held out."""
+        whole = hashlib.sha256(repr(self.test_patterns).encode(errors="surrogateescape"))
+        for record in self.records:
+            told = (record.name, record.kind, record.step_s, record.start_s, sorted(record.units.items()))
+            whole.update(repr(told).encode(errors="surrogateescape"))
+            for role in sorted(record.signals):
+                whole.update(role.encode(errors="surrogateescape") + record.signals[role].tobytes())
+        return whole.hexdigest()
+
+    def of_kind(self, kind: str) -> tuple[Record, ...]:
+        """Return the records of one kind."""
+        return tuple(record for record in self.records if record.kind == kind)
+
+    def ramps(self, mode: str) -> tuple[Record, ...]:
+        """Return the slow ramps that excite `mode`."""
+        return tuple(record for record in self.of_kind(RAMP) if ramp_mode(record) == mode)
+
+    def held_out(self, mode: str) -> tuple[Record, ...]:
+        """Return the tests of a mode that no identification may see."""
+        tests = self.of_kind(mode)
+        if self.test_patterns is not None:
+            return tuple(record for record in tests if _matches(record, self.test_patterns))
+        if len(tests) < 2:
+            return ()
+        return tests[-max(1, round(HELD_OUT_FRACTION * len(tests))) :]
+
+    def identification(self, mode: str) -> tuple[Record, ...]:
+        """Return the tests of a mode that are not held out."""
+        held_out = {record.name for record in self.held_out(mode)}
+        return tuple(record for record in self.of_kind(mode) if record.name not in held_out)
+
+    def without(self, fingerprints: Collection[str]) -> "Campaign":
+        """Return the campaign without the records that these are the fingerprints of; it may be empty."""
+        return replace(self, records=tuple(r for r in self.records if r.fingerprint not in fingerprints))
+
+    def segmented(self, dead_zones: Mapping[str, float]) -> "Campaign":
+        """Return the campaign with its mixed cycles cut into strokes of one mode each.
+
+        Strokes of a held-out cycle are held out; where no whole cycle is, the last 20 % of each mode's
+        strokes are.
+        """
+        zones = checks.keyed(dead_zones, MODES, "dead_zones")
+        dead_zones = {mode: checks.number(zone, f"dead_zones, {mode}") for mode, zone in zones.items()}
+        cut = []
+        for record in self.records:
+            if record.kind != CYCLE:
+                cut.append(record)
+                continue
+            for number, stroke in enumerate(strokes(record, dead_zones), start=1):
+                name = f"{record.name}{STROKE_MARK}{number:03d}"
+                cut.append(record.slice(stroke.start, stroke.stop, name=name, kind=stroke.mode))
+        held_out = self.held_out(CYCLE)
+        patterns = tuple(f"{escape(record.name)}{STROKE_MARK}*" for record in held_out) or None
+        return replace(self, records=tuple(cut), test_patterns=patterns)
+
+
+def _matches(record: Record, patterns: Sequence[str]) -> bool:
+    return any(fnmatchcase(record.name, pattern) for pattern in patterns)
+
+
+def _by_name(records: Iterable[Record]) -> list[tuple[str, Record]]:
+    return [(record.name, record) for record in records]
+
+
+def _dimensions(record: Record) -> tuple[tuple[str, str], ...]:
+    """Return displacement and commands with the dimensions of their units."""
+    roles = [role for role in (DISPLACEMENT, *COMMAND.values()) if role in record.signals]
+    units = [record.units.get(role, "") for role in roles]
+    return tuple((r, UNITS[u].dimension if u in UNITS else u) for r, u in zip(roles, units, strict=True))
+
+
+def _most_common(records: Sequence[Record]) -> Record:
+    """Return the first record of those with the commands and dimensions that most have."""
+    counts = Counter(map(_dimensions, records))
+    return max(records, key=lambda record: counts[_dimensions(record)])
+
+
+def _alike(record: Record, first: Record) -> Record:
+    """Return a record in another's units."""
+    if record.modes != first.modes:
+        raise InputError(
+            f"record '{record.name}' has commands for {' and '.join(record.modes)}, "
+            f"'{first.name}' for {' and '.join(first.modes)}; one campaign needs one signal map"
+        )
+    if record.units == first.units:
+        return record
+    try:
+        return record.convert(first.units)
+    except SettingsError as error:  # a unit that the log itself says, mostly
+        raise InputError(str(error)) from error
+
+
+def _moving(record: Record) -> Record:
+    """Return a record unless its displacement stands although it is commanded to move."""
+    if record.kind != IDLE and np.ptp(record.displacement) == 0:
+        raise LogError(
+            record.source or record.name,
+            f"the displacement is constant ({record.displacement[0]:g} {record.unit}) over all "
+            f"{len(record)} samples although the command changes; required a moving piston "
+            "(is the sensor connected?)",
+        )
+    return record
+
+
+def _check_directions(records: Sequence[Record], left_out: Sequence[LeftOut], all_: Sequence[Record]) -> None:
+    """Refuse a campaign of which all tests of one direction are left out: its model would lack it."""
+    causes = {each.name: each for each in left_out}
+    for mode in MODES:
+        lost = [
+            causes[record.name]
+            for record in all_
+            if record.name in causes and detect_kind(record, full_scales([record])) == mode
+        ]
+        if lost and not any(record.kind in (mode, CYCLE) for record in records):
+            refuse(lost, f"{mode} tests")
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    """Return a sorting key that puts test-2 before test-10."""
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name)]
+
+
+def _common_step(records: Sequence[Record]) -> float:
+    """Return the step of a middle record: one that logs have, where the mean of two would fit neither."""
+    return float(f"{median_low(record.step_s for record in records):.4g}")
+
+
+def _on_clock(record: Record, step_s: float) -> Record:
+    """Adopt the common sampling time where the stamps cannot tell the difference, else resample."""
+    drift = abs(record.step_s - step_s) * len(record)
+    if not 1 / LARGEST_RATE_RATIO <= record.step_s / step_s <= LARGEST_RATE_RATIO:
+        raise LogError(
+            record.source or record.name,
+            f"has a sampling time of {record.step_s:.4g} s, the logs one of {step_s:.4g} s in the median; "
+            f"required none that differs by more than a factor of {LARGEST_RATE_RATIO}",
+        )
+    return replace(record, step_s=step_s) if drift <= 0.05 * step_s else record.resample(step_s)
+
+
+def _kind(record: Record, scales: Mapping[str, float], kinds: Mapping[str, str]) -> str:
+    for pattern, kind in kinds.items():
+        if fnmatchcase(record.name, pattern):
+            if kind not in KINDS:
+                raise InputError(f"tests: '{kind}' is no kind of test; required one of {', '.join(KINDS)}")
+            return kind
+    return detect_kind(record, scales)

@@ -1,0 +1,230 @@
+"""One test: a uniform clock, named signals with units, and where they came from."""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+
+from hitchid._support import checks
+from hitchid.data.resampling import EVEN, KEPT_DEVIATION, ClockQuality
+from hitchid.data.units import UNITS, check_unit, conversion_factor
+from hitchid.errors import InputError
+
+DISPLACEMENT = "displacement"
+LIFTING = "lifting"
+LOWERING = "lowering"
+MODES = (LIFTING, LOWERING)
+COMMAND = MappingProxyType({LIFTING: "lifting_command", LOWERING: "lowering_command"})
+
+RAMP = "ramp"
+CYCLE = "cycle"
+IDLE = "idle"
+FINGERPRINT_STEP = 1e-6
+KINDS = (LIFTING, LOWERING, RAMP, CYCLE, IDLE)
+
+
+@dataclass(frozen=True)
+class Record:
+    """One test on a uniform clock.
+
+    Attributes:
+        name: the log's file name without its endings.
+        step_s: sampling time, s.
+        signals: role to samples, each of shape [N]: `displacement`, `lifting_command`, `lowering_command`,
+            and covariates under their own names. A plant with one channel has one command.
+        units: role to unit.
+        kind: `lifting`, `lowering`, `ramp`, `cycle` or `idle`.
+        start_s: time of the first sample in the log, s.
+        source: the file it was read from.
+        notices: what was done to the log on the way in.
+        clock: how even the log's clock was.
+    """
+
+    name: str
+    step_s: float
+    signals: Mapping[str, np.ndarray]
+    units: Mapping[str, str]
+    kind: str = IDLE
+    start_s: float = 0.0
+    source: Path | None = None
+    notices: tuple[str, ...] = field(default=())
+    clock: ClockQuality = EVEN
+
+    def __post_init__(self) -> None:
+        """Check what every later room relies on, and freeze the samples."""
+        checks.instance(self.name, str, "record: name", "text")
+        checks.instance(self.signals, Mapping, f"record '{self.name}': signals", "role to samples")
+        checks.instance(self.units, Mapping, f"record '{self.name}': units", "role to unit")
+        checks.number(self.start_s, f"record '{self.name}': start_s")
+        checks.chosen(self.kind, KINDS, f"record '{self.name}': kind")
+        if DISPLACEMENT not in self.signals:
+            raise InputError(
+                f"record '{self.name}': a displacement signal is required, came {sorted(self.signals)}"
+            )
+        if not any(role in self.signals for role in COMMAND.values()):
+            raise InputError(f"record '{self.name}': at least one command signal is required, none came")
+        if not checks.number(self.step_s, f"record '{self.name}': the sampling time") > 0:
+            raise InputError(
+                f"record '{self.name}': the sampling time must be positive, came {self.step_s} s"
+            )
+        frozen = {}
+        for role, samples in self.signals.items():
+            array = _frozen(samples, f"record '{self.name}': '{role}'")
+            if role not in self.units:
+                raise InputError(
+                    f"record '{self.name}': '{role}' has no unit; required one of {', '.join(UNITS)}"
+                )
+            check_unit(self.units[role], f"record '{self.name}': '{role}'")
+            wanted = np.shape(self.signals[DISPLACEMENT])[:1] or (1,)
+            if array.shape != wanted:
+                raise InputError(f"record '{self.name}': '{role}' has shape {array.shape}, required {wanted}")
+            if not np.all(np.isfinite(array)):
+                row = int(np.flatnonzero(~np.isfinite(array))[0])
+                raise InputError(f"record '{self.name}': '{role}' is {array[row]} at sample {row}")
+            frozen[role] = array
+        object.__setattr__(self, "signals", MappingProxyType(frozen))
+        object.__setattr__(self, "units", MappingProxyType(dict(self.units)))
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return len(self.signals[DISPLACEMENT])
+
+    @property
+    def time_s(self) -> np.ndarray:
+        """Time of each sample in the log, s, shape [N]."""
+        return self.start_s + self.step_s * np.arange(len(self))
+
+    @property
+    def displacement(self) -> np.ndarray:
+        """Measured displacement, in `units["displacement"]`, shape [N]."""
+        return self.signals[DISPLACEMENT]
+
+    @property
+    def unit(self) -> str:
+        """Unit of the displacement, and so of every error and prediction."""
+        return self.units[DISPLACEMENT]
+
+    @property
+    def modes(self) -> tuple[str, ...]:
+        """The modes this record has a command for."""
+        return tuple(mode for mode in MODES if COMMAND[mode] in self.signals)
+
+    def command(self, mode: str) -> np.ndarray:
+        """Return the command of a mode, shape [N].
+
+        Raises:
+            InputError: the record has no such command.
+        """
+        role = COMMAND[checks.chosen(mode, MODES, "direction")]
+        if role not in self.signals:
+            raise InputError(
+                f"record '{self.name}': there is no {mode} command; signals: {', '.join(self.signals)}"
+            )
+        return self.signals[role]
+
+    def require(self, covariate: str | None) -> "Record":
+        """Return the record itself where it has a covariate, or where none is required.
+
+        Raises:
+            InputError: it lacks the covariate.
+        """
+        if covariate is not None and covariate not in self.signals:
+            raise InputError(f"record '{self.name}' has no '{covariate}'; the model requires this covariate")
+        return self
+
+    @property
+    def fingerprint(self) -> str:
+        """SHA-256 of the shape of the displacement, by which a test is known again.
+
+        The samples are taken relative to the first and to their range and rounded to 10⁻⁶ of it, and so is
+        the range in SI units: neither the file's name, nor the unit, nor which commands are mapped makes a
+        test look new.
+        """
+        moved = self.displacement - self.displacement[0]
+        reach = float(np.ptp(moved))
+        shape = moved / (reach or 1.0)
+        # The irrational offset keeps round decimals off the edges at which rounding would tip.
+        steps = np.round(shape / FINGERPRINT_STEP + 1 / np.pi).astype(np.int64)
+        size = f"{reach * UNITS[self.unit].factor:.6e}"
+        return hashlib.sha256(size.encode() + steps.tobytes()).hexdigest()
+
+    def slice(self, start: int, stop: int, *, name: str | None = None, kind: str | None = None) -> "Record":
+        """Return samples `start:stop` as a record of its own."""
+        return replace(
+            self,
+            name=self.name if name is None else name,
+            kind=self.kind if kind is None else kind,
+            signals={role: samples[start:stop] for role, samples in self.signals.items()},
+            start_s=self.start_s + start * self.step_s,
+        )
+
+    def resample(self, step_s: float) -> "Record":
+        """Return the record on a clock of `step_s`; see `resampled`."""
+        checks.number(step_s, "step_s", above=0.0)
+        count = int(np.floor((len(self) - 1) * self.step_s / step_s * (1 + 1e-12))) + 1
+        wanted = step_s * np.arange(count)
+        had = self.step_s * np.arange(len(self))
+        return replace(
+            self,
+            step_s=step_s,
+            signals=resampled(self.signals, had, wanted),
+            notices=(*self.notices, f"resampled from {self.step_s:.4g} s to {step_s:.4g} s"),
+        )
+
+    def convert(self, units: Mapping[str, str]) -> "Record":
+        """Return the record in other units of the same dimensions.
+
+        Raises:
+            SettingsError: a unit is of another dimension.
+        """
+        checks.instance(units, Mapping, "units", "role to unit")
+        factors = {
+            role: conversion_factor(self.units[role], unit, f"record '{self.name}', {role}")
+            for role, unit in units.items()
+            if role in self.signals
+        }
+        return replace(
+            self,
+            signals={role: samples * factors.get(role, 1.0) for role, samples in self.signals.items()},
+            units={**self.units, **{role: units[role] for role in factors}},
+        )
+
+
+def _frozen(samples: np.ndarray, name: str) -> np.ndarray:
+    """Return samples that nobody can change: themselves where nobody can already, else a copy."""
+    whole = samples if getattr(samples, "base", None) is None else samples.base
+    if isinstance(whole, np.ndarray) and samples.dtype == np.float64 and not whole.flags.writeable:
+        return samples
+    try:
+        array = np.array(samples, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise checks.refusal(name, "numbers", samples) from error
+    array.setflags(write=False)
+    return array
+
+
+def resampled(
+    signals: Mapping[str, np.ndarray], had_s: np.ndarray, wanted_s: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Take signals from one time base to another.
+
+    A command is in force from its sample on (zero-order hold), one that comes within 2 % of a step counting
+    as there already; everything measured is interpolated.
+
+    Args:
+        signals: role to samples, each of shape [N].
+        had_s: time of the samples, s, shape [N], increasing.
+        wanted_s: time of the wanted samples, s, shape [M].
+
+    Returns:
+        Role to samples, each of shape [M].
+    """
+    slack = KEPT_DEVIATION * float(np.median(np.diff(had_s))) if had_s.size > 1 else 0.0
+    in_force = np.maximum(np.searchsorted(had_s, wanted_s + slack, side="right") - 1, 0)
+    return {
+        role: samples[in_force] if role in COMMAND.values() else np.interp(wanted_s, had_s, samples)
+        for role, samples in signals.items()
+    }

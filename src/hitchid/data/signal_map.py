@@ -1,0 +1,213 @@
+"""The settings file of a campaign: which column is which signal, which test is what, which are held out."""
+
+import re
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Literal, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+
+from hitchid.data.units import UNITS, check_unit, unit_of_column
+from hitchid.errors import SettingsError
+
+CAMPAIGN_FILE = "campaign.toml"
+LONGEST, MOST_DOTS = 2**20, 100
+LONGEST_SHOWN, MOST_SPELLED = 200, 10**100
+POSITIONS = ("length", "angle", "voltage", "ratio")
+COMMANDS = ("current", "voltage", "ratio", "pressure", "flow", "frequency")
+DIMENSIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "time": ("time",),
+        "displacement": POSITIONS,
+        "command": COMMANDS,
+        "lifting_command": COMMANDS,
+        "lowering_command": COMMANDS,
+    }
+)
+"""Role to the dimensions its unit may have; a further input may have any."""
+
+
+class Strict(BaseModel):
+    """Settings read from a file: a misspelt key is an error."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Column(Strict):
+    """A column of the log, and how its readings become a signal: (reading − zero) · scale.
+
+    Attributes:
+        column: its name.
+        unit: of the signal; None where the log says it.
+        zero: the reading that means none, as it stands in the log.
+        scale: `unit` per reading, a negative one turns the sign; None where readings stand in the unit that
+            the log says, else in `unit`.
+    """
+
+    column: str
+    unit: str | None = None
+    zero: float = Field(default=0.0, allow_inf_nan=False)
+    scale: float | None = Field(default=None, allow_inf_nan=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_name(cls, given: object) -> object:
+        if isinstance(given, str):
+            return {"column": given, "unit": unit_of_column(given)}
+        return given
+
+    @field_validator("unit")
+    @classmethod
+    def _known(cls, unit: str | None) -> str | None:
+        try:
+            return None if unit is None else check_unit(unit, "unit")
+        except SettingsError as error:
+            raise ValueError(str(error)) from error
+
+    @field_validator("scale")
+    @classmethod
+    def _not_zero(cls, scale: float | None) -> float | None:
+        if scale == 0:
+            raise ValueError("required a number other than zero: the unit per reading")
+        return scale
+
+
+class SignalMap(Strict):
+    """Which column of a log holds which signal.
+
+    Either one signed `command`, positive lifting and negative lowering, or `lifting_command` and
+    `lowering_command`; one of these alone describes a plant with one channel, whose command may take both
+    signs.
+    """
+
+    time: Column = Column(column="time_s", unit="s")
+    displacement: Column = Column(column="displacement_mm", unit="mm")
+    command: Column | None = None
+    lifting_command: Column | None = None
+    lowering_command: Column | None = None
+    covariates: tuple[Column, ...] = ()
+
+    @field_validator("covariates", mode="before")
+    @classmethod
+    def _by_name(cls, given: object) -> object:
+        """Take names for columns in the unit that the log says, whatever the name ends in."""
+        if not isinstance(given, list | tuple):
+            return given
+        return tuple({"column": each} if isinstance(each, str) else each for each in given)
+
+    @model_validator(mode="after")
+    def _commands(self) -> "SignalMap":
+        if self.command and (self.lifting_command or self.lowering_command):
+            raise ValueError("required either command or lifting_command and lowering_command, not both")
+        if not (self.command or self.lifting_command or self.lowering_command):
+            raise ValueError("required at least one of command, lifting_command, lowering_command")
+        taken = DIMENSIONS.keys() & {covariate.column for covariate in self.covariates}
+        if taken:
+            raise ValueError(f"covariates: '{taken.pop()}' is the name of a signal; rename the column")
+        for role, dimensions in DIMENSIONS.items():
+            column = getattr(self, role)
+            if column is None or column.unit is None:
+                continue
+            dimension = UNITS[column.unit].dimension
+            if dimension not in dimensions:
+                raise ValueError(
+                    f"{role}: '{column.unit}' is a unit of {dimension}, "
+                    f"required one of {', '.join(dimensions)}"
+                )
+        return self
+
+
+DEFAULT_SIGNALS = SignalMap(
+    lifting_command=Column(column="current_up_A", unit="A"),
+    lowering_command=Column(column="current_down_A", unit="A"),
+)
+
+
+class Split(Strict):
+    """Which tests are held out: patterns on their names."""
+
+    test: tuple[str, ...] = Field(min_length=1)
+
+
+class Can(Strict):
+    """What is on a CAN bus: DBC files, beside the settings."""
+
+    databases: tuple[str, ...] = ()
+
+
+class CampaignFile(Strict):
+    """All of `campaign.toml`."""
+
+    signals: SignalMap = DEFAULT_SIGNALS
+    can: Can = Can()
+    split: Split | None = None
+    tests: dict[str, Literal["lifting", "lowering", "ramp", "cycle"]] = {}
+
+
+def read_campaign_file(path: Path) -> CampaignFile:
+    """Read a `campaign.toml`.
+
+    Raises:
+        SettingsError: the file cannot be read, is not TOML, or has a key or value that is not understood.
+    """
+    return parse_settings(path, CampaignFile)
+
+
+Settings = TypeVar("Settings", bound=Strict)
+
+
+def parse_settings(path: Path, model: type[Settings]) -> Settings:
+    """Read a TOML file into settings, naming file and key of whatever does not fit.
+
+    Raises:
+        SettingsError: as `read_campaign_file`.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, ValueError) as error:  # no text, or a path no file can have
+        raise SettingsError(f"{path}: cannot be read: {error}") from error
+    content = toml_of(text, path)
+    try:
+        return model.model_validate(content)
+    except ValidationError as error:
+        raise SettingsError(f"{path}: {describe(error)}") from error
+    except SettingsError as error:
+        raise SettingsError(f"{path}: {error}") from error
+
+
+def toml_of(text: str, source: object) -> dict[str, object]:
+    """Return what a text says in TOML.
+
+    Raises:
+        SettingsError: it is none, or beyond the measure of settings.
+    """
+    # Time and memory that tomllib takes grow with the square of the parts of a dotted key.
+    if len(text) > LONGEST or any(part.count(".") > MOST_DOTS for part in re.split(r"[\n=,]", text)):
+        raise SettingsError(f"{source}: is longer than settings are, or a key in it is; refused")
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # numbers and nesting beyond all measure among them
+        raise SettingsError(f"{source}: is not valid TOML: {error}") from error
+
+
+def describe(error: ValidationError) -> str:
+    """Put the first complaint of a validation into one sentence that names the key."""
+    first = error.errors()[0]
+    key = _shown(".".join(str(part) for part in first["loc"]) or "settings")
+    if first["type"] == "extra_forbidden":
+        return f"key '{key}' is not known; check its spelling"
+    message = first["msg"].removeprefix("Value error, ")
+    given = first.get("input")
+    came = f", came {_spelled(given)}" if isinstance(given, str | int | float | bool) else ""
+    return f"key '{key}': {message}{came}"
+
+
+def _shown(text: str) -> str:
+    return text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}…"
+
+
+def _spelled(given: str | int | float | bool) -> str:
+    # Python spells no whole number of more than 4300 digits; TOML takes longer ones in hexadecimal.
+    return _shown(repr(given)) if not isinstance(given, int) or abs(given) < MOST_SPELLED else "a huge number"

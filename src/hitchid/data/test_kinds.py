@@ -1,0 +1,171 @@
+"""What a record is, found from its commands: its kind, its strokes, and where it stands at an end stop."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from hitchid.data.record import COMMAND, CYCLE, IDLE, LIFTING, LOWERING, RAMP, Record
+
+ACTIVE_FRACTION = 0.05
+RAMP_CORRELATION = 0.99
+RAMP_SHORTEST_S = 2.0
+STALL_S = 0.3
+STALL_SPEED_FRACTION = 0.1
+STALL_COMMAND_FRACTION = 0.8
+REST_S = 0.5
+LEAD_IN_S = 0.1
+SHORTEST_STROKE_S = 0.5
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """Samples `start:stop` of a record during which one mode is in charge."""
+
+    mode: str
+    start: int
+    stop: int
+
+
+def effective_command(command: np.ndarray, dead_zone: float | np.ndarray) -> np.ndarray:
+    """Return what of a command lies beyond the dead zone.
+
+    u = sign(c)·max(|c| − d, 0); for the one-signed current of a valve this is max(c − d, 0) of Sun et al.
+    2025, sec. 2.2.1.
+
+    Args:
+        command: command, shape [N], in its own unit.
+        dead_zone: dead zone d ≥ 0, same unit.
+    """
+    return np.sign(command) * np.maximum(np.abs(command) - dead_zone, 0.0)
+
+
+def full_scales(records: Iterable[Record]) -> dict[str, float]:
+    """Return mode to the largest command among all commands of its unit.
+
+    The noise on a valve that is off must be judged by the commands of the valve that is on.
+    """
+    largest: dict[str, float] = {}
+    units: dict[str, str] = {}
+    for record in records:
+        for mode in record.modes:
+            units[mode] = record.units[COMMAND[mode]]
+            top = float(np.max(np.abs(record.command(mode))))
+            largest[units[mode]] = max(largest.get(units[mode], 0.0), top)
+    return {mode: largest[unit] for mode, unit in units.items()}
+
+
+def detect_kind(record: Record, scales: Mapping[str, float]) -> str:
+    """Tell from its commands what a record is: lifting, lowering, ramp, cycle or idle.
+
+    A command counts as active above 5 % of full scale; see `full_scales`.
+    """
+    thresholds = {mode: ACTIVE_FRACTION * scales[mode] for mode in record.modes}
+    active = [
+        mode
+        for mode in record.modes
+        if np.count_nonzero(np.abs(record.command(mode)) > thresholds[mode]) >= 3
+    ]
+    if not active:
+        return IDLE
+    if len(active) == 2:
+        return CYCLE
+    (mode,) = active
+    return RAMP if _is_ramp(record.command(mode), record.step_s, thresholds[mode]) else mode
+
+
+def _is_ramp(command: np.ndarray, step_s: float, threshold: float) -> bool:
+    onset = int(np.flatnonzero(command > threshold)[0]) if np.any(command > threshold) else command.size
+    rise = command[onset : int(np.argmax(command)) + 1]
+    if rise.size * step_s < RAMP_SHORTEST_S or rise[0] > 0.25 * rise[-1]:
+        return False
+    return float(np.corrcoef(np.arange(rise.size), rise)[0, 1]) > RAMP_CORRELATION
+
+
+def ramp_mode(record: Record) -> str:
+    """Return the mode a ramp excites: the one with the larger command."""
+    return max(record.modes, key=lambda mode: float(np.max(np.abs(record.command(mode)))))
+
+
+def directions(record: Record, dead_zones: Mapping[str, float]) -> np.ndarray:
+    """Tell sample by sample which mode's command is effective: +1 lifting, −1 lowering, 0 neither; shape [N].
+
+    Where both are effective lowering counts, as in Sun et al. 2025, sec. 2.2.1: lifting demands that the
+    lowering command be zero. What stays below 5 % of the record's largest command is noise, even where the
+    dead zone is smaller.
+    """
+    scales = full_scales([record])
+    direction = np.zeros(len(record), dtype=np.int64)
+    for mode, sign in ((LIFTING, 1), (LOWERING, -1)):
+        if mode in record.modes:
+            threshold = max(dead_zones.get(mode, 0.0), ACTIVE_FRACTION * scales[mode])
+            direction[np.abs(record.command(mode)) > threshold] = sign
+    return direction
+
+
+def mode_changes(record: Record, dead_zones: Mapping[str, float]) -> list[Stroke]:
+    """Divide a record, without rest, into stretches with one mode in charge.
+
+    A mode stays in charge while neither command is effective, so that a hold belongs to the stroke before it;
+    a hold at the very start belongs to the first stroke.
+    """
+    direction = directions(record, dead_zones)
+    moving = np.flatnonzero(direction)
+    if moving.size == 0:
+        return [Stroke(record.modes[0], 0, len(record))]
+    turns = moving[1:][direction[moving[1:]] != direction[moving[:-1]]]
+    edges = [0, *(int(turn) for turn in turns), len(record)]
+    firsts = [int(moving[0]), *(int(turn) for turn in turns)]
+    return [
+        Stroke(LIFTING if direction[first] > 0 else LOWERING, start, stop)
+        for first, start, stop in zip(firsts, edges[:-1], edges[1:], strict=True)
+    ]
+
+
+def strokes(record: Record, dead_zones: Mapping[str, float]) -> list[Stroke]:
+    """Cut a mixed record into strokes that each begin at rest, fit to identify one mode from.
+
+    A stroke begins 0.1 s before its command becomes effective after at least 0.5 s without effect, or where
+    the mode changes, and lasts until the next begins. Strokes shorter than 0.5 s are left out.
+    """
+    direction = directions(record, dead_zones)
+    moving = np.flatnonzero(direction)
+    if moving.size == 0:
+        return []
+    rest = round(REST_S / record.step_s)
+    lead, shortest = round(LEAD_IN_S / record.step_s), SHORTEST_STROKE_S / record.step_s
+    rested = np.diff(moving, prepend=-rest - 1) > rest
+    turned = np.diff(direction[moving], prepend=direction[moving[0]]) != 0
+    fresh = rested | turned
+    onsets = moving[fresh]
+    leads = np.where(rested[fresh], lead, 0)
+    starts = [max(0, int(onset) - int(ahead)) for onset, ahead in zip(onsets, leads, strict=True)]
+    found = []
+    for onset, start, stop in zip(onsets, starts, [*starts[1:], len(record)], strict=True):
+        if stop - start >= shortest:
+            found.append(Stroke(LIFTING if direction[onset] > 0 else LOWERING, start, stop))
+    return found
+
+
+def end_stop_contact(record: Record, mode: str) -> int | None:
+    """Return the sample at which the piston comes to stand although its command goes on, or None.
+
+    Contact: past half of the record's travel and up to the last strong command (one in the upper half), the
+    displacement changes over 0.3 s by less than 10 % of what it changes in as long a time at its fastest.
+    """
+    command = np.abs(record.command(mode))
+    active = command > ACTIVE_FRACTION * command.max()
+    window = max(2, round(STALL_S / record.step_s))
+    if not np.any(active):
+        return None
+    strong = command >= np.median(command[active])
+    stop = int(np.flatnonzero(strong)[-1]) + 1
+    displacement = record.displacement[:stop]
+    if stop <= 2 * window:
+        return None
+    moved = np.abs(displacement[window:] - displacement[:-window])
+    fast = np.flatnonzero(moved >= STALL_SPEED_FRACTION * moved.max())
+    contact = int(fast[-1]) + 1
+    past_half = abs(displacement[contact] - displacement[0]) > 0.5 * float(np.ptp(displacement))
+    commanded = float(np.mean(strong[contact:stop])) > STALL_COMMAND_FRACTION
+    return contact if past_half and commanded and stop - contact > window else None

@@ -1,0 +1,286 @@
+"""Which test next: of many that stay within limits, the one that narrows a parameter most."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from math import floor
+from pathlib import Path
+from types import MappingProxyType
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy.stats import qmc
+
+from hitchid._support import checks
+from hitchid._support.precision import double_precision
+from hitchid._support.storage import write_file
+from hitchid.data.record import COMMAND, LIFTING, LOWERING
+from hitchid.errors import InputError
+from hitchid.experiments.excitation import prbs, precompensated
+from hitchid.model import Channel, Hitch
+from hitchid.readers import write_table
+from hitchid.structures import DEAD_TIME, SHAPE, Batch, Benchmark, padded_length
+from hitchid.uncertainty import Information
+
+TRIED = 256
+LOWEST, LEAST_HIGH = 0.8, 0.3
+CLOCK_S = (0.05, 3.0)
+LENGTHS = (0.5, 1.0, 2.0)
+ROOM = 1.02
+BEST = 5
+HALF = 0.5
+ROUNDING = 1e-9
+COLUMNS = MappingProxyType({LIFTING: "current_up_A", LOWERING: "current_down_A"})
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a test may do; None takes what the identification tests did.
+
+    Attributes:
+        highest: largest command, as logged, in its unit.
+        travel: farthest way from the start, in the displacement's unit.
+        longest_s: longest duration, s.
+    """
+
+    highest: float | None = None
+    travel: float | None = None
+    longest_s: float | None = None
+
+
+WITHIN = Limits()
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """One test that might be run.
+
+    Attributes:
+        low, high: levels of the command beyond the dead zone, in its unit.
+        clock_s: shortest time a level is held, s.
+        duration_s: length, s.
+        seed: of the sequence.
+        travel: how far the model says it goes, in the displacement's unit.
+        left: parameter to what share of its standard error it is expected to leave.
+    """
+
+    low: float
+    high: float
+    clock_s: float
+    duration_s: float
+    seed: int
+    travel: float
+    left: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Advice:
+    """Which test to run next, and what it is worth.
+
+    Attributes:
+        mode: direction.
+        parameter: what is to be narrowed: the least determined, unless another was asked for.
+        proposals: the best first.
+        usual: parameter to what share of its standard error one more test like the ones there were leaves.
+        ramps: whether the dead zone, not the tests, is what the parameter waits for.
+    """
+
+    mode: str
+    parameter: str
+    proposals: tuple[Proposal, ...]
+    usual: Mapping[str, float]
+    ramps: bool
+
+
+@double_precision
+def design(
+    model: Hitch,
+    mode: str | None = None,
+    *,
+    parameter: str | None = None,
+    limits: Limits = WITHIN,
+    seed: int = 0,
+) -> Advice:
+    """Propose the next test: of many binary tests within limits, those that narrow a parameter most.
+
+    What a test would bring follows from the model itself: the derivatives of the benchmark's free run by its
+    parameters, and the errors as they were in the identification tests (`Information.widths_with`).
+
+    Args:
+        model: an identified hitch.
+        mode: direction; by default the one with the least determined parameter.
+        parameter: what is to be narrowed; by default the least determined that does not lie at a bound.
+        limits: highest command, farthest travel, longest duration.
+        seed: of the candidates and their sequences.
+
+    Raises:
+        InputError: the model knows nothing of a direction or parameter, or no test stays within the limits.
+    """
+    checks.instance(model, Hitch, "model", "a model as hitchid.load returns it")
+    checks.instance(limits, Limits, "limits", "Limits")
+    for name, value in vars(limits).items():
+        if value is not None:
+            checks.number(value, f"limits, {name}")
+    checks.whole(seed, "seed")
+    mode, parameter, information = _chosen(model, mode, parameter)
+    channel, number = model.channels[mode], information.names.index(parameter)
+    now, usual = information.widths(), information.widths_with_another()
+    proposals = [
+        replace(proposal, left=_named(information, information.widths_with(jacobian) / now))
+        for proposal, jacobian in _tried(channel, information, limits, model.step_s, seed)
+    ]
+    if not proposals:
+        raise InputError(f"{mode}: none of {TRIED} tests stays within the limits; required wider ones")
+    proposals.sort(key=lambda proposal: proposal.left[parameter])
+    return Advice(
+        mode=mode,
+        parameter=parameter,
+        proposals=tuple(proposals[:BEST]),
+        usual=_named(information, usual / now),
+        ramps=bool(information.fixed[number][number] > HALF * now[number] ** 2),
+    )
+
+
+def command_of(model: Hitch, mode: str, proposal: Proposal) -> np.ndarray:
+    """Return the command of a proposal as it is to be logged, in the model's unit, shape [N]."""
+    zone = model.channels[mode].dead_zone
+    return precompensated(_signal(proposal, model.step_s), zone)
+
+
+def write_command(model: Hitch, advice: Advice, path: Path, *, force: bool = False) -> None:
+    """Write the command of the best proposal, sample by sample, as CSV.
+
+    Raises:
+        OutputError: the file exists and `force` is not given, or it cannot be written.
+    """
+    command = command_of(model, advice.mode, advice.proposals[0])
+    columns = {"time_s": model.step_s * np.arange(command.size)}
+    for mode in model.channels:
+        unit = model.units[COMMAND[mode]]
+        name = COLUMNS[mode] if unit == "A" else f"{COMMAND[mode]}_{unit}"
+        columns[name] = command if mode == advice.mode else np.zeros_like(command)
+    write_file(path, lambda beside: write_table(beside, columns), force=force)
+
+
+def _chosen(model: Hitch, mode: str | None, parameter: str | None) -> tuple[str, str, Information]:
+    """Return the direction and the parameter that are least determined of those asked for."""
+    vague = {
+        (each, estimate.name): (estimate.vagueness, known.information)
+        for each, known in model.uncertainty.items()
+        if known.information is not None
+        for estimate in known.benchmark.parameters
+        if estimate.name in known.information.names
+    }
+    asked = [key for key in vague if mode in (None, key[0]) and parameter in (None, key[1])]
+    if not asked:
+        wanted = " ".join(word for word in (mode, parameter) if word) or "anything"
+        held = ", ".join(" ".join(key) for key in vague) or "nothing"
+        raise InputError(f"design: required what a test could narrow, {held}; came {wanted}")
+    best = max(asked, key=lambda key: vague[key][0])
+    return *best, vague[best][1]
+
+
+def _named(information: Information, values: np.ndarray) -> dict[str, float]:
+    return dict(zip(information.names, map(float, values), strict=True))
+
+
+def _tried(
+    channel: Channel, information: Information, limits: Limits, step_s: float, seed: int
+) -> Iterator[tuple[Proposal, np.ndarray]]:
+    """Yield candidates that stay within the limits, and the derivatives of their travel, shape [N, D]."""
+    assert channel.envelope is not None  # noqa: S101 - every identified channel has one
+    covered = channel.envelope
+    highest = float(covered.command.highest)
+    if limits.highest is not None:
+        highest = limits.highest - channel.dead_zone
+    if not highest > 0:
+        raise InputError(
+            f"highest command: required above the dead zone of {channel.dead_zone:.4g}, "
+            f"came {limits.highest:.4g}"
+        )
+    range_ = float(covered.displacement.highest - covered.displacement.lowest)
+    room = ROOM * range_ if limits.travel is None else limits.travel
+    usual_s = information.samples * step_s
+    longest_s = max(LENGTHS) * usual_s if limits.longest_s is None else limits.longest_s
+    samples = sorted({floor(min(share * usual_s, longest_s) / step_s + ROUNDING) for share in LENGTHS})
+    lengths = [step_s * max(each, 1) for each in samples]
+    drawn = qmc.Sobol(3, rng=np.random.default_rng(seed)).random(TRIED)
+    for part, duration_s in zip(np.array_split(drawn, len(lengths)), lengths, strict=True):
+        proposals = [
+            Proposal(
+                low=float(low * high * highest),
+                high=float(high * highest),
+                clock_s=float(CLOCK_S[0] * (CLOCK_S[1] / CLOCK_S[0]) ** clock),
+                duration_s=duration_s,
+                seed=seed,
+                travel=0.0,
+                left={},
+            )
+            for low, high, clock in part * [LOWEST, 1 - LEAST_HIGH, 1.0] + [0.0, LEAST_HIGH, 0.0]
+        ]
+        commands = np.stack([_signal(each, step_s) for each in proposals])
+        travel, jacobian = _derivatives(channel, information, _batch(channel, commands, step_s))
+        for proposal, gone, slopes in zip(proposals, travel, jacobian, strict=True):
+            way = float(np.abs(gone[: commands.shape[1]]).max())
+            if 0 < way <= room:
+                moved = gone[: commands.shape[1]]
+                yield replace(proposal, travel=way), information.heard(moved, slopes[: moved.size])
+
+
+def _signal(proposal: Proposal, step_s: float) -> np.ndarray:
+    """Return the effective command of a proposal, shape [N]."""
+    return prbs(
+        low=proposal.low,
+        high=proposal.high,
+        clock_s=proposal.clock_s,
+        duration_s=proposal.duration_s,
+        seed=proposal.seed,
+        step_s=step_s,
+    ).command
+
+
+def _batch(channel: Channel, commands: Float[np.ndarray, "t n"], step_s: float) -> Batch:
+    """Return tests that are yet to be run, from where such tests start."""
+    assert channel.envelope is not None  # noqa: S101 - every identified channel has one
+    ends = channel.envelope.displacement
+    start = ends.lowest if channel.direction > 0 else ends.highest
+    tests, samples = commands.shape
+    wide = np.pad(commands, ((0, 0), (0, padded_length(samples) - samples)))
+    return Batch(
+        command=jnp.asarray(wide),
+        logged=jnp.asarray(precompensated(wide, channel.dead_zone)),
+        dead_zone=jnp.full(tests, channel.dead_zone),
+        displacement=jnp.full(wide.shape, start),
+        valid=jnp.ones(wide.shape, dtype=bool),
+        counted=jnp.ones(wide.shape, dtype=bool),
+        initial=jnp.full(tests, start),
+        load=jnp.full(tests, 0.5 * (channel.envelope.load.lowest + channel.envelope.load.highest)),
+        step_s=step_s,
+        direction=channel.direction,
+    )
+
+
+def _derivatives(
+    channel: Channel, information: Information, batch: Batch
+) -> tuple[np.ndarray, Float[np.ndarray, "t n d"]]:
+    """Return travel, and its derivatives by the parameters' places between their bounds."""
+    benchmark = channel.benchmark
+    names = [*(p.name for p in benchmark.structure.parameters), DEAD_TIME.name, *(p.name for p in SHAPE)]
+    along = np.zeros((len(information.names), benchmark.row.size))
+    for row, name, slope in zip(along, information.names, information.slopes, strict=True):
+        row[names.index(name)] = slope
+    travel, slopes = _pushed(benchmark, batch, jnp.asarray(along))
+    return np.asarray(travel), np.moveaxis(np.asarray(slopes), 0, -1)
+
+
+@eqx.filter_jit
+def _pushed(
+    benchmark: Benchmark, batch: Batch, along: Float[Array, "d r"]
+) -> tuple[Float[Array, "t n"], Float[Array, "d t n"]]:
+    def travel(row: Array) -> Array:
+        return benchmark.of_row(row).travel(batch)
+
+    slopes = jax.lax.map(lambda each: jax.jvp(travel, (benchmark.row,), (each,))[1], along)
+    return travel(benchmark.row), slopes

@@ -1,0 +1,1 @@
+"""Test signals, and campaigns of tests on the virtual bench."""

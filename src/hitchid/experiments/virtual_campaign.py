@@ -1,0 +1,266 @@
+"""The experimental programme on the virtual bench: static tests, then dynamic ones within its limits."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from types import MappingProxyType
+from typing import Literal, get_args
+
+import jax
+import numpy as np
+
+from hitchid._support import checks
+from hitchid._support.parallel import abreast
+from hitchid._support.storage import write_folder
+from hitchid.data.record import COMMAND, DISPLACEMENT, LIFTING, LOWERING, MODES, RAMP, Record
+from hitchid.errors import InputError
+from hitchid.experiments import excitation
+from hitchid.identification.deadzone import from_ramps
+from hitchid.readers import write_table
+from hitchid.rig import Rig, limits, load_rig, measure, simulate
+
+Protocol = Literal["prbs", "ramp", "cycle"]
+REPEATS = 3
+MOST_TESTS = 10_000
+TESTS: Mapping[Protocol, int] = MappingProxyType({"prbs": 20})
+RAMP_S = 30.0
+DYNAMIC_S = 10.0
+CYCLE_S = 60.0
+RAMP_TRAVEL_M = 0.02
+RAMP_TAIL_S = 1.0
+FLOW_FRACTION = 0.9
+STROKE_FRACTION = 0.6
+LOW = (0.03, 0.25)
+HIGH = (0.5, 1.0)
+CLOCK_S = (0.15, 0.4)
+TRUTH = "truth"
+COLUMNS = """[signals]
+time = "time_s"
+lifting_command = "current_up_A"
+lowering_command = "current_down_A"
+displacement = "displacement_mm"
+"""
+
+
+@dataclass(frozen=True)
+class Static:
+    """What the static test of one direction found.
+
+    Attributes:
+        dead_zone: mean over the ramps, A.
+        speed_per_command: speed at the end of the ramps over the effective command there, mm/(s·A).
+    """
+
+    dead_zone: float
+    speed_per_command: float
+
+
+@dataclass(frozen=True)
+class Log:
+    """One test as the bench logs it.
+
+    Attributes:
+        name: of its file.
+        columns: column to samples as measured.
+        truth: displacement without sensor and noise, mm.
+    """
+
+    name: str
+    columns: Mapping[str, np.ndarray]
+    truth: np.ndarray
+
+
+def run(
+    rig: Rig, tests: Mapping[Protocol, int] = TESTS, modes: Sequence[str] = MODES, *, seed: int = 0
+) -> list[Log]:
+    """Run tests on a rig and return their logs.
+
+    Static tests are ramps (Sun et al. 2025, sec. 2.3.1). They are always run, to find dead zones and speeds,
+    from which the levels of dynamic tests within stroke and pump flow follow. Levels are effective; the dead
+    zone is added (sec. 2.3.2).
+
+    Args:
+        rig: the virtual bench.
+        tests: protocol to number: ramps and `prbs` tests of each direction, cycles.
+        modes: directions to excite; cycles excite both.
+        seed: every random draw comes from it.
+    """
+    for protocol, count in checks.keyed(tests, get_args(Protocol), "tests").items():
+        if checks.whole(count, f"tests, {protocol}", least=1) > MOST_TESTS:
+            raise InputError(f"tests, {protocol}: required at most {MOST_TESTS}, came {count}")
+    for mode in checks.several(modes, str, "modes", "directions"):
+        checks.chosen(mode, MODES, "direction")
+    checks.whole(seed, "seed")
+    excited = MODES if "cycle" in tests else modes
+    ramps = {mode: _ramps(rig, mode, tests.get("ramp", REPEATS), seed) for mode in excited}
+    static = {mode: _static(logs, mode) for mode, logs in ramps.items()}
+    due = {}
+    if "prbs" in tests:
+        due = {mode: partial(_dynamic, rig, mode, static[mode], tests["prbs"], seed) for mode in modes}
+    if "cycle" in tests:
+        due["cycle"] = partial(_cycles, rig, static, tests["cycle"], seed)
+    # Cycles beside the first direction: the second one then finds its program compiled.
+    done = abreast(lambda name: due[name](), sorted(due, key=[*modes[:1], "cycle", *modes[1:]].index))
+    static_logs = [ramps[mode] for mode in modes] if "ramp" in tests else []
+    return [log for logs in (*static_logs, *(done[name] for name in due)) for log in logs]
+
+
+def write_campaign(
+    out: str | Path,
+    rig: str | Path = "nominal",
+    *,
+    tests: Mapping[Protocol, int] = TESTS,
+    modes: Sequence[str] = MODES,
+    suffix: Literal["csv", "csv.gz", "mf4", "parquet", "tdms"] = "csv",
+    seed: int = 0,
+    force: bool = False,
+) -> None:
+    """Run tests and write one log each, the true displacements beside them, and `campaign.toml`.
+
+    Args:
+        out: folder to write.
+        rig: name or file of a parameter set.
+        tests, modes, seed: see `run`.
+        suffix: format of the logs.
+        force: replace an older campaign.
+
+    Raises:
+        OutputError: the folder exists and `force` is not given, or it cannot be written.
+        InputError: a number of tests is not from 1 to 10 000.
+        SettingsError: the rig's parameters cannot be used.
+    """
+    place = checks.path(out, "out")
+    logs = run(
+        load_rig(checks.instance(rig, (str, Path), "rig", "a name or a path")), tests, modes, seed=seed
+    )
+
+    def fill(place: Path) -> None:
+        (place / TRUTH).mkdir()
+        for log in logs:
+            write_table(place / f"{log.name}.{suffix}", log.columns)
+            truth = {"time_s": log.columns["time_s"], "displacement_true_mm": log.truth}
+            write_table(place / TRUTH / f"{log.name}.{suffix}", truth)
+        (place / "campaign.toml").write_text(COLUMNS, encoding="utf-8")
+
+    write_folder(place, fill, mark="campaign.toml", force=force)
+
+
+def _ramps(rig: Rig, mode: str, repeats: int, seed: int) -> list[Log]:
+    """Return slow ramps that end at the current at which the piston has gone 20 mm, as an operator would."""
+    top, start = _saturation(rig, mode), _start(rig, mode)
+    command = excitation.ramp(top=top, duration_s=RAMP_S).command
+    # As many at once as the ramps that follow, so that one compiled program serves both.
+    currents = np.stack([_both(mode, command)] * repeats)
+    motion = simulate(rig, currents, initial_displacement_m=start)
+    gone = np.abs(np.asarray(motion.displacement_m)[0] - start)
+    if gone.max() >= RAMP_TRAVEL_M:
+        top = float(command[np.argmax(gone >= RAMP_TRAVEL_M)])
+    command = excitation.ramp(top=top, duration_s=RAMP_S).command
+    names = [f"ramp-{mode}-{number:02d}" for number in range(1, repeats + 1)]
+    return _logs(rig, names, [_both(mode, command)] * repeats, [start] * repeats, seed)
+
+
+def _static(ramps: Sequence[Log], mode: str) -> Static:
+    records = [_record(log) for log in ramps]
+    direction = 1 if mode == LIFTING else -1
+    zone = from_ramps(records, mode, direction).value
+    tail = slice(-round(RAMP_TAIL_S / records[0].step_s), None)
+    speeds = [
+        direction * np.polyfit(record.time_s[tail], record.displacement[tail], 1)[0] for record in records
+    ]
+    effective = np.mean([record.command(mode)[tail].mean() - zone for record in records])
+    return Static(zone, float(np.mean(speeds) / effective))
+
+
+def _highest(rig: Rig, mode: str, static: Static, travel_mm: float) -> float:
+    """Return the largest effective current within pump flow, valve range and travel of one test, A."""
+    known = limits(rig)
+    within = [
+        _saturation(rig, mode) - static.dead_zone,
+        travel_mm / (static.speed_per_command * DYNAMIC_S),
+    ]
+    if mode == LIFTING:
+        within.append(FLOW_FRACTION * 1e3 * known.lifting_speed_m_s / static.speed_per_command)
+    return min(within)
+
+
+def _saturation(rig: Rig, mode: str) -> float:
+    known = limits(rig)
+    return known.lifting_saturation_a if mode == LIFTING else known.lowering_saturation_a
+
+
+def _dynamic(rig: Rig, mode: str, static: Static, tests: int, seed: int) -> list[Log]:
+    highest = _highest(rig, mode, static, STROKE_FRACTION * 1e3 * limits(rig).stroke_m)
+    rng = np.random.default_rng([seed, MODES.index(mode)])
+    commands = []
+    for _ in range(tests):
+        signal = excitation.prbs(
+            low=rng.uniform(*LOW) * highest,
+            high=rng.uniform(*HIGH) * highest,
+            clock_s=rng.uniform(*CLOCK_S),
+            duration_s=DYNAMIC_S,
+            seed=int(rng.integers(2**31)),
+        )
+        commands.append(_both(mode, excitation.precompensated(signal.command, static.dead_zone)))
+    names = [f"{mode}-{number:02d}" for number in range(1, tests + 1)]
+    return _logs(rig, names, commands, [_start(rig, mode)] * tests, seed + 1)
+
+
+def _cycles(rig: Rig, static: Mapping[str, Static], tests: int, seed: int) -> list[Log]:
+    stroke_mm = 1e3 * limits(rig).stroke_m
+    highest = {mode: _highest(rig, mode, static[mode], stroke_mm) for mode in MODES}
+    ranges = {mode: (LOW[1] * most, HIGH[1] * most) for mode, most in highest.items()}
+    rng = np.random.default_rng([seed, len(MODES)])
+    commands, starts = [], []
+    for _ in range(tests):
+        start = rng.uniform(0.3, 0.7) * stroke_mm
+        pair = excitation.duty_cycle(
+            levels=(ranges[LIFTING], ranges[LOWERING]),
+            speeds=(static[LIFTING].speed_per_command, static[LOWERING].speed_per_command),
+            start=start,
+            room=(0.15 * stroke_mm, 0.85 * stroke_mm),
+            duration_s=CYCLE_S,
+            seed=int(rng.integers(2**31)),
+        )
+        columns = [
+            excitation.precompensated(signal.command, static[mode].dead_zone)
+            for mode, signal in zip(MODES, pair, strict=True)
+        ]
+        commands.append(np.column_stack(columns))
+        starts.append(1e-3 * start)
+    return _logs(rig, [f"cycle-{number:02d}" for number in range(1, tests + 1)], commands, starts, seed + 2)
+
+
+def _start(rig: Rig, mode: str) -> float:
+    """Return the displacement a direction starts from, m: the bottom for lifting, the top for lowering."""
+    return 0.0 if mode == LIFTING else limits(rig).stroke_m
+
+
+def _both(mode: str, command: np.ndarray) -> np.ndarray:
+    off = np.zeros_like(command)
+    return np.column_stack([command, off] if mode == LIFTING else [off, command])
+
+
+def _logs(
+    rig: Rig, names: Sequence[str], commands: Sequence[np.ndarray], starts_m: Sequence[float], seed: int
+) -> list[Log]:
+    currents = np.stack(commands)
+    motion = simulate(rig, currents, initial_displacement_m=np.asarray(starts_m))
+    columns = measure(rig, motion, currents, jax.random.key(seed))
+    truth = 1e3 * np.asarray(motion.displacement_m)
+    return [
+        Log(name, {column: rows[test] for column, rows in columns.items()}, truth[test])
+        for test, name in enumerate(names)
+    ]
+
+
+def _record(log: Log) -> Record:
+    signals = {
+        DISPLACEMENT: log.columns["displacement_mm"],
+        COMMAND[MODES[0]]: log.columns["current_up_A"],
+        COMMAND[MODES[1]]: log.columns["current_down_A"],
+    }
+    units = {role: "mm" if role == DISPLACEMENT else "A" for role in signals}
+    step_s = float(np.median(np.diff(log.columns["time_s"])))
+    return Record(log.name, step_s, signals, units, kind=RAMP)

@@ -1,0 +1,73 @@
+"""What the name and the range of a column say of its role and unit."""
+
+import re
+
+from hitchid.data.signal_map import DIMENSIONS
+from hitchid.data.units import UNITS, known_unit, unit_of_column
+
+
+def _list(text: str) -> frozenset[str]:
+    return frozenset(text.split())
+
+
+COMMAND = _list("cmd command duty pwm current curr valve strom ctrl control drive joystick rpm")
+POSITION = _list(
+    "position pos displacement stroke travel angle ang height length weg hub winkel lage extension"
+)
+NO_COMMAND = _list("feedback fb measured actual act ist ref reference setpoint target soll")
+AXIS = _list("boom hitch lift lifting hub hubwerk kraftheber")
+UP = _list("up raise lift lifting heben extend out rise auf")
+DOWN = _list("down dn lower lowering senken retract in fall ab")
+PRESSURE = _list("pressure press druck p")
+LOADED_SIDE = _list("head cap bottom piston h load")
+ANGLE = _list("angle ang winkel")
+RATIO = _list("duty pwm percent pct ratio")
+CURRENT = _list("current curr strom")
+TIME = _list("time zeit timestamp t")
+ANALOG_V = 10.5
+SERVO_NEUTRAL = (6.5, 8.5)
+
+
+def words(name: str) -> frozenset[str]:
+    """Return the words of a column's name, in lower case: `Boom_UpH_Cyl_P` has boom, up, h, cyl, p."""
+    return frozenset(each.lower() for each in re.findall(r"[A-Z]?[a-zµ°%]+|[A-Z]+(?![a-z])", name))
+
+
+def said_unit(name: str, unit: str | None) -> tuple[str | None, str]:
+    """Return the unit that the file or the column's name says, None without any, and which of them does."""
+    if known := known_unit(unit or ""):
+        return known, "unit from the file"
+    last = re.split(r"[^A-Za-z%°µ]+", name.strip(")] "))[-1]
+    found = unit_of_column(name) or (known_unit(last) if len(last) > 1 and last != name else None)
+    return found, "unit from its name"
+
+
+def unit_of(
+    role: str, name: str, unit: str | None, largest: float, zero: float | None = None
+) -> tuple[str, str]:
+    """Return the unit of a signal and where it is from: the file, the name, or a guess from the range.
+
+    Args:
+        role: as in `[signals]`.
+        name: of the column.
+        unit: as the file spells it.
+        largest: largest reading, whatever its sign.
+        zero: reading at which a command rests; a servo's 1.5 ms in 20 ms are 7.5 percent.
+    """
+    known, source = said_unit(name, unit)
+    if known is not None and UNITS[known].dimension in DIMENSIONS[role]:
+        return known, source
+    has = words(name)
+    if role == "displacement":
+        guess = "deg" if has & ANGLE else "V" if "position" in has and largest <= ANALOG_V else "mm"
+    elif has & RATIO:
+        guess = "percent" if largest > 1.05 else "1"
+    elif has & CURRENT:
+        guess = "A" if largest <= 5 else "mA"
+    elif zero is not None and SERVO_NEUTRAL[0] < zero < SERVO_NEUTRAL[1]:
+        guess = "percent"
+    elif largest > 105 and "rpm" in UNITS:
+        guess = "rpm"
+    else:
+        guess = "1" if largest <= 1.05 else "V" if largest <= ANALOG_V else "percent"
+    return guess, "unit guessed from name and range: check it"

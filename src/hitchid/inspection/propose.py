@@ -1,0 +1,280 @@
+"""From the channels of logs to the text of a `campaign.toml`, every guess with its reason."""
+
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import permutations
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from hitchid.audit import Run, rest_level
+from hitchid.data.left_out import refuse, sift
+from hitchid.data.test_kinds import ACTIVE_FRACTION
+from hitchid.data.units import UNITS
+from hitchid.errors import InputError
+from hitchid.inspection import naming
+from hitchid.inspection.motion import Windows, windows
+from hitchid.readers import Content, ReaderProcess, Wanted, find_logs, read_content, settings_of
+
+MOST_LOGS, SHOWN = 24, 6
+RISING = 0.99
+SMOOTHEST = 0.05
+LEAST_OF_PAIR, PAIR_GAIN = 0.05, 0.02
+ALIKE = 0.02
+STEPS_S = (("s", 0.5), ("ms", 500.0), ("us", 5e5))
+
+
+class _Guess(NamedTuple):
+    """A displacement and the one or two commands that move it."""
+
+    score: float
+    correlation: float
+    commands: tuple[str, ...]
+    displacement: str
+
+
+class _Time(NamedTuple):
+    """The time column, its unit and the reason; no name where the file keeps clocks."""
+
+    name: str | None
+    unit: str
+    reason: str
+
+
+def propose(logs: str | Path | Iterable[str | Path]) -> str:
+    """Return the text of a first `campaign.toml` for logs, every guess with its reason as a comment.
+
+    The displacement and its command are those two columns of which one's rate correlates best with the
+    other's mean, over windows of all logs, with a bonus for names; two one-sided commands are taken together.
+
+    Args:
+        logs: files and folders.
+
+    Raises:
+        InputError: there are no logs, none can be read, or no two columns move together.
+    """
+    paths = find_logs(logs)
+    paths = [paths[at] for at in np.unique(np.linspace(0, len(paths) - 1, MOST_LOGS).astype(int))]
+    settings = settings_of(paths)
+    with ReaderProcess() as process:
+        contents, unread = sift(
+            [(path.name, path) for path in paths],
+            lambda path: read_content(
+                path, Wanted("", None, tuple(map(Path, settings[path.parent].can.databases))), process
+            ),
+            strict=False,
+        )
+    if not contents:
+        refuse(unread, "logs")
+    # Where logs differ in their columns, those that most have: the others are no part of the same campaign.
+    usual = max(contents, key=lambda each: sum(each.channels.keys() == c.channels.keys() for c in contents))
+    contents = [each for each in contents if each.channels.keys() == usual.channels.keys()]
+    time = _time(contents)
+    timed = [(content, _times(content, time)) for content in contents]
+    names = [name for name in usual.channels if name != time.name and _usable(name, contents)]
+    found = windows(timed, names) if names else Windows({}, {}, np.zeros(0, dtype=bool))
+    guesses = sorted(_guesses(found, names, contents), reverse=True)
+    if not guesses:
+        raise InputError(
+            f"no two columns move together as command and displacement do; found {', '.join(names) or 'none'}"
+        )
+    # A name with a line break must not end the comment it stands in.
+    return "\n".join(line.replace("\n", " ") for line in _lines(guesses, time, timed, names))
+
+
+def _time(contents: Sequence[Content]) -> _Time:
+    """Return the column that increases in every log, one called time before others."""
+    first = contents[0].channels
+    if all(channel.clock_s is not None for channel in first.values()):
+        return _Time(None, "s", "")
+    rising = [name for name in first if all(_rises(content.channels[name].values) for content in contents)]
+    rising.sort(key=lambda name: not naming.words(name) & naming.TIME)
+    if not rising:
+        raise InputError(
+            f"{contents[0].source}: no column increases as a time does; found {', '.join(first)}"
+        )
+    name = rising[0]
+    step = float(np.median(np.diff(first[name].values)))
+    unit, reason = naming.said_unit(name, first[name].unit)
+    if unit is None or UNITS[unit].dimension != "time":
+        unit = next((unit for unit, below in STEPS_S if step < below), "ns")
+        reason = "unit guessed from the step: check it"
+    return _Time(name, unit, f"increases in every log, by {step:.4g} {unit} in the median; {reason}")
+
+
+def _rises(values: np.ndarray) -> bool:
+    if values.size < 2 or not np.all(np.isfinite(values)) or not values[-1] > values[0]:
+        return False
+    return float(np.mean(np.diff(values) > 0)) >= RISING
+
+
+def _times(content: Content, time: _Time) -> Mapping[str, np.ndarray]:
+    """Return channel to the time of its samples, s."""
+    if time.name is None:
+        return {name: np.asarray(channel.clock_s) for name, channel in content.channels.items()}
+    stamps = np.maximum.accumulate(content.channels[time.name].values) * UNITS[time.unit].factor
+    return dict.fromkeys(content.channels, stamps)
+
+
+def _usable(name: str, contents: Sequence[Content]) -> bool:
+    """Tell whether a channel holds finite numbers throughout, and more than one."""
+    arrays = [content.channels[name].values for content in contents]
+    return all(a.size > 1 and np.all(np.isfinite(a)) for a in arrays) and any(np.ptp(a) > 0 for a in arrays)
+
+
+def _guesses(found: Windows, names: Sequence[str], contents: Sequence[Content]) -> Iterator[_Guess]:
+    """Return every displacement with every command, or pair of one-sided commands, that may move it."""
+    lowest = {name: min(float(c.channels[name].values.min()) for c in contents) for name in found.means}
+    for y in (name for name in found.means if _smooth(name, contents)):
+        single = {c: found.correlation(found.means[c], y) for c in found.means if c != y}
+        for c, correlation in single.items():
+            yield _Guess(_score(correlation, (c,), y, contents), correlation, (c,), y)
+        one_sided = [c for c, r in single.items() if lowest[c] >= 0 and abs(r) > LEAST_OF_PAIR]
+        for plus, minus in permutations(one_sided, 2):
+            if not single[plus] > 0 > single[minus]:
+                continue
+            correlation = found.correlation(found.means[plus] - found.means[minus], y)
+            if correlation > max(single[plus], -single[minus]) + PAIR_GAIN:
+                yield _Guess(_score(correlation, (plus, minus), y, contents), correlation, (plus, minus), y)
+
+
+def _smooth(name: str, contents: Sequence[Content]) -> bool:
+    """Tell whether a channel goes from sample to sample in steps small beside its range, as a piston does."""
+    arrays = [content.channels[name].values for content in contents]
+    reach = max(float(a.max()) for a in arrays) - min(float(a.min()) for a in arrays)
+    return sum(float(np.abs(np.diff(a)).mean()) for a in arrays) < SMOOTHEST * len(arrays) * reach
+
+
+def _score(correlation: float, commands: tuple[str, ...], y: str, contents: Sequence[Content]) -> float:
+    """Return the strength of a correlation with what the names add to it."""
+    of_y, of_commands = naming.words(y), [naming.words(c) for c in commands]
+    unit, _ = naming.said_unit(y, contents[0].channels[y].unit)
+    position = bool(of_y & naming.POSITION) or (unit and UNITS[unit].dimension in ("length", "angle"))
+    return (
+        abs(correlation)
+        + 0.1 * all(has & naming.COMMAND for has in of_commands)
+        + 0.1 * bool(position)
+        + 0.15 * any(has & naming.AXIS for has in (of_y, *of_commands))
+        - 0.2 * any(has & naming.NO_COMMAND for has in (of_y, *of_commands))
+        - 0.2 * bool(of_y & naming.COMMAND or of_y & naming.PRESSURE)
+        + 0.001 * (correlation > 0)
+    )
+
+
+def _lines(
+    guesses: Sequence[_Guess],
+    time: _Time,
+    timed: Sequence[tuple[Content, Mapping[str, np.ndarray]]],
+    names: Sequence[str],
+) -> Iterator[str]:
+    best, contents = guesses[0], [content for content, _ in timed]
+    yield f"# Proposed by hitchid inspect --propose from {len(contents)} logs: check every guess."
+    yield "[signals]"
+    if time.name is not None:
+        yield f"# {time.reason}"
+        yield f"time = {_column(time.name, time.unit)}"
+    else:
+        yield "# the file keeps a clock for every channel: no time is needed"
+    zero = _zero(best, timed)
+    for role, name in _roles(best, zero, _range(best.commands[0], contents)):
+        low, high = _range(name, contents)
+        said = contents[0].channels[name].unit
+        unit, source = naming.unit_of(role, name, said, max(abs(low), abs(high)), zero)
+        further = ""
+        if role == "command" and zero is not None:
+            further += f", zero = {zero:.6g}"
+            yield f"# it rests at {zero:.6g} and moves the displacement both ways around it: its zero"
+        if role == "command" and best.correlation < 0:
+            further += ", scale = -1"
+            yield "# the displacement falls while it is above its zero: its sign is turned"
+        yield f"# {low:.5g} to {high:.5g}, {_why(role, best)}; {source}"
+        yield f"{role} = {_column(name, unit, further)}"
+    low, high = _range(best.displacement, contents)
+    unit, source = naming.unit_of(
+        "displacement",
+        best.displacement,
+        contents[0].channels[best.displacement].unit,
+        max(abs(low), abs(high)),
+    )
+    yield (
+        f"# {low:.5g} to {high:.5g}, smooth, its rate correlates with the command "
+        f"(r = {best.correlation:.2f}); {source}"
+    )
+    yield f"displacement = {_column(best.displacement, unit)}"
+    yield from _covariates(best, contents, names)
+    yield from _others(guesses)
+    yield ""
+
+
+def _roles(best: _Guess, zero: float | None, reach: tuple[float, float]) -> list[tuple[str, str]]:
+    """Return role and column of each command; a single one is signed if its range about its zero is."""
+    if len(best.commands) == 2:
+        lifting, lowering = best.commands
+        if naming.words(lifting) & naming.DOWN and naming.words(lowering) & naming.UP:
+            lifting, lowering = lowering, lifting
+        return [("lifting_command", lifting), ("lowering_command", lowering)]
+    (name,) = best.commands
+    if zero is not None or reach[0] < 0 < reach[1]:
+        return [("command", name)]
+    has = naming.words(name)
+    named_up, named_down = bool(has & naming.UP), bool(has & naming.DOWN)
+    lifts = named_up if named_up != named_down else best.correlation > 0
+    return [("lifting_command" if lifts else "lowering_command", name)]
+
+
+def _why(role: str, best: _Guess) -> str:
+    if role == "command":
+        return f"one signed column that moves {best.displacement} both ways"
+    way = "up" if role == "lifting_command" else "down"
+    other = "with the other command" if len(best.commands) == 2 else "alone"
+    return f"one-sided, {other} it moves {best.displacement}; {way} by its name or the motion"
+
+
+def _zero(best: _Guess, timed: Sequence[tuple[Content, Mapping[str, np.ndarray]]]) -> float | None:
+    """Return the reading at which a signed command rests, where it is not zero."""
+    if len(best.commands) != 1:
+        return None
+    (command,), displacement = best.commands, best.displacement
+    largest = max(float(np.abs(content.channels[command].values).max()) for content, _ in timed)
+    runs = []
+    for content, times in timed:
+        values, clock = content.channels[command].values, times[command]
+        moved = np.interp(clock, times[displacement], content.channels[displacement].values)
+        runs.append(Run(values, moved, float(np.median(np.diff(clock)))))
+    level = rest_level(runs)
+    return level if level is not None and abs(level) > ACTIVE_FRACTION * largest else None
+
+
+def _covariates(best: _Guess, contents: Sequence[Content], names: Sequence[str]) -> Iterator[str]:
+    """Return a line on the pressure that most probably tells the load, and what else there is."""
+    first = contents[0].channels
+    units = {name: naming.said_unit(name, first[name].unit)[0] for name in names}
+    like = [
+        name
+        for name in names
+        if name not in (*best.commands, best.displacement)
+        and (naming.words(name) & naming.PRESSURE or UNITS[units[name] or "1"].dimension == "pressure")
+    ]
+    like.sort(key=lambda name: (not naming.words(name) & naming.LOADED_SIDE, -np.ptp(_range(name, contents))))
+    if like:
+        also = f"; also there: {', '.join(like[1:SHOWN])}" if like[1:] else ""
+        yield f"# a pressure by its name, which may tell the load{also}"
+        yield f"covariates = [{json.dumps(like[0], ensure_ascii=False)}]"
+
+
+def _others(guesses: Sequence[_Guess]) -> Iterator[str]:
+    """Return a comment on guesses that are nearly as good."""
+    best = guesses[0]
+    close = [each for each in guesses[1:4] if each.score > best.score - ALIKE]
+    for each in close:
+        yield f"# nearly as good: {' and '.join(each.commands)} with {each.displacement}"
+
+
+def _range(name: str, contents: Sequence[Content]) -> tuple[float, float]:
+    arrays = [content.channels[name].values for content in contents]
+    return min(float(a.min()) for a in arrays), max(float(a.max()) for a in arrays)
+
+
+def _column(name: str, unit: str, further: str = "") -> str:
+    return f'{{ column = {json.dumps(name, ensure_ascii=False)}, unit = "{unit}"{further} }}'

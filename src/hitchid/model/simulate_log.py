@@ -1,0 +1,99 @@
+"""A log in, the same log out with the predicted displacement beside its columns."""
+
+from pathlib import Path
+
+import numpy as np
+
+from hitchid._support import checks
+from hitchid._support.storage import check_inputs, write_file
+from hitchid.data.signal_map import SignalMap
+from hitchid.data.units import UNITS
+from hitchid.model import Hitch
+from hitchid.readers import ReaderProcess, assemble, read_table, records_of, settings_of
+from hitchid.readers.formats.csv import SUFFIXES, read_rows, write_rows
+from hitchid.readers.table import Table
+
+
+def simulate_log(
+    model: Hitch,
+    log: Path,
+    out: Path,
+    *,
+    horizon: int | None = None,
+    coverage: float | None = None,
+    signals: Path | None = None,
+    force: bool = False,
+) -> tuple[str, ...]:
+    """Write a log's columns and the displacement a model predicts for each of its rows.
+
+    All columns of a text log are written as they stand; of any other format time and signals are.
+
+    A log with gaps is predicted stretch by stretch; rows of no usable stretch get an empty cell.
+
+    Args:
+        model: an identified hitch.
+        log: one log of any known format.
+        out: CSV file to write.
+        horizon: samples to look ahead, None for free run.
+        coverage: share of samples that a band around the prediction shall hold; None for no band.
+        signals: a file like `campaign.toml`.
+        force: replace a file that is there.
+
+    Returns:
+        Where the free run leaves what the model's identification covered, in words.
+
+    Raises:
+        InputError: the log, its signal map or the place to write cannot be used.
+    """
+    checks.instance(model, Hitch, "model", "a model as hitchid.load returns it")
+    log, out = checks.path(log, "log"), checks.path(out, "out")
+    signals = None if signals is None else checks.path(signals, "signals")
+    check_inputs(out, [log, signals])
+    settings = settings_of([log], signals)
+    signal_map = settings[log.parent].signals
+    with ReaderProcess() as process:
+        table = read_table(log, settings[log.parent], process)
+    campaign = assemble(records_of(table, signal_map), settings, strict=True)
+    header, rows = _as_text(log, table, signal_map)
+    time_s = table.time_s
+    kinds = ("predicted",) if coverage is None else ("predicted", "lower", "upper")
+    columns, beyond = np.full((len(kinds), time_s.size), np.nan), []
+    for record in campaign.records:
+        values = [model.simulate(record) if horizon is None else model.predict(record, horizon=horizon)]
+        if coverage is not None:
+            values += model.band(record, coverage=coverage, horizon=horizon)
+        beyond += [] if horizon is not None else model.extrapolation(record)
+        edge = record.step_s / 2
+        inside = (time_s > record.time_s[0] - edge) & (time_s < record.time_s[-1] + edge)
+        columns[:, inside] = [np.interp(time_s[inside], record.time_s, each) for each in values]
+    names = [added_name(signal_map.displacement.column, kind) for kind in kinds]
+    cells = [["" if np.isnan(value) else f"{value:.9g}" for value in row] for row in columns.T.tolist()]
+    write_file(
+        out,
+        lambda path: write_rows(
+            path, [*header, *names], [[*row, *added] for row, added in zip(rows, cells, strict=True)]
+        ),
+        force=force,
+    )
+    return tuple(beyond)
+
+
+def _as_text(log: Path, table: Table, signals: SignalMap) -> tuple[list[str], list[list[str]]]:
+    """Return header and rows of a log as text."""
+    if log.name.lower().endswith(SUFFIXES):
+        return read_rows(log)
+    time = table.time_s / UNITS[signals.time.unit or "s"].factor
+    columns = {signals.time.column: time, **table.columns}
+    rows = zip(*(values.tolist() for values in columns.values()), strict=True)
+    return list(columns), [[repr(value) for value in row] for row in rows]
+
+
+def added_name(column: str, kind: str) -> str:
+    """Return the name of an added column: `displacement_predicted_mm`, else `<name>_predicted`.
+
+    Args:
+        column: of the measured displacement.
+        kind: `predicted`, or `lower` or `upper` for the ends of the band.
+    """
+    stem, separator, unit = column.partition("displacement_")
+    return f"displacement_{kind}_{unit}" if separator and not stem else f"{column}_{kind}"

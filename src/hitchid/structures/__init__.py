@@ -1,0 +1,20 @@
+"""Benchmark models: linear structures in identifiable parameters, discretised exactly, run in batches."""
+
+from hitchid.structures.batch import Batch as Batch
+from hitchid.structures.batch import before_end_stop as before_end_stop
+from hitchid.structures.batch import mean_before_motion as mean_before_motion
+from hitchid.structures.batch import padded_length as padded_length
+from hitchid.structures.discretise import discretise as discretise
+from hitchid.structures.discretise import pulse_response as pulse_response
+from hitchid.structures.form import Form as Form
+from hitchid.structures.physical_model import Benchmark as Benchmark
+from hitchid.structures.registry import STRUCTURES as STRUCTURES
+from hitchid.structures.registry import structure_named as structure_named
+from hitchid.structures.sampled import Sampled as Sampled
+from hitchid.structures.sampled import Valve as Valve
+from hitchid.structures.shape import SHAPE as SHAPE
+from hitchid.structures.shape import Scales as Scales
+from hitchid.structures.shape import Shape as Shape
+from hitchid.structures.structure import DEAD_TIME as DEAD_TIME
+from hitchid.structures.structure import Parameter as Parameter
+from hitchid.structures.structure import Structure as Structure

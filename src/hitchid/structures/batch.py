@@ -1,0 +1,216 @@
+"""Tests of unequal length side by side, padded and masked."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from hitchid.data.record import Record
+from hitchid.data.test_kinds import effective_command
+
+SHORTEST, FEWEST = 256, 4
+REST_SAMPLES = 50
+STOP_FRACTION = 0.01
+
+
+class Batch(eqx.Module):
+    """Single-direction tests of one mode, padded to one length.
+
+    Attributes:
+        command: effective command, shape [T, N].
+        logged: the command as logged, shape [T, N].
+        dead_zone: dead zone of the command, in its unit, shape [T].
+        displacement: measured displacement, shape [T, N].
+        valid: which samples exist, shape [T, N].
+        counted: which samples errors are taken over (those before an end stop is met), shape [T, N].
+        initial: displacement before motion, shape [T].
+        load: second measured input before motion, zero where there is none, shape [T].
+        step_s: sampling time, s.
+        direction: +1 where the displacement grows with the command, −1 where it falls.
+    """
+
+    command: Float[Array, "t n"]
+    logged: Float[Array, "t n"]
+    dead_zone: Float[Array, " t"]
+    displacement: Float[Array, "t n"]
+    valid: Bool[Array, "t n"]
+    counted: Bool[Array, "t n"]
+    initial: Float[Array, " t"]
+    load: Float[Array, " t"]
+    step_s: float
+    direction: int
+
+    @classmethod
+    def of(
+        cls,
+        records: Sequence[Record],
+        mode: str,
+        *,
+        dead_zone: float,
+        direction: int,
+        end_stop: float | None = None,
+        initial: Sequence[float] | None = None,
+        load: str | None = None,
+    ) -> "Batch":
+        """Lay records side by side, padded so that like shapes compile once.
+
+        The padded length is a power of two, 256 or more, or one and a half of it.
+
+        Args:
+            records: tests of one clock.
+            mode: whose command counts.
+            dead_zone: dead zone of that command, in its unit.
+            direction: +1 where the displacement grows with the command, −1 where it falls.
+            end_stop: displacement at which the piston meets its end stop, None where it never did.
+            initial: displacement before motion; by default found by `mean_before_motion`.
+            load: name of the second measured input, of which the mean before motion counts; None for none.
+
+        Raises:
+            InputError: a record lacks the second input.
+        """
+        for record in records:
+            record.require(load)
+        commands = [effective_command(record.command(mode), dead_zone) for record in records]
+        displacements = [record.displacement for record in records]
+        if initial is None:
+            initial = [mean_before_motion(x, u) for x, u in zip(displacements, commands, strict=True)]
+        loads = [
+            0.0 if load is None else mean_before_motion(record.signals[load], command)
+            for record, command in zip(records, commands, strict=True)
+        ]
+        counted = [before_end_stop(x, direction, end_stop) for x in displacements]
+        width = padded_length(max(map(len, records)))
+
+        def stack(rows: Sequence[np.ndarray], dtype: type) -> Array:
+            padded = np.zeros((len(rows), width), dtype=dtype)
+            for row, samples in zip(padded, rows, strict=True):
+                row[: len(samples)] = samples
+            return jnp.asarray(padded)
+
+        return cls(
+            command=stack(commands, np.float64),
+            logged=stack([record.command(mode) for record in records], np.float64),
+            dead_zone=jnp.full(len(records), dead_zone, dtype=np.float64),
+            displacement=stack(displacements, np.float64),
+            valid=stack([np.ones(len(record), dtype=bool) for record in records], np.bool_),
+            counted=stack(counted, np.bool_),
+            initial=jnp.asarray(np.asarray(initial, dtype=np.float64)),
+            load=jnp.asarray(loads, dtype=np.float64),
+            step_s=records[0].step_s,
+            direction=direction,
+        )
+
+    @property
+    def travel(self) -> Float[Array, "t n"]:
+        """Displacement away from the start, positive the way the command drives, shape [T, N]."""
+        return self.direction * (self.displacement - self.initial[:, None])
+
+    def displaced(self, travel: Float[Array, "t n"]) -> Float[Array, "t n"]:
+        """Return the displacement that belongs to a travel; the inverse of `travel`."""
+        return self.initial[:, None] + self.direction * travel
+
+    def behind(self, dead_zone: Float[Array, " t"]) -> "Batch":
+        """Return the tests behind another dead zone, in the command's unit."""
+        beyond = jnp.maximum(jnp.abs(self.logged) - dead_zone[:, None], 0.0)
+        return eqx.tree_at(
+            lambda batch: (batch.command, batch.dead_zone), self, (jnp.sign(self.logged) * beyond, dead_zone)
+        )
+
+    def behind_one(self, dead_zone: float) -> "Batch":
+        """Return the tests behind another dead zone, the same for all, in the command's unit."""
+        return self.behind(jnp.full_like(self.dead_zone, dead_zone))
+
+    def counting(self, counted: Bool[Array, "t n"]) -> "Batch":
+        """Return the tests with errors taken over fewer samples."""
+        return eqx.tree_at(lambda batch: batch.counted, self, self.counted & counted)
+
+    def thinned(self, samples: int) -> "Batch":
+        """Return the tests on a coarser clock, with no more than so many samples each.
+
+        A command is the mean over its new, longer interval, so that its integral stays.
+
+        Args:
+            samples: largest number of samples, that of the padding included.
+        """
+        width = self.command.shape[1]
+        step = -(-width // samples)
+        if step == 1:
+            return self
+        blocks = -(-width // step)
+
+        def mean(array: Float[Array, "t n"]) -> Float[Array, "t m"]:
+            padded = jnp.pad(array, ((0, 0), (0, blocks * step - width)), mode="edge")
+            return padded.reshape(-1, blocks, step).mean(axis=2)
+
+        return Batch(
+            command=mean(self.command),
+            logged=mean(self.logged),
+            dead_zone=self.dead_zone,
+            displacement=self.displacement[:, ::step],
+            valid=self.valid[:, ::step],
+            counted=self.counted[:, ::step],
+            initial=self.initial,
+            load=self.load,
+            step_s=step * self.step_s,
+            direction=self.direction,
+        )
+
+    def filled_up(self) -> "Batch":
+        """Return the tests with others behind them that count nowhere, so that like numbers compile once.
+
+        The number of tests becomes four, eight, twelve, sixteen, and so on as lengths do.
+        """
+        tests = self.command.shape[0]
+        lacking = _bucket(tests, FEWEST) - tests
+        if not lacking:
+            return self
+        filled = self.take([*range(tests), *[tests - 1] * lacking])
+        return filled.counting(jnp.arange(filled.command.shape[0])[:, None] < tests)
+
+    def take(self, indices: Sequence[int]) -> "Batch":
+        """Return some of the tests."""
+        rows = np.asarray(indices, dtype=np.int64)
+        tests, clock = eqx.partition(self, eqx.is_array)
+        return eqx.combine(jax.tree.map(lambda array: jnp.asarray(np.asarray(array)[rows]), tests), clock)
+
+
+def padded_length(samples: int) -> int:
+    """Return the length that so many samples are padded to, so that like shapes compile once."""
+    return _bucket(samples, SHORTEST)
+
+
+def _bucket(count: int, least: int) -> int:
+    """Return the least number not below a count of those that are `least` doubled, or that and its half."""
+    size = least
+    while size < count:
+        if size > least and count <= size + size // 2:
+            return size + size // 2
+        size *= 2
+    return size
+
+
+def mean_before_motion(samples: np.ndarray, effective: np.ndarray) -> float:
+    """Return the mean of the first samples before motion: up to the first effective command, at most 50.
+
+    The sample at which a command first becomes effective still shows the piston at rest.
+
+    Args:
+        samples: a measured signal, shape [N].
+        effective: effective command, shape [N].
+    """
+    moving = np.flatnonzero(effective)
+    at_rest = int(moving[0]) + 1 if moving.size else samples.size
+    return float(np.mean(samples[: min(at_rest, REST_SAMPLES)]))
+
+
+def before_end_stop(displacement: np.ndarray, direction: int, end_stop: float | None) -> np.ndarray:
+    """Tell which samples come before the piston is within 1 % of its way to the end stop, shape [N]."""
+    counted = np.ones(displacement.size, dtype=bool)
+    if end_stop is not None:
+        left = direction * (end_stop - displacement)
+        at_stop = np.flatnonzero(left <= STOP_FRACTION * left[0]) if left[0] > 0 else np.array([0])
+        counted[at_stop[0] if at_stop.size else displacement.size :] = False
+    return counted

@@ -1,0 +1,57 @@
+"""A mass moved by a force against friction: electric axes, and cylinders commanded in force."""
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from hitchid.structures.nonlinear import NonlinearStructure
+from hitchid.structures.structure import Parameter, Scale
+
+TURN = 0.01
+STRIBECK = 0.2
+
+
+class InertiaWithFriction(NonlinearStructure):
+    """Double integrator with viscous and Coulomb friction, both unequal in the two directions.
+
+    With the speed v = ẋ and the smooth sign g = tanh(v/v₀),
+
+        ẍ = K (u − o − d t − g (c + s exp(−(v/v₁)²))) − (B + a g) v
+
+    c is Coulomb friction, s what static friction has beyond it, o an offset that drifts by d. v₀ is 1 % and
+    v₁ 20 % of the speed K c/B at which viscous friction equals Coulomb friction. Friction of this form:
+    Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30 (1994) 1083, sec. 2.
+    """
+
+    name: ClassVar[str] = "inertia-with-friction"
+    formula: ClassVar[str] = "ẍ = K (u - o - d t - sgn(ẋ) (c + s exp(-(ẋ/v₁)²))) - (B + a sgn(ẋ)) ẋ"
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("gain", "{x}/(s²·{u})", 1.0, 1000.0, scale=Scale.SPEED),
+        Parameter("viscous_friction", "1/s", 0.2, 20.0),
+        Parameter("coulomb_friction", "{u}", 0.01, 1.0, scale=Scale.COMMAND),
+        Parameter("offset", "{u}", -0.2, 0.2, scale=Scale.COMMAND, linear=True),
+        Parameter("asymmetry", "1/s", -1.0, 1.0, linear=True),
+        Parameter("static_friction", "{u}", -0.1, 0.1, scale=Scale.COMMAND, linear=True),
+        Parameter("drift", "{u}/s", -0.003, 0.003, scale=Scale.COMMAND, linear=True),
+        Parameter("initial_speed", "{x}/s", -0.1, 0.1, scale=Scale.TRAVEL, linear=True),
+    )
+    substeps: ClassVar[int] = 1
+    restarts: ClassVar[int] = 3
+
+    def start(self, values: Float[Array, " p"], displacement: Float[Array, " t"]) -> Float[Array, "n t"]:
+        """Return displacement, speed and offset before the first sample."""
+        one = jnp.ones_like(displacement)
+        return jnp.stack([displacement, values[7] * one, values[3] * one])
+
+    def rate(
+        self, values: Float[Array, " p"], state: Float[Array, "n t"], command: Float[Array, " t"]
+    ) -> Float[Array, "n t"]:
+        """Return speed, acceleration and drift."""
+        gain, viscous, coulomb, _, asymmetry, static, drift, _ = values
+        _, speed, offset = state
+        equal = gain * coulomb / viscous
+        sign = jnp.tanh(speed / (TURN * equal))
+        dry = sign * (coulomb + static * jnp.exp(-((speed / (STRIBECK * equal)) ** 2)))
+        acceleration = gain * (command - offset - dry) - (viscous + asymmetry * sign) * speed
+        return jnp.stack([speed, acceleration, drift * jnp.ones_like(speed)])

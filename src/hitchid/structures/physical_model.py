@@ -1,0 +1,204 @@
+"""A structure with values for its parameters: simulation and hand-over to other libraries."""
+
+from typing import TYPE_CHECKING
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from hitchid._support.checks import number
+from hitchid._support.precision import double_precision
+from hitchid.errors import InputError
+from hitchid.structures.batch import Batch
+from hitchid.structures.discretise import Discrete, Scalar, discretise, driven
+from hitchid.structures.nonlinear import NonlinearStructure, simulated
+from hitchid.structures.shape import SHAPE, Shape
+from hitchid.structures.structure import DEAD_TIME, LinearStructure, Structure
+
+if TYPE_CHECKING:
+    import control
+    from scipy import signal
+
+
+class Benchmark(eqx.Module):
+    """A benchmark model of one direction.
+
+    Attributes:
+        structure: its form.
+        values: its parameters, shape [p], in the order of `structure.parameters`.
+        dead_time_s: dead time, s, shape [].
+        shape: curves of valve, stroke and load around the linear model; None for the linear model alone.
+        load: name of the second measured input; None where there is none.
+    """
+
+    structure: Structure
+    values: Float[Array, " p"]
+    dead_time_s: Float[Array, ""]
+    shape: Shape | None = None
+    load: str | None = eqx.field(default=None, static=True)
+
+    @double_precision
+    def travel(self, batch: Batch) -> Float[Array, "t n"]:
+        """Simulate tests from commands, initial displacement and any second input: travel, shape [T, N]."""
+        if isinstance(self.structure, NonlinearStructure):
+            displacement = simulated(self.structure, self.values, batch.logged, batch.initial, batch.step_s)
+            return batch.direction * (displacement - batch.initial[:, None])
+        if self.shape is None:
+            return self.response(batch.command, batch.step_s)
+        flow = _flow(self.shape, batch.logged, batch.dead_zone, batch.load, batch.step_s)
+        linear = self.response(flow, batch.step_s)
+        return _shaped(self.shape, linear, batch.load, batch.initial, batch.direction)
+
+    @double_precision
+    def response(self, command: Float[Array, "t n"], step_s: Scalar) -> Float[Array, "t n"]:
+        """Simulate from rest: y[0] = 0, then y of the command held between samples.
+
+        Before its first sample a test's command is taken as zero.
+
+        Args:
+            command: effective command, shape [T, N].
+            step_s: sampling time, s.
+
+        Returns:
+            Displacement away from the start, shape [T, N], in the unit of gain × command × s.
+        """
+        return driven(self.discretised(step_s), command)
+
+    @double_precision
+    def discretised(self, step_s: Scalar) -> Discrete:
+        """Return the exact discrete model for a command held between samples.
+
+        Raises:
+            InputError: the structure is not linear.
+        """
+        return _discretised(self.linear, self.values, self.dead_time_s, step_s)
+
+    def named_values(self) -> dict[str, float]:
+        """Return parameter name to value, with `dead_time` where there is one."""
+        named = {p.name: float(v) for p, v in zip(self.structure.parameters, self.values, strict=True)}
+        if self.shape is not None:
+            named |= {p.name: float(v) for p, v in zip(SHAPE, self.shape.values, strict=True)}
+        return {**named, DEAD_TIME.name: float(self.dead_time_s)} if float(self.dead_time_s) else named
+
+    @property
+    @double_precision
+    def row(self) -> Float[Array, " r"]:
+        """Every number of it in one row: the structure's, dead time, and curves where there are any."""
+        curves = () if self.shape is None else (self.shape.values,)
+        return jnp.concatenate([self.values, self.dead_time_s[None], *curves])
+
+    @double_precision
+    def of_row(self, row: Float[Array, " r"]) -> "Benchmark":
+        """Return the benchmark of the same form with other numbers; see `row`."""
+        count = self.values.size
+        found = eqx.tree_at(lambda b: (b.values, b.dead_time_s), self, (row[:count], row[count]))
+        return found if self.shape is None else eqx.tree_at(lambda b: b.shape.values, found, row[count + 1 :])
+
+    @double_precision
+    def to_scipy(self, step_s: float | None = None) -> "signal.TransferFunction":
+        """Return the transfer function as `scipy.signal` has it.
+
+        Args:
+            step_s: sampling time, s; None gives the continuous G(s), a number the exact
+                zero-order-hold G(z) with any dead time in it.
+
+        Raises:
+            InputError: a continuous transfer function is asked for but there is a dead time, which has none.
+        """
+        from scipy import signal  # not at the top: half a second
+
+        numerator, denominator = self._transfer_function(step_s)
+        if step_s is None:
+            return signal.TransferFunction(numerator, denominator)
+        return signal.TransferFunction(numerator, denominator, dt=step_s)
+
+    @double_precision
+    def to_control(self, step_s: float | None = None) -> "control.TransferFunction":
+        """Return the transfer function as python-control has it; see `to_scipy`.
+
+        Raises:
+            InputError: as `to_scipy`, or python-control is not installed.
+        """
+        try:
+            import control
+        except ImportError as error:
+            raise InputError(
+                "python-control is not installed; required: pip install 'hitchid[control]'"
+            ) from error
+        numerator, denominator = self._transfer_function(step_s)
+        if step_s is None:
+            return control.TransferFunction(numerator, denominator)
+        return control.TransferFunction(numerator, denominator, step_s)
+
+    @property
+    def linear(self) -> LinearStructure:
+        """The structure where it is linear; raises InputError where it is not."""
+        if not isinstance(self.structure, LinearStructure):
+            raise InputError(f"'{self.structure.name}' is not linear; required a structure that is")
+        return self.structure
+
+    def _transfer_function(self, step_s: float | None) -> tuple[np.ndarray, np.ndarray]:
+        structure = self.linear
+        if self.shape is not None:
+            raise InputError(
+                "a benchmark with curves of valve or stroke has no transfer function; "
+                "required one identified without them"
+            )
+        if step_s is not None:
+            number(step_s, "step_s", above=0.0)
+        if step_s is None:
+            if float(self.dead_time_s):
+                raise InputError(
+                    f"a dead time of {float(self.dead_time_s):.4g} s has no rational G(s); required a "
+                    "sampling time, for the exact G(z)"
+                )
+            numerator, denominator = structure.transfer_function(tuple(map(float, self.values)))
+            return np.asarray(numerator), np.asarray(denominator)
+        from scipy import signal
+
+        model = self.discretised(step_s)
+        n = model.now.shape[0]
+        transition, pick = np.asarray(model.transition), np.eye(1, n)
+        parts = [
+            signal.ss2tf(transition, np.asarray(gamma)[:, None], pick, np.zeros((1, 1)))
+            for gamma in (model.now, model.before)
+        ]
+        # z⁻ᵐ (N₀ + z⁻¹ N₁)/D as one fraction of polynomials: multiply both by z^(m+1).
+        (now,), denominator = parts[0]
+        (before,) = parts[1][0]
+        numerator = np.polyadd(np.append(now, 0.0), before)
+        shift = np.zeros(int(model.whole) + 2)
+        shift[0] = 1.0
+        if not float(self.dead_time_s):
+            return np.trim_zeros(now, "f"), np.asarray(denominator)
+        return np.trim_zeros(numerator, "f"), np.polymul(denominator, shift)
+
+
+@eqx.filter_jit
+def _flow(
+    shape: Shape,
+    logged: Float[Array, "t n"],
+    dead_zone: Float[Array, " t"],
+    load: Float[Array, " t"],
+    step_s: Scalar,
+) -> Float[Array, "t n"]:
+    return shape.flow(shape.effective(logged, dead_zone, step_s), load[:, None])
+
+
+@eqx.filter_jit
+def _shaped(
+    shape: Shape,
+    linear: Float[Array, "t n"],
+    load: Float[Array, " t"],
+    initial: Float[Array, " t"],
+    sign: int | Int[Array, ""],
+) -> Float[Array, "t n"]:
+    return shape.travel(linear, load, initial, sign)
+
+
+@eqx.filter_jit
+def _discretised(
+    structure: LinearStructure, values: Float[Array, " p"], dead_time_s: Float[Array, ""], step_s: Scalar
+) -> Discrete:
+    return discretise(structure, values, dead_time_s, step_s)

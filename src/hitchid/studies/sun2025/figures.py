@@ -1,0 +1,124 @@
+"""The paper's Figures 5 to 12, each with the data behind it."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hitchid.data.record import LIFTING, LOWERING
+from hitchid.report import Picture, figures
+from hitchid.studies.sun2025.results import DirectionResult
+from hitchid.validation import Predictions
+
+SHOWN = 2000
+CONVERGENCE = {LIFTING: 5, LOWERING: 6}
+TRAINING = {LIFTING: 7, LOWERING: 8}
+DISTRIBUTION = {LIFTING: 9, LOWERING: 10}
+TEST = {LIFTING: 11, LOWERING: 12}
+MODELS = ("mechanistic", "benchmark", "free_run", "one_step")
+
+
+class Drawn(NamedTuple):
+    """A figure of the paper redone: its number there, its pictures, and the data behind it by column."""
+
+    number: int
+    pictures: tuple[Picture, ...]
+    data: Mapping[str, np.ndarray]
+
+
+def paper_figures(mode: str, trace: Mapping[str, Any], result: DirectionResult, unit: str) -> list[Drawn]:
+    """Return the four figures the paper shows of one direction.
+
+    Args:
+        mode: direction.
+        trace: how it was identified, as `trace.json` holds it.
+        result: predictions on training, validation and test tests.
+        unit: of the displacement.
+    """
+    return [
+        _convergence(mode, trace, unit),
+        _predicted_errors(mode, result, unit),
+        _error_distribution(mode, result, unit),
+        _test_set(mode, result.test, unit),
+    ]
+
+
+def _convergence(mode: str, trace: Mapping[str, Any], unit: str) -> Drawn:
+    phase1, number = trace["phase1"], CONVERGENCE[mode]
+    names = [each["name"] for each in phase1["uncertainty"]["parameters"]]
+    picture = Picture(
+        _name(number),
+        figures.convergence(trace, unit),
+        f"Figure {number} of the paper: convergence of fitness and of each parameter, {mode}.",
+        f"Best RMSE and {', '.join(names)} over the iterations of the whale optimisation.",
+    )
+    fitness = np.array([np.nan if each is None else each for each in phase1["fitness"]])
+    columns = dict(zip(names, np.array(phase1["values"]).T, strict=True))
+    data = {"iteration": np.arange(1, fitness.size + 1), f"rmse_{unit}": fitness, **columns}
+    return Drawn(number, (picture,), data)
+
+
+def _predicted_errors(mode: str, result: DirectionResult, unit: str) -> Drawn:
+    parts = {"training": result.training, "validation": result.validation}
+    number = TRAINING[mode]
+    picture = Picture(
+        _name(number),
+        figures.predicted_errors(parts, unit),
+        f"Figure {number} of the paper: error of the transfer function, actual and predicted one step ahead, "
+        f"on training and validation tests, {mode}.",
+        f"Actual and predicted error in {unit} over {SHOWN} samples.",
+    )
+    data = {}
+    for part, tests in parts.items():
+        measured, benchmark, one_step = (
+            figures.end_to_end(rows)[:SHOWN]
+            for rows in (tests.actual, tests.models["benchmark"], tests.models["one_step"])
+        )
+        data[f"{part}_actual_{unit}"] = measured - benchmark
+        data[f"{part}_predicted_{unit}"] = one_step - benchmark
+    return Drawn(number, (picture,), data)
+
+
+def _error_distribution(mode: str, result: DirectionResult, unit: str) -> Drawn:
+    parts = {"training": result.training, "validation": result.validation}
+    rows = {part: tests.errors("one_step") for part, tests in parts.items()}
+    number = DISTRIBUTION[mode]
+    picture = Picture(
+        _name(number),
+        figures.error_distribution(rows, unit),
+        f"Figure {number} of the paper: one-step errors on training and validation tests, histogram with "
+        f"fitted normal and cumulative distribution, {mode}.",
+        f"Distribution of one-step errors in {unit}.",
+    )
+    return Drawn(number, (picture,), {f"{part}_error_{unit}": errors for part, errors in rows.items()})
+
+
+def _test_set(mode: str, test: Predictions, unit: str) -> Drawn:
+    number = TEST[mode]
+    errors = {model: test.errors(model) for model in MODELS[1:]}
+    pictures = (
+        Picture(
+            _name(number),
+            figures.outputs(test, unit, MODELS[1:]),
+            f"Figure {number} of the paper, upper half: outputs and errors on the test set, {mode}.",
+            f"Displacement and error over time on {len(test.names)} unseen tests.",
+        ),
+        Picture(
+            f"{_name(number)}-errors",
+            figures.error_distribution(errors, unit),
+            f"Figure {number} of the paper, lower half: histogram and cumulative distribution of the errors "
+            f"on the test set, {mode}.",
+            f"Distribution of the errors in {unit} on {len(test.names)} unseen tests.",
+        ),
+    )
+    rows = {f"{model}_{unit}": figures.end_to_end(test.models[model]) for model in MODELS}
+    data = {
+        "time_s": figures.joined_time(test),
+        f"measured_{unit}": figures.end_to_end(test.actual),
+        **rows,
+    }
+    return Drawn(number, pictures, data)
+
+
+def _name(number: int) -> str:
+    return f"figure-{number:02d}"

@@ -1,0 +1,78 @@
+"""The model an engineer writes down before any test: data sheets and mechanics, nothing fitted."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from hitchid._support.precision import double_precision
+from hitchid.data.record import LIFTING
+from hitchid.experiments.virtual_campaign import DYNAMIC_S, HIGH, LOW, STROKE_FRACTION
+from hitchid.rig import (
+    OperatingPoint,
+    Rig,
+    SmallSignal,
+    limits,
+    load_rig,
+    lowering_small_signal,
+    small_signal,
+)
+from hitchid.structures import Benchmark, structure_named
+
+STRUCTURE = "integrator-second-order"
+STEPS = 6
+
+
+class Mechanistic(NamedTuple):
+    """Transfer function of one direction, mm and A, and the dead zone it stands behind, A."""
+
+    benchmark: Benchmark
+    dead_zone: float
+
+
+@double_precision
+def mechanistic(rig: str | Path | Rig, mode: str) -> Mechanistic:
+    """Return the transfer function of one direction that follows from a rig's parameters alone.
+
+    K/(s (s²/ωh² + 2 ξh s/ωh + 1)), in mm, s and A; ωh and ξh by `small_signal`, for lowering, where gravity
+    drives the oil through the throttle, by `lowering_small_signal`. The operating point is the mean one of
+    the tests as laid down in `bench`: speed v₀ of the mean level, the highest taking 0.6 of the stroke in
+    10 s, and the middle of the way, 5 s · v₀ from the start. A command works from the dead zone up, so the
+    gain is not the slope of speed over current there but the chord that leads there, v(u₀) = v₀ solved by
+    Newton's method with that slope:
+
+        K = v₀/u₀,  u₀ = current − dead zone,  dead zone = overlap + half the hysteresis (a rising current)
+
+    The lags of solenoid, spool and compensator are left out. Sun et al. 2025 name such a model in their
+    discussion (their ref. 9).
+
+    Args:
+        rig: parameter set of the virtual bench, or the bench.
+        mode: lifting or lowering.
+
+    Raises:
+        SettingsError: the rig's parameters cannot be used.
+    """
+    bench = rig if isinstance(rig, Rig) else load_rig(rig)
+    known, lifting = limits(bench), mode == LIFTING
+    spool = bench.lifting_valve.spool if lifting else bench.lowering_valve.spool
+    share = float(np.mean(LOW + HIGH))
+    travel = share * STROKE_FRACTION * known.stroke_m
+    at = 0.5 * travel if lifting else known.stroke_m - 0.5 * travel
+
+    def chain(effective: float) -> SmallSignal:
+        point = OperatingPoint(at, float(spool.dead_zone) + effective)
+        return small_signal(bench, point) if lifting else lowering_small_signal(bench, point)
+
+    wide_open = float(spool.saturation - spool.dead_zone)
+    effective = 0.5 * wide_open
+    for _ in range(STEPS):  # speed is convex in the current: after the first step they come from above
+        found = chain(effective)
+        effective = min(effective + (1e3 * travel / DYNAMIC_S - found.speed) / found.gain, wide_open)
+    found = chain(effective)
+    values = jnp.asarray([found.speed / effective, found.natural_frequency, found.damping_ratio])
+    return Mechanistic(
+        Benchmark(structure_named(STRUCTURE), values, jnp.asarray(0.0)),
+        known.lifting_dead_zone_a if lifting else known.lowering_dead_zone_a,
+    )

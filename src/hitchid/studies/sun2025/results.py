@@ -1,0 +1,104 @@
+"""What the study reports of one direction: predictions on each part of the data."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hitchid._support.metrics import error_figures, rmse_error
+from hitchid._support.precision import double_precision
+from hitchid.data.campaign import Campaign
+from hitchid.data.record import Record
+from hitchid.identification import Identification
+from hitchid.model import Channel, unpadded
+from hitchid.studies.sun2025.mechanistic import Mechanistic
+from hitchid.validation import Predictions
+
+
+@dataclass(frozen=True)
+class DirectionResult:
+    """One direction of the study.
+
+    Attributes:
+        training, validation, test: predictions on the three parts of the data.
+        mechanistic: the model that the rig's parameters give.
+    """
+
+    training: Predictions
+    validation: Predictions
+    test: Predictions
+    mechanistic: Mechanistic
+
+
+@double_precision
+def direction_result(
+    found: Identification, campaign: Campaign, mode: str, known: Mechanistic
+) -> DirectionResult:
+    """Run one channel of an identified model over the tests it was identified, validated and tested on.
+
+    Args:
+        found: the identified model.
+        campaign: the tests.
+        mode: direction.
+        known: what the rig's parameters give instead, run over the same tests.
+    """
+    channel = found.model.channels[mode]
+    validating = set(found.model.provenance.validation[mode])
+    identification, held_out = campaign.identification(mode), campaign.held_out(mode)
+    everything = _predictions(channel, known, [*identification, *held_out])
+    count = len(identification)
+    held = [i for i, record in enumerate(identification) if record.name in validating]
+    return DirectionResult(
+        training=everything.take([i for i in range(count) if i not in held]),
+        validation=everything.take(held),
+        test=everything.take(range(count, count + len(held_out))),
+        mechanistic=known,
+    )
+
+
+def summary(predictions: Predictions, model: str) -> dict[str, float]:
+    """Return RMSE and its standard error, MAE, R², the share within 1 mm, and mean and spread of the error.
+
+    One step ahead the first sample of a test is left out, for it is given.
+    """
+    first = 1 if model == "one_step" else 0
+    actual = [row[first:] for row in predictions.actual]
+    predicted = [row[first:] for row in predictions.models[model]]
+    figures = error_figures(actual, predicted)
+    errors = np.concatenate([a - p for a, p in zip(actual, predicted, strict=True)])
+    return {
+        "rmse": figures.rmse,
+        "rmse_error": rmse_error(actual, predicted),
+        "mae": figures.mae,
+        "r2": figures.r2,
+        "within_1": figures.within_1,
+        "mean": float(errors.mean()),
+        "std": float(errors.std()),
+        "max_abs": figures.max_abs,
+    }
+
+
+def end_deviation(predictions: Predictions, model: str) -> float:
+    """Return the mean over tests of the error at a test's end over the way gone: |y − ŷ|/|y − y(0)|."""
+    pairs = zip(predictions.actual, predictions.models[model], strict=True)
+    return float(np.mean([abs(a[-1] - p[-1]) / abs(a[-1] - a[0]) for a, p in pairs]))
+
+
+def _predictions(channel: Channel, known: Mechanistic, records: Sequence[Record]) -> Predictions:
+    batch = channel.batch(records)
+    unfitted = replace(channel, benchmark=known.benchmark, dead_zone=known.dead_zone)
+
+    def rows(padded: object) -> tuple[np.ndarray, ...]:
+        return tuple(unpadded(np.asarray(padded), records))
+
+    return Predictions(
+        names=tuple(record.name for record in records),
+        time_s=tuple(record.step_s * np.arange(len(record)) for record in records),
+        actual=tuple(record.displacement for record in records),
+        models={
+            "benchmark": rows(channel.simulate_benchmark(batch)),
+            "one_step": rows(channel.predict(batch, (1,))[0]),
+            "free_run": rows(channel.simulate(batch)),
+            "mechanistic": rows(unfitted.simulate_benchmark(unfitted.batch(records))),
+        },
+    )

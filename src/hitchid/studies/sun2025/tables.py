@@ -1,0 +1,217 @@
+"""The paper's Tables 2 to 4 with ours beside them, and the figures its text names."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from hitchid.data.record import LIFTING, LOWERING
+from hitchid.identification import ChannelTrace
+from hitchid.studies.sun2025.results import DirectionResult, end_deviation, summary
+from hitchid.uncertainty import Estimate, Quantity, interval_text, stated
+from hitchid.validation import Table, rounded
+
+PAPER_COEFFICIENTS = {
+    LIFTING: {"alpha1": 6.625, "beta1": 0.001, "beta2": 0.065, "beta3": 0.318},
+    LOWERING: {"alpha2": 654.473, "beta4": 42.808},
+}
+PAPER_TEST = {
+    LIFTING: {
+        "benchmark": {"rmse": 0.79, "mae": 0.59, "r2": 0.9881, "within_1": 0.79, "mean": 0.42, "std": 0.66},
+        "one_step": {"rmse": 0.33, "mae": 0.24, "r2": 0.9986, "within_1": 0.98, "mean": 0.21, "std": 0.24},
+    },
+    LOWERING: {
+        "benchmark": {"rmse": 3.79, "mae": 3.33, "r2": 0.9606, "within_1": 0.15, "mean": 3.06, "std": 2.24},
+        "one_step": {"rmse": 0.48, "mae": 0.40, "r2": 0.9963, "within_1": 0.97, "mean": 0.30, "std": 0.38},
+    },
+}
+PAPER_FITNESS = {LIFTING: 1.142, LOWERING: 1.611}
+PAPER_COMPENSATOR = {
+    LIFTING: {"training": (0.127, 0.101), "validation": (0.138, 0.110), "p95": 0.30},
+    LOWERING: {"training": (0.147, 0.117), "validation": (0.160, 0.125), "p95": 0.35},
+}
+TABLE_OF = {LIFTING: 3, LOWERING: 4}
+PAPER_MECHANISTIC = {LIFTING: "", LOWERING: "12.5, of what is not said"}
+MODELS = {
+    "mechanistic": "mechanistic, free run",
+    "benchmark": "transfer function, free run",
+    "one_step": "grey box, one step",
+    "free_run": "grey box, free run",
+}
+
+
+def study_tables(
+    traces: Mapping[str, ChannelTrace], results: Mapping[str, DirectionResult], unit: str
+) -> list[Table]:
+    """Return Table 2, Tables 3 and 4, and tables of fitness, compensator, mechanics and sensitivity."""
+    return [
+        _parameters(traces),
+        *(_test_set(mode, result, unit) for mode, result in results.items()),
+        _identification(traces, results, unit),
+        _mechanistic(traces, results, unit),
+        _sensitivity(traces),
+    ]
+
+
+def _parameters(traces: Mapping[str, ChannelTrace]) -> Table:
+    """Return the parameters of both transfer functions (paper, Table 2)."""
+    rows = []
+    for mode, trace in traces.items():
+        values = {estimate.name: estimate for estimate in trace.phase1.estimates}
+        rows += [
+            (
+                f"{mode}: {name.replace('_', ' ')}",
+                _with_unit(_told(estimate), estimate.unit),
+                _equivalent(mode, name),
+                estimate.verdict,
+            )
+            for name, estimate in values.items()
+        ]
+        rows += [
+            (f"{mode}: {name}", _with_unit(value, unit), f"{PAPER_COEFFICIENTS[mode][name]:.4g}", "")
+            for name, (value, unit) in _coefficients(mode, trace).items()
+        ]
+    return Table(
+        "Table 2. Parameters of the transfer functions",
+        ("parameter", "here", "paper", "verdict"),
+        tuple(rows),
+    )
+
+
+def _coefficients(mode: str, trace: ChannelTrace) -> dict[str, tuple[str, str]]:
+    """Return the paper's α and β for one direction, with the free common scale of lifting set by its β₃."""
+    known = {each.name: each for each in trace.phase1.known.derived}
+    if mode == LOWERING:
+        found = {"alpha2": known["alpha2 = K"], "beta4": known["beta4 = tau"]}
+        return {name: (_told(each), each.unit) for name, each in found.items()}
+    beta3 = PAPER_COEFFICIENTS[LIFTING]["beta3"]
+    scaled = {name: known[f"{name} (beta3 = 1)"].times(beta3) for name in ("alpha1", "beta1", "beta2")}
+    told = {name: (_told(each), each.unit) for name, each in scaled.items()}
+    return {**told, "beta3": (f"{beta3:.4g}", "as the paper has it")}
+
+
+def _told(each: Estimate | Quantity) -> str:
+    """Return a value, or of what is not determined its interval."""
+    return f"{each.value:.4g}" if each.determined else interval_text(each.interval)
+
+
+def _equivalent(mode: str, name: str) -> str:
+    """Return the paper's value of one of our parameters, from its α and β."""
+    if mode == LIFTING:
+        c = PAPER_COEFFICIENTS[LIFTING]
+        omega = float(np.sqrt(c["beta3"] / c["beta1"]))
+        values = {
+            "gain": (c["alpha1"] / c["beta3"], "mm/(s·A)"),
+            "natural_frequency": (omega, "rad/s"),
+            "damping_ratio": (c["beta2"] / c["beta3"] * omega / 2, "1"),
+        }
+    else:
+        c = PAPER_COEFFICIENTS[LOWERING]
+        values = {"gain": (c["alpha2"] / c["beta4"], "mm/(s·A)"), "time_constant": (c["beta4"], "s")}
+    if name not in values:
+        return ""
+    value, unit = values[name]
+    return _with_unit(f"{value:.4g}", unit)
+
+
+def _with_unit(value: str, unit: str) -> str:
+    return value if unit == "1" else f"{value} {unit}"
+
+
+def _test_set(mode: str, result: DirectionResult, unit: str) -> Table:
+    rows = []
+    for model, label in MODELS.items():
+        ours, theirs = summary(result.test, model), PAPER_TEST[mode].get(model)
+        rows.append((f"{label}, here", *_row(ours)))
+        if theirs is not None:
+            rows.append((f"{label}, paper", *_row(theirs)))
+    persistence = np.concatenate([np.diff(actual) for actual in result.test.actual])
+    rows.append(
+        (
+            "persistence, one step, here",
+            f"{np.sqrt(np.mean(persistence**2)):.3g}",
+            f"{np.mean(np.abs(persistence)):.3g}",
+            "",
+            f"{100 * np.mean(np.abs(persistence) < 1):.1f}",
+            f"{persistence.mean():.2f} ± {persistence.std():.2f}",
+        )
+    )
+    header = ("model", f"RMSE / {unit}", f"MAE / {unit}", "R²", f"below 1 {unit} / %", f"mean ± std / {unit}")
+    return Table(f"Table {TABLE_OF[mode]}. Test set, {mode}", header, tuple(rows))
+
+
+def _row(figures: Mapping[str, float]) -> tuple[str, ...]:
+    return (
+        stated(figures["rmse"], figures.get("rmse_error")),
+        rounded(figures["mae"], figures.get("rmse_error")),
+        f"{figures['r2']:.4f}",
+        f"{100 * figures['within_1']:.1f}",
+        f"{figures['mean']:.2f} ± {figures['std']:.2f}",
+    )
+
+
+def _identification(
+    traces: Mapping[str, ChannelTrace], results: Mapping[str, DirectionResult], unit: str
+) -> Table:
+    rows = []
+    for mode, trace in traces.items():
+        rows.append((f"{mode}: phase 1, RMSE", f"{trace.phase1.rmse:.3f}", f"{PAPER_FITNESS[mode]:.3f}"))
+        rows.append(
+            (f"{mode}: iterations to within 1 % of the end", str(_settled(trace)), _paper_settled(mode))
+        )
+        paper = PAPER_COMPENSATOR[mode]
+        for part in ("training", "validation"):
+            figures = summary(getattr(results[mode], part), "one_step")
+            rmse, mae = paper[part]
+            rows.append((f"{mode}: compensator, {part}, RMSE", f"{figures['rmse']:.3f}", f"{rmse:.3f}"))
+            rows.append((f"{mode}: compensator, {part}, MAE", f"{figures['mae']:.3f}", f"{mae:.3f}"))
+        errors = np.abs(results[mode].validation.errors("one_step"))
+        rows.append(
+            (f"{mode}: 95 % of errors below", f"{np.quantile(errors, 0.95):.3f}", f"{paper['p95']:.2f}")
+        )
+    return Table(f"Identification, errors in {unit}", ("figure", "here", "paper"), tuple(rows))
+
+
+def _settled(trace: ChannelTrace) -> int:
+    fitness = trace.phase1.fit.found.fitness_trace
+    return int(np.flatnonzero(fitness <= 1.01 * fitness[-1])[0]) + 1
+
+
+def _paper_settled(mode: str) -> str:
+    return "at most 15" if mode == LIFTING else "at most 10"
+
+
+def _mechanistic(
+    traces: Mapping[str, ChannelTrace], results: Mapping[str, DirectionResult], unit: str
+) -> Table:
+    """Return what data sheets give beside what tests give, and the deviation the paper's discussion names."""
+    rows = []
+    for mode, trace in traces.items():
+        (benchmark, dead_zone), test = results[mode].mechanistic, results[mode].test
+        units = {p.name: p.unit.format(x=unit, u="A") for p in benchmark.structure.parameters}
+        fitted = {estimate.name: estimate.value for estimate in trace.phase1.estimates}
+        rows.append((f"{mode}: dead zone / A", f"{dead_zone:.4g}", f"{trace.dead_zone.value:.4g}", ""))
+        rows += [
+            (
+                f"{mode}: {name.replace('_', ' ')} / {units[name]}",
+                f"{value:.4g}",
+                f"{fitted[name]:.4g}" if name in fitted else "",
+                "",
+            )
+            for name, value in benchmark.named_values().items()
+        ]
+        ends = [f"{100 * end_deviation(test, model):.1f}" for model in ("mechanistic", "benchmark")]
+        rows.append((f"{mode}: error at the end of a test / % of the way", *ends, PAPER_MECHANISTIC[mode]))
+    return Table(
+        "Mechanistic model from data sheets, nothing fitted",
+        ("figure", "data sheets", "transfer function", "paper's ref. 9"),
+        tuple(rows),
+    )
+
+
+def _sensitivity(traces: Mapping[str, ChannelTrace]) -> Table:
+    rows = tuple(
+        (f"{mode}: {estimate.name.replace('_', ' ')}", f"{100 * estimate.sensitivity:.2f}")
+        for mode, trace in traces.items()
+        for estimate in trace.phase1.estimates
+    )
+    return Table("Sensitivity: change of RMSE for ±1 % of a parameter", ("parameter", "%"), rows)

@@ -1,0 +1,353 @@
+"""Finished pieces of long work: found again bit for bit, done anew where they are not whole."""
+
+import errno
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Lock
+
+import numpy as np
+import pytest
+
+import hitchid
+from hitchid._support.checkpoints import NOWHERE, OF, SUFFIX, Checkpoints, holds_pieces, is_run
+from hitchid.errors import InputError, OutputError
+from hitchid.estimation import Comparison, MultiStart
+from hitchid.identification.optional import attempt
+from hitchid.identification.selection import Automatic
+from hitchid.structures import Form, structure_named
+
+ARRAYS = {
+    "doubles": np.array([np.nan, np.inf, -0.0, 5e-324, 0.1]),
+    "singles": np.float32([[0.1, 2.0]]),
+    "whole": np.arange(6, dtype=np.int16).reshape(1, 2, 3),
+    "turned": np.asfortranarray(np.arange(6.0).reshape(2, 3)),
+    "flags": np.array([True, False]),
+    "nothing": np.zeros((0, 4)),
+    "number": np.asarray(0.1),
+    "count": np.asarray(7),
+    "text": np.asarray("größer als ≤"),
+    "weights 0": np.ones(3),
+}
+
+
+@dataclass(frozen=True)
+class Piece:
+    """What some work found."""
+
+    best: np.ndarray
+    loss: float
+    count: int
+    open: bool
+    reason: str
+
+
+PIECE = Piece(np.array([0.1, -0.0]), 0.1 + 0.2, 3, True, "enough — ≤")
+
+
+def never():
+    raise AssertionError("this was done already")
+
+
+class Work:
+    """Work that counts how often it was done."""
+
+    def __init__(self, arrays=ARRAYS):
+        self.arrays, self.done = arrays, 0
+
+    def __call__(self):
+        self.done += 1
+        return self.arrays
+
+
+def assert_bits(one, other):
+    assert one.keys() == other.keys()
+    for name, array in one.items():
+        assert isinstance(array, np.ndarray)
+        assert (array.dtype, array.shape) == (other[name].dtype, other[name].shape), name
+        assert array.tobytes() == other[name].tobytes(), name
+
+
+def files(folder):
+    return sorted(path for path in folder.rglob("*") if path.is_file())
+
+
+def test_what_was_kept_comes_back_bit_for_bit_and_is_not_done_again(tmp_path):
+    kept = Checkpoints(tmp_path / "run")
+    assert_bits(dict(kept.arrays("search", Work())), ARRAYS)
+    assert_bits(dict(Checkpoints(tmp_path / "run").arrays("search", never)), ARRAYS)
+
+
+def test_a_record_comes_back_as_it_was(tmp_path):
+    kept = Checkpoints(tmp_path / "run")
+    for found in (kept.piece("best", Piece, lambda: PIECE), kept.piece("best", Piece, never)):
+        assert found.best.tobytes() == PIECE.best.tobytes()
+        told = (found.loss, found.count, found.open, found.reason)
+        assert told == (PIECE.loss, PIECE.count, PIECE.open, PIECE.reason)
+        assert [type(each) for each in told] == [float, int, bool, str]
+
+
+def test_without_a_folder_nothing_is_kept_and_all_is_done(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    work = Work()
+    for kept in (NOWHERE, NOWHERE.part("lifting"), Checkpoints()):
+        assert kept.arrays("search", work) is ARRAYS
+        assert kept.piece("best", Piece, lambda: PIECE).loss == PIECE.loss
+    assert work.done == 3
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_work_that_failed_is_not_kept(tmp_path):
+    kept = Checkpoints(tmp_path / "run")
+    with pytest.raises(AssertionError, match="already"):
+        kept.arrays("search", never)
+    assert files(tmp_path) == []
+    assert_bits(dict(kept.arrays("search", Work())), ARRAYS)
+
+
+# --- names --------------------------------------------------------------------------------------------------
+
+ALIKE = {
+    "part and name": [(["a"], "b-c"), (["a-b"], "c"), (["a", "b"], "c"), ([], "a-b-c"), ([], "a/b/c")],
+    "signs": [([], "p 1"), ([], "p-1"), ([], "p_1"), ([], "p  1"), ([], "ä"), ([], "ö"), ([], "")],
+    "cases": [([], "Oil"), ([], "oil"), (["Oil"], "x"), (["oil"], "x")],
+    "places": [([], "../x"), ([], "x"), (["..", ".."], "x"), ([], "/x"), ([], "x\0y"), ([], "x\ny")],
+    "length": [([], "x" * 300), ([], "x" * 301), (["x" * 300], "x")],
+}
+
+
+@pytest.mark.parametrize("names", ALIKE.values(), ids=ALIKE.keys())
+def test_no_two_pieces_share_a_file_however_alike_their_names(tmp_path, names):
+    folder = tmp_path / "run"
+    for number, (parts, name) in enumerate(names):
+        kept = Checkpoints(folder)
+        for part in parts:
+            kept = kept.part(part)
+        (array,) = kept.arrays(name, Work({"x": np.asarray(number)})).values()
+        assert array == number
+    assert len(files(folder)) == len(names)
+    assert files(folder) == files(tmp_path)
+    assert len({path.name.lower() for path in files(folder)}) == len(names)
+
+
+# --- damage -------------------------------------------------------------------------------------------------
+
+DAMAGE = {
+    "emptied": lambda data: b"",
+    "cut": lambda data: data[:-1],
+    "cut to half": lambda data: data[: len(data) // 2],
+    "cut to its seal": lambda data: data[:64],
+    "edited": lambda data: data[:200] + bytes([data[200] ^ 1]) + data[201:],
+    "edited in its seal": lambda data: bytes([data[0] ^ 1]) + data[1:],
+    "longer": lambda data: data + b"\0",
+    "of zeros": lambda data: bytes(len(data)),
+    "something else": lambda data: b"Let there be light",
+    "without its seal": lambda data: data[64:],
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE.values(), ids=DAMAGE.keys())
+def test_a_piece_that_is_not_whole_is_done_again_and_replaced(tmp_path, damage):
+    kept, work = Checkpoints(tmp_path / "run"), Work()
+    kept.arrays("search", work)
+    (path,) = files(tmp_path)
+    whole = path.read_bytes()
+    path.write_bytes(damage(whole))
+    assert_bits(dict(kept.arrays("search", work)), ARRAYS)
+    assert work.done == 2
+    assert files(tmp_path) == [path]
+    assert_bits(dict(kept.arrays("search", never)), ARRAYS)
+
+
+def test_any_changed_byte_is_noticed(tmp_path):
+    kept = Checkpoints(tmp_path / "run")
+    kept.arrays("search", Work({"x": np.arange(3)}))
+    (path,) = files(tmp_path)
+    whole = path.read_bytes()
+    work = Work({"x": np.arange(3)})
+    places = range(0, len(whole), 7)
+    for at in places:
+        path.write_bytes(whole[:at] + bytes([whole[at] ^ 0x10]) + whole[at + 1 :])
+        kept.arrays("search", work)
+    assert work.done == len(places)
+
+
+# --- runs ---------------------------------------------------------------------------------------------------
+
+
+def test_a_run_finds_its_own_pieces_whatever_the_order_of_its_settings(tmp_path):
+    Checkpoints.of_run(tmp_path / "run", {"seed": 1, "logs": "abc"}).arrays("search", Work())
+    assert is_run(tmp_path / "run")
+    again = Checkpoints.of_run(tmp_path / "run", {"logs": "abc", "seed": 1})
+    assert_bits(dict(again.arrays("search", never)), ARRAYS)
+
+
+@pytest.mark.parametrize("other", [{"seed": 2}, {"seed": 1.5}, {}, {"seed": 1, "logs": "abc"}])
+def test_the_folder_of_another_run_is_refused_with_the_way_out_and_left_alone(tmp_path, other):
+    Checkpoints.of_run(tmp_path / "run", {"seed": 1}).arrays("search", Work())
+    before = {path: path.read_bytes() for path in files(tmp_path)}
+    with pytest.raises(InputError, match=r"run: holds an unfinished run of other.*--force"):
+        Checkpoints.of_run(tmp_path / "run", other)
+    assert {path: path.read_bytes() for path in files(tmp_path)} == before
+
+
+def test_a_folder_of_something_else_is_refused_and_left_alone(tmp_path):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "precious").write_text("mine")
+    assert not is_run(tmp_path / "run")
+    with pytest.raises(InputError, match=r"run: holds no unfinished run.*another place"):
+        Checkpoints.of_run(tmp_path / "run", {"seed": 1})
+    assert [path.name for path in files(tmp_path)] == ["precious"]
+
+
+def test_a_run_that_was_stopped_before_its_folder_was_whole_is_begun(tmp_path):
+    # What a kill in the middle of writing the first file leaves.
+    (tmp_path / "run" / f".{OF}-x1y2").mkdir(parents=True)
+    (tmp_path / "run" / f".{OF}-x1y2" / OF).write_text("{")
+    Checkpoints.of_run(tmp_path / "run", {"seed": 1})
+    assert is_run(tmp_path / "run")
+
+
+# --- a disk that is full ------------------------------------------------------------------------------------
+
+
+def test_a_full_disk_is_told_by_the_place_and_leaves_what_was_kept(tmp_path, monkeypatch):
+    kept = Checkpoints.of_run(tmp_path / "run", {"seed": 1})
+    kept.arrays("search", Work())
+    before = {path: path.read_bytes() for path in files(tmp_path)}
+    write = Path.write_bytes
+
+    def full(path, data):
+        write(path, data[: len(data) // 2])
+        raise OSError(errno.ENOSPC, "No space left on device", str(path))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "write_bytes", full)
+        with pytest.raises(OutputError, match=r"run/.*cannot be written.*No space left") as caught:
+            kept.arrays("training", Work())
+        assert str(caught.value).startswith(str(tmp_path / "run"))
+        with pytest.raises(OutputError, match="No space left"):
+            Checkpoints.of_run(tmp_path / "other", {"seed": 1})
+    assert {path: path.read_bytes() for path in files(tmp_path)} == before
+    assert_bits(dict(kept.arrays("search", never)), ARRAYS)
+    assert_bits(dict(kept.arrays("training", Work())), ARRAYS)
+
+
+def test_a_part_is_left_out_where_it_fails_but_not_for_a_disk_that_is_full():
+    def full():
+        raise OutputError("No space left")
+
+    notices = []
+    with pytest.raises(OutputError, match="No space left"):
+        attempt("bands", full, notices)
+    assert attempt("bands", lambda: 1 / 0, notices) is None
+    assert notices == ["bands left out: it could not be computed (ZeroDivisionError: division by zero)"]
+
+
+# --- identify, stopped and gone on with ---------------------------------------------------------------------
+
+
+class Stop(KeyboardInterrupt):
+    """Somebody stops the run; no error, so that no optional part is left out for it."""
+
+
+@pytest.fixture(scope="module")
+def campaign(bench):
+    # As in `test_whole`, so that a run of all tests compiles its programs once.
+    return hitchid.read(bench)
+
+
+@pytest.fixture(scope="module")
+def whole(campaign, quick_settings, tmp_path_factory):
+    """Return the folder of a model identified in one go, and the names of the pieces that were kept."""
+    place = tmp_path_factory.mktemp("resumed")
+    found = hitchid.identify(campaign, **quick_settings, checkpoints=place / "kept")
+    found.save(place / "model")
+    assert is_run(place / "kept")
+    return place / "model", sorted(path.name for path in (place / "kept").glob(f"*{SUFFIX}"))
+
+
+def stopped_after(count, campaign, settings, place):
+    """Identify until so many pieces have been kept, and return how many were done."""
+    keep, done, one_at_a_time = Checkpoints.arrays, [], Lock()
+
+    def arrays(self, name, work):
+        def counted():
+            # Both directions are worked on at the same time.
+            with one_at_a_time:
+                if len(done) == count:
+                    raise Stop
+                done.append(name)
+            return work()
+
+        return keep(self, name, counted)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Checkpoints, "arrays", arrays)
+        try:
+            hitchid.identify(campaign, **settings, checkpoints=place / "kept").save(place / "model")
+        except Stop:
+            assert not (place / "model").exists()
+    return len(done)
+
+
+def assert_same_model(one, other):
+    assert files(one) != []
+    assert [path.name for path in files(one)] == [path.name for path in files(other)]
+    for path in files(one):
+        assert path.read_bytes() == (other / path.name).read_bytes(), path.name
+
+
+def test_a_run_that_goes_on_ends_in_the_same_model_and_does_nothing_twice(
+    whole, campaign, quick_settings, tmp_path
+):
+    model, pieces = whole
+    done = sum(stopped_after(count, campaign, quick_settings, tmp_path) for count in (1, 6))
+    assert done == 7 < len(pieces)
+    assert len(list((tmp_path / "kept").glob(f"*{SUFFIX}"))) == done
+    assert done + stopped_after(1000, campaign, quick_settings, tmp_path) == len(pieces)
+    assert sorted(path.name for path in (tmp_path / "kept").glob(f"*{SUFFIX}")) == pieces
+    assert_same_model(tmp_path / "model", model)
+
+
+def test_one_seed_gives_one_model_bit_for_bit_whether_pieces_are_kept_or_not(
+    whole, campaign, quick_settings, tmp_path
+):
+    hitchid.identify(campaign, **quick_settings).save(tmp_path / "model")
+    assert_same_model(tmp_path / "model", whole[0])
+
+
+@pytest.fixture(scope="module")
+def begun(campaign, quick_settings, tmp_path_factory):
+    """Return the folder of a run that was stopped before anything was found."""
+    place = tmp_path_factory.mktemp("begun")
+    stopped_after(0, campaign, quick_settings, place)
+    assert not holds_pieces(place / "kept")
+    return place / "kept"
+
+
+BEGUN_FROM = Automatic(Form(structure_named("integrator"), bounds={"gain": (1.0, 2.0)}))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"structure": {"lifting": Form(structure_named("integrator"))}},
+        {"structure": {"lifting": BEGUN_FROM, "lowering": BEGUN_FROM}},
+        {"search": MultiStart(evaluations=61)},
+        {"training": None},
+        {"dead_zones": {"lifting": 0.35}},
+        {"drift": True},
+        {"comparison": Comparison(seeds=1)},
+        {"seed": 1},
+    ],
+    ids=lambda change: next(iter(change)),
+)
+def test_a_run_of_other_settings_is_refused(campaign, quick_settings, begun, change):
+    with pytest.raises(InputError, match=r"of other logs, other settings.*--force"):
+        hitchid.identify(campaign, **{**quick_settings, **change}, checkpoints=begun)
+
+
+def test_a_run_of_other_logs_is_refused(campaign, quick_settings, begun):
+    fewer = campaign.without({campaign.records[0].fingerprint})
+    with pytest.raises(InputError, match=r"of other logs.*--force"):
+        hitchid.identify(fewer, **quick_settings, checkpoints=begun)

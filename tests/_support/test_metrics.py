@@ -1,0 +1,228 @@
+"""Error figures: closed forms, and what holds for all predictions."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from hitchid._support.metrics import error_figures, proven_better, rmse_error, surely_less
+
+EPS = np.finfo(np.float64).eps
+
+# Whole numbers, so that differences and shifts are exact and only means and roots round.
+whole = st.integers(-100, 100).map(float)
+
+
+@st.composite
+def measured_tests(draw, *, moving=True):
+    """Draw one to four tests of 2 to 20 samples, at least one of which moves."""
+    tests = draw(
+        st.lists(
+            st.integers(2, 20).flatmap(lambda n: arrays(np.float64, n, elements=whole)),
+            min_size=1,
+            max_size=4,
+        )
+    )
+    if moving:
+        tests[0][:2] = 0.0, 1.0
+    return tests
+
+
+@st.composite
+def measured_and_predicted(draw):
+    actual = draw(measured_tests())
+    return actual, [draw(arrays(np.float64, a.size, elements=whole)) for a in actual]
+
+
+@given(measured_tests())
+def test_a_perfect_prediction_has_no_error_and_a_perfect_fit(actual):
+    assert error_figures(actual, actual) == (0.0, 0.0, 1.0, 100.0, 0.0, 1.0)
+
+
+@given(measured_tests(), st.integers(-50, 50).map(float))
+def test_a_constant_offset_is_every_error_there_is(actual, offset):
+    figures = error_figures(actual, [a + offset for a in actual])
+    count = sum(a.size for a in actual)
+    spread = sum(float(np.sum((a - a.mean()) ** 2)) for a in actual)
+    assert figures.mae == figures.max_abs == abs(offset)
+    assert figures.rmse == pytest.approx(abs(offset), rel=4 * EPS)
+    # Sums of up to 80 terms, each rounded once, then a quotient and a root.
+    assert figures.r2 == pytest.approx(1 - count * offset**2 / spread, rel=200 * EPS, abs=200 * EPS)
+    assert figures.fit == pytest.approx(
+        100 * (1 - np.sqrt(count * offset**2 / spread)), rel=200 * EPS, abs=2e4 * EPS
+    )
+    assert figures.within_1 == (1.0 if abs(offset) < 1 else 0.0)
+
+
+def test_the_figures_of_a_hand_worked_example_come_out():
+    # Errors 0, 3, −4, 0 about measurements 0, 0, 10, 10 (mean 5, spread 100): 25 is lost.
+    figures = error_figures([np.array([0.0, 0.0, 10.0, 10.0])], [np.array([0.0, 3.0, 6.0, 10.0])])
+    assert figures == (2.5, 1.75, 0.75, 50.0, 4.0, 0.5)
+
+
+def test_a_sine_against_its_mean_has_the_fit_of_a_mean():
+    actual = np.sin(2 * np.pi * np.arange(1000) / 1000)
+    figures = error_figures([actual], [np.zeros(1000)])
+    assert figures.rmse == pytest.approx(np.sqrt(0.5), rel=1000 * EPS)
+    assert figures.r2 == pytest.approx(0.0, abs=2000 * EPS)
+    assert figures.fit == pytest.approx(0.0, abs=2e5 * EPS)
+
+
+@given(measured_and_predicted())
+def test_rmse_lies_between_mae_and_the_largest_error(pair):
+    figures = error_figures(*pair)
+    # At most 80 terms: their mean is off by no more than 80 rounding errors.
+    assert figures.mae * (1 - 100 * EPS) <= figures.rmse <= figures.max_abs * (1 + 100 * EPS)
+
+
+@given(measured_and_predicted(), st.integers(-100, 100).map(float))
+def test_where_zero_lies_does_not_matter(pair, shift):
+    actual, predicted = pair
+    here = error_figures(actual, predicted)
+    there = error_figures([a + shift for a in actual], [p + shift for p in predicted])
+    assert (here.rmse, here.mae, here.max_abs, here.within_1) == (
+        there.rmse,
+        there.mae,
+        there.max_abs,
+        there.within_1,
+    )
+    # The mean of 20 values up to 200 is off by 1e-12, the spread (at least ½) by 2·20·200 times that.
+    assert 1 - here.r2 == pytest.approx(1 - there.r2, rel=1e-7, abs=1e-7)
+    assert 100 - here.fit == pytest.approx(100 - there.fit, rel=1e-7, abs=1e-5)
+
+
+@given(measured_and_predicted(), st.randoms(use_true_random=False))
+def test_the_order_of_tests_does_not_matter(pair, random):
+    together = list(zip(*pair, strict=True))
+    random.shuffle(together)
+    actual, predicted = zip(*together, strict=True)
+    # The same terms in another order: 80 roundings of a sum.
+    assert error_figures(actual, predicted) == pytest.approx(error_figures(*pair), rel=1e-12, abs=1e-12)
+
+
+def test_tests_at_different_heights_do_not_lend_each_other_spread():
+    moved, predicted = np.array([0.0, 1.0, 2.0, 3.0]), np.array([0.0, 1.0, 2.0, 4.0])
+    low = error_figures([moved, moved], [predicted, predicted])
+    high = error_figures([moved, moved + 1024.0], [predicted, predicted + 1024.0])
+    assert low == high
+
+
+@pytest.mark.parametrize("level", [0.0, 0.1, -3.0, 1e6 / 3, 7e-3])
+@pytest.mark.parametrize("samples", [3, 7, 100])
+def test_where_nothing_moved_r2_and_fit_are_zero_and_the_error_counts_in_full(level, samples):
+    actual = np.full(samples, level)
+    figures = error_figures([actual], [actual + 2.0])
+    assert figures.rmse == pytest.approx(2.0, rel=1e-9)  # level + 2 − level rounds at 3e5 to 6e-11
+    assert (figures.r2, figures.fit) == (0.0, 0.0)
+
+
+def test_an_error_of_one_whole_unit_is_not_below_one_unit():
+    figures = error_figures([np.zeros(4)], [np.array([0.0, 0.999, 1.0, -1.0])])
+    assert figures.within_1 == 0.5
+
+
+def test_tests_and_predictions_must_be_as_many():
+    with pytest.raises(ValueError, match=r"shorter"):
+        error_figures([np.zeros(3), np.zeros(3)], [np.zeros(3)])
+    with pytest.raises(ValueError, match="shape"):
+        error_figures([np.zeros(3)], [np.zeros(2)])
+
+
+@pytest.mark.parametrize(
+    ("errors", "proven"),
+    [
+        ([0.9, 0.9, 0.9], True),
+        # Two of three tests are enough, one is not, however much better it is there.
+        ([0.8, 0.8, 0.8, 0.8, 1.01, 1.01], True),
+        # With fewer than six tests the scatter between them weighs more: Student's t at 90 %.
+        ([0.8, 0.8, 1.05], False),
+        ([0.1, 1.001, 1.001], False),
+        # Better on all tests, but by less than 2 % in all.
+        ([0.985, 0.985, 0.985], False),
+        ([0.975, 0.975, 0.975], True),
+        # One test of seven decides nothing, however much better it is there.
+        ([0.01, 0.999, 0.999, 0.999, 0.999, 1.001, 1.001], False),
+        ([0.5], False),
+        # Better on two of three, but not in all.
+        ([0.9, 0.9, 1.3], False),
+        ([1.0, 1.0, 1.0], False),
+    ],
+)
+def test_a_model_is_proven_better_by_two_percent_on_two_thirds_and_beyond_a_standard_error(errors, proven):
+    assert proven_better(np.array(errors), np.ones(len(errors))) is proven
+
+
+@given(
+    errors=st.lists(st.floats(0.01, 10.0), min_size=1, max_size=9),
+    power=st.integers(-20, 20),
+    seed=st.integers(0, 99),
+)
+def test_of_two_models_at_most_one_is_proven_better_in_any_unit_and_order(errors, power, seed):
+    rng = np.random.default_rng(seed)
+    one = np.array(errors)
+    other = one * rng.uniform(0.5, 1.5, one.size)
+    found = proven_better(one, other)
+    assert not (found and proven_better(other, one))
+    assert not proven_better(one, one)
+    assert proven_better(2.0**power * one, 2.0**power * other) is found
+    # As many tests again, the same ones, take nothing back.
+    assert proven_better(np.tile(one, 2), np.tile(other, 2)) or not found
+
+
+def test_tests_that_err_alike_leave_no_doubt_about_the_rmse():
+    zeros = [np.zeros(7), np.zeros(7), np.zeros(7)]
+    assert rmse_error(zeros, [each + 3.0 for each in zeros]) == 0.0
+
+
+def test_the_standard_error_of_a_hand_worked_example_comes_out():
+    # Errors 1 and 7 in tests of equal length: without either the RMSE is 7 or 1, its mean 4, and
+    # s² = 1/2 (3² + 3²) = 9.
+    zeros = [np.zeros(5), np.zeros(5)]
+    assert rmse_error(zeros, [np.full(5, 1.0), np.full(5, 7.0)]) == pytest.approx(3.0, rel=10 * EPS)
+
+
+def test_one_test_says_nothing_of_the_next():
+    assert np.isnan(rmse_error([np.zeros(5)], [np.ones(5)]))
+
+
+def test_the_standard_error_is_what_campaigns_drawn_anew_show():
+    """For tests of independent errors; 2000 campaigns tell a spread to 1/√4000 = 1.6 %, held to 5 of it."""
+    rng = np.random.default_rng(0)
+    draws = [[rng.standard_normal(20) for _ in range(16)] for _ in range(2000)]
+    zeros = [np.zeros(20)] * 16
+    figures = [np.sqrt(np.mean(np.square(draw))) for draw in draws]
+    told = np.sqrt(np.mean([rmse_error(zeros, draw) ** 2 for draw in draws]))
+    assert told == pytest.approx(np.std(figures), rel=0.08)
+
+
+@pytest.mark.parametrize("tests", [3, 4, 5, 8, 20])
+def test_of_models_alike_neither_surely_errs_less_but_by_chance(tests):
+    """Per-test errors differ by 30 %: either is called better in 5 % of campaigns, and the jackknife is near.
+
+    Of 2000 campaigns 5 % are 100 ± 10; held to 8 %, for the root of few squares is skewed.
+    """
+    rng = np.random.default_rng(tests)
+    samples = np.full(tests, 1000)
+    called = 0
+    for _ in range(2000):
+        one, other = np.exp(0.3 * rng.standard_normal((2, tests)))
+        called += surely_less(one, other, samples) or surely_less(other, one, samples)
+    assert called <= 0.08 * 2000
+
+
+def test_a_model_twice_as_good_on_every_test_surely_errs_less():
+    errors = np.array([1.0, 1.2, 0.9, 1.1])
+    samples = np.array([1000, 500, 1000, 800])
+    assert surely_less(errors, 2 * errors, samples)
+    assert not surely_less(2 * errors, errors, samples)
+    assert not surely_less(errors, errors, samples)
+
+
+def test_what_diverged_never_errs_less_and_one_test_tells_nothing():
+    samples = np.full(3, 10)
+    finite, wild = np.ones(3), np.array([1.0, np.inf, 1.0])
+    assert surely_less(finite, wild, samples)
+    assert not surely_less(wild, finite, samples)
+    assert not surely_less(wild, wild, samples)
+    assert not surely_less(np.array([1.0]), np.array([9.0]), np.array([10]))

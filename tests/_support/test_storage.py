@@ -1,0 +1,384 @@
+"""Results on disk: one form for equal content, whole or not at all, nothing replaced unasked."""
+
+import hashlib
+import json
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import benches
+from hitchid._support.storage import (
+    MANIFEST_FILE,
+    canonical_json,
+    check_file,
+    check_folder,
+    check_inputs,
+    digest,
+    write_file,
+    write_folder,
+)
+from hitchid.errors import OutputError
+
+characters = st.text(st.characters(codec="utf-8"))
+numbers = st.floats(allow_nan=False, allow_infinity=False) | st.integers()
+contents = st.recursive(
+    st.none() | st.booleans() | numbers | characters,
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(characters, inner, max_size=4),
+    max_leaves=12,
+)
+
+
+def turned_round(content):
+    """Return equal content whose keys stand in the reverse order."""
+    if isinstance(content, dict):
+        return {key: turned_round(content[key]) for key in reversed(content)}
+    return [turned_round(item) for item in content] if isinstance(content, list) else content
+
+
+@given(contents)
+def test_equal_content_gives_equal_bytes(content):
+    assert canonical_json(turned_round(content)) == canonical_json(content)
+
+
+@given(contents)
+def test_what_was_written_reads_back_as_it_was(content):
+    assert json.loads(canonical_json(content)) == content
+    assert canonical_json(json.loads(canonical_json(content))) == canonical_json(content)
+
+
+@pytest.mark.parametrize("number", [float("nan"), float("inf"), -float("inf")])
+def test_a_number_that_is_not_finite_is_no_json(number):
+    with pytest.raises(ValueError, match="JSON"):
+        canonical_json({"a": [number]})
+
+
+def test_the_digest_is_sha_256():
+    assert digest(b"abc") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+    assert digest(b"") == hashlib.sha256().hexdigest()
+
+
+def fill(text):
+    return lambda place: (place / "mark.json").write_text(text) and None
+
+
+def fail(place):
+    (place / "mark.json").write_text("half")
+    raise RuntimeError("stopped half-way")
+
+
+def left_in(folder):
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
+
+
+@pytest.mark.parametrize("before", ["nothing", "empty folder", "missing parents"])
+def test_a_folder_appears_with_what_was_written(tmp_path, before):
+    folder = tmp_path / "a" / "b" if before == "missing parents" else tmp_path / "a"
+    if before == "empty folder":
+        folder.mkdir()
+    write_folder(folder, fill("new"), mark="mark.json", force=False)
+    assert (folder / "mark.json").read_text() == "new"
+    assert left_in(folder.parent) == [
+        folder.name,
+        f"{folder.name}/{MANIFEST_FILE}",
+        f"{folder.name}/mark.json",
+    ]
+
+
+def test_a_folder_that_is_there_is_replaced_whole_and_only_by_force(tmp_path):
+    folder = tmp_path / "a"
+    write_folder(folder, fill("old"), mark="mark.json", force=False)
+    with pytest.raises(OutputError, match=r"a: exists already.*--force"):
+        write_folder(folder, fill("new"), mark="mark.json", force=False)
+    assert (folder / "mark.json").read_text() == "old"
+    write_folder(folder, fill("new"), mark="mark.json", force=True)
+    assert left_in(tmp_path) == ["a", f"a/{MANIFEST_FILE}", "a/mark.json"]
+    assert (folder / "mark.json").read_text() == "new"
+
+
+def no_manifest(folder):
+    (folder / MANIFEST_FILE).unlink()
+
+
+@pytest.mark.parametrize(
+    ("touch", "said"),
+    [
+        (lambda folder: (folder / "deep" / "my.csv").write_text("mine"), r"1 file .*: deep/my\.csv;"),
+        (lambda folder: (folder / "mark.json").write_text("edited"), r"1 file .*: mark\.json;"),
+        (lambda folder: (folder / "link").symlink_to(folder / "mark.json"), r"1 file .*: link;"),
+        (lambda folder: [(folder / f"{n}").touch() for n in range(5)], r"5 files .*: 0, 1, 2 and 2 more;"),
+        (no_manifest, rf"holds no \{MANIFEST_FILE}"),
+        (lambda folder: (folder / MANIFEST_FILE).write_text("[]"), rf"holds no \{MANIFEST_FILE}"),
+    ],
+    ids=["added", "edited", "linked", "many", "of no version that lists its files", "manifest damaged"],
+)
+def test_force_replaces_nothing_that_was_added_or_changed(tmp_path, touch, said):
+    folder = tmp_path / "a"
+    write_folder(folder, fill("old"), mark="mark.json", force=False)
+    (folder / "deep").mkdir()
+    touch(folder)
+    before = left_in(folder)
+    with pytest.raises(OutputError, match=said):
+        write_folder(folder, fill("new"), mark="mark.json", force=True)
+    assert left_in(folder) == before
+    assert (folder / "mark.json").read_text() != "new"
+
+
+def test_force_replaces_no_result_of_another_kind_though_it_holds_such_a_file(tmp_path):
+    folder = tmp_path / "study"
+    write_folder(folder, fill("old"), mark="study.md", force=False)
+    with pytest.raises(OutputError, match=r"study\.md, not with mark\.json"):
+        write_folder(folder, fill("new"), mark="mark.json", force=True)
+
+
+def test_what_is_put_there_during_the_work_stays(tmp_path):
+    folder = tmp_path / "a"
+    write_folder(folder, fill("old"), mark="mark.json", force=False)
+
+    def slow(place):
+        (place / "mark.json").write_text("new")
+        (folder / "notes.txt").write_text("mine")
+
+    with pytest.raises(OutputError, match=r"notes\.txt"):
+        write_folder(folder, slow, mark="mark.json", force=True)
+    assert left_in(tmp_path) == ["a", f"a/{MANIFEST_FILE}", "a/mark.json", "a/notes.txt"]
+
+
+def test_what_a_link_points_to_is_replaced_and_the_link_stays(tmp_path):
+    write_folder(tmp_path / "a", fill("old"), mark="mark.json", force=False)
+    (tmp_path / "link").symlink_to(tmp_path / "a")
+    write_folder(tmp_path / "link", fill("new"), mark="mark.json", force=True)
+    assert (tmp_path / "link").is_symlink()
+    assert (tmp_path / "a" / "mark.json").read_text() == "new"
+
+
+def test_an_input_is_never_an_output(tmp_path):
+    logs = tmp_path / "real" / "logs"
+    logs.mkdir(parents=True)
+    log, link = logs / "1.csv", tmp_path / "link.csv"
+    log.touch()
+    link.symlink_to(log)
+    (logs / "out.csv").touch()
+    for out, source in [(log, log), (link, log), (log, link), (logs, log), (tmp_path, link), (logs, logs)]:
+        with pytest.raises(OutputError, match=f"{source.name} is read from there"):
+            check_inputs(out, [None, source])
+    with pytest.raises(OutputError, match=r"out\.csv: lies in .*logs, which is read"):
+        check_inputs(logs / "out.csv", [logs])
+    check_inputs(logs / "out.csv", [log])
+    check_inputs(logs / "model", [logs, log])
+
+
+@pytest.mark.parametrize("foreign", ["a folder", "a file"])
+def test_force_replaces_nothing_of_another_kind(tmp_path, foreign):
+    precious = tmp_path / "a" / "precious" if foreign == "a folder" else tmp_path / "a"
+    precious.parent.mkdir(exist_ok=True)
+    precious.write_text("mine")
+    with pytest.raises(OutputError, match=r"holds no .hitchid.json.*another place"):
+        write_folder(tmp_path / "a", fill("new"), mark="mark.json", force=True)
+    assert precious.read_text() == "mine"
+
+
+@pytest.mark.parametrize("force", [False, True])
+def test_a_folder_that_could_not_be_filled_leaves_all_as_it_was(tmp_path, force):
+    if force:
+        write_folder(tmp_path / "a", fill("old"), mark="mark.json", force=False)
+    before = left_in(tmp_path)
+    with pytest.raises(RuntimeError, match="half-way"):
+        write_folder(tmp_path / "a", fail, mark="mark.json", force=force)
+    assert left_in(tmp_path) == before
+    assert not force or (tmp_path / "a" / "mark.json").read_text() == "old"
+
+
+def test_a_place_inside_a_file_is_refused_before_any_work(tmp_path):
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(OutputError, match="file"):
+        check_folder(tmp_path / "file" / "a", mark="mark.json", force=False)
+    with pytest.raises(OutputError, match="file"):
+        check_file(tmp_path / "file" / "a", force=False)
+
+
+def test_a_place_that_cannot_be_written_is_named(tmp_path):
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(OutputError, match=f"^{tmp_path}/file/a: "):
+        write_folder(tmp_path / "file" / "a", fill("new"), mark="mark.json", force=False)
+    with pytest.raises(OutputError, match=f"^{tmp_path}/file/a: "):
+        write_file(tmp_path / "file" / "a", lambda path: path.touch(), force=False)
+
+
+def test_a_name_too_long_for_a_file_is_refused_by_name(tmp_path):
+    long = tmp_path / ("a" * 300)
+    with pytest.raises(OutputError, match="aaa"):
+        check_file(long, force=False)
+    with pytest.raises(OutputError, match="aaa"):
+        check_folder(long, mark="mark.json", force=False)
+
+
+def test_a_file_appears_with_what_was_written_and_keeps_its_ending(tmp_path):
+    seen = []
+    path = tmp_path / "deep" / "log.csv.gz"
+    write_file(path, lambda fresh: (seen.append(fresh.name), fresh.write_text("new"))[0], force=False)
+    assert seen == ["log.csv.gz"]
+    assert path.read_text() == "new"
+    assert left_in(tmp_path) == ["deep", "deep/log.csv.gz"]
+
+
+def test_a_file_that_is_there_is_replaced_only_by_force(tmp_path):
+    path = tmp_path / "a"
+    path.write_text("old")
+    with pytest.raises(OutputError, match=r"a: exists already.*--force"):
+        write_file(path, lambda fresh: fresh.write_text("new") and None, force=False)
+    assert path.read_text() == "old"
+    write_file(path, lambda fresh: fresh.write_text("new") and None, force=True)
+    assert path.read_text() == "new"
+
+
+def test_a_folder_is_never_replaced_by_a_file(tmp_path):
+    (tmp_path / "a").mkdir()
+    with pytest.raises(OutputError, match="exists already"):
+        write_file(tmp_path / "a", lambda fresh: fresh.touch(), force=True)
+
+
+def test_a_file_that_could_not_be_written_leaves_all_as_it_was(tmp_path):
+    (tmp_path / "a").write_text("old")
+
+    def half(path):
+        path.write_text("half")
+        raise RuntimeError("stopped half-way")
+
+    with pytest.raises(RuntimeError, match="half-way"):
+        write_file(tmp_path / "a", half, force=True)
+    assert left_in(tmp_path) == ["a"]
+    assert (tmp_path / "a").read_text() == "old"
+
+
+# --- a disk that is full, a folder that is read-only --------------------------------------------------------
+
+WRITE_TOO_MUCH = """
+import resource, sys
+from pathlib import Path
+from hitchid.errors import OutputError
+from hitchid._support.storage import put, write_bytes, write_folder
+
+resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+place, much = Path(sys.argv[1]), bytes(10000)
+for write in (
+    lambda: write_bytes(place / "file", much, force=True),
+    lambda: write_folder(place / "folder", lambda beside: put(beside, {"mark": b"", "much": much}),
+                         mark="mark", force=True),
+):
+    try:
+        write()
+    except OutputError as error:
+        print(error)
+"""
+LIGHT = """
+[search]
+method = "multi-start"
+evaluations = 60
+compare = false
+[training]
+compensator = false
+[lifting]
+structure = "integrator"
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="there are no such limits")
+def test_a_file_that_cannot_grow_is_told_and_leaves_all_as_it_was(tmp_path):
+    place = tmp_path / "place"
+    write_folder(place / "folder", lambda beside: (beside / "mark").touch(), mark="mark", force=False)
+    (place / "file").write_text("old")
+    before = {path: path.read_bytes() for path in place.rglob("*") if path.is_file()}
+    command = [sys.executable, "-c", WRITE_TOO_MUCH, str(place)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603
+    of_file, of_folder = done.stdout.splitlines()
+    assert of_file.startswith(f"{place / 'file'}: cannot be written: ")
+    assert of_folder.startswith(f"{place / 'folder'}: cannot be written: ")
+    assert {path: path.read_bytes() for path in place.rglob("*") if path.is_file()} == before
+    assert left_in(place) == ["file", "folder", f"folder/{MANIFEST_FILE}", "folder/mark"]
+
+
+@pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="permissions do not bind root")
+def test_a_folder_without_permission_is_named(tmp_path):
+    tmp_path.chmod(0o500)
+    try:
+        with pytest.raises(OutputError, match=f"^{tmp_path / 'a'}: .*[Pp]ermission"):
+            write_folder(tmp_path / "a", fill("new"), mark="mark.json", force=False)
+        with pytest.raises(OutputError, match=f"^{tmp_path / 'a'}: .*[Pp]ermission"):
+            write_file(tmp_path / "a", lambda path: path.touch(), force=False)
+    finally:
+        tmp_path.chmod(0o700)
+    assert left_in(tmp_path) == []
+
+
+@pytest.fixture(scope="module")
+def mounted(tmp_path_factory):
+    """Return a function that runs lines of shell where `$disk` is a disk of its own, of 16 KiB to begin with.
+
+    In them `identify` runs the program on a bench that lifts, with `$disk/model` as its `--out`.
+    """
+    if shutil.which("unshare") is None:
+        pytest.skip("unshare is not installed")
+    place = tmp_path_factory.mktemp("disk")
+    logs = benches.write_bench(place / "logs", tests=3, samples=250)
+    for log in logs.glob("lowering-*"):
+        log.unlink()
+    (place / "light.toml").write_text(LIGHT)
+    (place / "disk").mkdir()
+    program = [sys.executable, "-c", "from hitchid.__main__ import main; main()", "identify", logs, "--quiet"]
+    program += ["--config", place / "light.toml", "--out", place / "disk" / "model"]
+    told = shlex.join(map(str, program))
+
+    def run(*lines):
+        script = [
+            f"disk={shlex.quote(str(place / 'disk'))}",
+            "mount -t tmpfs -o size=16k tmpfs $disk || exit 77",
+            f'identify() {{ {told} "$@"; echo "exit $?"; ls -A $disk; }}',
+            *lines,
+        ]
+        done = subprocess.run(  # noqa: S603
+            ["unshare", "-rm", "sh", "-c", "\n".join(script)],  # noqa: S607
+            capture_output=True,
+            text=True,
+            env={**os.environ, "XDG_CACHE_HOME": str(place / "cache")},
+        )
+        if done.returncode in (1, 77) and "exit" not in done.stdout:
+            pytest.skip(f"mounting is not permitted: {done.stderr}")
+        return done.stdout.splitlines(), done.stderr.splitlines()
+
+    return run
+
+
+def test_a_full_disk_is_told_and_the_run_goes_on_once_there_is_room(mounted):
+    out, err = mounted(
+        "identify",
+        "echo kept $(ls $disk/model.unfinished)",
+        "mount -o remount,size=10m $disk",
+        "identify --resume",
+        "ls -A $disk/model",
+    )
+    (line,) = err
+    assert line.startswith("hitchid: ")
+    assert "disk/model" in line
+    assert "cannot be written" in line
+    assert "No space left on device" in line
+    kept = out.pop(2).split()
+    assert kept[0] == "kept"
+    assert "run.json" in kept
+    assert len(kept) > 2
+    assert out[:2] == ["exit 2", "model.unfinished"]
+    assert out[2:] == ["exit 0", "model", MANIFEST_FILE, "model.json", "trace.json", "weights.safetensors"]
+
+
+def test_a_disk_that_is_read_only_is_told_in_one_line(mounted):
+    out, err = mounted("mount -o remount,ro $disk", "identify")
+    assert out == ["exit 2"]
+    (line,) = err
+    assert line.startswith("hitchid: ")
+    assert "disk/model" in line
+    assert "Read-only file system" in line

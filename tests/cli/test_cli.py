@@ -1,0 +1,796 @@
+"""The command line as a user meets it: exit codes, what goes where, and that bad input leaves no trace."""
+
+import json
+import shutil
+import subprocess
+import sys
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
+from typing import NamedTuple
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+import benches
+import handmade
+from hitchid import cli
+from hitchid._support.storage import MANIFEST_FILE
+from hitchid.errors import FitError
+from hitchid.model import save
+from hitchid.readers import read
+
+COMMANDS = [command.callback.__name__ for command in cli.app.registered_commands]
+QUICK = """
+[search]
+method = "multi-start"
+evaluations = 60
+compare = false
+[training]
+hidden = 6
+window = 20
+epochs = 8
+"""
+FIGURES = {"rmse", "mae", "r2", "fit", "max_abs", "within_1", "rmse_error"}
+
+
+class Result(NamedTuple):
+    """What a run of the program left behind."""
+
+    code: int
+    out: str
+    err: str
+
+
+def hitchid(*arguments, heard="") -> Result:
+    """Run the program with arguments, as its entry point does, and what it hears on standard input."""
+    out, err, code = StringIO(), StringIO(), 0
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
+        patch.setattr(sys, "argv", ["hitchid", *map(str, arguments)])
+        patch.setattr(sys, "stdin", StringIO(heard))
+        try:
+            cli.main()
+        except SystemExit as done:
+            code = done.code
+    return Result(code, out.getvalue(), err.getvalue())
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _cache(tmp_path_factory):
+    """Keep what JAX compiles out of the user's cache."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    """Return the folder of a model with every part, put together by hand."""
+    folder = tmp_path_factory.mktemp("model") / "model"
+    save(handmade.hitch("integrator", compensated=True, baselines=True), folder)
+    return folder
+
+
+@pytest.fixture
+def logs(bench_folder, tmp_path):
+    """Return a folder of logs of this test's own."""
+    return shutil.copytree(bench_folder, tmp_path / "logs")
+
+
+@pytest.fixture
+def refused(tmp_path):
+    """Return a function that runs the program and checks that it refuses in one line, without a trace."""
+
+    def run(*arguments, said, front="hitchid: ") -> None:
+        before = times(tmp_path)
+        result = hitchid(*arguments)
+        assert result.code == 2
+        assert len(result.err.splitlines()) == 1
+        assert result.err.startswith(front)
+        assert "Traceback" not in result.err
+        for word in said:
+            assert word in result.err
+        assert times(tmp_path) == before
+
+    return run
+
+
+def times(folder):
+    """Return everything in a folder and when it was last written."""
+    return {path: path.lstat().st_mtime_ns for path in folder.rglob("*")}
+
+
+# --- help ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_help_of_every_command_has_an_example_of_it(command):
+    result = hitchid(command, "--help")
+    assert (result.code, result.err) == (0, "")
+    example = result.out[result.out.index("Example: ") :]
+    assert f" hitchid {command} " in example
+
+
+def test_the_help_names_every_command():
+    result = hitchid("--help")
+    assert result.code == 0
+    assert all(f"  {command}" in result.out for command in COMMANDS)
+    assert {"inspect", "identify", "validate", "simulate"} <= set(COMMANDS)
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["identify", "--help"]])
+def test_help_imports_no_jax(arguments):
+    program = (
+        f"import sys; sys.argv[1:] = {arguments!r}\n"
+        "from hitchid.cli import main\n"
+        "try: main()\n"
+        "except SystemExit as done: print('imported:', 'jax' in sys.modules, done.code)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)  # noqa: S603
+    assert "Usage: " in done.stdout
+    assert done.stdout.endswith("imported: False 0\n")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [[], ["nonsense"], ["inspect"], ["identify", "logs"], ["simulate", "--foo"], ["inspect", "--json"]],
+)
+def test_wrong_use_is_answered_with_the_usage_and_exit_code_2(arguments):
+    result = hitchid(*arguments)
+    assert result.code == 2
+    assert "Usage: hitchid" in result.err
+    assert "Traceback" not in result.err
+
+
+# --- logs that cannot be used -------------------------------------------------------------------------------
+
+
+def cell(row, column, text):
+    """Return an edit that changes one cell; row 0 is the header."""
+
+    def edit(lines):
+        cells = lines[row].split(",")
+        cells[column] = text
+        return [*lines[:row], ",".join(cells), *lines[row + 1 :]]
+
+    return edit
+
+
+def every_cell(column, text, rows=slice(1, None)):
+    """Return an edit that changes the cells of some rows."""
+
+    def edit(lines):
+        for row in range(*rows.indices(len(lines))):
+            lines = cell(row, column, text)(lines)
+        return lines
+
+    return edit
+
+
+BAD_LOGS = {
+    "a missing column": (cell(0, 3, "height_mm"), ["line 1", "'displacement_mm'", "height_mm"]),
+    "text in a number": (cell(5, 3, "n/a"), ["line 6", "'displacement_mm'", "number", "'n/a'"]),
+    "an empty cell": (cell(5, 1, ""), ["line 6", "'current_up_A'", "number", "empty cell"]),
+    "a stretch of nan": (
+        every_cell(3, "nan", slice(5, 25)),
+        ["line 6", "'displacement_mm'", "finite", "nan"],
+    ),
+    "an infinite command": (cell(9, 1, "1e999"), ["line 10", "'current_up_A'", "finite", "inf"]),
+    "a constant displacement": (every_cell(3, "5.0"), ["constant", "5 mm", "required"]),
+    "time that runs back": (cell(9, 0, "0.01"), ["line 10", "'time_s'", "must not run backwards", "0.01 s"]),
+    "time that stands still": (every_cell(0, "0.07"), ["line 3", "'time_s'", "time stamps are 0.07 s"]),
+    "an empty file": (lambda lines: [], ["empty", "required"]),
+    "a header only": (lambda lines: lines[:1], ["line 1", "no samples"]),
+    "five samples": (lambda lines: lines[:6], ["5 samples", "at least 20"]),
+    "binary garbage": (lambda lines: ["\udcff\udc80" * 99], ["UTF-8"]),
+    "a quote never closed": (cell(5, 1, '"0.5'), ["line", "required"]),
+}
+
+
+@pytest.fixture(params=BAD_LOGS.values(), ids=BAD_LOGS.keys())
+def bad_log(request, logs):
+    """Return a log that cannot be used, beside others that can, and what must be said of it."""
+    edit, said = request.param
+    path = logs / "lifting-02.csv"
+    text = "\n".join([*edit(path.read_text().splitlines()), ""])
+    path.write_bytes(text.encode("utf-8", errors="surrogateescape"))
+    return path, [path.name, *said]
+
+
+def test_identify_refuses_a_bad_log(refused, bad_log, tmp_path):
+    log, said = bad_log
+    refused("identify", log.parent, "--out", tmp_path / "out", "--strict", said=said)
+
+
+def test_simulate_refuses_a_bad_log(refused, bad_log, model, tmp_path):
+    log, said = bad_log
+    refused("simulate", model, log, "--out", tmp_path / "out.csv", said=said)
+
+
+def test_inspect_shows_the_other_logs_and_says_which_is_bad(bad_log):
+    log, said = bad_log
+    result = hitchid("inspect", log.parent, "--strict")
+    assert result.code == 2
+    assert len(result.err.splitlines()) == 1
+    assert result.err.startswith("fault: ")
+    assert all(word in result.err for word in said)
+    assert "lowering-03" in result.out
+
+
+def test_inspect_leaves_a_bad_log_out_and_counts(logs):
+    (logs / "lifting-02.csv").write_text("")
+    result = hitchid("inspect", logs)
+    assert result.code == 0
+    assert result.err.startswith("warning: lifting-02: left out: ")
+    assert "warning: 1 of 6 logs left out\n" in result.err
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("missing", ["missing", "no such file or folder"]),
+        ("notes.txt", ["notes.txt", "format is not known", ".csv"]),
+        ("empty", ["empty", "no log", ".csv"]),
+        ("loop.csv", ["loop.csv", "no such file or folder"]),
+        ("a" * 300 + ".csv", ["aaa"]),
+    ],
+    ids=["missing", "unknown ending", "empty folder", "symlink loop", "endless name"],
+)
+@pytest.mark.parametrize("command", ["inspect", "identify", "validate"])
+def test_a_path_that_is_no_log_is_refused(refused, tmp_path, model, command, name, said):
+    (tmp_path / "notes.txt").write_text("no log")
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "loop.csv").symlink_to("loop.csv")
+    paths = [model, tmp_path / name] if command == "validate" else [tmp_path / name]
+    out = [] if command == "inspect" else ["--out", tmp_path / "out"]
+    refused(command, *paths, *out, said=said)
+
+
+# --- settings that cannot be used ---------------------------------------------------------------------------
+
+SIGNED = '[signals]\ncommand = "current_up_A"\n'
+BAD_CAMPAIGNS = {
+    "a misspelt key": (SIGNED + 'displacment = "x_mm"', ["'signals.displacment'", "not known"]),
+    "a unit nobody knows": (
+        SIGNED + 'time = { column = "time_s", unit = "sec" }',
+        ["time.unit", "'sec'", "ms"],
+    ),
+    "a unit of another dimension": (
+        SIGNED + 'time = { column = "time_s", unit = "mm" }',
+        ["time", "'mm'", "length", "one of time"],
+    ),
+    "both kinds of command": (SIGNED + 'lifting_command = "current_up_A"', ["signals", "not both"]),
+    "no TOML": ("[signals\n", ["not valid TOML", "line 1"]),
+    "a kind of test nobody knows": ('[tests]\n"lifting-*" = "up"', ["'tests.lifting-*'", "'ramp'", "'up'"]),
+}
+
+
+@pytest.mark.parametrize(("text", "said"), BAD_CAMPAIGNS.values(), ids=BAD_CAMPAIGNS.keys())
+@pytest.mark.parametrize("command", ["inspect", "identify"])
+def test_a_campaign_file_that_is_not_understood_is_refused(refused, logs, tmp_path, command, text, said):
+    (logs / "campaign.toml").write_text(text)
+    out = [] if command == "inspect" else ["--out", tmp_path / "out"]
+    refused(command, logs, *out, said=["campaign.toml", *said])
+
+
+def test_a_split_that_matches_nothing_is_refused(refused, logs, tmp_path):
+    (logs / "campaign.toml").write_text('[split]\ntest = ["lifting-9*"]')
+    refused("identify", logs, "--out", tmp_path / "out", said=["split.test", "'lifting-9*'", "6 tests"])
+
+
+BAD_CONFIGS = {
+    "a misspelt section": ("[serch]\n", ["'serch'", "not known"]),
+    "a misspelt key": ("[training]\nhiden = 3", ["'training.hiden'", "not known"]),
+    "a structure nobody knows": ('[lifting]\nstructure = "triple"', ["'triple'", "integrator-first-order"]),
+    "bounds reversed": (
+        '[lifting]\nstructure = "integrator"\nbounds = { gain = [100, 5] }',
+        ["gain", "100", "5", "required"],
+    ),
+    "bounds of no parameter": (
+        '[lifting]\nstructure = "integrator"\nbounds = { gian = [5, 100] }',
+        ["gian", "gain"],
+    ),
+    "bounds without end": (
+        '[lowering]\nstructure = "integrator"\nbounds = { gain = [5, inf] }',
+        ["gain", "inf"],
+    ),
+    "a negative dead zone": ("[lifting]\ndead_zone = -1", ["'lifting.dead_zone'", "came -1"]),
+    "a search nobody knows": ('[search]\nmethod = "fish"', ["'search.method'", "'whale'", "'fish'"]),
+    "a window of one": ("[training]\nwindow = 1", ["'training.window'", "came 1"]),
+    "no TOML": ("seed = \n", ["not valid TOML", "line 1"]),
+    "a seed too large": (f"seed = {10**20}\n{QUICK}", ["seed", str(10**20)]),
+    "a rate without end": (QUICK + "learning_rate = inf", ["'training.learning_rate'", "inf"]),
+}
+
+
+@pytest.mark.parametrize(("text", "said"), BAD_CONFIGS.values(), ids=BAD_CONFIGS.keys())
+def test_settings_that_are_not_understood_are_refused(refused, logs, tmp_path, text, said):
+    (tmp_path / "settings.toml").write_text(text)
+    refused(
+        "identify",
+        logs,
+        "--out",
+        tmp_path / "out",
+        "--config",
+        tmp_path / "settings.toml",
+        said=["settings.toml", *said],
+    )
+
+
+@pytest.mark.parametrize("option", ["--config", "--signals"])
+def test_a_settings_file_that_is_not_there_is_refused(refused, logs, tmp_path, option):
+    refused("identify", logs, "--out", tmp_path / "out", option, tmp_path / "no.toml", said=["no.toml"])
+
+
+@pytest.mark.parametrize("seed", ["-1", "x", str(10**20)])
+def test_a_seed_that_is_none_is_refused(logs, tmp_path, seed):
+    (tmp_path / "quick.toml").write_text(QUICK)
+    settings = ("--config", tmp_path / "quick.toml", f"--seed={seed}")
+    result = hitchid("identify", logs, "--out", tmp_path / "out", *settings)
+    assert result.code == 2
+    assert "seed" in result.err
+    assert not (tmp_path / "out").exists()
+
+
+# --- models that cannot be used -----------------------------------------------------------------------------
+
+
+def edited(file, old, new):
+    """Return an edit that replaces text in a file of a model folder."""
+
+    def edit(folder):
+        text = (folder / file).read_text()
+        assert old in text
+        (folder / file).write_text(text.replace(old, new, 1))
+
+    return edit
+
+
+def cut(file, keep):
+    """Return an edit that cuts a file of a model folder short."""
+    return lambda folder: (folder / file).write_bytes((folder / file).read_bytes()[:keep]) and None
+
+
+BAD_MODELS = {
+    "no folder": (shutil.rmtree, ["model.json", "required a model folder"]),
+    "weights cut short": (cut("weights.safetensors", -10), ["weights.safetensors", "cut short", "required"]),
+    "no weights": (lambda folder: (folder / "weights.safetensors").unlink(), ["weights.safetensors"]),
+    "description edited": (
+        edited("model.json", '"step_s": 0.01', '"step_s": 0.02'),
+        ["model.json", "edited"],
+    ),
+    "description without numbers": (edited("model.json", '"step_s": 0.01', '"step_s": NaN'), ["model.json"]),
+    "description with half a letter": (
+        edited("model.json", '"seed": 0', '"seed": "\\ud800"'),
+        ["model.json"],
+    ),
+    "description cut short": (cut("model.json", 200), ["model.json", "cut short"]),
+    "description empty": (cut("model.json", 0), ["model.json", "cut short"]),
+    "description too deep": (lambda f: (f / "model.json").write_text("[" * 100_000) and None, ["model.json"]),
+    "description of something else": (lambda f: (f / "model.json").write_text("{}") and None, ["model.json"]),
+    "trace edited": (edited("trace.json", "{", "{ "), ["trace.json", "edited"]),
+    "a newer schema": (
+        edited("model.json", '"schema": 5', '"schema": 6'),
+        ["model.json", "schema 6", "required 3 to 5"],
+    ),
+}
+
+
+@pytest.mark.parametrize(("edit", "said"), BAD_MODELS.values(), ids=BAD_MODELS.keys())
+def test_a_model_that_is_not_whole_is_refused(refused, bench_folder, model, tmp_path, edit, said):
+    folder = shutil.copytree(model, tmp_path / "model")
+    edit(folder)
+    log = bench_folder / "lifting-01.csv"
+    refused("simulate", folder, log, "--out", tmp_path / "out.csv", said=said)
+    refused("validate", folder, log.parent, "--out", tmp_path / "out", said=said)
+
+
+def test_a_lowering_log_is_refused_by_a_model_that_only_lifts(refused, bench_folder, tmp_path):
+    save(handmade.hitch("integrator", modes=("lifting",)), tmp_path / "model")
+    log = bench_folder / "lowering-01.csv"
+    refused("simulate", tmp_path / "model", log, "--out", tmp_path / "out.csv", said=["lowering"])
+
+
+@pytest.mark.parametrize("horizon", ["0", "-1", "1.5", "far", "", "inf", "1e3", "\u00b2"])
+def test_a_horizon_that_is_none_is_refused(refused, bench_folder, model, tmp_path, horizon):
+    log = bench_folder / "lifting-01.csv"
+    said = ["--horizon", "'free'", f"'{horizon}'"]
+    refused("simulate", model, log, "--out", tmp_path / "out.csv", f"--horizon={horizon}", said=said)
+
+
+# --- places that are taken ----------------------------------------------------------------------------------
+
+
+def to_folder(command, model, logs, out):
+    return (command, *([model] if command == "validate" else []), logs, "--out", out)
+
+
+@pytest.mark.parametrize("command", ["identify", "validate"])
+def test_a_place_that_is_taken_is_left_alone(refused, bench_folder, model, tmp_path, command):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "precious").write_text("mine")
+    arguments = to_folder(command, model, bench_folder, out)
+    refused(*arguments, said=["out", "exists already", "--force"])
+    refused(*arguments, "--force", said=["out", "--force does not replace it"])
+    refused(*arguments[:-1], out / "precious", "--force", said=["precious", "--force does not replace it"])
+
+
+def test_a_file_that_is_there_is_left_alone(refused, bench_folder, model, tmp_path):
+    log, out = bench_folder / "lifting-01.csv", tmp_path / "out.csv"
+    out.write_text("mine")
+    refused("simulate", model, log, "--out", out, said=["out.csv", "exists already", "--force"])
+    refused("simulate", model, log, "--out", tmp_path, "--force", said=[tmp_path.name, "exists already"])
+    refused("simulate", model, log, "--out", out / "deeper.csv", said=["out.csv"])
+    refused("simulate", model, log, "--out", tmp_path / ("a" * 300), said=["aaa"])
+
+
+# --- good runs ----------------------------------------------------------------------------------------------
+
+
+def test_inspect_lists_every_log_and_prints_json_of_the_same(bench_folder):
+    table = hitchid("inspect", bench_folder)
+    assert (table.code, table.err) == (0, "")
+    described = hitchid("inspect", bench_folder, "--json")
+    assert (described.code, described.err) == (0, "")
+    found = json.loads(described.out)
+    assert set(found) == {"records", "notices", "faults", "left_out", "findings"}
+    names = [f"{mode}-{number:02d}" for mode in ("lifting", "lowering") for number in (1, 2, 3)]
+    assert [record["name"] for record in found["records"]] == names
+    assert [record["held_out"] for record in found["records"]] == [False, False, True] * 2
+    assert all(name in table.out for name in names)
+
+
+def test_inspect_prints_json_of_what_is_bad_too(logs):
+    (logs / "lifting-02.csv").write_text("")
+    result = hitchid("inspect", logs, "--json", "--strict")
+    assert (result.code, result.err) == (2, "")
+    found = json.loads(result.out)
+    assert len(found["records"]) == 5
+    assert "lifting-02.csv" in found["faults"][0]
+    lenient = json.loads(hitchid("inspect", logs, "--json").out)
+    assert [each["name"] for each in lenient["left_out"]] == ["lifting-02"]
+    assert lenient["faults"] == []
+
+
+def test_inspect_draws_mixed_logs(tests_with_a_cycle, tmp_path):
+    picture = tmp_path / "logs.png"
+    arguments = ("inspect", tests_with_a_cycle, "--draw", picture)
+    result = hitchid(*arguments)
+    assert (result.code, result.err) == (0, "")
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    taken = hitchid(*arguments)
+    assert taken.code == 2
+    assert "exists already" in taken.err
+
+
+def test_a_picture_that_cannot_be_drawn_is_refused(refused, bench_folder, tests_with_a_cycle, tmp_path):
+    for name in ("logs.txt", "logs", "logs.PNG.gz"):
+        said = ["--draw", ".png, .svg, .pdf", f"'{name}'"]
+        refused("inspect", tests_with_a_cycle, "--draw", tmp_path / name, said=said)
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken" / "a.csv").write_text("time_s\n")
+    said = ["--draw", "nothing to draw"]
+    refused("inspect", tmp_path / "broken", "--draw", tmp_path / "logs.png", said=said)
+
+
+def test_run_answers_every_line_with_one(tmp_path):
+    save(handmade.hitch("integrator"), tmp_path / "model")
+    lines = [
+        '{"time_s": 0.0, "lifting_command": 0.5, "lowering_command": 0.0, "displacement": 100.0}',
+        "nonsense",
+        "",
+        '{"time_s": 0.02, "lifting_command": 0.5, "lowering_command": 0.0, "displacement": 100.1}',
+    ]
+    result = hitchid("run", tmp_path / "model", heard="\n".join([*lines, ""]))
+    assert (result.code, result.err) == (0, "ready\n")
+    first, odd, blank, last = (json.loads(line) for line in result.out.splitlines())
+    # A gain of 30 mm/(s A) moves the piston by 0.045 mm a sample at 0.15 A beyond the dead zone.
+    assert first == {
+        "time_s": 0.01,
+        "displacement": pytest.approx(100.045, rel=1e-12),
+        "mode": "lifting",
+        "flags": [],
+    }
+    assert "not understood: the line is no JSON" in odd["flags"]
+    assert odd["displacement"] == pytest.approx(100.09, rel=1e-12)
+    assert blank["flags"] == odd["flags"]
+    assert (last["displacement"], last["flags"]) == (pytest.approx(100.145, rel=1e-12), [])
+
+
+def test_run_starts_where_it_is_told_to(tmp_path):
+    save(handmade.hitch("integrator"), tmp_path / "model")
+    result = hitchid("run", tmp_path / "model", "--initial", "50", heard="{}\n")
+    assert json.loads(result.out)["displacement"] == 50.0
+
+
+def test_run_refuses_what_it_cannot_start_from(refused, model, tmp_path):
+    refused("run", tmp_path / "missing", said=["model.json", "required a model folder"])
+    refused("run", model, "--initial", "nan", said=["displacement", "required a finite number"])
+
+
+@pytest.mark.parametrize("horizon", ["free", "3"])
+def test_simulate_writes_what_the_model_predicts(bench_folder, tmp_path, horizon):
+    hitch = handmade.hitch("integrator")
+    save(hitch, tmp_path / "model")
+    log, out = bench_folder / "lowering-02.csv", tmp_path / "out.csv"
+    result = hitchid("simulate", tmp_path / "model", log, "--out", out, "--horizon", horizon)
+    assert result == (0, "", "")
+    (record,) = read(log).records
+    predicted = hitch.simulate(record) if horizon == "free" else hitch.predict(record, horizon=3)
+    header, *rows = (line.split(",") for line in out.read_text().splitlines())
+    assert header == [*log.read_text().splitlines()[0].split(","), "displacement_predicted_mm"]
+    # Nine significant digits are written.
+    np.testing.assert_allclose([float(row[-1]) for row in rows], predicted, rtol=5e-9)
+    again = hitchid("simulate", tmp_path / "model", log, "--out", out, "--force")
+    assert again.code == 0
+
+
+def test_simulate_writes_the_ends_of_a_band_beside_the_prediction(bench_folder, tmp_path):
+    hitch = handmade.with_bands(handmade.hitch("integrator"), "lifting", "lowering")
+    save(hitch, tmp_path / "model")
+    log, out = bench_folder / "lowering-02.csv", tmp_path / "out.csv"
+    arguments = ("simulate", tmp_path / "model", log, "--out", out, "--bands", "--coverage", "80")
+    assert hitchid(*arguments) == (0, "", "")
+    (record,) = read(log).records
+    header, *rows = (line.split(",") for line in out.read_text().splitlines())
+    assert header[-3:] == ["displacement_predicted_mm", "displacement_lower_mm", "displacement_upper_mm"]
+    written = np.array([[float(cell) for cell in row[-2:]] for row in rows]).T
+    # Nine significant digits are written.
+    np.testing.assert_allclose(written, hitch.band(record, coverage=0.8), rtol=5e-9)
+
+
+def test_simulate_without_bands_in_the_model_says_why_and_writes_nothing(model, bench_folder, tmp_path):
+    out = tmp_path / "out.csv"
+    result = hitchid("simulate", model, bench_folder / "lowering-02.csv", "--out", out, "--bands")
+    assert result.code == 2
+    assert "no bands for lifting and lowering; required at least three tests" in result.err
+    assert not out.exists()
+
+
+def test_design_of_a_model_that_knows_nothing_says_so_and_writes_nothing(model, tmp_path):
+    out = tmp_path / "next.csv"
+    result = hitchid("design", model, "--direction", "lifting", "--out", out)
+    assert result.code == 2
+    assert "came lifting" in result.err
+    assert not out.exists()
+
+
+def test_simulate_says_on_stderr_where_it_leaves_what_the_tests_covered(bench_folder, tmp_path):
+    (record,) = read(bench_folder / "lifting-02.csv").records
+    effective = np.maximum(record.command("lifting") - handmade.DEAD_ZONES["lifting"], 0)
+    covered = handmade.envelope(command=(0.0, 0.05), displacement=(-50.0, 500.0))
+    save(handmade.hitch("integrator", free_run=True, covered=covered), tmp_path / "model")
+    arguments = (
+        "simulate",
+        tmp_path / "model",
+        bench_folder / "lifting-02.csv",
+        "--out",
+        tmp_path / "out.csv",
+    )
+    result = hitchid(*arguments)
+    assert (result.code, result.out) == (0, "")
+    samples = np.count_nonzero(effective > 0.05)
+    assert samples > 0
+    assert result.err == (
+        "notice: lifting: the command leaves what the tests covered, 0 to 0.05 A beyond the dead zone, "
+        f"in {samples} of {len(record)} samples\n"
+    )
+    ahead = hitchid(*arguments, "--force", "--horizon", "3")
+    assert (ahead.code, ahead.err) == (0, "")
+
+
+@pytest.fixture(scope="module")
+def tests_with_a_cycle(bench_folder, tmp_path_factory):
+    """Return the bench's logs and one of both directions, up for a second and down for a second."""
+    return benches.with_a_cycle(bench_folder, tmp_path_factory.mktemp("cycles") / "logs")
+
+
+@pytest.fixture(scope="module")
+def validated(tests_with_a_cycle, model, tmp_path_factory):
+    """Return what two validations printed, as tables and as JSON, and the folder they wrote."""
+    out = tmp_path_factory.mktemp("validated") / "out"
+    arguments = ("validate", model, tests_with_a_cycle, "--out", out)
+    return hitchid(*arguments), hitchid(*arguments, "--force", "--json"), out
+
+
+@pytest.fixture
+def metrics(validated):
+    return json.loads((validated[2] / "metrics.json").read_text())
+
+
+def test_validate_shows_a_summary_or_prints_the_metrics_it_writes(validated, metrics):
+    shown, printed, out = validated
+    assert (shown.code, printed.code) == (0, 0)
+    for mode in ("lifting", "lowering"):
+        assert f"{mode}, RMSE / mm" in shown.out
+        assert f"{mode}: accuracy on 3 unseen tests" in (out / "tables.md").read_text()
+    assert max(map(len, shown.out.splitlines())) <= 80
+    assert "report.html" in shown.out
+    assert json.loads(printed.out) == metrics
+
+
+def test_validate_writes_a_report_with_its_figures(validated):
+    out = validated[2]
+    written = {"metrics.json", "tables.md", "report.html", "figures", MANIFEST_FILE}
+    assert {path.name for path in out.iterdir()} == written
+    page = (out / "report.html").read_text()
+    assert page.startswith("<!doctype html>")
+    assert "hitchid validate" in page
+    for path in (out / "figures").iterdir():
+        assert f'id="figure-{path.stem}"' in page
+
+
+LIMITS = 'unit = "mm"\n[lifting]\ntests = 3\nfree_run = {{ rmse = {rmse} }}\n'
+
+
+@pytest.mark.parametrize(("rmse", "code", "verdict"), [("1e6", 0, "pass"), ("1e-6", 1, "fail")])
+def test_limits_decide_on_the_exit_code(bench_folder, model, tmp_path, rmse, code, verdict):
+    (tmp_path / "limits.toml").write_text(LIMITS.format(rmse=rmse))
+    out, junit = tmp_path / "out", tmp_path / "results.xml"
+    told = ("--accept", tmp_path / "limits.toml", "--junit", junit)
+    result = hitchid("validate", model, bench_folder, "--out", out, *told)
+    assert result.code == code
+    assert all(line.startswith(("pass  ", "fail  ")) for line in result.out.splitlines()[-2:])
+    assert result.out.splitlines()[-1].startswith(f"{verdict}  lifting: free run, RMSE")
+    suite = ElementTree.parse(junit).getroot()  # noqa: S314 - our own
+    assert (suite.get("tests"), suite.get("failures")) == ("2", str(code))
+    assert (out / "report.html").read_text().count("<h2>Acceptance</h2>") == 1
+    # Quietly it says what fails, and nothing where nothing does; as JSON it says all.
+    quiet = hitchid("validate", model, bench_folder, "--out", out, *told, "--force", "--quiet")
+    assert (quiet.code, quiet.err, len(quiet.out.splitlines())) == (code, "", code)
+    if code:
+        printed = hitchid("validate", model, bench_folder, "--out", out, *told, "--force", "--json")
+        assert printed.code == code
+        assert json.loads(printed.out)["acceptance"]["passed"] is False
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--junit", "results.xml"), ["--junit", "--accept"]),
+        (("--accept", "nowhere.toml"), ["nowhere.toml"]),
+        (("--accept", "bar.toml"), ["bar.toml", "rmse", "-1"]),
+        (("--accept", "radians.toml"), ["rad", "mm"]),
+    ],
+)
+def test_limits_that_cannot_be_held_are_refused(refused, bench_folder, model, tmp_path, options, said):
+    (tmp_path / "bar.toml").write_text(LIMITS.format(rmse="-1"))
+    (tmp_path / "radians.toml").write_text(LIMITS.format(rmse="1").replace("mm", "rad"))
+    option, name = options
+    refused("validate", model, bench_folder, "--out", tmp_path / "out", option, tmp_path / name, said=said)
+
+
+def test_a_pdf_is_written_where_it_is_asked_for(bench_folder, model, tmp_path):
+    pytest.importorskip("typst")
+    result = hitchid("validate", model, bench_folder, "--out", tmp_path / "out", "--pdf", "--quiet")
+    assert result == (0, "", "")
+    assert (tmp_path / "out" / "report.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_two_models_are_compared_on_tests_neither_has_seen(tests_with_a_cycle, model, tmp_path):
+    save(handmade.hitch("integrator-first-order", baselines=True), tmp_path / "other")
+    out = tmp_path / "out"
+    arguments = ("compare", model, tmp_path / "other", tests_with_a_cycle, "--out", out)
+    shown = hitchid(*arguments)
+    assert shown.code == 0
+    assert {path.name for path in out.iterdir()} == {
+        "comparison.json",
+        "tables.md",
+        "report.html",
+        "figures",
+        MANIFEST_FILE,
+    }
+    assert all(f"{part}, RMSE / mm" in shown.out for part in ("lifting", "lowering", "cycles"))
+    assert max(map(len, shown.out.splitlines())) <= 80
+    printed = hitchid(*arguments, "--force", "--json")
+    assert json.loads(printed.out) == json.loads((out / "comparison.json").read_text())
+    assert set(json.loads(printed.out)["better"]) == {"lifting", "lowering", "cycles"}
+
+
+def test_the_metrics_have_the_keys_of_the_contract(metrics):
+    assert set(metrics) == {"unit", "channels", "cycles"}
+    assert metrics["unit"] == "mm"
+    assert set(metrics["channels"]) == {"lifting", "lowering"}
+    for mode, channel in metrics["channels"].items():
+        assert set(channel) == {
+            "tests",
+            "benchmark",
+            "greybox",
+            "baselines",
+            "horizons",
+            "per_test",
+            "residuals",
+        }
+        assert channel["tests"] == [f"{mode}-{number:02d}" for number in (1, 2, 3)]
+        assert shape(channel["benchmark"]) == {"free_run": FIGURES}
+        assert shape(channel["greybox"]) == {"one_step": FIGURES, "free_run": FIGURES}
+        assert {name: shape(runs) for name, runs in channel["baselines"].items()} == {
+            "persistence": {"one_step": FIGURES},
+            "arx": {"one_step": FIGURES, "free_run": FIGURES},
+            "narx": {"one_step": FIGURES, "free_run": FIGURES},
+            "lstm": {"free_run": FIGURES},
+            "transfer_function": {"free_run": FIGURES},
+            "paper": {"one_step": FIGURES, "free_run": FIGURES},
+        }
+
+
+def test_the_horizons_of_the_contract_begin_with_one_step(metrics):
+    for channel in metrics["channels"].values():
+        horizons = channel["horizons"]
+        assert set(horizons) == {"steps", "greybox", "benchmark", *channel["baselines"]}
+        assert horizons["steps"] == [1, 2, 5, 10, 20, 50, 100]
+        assert {len(errors) for errors in horizons.values()} == {7}
+        assert horizons["greybox"][0] == channel["greybox"]["one_step"]["rmse"]
+        for name, baseline in channel["baselines"].items():
+            assert "one_step" not in baseline or horizons[name][0] == baseline["one_step"]["rmse"]
+
+
+def test_single_tests_have_the_keys_of_the_contract(metrics):
+    for channel in metrics["channels"].values():
+        assert list(channel["per_test"]) == channel["tests"]
+        for runs in channel["per_test"].values():
+            assert shape(runs) == {"free_run": FIGURES}
+
+
+def test_cycles_have_the_keys_of_the_contract(metrics):
+    cycles = metrics["cycles"]
+    assert cycles["tests"] == ["cycle-01"]
+    models = {
+        "greybox": {"one_step": FIGURES, "free_run": FIGURES},
+        "benchmark": {"free_run": FIGURES},
+        "transfer_function": {"free_run": FIGURES},
+        "persistence": {"one_step": FIGURES},
+    }
+    assert {name: shape(cycles[name]) for name in models} == models
+    assert set(cycles) == {"tests", *models, "horizons", "per_test", "max_jump"}
+    assert set(cycles["horizons"]) == {"steps", "greybox", "persistence"}
+    assert {len(errors) for errors in cycles["horizons"].values()} == {7}
+    assert shape(cycles["per_test"]) == {"cycle-01": {"free_run"}}
+
+
+def shape(runs):
+    return {run: set(figures) for run, figures in runs.items()}
+
+
+def test_a_log_whose_name_is_no_unicode_is_validated_or_refused(bench_folder, model, tmp_path):
+    folder = shutil.copytree(bench_folder, tmp_path / "logs")
+    (folder / "lifting-03.csv").rename(folder / "lifting-\udcff.csv")
+    result = hitchid("validate", model, folder, "--out", tmp_path / "out", "--json")
+    assert result.code in (0, 2)
+    assert (tmp_path / "out").exists() == (result.code == 0)
+
+
+def test_identify_writes_a_model_and_prints_what_it_found(bench_folder, tmp_path):
+    (tmp_path / "quick.toml").write_text(QUICK)
+    out = tmp_path / "model"
+    arguments = ("identify", bench_folder, "--out", out, "--config", tmp_path / "quick.toml", "--seed", "3")
+    shown = hitchid(*arguments)
+    assert shown.code == 0
+    written = {"model.json", "weights.safetensors", "trace.json", MANIFEST_FILE}
+    assert {path.name for path in out.iterdir()} == written
+    assert all(word in shown.out for word in ("lifting", "lowering", "dead zone", "mm/(s·A)"))
+    assert max(map(len, shown.out.splitlines())) <= 80
+    assert "lowering: phase 2" in shown.err
+    first = {path.name: path.read_bytes() for path in out.iterdir()}
+    assert json.loads(first["model.json"])["seed"] == 3
+    printed = hitchid(*arguments, "--force", "--json")
+    assert printed.code == 0
+    assert json.loads(printed.out) == json.loads(first["trace.json"])
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == first
+    used_all = hitchid("validate", out, bench_folder / "lifting-01.csv", "--out", tmp_path / "out")
+    assert used_all.code == 2
+    assert "used every test" in used_all.err
+
+
+def test_a_run_that_fails_has_exit_code_1_and_leaves_nothing(bench_folder, tmp_path, monkeypatch):
+    def fails(*_):
+        raise FitError("the piston does not move")
+
+    monkeypatch.setattr("hitchid.estimation.misfit._speed_per_command", fails)
+    (tmp_path / "quick.toml").write_text(QUICK)
+    out = tmp_path / "model"
+    result = hitchid("identify", bench_folder, "--out", out, "--config", tmp_path / "quick.toml")
+    assert result.code == 1
+    assert result.err.splitlines()[-1] == "hitchid: the piston does not move"
+    assert not out.exists()

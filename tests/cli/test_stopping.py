@@ -1,0 +1,248 @@
+"""The real program, stopped: it ends at once, says how to go on, leaves nothing half-written, and goes on."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import benches
+from hitchid._support.checkpoints import holds_pieces, is_run
+from hitchid.readers import write_table
+
+pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals are others there")
+
+PROGRAM = "from hitchid.__main__ import main; main()"
+# It should take a second; a machine with other work may take longer.
+SOON_S, LONGEST_S = 3.0, 300.0
+LIGHT = """
+[search]
+method = "multi-start"
+evaluations = 60
+compare = false
+[training]
+compensator = false
+[lifting]
+structure = "integrator"
+"""
+# Loaded by the process that reads logs: its reader of Parquet says that it has begun, and never ends.
+HANGING = """
+import sys
+
+class Patched:
+    def find_spec(self, name, path=None, target=None):
+        if name == "hitchid.readers.child":
+            sys.meta_path.remove(self)
+            import os, time
+            from pathlib import Path
+            from hitchid.readers import formats
+
+            def hang(path, wanted):
+                path.with_name("begun").write_text(str(os.getpid()))
+                time.sleep(600)
+
+            known = next(each for each in formats.FORMATS if ".parquet" in each.suffixes)
+            formats.FORMATS = (known._replace(read=hang),)
+        return None
+
+sys.meta_path.insert(0, Patched())
+"""
+COMPUTING = """
+import sys
+from pathlib import Path
+import jax
+import hitchid.inspection.inspect_logs
+
+def look(logs, **_):
+    start = jax.numpy.ones(())
+    loop = jax.jit(lambda x: jax.lax.while_loop(lambda x: x > 0, lambda x: x / 2 + 1, x))
+    endless = loop.lower(start).compile()
+    Path(sys.argv[2]).with_name("begun").touch()
+    endless(start).block_until_ready()
+
+hitchid.inspection.inspect_logs.inspect = look
+from hitchid.__main__ import main
+main()
+"""
+IMPORTING = """
+import sys, time
+from pathlib import Path
+
+class Slow:
+    def find_spec(self, name, path=None, target=None):
+        if name == "typer":
+            Path(sys.argv[2]).with_name("begun").touch()
+            time.sleep(600)
+
+sys.meta_path.insert(0, Slow())
+from hitchid.__main__ import main
+main()
+"""
+
+
+class Started:
+    """The program while it runs, in a group of its own as in a terminal."""
+
+    def __init__(self, *arguments, program=PROGRAM, **environment):
+        self.child = subprocess.Popen(  # noqa: S603
+            [sys.executable, "-c", program, *map(str, arguments)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+            env={**os.environ, **environment},
+        )
+
+    def wait_for(self, ready):
+        """Wait until something is so; complain where the program ends before."""
+        latest = time.monotonic() + LONGEST_S
+        while not ready():
+            assert self.child.poll() is None, self.child.communicate()
+            assert time.monotonic() < latest
+            time.sleep(0.005)
+
+    def interrupt(self):
+        """Press Ctrl-C, and return exit code, what it said, and after how long it ended."""
+        begun = time.monotonic()
+        os.killpg(self.child.pid, signal.SIGINT)
+        try:
+            out, err = self.child.communicate(timeout=60)
+        except subprocess.TimeoutExpired:
+            self.kill()
+            raise
+        return self.child.returncode, out, err, time.monotonic() - begun
+
+    def end(self):
+        """Let it run to its end, and return exit code and what it said."""
+        out, err = self.child.communicate(timeout=LONGEST_S)
+        return self.child.returncode, out, err
+
+    def kill(self):
+        self.child.kill()
+        self.child.communicate()
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """Return a folder with logs that lift, and settings for an identification that takes seconds."""
+    place = tmp_path_factory.mktemp("stopping")
+    logs = benches.write_bench(place / "logs", tests=3, samples=250)
+    for log in logs.glob("lowering-*"):
+        log.unlink()
+    (place / "light.toml").write_text(LIGHT)
+    return place
+
+
+@pytest.fixture
+def identify(place, tmp_path):
+    """Return a function that starts an identification into the folder `model` of this test's own."""
+
+    def start(*more):
+        asked = ("identify", place / "logs", "--out", tmp_path / "model", "--config", place / "light.toml")
+        return Started(*asked, "--quiet", *more, XDG_CACHE_HOME=str(tmp_path / ".cache"))
+
+    return start
+
+
+def left_in(folder):
+    return sorted(path.name for path in folder.iterdir() if path.name != ".cache")
+
+
+def stamps(folder):
+    """Return when each file of a run was written; files may come and go meanwhile."""
+    found = {}
+    for path in [folder / "run.json", *folder.glob("*.npz")]:
+        with suppress(FileNotFoundError):
+            found[path.name] = path.stat().st_mtime_ns
+    return found
+
+
+def test_an_identification_is_stopped_begun_anew_killed_and_gone_on_with(identify, tmp_path):
+    unfinished = tmp_path / "model.unfinished"
+    running = identify()
+    running.wait_for(lambda: holds_pieces(unfinished))
+    code, out, err, took_s = running.interrupt()
+    assert (code, out) == (130, "")
+    assert took_s < SOON_S
+    (line,) = err.splitlines()
+    assert line.startswith("hitchid: stopped")
+    assert "--resume" in line
+    assert left_in(tmp_path) == ["model.unfinished"]
+    assert is_run(unfinished)
+
+    before = stamps(unfinished)
+    code, out, err = identify().end()
+    assert (code, out) == (2, "")
+    (line,) = err.splitlines()
+    assert all(word in line for word in ("model.unfinished", "--resume", "--force"))
+    assert stamps(unfinished) == before
+    assert left_in(tmp_path) == ["model.unfinished"]
+
+    running = identify("--force")
+    running.wait_for(
+        lambda: holds_pieces(unfinished) and stamps(unfinished).items().isdisjoint(before.items())
+    )
+    running.kill()
+    assert left_in(tmp_path) == ["model.unfinished"]
+
+    before = stamps(unfinished)
+    code, out, err = identify("--resume", "--seed", "7").end()
+    assert (code, out) == (2, "")
+    (line,) = err.splitlines()
+    assert "other logs, other settings or another version" in line
+    assert "--force" in line
+    assert stamps(unfinished) == before
+
+    assert identify("--resume").end() == (0, "", "")
+    assert left_in(tmp_path) == ["model"]
+    assert left_in(tmp_path / "model") == [".hitchid.json", "model.json", "trace.json", "weights.safetensors"]
+
+
+def test_a_folder_that_is_no_run_is_never_taken_for_one(identify, tmp_path):
+    (tmp_path / "model.unfinished").mkdir()
+    (tmp_path / "model.unfinished" / "precious").write_text("mine")
+    for options in (("--resume",), ("--force",)):
+        code, _, err = identify(*options).end()
+        assert code == 2
+        (line,) = err.splitlines()
+        assert "model.unfinished: holds no unfinished run" in line
+    assert (tmp_path / "model.unfinished" / "precious").read_text() == "mine"
+    assert left_in(tmp_path) == ["model.unfinished"]
+
+
+def test_a_run_that_is_refused_before_anything_is_found_leaves_nothing(identify, tmp_path):
+    # A model that is asked for a second input nobody measured.
+    (tmp_path / "settings.toml").write_text(LIGHT + 'load = "pressure"\n')
+    code, _, err = identify("--config", tmp_path / "settings.toml").end()
+    assert code == 2
+    (line,) = err.splitlines()
+    assert "pressure" in line
+    assert left_in(tmp_path) == ["settings.toml"]
+
+
+def test_inspect_stops_while_a_log_is_read_and_takes_the_reader_with_it(tmp_path):
+    (tmp_path / "plugin").mkdir()
+    (tmp_path / "plugin" / "sitecustomize.py").write_text(HANGING)
+    log, begun = tmp_path / "log.parquet", tmp_path / "begun"
+    write_table(log, {"time_s": np.arange(40) / 100, "displacement_mm": np.arange(40.0)})
+    running = Started("inspect", log, PYTHONPATH=str(tmp_path / "plugin"))
+    running.wait_for(lambda: begun.exists() and begun.read_text())
+    code, out, err, took_s = running.interrupt()
+    assert (code, out, err) == (130, "", "hitchid: stopped\n")
+    assert took_s < SOON_S
+    reader = Path(f"/proc/{begun.read_text()}/stat")
+    assert not reader.exists() or " Z " in reader.read_text()
+
+
+@pytest.mark.parametrize("program", [IMPORTING, COMPUTING], ids=["importing", "computing"])
+def test_it_stops_whatever_it_is_at(tmp_path, program):
+    running = Started("inspect", tmp_path / "logs", program=program)
+    running.wait_for((tmp_path / "begun").exists)
+    code, out, err, took_s = running.interrupt()
+    assert (code, out, err) == (130, "", "hitchid: stopped\n")
+    assert took_s < SOON_S

@@ -1,0 +1,217 @@
+"""Whale optimisation: what it reaches, what it counts, when it stops."""
+
+from functools import cache
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from jax.experimental import io_callback
+
+from hitchid.errors import InputError
+from hitchid.estimation import whale
+from hitchid.estimation.whale import Swarm
+
+OPTIMUM = np.array([0.31, 0.83, 0.17])
+TURN, _ = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))
+SEEDS = 10
+
+
+def sphere(positions):
+    return jnp.sum((positions - OPTIMUM) ** 2, axis=-1)
+
+
+def rotated_ellipsoid(positions):
+    return jnp.sum(jnp.array([1.0, 10.0, 100.0]) * ((positions - OPTIMUM) @ TURN.T) ** 2, axis=-1)
+
+
+def rosenbrock(positions):
+    x, y = jnp.moveaxis(1.0 + 4.0 * (positions - OPTIMUM[:2]), -1, 0)
+    return 100.0 * (y - x**2) ** 2 + (1.0 - x) ** 2
+
+
+@pytest.mark.parametrize(
+    ("objective", "dimensions", "factor"),
+    [(sphere, 3, 100.0), (rotated_ellipsoid, 3, 100.0), (rosenbrock, 2, 20.0)],
+)
+def test_whales_leave_random_search_far_behind_wherever_the_optimum_lies(objective, dimensions, factor):
+    # The volume in which a quadratic misfit is below f goes with f^(D/2): to come as low, random search
+    # would need 100^1.5 = 1000 times the budget in three dimensions, 20 times in two.
+    swarm = Swarm(population=30, iterations=100)
+    keys = jax.random.split(jax.random.key(0), SEEDS)
+    search = jax.jit(jax.vmap(lambda key: whale.minimise(objective, dimensions, swarm, key).best_fitness))
+    reached = np.asarray(search(keys))
+    points = np.random.default_rng(0).uniform(size=(101, 3000, dimensions))
+    by_chance = np.median(np.asarray(objective(jnp.asarray(points))).min(axis=1))
+    assert np.count_nonzero(reached * factor <= by_chance) >= 8
+
+
+POSITIONS, FITNESS = [], []
+
+
+@cache
+def compiled(objective, swarm):
+    """Return a search that leaves all it evaluates in POSITIONS and FITNESS."""
+
+    def keep(positions, fitness):
+        POSITIONS.append(np.array(positions))
+        FITNESS.append(np.array(fitness))
+
+    def logging(positions):
+        fitness = objective(positions)
+        jax.debug.callback(keep, positions, fitness, ordered=True)
+        return fitness
+
+    return jax.jit(lambda key: whale.minimise(logging, 3, swarm, key))
+
+
+def logged(objective, swarm, *, seed=0):
+    """Return a search's outcome, and the positions and fitness it evaluated, shape [G, P, 3] and [G, P]."""
+    POSITIONS.clear()
+    FITNESS.clear()
+    outcome = compiled(objective, swarm)(jax.random.key(seed))
+    jax.effects_barrier()
+    return outcome, np.array(POSITIONS), np.array(FITNESS)
+
+
+def half_failing(positions):
+    """Fall toward the corner, and fail within 0.4 of the wall there: the best would be a failure."""
+    return jnp.where(positions[:, 0] < 0.4, jnp.nan, jnp.sum(positions, axis=-1))
+
+
+def test_the_outcome_is_the_best_of_everything_that_was_evaluated():
+    swarm = Swarm(population=8, iterations=15)
+    outcome, positions, fitness = logged(rotated_ellipsoid, swarm)
+    assert positions.shape == (15, 8, 3)
+    np.testing.assert_array_equal(outcome.trace.fitness, fitness)
+    flat = int(np.argmin(fitness))
+    assert outcome.best_fitness == fitness.ravel()[flat]
+    np.testing.assert_array_equal(outcome.best, positions.reshape(-1, 3)[flat])
+    np.testing.assert_array_equal(outcome.trace.best_fitness, np.minimum.accumulate(fitness.min(axis=1)))
+    assert int(outcome.generations) == 15
+    assert not bool(outcome.settled)
+
+
+def test_the_last_move_is_evaluated():
+    # An objective that falls generation by generation, so the last move is the best there is.
+    countdown = iter(range(1000, 0, -1))
+
+    def falling(positions):
+        shape = jax.ShapeDtypeStruct((8,), positions.dtype)
+        return io_callback(lambda _: np.full(8, float(next(countdown))), shape, positions)
+
+    outcome, positions, _ = logged(falling, Swarm(population=8, iterations=15))
+    assert float(outcome.best_fitness) == 1000.0 - 14
+    np.testing.assert_array_equal(outcome.best, positions[-1, 0])
+
+
+def test_a_failed_simulation_is_counted_and_never_best():
+    outcome, _, fitness = logged(half_failing, Swarm(population=8, iterations=15))
+    failed = np.isnan(fitness)
+    assert 0 < failed.sum() < failed.size
+    np.testing.assert_array_equal(outcome.trace.failures, failed.sum(axis=1))
+    np.testing.assert_array_equal(np.isinf(outcome.trace.fitness), failed)
+    assert float(outcome.best[0]) >= 0.4
+    assert float(outcome.best_fitness) == np.nanmin(fitness)
+    assert not np.isnan(outcome.trace.best_fitness).any()
+
+
+@pytest.mark.parametrize("failure", [np.nan, np.inf, -np.inf])
+def test_failures_alone_leave_an_infinite_best_fitness(failure):
+    outcome, _, _ = logged(lambda positions: positions[:, 0] * 0 + failure, Swarm(population=4, iterations=5))
+    assert float(outcome.best_fitness) == np.inf
+    np.testing.assert_array_equal(outcome.trace.failures, [4] * 5)
+    assert np.all(np.isposinf(outcome.trace.best_fitness))
+
+
+@pytest.mark.parametrize(
+    ("population", "iterations", "evaluations", "generations"),
+    [(8, 10, 40, 5), (8, 10, 47, 5), (8, 10, 48, 6), (8, 10, 1000, 10), (8, 10, None, 10), (8, 10, 8, 1)],
+)
+def test_no_more_generations_are_run_than_iterations_and_budget_allow(
+    population, iterations, evaluations, generations
+):
+    swarm = Swarm(population=population, iterations=iterations, evaluations=evaluations)
+    outcome, positions, _ = logged(sphere, swarm)
+    assert swarm.generations == len(positions) == int(outcome.generations) == generations
+    assert evaluations is None or positions[..., 0].size <= evaluations
+
+
+@pytest.mark.parametrize("setting", [{"evaluations": 7}, {"population": 1}, {"iterations": 0}])
+def test_a_swarm_that_cannot_run_is_refused(setting):
+    with pytest.raises(InputError, match="whale: required"):
+        Swarm(**{"population": 8, "iterations": 10, **setting})
+
+
+@pytest.mark.parametrize("level", [3.0, 0.0, -3.0, np.nan])
+def test_stagnation_ends_the_search_early_and_says_so(level):
+    swarm = Swarm(population=4, iterations=30, stagnation=6)
+    outcome, positions, _ = logged(lambda positions: positions[:, 0] * 0 + level, swarm)
+    # The first generation is the last to improve; six more without improvement follow it.
+    assert int(outcome.generations) == len(positions) == 7
+    assert bool(outcome.settled)
+    assert np.all(np.isposinf(outcome.trace.best_fitness[7:]))
+
+
+def test_a_search_that_goes_on_improving_does_not_stagnate():
+    swarm = Swarm(population=8, iterations=15, stagnation=15)
+    outcome, _, _ = logged(sphere, swarm)
+    assert int(outcome.generations) == 15
+    assert not bool(outcome.settled)
+
+
+def test_one_key_gives_one_search_bit_for_bit_and_another_key_another():
+    swarm = Swarm(population=8, iterations=15)
+    one, again, other = (logged(sphere, swarm, seed=seed)[0] for seed in (3, 3, 4))
+    for first, second in zip(jax.tree.leaves(one), jax.tree.leaves(again), strict=True):
+        np.testing.assert_array_equal(first, second)
+    assert np.any(np.asarray(one.trace.fitness[0]) != np.asarray(other.trace.fitness[0]))
+
+
+def test_drawing_once_for_a_whale_moves_otherwise_from_the_same_start():
+    wide, _, _ = logged(sphere, Swarm(population=8, iterations=5))
+    narrow, _, _ = logged(sphere, Swarm(population=8, iterations=5, per_dimension=False))
+    np.testing.assert_array_equal(wide.trace.fitness[0], narrow.trace.fitness[0])
+    assert np.all(np.asarray(wide.trace.fitness[1:]) != np.asarray(narrow.trace.fitness[1:]))
+
+
+ASKED = Swarm(population=6, iterations=20)
+
+
+@eqx.filter_jit
+def ask(key, state):
+    return whale.ask(key, state, ASKED), whale.ask(key, state, Swarm(6, 20, per_dimension=False))
+
+
+@settings(deadline=None, max_examples=30)
+@given(seed=st.integers(0, 2**20), generation=st.integers(0, 20), corner=st.sampled_from([0.0, 0.5, 1.0]))
+def test_whales_stay_in_the_cube(seed, generation, corner):
+    state = whale.init(jax.random.key(seed), 3, ASKED)
+    state = eqx.tree_at(
+        lambda s: (s.best, s.generation), state, (jnp.full(3, corner), jnp.asarray(generation))
+    )
+    for moved in ask(jax.random.key(seed + 1), state):
+        assert np.all((np.asarray(moved) >= 0.0) & (np.asarray(moved) <= 1.0))
+        if generation == 0:
+            np.testing.assert_array_equal(moved, state.population)
+        else:
+            assert np.any(np.asarray(moved) != np.asarray(state.population))
+
+
+@pytest.mark.parametrize("stops", [(7, 20), (1, 2, 3, 20), (20,)])
+@pytest.mark.parametrize("stagnation", [None, 4])
+def test_a_search_that_is_looked_at_on_its_way_ends_where_it_would_have(stops, stagnation):
+    swarm = Swarm(population=6, iterations=20, stagnation=stagnation, tolerance=0.05)
+    key = jax.random.key(4)
+    proceed = jax.jit(lambda carry, until: whale.proceed(sphere, carry, swarm, key, until))
+    carry = whale.begin(3, swarm, key)
+    for until in stops:
+        carry = proceed(carry, jnp.asarray(until))
+    at_once = jax.jit(lambda: whale.minimise(sphere, 3, swarm, key))()
+    for one, other in zip(
+        jax.tree.leaves(whale.outcome(carry, swarm)), jax.tree.leaves(at_once), strict=True
+    ):
+        np.testing.assert_array_equal(one, other)

@@ -1,0 +1,117 @@
+"""A first campaign.toml from logs alone: the mapping it finds is the one the logs were made with."""
+
+import tomllib
+
+import numpy as np
+import pytest
+
+from hitchid.data.signal_map import read_campaign_file
+from hitchid.errors import InputError
+from hitchid.inspection import propose
+from hitchid.readers import find_logs, write_table
+
+STEP_S = 0.01
+
+
+def pulses(seed, levels=(-1.0, 0.0, 0.0, 1.0), samples=1000):
+    rng = np.random.default_rng(seed)
+    return np.repeat(rng.choice(levels, samples // 25), 25)
+
+
+def a_log(seed, *, up=False, against=False, zero=0.0, size=40.0):
+    """Return command(s), a displacement that integrates them, a target, a pressure and a counter."""
+    rng, drive = np.random.default_rng(seed), pulses(seed)
+    moved = 300 + (-1 if against else 1) * size * STEP_S * np.cumsum(drive)
+    commands = {"duty_up": np.maximum(drive, 0) * 80, "duty_dn": np.maximum(-drive, 0) * 80}
+    return {
+        "clock": STEP_S * np.arange(drive.size),
+        "noise": rng.standard_normal(drive.size),
+        "stroke_mm": moved + 0.02 * rng.standard_normal(drive.size),
+        **(commands if up else {"Boom Cmd": zero + 2 * drive}),
+        "head_pressure": 80 + 5 * rng.standard_normal(drive.size),
+    }
+
+
+@pytest.fixture
+def logs(tmp_path):
+    """Return a function that writes four logs and returns their folder."""
+
+    def write(**options):
+        for seed in range(4):
+            write_table(tmp_path / f"log-{seed}.csv", a_log(seed, **options))
+        return tmp_path
+
+    return write
+
+
+def test_two_one_sided_commands_are_found_with_units_and_covariate(logs):
+    folder = logs(up=True)
+    (folder / "campaign.toml").write_text(propose(folder))
+    signals = read_campaign_file(folder / "campaign.toml").signals
+    assert (signals.time.column, signals.time.unit) == ("clock", "s")
+    assert signals.lifting_command.column == "duty_up"
+    assert signals.lowering_command.column == "duty_dn"
+    assert signals.lifting_command.unit == signals.lowering_command.unit == "percent"
+    assert (signals.displacement.column, signals.displacement.unit) == ("stroke_mm", "mm")
+    assert [covariate.column for covariate in signals.covariates] == ["head_pressure"]
+    assert signals.command is None
+
+
+@pytest.mark.parametrize("against", [False, True])
+def test_a_signed_command_comes_with_its_zero_and_its_turned_sign(logs, against):
+    signals = tomllib.loads(propose(logs(zero=7.4745, against=against)))["signals"]
+    expected = {"column": "Boom Cmd", "unit": "percent", "zero": 7.4745}
+    assert signals["command"] == (expected | {"scale": -1} if against else expected)
+    assert signals["displacement"]["column"] == "stroke_mm"
+
+
+def test_every_guess_has_its_reason_before_it(logs):
+    lines = propose(logs()).splitlines()
+    guesses = [at for at, line in enumerate(lines) if " = " in line and not line.startswith("#")]
+    assert len(guesses) == 4
+    assert all(lines[at - 1].startswith("# ") for at in guesses)
+
+
+def test_logs_without_motion_are_refused_with_what_was_found(tmp_path):
+    still = {"t": STEP_S * np.arange(100), "a": np.zeros(100), "b": np.ones(100)}
+    write_table(tmp_path / "log.csv", still)
+    with pytest.raises(InputError, match="no two columns move together"):
+        propose(tmp_path)
+
+
+def column(name, unit, **further):
+    return {"column": name, "unit": unit, **further}
+
+
+MEASURED = {
+    "excavator-boom": {
+        "lifting_command": column("duty_up_percent", "percent"),
+        "lowering_command": column("duty_down_percent", "percent"),
+        "displacement": column("angle_deg", "deg"),
+        "covariates": ["head_pressure"],
+    },
+    "dspace-raw": {
+        "lifting_command": column("Boom_up_duty", "percent"),
+        "lowering_command": column("Boom_dn_duty", "percent"),
+        "displacement": column("Boom_ang", "deg"),
+        "covariates": ["Boom_UpH_Cyl_P"],
+    },
+    "hanging-load": {"command": column("valve", "V"), "displacement": column("position", "V")},
+    "rig-a": {
+        "lifting_command": column("current_up_A", "A"),
+        "lowering_command": column("current_down_A", "A"),
+        "displacement": column("displacement_mm", "mm"),
+    },
+    # That its displacement is in cm, nothing in the files says.
+    "field-excavator": {
+        "command": column("Boom Cmd", "percent", zero=7.4745),
+        "displacement": column("Boom Ms", "mm"),
+    },
+}
+
+
+@pytest.mark.parametrize(("name", "expected"), MEASURED.items())
+def test_measured_sets_get_the_mapping_that_stands_beside_them(data, name, expected):
+    signals = tomllib.loads(propose(find_logs(data(name))))["signals"]
+    assert signals.pop("time")["unit"] == "s"
+    assert signals == expected
