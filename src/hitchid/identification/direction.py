@@ -139,7 +139,7 @@ def find_compensators(
         channel, trace: of phase 1.
         tests, asked, progress: as for `find_benchmark`.
     """
-    seconds, tests = dict(trace.seconds), tests.behind(trace.dead_zone)
+    seconds, first, tests = dict(trace.seconds), tests, tests.behind(trace.dead_zone)
     if asked.training is None:
         return channel, _with_uncertainty(channel, trace, tests, asked, None, seconds)
     keys = jax.random.split(jax.random.fold_in(jax.random.key(asked.seed), MODES.index(tests.mode)), 4)
@@ -166,7 +166,7 @@ def find_compensators(
     notices: list[str] = []
     paper = None
     if asked.training.baselines:
-        channel, paper = _with_baselines(channel, tests, asked, keys[2:], progress, seconds, notices)
+        channel, paper = _with_baselines(channel, tests, first, asked, keys[2:], progress, seconds, notices)
     trace = replace(trace, notices=(*trace.notices, *notices))
     return channel, _with_uncertainty(channel, trace, tests, asked, paper, seconds)
 
@@ -330,6 +330,7 @@ def _compensated(
 def _with_baselines(
     channel: Channel,
     tests: Prepared,
+    first: Prepared,
     asked: Asked,
     keys: Key[Array, " k"],
     progress: Progress,
@@ -352,10 +353,11 @@ def _with_baselines(
 
     def of_the_paper() -> tuple[Channel, Phase1]:
         kept = asked.kept.part("paper")
-        phase1 = _identified(tests, asked, asked.paper, kept)
-        alone = _uncompensated(tests, phase1)
+        # Its valve is linear: it keeps the dead zone that was found with a linear valve.
+        phase1 = _identified(first, asked, asked.paper, kept)
+        alone = _uncompensated(first, phase1)
         report_epoch = _epochs(progress, "paper's method", 0.8, 0.2)
-        return _compensated(alone, tests, training, keys[1], report_epoch, kept)[0], phase1
+        return _compensated(alone, first, training, keys[1], report_epoch, kept)[0], phase1
 
     with _timed(seconds, "ARX"):
         arx = attempt("ARX", lambda: fit_arx(tests.training, tests.validation), notices)

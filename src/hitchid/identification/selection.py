@@ -25,7 +25,7 @@ REFITTED = 4
 SAMPLES = 2048
 RAMPED = (-0.1, 0.1)
 FEWEST_APART = 6
-SMALLER = (0.75, 0.5, 0.25, 0.0)
+SMALLER = (0.5, 0.25, 0.75, 0.0)
 NEUTRAL = {
     "opening": 0.4,
     "exponent": 0.5,
@@ -261,7 +261,8 @@ def _behind_another(
     """Return a form with a valve curve behind a smaller dead zone where held-out tests prove that better.
 
     A dead zone found from tests is that of a valve that is linear beyond it: one that opens slowly seems to
-    open late. Its curve makes up for a dead zone that is too small, not for one that is too large.
+    open late. Its curve makes up for a dead zone that is too small, not for one that is too large: where half
+    of it is no better, nothing else is tried.
     """
     names = [parameter.name for parameter in misfit.form.parameters]
     found, best = float(misfit.batch.dead_zone[0]), (misfit, judged)
@@ -277,6 +278,8 @@ def _behind_another(
             continue
         if proven_better(fitted.held_out, best[1].held_out):
             best = other, fitted
+        elif best[0] is misfit:
+            break
     return best
 
 

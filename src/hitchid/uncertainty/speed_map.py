@@ -138,9 +138,11 @@ def _intervals(
         lower, upper = np.where(falls, 0.0, lower), np.where(rises, np.inf, upper)
     # Nothing says how far from zero a speed is that is zero at the estimate.
     upper = np.where(best > 0, upper, np.inf)
+    with np.errstate(over="ignore"):
+        lower, upper = scales * np.nan_to_num(lower, nan=0.0), scales * upper
     return [
         (max(0.0, float(low)), float(high) if np.isfinite(high) else None)
-        for low, high in zip(scales * np.nan_to_num(lower, nan=0.0), scales * upper, strict=True)
+        for low, high in zip(lower, upper, strict=True)
     ]
 
 
