@@ -8,7 +8,14 @@ from scipy import stats
 
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import LogError
-from hitchid.identification.deadzone import CANDIDATES, delay_of, from_ramps, from_tests, of_onsets, ramp_rate
+from hitchid.identification.deadzone import (
+    CANDIDATES,
+    from_ramps,
+    from_tests,
+    of_onsets,
+    ramp_rate,
+    response_delay,
+)
 from truth import STEP_S, held, levels, shifted
 
 # The current sensor of the bench: 0.3 % of 3 A. Nobody can read a dead zone better off its logs.
@@ -157,7 +164,7 @@ def test_one_level_of_command_does_not_tell_the_dead_zone(noise):
 def test_a_ramp_faster_than_the_plants_delay_makes_the_dead_zone_less_sure(ramp, delay_s):
     rng = np.random.default_rng(0)
     tests = [dynamic(rng, 0.35, dead_samples=round(delay_s / STEP_S)) for _ in range(4)]
-    found = delay_of(tests, 0.35, STEP_S)
+    found = response_delay(tests, 0.35, STEP_S)
     assert found == pytest.approx(delay_s)
     late = found * ramp_rate(ramp(0.35), LIFTING)
     zone = of_onsets([0.35 + late], late)
@@ -179,3 +186,15 @@ def test_a_lag_of_some_samples_of_a_slow_clock_does_not_pass_for_a_dead_zone():
     # The same samples on a clock of 1 s, where three of them are longer than the longest lag of a fast clock.
     found = from_tests([(command, travel / STEP_S, counts) for command, travel, counts in tests], 1.0)
     assert found.value <= 0.95 / CANDIDATES
+
+
+def test_a_dead_zone_at_the_end_of_its_candidates_has_an_error_that_is_not_negative():
+    rng = np.random.default_rng(0)
+    # Only the largest level moves the piston: any dead zone just below it would do.
+    command = np.where(rng.random((4, SAMPLES)) > 0.5, 1.0, 0.9)
+    travels = np.cumsum(np.maximum(command - 0.99, 0.0), axis=1) * 30.0 * STEP_S
+    found = from_tests(
+        [(u, w, np.ones(SAMPLES, bool)) for u, w in zip(command, travels, strict=True)], STEP_S
+    )
+    assert found.error.size >= 0
+    assert found.value + found.error.size >= 0.9

@@ -8,7 +8,7 @@ import pytest
 import handmade
 from handmade import GAINS
 from hitchid.data.record import LIFTING, LOWERING
-from hitchid.identification.levelling import MOST, levelling, levelling_proves_itself, scaled
+from hitchid.identification.levelling import MOST, calibration_improves, levelling, scaled
 
 HITCH = handmade.hitch("integrator")
 SAMPLES = 400
@@ -63,11 +63,11 @@ def test_no_factor_goes_farther_than_its_bound(simulated):
 
 def test_factors_that_all_records_share_prove_themselves(simulated):
     records = simulated(scaled(HITCH, {LIFTING: 1.03, LOWERING: 0.96}), count=4)
-    assert levelling_proves_itself(HITCH, records)
+    assert calibration_improves(HITCH, records)
 
 
 def test_one_record_proves_nothing(simulated):
-    assert not levelling_proves_itself(HITCH, simulated(scaled(HITCH, {LIFTING: 1.03}), count=1))
+    assert not calibration_improves(HITCH, simulated(scaled(HITCH, {LIFTING: 1.03}), count=1))
 
 
 def test_records_that_differ_prove_nothing(simulated):
@@ -76,4 +76,4 @@ def test_records_that_differ_prove_nothing(simulated):
         simulated(scaled(HITCH, {LIFTING: factor, LOWERING: factor}), count=4)[number]
         for number, factor in enumerate(factors)
     ]
-    assert not levelling_proves_itself(HITCH, records)
+    assert not calibration_improves(HITCH, records)

@@ -71,7 +71,7 @@ def test_a_dead_zone_that_is_too_large_for_a_valve_curve_is_found_anew(make_reco
     curved = Form(structure_named("integrator-second-order"), curve=True)
     batch = simulated(make_record, curved, [20.0, 15.0, 0.8, 0.05, 2.0, 0.6], dead_zone=0.1)
     found, tried = choose_form(
-        batch.behind_one(0.4), Automatic(PLAIN), SEARCH, 0, units=UNITS, revised=revised
+        batch.with_dead_zone(0.4), Automatic(PLAIN), SEARCH, 0, units=UNITS, revised=revised
     )
     (taken,) = (each for each in tried if each.chosen)
     assert [each.dead_zone for each in tried[:2]] == [0.4, 0.4]

@@ -99,7 +99,7 @@ class Misfit(eqx.Module):
 
     def cost(self, position: np.ndarray) -> float:
         """Return the sum of the squared residuals at one position."""
-        return float(self.by_equations(position).costs.sum())
+        return float(self.equations_by_test(position).costs.sum())
 
     def error(self, position: np.ndarray) -> float:
         """Return J at one position."""
@@ -108,12 +108,12 @@ class Misfit(eqx.Module):
     def by_test(self, position: np.ndarray) -> np.ndarray:
         """Return the root mean square error of each test, shape [T]."""
         counts = np.asarray(self.batch.counted).sum(axis=1)
-        costs = self.by_equations(position).costs
+        costs = self.equations_by_test(position).costs
         return np.sqrt(costs * np.count_nonzero(counts) / counts.sum())
 
-    def by_equations(self, position: np.ndarray) -> "ByTest":
+    def equations_by_test(self, position: np.ndarray) -> "TestEquations":
         """Return the squared residuals of each test at a position, to second order."""
-        return self._compiled().by_test(position).over(self.batch.command.shape[0])
+        return self._compiled().by_test(position).take(np.arange(self.batch.command.shape[0]))
 
     def problem(self) -> Problem:
         """Return the search problem over the samples that count."""
@@ -125,18 +125,22 @@ class Misfit(eqx.Module):
             normal_equations=Compiled.of(whole).normal_equations,
         )
 
-    def by_stretch(self, position: np.ndarray, pieces: int) -> "ByTest":
-        """Return the squared residuals of as many stretches of each test, weighted as in the whole."""
+    def equations_by_stretch(self, position: np.ndarray, pieces: int) -> "TestEquations":
+        """Return the squared residuals of as many stretches of each test, weighted as in the whole.
+
+        A stretch without samples that count is left out.
+        """
         counted = np.asarray(self.batch.counted)
         counts, weights = counted.sum(axis=1), self._weights()
         place = (np.cumsum(counted, axis=1) - 1) * pieces // np.maximum(counts, 1)[:, None]
         found = []
         for piece in range(pieces):
             part = self.over(self.batch.counting(jnp.asarray(place == piece)))
-            moving = np.asarray(part.batch.counted).any(axis=1)
-            ratio = np.where(moving, weights / np.where(moving, part._weights(), 1.0), 0.0)
-            found.append(part.by_equations(position).times(ratio))
-        return ByTest(*(np.concatenate(rows) for rows in zip(*found, strict=True)))
+            there = np.flatnonzero(np.asarray(part.batch.counted).any(axis=1))
+            if there.size:
+                ratio = weights[there] / part._weights()[there]
+                found.append(part.equations_by_test(position).take(there).times(ratio))
+        return TestEquations(*(np.concatenate(rows) for rows in zip(*found, strict=True)))
 
     def errors(self, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the weighted misses of the samples that count, and which test each belongs to, shape [M]."""
@@ -179,7 +183,7 @@ def traced(fitness: _Fitness) -> _Fitness:
     return jax.tree.map(jnp.asarray, fitness)
 
 
-class ByTest(NamedTuple):
+class TestEquations(NamedTuple):
     """The sum of squared residuals of each test at a position, to second order as Gauss and Newton have it.
 
     Attributes:
@@ -192,14 +196,14 @@ class ByTest(NamedTuple):
     slopes: Float[np.ndarray, "t d"]
     curvatures: Float[np.ndarray, "t d d"]
 
-    def over(self, tests: int) -> "ByTest":
-        """Return those of the first tests."""
-        return ByTest(*(each[:tests] for each in self))
+    def take(self, tests: np.ndarray) -> "TestEquations":
+        """Return those of some tests, by their numbers."""
+        return TestEquations(*(each[tests] for each in self))
 
-    def times(self, weights: Float[np.ndarray, " t"]) -> "ByTest":
+    def times(self, weights: Float[np.ndarray, " t"]) -> "TestEquations":
         """Return them with each test's squares multiplied by a weight."""
         costs, slopes, curvatures = self
-        return ByTest(weights * costs, weights[:, None] * slopes, weights[:, None, None] * curvatures)
+        return TestEquations(weights * costs, weights[:, None] * slopes, weights[:, None, None] * curvatures)
 
 
 class Compiled(NamedTuple):
@@ -218,9 +222,9 @@ class Compiled(NamedTuple):
         """Return the misses at a position, shape [T, N]."""
         return np.asarray(_by_test(self.structure, self.leaves, position)[0])
 
-    def by_test(self, position: np.ndarray) -> ByTest:
+    def by_test(self, position: np.ndarray) -> TestEquations:
         """Return the squared misses of each test at a position, to second order."""
-        return ByTest(*map(np.asarray, _by_test(self.structure, self.leaves, position)[1:]))
+        return TestEquations(*map(np.asarray, _by_test(self.structure, self.leaves, position)[1:]))
 
     def normal_equations(self, position: np.ndarray) -> NormalEquations:
         """Return ‖r‖², Jᵀr and JᵀJ at the position."""

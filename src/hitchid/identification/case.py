@@ -17,7 +17,7 @@ from hitchid.estimation import Comparison, Search
 from hitchid.identification.deadzone import DeadZone
 from hitchid.identification.direction import Asked, ChannelTrace, levelled
 from hitchid.identification.holding import hold_drift
-from hitchid.identification.levelling import levelling, levelling_proves_itself
+from hitchid.identification.levelling import calibration_improves, levelling
 from hitchid.identification.optional import attempt
 from hitchid.identification.phase2 import Training
 from hitchid.identification.preparation import Prepared, mixed_dead_zones, prepare
@@ -168,7 +168,7 @@ class Case:
         hitch, logs = self._hitch(found), self.cycles
         factors = attempt(
             "gain calibration",
-            lambda: levelling(hitch, logs) if levelling_proves_itself(hitch, logs) else {},
+            lambda: levelling(hitch, logs) if calibration_improves(hitch, logs) else {},
             notices,
         )
         if factors is None:

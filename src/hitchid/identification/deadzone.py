@@ -20,6 +20,7 @@ MOVED = 0.2
 UNKNOWN = 0.5
 FEWEST, GROUPS = 6, 24
 SAMPLES, LARGEST = 2048, 1_000_000
+# Lags of hydraulics on clocks up to 0.1 s, s; on a slower clock they are as many samples longer.
 LAGS_S, FAST_S = (0.03, 0.1, 0.3, 1.0), 0.1
 
 
@@ -132,7 +133,7 @@ def _line(record: Record, mode: str) -> tuple[float, float, int]:
     return float(slope), float(offset), stop
 
 
-def delay_of(
+def response_delay(
     tests: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], dead_zone: float, step_s: float
 ) -> float:
     """Return the lag, s, by which half of the speed of dynamic tests has followed the command.
@@ -158,7 +159,8 @@ def from_tests(tests: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], step_
     proportion longer where the clock is slower than 0.1 s: for each candidate d the gains gᵢ ≥ 0 follow by
     least squares over all tests, and together they stand for any short lag or dead time. The standard error
     is the jackknife's over tests, over at most 24 groups of them, and of fewer than six tests over their
-    stretches; at zero, where leaving tests out may move nothing, what the groups do not contradict.
+    stretches; at the least or largest candidate, where leaving tests out may move nothing, how far from it
+    groups are not fitted worse by a standard error.
 
     Args:
         tests: command, travel and which samples count, arrays of shape [N_i] for each test.
@@ -181,26 +183,28 @@ def from_tests(tests: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], step_
     left_out = np.array([_vertex(candidates, _misfits(whole - group.sum(axis=0))) for group in groups])
     error = np.sqrt((len(groups) - 1) / len(groups) * np.sum((left_out - left_out.mean()) ** 2))
     if not error:
-        error = _uncontradicted(candidates, np.stack([group.sum(axis=0) for group in groups])) - best
+        error = _reach_without_jackknife(candidates, np.stack([group.sum(axis=0) for group in groups]))
     return DeadZone(best, float(error), len(tests), "tests")
 
 
-def _uncontradicted(candidates: np.ndarray, groups: np.ndarray) -> float:
-    """Return the largest dead zone at which groups of tests are not fitted worse by a standard error.
+def _reach_without_jackknife(candidates: np.ndarray, groups: np.ndarray) -> float:
+    """Return how far from the best a dead zone may lie before groups are fitted worse by a standard error.
 
     Args:
-        candidates: dead zones, the first of them the best, shape [C].
+        candidates: dead zones, shape [C].
         groups: products of each group, shape [G, C, 6, 6].
     """
-    errors = []
+    squares = []
     for number in range(candidates.size):
         gains, _ = _gains(groups[:, number].sum(axis=0))
         weights = np.append(gains, -1.0)
-        errors.append(np.einsum("i,gij,j->g", weights, groups[:, number], weights))
-    worse = np.array(errors) - errors[0]
+        squares.append(np.einsum("i,gij,j->g", weights, groups[:, number], weights))
+    lowest = int(np.argmin(np.sum(squares, axis=1)))
+    worse = np.array(squares) - squares[lowest]
     spread = worse.std(axis=1, ddof=1) / np.sqrt(len(groups))
-    contradicted = np.flatnonzero(worse.mean(axis=1) > spread)
-    return float(candidates[contradicted[0]] if contradicted.size else candidates[-1])
+    allowed = candidates[worse.mean(axis=1) <= spread]
+    # One candidate farther: the border lies between them.
+    return float(np.max(np.abs(allowed - candidates[lowest])) + candidates[1] - candidates[0])
 
 
 def _normal_equations(

@@ -42,7 +42,7 @@ def levelling(hitch: Hitch, records: Sequence[Record]) -> dict[str, float]:
     return dict(zip(modes, np.exp(best.x).tolist(), strict=True))
 
 
-def levelling_proves_itself(hitch: Hitch, records: Sequence[Record]) -> bool:
+def calibration_improves(hitch: Hitch, records: Sequence[Record]) -> bool:
     """Tell whether records held out in turn are followed better with factors that the others give.
 
     To first order in the logarithms of the factors; see `proven_better`. One record alone proves nothing.

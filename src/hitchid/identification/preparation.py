@@ -13,11 +13,11 @@ from hitchid.data.test_kinds import ACTIVE_FRACTION, end_stop_contact, mode_chan
 from hitchid.errors import InputError, LogError
 from hitchid.identification.deadzone import (
     DeadZone,
-    delay_of,
     from_tests,
     of_onsets,
     ramp_onset,
     ramp_rate,
+    response_delay,
 )
 from hitchid.structures import Batch, before_end_stop
 
@@ -61,7 +61,7 @@ class Prepared:
         if dead_zone == self.dead_zone:
             return self
         batches = (self.everything, self.training, self.validation)
-        everything, training, validation = (batch.behind_one(dead_zone.value) for batch in batches)
+        everything, training, validation = (batch.with_dead_zone(dead_zone.value) for batch in batches)
         return replace(
             self, dead_zone=dead_zone, everything=everything, training=training, validation=validation
         )
@@ -225,7 +225,7 @@ def _of_ramps(
     if not ramps:
         return None, unmoved
     onsets, rates = zip(*ramps, strict=True)
-    delay_s = delay_of(travelled, float(np.mean(onsets)), campaign.step_s) if travelled else 0.0
+    delay_s = response_delay(travelled, float(np.mean(onsets)), campaign.step_s) if travelled else 0.0
     return of_onsets(onsets, delay_s * float(np.mean(rates))), unmoved
 
 

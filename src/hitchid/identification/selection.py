@@ -25,6 +25,7 @@ REFITTED = 4
 SAMPLES = 2048
 RAMPED = (-0.1, 0.1)
 FEWEST_APART = 6
+# Shares of a dead zone that is tried again with a valve curve; the first decides whether the others are.
 SMALLER = (0.5, 0.25, 0.75, 0.0)
 NEUTRAL = {
     "opening": 0.4,
@@ -115,7 +116,7 @@ def choose_form(
         units: see `identify_benchmark`.
         opening_known: whether the dead zone is where a ramp showed the valve to open: tests at a few levels
             of command say little about flow below the lowest.
-        revised: whether the dead zone may be found anew with a valve curve; see `_behind_another`.
+        revised: whether the dead zone may be found anew with a valve curve; see `_with_smaller_dead_zone`.
         dead_zone: how well it is known.
         progress: called with what is being done and the fraction that is done.
         kept: where what was found is kept and found again.
@@ -165,7 +166,7 @@ def choose_form(
             continue  # a larger form that cannot be fitted is none to choose
         positions = judged.positions
         if form.curve and not tried[-1].form.curve and revised:
-            misfit, judged = _behind_another(misfit, judged, free, folds, kept)
+            misfit, judged = _with_smaller_dead_zone(misfit, judged, free, folds, kept)
             positions = judged.positions
         tried.append(judged.candidate(name, form, misfit))
         told = {f"RMSE on levels held out / {units['x']}": tried[-1].held_out_rmse}
@@ -185,7 +186,7 @@ def choose_form(
         return assessed(plain, units=units, dead_zone=dead_zone, seed=seed), tuple(tried)
     hear = hearing(tried[chosen].name, 0.7)
     taken = tried[chosen]
-    behind = batch if taken.dead_zone == tried[0].dead_zone else batch.behind_one(taken.dead_zone)
+    behind = batch if taken.dead_zone == tried[0].dead_zone else batch.with_dead_zone(taken.dead_zone)
     fit = find_parameters(
         behind, taken.form, search, seed, start=found[chosen], heard=hear, kept=kept.part("chosen")
     )
@@ -255,7 +256,7 @@ def _fitted(
     return _judged(misfit, free, positions, folds)
 
 
-def _behind_another(
+def _with_smaller_dead_zone(
     misfit: Misfit, judged: _Judged, free: Sequence[int], folds: Sequence[np.ndarray], kept: Checkpoints
 ) -> tuple[Misfit, _Judged]:
     """Return a form with a valve curve behind a smaller dead zone where held-out tests prove that better.
@@ -267,7 +268,7 @@ def _behind_another(
     names = [parameter.name for parameter in misfit.form.parameters]
     found, best = float(misfit.batch.dead_zone[0]), (misfit, judged)
     for share in SMALLER:
-        other = Misfit.of(misfit.batch.behind_one(share * found), misfit.form)
+        other = Misfit.of(misfit.batch.with_dead_zone(share * found), misfit.form)
         start = other.position(misfit.values(judged.positions))
         starts = [start, *(_with(start, names, curve) for curve in CURVES)]
         try:

@@ -119,7 +119,7 @@ class Batch(eqx.Module):
             lambda batch: (batch.command, batch.dead_zone), self, (jnp.sign(self.logged) * beyond, dead_zone)
         )
 
-    def behind_one(self, dead_zone: float) -> "Batch":
+    def with_dead_zone(self, dead_zone: float) -> "Batch":
         """Return the tests behind another dead zone, the same for all, in the command's unit."""
         return self.behind(jnp.full_like(self.dead_zone, dead_zone))
 

@@ -19,7 +19,8 @@ HALF = 0.5
 TIGHT, LITTLE = 1.4, 0.2
 TAILS = (2.5, 97.5)
 PROFILED = 2048
-BLIND = 1e-5
+# Share of the largest derivative: below it an error of a thousandth of the travel is wider than the bounds.
+INSENSITIVE = 1e-5
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class _Found:
         number, parameter: which.
         lower, upper, linear: bounds of its search, and whether that runs between them as they are.
         bound: `lower` or `upper` where the estimate lies at one, else empty.
-        blind: whether the tests change so little with it that no error can be computed.
+        insensitive: whether the tests change so little with it that no error can be computed.
         interval: 95 %.
         profile: where the interval comes from one.
     """
@@ -41,7 +42,7 @@ class _Found:
     upper: float
     linear: bool
     bound: str
-    blind: bool = False
+    insensitive: bool = False
     interval: Interval = (None, None)
     profile: Profile | None = None
 
@@ -112,11 +113,12 @@ def assess(
     found = [_Found.of(misfit, position, number) for number in range(position.size)]
     inside = np.array([not each.bound for each in found])
     position = np.where(inside, position, np.round(position))
-    seen = np.sqrt(np.einsum("tdd->d", misfit.by_equations(position).curvatures))
+    seen = np.sqrt(np.einsum("tdd->d", misfit.equations_by_test(position).curvatures))
     found = [
-        replace(each, blind=bool(own < BLIND * seen.max())) for each, own in zip(found, seen, strict=True)
+        replace(each, insensitive=bool(own < INSENSITIVE * seen.max()))
+        for each, own in zip(found, seen, strict=True)
     ]
-    free = np.array([not (each.bound or each.blind) for each in found])
+    free = np.array([not (each.bound or each.insensitive) for each in found])
     moved = moves(misfit, position, free, dead_zone, seed=seed)
     found = [_with_interval(each, misfit, position, moved, dead_zone) for each in found]
     profiles = [each.profile for each in found if each.profile is not None]
@@ -175,7 +177,7 @@ def _with_interval(
     """
     place = float(position[found.number])
     bootstrap = None
-    if not (found.bound or found.blind):
+    if not (found.bound or found.insensitive):
         along = np.eye(position.size)[found.number]
         reach = moved.reach(along, float(moved.degrees[found.number]))
         interval = found.between(place - reach, place + reach)
@@ -248,10 +250,12 @@ def _estimates(
                 symbol=parameter.symbol or parameter.name.replace("_", " "),
                 unit=unit,
                 value=float(values[number]),
-                error=None if each.bound or each.blind else float(slopes[number] * moved.errors[number]),
+                error=None
+                if each.bound or each.insensitive
+                else float(slopes[number] * moved.errors[number]),
                 interval=each.interval,
                 method="Gauss-Newton" if each.profile is None else "profile",
-                bootstrap=None if each.bound or each.blind else _redrawn(each, position, moved),
+                bootstrap=None if each.bound or each.insensitive else _redrawn(each, position, moved),
                 lower=each.lower,
                 upper=each.upper,
                 linear=each.linear,

@@ -51,7 +51,7 @@ class Information:
         """
         errors, test = misfit.errors(position)
         free = np.flatnonzero(np.any(moved.by_test != 0, axis=0))
-        curvature = misfit.by_equations(position).curvatures.sum(axis=0)[np.ix_(free, free)]
+        curvature = misfit.equations_by_test(position).curvatures.sum(axis=0)[np.ix_(free, free)]
         covariance = (moved.by_test.T @ moved.by_test)[np.ix_(free, free)]
         counts = np.bincount(test)
         every = max(1, int(counts.max()) // LAGS)

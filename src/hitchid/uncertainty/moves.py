@@ -12,7 +12,10 @@ from hitchid.uncertainty.profile import Profile
 from hitchid.uncertainty.scores import LEAST, Scores
 
 DRAWS = 999
+# Beside the dead zone parameters are fitted anew over this many samples a test, in this many steps; the
+# change is small, so that it is the step, not the sum of squares, that must have settled.
 COARSE, REFITTED, TOLERANCE = 2048, 15, 1e-12
+# The first parameter of every linear structure.
 GAIN = 0
 
 

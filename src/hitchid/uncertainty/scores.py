@@ -29,12 +29,11 @@ class Scores(NamedTuple):
         """Take slopes and curvatures of a misfit at a position in the unit cube."""
         moving = np.asarray(misfit.batch.counted).any(axis=1)
         if np.count_nonzero(moving) >= position.size + FEWEST:
-            found = misfit.by_equations(position)
-            return cls(found.slopes[moving], found.curvatures[moving])
+            found = misfit.equations_by_test(position).take(np.flatnonzero(moving))
+            return cls(found.slopes, found.curvatures)
         pieces = -(-(position.size + FEWEST) // int(np.count_nonzero(moving)))
-        found = misfit.by_stretch(position, pieces)
-        moving = found.costs > 0
-        return cls(found.slopes[moving], found.curvatures[moving])
+        found = misfit.equations_by_stretch(position, pieces)
+        return cls(found.slopes, found.curvatures)
 
     def over(self, free: np.ndarray) -> "Scores":
         """Return those of some of the parameters.

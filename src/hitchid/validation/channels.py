@@ -168,7 +168,7 @@ def _rivals(channel: Channel, batch: Batch, steps: Sequence[int]) -> dict[str, _
         found["lstm"] = _Rival(of_travel(np.asarray(travel)))
     paper = papers_channel(channel)
     if paper is not None:
-        batch = batch.behind_one(paper.dead_zone)
+        batch = batch.with_dead_zone(paper.dead_zone)
         found["transfer_function"] = _Rival(np.asarray(paper.simulate_benchmark(batch)))
         if paper.compensator is not None:
             rows = list(np.asarray(paper.predict(batch, tuple(steps))))
