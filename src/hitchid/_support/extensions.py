@@ -15,8 +15,8 @@ def with_extensions(
 ) -> Mapping[str, Part]:
     """Return this package's parts of one kind and those that installed packages register, by name.
 
-    Another package registers a part by an entry point, for instance under
-    `[project.entry-points."hitchid.structures"]` in its `pyproject.toml`; the entry point's value is the part.
+    Another package registers a part by an entry point, for instance
+    `[project.entry-points."hitchid.structures"]` in its `pyproject.toml`, whose value is the part.
 
     Args:
         group: name of the group of entry points.
