@@ -15,9 +15,9 @@ import numpy as np
 from coverage import PLANTS, UNITS, Plant, campaign, record_of, test
 
 from hitchid.data.record import COMMAND, DISPLACEMENT, LIFTING
-from hitchid.design import Limits, command_of, design
+from hitchid.design import ExcitationLimits, command_of, design
 from hitchid.estimation import MultiStart
-from hitchid.identification.direction import envelope_of
+from hitchid.identification.direction import operating_range_of
 from hitchid.identification.phase1 import Phase1, identify_benchmark
 from hitchid.model import Channel, Hitch
 from hitchid.structures import Batch
@@ -35,54 +35,60 @@ def main() -> None:
         if plant.simulated or plant.clock_s > 0.5:
             continue
         rng = np.random.default_rng(1)
-        cuts: dict[str, list[tuple[float, float]]] = {}
+        reductions: dict[str, list[tuple[float, float]]] = {}
         for _ in range(campaigns):
-            parameter, cut = _cuts(plant, rng)
-            cuts.setdefault(parameter, []).append(cut)
-        for parameter, pairs in cuts.items():
-            usual, advised = 100 * np.mean(pairs, axis=0)
+            parameter, reduction = _interval_reductions(plant, rng)
+            reductions.setdefault(parameter, []).append(reduction)
+        for parameter, pairs in reductions.items():
+            baseline, advised = 100 * np.mean(pairs, axis=0)
             cells = (
                 name,
                 f"{parameter}, {len(pairs)}",
-                f"{usual:.1f}",
+                f"{baseline:.1f}",
                 f"{advised:.1f}",
-                f"{advised / usual:.1f}",
+                f"{advised / baseline:.1f}",
             )
             say(f"| {' | '.join(cells)} |\n")
             sys.stdout.flush()
 
 
-def _cuts(plant: Plant, rng: np.random.Generator) -> tuple[str, tuple[float, float]]:
+def _interval_reductions(plant: Plant, rng: np.random.Generator) -> tuple[str, tuple[float, float]]:
     """Return the parameter that is to be narrowed, and by what share either test cuts its interval."""
     records, zone, error = campaign(plant, rng)
 
-    def identified(tests: list) -> Phase1:
-        batch = Batch.of(tests, LIFTING, dead_zone=zone, direction=1)
+    def run_phase1(tests: list) -> Phase1:
+        batch = Batch.of(tests, LIFTING, dead_zone=zone, sign=1)
         return identify_benchmark(batch, plant.form, MultiStart(starts=2), 0, units=UNITS, dead_zone=error)
 
-    found = identified(records)
-    hitch = _hitch(found, zone)
-    sure = [each for each in found.estimates if each.determined]
-    target = max(sure, key=lambda each: each.vagueness).name
+    initial_fit = run_phase1(records)
+    hitch = _hitch(initial_fit, zone)
+    determined = [estimate for estimate in initial_fit.parameter_estimates if estimate.determined]
+    target = max(determined, key=lambda estimate: estimate.log_interval_width).name
     longest = records[0].step_s * (len(records[0]) - 1)
-    advice = design(hitch, LIFTING, parameter=target, limits=Limits(longest_s=longest))
+    advice = design(hitch, LIFTING, parameter=target, limits=ExcitationLimits(longest_s=longest))
     command = command_of(hitch, LIFTING, advice.proposals[0])
-    advised = identified([*records, record_of(plant, command, rng, "advised")])
-    usual = identified([*records, test(plant, rng, len(records))])
+    advised = run_phase1([*records, record_of(plant, command, rng, "advised")])
+    baseline = run_phase1([*records, test(plant, rng, len(records))])
 
     def width(phase1: Phase1) -> float:
-        return next(each.vagueness for each in phase1.estimates if each.name == target)
+        return next(
+            estimate.log_interval_width for estimate in phase1.parameter_estimates if estimate.name == target
+        )
 
-    now = width(found)
-    return target, (1 - width(usual) / now, 1 - width(advised) / now)
+    initial_width = width(initial_fit)
+    return target, (1 - width(baseline) / initial_width, 1 - width(advised) / initial_width)
 
 
-def _hitch(found: Phase1, zone: float) -> Hitch:
-    fit = found.fit
-    channel = Channel(LIFTING, 1, zone, None, found.benchmark, envelope=envelope_of(fit.misfit.batch))
-    known = Uncertainty(found.known, information=Information.of(fit.misfit, fit.position, found.moved))
+def _hitch(phase1: Phase1, zone: float) -> Hitch:
+    fit = phase1.fit
+    channel = Channel(
+        LIFTING, 1, zone, None, phase1.benchmark, envelope=operating_range_of(fit.objective.batch)
+    )
+    uncertainty = Uncertainty(
+        phase1.assessment, information=Information.of(fit.objective, fit.position, phase1.influence)
+    )
     units = {DISPLACEMENT: UNITS["x"], COMMAND[LIFTING]: UNITS["u"]}
-    return Hitch({LIFTING: channel}, fit.misfit.batch.step_s, units, uncertainty={LIFTING: known})
+    return Hitch({LIFTING: channel}, fit.objective.batch.step_s, units, uncertainty={LIFTING: uncertainty})
 
 
 if __name__ == "__main__":

@@ -22,25 +22,27 @@ def main() -> None:
     """Identify and validate."""
     jax.config.update("jax_enable_x64", True)
     rig = sys.argv[1] if len(sys.argv) > 1 else "nominal"
-    with tempfile.TemporaryDirectory() as place:
-        known, unseen = Path(place) / "known", Path(place) / "unseen"
-        write_campaign(known, rig, tests={"ramp": 3, "prbs": TESTS}, seed=0)
+    with tempfile.TemporaryDirectory() as folder:
+        training_logs, unseen = Path(folder) / "known", Path(folder) / "unseen"
+        write_campaign(training_logs, rig, tests={"ramp": 3, "prbs": TESTS}, seed=0)
         write_campaign(unseen, rig, tests={"prbs": UNSEEN}, seed=7)
-        model = hitchid.identify(hitchid.read(known), comparison=None).model
+        model = hitchid.identify(hitchid.read(training_logs), comparison=None).model
         metrics = hitchid.validate(model, hitchid.read(unseen)).metrics
     say = sys.stdout.write
     header = ("direction", "prediction", "covered / %", f"mean width / {metrics['unit']}")
     say(f"| {' | '.join(header)} |\n|{' --- |' * len(header)}\n")
-    for mode, channel in metrics["channels"].items():
+    for direction, channel in metrics["channels"].items():
         bands = channel["bands"]
-        free, ahead = bands["free_run"], bands["horizons"]
+        free, horizons = bands["free_run"], bands["horizons"]
         rows = [("free run", free["covered"], free["width"])]
         rows += [
             (f"{step} ahead", covered, width)
-            for step, covered, width in zip(ahead["steps"], ahead["covered"], ahead["width"], strict=True)
+            for step, covered, width in zip(
+                horizons["steps"], horizons["covered"], horizons["width"], strict=True
+            )
         ]
         for name, covered, width in rows:
-            say(f"| {mode} | {name} | {100 * covered:.1f} | {width:.3f} |\n")
+            say(f"| {direction} | {name} | {100 * covered:.1f} | {width:.3f} |\n")
 
 
 if __name__ == "__main__":

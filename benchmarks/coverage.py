@@ -20,7 +20,7 @@ from hitchid.data.record import LIFTING, Record
 from hitchid.estimation import MultiStart
 from hitchid.experiments.excitation import prbs, precompensated
 from hitchid.identification.phase1 import identify_benchmark
-from hitchid.structures import Batch, Benchmark, Form, Scales, structure_named
+from hitchid.structures import Batch, ModelSpec, PhysicalModel, Scales, structure_named
 from hitchid.uncertainty import DeadZoneError, Interval
 
 TESTS, DURATION_S, STEP_S = 12, 6.0, 0.01
@@ -28,7 +28,7 @@ DEAD_ZONE_A, DEAD_ZONE_SPREAD_A = 0.38, 0.002
 COLOURED_MM, COLOURED_S, WHITE_MM = 0.3, 1.0, 0.05
 HIGHEST_A = 0.8
 UNITS = {"x": "mm", "u": "A"}
-CURVED = {"opening": 0.05, "exponent": 1.3, "saturation": 1.5}
+CURVE_PARAMETERS = {"opening": 0.05, "exponent": 1.3, "saturation": 1.5}
 SCALES = Scales(*map(jnp.asarray, (HIGHEST_A, 0.0, 1.0, 0.0, 1.0)))
 
 
@@ -43,39 +43,41 @@ class Plant:
         simulated: structure of the truth, where it is another than the form's.
     """
 
-    form: Form
+    form: ModelSpec
     truth: Mapping[str, float]
     clock_s: float = 0.2
     simulated: str = ""
 
-    def benchmark(self) -> Benchmark:
+    def benchmark(self) -> PhysicalModel:
         """Return the truth."""
         form = replace(self.form, structure=structure_named(self.simulated)) if self.simulated else self.form
         values = [self.truth[parameter.name] for parameter in form.parameters]
-        return form.benchmark(jnp.asarray(values), SCALES)
+        return form.physical_model(jnp.asarray(values), SCALES)
 
 
 PLANTS = {
     "second order": Plant(
-        Form(structure_named("integrator-second-order")),
+        ModelSpec(structure_named("integrator-second-order")),
         {"gain": 40.0, "natural_frequency": 12.0, "damping_ratio": 0.7},
     ),
     "first order, dead time": Plant(
-        Form(structure_named("integrator-first-order"), dead_time=True),
+        ModelSpec(structure_named("integrator-first-order"), dead_time=True),
         {"gain": 30.0, "time_constant": 0.1, "dead_time": 0.03},
     ),
-    "lag of 8 s": Plant(Form(structure_named("first-order-lag")), {"gain": 30.0, "time_constant": 8.0}),
+    "lag of 8 s": Plant(ModelSpec(structure_named("first-order-lag")), {"gain": 30.0, "time_constant": 8.0}),
     "first order, valve curve": Plant(
-        Form(structure_named("integrator-first-order"), curve=True, bounds={"opening": (-0.2, 0.2)}),
-        {"gain": 40.0, "time_constant": 0.1, **CURVED},
+        ModelSpec(
+            structure_named("integrator-first-order"), valve_curve=True, bounds={"opening": (-0.2, 0.2)}
+        ),
+        {"gain": 40.0, "time_constant": 0.1, **CURVE_PARAMETERS},
     ),
     "lag that is an integrator": Plant(
-        Form(structure_named("first-order-lag")),
+        ModelSpec(structure_named("first-order-lag")),
         {"gain": 30.0, "time_constant": np.inf},
         simulated="integrator",
     ),
     "second order, too fast for a slow clock": Plant(
-        Form(structure_named("integrator-second-order")),
+        ModelSpec(structure_named("integrator-second-order")),
         {"gain": 40.0, "natural_frequency": 150.0, "damping_ratio": 0.7},
         clock_s=1.0,
     ),
@@ -105,12 +107,12 @@ def record_of(plant: Plant, command: np.ndarray, rng: np.random.Generator, name:
     """Return what a plant answers to a command as logged, with its errors."""
     signals = {"displacement": np.zeros(command.size), "lifting_command": command}
     units = {"displacement": UNITS["x"], "lifting_command": UNITS["u"]}
-    still = Batch.of([Record(name, STEP_S, signals, units)], LIFTING, dead_zone=DEAD_ZONE_A, direction=1)
-    travel = np.asarray(plant.benchmark().travel(still))[0, : command.size]
-    left = np.exp(-STEP_S / COLOURED_S)
-    driven = COLOURED_MM * np.sqrt(1 - left**2) * rng.standard_normal(command.size)
-    driven[0] = COLOURED_MM * rng.standard_normal()
-    noise = lfilter([1.0], [1.0, -left], driven) + WHITE_MM * rng.standard_normal(command.size)
+    rest_batch = Batch.of([Record(name, STEP_S, signals, units)], LIFTING, dead_zone=DEAD_ZONE_A, sign=1)
+    travel = np.asarray(plant.benchmark().travel(rest_batch))[0, : command.size]
+    decay = np.exp(-STEP_S / COLOURED_S)
+    innovations = COLOURED_MM * np.sqrt(1 - decay**2) * rng.standard_normal(command.size)
+    innovations[0] = COLOURED_MM * rng.standard_normal()
+    noise = lfilter([1.0], [1.0, -decay], innovations) + WHITE_MM * rng.standard_normal(command.size)
     return Record(name, STEP_S, {**signals, "displacement": travel + noise}, units)
 
 
@@ -129,27 +131,37 @@ def main() -> None:
     say(f"| {' | '.join(header)} |\n|{' --- |' * len(header)}\n")
     for name, plant in PLANTS.items():
         rng = np.random.default_rng(0)
-        found = []
+        all_estimates = []
         for _ in range(campaigns):
             records, zone, error = campaign(plant, rng)
-            batch = Batch.of(records, LIFTING, dead_zone=zone, direction=1)
+            batch = Batch.of(records, LIFTING, dead_zone=zone, sign=1)
             phase1 = identify_benchmark(
                 batch, plant.form, MultiStart(starts=2), 0, units=UNITS, dead_zone=error
             )
-            found.append({each.name: each for each in phase1.estimates})
+            all_estimates.append(
+                {
+                    parameter_estimate.name: parameter_estimate
+                    for parameter_estimate in phase1.parameter_estimates
+                }
+            )
         for parameter, truth in plant.truth.items():
-            each = [campaign[parameter] for campaign in found]
-            held = [_holds(estimate.interval, truth) for estimate in each]
-            redrawn = [
-                estimate.bootstrap is not None and _holds(estimate.bootstrap, truth) for estimate in each
+            estimates = [campaign[parameter] for campaign in all_estimates]
+            covered = [_covers(estimate.interval, truth) for estimate in estimates]
+            bootstrap_covered = [
+                estimate.bootstrap is not None and _covers(estimate.bootstrap, truth)
+                for estimate in estimates
             ]
-            sure = [estimate.determined for estimate in each]
-            cells = (name, parameter, *(f"{100 * np.mean(row):.1f}" for row in (held, redrawn, sure)))
+            determined = [estimate.determined for estimate in estimates]
+            cells = (
+                name,
+                parameter,
+                *(f"{100 * np.mean(row):.1f}" for row in (covered, bootstrap_covered, determined)),
+            )
             say(f"| {' | '.join(cells)} |\n")
             sys.stdout.flush()
 
 
-def _holds(interval: Interval, truth: float) -> bool:
+def _covers(interval: Interval, truth: float) -> bool:
     lower, upper = interval
     return (lower is None or lower <= truth) and (upper is None or truth <= upper)
 

@@ -21,7 +21,7 @@ from hitchid.data.record import CYCLE, LIFTING, LOWERING, Record
 from hitchid.model import Hitch
 
 DATA = Path(os.environ.get("HITCHID_DATA", Path(__file__).parents[2] / "shared" / "data"))
-TURN_S = 186.0
+REVERSAL_S = 186.0
 
 
 def free_run_rmse(model: Hitch, record: Record) -> float:
@@ -29,39 +29,41 @@ def free_run_rmse(model: Hitch, record: Record) -> float:
     return float(np.sqrt(np.mean((model.simulate(record) - record.displacement) ** 2)))
 
 
-def left_out() -> None:
+def leave_one_out() -> None:
     """Print the error on each cycle of rig-a, identified from the others, without and with creep."""
     cycles = hitchid.read(DATA / "rig-a").of_kind(CYCLE)
-    for held in cycles:
-        campaign = Campaign(cycles, (held.name,))
+    for test in cycles:
+        campaign = Campaign(cycles, (test.name,))
         for drift in (False, True):
             model = hitchid.identify(campaign, training=None, drift=drift).model
-            sys.stdout.write(f"{held.name}, drift = {drift}: {free_run_rmse(model, held):.3f} {held.unit}\n")
+            sys.stdout.write(f"{test.name}, drift = {drift}: {free_run_rmse(model, test):.3f} {test.unit}\n")
             sys.stdout.flush()
 
 
-def late_thirds() -> None:
+def last_thirds() -> None:
     """Print the errors over the last thirds of hanging-load, with two channels and with one for both."""
-    (whole,) = hitchid.read(DATA / "hanging-load").records
-    turn = round(TURN_S / whole.step_s)
-    early, late = [], []
-    for mode, start, stop in ((LIFTING, 0, turn), (LOWERING, turn, len(whole))):
-        cut = start + 2 * (stop - start) // 3
-        early.append(whole.slice(start, cut, name=f"{mode}-early", kind=CYCLE))
-        late.append(whole.slice(cut, stop, name=f"{mode}-late", kind=CYCLE))
-    campaign = Campaign((*early, *late), tuple(record.name for record in late))
+    (log,) = hitchid.read(DATA / "hanging-load").records
+    turn = round(REVERSAL_S / log.step_s)
+    training_records, test_records = [], []
+    for direction, start, stop in ((LIFTING, 0, turn), (LOWERING, turn, len(log))):
+        split = start + 2 * (stop - start) // 3
+        training_records.append(log.slice(start, split, name=f"{direction}-early", kind=CYCLE))
+        test_records.append(log.slice(split, stop, name=f"{direction}-late", kind=CYCLE))
+    campaign = Campaign((*training_records, *test_records), tuple(record.name for record in test_records))
     model = hitchid.identify(campaign, training=None).model
     models = {"two channels": model}
-    for mode, other in ((LIFTING, LOWERING), (LOWERING, LIFTING)):
-        channel = model.channels[mode]
-        mirrored = replace(channel, mode=other, direction=-channel.direction, end_stop=None)
-        models[f"{mode} channel for both"] = replace(model, channels={mode: channel, other: mirrored})
-    for name, each in models.items():
-        errors = ", ".join(f"{record.name} {free_run_rmse(each, record):.3f}" for record in late)
-        sys.stdout.write(f"{name}: {errors} {whole.unit}\n")
+    for direction, other in ((LIFTING, LOWERING), (LOWERING, LIFTING)):
+        channel = model.channels[direction]
+        mirrored = replace(channel, mode=other, direction=-channel.sign, end_stop=None)
+        models[f"{direction} channel for both"] = replace(
+            model, channels={direction: channel, other: mirrored}
+        )
+    for name, variant in models.items():
+        errors = ", ".join(f"{record.name} {free_run_rmse(variant, record):.3f}" for record in test_records)
+        sys.stdout.write(f"{name}: {errors} {log.unit}\n")
 
 
-SETS = {"rig-a": left_out, "hanging-load": late_thirds}
+SETS = {"rig-a": leave_one_out, "hanging-load": last_thirds}
 
 
 def main() -> None:

@@ -21,14 +21,14 @@ from scipy.io import loadmat
 
 import hitchid
 from hitchid.data.record import COMMAND, DISPLACEMENT, LIFTING, Record
-from hitchid.identification import Training
+from hitchid.identification import CompensatorConfig
 from hitchid.identification.preparation import mixed_dead_zones
-from hitchid.structures import Form, structure_named
+from hitchid.structures import ModelSpec, structure_named
 
 DATA = Path(os.environ.get("HITCHID_DATA", Path(__file__).parents[2] / "shared" / "data"))
-TRIAL = Training(baselines=False)
+TRAINING = CompensatorConfig(baselines=False)
 SHOWN = (1, 10, 100)
-PARTS = {
+STAGES = {
     "greybox": ("benchmark", "compensator", "compensator for free run"),
     "arx": ("ARX",),
     "narx": ("NARX",),
@@ -38,15 +38,15 @@ PARTS = {
 
 
 @dataclass(frozen=True)
-class Set:
+class DataSet:
     """One set of data: its campaign, the forms asked for, and the samples an official protocol leaves out."""
 
     campaign: Callable[[], hitchid.Campaign]
-    forms: dict[str, Form] | None = None
+    forms: dict[str, ModelSpec] | None = None
     skipped: int = 0
 
 
-def single(
+def single_channel_campaign(
     names: Sequence[str], step_s: float, samples: Sequence[tuple], units: Sequence[str]
 ) -> hitchid.Campaign:
     """Return a campaign of one channel, its last record held out."""
@@ -66,30 +66,40 @@ def emps() -> hitchid.Campaign:
     """Return the positioning system's two records, in mm and V."""
     names = ("DATA_EMPS", "DATA_EMPS_PULSES")
     files = [loadmat(DATA / "emps" / f"{name}.mat") for name in names]
-    return single(names, 1e-3, [(f["vir"].ravel(), 1e3 * f["qm"].ravel()) for f in files], ("V", "mm"))
+    return single_channel_campaign(
+        names, 1e-3, [(f["vir"].ravel(), 1e3 * f["qm"].ravel()) for f in files], ("V", "mm")
+    )
 
 
 def tanks() -> hitchid.Campaign:
     """Return the tanks' two records, in V."""
     table = np.genfromtxt(DATA / "cascaded-tanks" / "dataBenchmark.csv", delimiter=",", names=True)
     names = ("Est", "Val")
-    return single(names, 4.0, [(table[f"u{name}"], table[f"y{name}"]) for name in names], ("V", "V"))
+    return single_channel_campaign(
+        names, 4.0, [(table[f"u{name}"], table[f"y{name}"]) for name in names], ("V", "V")
+    )
 
 
 def hanging_load() -> hitchid.Campaign:
     """Return the strokes of the closed-loop log, the last third of each direction by time held out."""
-    whole = hitchid.read(DATA / "hanging-load")
-    cut = whole.segmented({mode: zone.value for mode, zone in mixed_dead_zones(whole).items()})
-    late = [r.name for mode in cut.modes for r in cut.of_kind(mode)[-(-2 * len(cut.of_kind(mode)) // 3) :]]
-    return hitchid.Campaign(cut.records, tuple(escape(name) for name in late))
+    campaign = hitchid.read(DATA / "hanging-load")
+    segmented = campaign.segmented(
+        {direction: zone.value for direction, zone in mixed_dead_zones(campaign).items()}
+    )
+    test_names = [
+        r.name
+        for direction in segmented.directions
+        for r in segmented.of_kind(direction)[-(-2 * len(segmented.of_kind(direction)) // 3) :]
+    ]
+    return hitchid.Campaign(segmented.records, tuple(escape(name) for name in test_names))
 
 
 SETS = {
-    "rig-a": Set(lambda: hitchid.read(DATA / "rig-a")),
-    "excavator-boom": Set(lambda: hitchid.read(DATA / "excavator-boom")),
-    "hanging-load": Set(hanging_load),
-    "emps": Set(emps, {LIFTING: Form(structure_named("inertia-with-friction"))}, 20),
-    "cascaded-tanks": Set(tanks, {LIFTING: Form(structure_named("cascaded-tanks"))}, 50),
+    "rig-a": DataSet(lambda: hitchid.read(DATA / "rig-a")),
+    "excavator-boom": DataSet(lambda: hitchid.read(DATA / "excavator-boom")),
+    "hanging-load": DataSet(hanging_load),
+    "emps": DataSet(emps, {LIFTING: ModelSpec(structure_named("inertia-with-friction"))}, 20),
+    "cascaded-tanks": DataSet(tanks, {LIFTING: ModelSpec(structure_named("cascaded-tanks"))}, 50),
 }
 
 
@@ -98,48 +108,51 @@ def figures(name: str, seed: int) -> dict[str, float]:
     chosen = SETS[name]
     campaign = chosen.campaign()
     started = time.perf_counter()
-    asked = {} if chosen.forms is None else {"structure": chosen.forms}
-    found = hitchid.identify(campaign, training=TRIAL, seed=seed, **asked)
+    options = {} if chosen.forms is None else {"structure": chosen.forms}
+    identification = hitchid.identify(campaign, training=TRAINING, seed=seed, **options)
     measured = {"identification / s": time.perf_counter() - started}
     if chosen.skipped:
         record = campaign.held_out(LIFTING)[0]
-        error = (found.model.simulate(record) - record.displacement)[chosen.skipped :]
+        error = (identification.model.simulate(record) - record.displacement)[chosen.skipped :]
         return measured | {
             f"RMSE / {record.unit}, without {chosen.skipped} samples": float(np.sqrt(np.mean(error**2)))
         }
-    metrics = hitchid.validate(found.model, campaign).metrics
-    for mode, channel in metrics["channels"].items():
-        worst = [test["free_run"]["r2"] for test in channel["per_test"].values()]
+    metrics = hitchid.validate(identification.model, campaign).metrics
+    for direction, channel in metrics["channels"].items():
+        r2_values = [test["free_run"]["r2"] for test in channel["per_test"].values()]
         measured |= {
-            f"{mode}: free run RMSE / {metrics['unit']}": channel["greybox"]["free_run"]["rmse"],
-            f"{mode}: free run R², mean": float(np.mean(worst)),
-            f"{mode}: free run R², worst": float(np.min(worst)),
-            f"{mode}: one step RMSE / {metrics['unit']}": channel["greybox"]["one_step"]["rmse"],
-            f"{mode}: gate open": float(found.channels[mode].gate.open),
-            f"{mode}: channel / s": sum(found.channels[mode].seconds.values()),
+            f"{direction}: free run RMSE / {metrics['unit']}": channel["greybox"]["free_run"]["rmse"],
+            f"{direction}: free run R², mean": float(np.mean(r2_values)),
+            f"{direction}: free run R², worst": float(np.min(r2_values)),
+            f"{direction}: one step RMSE / {metrics['unit']}": channel["greybox"]["one_step"]["rmse"],
+            f"{direction}: gate open": float(identification.channels[direction].holdout_test.accepted),
+            f"{direction}: channel / s": sum(identification.channels[direction].seconds.values()),
         }
     return measured
 
 
-def rivals(name: str) -> list[list[str]]:
+def baseline_rows(name: str) -> list[list[str]]:
     """Identify with every baseline; return a row of errors a model, on whole tests, and its training time."""
     chosen = SETS[name]
     campaign = chosen.campaign()
-    asked = {} if chosen.forms is None else {"structure": chosen.forms}
-    found = hitchid.identify(campaign, **asked)
-    metrics = hitchid.validate(found.model, campaign).metrics
+    options = {} if chosen.forms is None else {"structure": chosen.forms}
+    identification = hitchid.identify(campaign, **options)
+    metrics = hitchid.validate(identification.model, campaign).metrics
     rows = []
-    for mode, channel in metrics["channels"].items():
-        ahead = channel["horizons"]
-        places = [ahead["steps"].index(step) for step in SHOWN]
+    for direction, channel in metrics["channels"].items():
+        horizons = channel["horizons"]
+        indices = [horizons["steps"].index(step) for step in SHOWN]
         models = {"greybox": channel["greybox"], **channel["baselines"]}
         for model, runs in models.items():
             free = runs.get("free_run", {"rmse": None, "r2": None})
-            errors = [*(ahead[model][place] if model in ahead else None for place in places), free["rmse"]]
+            errors = [
+                *(horizons[model][index] if model in horizons else None for index in indices),
+                free["rmse"],
+            ]
             numbers = ["-" if value is None else f"{value:.3g}" for value in (*errors, free["r2"])]
-            spent = found.channels[mode].seconds
-            parts = [spent[part] for part in PARTS.get(model, ()) if part in spent]
-            rows.append([name, mode, model, *numbers, f"{sum(parts):.1f}"])
+            seconds = identification.channels[direction].seconds
+            stage_seconds = [seconds[stage] for stage in STAGES.get(model, ()) if stage in seconds]
+            rows.append([name, direction, model, *numbers, f"{sum(stage_seconds):.1f}"])
     return rows
 
 
@@ -149,18 +162,18 @@ def main() -> None:
     parser.add_argument("sets", nargs="*", default=[], choices=[*SETS, []])
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--rivals", action="store_true")
-    asked = parser.parse_args()
-    names = asked.sets or list(SETS)
-    if asked.rivals:
+    arguments = parser.parse_args()
+    names = arguments.sets or list(SETS)
+    if arguments.rivals:
         steps = [f"{step} ahead" for step in SHOWN]
         header = ["data", "mode", "model", *steps, "free run", "R²", "trained / s"]
-        rows = [header, ["---"] * len(header), *(row for name in names for row in rivals(name))]
+        rows = [header, ["---"] * len(header), *(row for name in names for row in baseline_rows(name))]
         sys.stdout.write("".join(f"| {' | '.join(row)} |\n" for row in rows))
         return
     for name in names:
-        trials = [figures(name, seed) for seed in range(asked.seeds)]
+        trials = [figures(name, seed) for seed in range(arguments.seeds)]
         header = "| figure | median | least | greatest |\n| --- | ---: | ---: | ---: |\n"
-        sys.stdout.write(f"\n{name}, {asked.seeds} seeds\n\n{header}")
+        sys.stdout.write(f"\n{name}, {arguments.seeds} seeds\n\n{header}")
         for label in trials[0]:
             values = [trial[label] for trial in trials]
             cells = (np.median(values), min(values), max(values))

@@ -28,12 +28,12 @@ sys.path.insert(1, str(Path(__file__).parents[1] / "tests" / "readers"))
 import fuzzing
 from hitchid.readers import ReaderProcess
 
-EVERY, MOST_MEMORY = 1000, 2**31
-ROOM = 4 * 2**30  # what this process may ask for: a fault must not take the machine down
+REPORT_INTERVAL, MOST_MEMORY = 1000, 2**31
+MEMORY_LIMIT = 4 * 2**30  # what this process may ask for: a fault must not take the machine down
 
 
 @dataclass
-class Found:
+class FuzzStatistics:
     """What has come of the inputs so far."""
 
     verdicts: dict[str, Counter[str]] = field(default_factory=lambda: defaultdict(Counter))
@@ -52,50 +52,52 @@ def main() -> None:
     options.add_argument("--first", type=int, default=0, help="number of the first input")
     options.add_argument("--only", default="", help="seeds whose names begin so")
     options.add_argument("--keep", type=Path, default=Path(tempfile.gettempdir()) / "hitchid-fuzz")
-    asked = options.parse_args()
+    arguments = options.parse_args()
     jax.config.update("jax_enable_x64", True)
     warnings.simplefilter("ignore")  # libraries warn of what is damaged on every input
-    resource.setrlimit(resource.RLIMIT_DATA, (ROOM, resource.getrlimit(resource.RLIMIT_DATA)[1]))
+    resource.setrlimit(resource.RLIMIT_DATA, (MEMORY_LIMIT, resource.getrlimit(resource.RLIMIT_DATA)[1]))
     with tempfile.TemporaryDirectory() as scratch, ReaderProcess() as process:
-        found = _run(asked, Path(scratch), process)
-    _report(found)
-    sys.exit(bool(found.faults))
+        statistics = _run(arguments, Path(scratch), process)
+    _report(statistics)
+    sys.exit(bool(statistics.faults))
 
 
-def _run(asked: argparse.Namespace, scratch: Path, process: ReaderProcess) -> Found:
-    every = fuzzing.seeds(scratch / "seeds")
-    seeds = [seed for seed in every if seed.name.startswith(asked.only)]
-    whole = {}
+def _run(arguments: argparse.Namespace, scratch: Path, process: ReaderProcess) -> FuzzStatistics:
+    all_seeds = fuzzing.seeds(scratch / "seeds")
+    seeds = [seed for seed in all_seeds if seed.name.startswith(arguments.only)]
+    undamaged = {}
     for seed in seeds:
         fuzzing.put(scratch / "input", seed.files)
-        whole[seed.name] = fuzzing.told_apart(seed.door(scratch / "input", process))
-    found, begun, children = Found(), time.monotonic(), set()
-    for number in range(asked.first, asked.first + asked.inputs):
-        rng = np.random.default_rng([asked.seed, number])
+        undamaged[seed.name] = fuzzing.told_apart(seed.door(scratch / "input", process))
+    statistics, started, children = FuzzStatistics(), time.monotonic(), set()
+    for number in range(arguments.first, arguments.first + arguments.inputs):
+        rng = np.random.default_rng([arguments.seed, number])
         seed = seeds[int(rng.integers(0, len(seeds)))]
-        files = fuzzing.changed(rng, seed, every)
+        files = fuzzing.changed(rng, seed, all_seeds)
         fuzzing.put(scratch / "input", files)
-        before = time.monotonic()
-        outcome = fuzzing.tried(seed, scratch / "input", process, whole[seed.name] if seed.sealed else None)
-        lasted_s = time.monotonic() - before
-        found.spent_s[seed.name] += lasted_s
-        found.slowest = max(found.slowest, (lasted_s, f"{seed.name}, input {number}"))
+        input_started = time.monotonic()
+        outcome = fuzzing.tried(
+            seed, scratch / "input", process, undamaged[seed.name] if seed.sealed else None
+        )
+        duration_s = time.monotonic() - input_started
+        statistics.spent_s[seed.name] += duration_s
+        statistics.slowest = max(statistics.slowest, (duration_s, f"{seed.name}, input {number}"))
         memory = _memory(children)
-        if lasted_s > fuzzing.LONGEST_S and outcome.fault is None:
-            outcome = fuzzing.Outcome("fault", f"took {lasted_s:.1f} s")
-        if memory > max(found.peak, MOST_MEMORY):
+        if duration_s > fuzzing.LONGEST_S and outcome.fault is None:
+            outcome = fuzzing.Outcome("fault", f"took {duration_s:.1f} s")
+        if memory > max(statistics.peak, MOST_MEMORY):
             outcome = fuzzing.Outcome("fault", f"took {memory / 1e9:.2f} GB; {outcome.said}", outcome.fault)
-        found.peak, found.starts = max(found.peak, memory), len(children)
-        found.verdicts[seed.name][outcome.verdict] += 1
+        statistics.peak, statistics.starts = max(statistics.peak, memory), len(children)
+        statistics.verdicts[seed.name][outcome.verdict] += 1
         if outcome.verdict == "fault":
-            found.faults.append(_kept(asked, number, seed, files, outcome))
-        if (number + 1 - asked.first) % EVERY == 0:
-            done, lasted_s = number + 1 - asked.first, time.monotonic() - begun
+            statistics.faults.append(_save_fault(arguments, number, seed, files, outcome))
+        if (number + 1 - arguments.first) % REPORT_INTERVAL == 0:
+            input_count, duration_s = number + 1 - arguments.first, time.monotonic() - started
             _say(
-                f"{done} inputs, {done / lasted_s:.0f}/s, {len(found.faults)} faults, {found.starts} starts "
-                f"of the reader, slowest {found.slowest[0]:.1f} s, {found.peak / 1e9:.2f} GB"
+                f"{input_count} inputs, {input_count / duration_s:.0f}/s, {len(statistics.faults)} faults, {statistics.starts} starts "
+                f"of the reader, slowest {statistics.slowest[0]:.1f} s, {statistics.peak / 1e9:.2f} GB"
             )
-    return found
+    return statistics
 
 
 def _memory(children: set[int]) -> int:
@@ -103,43 +105,49 @@ def _memory(children: set[int]) -> int:
     peak = 1024 * max(
         resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
     )
-    own = os.getpid()
-    for child in map(int, Path(f"/proc/{own}/task/{own}/children").read_text().split()):
+    process_id = os.getpid()
+    for child in map(int, Path(f"/proc/{process_id}/task/{process_id}/children").read_text().split()):
         children.add(child)
         try:
             status = Path(f"/proc/{child}/status").read_text()
         except OSError:
             continue
-        held = [line.split()[1] for line in status.splitlines() if line.startswith("VmHWM")]
-        peak = max([peak, *(1024 * int(each) for each in held)])
+        peak_lines = [line.split()[1] for line in status.splitlines() if line.startswith("VmHWM")]
+        peak = max([peak, *(1024 * int(kilobytes) for kilobytes in peak_lines)])
     return peak
 
 
-def _kept(
-    asked: argparse.Namespace, number: int, seed: fuzzing.Seed, files: fuzzing.Files, outcome: fuzzing.Outcome
+def _save_fault(
+    arguments: argparse.Namespace,
+    number: int,
+    seed: fuzzing.Seed,
+    files: fuzzing.Files,
+    outcome: fuzzing.Outcome,
 ) -> str:
     """Keep an input that shows a fault, and what came of it; return both in one line."""
-    place = asked.keep / f"{seed.name.replace(' ', '-')}-{asked.seed}-{number}"
-    fuzzing.put(place, files)
-    told = [] if outcome.fault is None else traceback.format_exception(outcome.fault)
-    (place / "fault.txt").write_text("".join([outcome.said, "\n", *told]), errors="backslashreplace")
-    line = f"{seed.name}, input {number}: {outcome.said}; kept in {place}"
+    folder = arguments.keep / f"{seed.name.replace(' ', '-')}-{arguments.seed}-{number}"
+    fuzzing.put(folder, files)
+    traceback_lines = [] if outcome.fault is None else traceback.format_exception(outcome.fault)
+    (folder / "fault.txt").write_text(
+        "".join([outcome.said, "\n", *traceback_lines]), errors="backslashreplace"
+    )
+    line = f"{seed.name}, input {number}: {outcome.said}; kept in {folder}"
     _say(line)
     return line
 
 
-def _report(found: Found) -> None:
+def _report(statistics: FuzzStatistics) -> None:
     _say(f"{'':20}{'inputs':>8}{'refused':>9}{'accepted':>10}{'fault':>7}{'ms each':>9}")
-    for name, verdicts in sorted(found.verdicts.items()):
+    for name, verdicts in sorted(statistics.verdicts.items()):
         count = verdicts.total()
         cells = (verdicts[fuzzing.REFUSED], verdicts[fuzzing.ACCEPTED], verdicts["fault"])
         _say(
-            f"{name:20}{count:8}{cells[0]:9}{cells[1]:10}{cells[2]:7}{1e3 * found.spent_s[name] / count:9.1f}"
+            f"{name:20}{count:8}{cells[0]:9}{cells[1]:10}{cells[2]:7}{1e3 * statistics.spent_s[name] / count:9.1f}"
         )
-    _say(f"slowest: {found.slowest[0]:.2f} s, {found.slowest[1]}")
-    _say(f"most memory: {found.peak / 1e9:.2f} GB; the reader was started {found.starts} times")
-    _say(f"faults: {len(found.faults)}")
-    for line in found.faults:
+    _say(f"slowest: {statistics.slowest[0]:.2f} s, {statistics.slowest[1]}")
+    _say(f"most memory: {statistics.peak / 1e9:.2f} GB; the reader was started {statistics.starts} times")
+    _say(f"faults: {len(statistics.faults)}")
+    for line in statistics.faults:
         _say(f"  {line}")
 
 

@@ -15,17 +15,17 @@ def main(model_folder: str, logs: str, runs: int) -> None:
     """Print the median time of composing and writing a report, s, and the size of its page."""
     model, trace, campaign = hitchid.load(model_folder), load_trace(model_folder), hitchid.read(logs)
     result = hitchid.validate(model, campaign)
-    spent, size = [], 0
-    with tempfile.TemporaryDirectory() as place:
+    seconds, size = [], 0
+    with tempfile.TemporaryDirectory() as folder:
         for number in range(runs):
             started = time.perf_counter()
             document = validation_report(result, model, campaign, trace=trace)
-            out = Path(place) / str(number)
+            out = Path(folder) / str(number)
             write_report(out, document, result.files(), mark="metrics.json")
-            spent.append(time.perf_counter() - started)
+            seconds.append(time.perf_counter() - started)
             size = (out / "report.html").stat().st_size
-    told = f"median {statistics.median(spent):.1f} s of {runs}, first {spent[0]:.1f} s"
-    sys.stdout.write(f"{len(campaign.records)} logs, {len(list(document.pictures))} figures: {told}; ")
+    timing_text = f"median {statistics.median(seconds):.1f} s of {runs}, first {seconds[0]:.1f} s"
+    sys.stdout.write(f"{len(campaign.records)} logs, {len(list(document.pictures))} figures: {timing_text}; ")
     sys.stdout.write(f"page {size / 1e6:.2f} MB\n")
 
 

@@ -34,57 +34,57 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--kills", type=int, default=30)
     options.add_argument("--seed", type=int, default=0)
-    asked = options.parse_args()
-    moments = np.random.default_rng(asked.seed)
+    arguments = options.parse_args()
+    moments = np.random.default_rng(arguments.seed)
     with tempfile.TemporaryDirectory() as folder:
-        place = Path(folder)
-        (place / "settings.toml").write_text(SETTINGS)
-        bench = [HITCHID, "bench", place / "logs", "--tests", "6"]
+        root = Path(folder)
+        (root / "settings.toml").write_text(SETTINGS)
+        bench = [HITCHID, "bench", root / "logs", "--tests", "6"]
         subprocess.run(bench, check=True)  # noqa: S603
-        whole = place / "whole"
-        _finish(place, whole)  # compiles what every run needs
-        shutil.rmtree(whole)
+        reference = root / "whole"
+        _finish(root, reference)  # compiles what every run needs
+        shutil.rmtree(reference)
         started = time.monotonic()
-        _finish(place, whole)
+        _finish(root, reference)
         lasting_s = time.monotonic() - started
         _say(f"uninterrupted: {lasting_s:.1f} s")
         kills = runs = 0
-        while kills < asked.kills:
+        while kills < arguments.kills:
             runs += 1
-            model = place / f"model-{runs}"
-            at = []
+            model = root / f"model-{runs}"
+            kill_times = []
             while True:
                 moment = moments.uniform(0.0, lasting_s)
-                if _killed(place, model, moment):
-                    at.append(moment)
-                if len(at) >= 3 or model.is_dir():
+                if _kill_after(root, model, moment):
+                    kill_times.append(moment)
+                if len(kill_times) >= 3 or model.is_dir():
                     break
-            kills += len(at)
-            _finish(place, model)
-            same = all((model / name).read_bytes() == (whole / name).read_bytes() for name in FILES)
-            left = sorted(
+            kills += len(kill_times)
+            _finish(root, model)
+            same = all((model / name).read_bytes() == (reference / name).read_bytes() for name in FILES)
+            leftovers = sorted(
                 path.name
-                for path in place.iterdir()
+                for path in root.iterdir()
                 if path.name.startswith((f"{model.name}.", f".{model.name}"))
             )
-            told = ", ".join(f"{each:.1f}" for each in at) or "no moment"
-            _say(f"run {runs}, killed at {told} s: same model: {same}, left behind: {left}")
+            times_text = ", ".join(f"{kill_time:.1f}" for kill_time in kill_times) or "no moment"
+            _say(f"run {runs}, killed at {times_text} s: same model: {same}, left behind: {leftovers}")
             if not same:
                 sys.exit(1)
 
 
-def _command(place: Path, model: Path) -> list[str | Path]:
-    options = ["--config", place / "settings.toml", "--quiet", "--resume"]
-    return [HITCHID, "identify", place / "logs", "--out", model, *options]
+def _command(root: Path, model: Path) -> list[str | Path]:
+    options = ["--config", root / "settings.toml", "--quiet", "--resume"]
+    return [HITCHID, "identify", root / "logs", "--out", model, *options]
 
 
-def _finish(place: Path, model: Path) -> None:
+def _finish(root: Path, model: Path) -> None:
     if not model.is_dir() or model.with_name(f"{model.name}.unfinished").is_dir():
-        subprocess.run(_command(place, model), check=True)  # noqa: S603
+        subprocess.run(_command(root, model), check=True)  # noqa: S603
 
 
-def _killed(place: Path, model: Path, after_s: float) -> bool:
-    process = subprocess.Popen(_command(place, model), stderr=subprocess.PIPE)  # noqa: S603
+def _kill_after(root: Path, model: Path, after_s: float) -> bool:
+    process = subprocess.Popen(_command(root, model), stderr=subprocess.PIPE)  # noqa: S603
     try:
         process.wait(after_s)
     except subprocess.TimeoutExpired:

@@ -14,55 +14,57 @@ from pathlib import Path
 
 import numpy as np
 
-from hitchid.data.record import COMMAND, DISPLACEMENT, MODES, Record
+from hitchid.data.record import COMMAND, DIRECTIONS, DISPLACEMENT, Record
 from hitchid.model import Hitch, load
 
-HELD = 50
+HOLD_SAMPLES = 50
 WARM_UP = 200
 
 
 def commands(steps: int, highest: float, seed: int) -> np.ndarray:
     """Return random levels held for half a second each, half of them zero, shape [N, 2]."""
     rng = np.random.default_rng(seed)
-    levels = rng.uniform(0.0, highest, (-(-steps // HELD), 2)) * (rng.random((-(-steps // HELD), 2)) > 0.5)
-    return np.repeat(levels, HELD, axis=0)[:steps]
+    levels = rng.uniform(0.0, highest, (-(-steps // HOLD_SAMPLES), 2)) * (
+        rng.random((-(-steps // HOLD_SAMPLES), 2)) > 0.5
+    )
+    return np.repeat(levels, HOLD_SAMPLES, axis=0)[:steps]
 
 
 def agreement(model: Hitch, steps: int) -> float:
     """Return the largest difference between stepping and `simulate`, in the model's unit."""
-    given = commands(steps, 0.7, 0)
-    given[0] = 0.0
+    inputs = commands(steps, 0.7, 0)
+    inputs[0] = 0.0
     signals = {DISPLACEMENT: np.full(steps, 120.0)} | {
-        COMMAND[mode]: given[:, number] for number, mode in enumerate(MODES)
+        COMMAND[direction]: inputs[:, number] for number, direction in enumerate(DIRECTIONS)
     }
-    whole = model.simulate(Record("random", model.step_s, signals, dict(model.units)))
-    state, largest = model.initial(120.0), 0.0
+    simulated = model.simulate(Record("random", model.step_s, signals, dict(model.units)))
+    state, largest = model.init_state(120.0), 0.0
     for number in range(steps - 1):
-        state, displacement = model.step(state, given[number])
-        largest = max(largest, abs(float(displacement) - whole[number + 1]))
+        state, displacement = model.step(state, inputs[number])
+        largest = max(largest, abs(float(displacement) - simulated[number + 1]))
     return largest
 
 
 def times_s(model: Hitch, steps: int, measured: Callable[[int], float | None]) -> np.ndarray:
     """Return the time of each step, from commands in to displacement out."""
-    given, state, spent = commands(steps, 0.7, 1), model.initial(120.0), np.empty(steps)
+    inputs, state, durations_s = commands(steps, 0.7, 1), model.init_state(120.0), np.empty(steps)
     for number in range(steps):
-        command, known = given[number], measured(number)
-        begun = time.perf_counter()
-        state, displacement = model.step(state, command, known)
+        command, measurement = inputs[number], measured(number)
+        started = time.perf_counter()
+        state, displacement = model.step(state, command, measurement)
         float(displacement)
-        spent[number] = time.perf_counter() - begun
-    return spent[WARM_UP:]
+        durations_s[number] = time.perf_counter() - started
+    return durations_s[WARM_UP:]
 
 
 def growth_mib(model: Hitch, steps: int) -> float:
     """Return by how much the largest resident size grows over so many steps after a first 10,000."""
     times_s(model, 10_000, lambda number: 120.0)
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    given, state = commands(HELD * 1000, 0.7, 2), model.initial(120.0)
+    memory_before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    inputs, state = commands(HOLD_SAMPLES * 1000, 0.7, 2), model.init_state(120.0)
     for number in range(steps):
-        state, _ = model.step(state, given[number % len(given)], 120.0)
-    return (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
+        state, _ = model.step(state, inputs[number % len(inputs)], 120.0)
+    return (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - memory_before) / 1024
 
 
 def main() -> None:
@@ -71,15 +73,17 @@ def main() -> None:
     parser.add_argument("model", type=Path)
     parser.add_argument("--steps", type=int, default=100_000)
     parser.add_argument("--long", type=int, default=0)
-    asked = parser.parse_args()
-    model = load(asked.model)
+    arguments = parser.parse_args()
+    model = load(arguments.model)
     for name, measured in (("measured", lambda number: 120.0), ("free run", lambda number: None)):
-        spent = 1e6 * times_s(model, asked.steps, measured)
-        middle, late = np.percentile(spent, [50, 99])
-        sys.stdout.write(f"{name}: median {middle:.1f} µs, 99th percentile {late:.1f} µs\n")
-    sys.stdout.write(f"largest difference to simulate: {agreement(model, asked.steps):.3g}\n")
-    if asked.long:
-        sys.stdout.write(f"memory over {asked.long} steps: {growth_mib(model, asked.long):+.1f} MiB\n")
+        durations_us = 1e6 * times_s(model, arguments.steps, measured)
+        median, percentile_99 = np.percentile(durations_us, [50, 99])
+        sys.stdout.write(f"{name}: median {median:.1f} µs, 99th percentile {percentile_99:.1f} µs\n")
+    sys.stdout.write(f"largest difference to simulate: {agreement(model, arguments.steps):.3g}\n")
+    if arguments.long:
+        sys.stdout.write(
+            f"memory over {arguments.long} steps: {growth_mib(model, arguments.long):+.1f} MiB\n"
+        )
 
 
 if __name__ == "__main__":

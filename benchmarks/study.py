@@ -12,19 +12,19 @@ import jax
 import numpy as np
 
 from hitchid.estimation.search import EVALUATIONS, DifferentialEvolution, MultiStart, Search, Whale
-from hitchid.estimation.whale import Swarm
-from hitchid.identification.identify import PAPER_FORMS
+from hitchid.estimation.whale import WhaleConfig
+from hitchid.identification.identify import PAPER_SPECS
 from hitchid.identification.phase1 import identify_benchmark
 from hitchid.identification.preparation import prepare
 from hitchid.readers import read
-from hitchid.structures import Form
+from hitchid.structures import ModelSpec
 
 SEEDS = range(10)
 DATA = Path(os.environ.get("HITCHID_DATA", Path(__file__).parents[2] / "shared" / "data"))
 SEARCHES: dict[str, Search] = {
     "whale": Whale(),
-    "whale, half the budget": Whale(Swarm(iterations=50, evaluations=EVALUATIONS // 2)),
-    "whale, one draw a whale": Whale(Swarm(evaluations=EVALUATIONS, per_dimension=False)),
+    "whale, half the budget": Whale(WhaleConfig(iterations=50, evaluations=EVALUATIONS // 2)),
+    "whale, one draw a whale": Whale(WhaleConfig(evaluations=EVALUATIONS, per_dimension=False)),
     "differential evolution": DifferentialEvolution(),
     "multi-start least squares": MultiStart(),
 }
@@ -38,23 +38,25 @@ def main() -> None:
     header = ("direction", "search", "before polish / mm", "worst", "after polish / mm", "worst / best", "s")
     say(f"| {' | '.join(header)} |\n|{' --- |' * len(header)}\n")
     units = {"x": "mm", "u": "A"}
-    for mode in campaign.modes:
-        tests = prepare(campaign, mode, None)
+    for direction in campaign.directions:
+        tests = prepare(campaign, direction, None)
 
-        def run(search: Search, seed: int, *, batch=tests.everything, form: Form = PAPER_FORMS[mode]):
+        def run(
+            search: Search, seed: int, *, batch=tests.all_tests, form: ModelSpec = PAPER_SPECS[direction]
+        ):
             return identify_benchmark(batch, form, search, seed, units=units)
 
         best = run(MultiStart(evaluations=10**6, starts=64), 0).rmse
-        say(f"| {mode} | 64-start least squares | | | {best:.6f} | | |\n")
+        say(f"| {direction} | 64-start least squares | | | {best:.6f} | | |\n")
         for name, search in SEARCHES.items():
             start = time.perf_counter()
-            found = [run(search, seed) for seed in SEEDS]
-            spent = (time.perf_counter() - start) / len(found)
-            before = np.array([each.search_rmse for each in found])
-            after = np.array([each.rmse for each in found])
+            results = [run(search, seed) for seed in SEEDS]
+            mean_seconds = (time.perf_counter() - start) / len(results)
+            search_errors = np.array([result.search_rmse for result in results])
+            refined_errors = np.array([result.rmse for result in results])
             say(
-                f"| {mode} | {name} | {np.median(before):.6f} | {before.max():.6f} | {np.median(after):.6f} "
-                f"| {after.max() / best:.6f} | {spent:.1f} |\n"
+                f"| {direction} | {name} | {np.median(search_errors):.6f} | {search_errors.max():.6f} | {np.median(refined_errors):.6f} "
+                f"| {refined_errors.max() / best:.6f} | {mean_seconds:.1f} |\n"
             )
             sys.stdout.flush()
 

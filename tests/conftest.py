@@ -88,14 +88,14 @@ def make_record():
 @pytest.fixture(scope="session")
 def quick_settings():
     """Return arguments of an identification that takes seconds."""
-    from hitchid.identification import Descent, MultiStart, Rollouts, Training
-    from hitchid.identification.identify import PAPER_FORMS
+    from hitchid.identification import AdamConfig, CompensatorConfig, MultiStart, Rollouts
+    from hitchid.identification.identify import PAPER_SPECS
 
     return {
-        "structure": PAPER_FORMS,
+        "structure": PAPER_SPECS,
         "comparison": None,
         "search": MultiStart(evaluations=60),
-        "training": Training(
-            hidden=6, window=20, descent=Descent(epochs=8, patience=8), rollouts=Rollouts(hidden=4, epochs=10)
+        "training": CompensatorConfig(
+            hidden=6, window=20, adam=AdamConfig(epochs=8, patience=8), rollouts=Rollouts(hidden=4, epochs=10)
         ),
     }

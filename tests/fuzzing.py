@@ -34,7 +34,7 @@ from hitchid._support.storage import canonical_json, digest
 from hitchid.data.signal_map import read_campaign_file
 from hitchid.errors import HitchError
 from hitchid.identification.settings_file import read_settings
-from hitchid.inspection.inspect_logs import look_over
+from hitchid.inspection.inspect_logs import inspect_campaign
 from hitchid.model import load, save
 from hitchid.readers import ReaderProcess, assemble, find_logs, read_log, settings_of, write_table
 from hitchid.rig.parameter_files import load_rig
@@ -296,7 +296,7 @@ def _kept(place: Path) -> Iterator[Seed]:
     changes = (_resealed,)
     yield Seed("model resealed", files, (), read_model, changes=changes)
     kept = {"values": np.arange(20.0), "number": np.array(3), "name": np.array("x")}
-    Checkpoints(place / "pieces").arrays("piece", lambda: kept)
+    Checkpoints(place / "pieces").cached_arrays("piece", lambda: kept)
     (piece,) = (place / "pieces").iterdir()
     yield Seed("checkpoint", {piece.name: piece.read_bytes()}, (piece.name,), read_checkpoint, sealed=True)
 
@@ -310,7 +310,7 @@ def read_logs(folder: Path, process: ReaderProcess) -> object:
     settings = settings_of(paths)
     records = [record for path in paths for record in read_log(path, settings[path.parent], process)]
     campaign = assemble(records, settings, strict=True)
-    canonical_json(look_over(campaign).describe())
+    canonical_json(inspect_campaign(campaign).describe())
     held = [(role, values.tobytes()) for each in campaign.records for role, values in each.signals.items()]
     return [(each.step_s, each.fingerprint, dict(each.units)) for each in campaign.records], held
 
@@ -351,7 +351,7 @@ def read_checkpoint(folder: Path, _: ReaderProcess) -> object:
     def work() -> dict[str, np.ndarray]:
         raise Redone
 
-    found = Checkpoints(folder).arrays("piece", work)
+    found = Checkpoints(folder).cached_arrays("piece", work)
     return {name: (values.dtype.str, values.tobytes()) for name, values in found.items()}
 
 

@@ -14,10 +14,10 @@ from hitchid.data.record import LIFTING, LOWERING
 from hitchid.model import Channel, Hitch, Provenance
 from hitchid.networks.error_compensator import FEATURES, Compensator
 from hitchid.networks.lstm import Lstm
-from hitchid.networks.operating_range import Envelope, Range
+from hitchid.networks.operating_range import OperatingRange, SignalRange
 from hitchid.networks.speed_compensator import INPUTS, SpeedCompensator
-from hitchid.structures import Benchmark, Scales, Shape, structure_named
-from hitchid.uncertainty import Alternative, Bands, Estimates, Uncertainty
+from hitchid.structures import PhysicalModel, Scales, StaticNonlinearity, structure_named
+from hitchid.uncertainty import Bands, EnsembleMember, Estimates, Uncertainty
 
 UNITS = {"displacement": "mm", "lifting_command": "A", "lowering_command": "A"}
 DIRECTIONS = {LIFTING: 1, LOWERING: -1}
@@ -37,7 +37,7 @@ MEMBERS, EVERY = 2, 3
 
 def network(inputs, seed, *, trained=True):
     """Return a small LSTM; untrained, its output is zero, as that of a fresh one is."""
-    fresh = Lstm.fresh(jax.random.key(seed), inputs, HIDDEN)
+    fresh = Lstm.init(jax.random.key(seed), inputs, HIDDEN)
     if not trained:
         return fresh
     weights = np.random.default_rng(seed).normal(size=(1, HIDDEN))
@@ -60,7 +60,7 @@ def compensator(seed=0, *, trained=True):
 def envelope(**covered):
     """Return the ranges of `COVERED`, or others: name to lowest and highest."""
     ranges = {**COVERED, **covered}
-    return Envelope(**{name: Range(*map(jnp.asarray, ends)) for name, ends in ranges.items()})
+    return OperatingRange(**{name: SignalRange(*map(jnp.asarray, ends)) for name, ends in ranges.items()})
 
 
 def speed_compensator(seed=7, *, trained=True, size=1.0, direction=1, every=EVERY, covered=None):
@@ -73,13 +73,13 @@ def speed_compensator(seed=7, *, trained=True, size=1.0, direction=1, every=EVER
         command=jnp.asarray(0.5),
         moved=jnp.asarray(0.15),
         envelope=covered or envelope(),
-        direction=direction,
-        every=every,
+        sign=direction,
+        block_size=every,
     )
 
 
 SHAPED = (
-    Shape(
+    StaticNonlinearity(
         jnp.array([0.1, 1.5, 2.0, 0.15, 0.02, 0.2, -0.1, 0.05, 0.3]),
         Scales(*(jnp.asarray(scale) for scale in (1.2, 100.0, 60.0, 120.0, 25.0))),
     ),
@@ -116,11 +116,11 @@ def channel(
     if free_run is not None or covered is not None:
         parts["envelope"] = covered or envelope()
     return Channel(
-        mode=mode,
-        direction=DIRECTIONS[mode],
+        direction=mode,
+        sign=DIRECTIONS[mode],
         dead_zone=DEAD_ZONES[mode],
         end_stop=end_stop,
-        benchmark=Benchmark(structure_named(structure), values, jnp.asarray(dead_time_s), *curves),
+        benchmark=PhysicalModel(structure_named(structure), values, jnp.asarray(dead_time_s), *curves),
         **parts,
     )
 
@@ -134,7 +134,7 @@ def hitch(structure="integrator", *, modes=(LIFTING, LOWERING), provenance=None,
 def hitch_of(*channels, step_s=STEP_S, drift=0.0):
     """Return a model of given channels, in mm, A and bar."""
     units = {**UNITS, "pressure": "bar"}
-    return Hitch({each.mode: each for each in channels}, step_s, units, drift=drift)
+    return Hitch({each.direction: each for each in channels}, step_s, units, drift=drift)
 
 
 NOISE, FASTER, Q, AHEAD = 0.05, 1.1, (0.5, 1.0, 1.5, 2.0), ((0.1, 0.2, 0.3, 0.4), (1.0, 2.0, 3.0, 4.0))
@@ -144,8 +144,8 @@ def with_bands(model, *modes):
     """Return a model with bands for some modes; as alternative a gain a tenth larger."""
     known = {}
     for mode in modes:
-        gain, *rest = map(float, model.channels[mode].benchmark.row)
-        faster = Alternative((FASTER * gain, *rest))
+        gain, *rest = map(float, model.channels[mode].benchmark.parameter_vector)
+        faster = EnsembleMember((FASTER * gain, *rest))
         bands = Bands((faster,), NOISE, (0.5, 0.8, 0.9, 0.95), Q, (1, 10), AHEAD, (4, 1))
         known[mode] = Uncertainty(Estimates((), (), (), 0, 0), bands=bands)
     return replace(model, uncertainty=known)

@@ -9,7 +9,7 @@ import pytest
 from hitchid import identify, read, validate
 from hitchid.data.record import LOWERING
 from hitchid.identification import MultiStart, Whale
-from hitchid.identification.identify import PAPER_FORMS
+from hitchid.identification.identify import PAPER_SPECS
 from hitchid.identification.phase1 import find_parameters
 from hitchid.identification.preparation import prepare
 
@@ -17,7 +17,7 @@ from hitchid.identification.preparation import prepare
 def test_the_lag_of_the_papers_lowering_model_is_not_printed_as_if_it_were_determined(data):
     whole = read(data("rig-a"))
     campaign = replace(whole, records=(*whole.of_kind(LOWERING), *whole.ramps(LOWERING)))
-    model = identify(campaign, structure=PAPER_FORMS, training=None, comparison=None).model
+    model = identify(campaign, structure=PAPER_SPECS, training=None, comparison=None).model
     result = validate(model, campaign)
     known = result.metrics["channels"]["lowering"]["parameters"]["estimates"]
     lag = known["time_constant"]
@@ -40,8 +40,8 @@ def test_phase_1_reaches_the_best_of_64_starts_from_every_seed(data, mode):
     tests = prepare(read(data("rig-a")), mode, None)
 
     def rmse(search, seed):
-        fit = find_parameters(tests.everything, PAPER_FORMS[mode], search, seed)
-        return float(fit.misfit(jnp.asarray(fit.position)[None])[0])
+        fit = find_parameters(tests.all_tests, PAPER_SPECS[mode], search, seed)
+        return float(fit.objective(jnp.asarray(fit.position)[None])[0])
 
     best = rmse(MultiStart(evaluations=10**6, starts=64), 0)
     for seed in range(4):

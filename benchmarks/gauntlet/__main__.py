@@ -10,19 +10,19 @@ from pathlib import Path
 
 from .bars import compare, read_bars, zoo_total
 from .judge import judge
-from .measured import SETS, WARM, judge_set, judge_speed, missing
+from .measured import SETS, TIMED_SETS, judge_set, judge_speed, missing
 from .outcome import MODEL, Outcome
 from .page import page
-from .workers import Job, carry_out
+from .workers import Job, run_jobs
 
-FIXED, DRAWN = 60, 4
+FIXED_CAMPAIGNS, DRAWN_CAMPAIGNS = 60, 4
 PAGE = Path(__file__).parents[1] / "gauntlet.md"
-ALONE = 1
+SINGLE_PROCESS = 1
 
 
 def main() -> int:
     """Run what is asked for; return 1 where something failed."""
-    asked = _arguments()
+    arguments = _arguments()
     started, outcomes = time.perf_counter(), []
 
     def report(outcome: Outcome) -> None:
@@ -31,29 +31,31 @@ def main() -> int:
         _say(outcome, time.perf_counter() - started)
 
     bars = read_bars()
-    seed = _seed_of_commit() if asked.seed is None else asked.seed
-    single = bool(asked.zoo or asked.set)
-    sets = asked.set if single else [*SETS]
-    left_out = [name for name in sets if missing(name)]
-    sets = [name for name in sets if name not in left_out]
-    for name in left_out:
+    seed = _seed_of_commit() if arguments.seed is None else arguments.seed
+    single = bool(arguments.zoo or arguments.set)
+    sets = arguments.set if single else [*SETS]
+    missing_sets = [name for name in sets if missing(name)]
+    sets = [name for name in sets if name not in missing_sets]
+    for name in missing_sets:
         sys.stdout.write(f"left out: {name}, its folder is missing; set HITCHID_DATA\n")
     jobs = [Job(name, judge_set, {"name": name}) for name in sets]
     if single:
-        jobs += _campaigns(asked.zoo, physics=asked.physics, keep=asked.keep)
+        jobs += _campaigns(arguments.zoo, physics=arguments.physics, keep=arguments.keep)
     else:
-        sys.stdout.write(f"{DRAWN} campaigns are drawn from seed {seed} on; --seed {seed} repeats them\n")
-        drawn = range(FIXED) if asked.full else range(seed, seed + DRAWN)
-        jobs += _campaigns(drawn, physics=False)
-        jobs += [] if asked.full else _campaigns(range(FIXED), physics=True)
+        sys.stdout.write(
+            f"{DRAWN_CAMPAIGNS} campaigns are drawn from seed {seed} on; --seed {seed} repeats them\n"
+        )
+        seeds = range(FIXED_CAMPAIGNS) if arguments.full else range(seed, seed + DRAWN_CAMPAIGNS)
+        jobs += _campaigns(seeds, physics=False)
+        jobs += [] if arguments.full else _campaigns(range(FIXED_CAMPAIGNS), physics=True)
     sys.stdout.flush()
-    carry_out(jobs, report)
+    run_jobs(jobs, report)
     # Times are of a machine that does nothing else, its programs compiled by the runs before.
-    warm = [Job(f"{name}, warm", judge_speed, {"name": name}) for name in WARM if name in sets]
-    carry_out(warm, report, together=ALONE)
+    timing_jobs = [Job(f"{name}, warm", judge_speed, {"name": name}) for name in TIMED_SETS if name in sets]
+    run_jobs(timing_jobs, report, together=SINGLE_PROCESS)
     if not single:
         report(zoo_total(outcomes))
-        PAGE.write_text(page(outcomes, bars, left_out=left_out, seed=seed), encoding="utf-8")
+        PAGE.write_text(page(outcomes, bars, left_out=missing_sets, seed=seed), encoding="utf-8")
     failed = [outcome.name for outcome in outcomes if outcome.failures]
     sys.stdout.write(f"{len(outcomes)} runs, failed: {', '.join(failed) or 'none'}\n")
     return int(bool(failed))
@@ -73,29 +75,29 @@ def _arguments() -> argparse.Namespace:
 def _seed_of_commit() -> int:
     """Return the first seed for this commit, beyond the fixed ones."""
     commit = subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, check=True).stdout  # noqa: S607
-    return FIXED + int(hashlib.sha256(commit).hexdigest()[:7], 16)
+    return FIXED_CAMPAIGNS + int(hashlib.sha256(commit).hexdigest()[:7], 16)
 
 
 def _campaigns(seeds: Iterable[int], *, physics: bool, keep: str | None = None) -> list[Job]:
-    words = "physics" if physics else "default"
+    label = "physics" if physics else "default"
     return [
-        Job(f"zoo {seed}, {words}", judge, {"seed": seed, "physics": physics, "folder": keep})
+        Job(f"zoo {seed}, {label}", judge, {"seed": seed, "physics": physics, "folder": keep})
         for seed in seeds
     ]
 
 
 def _say(outcome: Outcome, elapsed_s: float) -> None:
     """Print a line for an outcome, and what is to be known of it."""
-    spent = ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in outcome.seconds.items())
+    times = ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in outcome.seconds.items())
     figures = "; ".join(f"{name} {value:.4g}" for name, value in outcome.figures.items())
-    said = f"[{elapsed_s:5.0f} s] {outcome.name}: {outcome.result}; {spent}; {figures}\n"
-    if outcome.words:
-        said += f"    {outcome.words}\n"
+    text = f"[{elapsed_s:5.0f} s] {outcome.name}: {outcome.result}; {times}; {figures}\n"
+    if outcome.description:
+        text += f"    {outcome.description}\n"
     for sentence in (*outcome.verdicts, *(f"FAILED {failure}" for failure in outcome.failures)):
-        said += f"    {sentence}\n"
+        text += f"    {sentence}\n"
     if outcome.result != MODEL:
-        said += "".join(f"      {line}\n" for line in outcome.message.splitlines())
-    sys.stdout.write(said)
+        text += "".join(f"      {line}\n" for line in outcome.message.splitlines())
+    sys.stdout.write(text)
     sys.stdout.flush()
 
 

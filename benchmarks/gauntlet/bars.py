@@ -9,7 +9,7 @@ from .outcome import Outcome
 SLACK = 1.05
 GOAL = "goal"
 BARS = Path(__file__).with_name("bars.toml")
-ZOO, HOLDS = "zoo", "share of determined parameters that hold the truth"
+ZOO, TRUTH_COVERAGE = "zoo", "share of determined parameters that hold the truth"
 Bars = dict[str, dict[str, dict[str, float]]]
 
 
@@ -30,7 +30,7 @@ def holds(bar: dict[str, float], value: float | None) -> bool:
     return 1 - value <= SLACK * (1 - limit)
 
 
-def shown(bar: dict[str, float]) -> str:
+def format_bar(bar: dict[str, float]) -> str:
     """Return a bar as a table has it, with the goal where that is not reached yet."""
     kind, limit = _limit(bar)
     sign = "≤" if kind == "most" else "≥"
@@ -49,15 +49,17 @@ def compare(outcomes: Iterable[Outcome], bars: Bars) -> None:
         for figure, bar in bars.get(outcome.name, {}).items():
             value = outcome.figures.get(figure)
             if not holds(bar, value):
-                came = "missing" if value is None else f"{value:.4g}"
-                outcome.failures.append(f"{figure}: {came}, required {shown(bar)}")
+                value_text = "missing" if value is None else f"{value:.4g}"
+                outcome.failures.append(f"{figure}: {value_text}, required {format_bar(bar)}")
 
 
 def zoo_total(outcomes: Iterable[Outcome]) -> Outcome:
     """Return what all campaigns of the zoo say together."""
-    own = [outcome for outcome in outcomes if outcome.name.startswith("zoo ")]
-    determined = sum(outcome.determined for outcome in own)
-    total = Outcome(ZOO, f"{len(own)} campaigns, {determined} determined parameters with a known truth")
+    zoo_outcomes = [outcome for outcome in outcomes if outcome.name.startswith("zoo ")]
+    determined = sum(outcome.determined for outcome in zoo_outcomes)
+    total = Outcome(
+        ZOO, f"{len(zoo_outcomes)} campaigns, {determined} determined parameters with a known truth"
+    )
     if determined:
-        total.figures[HOLDS] = sum(outcome.held for outcome in own) / determined
+        total.figures[TRUTH_COVERAGE] = sum(outcome.covered for outcome in zoo_outcomes) / determined
     return total

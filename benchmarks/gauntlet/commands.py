@@ -24,8 +24,8 @@ def prbs(rng: Rng, samples: int, levels: Levels) -> np.ndarray:
     """Return a random binary sequence between two levels, or between one and rest."""
     hold = max(2, samples // int(rng.integers(8, 40)))
     low = rng.choice([0.0, levels[0]])
-    drawn = rng.choice([low, rng.uniform(*levels)], -(-samples // hold))
-    return np.repeat(drawn, hold)[:samples]
+    values = rng.choice([low, rng.uniform(*levels)], -(-samples // hold))
+    return np.repeat(values, hold)[:samples]
 
 
 def sine(rng: Rng, samples: int, levels: Levels) -> np.ndarray:
@@ -64,7 +64,7 @@ SHAPES: dict[str, Callable[[Rng, int, Levels], np.ndarray]] = {
 }
 
 
-def rested(command: np.ndarray) -> np.ndarray:
+def start_at_rest(command: np.ndarray) -> np.ndarray:
     """Return a command that is zero over its first samples: every test begins at rest."""
     return np.where(np.arange(command.size) < max(2, command.size // 50), 0.0, command)
 
@@ -73,9 +73,9 @@ def alternating(rng: Rng, samples: int, levels: Levels, shape: str) -> np.ndarra
     """Return strokes up and down in turn, each of one shape, with rests between."""
     strokes = int(rng.integers(2, 9))
     length = max(8, samples // strokes)
-    parts = []
+    segments = []
     for number in range(-(-samples // length)):
-        part = SHAPES[shape](rng, length, levels) * (1 if number % 2 == 0 else -1)
-        part[length - length // 4 :] = 0.0
-        parts.append(part)
-    return np.concatenate(parts)[:samples]
+        segment = SHAPES[shape](rng, length, levels) * (1 if number % 2 == 0 else -1)
+        segment[length - length // 4 :] = 0.0
+        segments.append(segment)
+    return np.concatenate(segments)[:samples]

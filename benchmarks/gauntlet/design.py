@@ -38,7 +38,7 @@ FULL_SCALE = {
 STRUCTURES = ("integrator", "integrator-first-order", "integrator-second-order", "first-order-lag")
 WEIGHTS = (0.2, 0.35, 0.3, 0.15)
 LAYOUTS = ("two columns", "signed", "lifting", "lowering")
-USUAL, LARGE = 24_000, 100_000
+TYPICAL_SAMPLES, LARGE_SAMPLES = 24_000, 100_000
 DEFECTS = ("without motion", "at the stop", "saturated")
 # A hydraulic axis is logged for so long at least; what goes up and down, for some strokes.
 SHORTEST_S, SHORTEST_BOTH_S = 0.3, 8.0
@@ -95,16 +95,16 @@ class Design:
     @property
     def dynamics(self) -> Dynamics:
         """Return the dynamics."""
-        late = self.values.get("dead_time", 0.0)
+        dead_time_s = self.values.get("dead_time", 0.0)
         if self.structure == "integrator-second-order":
             return integrator_second_order(
-                self.values["natural_frequency"], self.values["damping_ratio"], late
+                self.values["natural_frequency"], self.values["damping_ratio"], dead_time_s
             )
         lag = self.values.get("time_constant")
         if lag is None:
-            return integrator(late)
-        made = first_order_lag if self.structure == "first-order-lag" else integrator_first_order
-        return made(lag, late)
+            return integrator(dead_time_s)
+        build = first_order_lag if self.structure == "first-order-lag" else integrator_first_order
+        return build(lag, dead_time_s)
 
     def plant(self, gains: tuple[float, float]) -> Plant:
         """Return the plant with speeds per command."""
@@ -164,10 +164,10 @@ def _schedule(rng: Rng, clock: Clock) -> tuple[Schedule, str]:
     samples = round(_log_uniform(rng, 20_000, 100_000) if large else _log_uniform(rng, 40, 4000))
     tests = round(_log_uniform(rng, 1, 60))
     layout = str(rng.choice(LAYOUTS, p=[0.35, 0.35, 0.2, 0.1]))
-    both = layout in ("two columns", "signed")
-    mixed = both and bool(tests < 2 or rng.random() < 0.4)
+    both_directions = layout in ("two columns", "signed")
+    mixed = both_directions and bool(tests < 2 or rng.random() < 0.4)
     samples = max(samples, round((SHORTEST_BOTH_S if mixed else SHORTEST_S) / clock.step_s))
-    tests = max(1, min(tests, (LARGE if large else USUAL) // samples))
+    tests = max(1, min(tests, (LARGE_SAMPLES if large else TYPICAL_SAMPLES) // samples))
     shapes = [str(name) for name in rng.choice(list(SHAPES), int(rng.integers(1, 4)), replace=False)]
     # A ramp is a static test: no model can be had of ramps alone.
     shapes = [name for name in shapes if name != "ramp"] + ["ramp"] * ("ramp" in shapes and tests > 5)
@@ -209,8 +209,8 @@ def _valve(rng: Rng, full: float) -> Valve:
 
 
 def _values(rng: Rng, structure: str, clock: Clock, samples: int) -> dict[str, float]:
-    lasting = samples * clock.step_s
-    lag = float(np.clip(_log_uniform(rng, clock.step_s / 2, lasting / 10), 2e-3, 50.0))
+    duration_s = samples * clock.step_s
+    lag = float(np.clip(_log_uniform(rng, clock.step_s / 2, duration_s / 10), 2e-3, 50.0))
     values: dict[str, float] = {}
     if structure == "integrator-second-order":
         damping = float(rng.choice([rng.uniform(0.2, 0.9), rng.uniform(1.1, 1.8)]))
@@ -218,7 +218,7 @@ def _values(rng: Rng, structure: str, clock: Clock, samples: int) -> dict[str, f
     elif structure != "integrator":
         values = {"time_constant": max(lag, 0.06) if structure == "first-order-lag" else lag}
     if rng.random() < 0.4:
-        values["dead_time"] = float(min(rng.uniform(0.5, 10.0) * clock.step_s, 0.9, lasting / 10))
+        values["dead_time"] = float(min(rng.uniform(0.5, 10.0) * clock.step_s, 0.9, duration_s / 10))
     return values
 
 

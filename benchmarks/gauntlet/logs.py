@@ -24,8 +24,8 @@ class Clock:
 
     def stamps(self, rng: Rng, samples: int) -> np.ndarray:
         """Return increasing stamps, shape [N]."""
-        late = rng.uniform(-self.jitter, self.jitter, samples) if self.jitter else 0.0
-        stamps = self.step_s * (np.arange(samples) + late)
+        offsets = rng.uniform(-self.jitter, self.jitter, samples) if self.jitter else 0.0
+        stamps = self.step_s * (np.arange(samples) + offsets)
         return stamps - stamps[0]
 
     def present(self, rng: Rng, samples: int) -> np.ndarray:
@@ -56,7 +56,7 @@ class Sensor:
     spikes: float = 0.0
     ceiling: float = 1.0
 
-    def measured(self, rng: Rng, displacement: np.ndarray, travel: float) -> np.ndarray:
+    def measure(self, rng: Rng, displacement: np.ndarray, travel: float) -> np.ndarray:
         """Return what is logged of a displacement, shape [N]."""
         count = displacement.size
         if self.ceiling < 1:
@@ -95,8 +95,8 @@ class Columns:
         """Return role to the name of its column."""
         if self.layout == "signed":
             return {"command": "valve"}
-        both = {"lifting_command": "valve up", "lowering_command": "valve down"}
-        return both if self.layout == "two columns" else {f"{self.layout}_command": "valve"}
+        two_columns = {"lifting_command": "valve up", "lowering_command": "valve down"}
+        return two_columns if self.layout == "two columns" else {f"{self.layout}_command": "valve"}
 
     def table(self, time_s: np.ndarray, command: np.ndarray, displacement: np.ndarray) -> np.ndarray:
         """Return time, commands as read, displacement as read, shape [N, 3 or 4]."""
@@ -115,15 +115,17 @@ class Columns:
 
     def settings(self) -> str:
         """Return `campaign.toml`."""
-        changed = f", zero = {self.zero!r}" if self.zero else ""
-        changed += f", scale = {self.scale!r}" if self.scale != 1 else ""
+        command_suffix = f", zero = {self.zero!r}" if self.zero else ""
+        command_suffix += f", scale = {self.scale!r}" if self.scale != 1 else ""
         lines = ["[signals]", 'time = { column = "Time", unit = "s" }']
         lines += [
-            f'{role} = {{ column = "{name}", unit = "{self.command_unit}"{changed} }}'
+            f'{role} = {{ column = "{name}", unit = "{self.command_unit}"{command_suffix} }}'
             for role, name in self._roles.items()
         ]
-        moved = f", scale = {self.displacement_scale!r}" if self.displacement_scale != 1 else ""
-        lines.append(f'displacement = {{ column = "Position", unit = "{self.displacement_unit}"{moved} }}')
+        displacement_suffix = f", scale = {self.displacement_scale!r}" if self.displacement_scale != 1 else ""
+        lines.append(
+            f'displacement = {{ column = "Position", unit = "{self.displacement_unit}"{displacement_suffix} }}'
+        )
         return "\n".join([*lines, ""])
 
     def write(self, path: Path, time_s: np.ndarray, command: np.ndarray, displacement: np.ndarray) -> None:

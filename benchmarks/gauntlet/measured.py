@@ -10,11 +10,11 @@ import numpy as np
 
 import hitchid
 from hitchid.data.record import COMMAND, DISPLACEMENT, IDLE, LIFTING
-from hitchid.structures import Form, structure_named
+from hitchid.structures import ModelSpec, structure_named
 
-from .judge import used
+from .judge import exercise_model
 from .long_job import write_long_job
-from .outcome import REFUSED, Outcome, attempted
+from .outcome import REFUSED, Outcome, run_guarded
 
 DATA = Path(os.environ.get("HITCHID_DATA", Path(__file__).parents[3] / "shared" / "data"))
 PAUSE_S = 60.0
@@ -34,24 +34,26 @@ test = ["*PULSES"]
 
 def judge_set(name: str) -> Outcome:
     """Identify, use and judge one measured set."""
-    return _required(attempted(Outcome(name), lambda outcome: SETS[name](outcome, name)))
+    return _fail_on_refusal(run_guarded(Outcome(name), lambda outcome: SETS[name](outcome, name)))
 
 
 def judge_speed(name: str) -> Outcome:
     """Time one default identification, its programs compiled before."""
-    return _required(attempted(Outcome(f"{name}, warm"), lambda outcome: _warm(outcome, name)))
+    return _fail_on_refusal(
+        run_guarded(Outcome(f"{name}, warm"), lambda outcome: _time_identification(outcome, name))
+    )
 
 
-def _required(outcome: Outcome) -> Outcome:
+def _fail_on_refusal(outcome: Outcome) -> Outcome:
     """Return an outcome that must not be a refusal: each of these sets has a model."""
     if outcome.result == REFUSED:
         outcome.failures.append(f"{outcome.stage}: refused: {outcome.message}")
     return outcome
 
 
-def _warm(outcome: Outcome, name: str) -> None:
-    with tempfile.TemporaryDirectory() as place:
-        campaign = _long_job(Path(place)) if name == "long-job" else hitchid.read(DATA / name)
+def _time_identification(outcome: Outcome, name: str) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        campaign = _long_job(Path(folder)) if name == "long-job" else hitchid.read(DATA / name)
         with outcome.timed("identify"):
             hitchid.identify(campaign)
     outcome.figures["identify / s"] = outcome.seconds["identify"]
@@ -59,12 +61,12 @@ def _warm(outcome: Outcome, name: str) -> None:
 
 def _identified(outcome: Outcome, campaign: hitchid.Campaign, **settings) -> tuple[hitchid.Hitch, dict]:
     with outcome.timed("identify"):
-        found = hitchid.identify(campaign, **settings)
-    with tempfile.TemporaryDirectory() as place:
-        model, metrics = used(outcome, found, campaign, Path(place))
-    for mode, known in model.uncertainty.items():
-        for estimate in known.benchmark.parameters:
-            outcome.verdicts.append(f"{mode} {estimate.name}: {estimate.verdict}")
+        identification = hitchid.identify(campaign, **settings)
+    with tempfile.TemporaryDirectory() as folder:
+        model, metrics = exercise_model(outcome, identification, campaign, Path(folder))
+    for direction, uncertainty in model.uncertainty.items():
+        for estimate in uncertainty.benchmark.parameters:
+            outcome.verdicts.append(f"{direction} {estimate.name}: {estimate.verdict}")
     return model, metrics
 
 
@@ -77,13 +79,13 @@ def rig(outcome: Outcome, name: str) -> None:
     """Free run, one step, bands and cycles of the simulated hitch bench, and whether it stands undriven."""
     campaign = _read(outcome, name)
     model, metrics = _identified(outcome, campaign)
-    for mode, channel in metrics["channels"].items():
+    for direction, channel in metrics["channels"].items():
         covered = channel["bands"]["free_run"]["covered"], channel["bands"]["horizons"]["covered"][0]
         outcome.figures |= {
-            f"{mode}: one step rmse": channel["greybox"]["one_step"]["rmse"],
-            f"{mode}: free run in its band": covered[0],
-            f"{mode}: one step in its band": covered[1],
-            f"{mode}: moved in a pause": _moved_in_a_pause(model, campaign.held_out(mode)[0]),
+            f"{direction}: one step rmse": channel["greybox"]["one_step"]["rmse"],
+            f"{direction}: free run in its band": covered[0],
+            f"{direction}: one step in its band": covered[1],
+            f"{direction}: moved in a pause": _pause_drift(model, campaign.held_out(direction)[0]),
         }
     cycles = metrics["cycles"]
     outcome.figures |= {
@@ -92,15 +94,15 @@ def rig(outcome: Outcome, name: str) -> None:
     }
 
 
-def _moved_in_a_pause(model: hitchid.Hitch, record: hitchid.Record) -> float:
+def _pause_drift(model: hitchid.Hitch, record: hitchid.Record) -> float:
     """Return how far a model moves in a minute without commands, a second after a test's middle."""
     middle, pause, settling = len(record) // 2, round(PAUSE_S / record.step_s), round(1.0 / record.step_s)
 
-    def held(role: str, samples: np.ndarray) -> np.ndarray:
+    def hold_constant(role: str, samples: np.ndarray) -> np.ndarray:
         rest = 0.0 if role in COMMAND.values() else samples[middle]
         return np.concatenate([samples[:middle], np.full(pause, rest), samples[middle:]])
 
-    signals = {role: held(role, samples) for role, samples in record.signals.items()}
+    signals = {role: hold_constant(role, samples) for role, samples in record.signals.items()}
     displacement = model.simulate(replace(record, signals=signals))
     return float(np.ptp(displacement[middle + settling : middle + pause]))
 
@@ -108,42 +110,51 @@ def _moved_in_a_pause(model: hitchid.Hitch, record: hitchid.Record) -> float:
 def boom(outcome: Outcome, name: str) -> None:
     """R² of unseen duties, each stroke by itself."""
     _, metrics = _identified(outcome, _read(outcome, name))
-    for mode, channel in metrics["channels"].items():
+    for direction, channel in metrics["channels"].items():
         fits = [test["free_run"]["r2"] for test in channel["per_test"].values()]
-        outcome.figures |= {f"{mode}: mean R²": float(np.mean(fits)), f"{mode}: worst R²": float(min(fits))}
+        outcome.figures |= {
+            f"{direction}: mean R²": float(np.mean(fits)),
+            f"{direction}: worst R²": float(min(fits)),
+        }
 
 
 def hanging_load(outcome: Outcome, name: str) -> None:
     """Free run beside the paper's transfer function."""
     _, metrics = _identified(outcome, _read(outcome, name))
-    for mode, channel in metrics["channels"].items():
-        beside = channel["baselines"].get("transfer_function", channel["benchmark"])["free_run"]["rmse"]
-        outcome.figures[f"{mode}: share of the paper's"] = channel["greybox"]["free_run"]["rmse"] / beside
+    for direction, channel in metrics["channels"].items():
+        baseline_rmse = channel["baselines"].get("transfer_function", channel["benchmark"])["free_run"][
+            "rmse"
+        ]
+        outcome.figures[f"{direction}: share of the paper's"] = (
+            channel["greybox"]["free_run"]["rmse"] / baseline_rmse
+        )
 
 
 def whole_logs(outcome: Outcome, name: str) -> None:
     """Free run over whole unseen logs, and one second ahead beside persistence."""
     campaign = _read(outcome, name)
     model, _ = _identified(outcome, campaign)
-    free, ahead, still = [], [], []
+    free_run_errors, ahead_errors, persistence_errors = [], [], []
     for record in campaign.records:
         if record.kind == IDLE or not record.name.startswith(UNSEEN[name]):
             continue
         factor, second = MILLIMETRES[record.unit], max(1, round(1.0 / record.step_s))
         measured = factor * record.displacement
-        free.append(factor * model.simulate(record) - measured)
-        ahead.append((factor * model.predict(record, horizon=second) - measured)[second:])
-        still.append(measured[:-second] - measured[second:])
-    outcome.figures["whole logs: free run / mm"] = _rms(free)
-    outcome.figures["whole logs: 1 s ahead / persistence"] = _rms(ahead) / _rms(still)
-    outcome.figures["whole logs: largest error / mm"] = float(max(np.abs(error).max() for error in free))
+        free_run_errors.append(factor * model.simulate(record) - measured)
+        ahead_errors.append((factor * model.predict(record, horizon=second) - measured)[second:])
+        persistence_errors.append(measured[:-second] - measured[second:])
+    outcome.figures["whole logs: free run / mm"] = _rms(free_run_errors)
+    outcome.figures["whole logs: 1 s ahead / persistence"] = _rms(ahead_errors) / _rms(persistence_errors)
+    outcome.figures["whole logs: largest error / mm"] = float(
+        max(np.abs(error).max() for error in free_run_errors)
+    )
 
 
 def dspace(outcome: Outcome, name: str) -> None:
     """ControlDesk's files beside the same records as excavator-boom holds them."""
     raw = {record.name: record for record in _read(outcome, name).records}
     clean = {record.name: record for record in hitchid.read(DATA / "excavator-boom").records}
-    worst = 0.0
+    largest_difference = 0.0
     for key, record in raw.items():
         other = clean[key]
         if len(record) != len(other):
@@ -153,19 +164,19 @@ def dspace(outcome: Outcome, name: str) -> None:
             same = other.signals[role] if role in other.signals else other.signals["head_pressure"]
             kind = "command" if role in COMMAND.values() else role
             rounding = ROUNDING.get(kind, ROUNDING["covariate"])
-            worst = max(worst, float(np.max(np.abs(samples - same))) / rounding)
-    outcome.figures["largest difference / rounding"] = worst
+            largest_difference = max(largest_difference, float(np.max(np.abs(samples - same))) / rounding)
+    outcome.figures["largest difference / rounding"] = largest_difference
 
 
 def emps(outcome: Outcome, name: str) -> None:
     """RMSE of the official test without its first 20 samples."""
-    with tempfile.TemporaryDirectory() as place:
-        settings = Path(place) / "emps.toml"
+    with tempfile.TemporaryDirectory() as folder:
+        settings = Path(folder) / "emps.toml"
         settings.write_text(EMPS, encoding="utf-8")
         with outcome.timed("read"):
             campaign = hitchid.read(DATA / name, signals=settings)
     model, _ = _identified(outcome, campaign, structure=_structure("inertia-with-friction"))
-    outcome.figures["RMSE / mm"] = 1000 * _official(model, campaign, 20)
+    outcome.figures["RMSE / mm"] = 1000 * _official_rmse(model, campaign, 20)
 
 
 def tanks(outcome: Outcome, name: str) -> None:
@@ -178,27 +189,27 @@ def tanks(outcome: Outcome, name: str) -> None:
     ]
     campaign = hitchid.Campaign.of(records, test_patterns=["Val"], kinds={"*": LIFTING})
     model, _ = _identified(outcome, campaign, structure=_structure("cascaded-tanks"))
-    outcome.figures["RMSE / V"] = _official(model, campaign, 50)
+    outcome.figures["RMSE / V"] = _official_rmse(model, campaign, 50)
 
 
 def long_job(outcome: Outcome, name: str) -> None:
     """Identify and use 14 logs made from the field's, in free run over the last two of them."""
-    with tempfile.TemporaryDirectory() as place, outcome.timed("read"):
-        campaign = _long_job(Path(place))
-    outcome.words = f"{len(campaign.records)} logs, {sum(map(len, campaign.records))} samples"
+    with tempfile.TemporaryDirectory() as folder, outcome.timed("read"):
+        campaign = _long_job(Path(folder))
+    outcome.description = f"{len(campaign.records)} logs, {sum(map(len, campaign.records))} samples"
     _identified(outcome, campaign)
 
 
-def _long_job(place: Path) -> hitchid.Campaign:
-    write_long_job(DATA / "field-excavator", place / "job")
-    return hitchid.read(place / "job")
+def _long_job(folder: Path) -> hitchid.Campaign:
+    write_long_job(DATA / "field-excavator", folder / "job")
+    return hitchid.read(folder / "job")
 
 
-def _structure(name: str) -> dict[str, Form]:
-    return {LIFTING: Form(structure_named(name))}
+def _structure(name: str) -> dict[str, ModelSpec]:
+    return {LIFTING: ModelSpec(structure_named(name))}
 
 
-def _official(model: hitchid.Hitch, campaign: hitchid.Campaign, skipped: int) -> float:
+def _official_rmse(model: hitchid.Hitch, campaign: hitchid.Campaign, skipped: int) -> float:
     (record,) = campaign.held_out(LIFTING)
     return _rms([(model.simulate(record) - record.displacement)[skipped:]])
 
@@ -220,7 +231,7 @@ SETS: dict[str, Callable[[Outcome, str], None]] = {
     "cascaded-tanks": tanks,
 }
 SOURCES = {"long-job": "field-excavator"}
-WARM = ("rig-a", "long-job")
+TIMED_SETS = ("rig-a", "long-job")
 
 
 def missing(name: str) -> bool:

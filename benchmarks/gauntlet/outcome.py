@@ -10,7 +10,7 @@ from typing import Any
 from hitchid.errors import HitchError
 
 MODEL, REFUSED, TRACEBACK, HUNG = "model", "refused", "traceback", "no answer"
-TOLD = 12
+TRACEBACK_LINES = 12
 
 
 @dataclass
@@ -18,7 +18,7 @@ class Outcome:
     """What came of a run.
 
     Attributes:
-        name, words: which run, and what it is.
+        name, description: which run, and what it is.
         result: `model`, `refused` (a `HitchError`), `traceback`, or `no answer` in the time it had.
         stage: the stage that was the last to begin.
         message: of the error.
@@ -26,11 +26,12 @@ class Outcome:
         figures: name to number.
         verdicts: sentences for the page.
         failures: sentences that say what should not be; none where all is well.
-        determined, held: parameters that were called determined where the truth is known; how many hold it.
+        determined, covered: parameters that were called determined where the truth is known; how many hold
+            it.
     """
 
     name: str
-    words: str = ""
+    description: str = ""
     result: str = MODEL
     stage: str = ""
     message: str = ""
@@ -39,7 +40,7 @@ class Outcome:
     verdicts: list[str] = field(default_factory=list)
     failures: list[str] = field(default_factory=list)
     determined: int = 0
-    held: int = 0
+    covered: int = 0
 
     @contextmanager
     def timed(self, stage: str) -> Iterator[None]:
@@ -51,13 +52,16 @@ class Outcome:
             self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - started
 
 
-def attempted(outcome: Outcome, work: Callable[[Outcome], Any]) -> Outcome:
+def run_guarded(outcome: Outcome, work: Callable[[Outcome], Any]) -> Outcome:
     """Do a work that fills in an outcome; an error becomes part of it."""
     try:
         work(outcome)
     except HitchError as error:
         outcome.result, outcome.message = REFUSED, str(error)
     except Exception as error:  # a traceback is what the gauntlet looks for
-        outcome.result, outcome.message = TRACEBACK, "".join(traceback.format_exception(error)[-TOLD:])
+        outcome.result, outcome.message = (
+            TRACEBACK,
+            "".join(traceback.format_exception(error)[-TRACEBACK_LINES:]),
+        )
         outcome.failures.append(f"{outcome.stage}: {type(error).__name__}: {error}")
     return outcome

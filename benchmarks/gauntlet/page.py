@@ -5,7 +5,7 @@ import platform
 from collections.abc import Iterable, Sequence
 from importlib.metadata import version
 
-from .bars import HOLDS, ZOO, Bars, shown
+from .bars import TRUTH_COVERAGE, ZOO, Bars, format_bar
 from .outcome import Outcome
 
 HEAD = """# The gauntlet
@@ -42,8 +42,10 @@ def page(outcomes: Sequence[Outcome], bars: Bars, *, left_out: Sequence[str], se
         *(f"| {outcome.name} | {outcome.result} | {_seconds(outcome)} |\n" for outcome in sets),
         "\n### Verdicts on parameters\n",
         *(_verdicts(outcome) for outcome in sets if outcome.verdicts),
-        f"\n## Zoo\n\n{total.words}",
-        f"; {total.figures[HOLDS]:.1%} of them hold it.\n" if HOLDS in total.figures else ".\n",
+        f"\n## Zoo\n\n{total.description}",
+        f"; {total.figures[TRUTH_COVERAGE]:.1%} of them hold it.\n"
+        if TRUTH_COVERAGE in total.figures
+        else ".\n",
         "\n| run | plant and logs | result | R² unseen | s |\n| --- | --- | --- | --- | ---: |\n",
         *(_campaign(outcome) for outcome in zoo),
     ]
@@ -61,9 +63,9 @@ def _order(outcome: Outcome) -> tuple[str, int]:
 
 
 def _figures(outcome: Outcome, bars: Bars) -> Iterable[str]:
-    own = bars.get(outcome.name, {})
+    set_bars = bars.get(outcome.name, {})
     for name, value in outcome.figures.items():
-        bar = shown(own[name]) if name in own else ""
+        bar = format_bar(set_bars[name]) if name in set_bars else ""
         yield f"| {outcome.name} | {name} | {value:.4g} | {bar} |\n"
 
 
@@ -77,9 +79,9 @@ def _verdicts(outcome: Outcome) -> str:
 
 def _campaign(outcome: Outcome) -> str:
     fits = [f"{value:.3f}" for name, value in outcome.figures.items() if name.endswith("r2")]
-    spent = sum(seconds for stage, seconds in outcome.seconds.items() if stage != "draw")
+    total_s = sum(seconds for stage, seconds in outcome.seconds.items() if stage != "draw")
     result = f"{outcome.result}{', failed' if outcome.failures else ''}"
-    return f"| {outcome.name} | {outcome.words} | {result} | {', '.join(fits)} | {spent:.1f} |\n"
+    return f"| {outcome.name} | {outcome.description} | {result} | {', '.join(fits)} | {total_s:.1f} |\n"
 
 
 def _listed(name: str, sentences: Iterable[str]) -> Iterable[str]:
@@ -87,5 +89,5 @@ def _listed(name: str, sentences: Iterable[str]) -> Iterable[str]:
 
 
 def _line(sentence: str) -> str:
-    one = " ".join(sentence.split())
-    return one if len(one) <= LONGEST else f"{one[:LONGEST]}…"
+    text = " ".join(sentence.split())
+    return text if len(text) <= LONGEST else f"{text[:LONGEST]}…"

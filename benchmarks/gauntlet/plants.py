@@ -30,13 +30,13 @@ class Valve:
 
     def flow(self, spool: float) -> float:
         """Return w of a spool at p, in the command's unit."""
-        beyond = max(abs(spool) - self.dead_zone + self.play / 2, 0.0)
-        curved = self.full * (beyond / self.full) ** self.exponent
+        excess = max(abs(spool) - self.dead_zone + self.play / 2, 0.0)
+        curved = self.full * (excess / self.full) ** self.exponent
         return float(np.sign(spool)) * min(curved, self.saturation)
 
-    def spool(self, before: float, command: float) -> float:
+    def spool(self, previous: float, command: float) -> float:
         """Return p after a command, from p before it."""
-        return min(max(before, command - self.play / 2), command + self.play / 2)
+        return min(max(previous, command - self.play / 2), command + self.play / 2)
 
 
 @dataclass(frozen=True)
@@ -107,25 +107,27 @@ class Plant:
             start: displacement at rest.
             load: factor on the speed.
         """
-        given = np.zeros(time_s.size) if callable(commands) else np.asarray(commands, float)
-        travel, place = [start], start
+        inputs = np.zeros(time_s.size) if callable(commands) else np.asarray(commands, float)
+        travel, displacement = [start], start
         modes, spools, speeds = [0j] * len(self.dynamics.poles), [0.0, 0.0], []
-        late = self.dynamics.dead_time_s
-        due = 0
-        for number, (now, then) in enumerate(pairwise(time_s.tolist())):
+        dead_time_s = self.dynamics.dead_time_s
+        due_index = 0
+        for number, (instant, next_instant) in enumerate(pairwise(time_s.tolist())):
             if callable(commands):
-                given[number] = commands(number, place)
-            speeds.append(load * self._speed(spools, float(given[number])))
-            for begin, end, speed in self._pieces(time_s, speeds, now - late, then - late, due):
-                before = self._output(modes)
-                modes = self._advanced(modes, end - begin, speed)
-                place = float(np.clip(place + self._output(modes) - before, *self.stops))
-            while due + 1 < len(speeds) and time_s[due + 1] <= then - late:
-                due += 1
-            travel.append(place)
+                inputs[number] = commands(number, displacement)
+            speeds.append(load * self._speed(spools, float(inputs[number])))
+            for begin, end, speed in self._constant_speed_intervals(
+                time_s, speeds, instant - dead_time_s, next_instant - dead_time_s, due_index
+            ):
+                output_before = self._output(modes)
+                modes = self._advance_modes(modes, end - begin, speed)
+                displacement = float(np.clip(displacement + self._output(modes) - output_before, *self.stops))
+            while due_index + 1 < len(speeds) and time_s[due_index + 1] <= next_instant - dead_time_s:
+                due_index += 1
+            travel.append(displacement)
         if callable(commands):
-            given[-1] = commands(time_s.size - 1, place)
-        return np.array(travel), given
+            inputs[-1] = commands(time_s.size - 1, displacement)
+        return np.array(travel), inputs
 
     def _speed(self, spools: list[float], command: float) -> float:
         """Return the speed demanded by a command, moving the spools along."""
@@ -136,28 +138,28 @@ class Plant:
         return total
 
     @staticmethod
-    def _pieces(
-        time_s: np.ndarray, speeds: Sequence[float], begin: float, end: float, due: int
+    def _constant_speed_intervals(
+        time_s: np.ndarray, speeds: Sequence[float], begin: float, end: float, due_index: int
     ) -> list[tuple[float, float, float]]:
         """Return stretches of one speed between two instants of the delayed clock: begin, end, speed."""
-        pieces = []
+        intervals = []
         if begin < time_s[0]:
-            pieces.append((begin, min(end, float(time_s[0])), 0.0))
+            intervals.append((begin, min(end, float(time_s[0])), 0.0))
             begin = float(time_s[0])
         while begin < end:
-            following = float(time_s[due + 1]) if due + 1 < len(speeds) else np.inf
-            if following > begin:
-                pieces.append((begin, min(end, following), speeds[due]))
-                begin = min(end, following)
-            due += 1
-        return pieces
+            next_change = float(time_s[due_index + 1]) if due_index + 1 < len(speeds) else np.inf
+            if next_change > begin:
+                intervals.append((begin, min(end, next_change), speeds[due_index]))
+                begin = min(end, next_change)
+            due_index += 1
+        return intervals
 
-    def _advanced(self, modes: list[complex], held_s: float, speed: float) -> list[complex]:
+    def _advance_modes(self, modes: list[complex], duration_s: float, speed: float) -> list[complex]:
         """Return z after ż = λ z + speed, speed held."""
         return [
-            mode + held_s * speed
+            mode + duration_s * speed
             if pole == 0
-            else np.exp(pole * held_s) * mode + np.expm1(pole * held_s) / pole * speed
+            else np.exp(pole * duration_s) * mode + np.expm1(pole * duration_s) / pole * speed
             for mode, pole in zip(modes, self.dynamics.poles, strict=True)
         ]
 

@@ -16,7 +16,7 @@ from .outcome import HUNG, TRACEBACK, Outcome
 
 Report = Callable[[Outcome], None]
 CACHE = Path("build/gauntlet/compiled")
-PATIENCE_S = 1500.0
+TIMEOUT_S = 1500.0
 
 
 @dataclass(frozen=True)
@@ -33,10 +33,10 @@ class Job:
     name: str
     work: Callable[..., Outcome]
     arguments: Mapping[str, Any] = field(default_factory=dict)
-    timeout_s: float = PATIENCE_S
+    timeout_s: float = TIMEOUT_S
 
 
-def carry_out(jobs: Iterable[Job], report: Report, *, together: int = 0) -> None:
+def run_jobs(jobs: Iterable[Job], report: Report, *, together: int = 0) -> None:
     """Do jobs, one at a time on each core, or `together` at a time without a core of their own.
 
     What hitchid runs is half Python and half small programs: two runs with one core each end sooner than two
@@ -63,7 +63,7 @@ def carry_out(jobs: Iterable[Job], report: Report, *, together: int = 0) -> None
             except queue.Empty:
                 worker.close()
                 return
-            outcome = worker.answer(job)
+            outcome = worker.run(job)
             with lock:
                 report(outcome)
 
@@ -89,9 +89,9 @@ class _Worker:
         self._process: Any = None
         self._link: Connection | None = None
 
-    def answer(self, job: Job) -> Outcome:
+    def run(self, job: Job) -> Outcome:
         """Return what came of a job."""
-        link = self._begun()
+        link = self._connection()
         started = time.perf_counter()
         try:
             link.send(job)
@@ -100,10 +100,12 @@ class _Worker:
         except (EOFError, OSError):
             self.close()
             code = self._process.exitcode
-            return _lost(job, TRACEBACK, f"the process ended with code {code}", time.perf_counter() - started)
+            return _failed_outcome(
+                job, TRACEBACK, f"the process ended with code {code}", time.perf_counter() - started
+            )
         self._process.kill()
         self.close()
-        return _lost(job, HUNG, f"no answer in {job.timeout_s:.0f} s", job.timeout_s)
+        return _failed_outcome(job, HUNG, f"no answer in {job.timeout_s:.0f} s", job.timeout_s)
 
     def close(self) -> None:
         """End the process."""
@@ -115,18 +117,18 @@ class _Worker:
                 self._process.kill()
                 self._process.join()
 
-    def _begun(self) -> Connection:
+    def _connection(self) -> Connection:
         if self._link is None:
             # Never fork: JAX runs threads.
             context = multiprocessing.get_context("spawn")
-            self._link, theirs = context.Pipe()
-            self._process = context.Process(target=_serve, args=(theirs, self._core), daemon=True)
+            self._link, child_link = context.Pipe()
+            self._process = context.Process(target=_serve, args=(child_link, self._core), daemon=True)
             self._process.start()
-            theirs.close()
+            child_link.close()
         return self._link
 
 
-def _lost(job: Job, result: str, message: str, seconds: float) -> Outcome:
+def _failed_outcome(job: Job, result: str, message: str, seconds: float) -> Outcome:
     return Outcome(
         job.name, result=result, message=message, seconds={"all": seconds}, failures=[f"{result}: {message}"]
     )

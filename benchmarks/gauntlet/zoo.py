@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from .commands import SHAPES, alternating, rested
+from .commands import SHAPES, alternating, start_at_rest
 from .design import Design, Schedule, draw_design
 from .plants import Controller, Plant
 
 Rng = np.random.Generator
-FRESH = 2
+UNSEEN_TESTS = 2
 SAME_SPEED = 0.02
 
 
@@ -20,8 +20,8 @@ class Truth:
 
     Attributes:
         seed: it was drawn from.
-        logs, fresh: folders of the campaign, and of further tests of the same plant.
-        words: what it is, for a table.
+        logs, unseen: folders of the campaign, and of further tests of the same plant.
+        description: what it is, for a table.
         unusable: why no model can be had; empty where one can.
         values: direction to parameter to its value, in hitchid's parametrisation and the log's units; empty
             where the plant, its clock or its sensor is not among what hitchid chooses from.
@@ -31,8 +31,8 @@ class Truth:
 
     seed: int
     logs: Path
-    fresh: Path
-    words: str
+    unseen: Path
+    description: str
     unusable: str
     values: dict[str, dict[str, float]]
     slack_s: float
@@ -59,17 +59,20 @@ def draw(seed: int, folder: Path) -> Truth:
     """
     design = draw_design(seed)
     rng = np.random.default_rng([seed, 1])
-    tests = [_planned(rng, design, number) for number in range(design.schedule.tests)]
-    fresh = [_planned(rng, replace(design, schedule=_sound(design)), number) for number in range(FRESH)]
+    tests = [_plan_test(rng, design, number) for number in range(design.schedule.tests)]
+    unseen_tests = [
+        _plan_test(rng, replace(design, schedule=_defect_free(design)), number)
+        for number in range(UNSEEN_TESTS)
+    ]
     gains = _gains(rng, design, tests)
     plant = design.plant(gains)
     travel = _write(rng, design, plant, tests, folder / "logs")
-    _write(rng, design, plant, fresh, folder / "fresh")
+    _write(rng, design, plant, unseen_tests, folder / "fresh")
     return Truth(
         seed,
         folder / "logs",
         folder / "fresh",
-        words(design),
+        describe(design),
         design.schedule.unusable,
         _values(design, gains, {test.sign for test in tests}),
         design.clock.step_s if design.clock.jitter else 0.0,
@@ -77,11 +80,11 @@ def draw(seed: int, folder: Path) -> Truth:
     )
 
 
-def words(design: Design) -> str:
+def describe(design: Design) -> str:
     """Return what a campaign is in a line."""
     schedule, columns, clock = design.schedule, design.columns, design.clock
     valve = design.valves[0]
-    parts = [
+    items = [
         design.structure,
         "dead time" if "dead_time" in design.values else "",
         "dead zone" if valve.dead_zone else "",
@@ -105,15 +108,15 @@ def words(design: Design) -> str:
         f"one test {schedule.defect}" if schedule.defect else "",
         f"unusable: {schedule.unusable}" if schedule.unusable else "",
     ]
-    return ", ".join(part for part in parts if part)
+    return ", ".join(item for item in items if item)
 
 
-def _sound(design: Design) -> Schedule:
+def _defect_free(design: Design) -> Schedule:
     """Return the schedule of tests that nothing is wrong with."""
     return replace(design.schedule, defect="", shapes=tuple(s for s in design.schedule.shapes if s != "ramp"))
 
 
-def _planned(rng: Rng, design: Design, number: int) -> _Test:
+def _plan_test(rng: Rng, design: Design, number: int) -> _Test:
     schedule, layout = design.schedule, design.columns.layout
     sign = {"lifting": 1, "lowering": -1}.get(layout, 1 if number % 2 == 0 else -1)
     dead_zone = design.valves[0 if sign > 0 else 1].dead_zone / design.full
@@ -130,7 +133,11 @@ def _planned(rng: Rng, design: Design, number: int) -> _Test:
     if schedule.unusable == "no motion":
         load = 0.0
     return _Test(
-        f"test-{number + 1:02d}", 0 if schedule.mixed else sign, design.full * rested(command), load, defect
+        f"test-{number + 1:02d}",
+        0 if schedule.mixed else sign,
+        design.full * start_at_rest(command),
+        load,
+        defect,
     )
 
 
@@ -141,11 +148,11 @@ def _gains(rng: Rng, design: Design, tests: list[_Test]) -> tuple[float, float]:
         for test in tests
     ]
     lag = design.values["time_constant"] if design.structure == "first-order-lag" else np.inf
-    reach = max(
+    largest_travel = max(
         min(float(np.ptp(np.cumsum(flow))) * design.clock.step_s, lag * float(np.ptp(flow))) for flow in flows
     )
     share = rng.uniform(1.1, 1.5) if design.stops else rng.uniform(0.3, 1.0)
-    gain = float(share * design.travel / reach) if reach else design.travel / design.full
+    gain = float(share * design.travel / largest_travel) if largest_travel else design.travel / design.full
     return gain, gain * float(rng.uniform(0.7, 1.3))
 
 
@@ -159,27 +166,27 @@ def _write(rng: Rng, design: Design, plant: Plant, tests: list[_Test], folder: P
         start = {1: 0.0, -1: design.travel, 0: design.travel / 2}[test.sign]
         if test.defect == "at the stop":
             start = design.travel if test.sign >= 0 else 0.0
-        given = _controller(rng, design, plant, test) if _closed(design, test) else test.command
-        runs.append((test, time_s, *plant.run(time_s, given, start, test.load)))
+        commands = _controller(rng, design, plant, test) if _is_closed_loop(design, test) else test.command
+        runs.append((test, time_s, *plant.run(time_s, commands, start, test.load)))
     travel = max(float(np.ptp(displacement)) for _, _, displacement, _ in runs) or design.travel
     for test, time_s, displacement, command in runs:
         present = design.clock.present(rng, time_s.size)
         sensor = replace(design.sensor, ceiling=0.7) if test.defect == "saturated" else design.sensor
-        logged = sensor.measured(rng, displacement, travel)
+        logged = sensor.measure(rng, displacement, travel)
         design.columns.write(folder / f"{test.name}.csv", time_s[present], command[present], logged[present])
     return travel
 
 
-def _closed(design: Design, test: _Test) -> bool:
+def _is_closed_loop(design: Design, test: _Test) -> bool:
     return design.schedule.closed_loop and not design.schedule.unusable and not test.defect
 
 
 def _controller(rng: Rng, design: Design, plant: Plant, test: _Test) -> Controller:
     """Return a proportional controller with a jump over the dead zone, on a reference in steps."""
     values, samples = design.values, design.schedule.samples
-    slow = design.clock.step_s + values.get("dead_time", 0.0) + values.get("time_constant", 0.0)
-    slow += 2 * values.get("damping_ratio", 0.0) / values.get("natural_frequency", 1.0)
-    factor = min(4 * design.full / design.travel, 0.4 / (max(plant.gains) * slow))
+    time_scale = design.clock.step_s + values.get("dead_time", 0.0) + values.get("time_constant", 0.0)
+    time_scale += 2 * values.get("damping_ratio", 0.0) / values.get("natural_frequency", 1.0)
+    factor = min(4 * design.full / design.travel, 0.4 / (max(plant.gains) * time_scale))
     count = int(rng.integers(3, 9))
     targets = rng.uniform(0.1, 0.9, count) if test.sign == 0 else np.linspace(0.1, 0.9, count)
     targets = targets[:: test.sign or 1] * design.travel
@@ -190,8 +197,8 @@ def _controller(rng: Rng, design: Design, plant: Plant, test: _Test) -> Controll
         if number < 2 or abs(error) < SAME_SPEED * design.travel:
             return 0.0
         jump = design.valves[0 if error > 0 else 1].dead_zone
-        wanted = factor * error + np.sign(error) * jump
-        return float(np.clip(wanted, lowest * design.full, highest * design.full))
+        demand = factor * error + np.sign(error) * jump
+        return float(np.clip(demand, lowest * design.full, highest * design.full))
 
     return command
 
@@ -199,7 +206,7 @@ def _controller(rng: Rng, design: Design, plant: Plant, test: _Test) -> Controll
 def _values(design: Design, gains: tuple[float, float], signs: set[int]) -> dict[str, dict[str, float]]:
     """Return what hitchid should find, where it can choose what is true."""
     schedule, sensor, clock = design.schedule, design.sensor, design.clock
-    beyond = (
+    outside_model_class = (
         design.structure == "first-order-lag"
         or design.stops
         or schedule.mixed
@@ -210,14 +217,14 @@ def _values(design: Design, gains: tuple[float, float], signs: set[int]) -> dict
         or sensor.spikes
         or clock.gaps
     )
-    if beyond:
+    if outside_model_class:
         return {}
-    found = {}
+    expected = {}
     for sign, direction, valve, gain in zip(
         (1, -1), ("lifting", "lowering"), design.valves, gains, strict=True
     ):
         if sign in signs and valve.saturation == np.inf:
             # The power of an opening curve changes what a gain is measured in.
-            shaped = {"exponent": valve.exponent} if valve.exponent != 1 else {"gain": gain}
-            found[direction] = {**shaped, "dead_zone": valve.dead_zone, **design.values}
-    return found
+            valve_parameters = {"exponent": valve.exponent} if valve.exponent != 1 else {"gain": gain}
+            expected[direction] = {**valve_parameters, "dead_zone": valve.dead_zone, **design.values}
+    return expected

@@ -12,10 +12,10 @@ DEAD_ZONE, NOISE_MM = 0.35, 0.05
 TOP_MM = 250.0
 
 
-def write_campaigns(place: Path, number: int, seed: int = 0) -> list[Path]:
+def write_campaigns(root: Path, number: int, seed: int = 0) -> list[Path]:
     """Write a folder of logs for each of many plants: ten tests of ten seconds a direction."""
     rng = np.random.default_rng(seed)
-    folders = [place / f"plant-{plant:02d}" for plant in range(number)]
+    folders = [root / f"plant-{plant:02d}" for plant in range(number)]
     for folder in folders:
         folder.mkdir(parents=True)
         lifting = [rng.uniform(15, 25)], [1 / 18**2, 3.6 / 18, 1.0, 0.0]

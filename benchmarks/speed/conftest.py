@@ -8,7 +8,7 @@ from typing import Any
 
 import jax
 import pytest
-from timings import OURS, Tally, Timing, write_timings
+from timings import OURS, Timing, TimingLog, write_timings
 
 jax.config.update("jax_enable_x64", True)
 
@@ -31,7 +31,7 @@ class Pace:
     full: bool
 
     @property
-    def few(self) -> int:
+    def slow_runs(self) -> int:
         """Runs of what takes minutes."""
         return (self.runs + 1) // 2
 
@@ -74,9 +74,9 @@ def rig_a() -> Path:
 
 
 @pytest.fixture
-def tally(request: pytest.FixtureRequest) -> Tally:
+def tally(request: pytest.FixtureRequest) -> TimingLog:
     """Return what takes in times of whole runs."""
-    return Tally(part_of(request.path), request.config.stash[TIMINGS])
+    return TimingLog(part_of(request.path), request.config.stash[TIMINGS])
 
 
 @pytest.fixture

@@ -11,21 +11,24 @@ def main(folders: list[Path]) -> None:
     """Read campaigns, identify one by `identify` or several by `identify_many`, tell each one's errors."""
     prepare_jax()
     from hitchid import identification
-    from hitchid.identification import Training
-    from hitchid.identification.identify import PAPER_FORMS
+    from hitchid.identification import CompensatorConfig
+    from hitchid.identification.identify import PAPER_SPECS
     from hitchid.readers import read
 
-    asked = {
-        "structure": PAPER_FORMS,
-        "training": Training(rollouts=None, baselines=False),
+    options = {
+        "structure": PAPER_SPECS,
+        "training": CompensatorConfig(rollouts=None, baselines=False),
         "comparison": None,
     }
     campaigns = [read(folder) for folder in folders]
     if len(campaigns) == 1:
-        found = (identification.identify(campaigns[0], **asked),)
+        identifications = (identification.identify(campaigns[0], **options),)
     else:
-        found = identification.identify_many(campaigns, **asked)
-    errors = [{mode: each.channels[mode].phase1.rmse for mode in each.channels} for each in found]
+        identifications = identification.identify_many(campaigns, **options)
+    errors = [
+        {direction: result.channels[direction].phase1.rmse for direction in result.channels}
+        for result in identifications
+    ]
     sys.stdout.write(json.dumps(errors))
 
 

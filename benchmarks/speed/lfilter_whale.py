@@ -31,12 +31,12 @@ class Lifting:
     @classmethod
     def load(cls, path: Path) -> "Lifting":
         """Read what `np.savez` wrote under the attributes' names, without padding."""
-        with np.load(path) as kept:
-            longest = int(kept["counted"].sum(axis=1).max())
+        with np.load(path) as archive:
+            longest = int(archive["counted"].sum(axis=1).max())
             tests = (
-                np.ascontiguousarray(kept[name][:, :longest]) for name in ("command", "travel", "counted")
+                np.ascontiguousarray(archive[name][:, :longest]) for name in ("command", "travel", "counted")
             )
-            return cls(*tests, kept["bounds"], float(kept["step_s"]))
+            return cls(*tests, archive["bounds"], float(archive["step_s"]))
 
     @property
     def weights(self) -> np.ndarray:
@@ -49,22 +49,22 @@ class Lifting:
         gain, omega, damping = lower * (upper / lower) ** position
         continuous = [gain], [1 / omega**2, 2 * damping / omega, 1.0, 0.0]
         numerator, denominator, _ = cont2discrete(continuous, self.step_s, method="zoh")
-        misses = lfilter(numerator[0], denominator, self.command, axis=1) - self.travel
-        return float(np.sqrt(np.vdot(weights, misses * misses)))
+        residuals = lfilter(numerator[0], denominator, self.command, axis=1) - self.travel
+        return float(np.sqrt(np.vdot(weights, residuals * residuals)))
 
 
 # For matrices of four rows and for 16 016 samples waiting for a second thread costs far more than it saves.
-alone = threadpool_limits.wrap(limits=1)
+single_threaded = threadpool_limits.wrap(limits=1)
 
 
-@alone
+@single_threaded
 def evaluate(tests: Lifting, positions: np.ndarray) -> list[float]:
     """Return J at each position."""
     weights = tests.weights
     return [tests.error(position, weights) for position in positions]
 
 
-@alone
+@single_threaded
 def search(tests: Lifting, seed: int, whales: int, iterations: int) -> float:
     """Search the unit cube with as many evaluations as whales times iterations; return the best J."""
     from mealpy import FloatVar

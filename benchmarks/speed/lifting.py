@@ -7,48 +7,48 @@ import jax.numpy as jnp
 import numpy as np
 
 from hitchid.data.record import LIFTING
-from hitchid.estimation import Misfit, Problem, Whale, searchable
-from hitchid.estimation.whale import Swarm
-from hitchid.identification.identify import PAPER_FORMS
+from hitchid.estimation import Objective, SearchProblem, Whale, search_problem
+from hitchid.estimation.whale import WhaleConfig
+from hitchid.identification.identify import PAPER_SPECS
 from hitchid.structures import Batch
 
-FORM = PAPER_FORMS[LIFTING]
+FORM = PAPER_SPECS[LIFTING]
 ON_HOST = ("step_s", "direction")
 
 
-def misfit_of(batch: Batch) -> Misfit:
+def objective_of(batch: Batch) -> Objective:
     """Return the misfit of the paper's lifting benchmark over tests."""
-    return Misfit.of(batch, FORM)
+    return Objective.of(batch, FORM)
 
 
 def search(batch: Batch, seed: int, whales: int, iterations: int) -> float:
     """Return the best J found, everything that a search needs made from the tests."""
-    return whales_over(searchable(misfit_of(batch)), seed, whales, iterations)
+    return run_whale_search(search_problem(objective_of(batch)), seed, whales, iterations)
 
 
 def search_by_simulation(batch: Batch, seed: int, whales: int, iterations: int) -> float:
     """Return the best J found where every evaluation simulates every test."""
-    return whales_over(misfit_of(batch).problem(), seed, whales, iterations)
+    return run_whale_search(objective_of(batch).problem(), seed, whales, iterations)
 
 
-def whales_over(problem: Problem, seed: int, whales: int, iterations: int) -> float:
+def run_whale_search(problem: SearchProblem, seed: int, whales: int, iterations: int) -> float:
     """Return the best J that the whales find."""
-    return Whale(Swarm(population=whales, iterations=iterations)).minimise(problem, seed).best_fitness
+    return Whale(WhaleConfig(population=whales, iterations=iterations)).minimise(problem, seed).best_fitness
 
 
 def save(batch: Batch, path: Path) -> None:
     """Write tests for a process of its own, hitchid's or its peer's."""
     arrays = {field.name: np.asarray(getattr(batch, field.name)) for field in fields(batch)}
-    bounds = misfit_of(batch).bounds
+    bounds = objective_of(batch).bounds
     limits = np.stack([np.asarray(bounds.lower), np.asarray(bounds.upper)])
     np.savez(path, **arrays, travel=np.asarray(batch.travel), bounds=limits)
 
 
 def load_batch(path: Path) -> Batch:
     """Read tests that `save` wrote."""
-    with np.load(path) as kept:
-        arrays = {f.name: jnp.asarray(kept[f.name]) for f in fields(Batch) if f.name not in ON_HOST}
-        return Batch(**arrays, step_s=float(kept["step_s"]), direction=int(kept["direction"]))
+    with np.load(path) as archive:
+        arrays = {f.name: jnp.asarray(archive[f.name]) for f in fields(Batch) if f.name not in ON_HOST}
+        return Batch(**arrays, step_s=float(archive["step_s"]), sign=int(archive["direction"]))
 
 
 def many_tests(batch: Batch, times: int, seed: int) -> Batch:
@@ -61,4 +61,4 @@ def many_tests(batch: Batch, times: int, seed: int) -> Batch:
     travel += 0.05 * rng.standard_normal(travel.shape)
     repeated["displacement"] = np.where(repeated["valid"], repeated["initial"][:, None] + travel, 0.0)
     arrays = {name: jnp.asarray(array) for name, array in repeated.items()}
-    return Batch(**arrays, step_s=batch.step_s, direction=batch.direction)
+    return Batch(**arrays, step_s=batch.step_s, sign=batch.sign)

@@ -14,35 +14,40 @@ from timings import OURS, process
 
 CAMPAIGNS, SAMPLED = 64, 6
 SCRIPT = Path(__file__).with_name("identify_process.py")
-APART = "a process for each, as many at a time as there are cores"
+SEPARATE_PROCESSES = "a process for each, as many at a time as there are cores"
 
 
 def test_many(tally, pace, tmp_path):
     """Both as whole processes that read their logs, programs compiled before, with the same options."""
     count, sampled = (3, 2) if pace.quick else (CAMPAIGNS, CAMPAIGNS if pace.full else SAMPLED)
     folders, cache = write_campaigns(tmp_path / "logs", count), tmp_path / "cache"
-    together = json.loads(process([sys.executable, SCRIPT, *folders[:2]], cache))  # compiles
-    (alone,) = json.loads(process([sys.executable, SCRIPT, folders[0]], cache))
-    same = [[errors[mode] for mode in sorted(errors)] for errors in (together[0], alone)]
+    joint_errors = json.loads(process([sys.executable, SCRIPT, *folders[:2]], cache))  # compiles
+    (single_errors,) = json.loads(process([sys.executable, SCRIPT, folders[0]], cache))
+    same = [
+        [errors[direction] for direction in sorted(errors)] for errors in (joint_errors[0], single_errors)
+    ]
     np.testing.assert_allclose(*same, rtol=1e-3)
-    few, numbers = pace.few, iter(np.random.default_rng(0).permutation(count).tolist() * pace.runs)
+    runs, numbers = pace.slow_runs, iter(np.random.default_rng(0).permutation(count).tolist() * pace.runs)
 
-    def apart() -> float:
+    def separate_processes() -> float:
         chosen = [folders[next(numbers)] for _ in range(sampled)]
-        return _apart_s(chosen, cache) * count / sampled
+        return _separate_processes_s(chosen, cache) * count / sampled
 
-    work = {OURS: lambda: process([sys.executable, SCRIPT, *folders], cache), APART: apart}
+    work = {
+        OURS: lambda: process([sys.executable, SCRIPT, *folders], cache),
+        SEPARATE_PROCESSES: separate_processes,
+    }
     scaled = (
         ""
         if sampled == count
         else f"processes: {sampled} of them, their time multiplied by {count / sampled:.4g}"
     )
-    tally.in_turn(f"{count} campaigns of 20 tests, read and identified", work, few, scaled)
+    tally.interleave(f"{count} campaigns of 20 tests, read and identified", work, runs, scaled)
 
 
-def _apart_s(folders: Sequence[Path], cache: Path) -> float:
+def _separate_processes_s(folders: Sequence[Path], cache: Path) -> float:
     """Return the seconds that a process for each folder takes, as many at a time as there are cores."""
-    begun = time.perf_counter()
+    started = time.perf_counter()
     with ThreadPoolExecutor(os.cpu_count()) as cores:
         list(cores.map(lambda folder: process([sys.executable, SCRIPT, folder], cache), folders))
-    return time.perf_counter() - begun
+    return time.perf_counter() - started

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from timings import OURS, Timing
 
-PARTS = {
+COMPARISONS = {
     "phase1": (
         "Phase 1: the whale search",
         "Lifting tests of rig-a, the paper's third-order benchmark, 30 whales and 100 iterations, the same J "
@@ -70,8 +70,8 @@ class Side:
     def cell(self) -> str:
         """The times as the page tells them."""
         if self.runs == 1:
-            return told(self.median)
-        return f"{told(self.median)} [{told(self.low)}, {told(self.high)}]"
+            return format_time(self.median)
+        return f"{format_time(self.median)} [{format_time(self.low)}, {format_time(self.high)}]"
 
 
 Works = dict[tuple[str, str], list[Side]]
@@ -82,7 +82,7 @@ def digits(number: float) -> str:
     return f"{number:.3g}" if number < 1000 else f"{number:.0f}"
 
 
-def told(seconds: float) -> str:
+def format_time(seconds: float) -> str:
     """Return a time in a unit that suits it."""
     for factor, unit in ((1.0, "s"), (1e3, "ms")):
         if seconds * factor >= 1:
@@ -90,17 +90,17 @@ def told(seconds: float) -> str:
     return f"{digits(seconds * 1e6)} µs"
 
 
-def collected(calls: Mapping, whole: Iterable[Timing]) -> Works:
+def collect(calls: Mapping, run_timings: Iterable[Timing]) -> Works:
     """Return part and work to those who did it, ours first."""
     works: Works = {}
     for entry in calls.get("benchmarks", ()):
-        stats, said = entry["stats"], entry["extra_info"]
-        sides = works.setdefault((said["part"], said["what"]), [])
-        sides.append(Side(said["by"], stats["median"], stats["q1"], stats["q3"], stats["rounds"]))
-        if said["bar"]:
-            by, seconds = said["bar"]
+        stats, info = entry["stats"], entry["extra_info"]
+        sides = works.setdefault((info["part"], info["what"]), [])
+        sides.append(Side(info["by"], stats["median"], stats["q1"], stats["q3"], stats["rounds"]))
+        if info["bar"]:
+            by, seconds = info["bar"]
             sides.append(Side(by, seconds, seconds, seconds, 1))
-    for timing in whole:
+    for timing in run_timings:
         works.setdefault((timing.part, timing.what), []).append(Side.of(timing))
     for sides in works.values():
         sides.sort(key=lambda side: not side.by.startswith(OURS))
@@ -128,11 +128,11 @@ def page(works: Works) -> str:
         "`make bench` measures all of it and writes this page; `pytest benchmarks/speed -k phase1` measures "
         "one part.\n",
     ]
-    for part, (title, said) in PARTS.items():
-        table = {what: sides for (belongs, what), sides in works.items() if belongs == part}
+    for comparison, (title, description) in COMPARISONS.items():
+        table = {what: sides for (key, what), sides in works.items() if key == comparison}
         if not table:
             continue
-        text += [f"\n## {title}\n\n{said}\n\n", HEADER]
+        text += [f"\n## {title}\n\n{description}\n\n", HEADER]
         text += [line for what, sides in table.items() for line in lines(what, sides)]
         notes = dict.fromkeys(
             (what, side.note) for what, sides in table.items() for side in sides if side.note
@@ -141,11 +141,11 @@ def page(works: Works) -> str:
     return "".join(text)
 
 
-def main(calls: Path, whole: Path, out: Path) -> None:
+def main(calls: Path, timings_file: Path, out: Path) -> None:
     """Write the page from what both files hold; a part that was not measured has none."""
     timed = json.loads(calls.read_text(encoding="utf-8")) if calls.is_file() else {}
-    timings = json.loads(whole.read_text(encoding="utf-8")) if whole.is_file() else []
-    works = collected(timed, (Timing(**each) for each in timings))
+    timings = json.loads(timings_file.read_text(encoding="utf-8")) if timings_file.is_file() else []
+    works = collect(timed, (Timing(**entry) for entry in timings))
     out.write_text(page(works), encoding="utf-8")
 
 

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from lfilter_whale import MEALPY, Lifting, evaluate
 from lfilter_whale import search as mealpy_search
-from lifting import many_tests, misfit_of, save, search, search_by_simulation
+from lifting import many_tests, objective_of, save, search, search_by_simulation
 from search_process import ITERATIONS, SEED, WHALES
 from timings import OURS, process
 
 from hitchid.data.record import LIFTING
-from hitchid.estimation import searchable
-from hitchid.estimation.whale import Objective
+from hitchid.estimation import search_problem
+from hitchid.estimation.whale import FitnessFunction
 from hitchid.identification.preparation import prepare
 from hitchid.readers import read
 from hitchid.structures import Batch
@@ -30,7 +30,7 @@ SIMULATING = f"{OURS}, every evaluation simulated"
 @pytest.fixture(scope="module")
 def batch(rig_a) -> Batch:
     """Return the identification tests of lifting."""
-    return prepare(read(rig_a), LIFTING, None).everything
+    return prepare(read(rig_a), LIFTING, None).all_tests
 
 
 @pytest.fixture(scope="module")
@@ -54,10 +54,12 @@ def population(seed: int = 0) -> np.ndarray:
 
 def test_both_minimise_the_same(batch, lifting):
     """Simulated, from correlations and by lfilter, J is the same."""
-    misfit, positions = misfit_of(batch), population()
-    theirs = evaluate(lifting, positions)
-    np.testing.assert_allclose(theirs, misfit(jnp.asarray(positions)), rtol=1e-6)
-    np.testing.assert_allclose(theirs, searchable(misfit).fitness(jnp.asarray(positions)), rtol=1e-6)
+    objective, positions = objective_of(batch), population()
+    peer_values = evaluate(lifting, positions)
+    np.testing.assert_allclose(peer_values, objective(jnp.asarray(positions)), rtol=1e-6)
+    np.testing.assert_allclose(
+        peer_values, search_problem(objective).fitness(jnp.asarray(positions)), rtol=1e-6
+    )
 
 
 def test_our_search(timed, batch):
@@ -98,13 +100,13 @@ def test_searches_as_processes(tally, tests, pace, tmp_path):
 
     run("hitchid")
     work = {OURS: lambda: run("hitchid"), MEALPY: lambda: run("mealpy")}
-    tally.in_turn(WHOLE, work, pace.runs, "both read the tests from one `.npz`")
+    tally.interleave(WHOLE, work, pace.runs, "both read the tests from one `.npz`")
 
 
 @pytest.mark.parametrize("times", [1, TIMES])
 def test_our_evaluation(timed, batch, times):
     """Thirty evaluations of ours over few tests and over many, once they are collected."""
-    fitness = searchable(misfit_of(many_tests(batch, times, seed=0))).fitness
+    fitness = search_problem(objective_of(many_tests(batch, times, seed=0))).fitness
     positions = jnp.asarray(population())
     timed(lambda: np.asarray(compiled(fitness, positions)), evaluations(times))
 
@@ -120,28 +122,30 @@ def test_lfilter_evaluation(timed, batch, times, tmp_path):
 def test_evaluation_of_more_tests(tally, batch, pace):
     """By how much an evaluation costs more with a hundred times the tests."""
     positions = jnp.asarray(population())
-    few, many = (searchable(misfit_of(many_tests(batch, times, seed=0))).fitness for times in (1, TIMES))
+    fitness_few, fitness_many = (
+        search_problem(objective_of(many_tests(batch, times, seed=0))).fitness for times in (1, TIMES)
+    )
     work = {
-        f"{OURS}, 1600 tests": lambda: np.asarray(compiled(many, positions)),
-        f"{OURS}, 16 tests": lambda: np.asarray(compiled(few, positions)),
+        f"{OURS}, 1600 tests": lambda: np.asarray(compiled(fitness_many, positions)),
+        f"{OURS}, 16 tests": lambda: np.asarray(compiled(fitness_few, positions)),
     }
     for call in work.values():
         call()
-    tally.in_turn("30 evaluations, 1600 tests beside 16", work, 20 * pace.runs)
+    tally.interleave("30 evaluations, 1600 tests beside 16", work, 20 * pace.runs)
 
 
 def test_collecting_many_tests(timed, batch):
     """What is done once before a search of 1600 tests."""
     tests = many_tests(batch, TIMES, seed=0)
     timed(
-        lambda: searchable(misfit_of(tests)),
+        lambda: search_problem(objective_of(tests)),
         "made once of 1600 tests, before their first evaluation",
         slow=True,
     )
 
 
 @eqx.filter_jit
-def compiled(fitness: Objective, positions: jax.Array) -> jax.Array:
+def compiled(fitness: FitnessFunction, positions: jax.Array) -> jax.Array:
     """Return J at each position, in one compiled program."""
     return fitness(positions)
 

@@ -27,5 +27,5 @@ def by_hitchid(path: Path) -> float:
 
 
 if __name__ == "__main__":
-    found = {"hitchid": by_hitchid, "mealpy": by_mealpy}[sys.argv[1]](Path(sys.argv[2]))
-    sys.stdout.write(f"{found!r}\n")
+    best = {"hitchid": by_hitchid, "mealpy": by_mealpy}[sys.argv[1]](Path(sys.argv[2]))
+    sys.stdout.write(f"{best!r}\n")

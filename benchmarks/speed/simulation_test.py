@@ -7,33 +7,33 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from lfilter_whale import alone
+from lfilter_whale import single_threaded
 from scipy.signal import cont2discrete, lfilter, lsim
 from timings import OURS
 
 from hitchid.baselines.narx import Narx
 from hitchid.rig import load_rig, simulate
-from hitchid.structures import Benchmark, structure_named
+from hitchid.structures import PhysicalModel, structure_named
 
 VALUES = (20.0, 18.0, 1.8)
 STEP_S, SAMPLES = 0.01, 1001
 TESTS = (16, 400)
-HELD = 50
+HOLD_SAMPLES = 50
 LAG = 2
 
 
 def commands(tests: int) -> np.ndarray:
     """Return random levels held for half a second each, shape [T, N]."""
-    levels = np.random.default_rng(0).uniform(0.0, 0.5, (tests, -(-SAMPLES // HELD)))
-    return np.repeat(levels, HELD, axis=1)[:, :SAMPLES]
+    levels = np.random.default_rng(0).uniform(0.0, 0.5, (tests, -(-SAMPLES // HOLD_SAMPLES)))
+    return np.repeat(levels, HOLD_SAMPLES, axis=1)[:, :SAMPLES]
 
 
 def by_hitchid(inputs: np.ndarray) -> Callable[[], np.ndarray]:
     """Return our simulation, all tests side by side."""
     structure = structure_named("integrator-second-order")
-    benchmark = Benchmark(structure, jnp.asarray(VALUES), jnp.zeros(()))
-    given = jnp.asarray(inputs)
-    return lambda: np.asarray(benchmark.response(given, STEP_S))
+    benchmark = PhysicalModel(structure, jnp.asarray(VALUES), jnp.zeros(()))
+    device_inputs = jnp.asarray(inputs)
+    return lambda: np.asarray(benchmark.response(device_inputs, STEP_S))
 
 
 def transfer_function() -> tuple[list[float], list[float]]:
@@ -45,7 +45,7 @@ def transfer_function() -> tuple[list[float], list[float]]:
 def by_control(inputs: np.ndarray) -> Callable[[], np.ndarray]:
     """Return python-control's simulation of the discrete model, test by test."""
 
-    @alone
+    @single_threaded
     def run() -> np.ndarray:
         system = control.c2d(control.tf2ss(*transfer_function()), STEP_S, "zoh")
         return np.stack([control.forced_response(system, inputs=row).outputs for row in inputs])
@@ -57,7 +57,7 @@ def by_lsim(inputs: np.ndarray) -> Callable[[], np.ndarray]:
     """Return scipy's `lsim`, commands held between samples, test by test."""
     clock = STEP_S * np.arange(SAMPLES)
 
-    @alone
+    @single_threaded
     def run() -> np.ndarray:
         return np.stack([lsim(transfer_function(), row, clock, interp=False)[1] for row in inputs])
 
@@ -67,7 +67,7 @@ def by_lsim(inputs: np.ndarray) -> Callable[[], np.ndarray]:
 def by_lfilter(inputs: np.ndarray) -> Callable[[], np.ndarray]:
     """Return scipy's `lfilter` over the model discretised by hand, all tests in one call."""
 
-    @alone
+    @single_threaded
     def run() -> np.ndarray:
         numerator, denominator, _ = cont2discrete(transfer_function(), STEP_S, method="zoh")
         return lfilter(numerator[0], denominator, inputs, axis=1)
@@ -88,10 +88,10 @@ SIMULATORS = {
 def test_linear(timed, by, tests):
     """A linear benchmark over tests of ten seconds, every simulator with the same result."""
     inputs = commands(tests)
-    known = by_lfilter(inputs)()
+    expected = by_lfilter(inputs)()
     what = f"integrator with second-order lag, {tests} tests of 10 s"
-    found = timed(SIMULATORS[by](inputs), what, by, slow=by in ("python-control", "scipy `lsim`"))
-    np.testing.assert_allclose(found, known, rtol=1e-6, atol=1e-6 * np.abs(known).max())
+    simulated = timed(SIMULATORS[by](inputs), what, by, slow=by in ("python-control", "scipy `lsim`"))
+    np.testing.assert_allclose(simulated, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +107,7 @@ def black_box():
     return model, command, travel
 
 
-def ours_of(model) -> Narx:
+def to_hitchid_narx(model) -> Narx:
     """Return sysidentpy's model as ours: 1000 + i stands for w(k−i), 2000 + i for u(k−i)."""
     codes = np.asarray(model.final_model)
     terms = np.where(codes > 2000, 2000 - codes, np.where(codes > 1000, codes - 1000, 0))
@@ -117,16 +117,18 @@ def ours_of(model) -> Narx:
 def test_our_narx(timed, black_box):
     """The free run of a black box, the same model in both programs."""
     model, command, travel = black_box
-    narx = ours_of(model)
-    found = timed(lambda: narx.resumed(command, travel[:LAG]), NARX)
-    known = model.predict(X=command[:, None], y=travel[:LAG, None])[LAG:, 0]
-    np.testing.assert_allclose(found, known, rtol=1e-6)
+    narx = to_hitchid_narx(model)
+    simulated = timed(lambda: narx.simulate_from(command, travel[:LAG]), NARX)
+    expected = model.predict(X=command[:, None], y=travel[:LAG, None])[LAG:, 0]
+    np.testing.assert_allclose(simulated, expected, rtol=1e-6)
 
 
 def test_sysidentpy_narx(timed, black_box):
     """The same by sysidentpy."""
     model, command, travel = black_box
-    timed(alone(lambda: model.predict(X=command[:, None], y=travel[:LAG, None])), NARX, "sysidentpy")
+    timed(
+        single_threaded(lambda: model.predict(X=command[:, None], y=travel[:LAG, None])), NARX, "sysidentpy"
+    )
 
 
 NARX = "free run of one NARX of five terms, one test of 10 s"

@@ -31,17 +31,19 @@ class Timing:
     note: str = ""
 
 
-class Tally:
+class TimingLog:
     """Collects timings of one part and keeps them with those of all others."""
 
-    def __init__(self, part: str, kept: list[Timing]) -> None:
-        self._part, self._kept = part, kept
+    def __init__(self, part: str, timings: list[Timing]) -> None:
+        self._part, self._timings = part, timings
 
     def note(self, what: str, times: Mapping[str, Sequence[float]], note: str = "") -> None:
         """Take in the seconds of each who did a piece of work."""
-        self._kept += [Timing(self._part, what, by, list(spent), note) for by, spent in times.items()]
+        self._timings += [Timing(self._part, what, by, list(seconds), note) for by, seconds in times.items()]
 
-    def in_turn(self, what: str, work: Mapping[str, Callable[[], object]], runs: int, note: str = "") -> None:
+    def interleave(
+        self, what: str, work: Mapping[str, Callable[[], object]], runs: int, note: str = ""
+    ) -> None:
         """Run the work of each in turn, so that whatever slows the machine slows all alike.
 
         Args:
@@ -50,19 +52,19 @@ class Tally:
             runs: of each.
             note: what a reader should know.
         """
-        spent: dict[str, list[float]] = {by: [] for by in work}
+        seconds: dict[str, list[float]] = {by: [] for by in work}
         for _ in range(runs):
             for by, do in work.items():
-                begun = time.perf_counter()
-                told = do()
-                spent[by].append(told if isinstance(told, float) else time.perf_counter() - begun)
-        self.note(what, spent, note)
+                started = time.perf_counter()
+                result = do()
+                seconds[by].append(result if isinstance(result, float) else time.perf_counter() - started)
+        self.note(what, seconds, note)
 
 
-def write_timings(path: Path, kept: Sequence[Timing]) -> None:
+def write_timings(path: Path, timings: Sequence[Timing]) -> None:
     """Write timings as JSON."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps([asdict(timing) for timing in kept], indent=1), encoding="utf-8")
+    path.write_text(json.dumps([asdict(timing) for timing in timings], indent=1), encoding="utf-8")
 
 
 def process(command: Sequence[str | Path], cache: Path | None = None) -> str:
@@ -75,16 +77,18 @@ def process(command: Sequence[str | Path], cache: Path | None = None) -> str:
     Raises:
         RuntimeError: it failed; its last words are told.
     """
-    done = subprocess.run(list(map(str, command)), capture_output=True, text=True, env=surroundings(cache))  # noqa: S603
-    if done.returncode:
-        raise RuntimeError(f"{' '.join(map(str, command))}: {done.stderr[-2000:]}")
-    return done.stdout
+    completed = subprocess.run(
+        list(map(str, command)), capture_output=True, text=True, env=environment(cache)
+    )
+    if completed.returncode:
+        raise RuntimeError(f"{' '.join(map(str, command))}: {completed.stderr[-2000:]}")
+    return completed.stdout
 
 
-def surroundings(cache: Path | None) -> dict[str, str]:
+def environment(cache: Path | None) -> dict[str, str]:
     """Return the environment of a program whose user's cache is a folder."""
-    known = dict(os.environ)
+    variables = dict(os.environ)
     if cache is not None:
-        known.pop(COMPILED, None)
-        known["XDG_CACHE_HOME"] = str(cache)
-    return known
+        variables.pop(COMPILED, None)
+        variables["XDG_CACHE_HOME"] = str(cache)
+    return variables

@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 import pytest
-from timings import OURS, process, surroundings
+from timings import OURS, environment, process
 
 HITCHID = Path(sys.executable).with_name("hitchid")
 IMPORT_TORCH = 'python -c "import torch"'
@@ -36,13 +36,13 @@ def cache(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def identified(cache, rig_a, pace, tmp_path_factory) -> tuple[list[str | Path], Path]:
     """Return a command that identifies rig-a and the model it made, its programs compiled."""
-    place = tmp_path_factory.mktemp("model")
-    command: list[str | Path] = [HITCHID, "identify", rig_a, "--out", place / "model", "--quiet"]
+    folder = tmp_path_factory.mktemp("model")
+    command: list[str | Path] = [HITCHID, "identify", rig_a, "--out", folder / "model", "--quiet"]
     if pace.quick:
-        (place / "short.toml").write_text(SHORT)
-        command += ["--config", place / "short.toml"]
+        (folder / "short.toml").write_text(SHORT)
+        command += ["--config", folder / "short.toml"]
     process(command, cache)
-    return [*command, "--force"], place / "model"
+    return [*command, "--force"], folder / "model"
 
 
 def import_torch() -> None:
@@ -55,7 +55,7 @@ def test_help(tally, cache, pace):
     work = {OURS: lambda: process([HITCHID, "--help"], cache), IMPORT_TORCH: import_torch}
     for do in work.values():
         do()
-    tally.in_turn("`hitchid --help`", work, pace.runs)
+    tally.interleave("`hitchid --help`", work, pace.runs)
 
 
 def test_identify(tally, cache, identified, pace):
@@ -66,7 +66,7 @@ def test_identify(tally, cache, identified, pace):
         shutil.rmtree(cache / "hitchid" / "searches", ignore_errors=True)
         return seconds(command, cache)
 
-    tally.in_turn("`hitchid identify` on rig-a, compiled before", {OURS: run}, pace.few)
+    tally.interleave("`hitchid identify` on rig-a, compiled before", {OURS: run}, pace.slow_runs)
     tally.note("`hitchid identify` on rig-a, compiled before", {PAPER: [PAPER_S]})
 
 
@@ -75,8 +75,8 @@ def test_validate(tally, cache, identified, rig_a, pace, tmp_path):
     command = [HITCHID, "validate", identified[1], rig_a, "--out", tmp_path / "out"]
     process(command, cache)
     again = [*command, "--force"]
-    tally.in_turn(
-        "`hitchid validate` on rig-a, compiled before", {OURS: lambda: seconds(again, cache)}, pace.few
+    tally.interleave(
+        "`hitchid validate` on rig-a, compiled before", {OURS: lambda: seconds(again, cache)}, pace.slow_runs
     )
 
 
@@ -85,7 +85,9 @@ def test_first_step(tally, cache, identified, pace):
     command = [HITCHID, "run", identified[1]]
     first_step_s(command, cache)
     work = {OURS: lambda: first_step_s(command, cache), IMPORT_TORCH: import_torch}
-    tally.in_turn("`hitchid run`, from start to its first answer", work, pace.runs, "the peer's import alone")
+    tally.interleave(
+        "`hitchid run`, from start to its first answer", work, pace.runs, "the peer's import alone"
+    )
 
 
 @pytest.mark.parametrize("compiled", [False, True])
@@ -108,28 +110,28 @@ def test_reproduce(tally, pace, tmp_path, compiled):
         return seconds(command, cache)
 
     what = f"`hitchid reproduce`, {'compiled before' if compiled else 'from an empty cache'}"
-    tally.in_turn(what, {OURS: run}, pace.few)
+    tally.interleave(what, {OURS: run}, pace.slow_runs)
     tally.note(what, {PAPER: [PAPER_S]}, "ours with virtual bench, validation, figures and tables")
 
 
 def seconds(command: list[str | Path], cache: Path) -> float:
     """Return the seconds that a program takes."""
-    begun = time.perf_counter()
+    started = time.perf_counter()
     process(command, cache)
-    return time.perf_counter() - begun
+    return time.perf_counter() - started
 
 
 def first_step_s(command: list[str | Path], cache: Path) -> float:
     """Return the seconds until a program answers its first line."""
-    begun = time.perf_counter()
+    started = time.perf_counter()
     with subprocess.Popen(  # noqa: S603
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=surroundings(cache)
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment(cache)
     ) as running:
         running.stdin.write(SAMPLE)
         running.stdin.flush()
         answer = running.stdout.readline()
-        spent = time.perf_counter() - begun
+        elapsed_s = time.perf_counter() - started
         running.stdin.close()
     if "displacement" not in answer:
         raise RuntimeError(f"{' '.join(map(str, command))}: no answer")
-    return spent
+    return elapsed_s

@@ -13,7 +13,7 @@ TORCH = "PyTorch, sliding windows"
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasuredTests:
     """Measured of one direction and what a benchmark gives for them, arrays of shape [T, N].
 
     Attributes:
@@ -36,7 +36,7 @@ class Measured:
     def features(self) -> np.ndarray:
         """Return the ten features of Sun et al. 2025, sec. 2.2.3, at every sample, shape [T, N, 10]."""
 
-        def before(rows: np.ndarray, samples: int = 1) -> np.ndarray:
+        def delayed(rows: np.ndarray, samples: int = 1) -> np.ndarray:
             return np.pad(rows, ((0, 0), (samples, 0)))[:, : rows.shape[1]]
 
         def change(rows: np.ndarray) -> np.ndarray:
@@ -51,8 +51,8 @@ class Measured:
             change(self.benchmark),
             self.displacement,
             change(self.displacement) / self.step_s,
-            before(error),
-            before(error) - before(error, 2),
+            delayed(error),
+            delayed(error) - delayed(error, 2),
             self.step_s * np.cumsum(error, axis=1),
         ]
         return np.stack(columns, axis=-1)
@@ -75,12 +75,12 @@ class Network(nn.Module):
 def windows_of(features: np.ndarray) -> Tensor:
     """Return the 50 features before every sample but the first, zeros before a test: [T (N − 1), 50, 10]."""
     padded = np.pad(features[:, :-1], ((0, 0), (WINDOW - 1, 0), (0, 0))).astype(np.float32)
-    cut = torch.from_numpy(padded).unfold(1, WINDOW, 1)
-    return cut.permute(0, 1, 3, 2).reshape(-1, WINDOW, features.shape[2])
+    windows = torch.from_numpy(padded).unfold(1, WINDOW, 1)
+    return windows.permute(0, 1, 3, 2).reshape(-1, WINDOW, features.shape[2])
 
 
 def train(
-    training: Measured, validation: Measured, seed: int, epochs: int = EPOCHS, threads: int = 2
+    training: MeasuredTests, validation: MeasuredTests, seed: int, epochs: int = EPOCHS, threads: int = 2
 ) -> list[tuple[float, np.ndarray]]:
     """Train with Adam and early stopping.
 
@@ -96,48 +96,50 @@ def train(
         After each epoch the seconds since the start and the errors predicted for the validation tests, mm,
         shape [V, N − 1].
     """
-    begun = time.perf_counter()
+    started = time.perf_counter()
     torch.set_num_threads(threads)
     torch.manual_seed(seed)
-    seen, held = training.features(), validation.features()
-    centre, spread = seen.mean(axis=(0, 1)), seen.std(axis=(0, 1))
-    inputs, checked = (windows_of((features - centre) / spread) for features in (seen, held))
-    moved = np.diff(training.error, axis=1)
-    step = moved.std()
-    target = torch.from_numpy((moved / step).reshape(-1).astype(np.float32))
+    training_features, validation_features = training.features(), validation.features()
+    centre, spread = training_features.mean(axis=(0, 1)), training_features.std(axis=(0, 1))
+    inputs, validation_inputs = (
+        windows_of((features - centre) / spread) for features in (training_features, validation_features)
+    )
+    error_steps = np.diff(training.error, axis=1)
+    step = error_steps.std()
+    target = torch.from_numpy((error_steps / step).reshape(-1).astype(np.float32))
     network = Network()
     optimiser = torch.optim.Adam(network.parameters(), lr=LEARNING_RATE)
-    known, told = validation.error[:, :-1], []
-    best, since = np.inf, 0
+    previous_errors, history = validation.error[:, :-1], []
+    best, stale_epochs = np.inf, 0
     for _ in range(epochs):
         _epoch(network, optimiser, inputs, target)
         with torch.no_grad():
-            steps = network(checked).numpy().reshape(known.shape)
-        told.append((time.perf_counter() - begun, known + step * steps))
-        missed = float(np.mean((told[-1][1] - validation.error[:, 1:]) ** 2))
-        best, since = (missed, 0) if missed < best else (best, since + 1)
-        if since >= PATIENCE:
+            steps = network(validation_inputs).numpy().reshape(previous_errors.shape)
+        history.append((time.perf_counter() - started, previous_errors + step * steps))
+        loss = float(np.mean((history[-1][1] - validation.error[:, 1:]) ** 2))
+        best, stale_epochs = (loss, 0) if loss < best else (best, stale_epochs + 1)
+        if stale_epochs >= PATIENCE:
             break
-    return told
+    return history
 
 
-def fastest_threads(training: Measured) -> int:
+def fastest_threads(training: MeasuredTests) -> int:
     """Return the number of threads, one or two, that trains on one test sooner, in the median of some trials.
 
     Where another program runs beside it, two threads wait for each other, often longer than they save.
     """
 
-    def spent(threads: int) -> float:
+    def epoch_seconds(threads: int) -> float:
         torch.set_num_threads(threads)
-        begun = time.perf_counter()
+        started = time.perf_counter()
         _epoch(network, optimiser, inputs, target)
-        return time.perf_counter() - begun
+        return time.perf_counter() - started
 
     inputs = windows_of(training.features()[:1])
     target, network = torch.zeros(len(inputs)), Network()
     optimiser = torch.optim.Adam(network.parameters())
     _epoch(network, optimiser, inputs, target)
-    trials = np.array([[spent(threads) for threads in (1, 2)] for _ in range(TRIALS)])
+    trials = np.array([[epoch_seconds(threads) for threads in (1, 2)] for _ in range(TRIALS)])
     return 1 + int(np.argmin(np.median(trials, axis=0)))
 
 

@@ -12,64 +12,74 @@ from io import TextIOWrapper
 from types import FrameType
 from typing import NoReturn
 
-PATIENCE_S = 0.5
-STOPPED = 128 + signal.SIGINT
-OBJECTS = 100_000
-FAILED = 1
-PLAIN = {"…": "...", "→": "->", "±": "+/-", "·": "*", "−": "-", "≥": ">=", "≤": "<=", "²": "^2", "³": "^3"}  # noqa: RUF001
+GRACE_PERIOD_S = 0.5
+EXIT_INTERRUPTED = 128 + signal.SIGINT
+GC_THRESHOLD = 100_000
+EXIT_FAILURE = 1
+ASCII_REPLACEMENTS = {
+    "…": "...",
+    "→": "->",
+    "±": "+/-",
+    "·": "*",
+    "−": "-",
+    "≥": ">=",
+    "≤": "<=",
+    "²": "^2",
+    "³": "^3",
+}
 
 
-class Stopped(BaseException):
+class Interrupted(BaseException):
     """Somebody pressed Ctrl-C; no library on the way takes it for its own."""
 
 
 def main() -> None:
     """Run the command line; exit code 130 where Ctrl-C ended it, for the others see `hitchid.cli`."""
-    _heed_interrupts()
-    _write_what_can_be_written()
+    _handle_interrupts()
+    _replace_unencodable()
     # Both directions are worked on at once: further threads of NumPy would wait, busily, on cores in use.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # Libraries hold hundreds of thousands of objects to the end: looking through them for garbage every few
     # hundred new ones takes a tenth of the time.
-    gc.set_threshold(OBJECTS)
+    gc.set_threshold(GC_THRESHOLD)
     try:
         from hitchid.cli import main as run
 
         run()
-    except Stopped:
-        _end()
-    except SystemExit as ended:
-        _leave(ended.code)
+    except Interrupted:
+        _exit_interrupted()
+    except SystemExit as exit_request:
+        _exit(exit_request.code)
 
 
-def _heed_interrupts() -> None:
+def _handle_interrupts() -> None:
     """Have Ctrl-C end the program within a second, even in the middle of a compiled computation.
 
     Python hears a signal between two of its own steps only, and a computation may take many seconds. The
     system writes a byte for each signal at once; who reads it waits until the program should have ended.
     """
-    heard, told = socket.socketpair()
-    told.setblocking(False)
-    signal.set_wakeup_fd(told.fileno(), warn_on_full_buffer=False)
+    read_socket, write_socket = socket.socketpair()
+    write_socket.setblocking(False)
+    signal.set_wakeup_fd(write_socket.fileno(), warn_on_full_buffer=False)
 
     def stop(number: int, frame: FrameType | None) -> None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second one must not come between the clearing up
-        raise Stopped
+        raise Interrupted
 
     def watch() -> None:
-        while heard.recv(1) != bytes([signal.SIGINT]):
+        while read_socket.recv(1) != bytes([signal.SIGINT]):
             pass
-        time.sleep(PATIENCE_S)
-        told.close()
-        _end()
+        time.sleep(GRACE_PERIOD_S)
+        write_socket.close()
+        _exit_interrupted()
 
     signal.signal(signal.SIGINT, stop)
     threading.Thread(target=watch, daemon=True).start()
 
 
-def _write_what_can_be_written() -> None:
+def _replace_unencodable() -> None:
     """Have characters that the encoding of an output lacks written in plain ones; no output, no words."""
-    codecs.register_error("plain", _plain)
+    codecs.register_error("plain", _encode_plain)
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if stream is None:
@@ -78,35 +88,35 @@ def _write_what_can_be_written() -> None:
             stream.reconfigure(errors="plain")
 
 
-def _plain(error: UnicodeError) -> tuple[str, int]:
+def _encode_plain(error: UnicodeError) -> tuple[str, int]:
     """Return what stands for characters that cannot be encoded, and where to go on."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
-    lacking = error.object[error.start : error.end]
-    return "".join(PLAIN.get(character, "?") for character in lacking), error.end
+    unencodable = error.object[error.start : error.end]
+    return "".join(ASCII_REPLACEMENTS.get(character, "?") for character in unencodable), error.end
 
 
-def _leave(code: object) -> NoReturn:
+def _exit(code: object) -> NoReturn:
     """End without the goodbyes of libraries, which take a second: whatever was to be written is written."""
-    status = code if isinstance(code, int) else 0 if code is None else FAILED
+    status = code if isinstance(code, int) else 0 if code is None else EXIT_FAILURE
     try:
         sys.stdout.flush()
     except OSError as error:
         if status == 0:
             os.write(2, f"hitchid: standard output: cannot be written: {error.strerror}\n".encode())
-        os._exit(status or FAILED)
+        os._exit(status or EXIT_FAILURE)
     try:
         sys.stderr.flush()
     except OSError:
-        os._exit(status or FAILED)
+        os._exit(status or EXIT_FAILURE)
     os._exit(status)
 
 
-def _end() -> NoReturn:
+def _exit_interrupted() -> NoReturn:
     """End at once: what was being written has been cleared up, and libraries take seconds to say goodbye."""
-    further = "; the same command with --resume goes on" if sys.argv[1:2] == ["identify"] else ""
-    os.write(2, f"hitchid: stopped{further}\n".encode())
-    os._exit(STOPPED)
+    hint = "; the same command with --resume goes on" if sys.argv[1:2] == ["identify"] else ""
+    os.write(2, f"hitchid: stopped{hint}\n".encode())
+    os._exit(EXIT_INTERRUPTED)
 
 
 if __name__ == "__main__":

@@ -24,12 +24,12 @@ class LogError(InputError):
     def __init__(self, source: object, problem: str, *, line: int | None = None, column: str | None = None):
         """Compose `source: line N: column 'C': problem`, leaving out what is not known."""
         self.problem, self.line, self.column = problem, line, column
-        place = []
+        location = []
         if line is not None:
-            place.append(f"line {line}")
+            location.append(f"line {line}")
         if column is not None:
-            place.append(f"column '{column}'")
-        self.reason = ": ".join([*place, problem])
+            location.append(f"column '{column}'")
+        self.reason = ": ".join([*location, problem])
         super().__init__(f"{source}: {self.reason}")
 
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import hitchid
-from hitchid._support.checkpoints import NOWHERE, OF, SUFFIX, Checkpoints, holds_pieces, is_run
+from hitchid._support.checkpoints import DISABLED, RUN_FILE, SUFFIX, Checkpoints, has_results, is_run
 from hitchid.errors import InputError, OutputError
-from hitchid.estimation import Comparison, MultiStart
+from hitchid.estimation import MultiStart, SearchComparison
 from hitchid.identification.optional import attempt
-from hitchid.identification.selection import Automatic
-from hitchid.structures import Form, structure_named
+from hitchid.identification.selection import AutoStructure
+from hitchid.structures import ModelSpec, structure_named
 
 ARRAYS = {
     "doubles": np.array([np.nan, np.inf, -0.0, 5e-324, 0.1]),
@@ -73,13 +73,13 @@ def files(folder):
 
 def test_what_was_kept_comes_back_bit_for_bit_and_is_not_done_again(tmp_path):
     kept = Checkpoints(tmp_path / "run")
-    assert_bits(dict(kept.arrays("search", Work())), ARRAYS)
-    assert_bits(dict(Checkpoints(tmp_path / "run").arrays("search", never)), ARRAYS)
+    assert_bits(dict(kept.cached_arrays("search", Work())), ARRAYS)
+    assert_bits(dict(Checkpoints(tmp_path / "run").cached_arrays("search", never)), ARRAYS)
 
 
 def test_a_record_comes_back_as_it_was(tmp_path):
     kept = Checkpoints(tmp_path / "run")
-    for found in (kept.piece("best", Piece, lambda: PIECE), kept.piece("best", Piece, never)):
+    for found in (kept.cached("best", Piece, lambda: PIECE), kept.cached("best", Piece, never)):
         assert found.best.tobytes() == PIECE.best.tobytes()
         told = (found.loss, found.count, found.open, found.reason)
         assert told == (PIECE.loss, PIECE.count, PIECE.open, PIECE.reason)
@@ -89,9 +89,9 @@ def test_a_record_comes_back_as_it_was(tmp_path):
 def test_without_a_folder_nothing_is_kept_and_all_is_done(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     work = Work()
-    for kept in (NOWHERE, NOWHERE.part("lifting"), Checkpoints()):
-        assert kept.arrays("search", work) is ARRAYS
-        assert kept.piece("best", Piece, lambda: PIECE).loss == PIECE.loss
+    for kept in (DISABLED, DISABLED.child("lifting"), Checkpoints()):
+        assert kept.cached_arrays("search", work) is ARRAYS
+        assert kept.cached("best", Piece, lambda: PIECE).loss == PIECE.loss
     assert work.done == 3
     assert list(tmp_path.iterdir()) == []
 
@@ -99,9 +99,9 @@ def test_without_a_folder_nothing_is_kept_and_all_is_done(tmp_path, monkeypatch)
 def test_work_that_failed_is_not_kept(tmp_path):
     kept = Checkpoints(tmp_path / "run")
     with pytest.raises(AssertionError, match="already"):
-        kept.arrays("search", never)
+        kept.cached_arrays("search", never)
     assert files(tmp_path) == []
-    assert_bits(dict(kept.arrays("search", Work())), ARRAYS)
+    assert_bits(dict(kept.cached_arrays("search", Work())), ARRAYS)
 
 
 # --- names --------------------------------------------------------------------------------------------------
@@ -121,8 +121,8 @@ def test_no_two_pieces_share_a_file_however_alike_their_names(tmp_path, names):
     for number, (parts, name) in enumerate(names):
         kept = Checkpoints(folder)
         for part in parts:
-            kept = kept.part(part)
-        (array,) = kept.arrays(name, Work({"x": np.asarray(number)})).values()
+            kept = kept.child(part)
+        (array,) = kept.cached_arrays(name, Work({"x": np.asarray(number)})).values()
         assert array == number
     assert len(files(folder)) == len(names)
     assert files(folder) == files(tmp_path)
@@ -148,26 +148,26 @@ DAMAGE = {
 @pytest.mark.parametrize("damage", DAMAGE.values(), ids=DAMAGE.keys())
 def test_a_piece_that_is_not_whole_is_done_again_and_replaced(tmp_path, damage):
     kept, work = Checkpoints(tmp_path / "run"), Work()
-    kept.arrays("search", work)
+    kept.cached_arrays("search", work)
     (path,) = files(tmp_path)
     whole = path.read_bytes()
     path.write_bytes(damage(whole))
-    assert_bits(dict(kept.arrays("search", work)), ARRAYS)
+    assert_bits(dict(kept.cached_arrays("search", work)), ARRAYS)
     assert work.done == 2
     assert files(tmp_path) == [path]
-    assert_bits(dict(kept.arrays("search", never)), ARRAYS)
+    assert_bits(dict(kept.cached_arrays("search", never)), ARRAYS)
 
 
 def test_any_changed_byte_is_noticed(tmp_path):
     kept = Checkpoints(tmp_path / "run")
-    kept.arrays("search", Work({"x": np.arange(3)}))
+    kept.cached_arrays("search", Work({"x": np.arange(3)}))
     (path,) = files(tmp_path)
     whole = path.read_bytes()
     work = Work({"x": np.arange(3)})
     places = range(0, len(whole), 7)
     for at in places:
         path.write_bytes(whole[:at] + bytes([whole[at] ^ 0x10]) + whole[at + 1 :])
-        kept.arrays("search", work)
+        kept.cached_arrays("search", work)
     assert work.done == len(places)
 
 
@@ -175,15 +175,15 @@ def test_any_changed_byte_is_noticed(tmp_path):
 
 
 def test_a_run_finds_its_own_pieces_whatever_the_order_of_its_settings(tmp_path):
-    Checkpoints.of_run(tmp_path / "run", {"seed": 1, "logs": "abc"}).arrays("search", Work())
+    Checkpoints.of_run(tmp_path / "run", {"seed": 1, "logs": "abc"}).cached_arrays("search", Work())
     assert is_run(tmp_path / "run")
     again = Checkpoints.of_run(tmp_path / "run", {"logs": "abc", "seed": 1})
-    assert_bits(dict(again.arrays("search", never)), ARRAYS)
+    assert_bits(dict(again.cached_arrays("search", never)), ARRAYS)
 
 
 @pytest.mark.parametrize("other", [{"seed": 2}, {"seed": 1.5}, {}, {"seed": 1, "logs": "abc"}])
 def test_the_folder_of_another_run_is_refused_with_the_way_out_and_left_alone(tmp_path, other):
-    Checkpoints.of_run(tmp_path / "run", {"seed": 1}).arrays("search", Work())
+    Checkpoints.of_run(tmp_path / "run", {"seed": 1}).cached_arrays("search", Work())
     before = {path: path.read_bytes() for path in files(tmp_path)}
     with pytest.raises(InputError, match=r"run: holds an unfinished run of other.*--force"):
         Checkpoints.of_run(tmp_path / "run", other)
@@ -201,8 +201,8 @@ def test_a_folder_of_something_else_is_refused_and_left_alone(tmp_path):
 
 def test_a_run_that_was_stopped_before_its_folder_was_whole_is_begun(tmp_path):
     # What a kill in the middle of writing the first file leaves.
-    (tmp_path / "run" / f".{OF}-x1y2").mkdir(parents=True)
-    (tmp_path / "run" / f".{OF}-x1y2" / OF).write_text("{")
+    (tmp_path / "run" / f".{RUN_FILE}-x1y2").mkdir(parents=True)
+    (tmp_path / "run" / f".{RUN_FILE}-x1y2" / RUN_FILE).write_text("{")
     Checkpoints.of_run(tmp_path / "run", {"seed": 1})
     assert is_run(tmp_path / "run")
 
@@ -212,7 +212,7 @@ def test_a_run_that_was_stopped_before_its_folder_was_whole_is_begun(tmp_path):
 
 def test_a_full_disk_is_told_by_the_place_and_leaves_what_was_kept(tmp_path, monkeypatch):
     kept = Checkpoints.of_run(tmp_path / "run", {"seed": 1})
-    kept.arrays("search", Work())
+    kept.cached_arrays("search", Work())
     before = {path: path.read_bytes() for path in files(tmp_path)}
     write = Path.write_bytes
 
@@ -223,13 +223,13 @@ def test_a_full_disk_is_told_by_the_place_and_leaves_what_was_kept(tmp_path, mon
     with monkeypatch.context() as patch:
         patch.setattr(Path, "write_bytes", full)
         with pytest.raises(OutputError, match=r"run/.*cannot be written.*No space left") as caught:
-            kept.arrays("training", Work())
+            kept.cached_arrays("training", Work())
         assert str(caught.value).startswith(str(tmp_path / "run"))
         with pytest.raises(OutputError, match="No space left"):
             Checkpoints.of_run(tmp_path / "other", {"seed": 1})
     assert {path: path.read_bytes() for path in files(tmp_path)} == before
-    assert_bits(dict(kept.arrays("search", never)), ARRAYS)
-    assert_bits(dict(kept.arrays("training", Work())), ARRAYS)
+    assert_bits(dict(kept.cached_arrays("search", never)), ARRAYS)
+    assert_bits(dict(kept.cached_arrays("training", Work())), ARRAYS)
 
 
 def test_a_part_is_left_out_where_it_fails_but_not_for_a_disk_that_is_full():
@@ -268,7 +268,7 @@ def whole(campaign, quick_settings, tmp_path_factory):
 
 def stopped_after(count, campaign, settings, place):
     """Identify until so many pieces have been kept, and return how many were done."""
-    keep, done, one_at_a_time = Checkpoints.arrays, [], Lock()
+    keep, done, one_at_a_time = Checkpoints.cached_arrays, [], Lock()
 
     def arrays(self, name, work):
         def counted():
@@ -321,23 +321,23 @@ def begun(campaign, quick_settings, tmp_path_factory):
     """Return the folder of a run that was stopped before anything was found."""
     place = tmp_path_factory.mktemp("begun")
     stopped_after(0, campaign, quick_settings, place)
-    assert not holds_pieces(place / "kept")
+    assert not has_results(place / "kept")
     return place / "kept"
 
 
-BEGUN_FROM = Automatic(Form(structure_named("integrator"), bounds={"gain": (1.0, 2.0)}))
+BEGUN_FROM = AutoStructure(ModelSpec(structure_named("integrator"), bounds={"gain": (1.0, 2.0)}))
 
 
 @pytest.mark.parametrize(
     "change",
     [
-        {"structure": {"lifting": Form(structure_named("integrator"))}},
+        {"structure": {"lifting": ModelSpec(structure_named("integrator"))}},
         {"structure": {"lifting": BEGUN_FROM, "lowering": BEGUN_FROM}},
         {"search": MultiStart(evaluations=61)},
         {"training": None},
         {"dead_zones": {"lifting": 0.35}},
         {"drift": True},
-        {"comparison": Comparison(seeds=1)},
+        {"comparison": SearchComparison(seeds=1)},
         {"seed": 1},
     ],
     ids=lambda change: next(iter(change)),

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from hitchid._support.metrics import error_figures, proven_better, rmse_error, surely_less
+from hitchid._support.metrics import error_figures, proven_better, rmse_error, significantly_better
 
 EPS = np.finfo(np.float64).eps
 
@@ -207,22 +207,22 @@ def test_of_models_alike_neither_surely_errs_less_but_by_chance(tests):
     called = 0
     for _ in range(2000):
         one, other = np.exp(0.3 * rng.standard_normal((2, tests)))
-        called += surely_less(one, other, samples) or surely_less(other, one, samples)
+        called += significantly_better(one, other, samples) or significantly_better(other, one, samples)
     assert called <= 0.08 * 2000
 
 
 def test_a_model_twice_as_good_on_every_test_surely_errs_less():
     errors = np.array([1.0, 1.2, 0.9, 1.1])
     samples = np.array([1000, 500, 1000, 800])
-    assert surely_less(errors, 2 * errors, samples)
-    assert not surely_less(2 * errors, errors, samples)
-    assert not surely_less(errors, errors, samples)
+    assert significantly_better(errors, 2 * errors, samples)
+    assert not significantly_better(2 * errors, errors, samples)
+    assert not significantly_better(errors, errors, samples)
 
 
 def test_what_diverged_never_errs_less_and_one_test_tells_nothing():
     samples = np.full(3, 10)
     finite, wild = np.ones(3), np.array([1.0, np.inf, 1.0])
-    assert surely_less(finite, wild, samples)
-    assert not surely_less(wild, finite, samples)
-    assert not surely_less(wild, wild, samples)
-    assert not surely_less(np.array([1.0]), np.array([9.0]), np.array([10]))
+    assert significantly_better(finite, wild, samples)
+    assert not significantly_better(wild, finite, samples)
+    assert not significantly_better(wild, wild, samples)
+    assert not significantly_better(np.array([1.0]), np.array([9.0]), np.array([10]))

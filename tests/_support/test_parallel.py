@@ -6,13 +6,13 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from hitchid._support.parallel import abreast
+from hitchid._support.parallel import parallel
 from hitchid.errors import FitError
 
 
 def test_results_come_in_the_order_of_the_names_and_in_double_precision():
     with jax.enable_x64(False):
-        found = abreast(lambda name: (name, jnp.ones(2).dtype), ["b", "a", "c"])
+        found = parallel(lambda name: (name, jnp.ones(2).dtype), ["b", "a", "c"])
         assert jnp.ones(2).dtype == jnp.float32
     assert list(found) == ["b", "a", "c"]
     assert found["a"] == ("a", jnp.float64)
@@ -20,7 +20,7 @@ def test_results_come_in_the_order_of_the_names_and_in_double_precision():
 
 def test_works_do_not_wait_for_each_other():
     meeting = threading.Barrier(2, timeout=60)
-    assert abreast(lambda name: meeting.wait() in (0, 1), ["lifting", "lowering"]) == {
+    assert parallel(lambda name: meeting.wait() in (0, 1), ["lifting", "lowering"]) == {
         "lifting": True,
         "lowering": True,
     }
@@ -35,5 +35,5 @@ def test_a_failure_is_raised_after_the_others_are_done():
         done.append(name)
 
     with pytest.raises(FitError, match="nothing moves"):
-        abreast(work, ["lifting", "lowering"])
+        parallel(work, ["lifting", "lowering"])
     assert done == ["lowering"]

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hitchid._support.progress import Step, part, rounds, strands
-from hitchid.cli.terminal_progress import BLOCKS, WIDTH, Curves, falling, progress
+from hitchid._support.progress import ProgressUpdate, iteration_progress, parallel_progress, subtask_progress
+from hitchid.cli.terminal_progress import BLOCKS, WIDTH, Curves, progress, sparkline
 
 fractions = st.floats(0, 1)
 
@@ -15,51 +15,55 @@ fractions = st.floats(0, 1)
 @given(fractions, fractions, fractions)
 def test_a_part_never_leaves_its_place_in_the_whole(start, width, done):
     told = []
-    part(told.append, start, width)(Step("stage", done))
+    subtask_progress(told.append, start, width)(ProgressUpdate("stage", done))
     assert start <= told[0].fraction <= start + width
 
 
 def test_parts_of_parts_are_named_from_the_outside_in():
     told = []
-    part(part(told.append, 0.5, 0.5, "lifting"), 0.2, 0.4)(Step("phase 1", 0.5, "iteration 3", {"RMSE": 1.0}))
-    assert told == [Step("lifting: phase 1", 0.5 + 0.5 * (0.2 + 0.4 * 0.5), "iteration 3", {"RMSE": 1.0})]
+    subtask_progress(subtask_progress(told.append, 0.5, 0.5, "lifting"), 0.2, 0.4)(
+        ProgressUpdate("phase 1", 0.5, "iteration 3", {"RMSE": 1.0})
+    )
+    assert told == [
+        ProgressUpdate("lifting: phase 1", 0.5 + 0.5 * (0.2 + 0.4 * 0.5), "iteration 3", {"RMSE": 1.0})
+    ]
 
 
 @given(st.lists(st.tuples(st.sampled_from(["lifting", "lowering"]), fractions), min_size=1))
 def test_works_done_at_the_same_time_add_up_to_their_place_in_the_whole(told):
     heard = []
-    tell = strands(heard.append, 0.2, 0.6, ["lifting", "lowering"])
+    tell = parallel_progress(heard.append, 0.2, 0.6, ["lifting", "lowering"])
     last = {"lifting": 0.0, "lowering": 0.0}
     for name, fraction in told:
-        tell[name](Step("phase 1", fraction))
+        tell[name](ProgressUpdate("phase 1", fraction))
         last[name] = fraction
         expected = pytest.approx(0.2 + 0.6 * (last["lifting"] + last["lowering"]) / 2)
-        assert heard[-1] == Step(f"{name}: phase 1", expected, strand=name)
+        assert heard[-1] == ProgressUpdate(f"{name}: phase 1", expected, task=name)
 
 
 def test_rounds_go_on_without_reaching_the_end():
     told = []
-    hear = rounds(told.append, "search", 0.2, 0.5, "RMSE / mm")
+    hear = iteration_progress(told.append, "search", 0.2, 0.5, "RMSE / mm")
     for number in range(1, 2000, 37):
         hear(number, 1.0 / number)
     done = [step.fraction for step in told]
     assert done == sorted(done)
     assert done[0] > 0.2
     assert done[-1] < 0.7
-    assert told[1].round == "iteration 38"
+    assert told[1].iteration == "iteration 38"
     assert told[1].figures == {"RMSE / mm": 1.0 / 38}
 
 
 @given(st.lists(st.floats(allow_nan=True, allow_infinity=True), max_size=200))
 def test_a_curve_fits_its_place_whatever_the_figures(values):
-    drawn = falling(values)
+    drawn = sparkline(values)
     assert len(drawn) <= WIDTH
     assert set(drawn) <= set(BLOCKS)
     assert bool(drawn) == any(map(math.isfinite, values))
 
 
 def test_a_falling_figure_is_drawn_falling():
-    drawn = falling([10.0 * 0.8**k for k in range(100)])
+    drawn = sparkline([10.0 * 0.8**k for k in range(100)])
     heights = [BLOCKS.index(block) for block in drawn]
     assert (heights[0], heights[-1]) == (len(BLOCKS) - 1, 0)
     assert heights == sorted(heights, reverse=True)
@@ -69,12 +73,12 @@ def test_the_figures_of_a_stage_are_shown_in_80_columns_and_go_with_it():
     curves = Curves()
     for number in range(50):
         figures = {"RMSE on levels held out / mm": 1.0 / (1 + number), "another": 2.0}
-        curves.hear(Step("lifting: phase 1", 0.1, f"iteration {number}", figures))
+        curves.update(ProgressUpdate("lifting: phase 1", 0.1, f"iteration {number}", figures))
     shown = curves.__rich__().plain.splitlines()
     assert shown[0] == "iteration 49"
     assert "0.02" in shown[1]
     assert max(map(len, shown)) <= 80
-    curves.hear(Step("lifting: phase 2", 0.5))
+    curves.update(ProgressUpdate("lifting: phase 2", 0.5))
     assert curves.__rich__().plain == ""
 
 
@@ -82,13 +86,13 @@ def test_works_done_at_the_same_time_have_each_its_curves_until_the_whole_goes_o
     curves = Curves()
     for number in range(20):
         for name in ("lifting", "lowering"):
-            step = Step(f"{name}: phase 1", 0.1, f"iteration {number}", {"RMSE / mm": 1.0}, name)
-            curves.hear(step)
+            step = ProgressUpdate(f"{name}: phase 1", 0.1, f"iteration {number}", {"RMSE / mm": 1.0}, name)
+            curves.update(step)
     assert curves.stages == "lifting: phase 1 | lowering: phase 1"
     shown = curves.__rich__().plain.splitlines()
     assert [line.split()[:2] for line in shown[::2]] == [["lifting", "iteration"], ["lowering", "iteration"]]
     assert len(shown) == 4
-    curves.hear(Step("validation", 0.9))
+    curves.update(ProgressUpdate("validation", 0.9))
     assert curves.stages == "validation"
     assert curves.__rich__().plain == ""
 
@@ -98,9 +102,9 @@ def test_elsewhere_works_done_at_the_same_time_have_a_line_a_stage_and_one_where
         for number in range(2):
             for name in ("lifting", "lowering"):
                 figures = {"RMSE / mm": 3.0 - number}
-                report(Step(f"{name}: search", 0.1, f"iteration {number}", figures, name))
-        report(Step("lifting: training", 0.5, strand="lifting"))
-        report(Step("validation", 0.9))
+                report(ProgressUpdate(f"{name}: search", 0.1, f"iteration {number}", figures, name))
+        report(ProgressUpdate("lifting: training", 0.5, task="lifting"))
+        report(ProgressUpdate("validation", 0.9))
     assert capsys.readouterr().err.splitlines() == [
         " 10%  lifting: search",
         " 10%  lowering: search",
@@ -114,8 +118,8 @@ def test_elsewhere_works_done_at_the_same_time_have_a_line_a_stage_and_one_where
 def test_elsewhere_a_stage_is_a_line_with_where_it_ended_below(capsys):
     with progress() as report:
         for number in range(3):
-            report(Step("search", 0.1, f"iteration {number}", {"RMSE / mm": 3.0 - number}))
-        report(Step("training", 0.5))
+            report(ProgressUpdate("search", 0.1, f"iteration {number}", {"RMSE / mm": 3.0 - number}))
+        report(ProgressUpdate("training", 0.5))
     assert capsys.readouterr().err.splitlines() == [
         " 10%  search",
         "      iteration 2: RMSE / mm 1",
@@ -125,7 +129,7 @@ def test_elsewhere_a_stage_is_a_line_with_where_it_ended_below(capsys):
 
 def test_quietly_nothing_is_said(capsys):
     with progress(quiet=True) as report:
-        report(Step("search", 0.1))
+        report(ProgressUpdate("search", 0.1))
     assert capsys.readouterr() == ("", "")
 
 
@@ -141,7 +145,7 @@ def test_on_a_terminal_the_figures_are_drawn_and_taken_away_again(monkeypatch, h
     monkeypatch.setenv("COLUMNS", "80")
     monkeypatch.setenv("LINES", str(height))
     with progress() as report:
-        report(Step("lifting: phase 1", 0.25, "iteration 5", {"RMSE / mm": 0.5}))
+        report(ProgressUpdate("lifting: phase 1", 0.25, "iteration 5", {"RMSE / mm": 0.5}))
     assert "lifting: phase 1" in screen.getvalue()
     assert "RMSE / mm" in screen.getvalue()
     assert "\x1b[2K" in screen.getvalue()

@@ -81,7 +81,7 @@ def test_a_folder_appears_with_what_was_written(tmp_path, before):
     folder = tmp_path / "a" / "b" if before == "missing parents" else tmp_path / "a"
     if before == "empty folder":
         folder.mkdir()
-    write_folder(folder, fill("new"), mark="mark.json", force=False)
+    write_folder(folder, fill("new"), result_kind="mark.json", force=False)
     assert (folder / "mark.json").read_text() == "new"
     assert left_in(folder.parent) == [
         folder.name,
@@ -92,11 +92,11 @@ def test_a_folder_appears_with_what_was_written(tmp_path, before):
 
 def test_a_folder_that_is_there_is_replaced_whole_and_only_by_force(tmp_path):
     folder = tmp_path / "a"
-    write_folder(folder, fill("old"), mark="mark.json", force=False)
+    write_folder(folder, fill("old"), result_kind="mark.json", force=False)
     with pytest.raises(OutputError, match=r"a: exists already.*--force"):
-        write_folder(folder, fill("new"), mark="mark.json", force=False)
+        write_folder(folder, fill("new"), result_kind="mark.json", force=False)
     assert (folder / "mark.json").read_text() == "old"
-    write_folder(folder, fill("new"), mark="mark.json", force=True)
+    write_folder(folder, fill("new"), result_kind="mark.json", force=True)
     assert left_in(tmp_path) == ["a", f"a/{MANIFEST_FILE}", "a/mark.json"]
     assert (folder / "mark.json").read_text() == "new"
 
@@ -119,40 +119,40 @@ def no_manifest(folder):
 )
 def test_force_replaces_nothing_that_was_added_or_changed(tmp_path, touch, said):
     folder = tmp_path / "a"
-    write_folder(folder, fill("old"), mark="mark.json", force=False)
+    write_folder(folder, fill("old"), result_kind="mark.json", force=False)
     (folder / "deep").mkdir()
     touch(folder)
     before = left_in(folder)
     with pytest.raises(OutputError, match=said):
-        write_folder(folder, fill("new"), mark="mark.json", force=True)
+        write_folder(folder, fill("new"), result_kind="mark.json", force=True)
     assert left_in(folder) == before
     assert (folder / "mark.json").read_text() != "new"
 
 
 def test_force_replaces_no_result_of_another_kind_though_it_holds_such_a_file(tmp_path):
     folder = tmp_path / "study"
-    write_folder(folder, fill("old"), mark="study.md", force=False)
+    write_folder(folder, fill("old"), result_kind="study.md", force=False)
     with pytest.raises(OutputError, match=r"study\.md, not with mark\.json"):
-        write_folder(folder, fill("new"), mark="mark.json", force=True)
+        write_folder(folder, fill("new"), result_kind="mark.json", force=True)
 
 
 def test_what_is_put_there_during_the_work_stays(tmp_path):
     folder = tmp_path / "a"
-    write_folder(folder, fill("old"), mark="mark.json", force=False)
+    write_folder(folder, fill("old"), result_kind="mark.json", force=False)
 
     def slow(place):
         (place / "mark.json").write_text("new")
         (folder / "notes.txt").write_text("mine")
 
     with pytest.raises(OutputError, match=r"notes\.txt"):
-        write_folder(folder, slow, mark="mark.json", force=True)
+        write_folder(folder, slow, result_kind="mark.json", force=True)
     assert left_in(tmp_path) == ["a", f"a/{MANIFEST_FILE}", "a/mark.json", "a/notes.txt"]
 
 
 def test_what_a_link_points_to_is_replaced_and_the_link_stays(tmp_path):
-    write_folder(tmp_path / "a", fill("old"), mark="mark.json", force=False)
+    write_folder(tmp_path / "a", fill("old"), result_kind="mark.json", force=False)
     (tmp_path / "link").symlink_to(tmp_path / "a")
-    write_folder(tmp_path / "link", fill("new"), mark="mark.json", force=True)
+    write_folder(tmp_path / "link", fill("new"), result_kind="mark.json", force=True)
     assert (tmp_path / "link").is_symlink()
     assert (tmp_path / "a" / "mark.json").read_text() == "new"
 
@@ -179,17 +179,17 @@ def test_force_replaces_nothing_of_another_kind(tmp_path, foreign):
     precious.parent.mkdir(exist_ok=True)
     precious.write_text("mine")
     with pytest.raises(OutputError, match=r"holds no .hitchid.json.*another place"):
-        write_folder(tmp_path / "a", fill("new"), mark="mark.json", force=True)
+        write_folder(tmp_path / "a", fill("new"), result_kind="mark.json", force=True)
     assert precious.read_text() == "mine"
 
 
 @pytest.mark.parametrize("force", [False, True])
 def test_a_folder_that_could_not_be_filled_leaves_all_as_it_was(tmp_path, force):
     if force:
-        write_folder(tmp_path / "a", fill("old"), mark="mark.json", force=False)
+        write_folder(tmp_path / "a", fill("old"), result_kind="mark.json", force=False)
     before = left_in(tmp_path)
     with pytest.raises(RuntimeError, match="half-way"):
-        write_folder(tmp_path / "a", fail, mark="mark.json", force=force)
+        write_folder(tmp_path / "a", fail, result_kind="mark.json", force=force)
     assert left_in(tmp_path) == before
     assert not force or (tmp_path / "a" / "mark.json").read_text() == "old"
 
@@ -197,7 +197,7 @@ def test_a_folder_that_could_not_be_filled_leaves_all_as_it_was(tmp_path, force)
 def test_a_place_inside_a_file_is_refused_before_any_work(tmp_path):
     (tmp_path / "file").write_text("mine")
     with pytest.raises(OutputError, match="file"):
-        check_folder(tmp_path / "file" / "a", mark="mark.json", force=False)
+        check_folder(tmp_path / "file" / "a", result_kind="mark.json", force=False)
     with pytest.raises(OutputError, match="file"):
         check_file(tmp_path / "file" / "a", force=False)
 
@@ -205,7 +205,7 @@ def test_a_place_inside_a_file_is_refused_before_any_work(tmp_path):
 def test_a_place_that_cannot_be_written_is_named(tmp_path):
     (tmp_path / "file").write_text("mine")
     with pytest.raises(OutputError, match=f"^{tmp_path}/file/a: "):
-        write_folder(tmp_path / "file" / "a", fill("new"), mark="mark.json", force=False)
+        write_folder(tmp_path / "file" / "a", fill("new"), result_kind="mark.json", force=False)
     with pytest.raises(OutputError, match=f"^{tmp_path}/file/a: "):
         write_file(tmp_path / "file" / "a", lambda path: path.touch(), force=False)
 
@@ -215,7 +215,7 @@ def test_a_name_too_long_for_a_file_is_refused_by_name(tmp_path):
     with pytest.raises(OutputError, match="aaa"):
         check_file(long, force=False)
     with pytest.raises(OutputError, match="aaa"):
-        check_folder(long, mark="mark.json", force=False)
+        check_folder(long, result_kind="mark.json", force=False)
 
 
 def test_a_file_appears_with_what_was_written_and_keeps_its_ending(tmp_path):
@@ -291,7 +291,7 @@ structure = "integrator"
 @pytest.mark.skipif(os.name == "nt", reason="there are no such limits")
 def test_a_file_that_cannot_grow_is_told_and_leaves_all_as_it_was(tmp_path):
     place = tmp_path / "place"
-    write_folder(place / "folder", lambda beside: (beside / "mark").touch(), mark="mark", force=False)
+    write_folder(place / "folder", lambda beside: (beside / "mark").touch(), result_kind="mark", force=False)
     (place / "file").write_text("old")
     before = {path: path.read_bytes() for path in place.rglob("*") if path.is_file()}
     command = [sys.executable, "-c", WRITE_TOO_MUCH, str(place)]
@@ -308,7 +308,7 @@ def test_a_folder_without_permission_is_named(tmp_path):
     tmp_path.chmod(0o500)
     try:
         with pytest.raises(OutputError, match=f"^{tmp_path / 'a'}: .*[Pp]ermission"):
-            write_folder(tmp_path / "a", fill("new"), mark="mark.json", force=False)
+            write_folder(tmp_path / "a", fill("new"), result_kind="mark.json", force=False)
         with pytest.raises(OutputError, match=f"^{tmp_path / 'a'}: .*[Pp]ermission"):
             write_file(tmp_path / "a", lambda path: path.touch(), force=False)
     finally:

@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 
 from hitchid.audit import audit
 from hitchid.data.campaign import Campaign
-from hitchid.data.record import COMMAND, MODES, Record
+from hitchid.data.record import COMMAND, DIRECTIONS, Record
 
 STEP_S = 0.01
 
@@ -37,8 +37,8 @@ def make_test():
         travel = driven(command, **plant)
         displacement = 10 + travel if mode == "lifting" else 150 - travel
         displacement = displacement + noise * rng.standard_normal(command.size)
-        signals = {COMMAND[each]: command if each == mode else 0 * command for each in MODES}
-        units = {"displacement": "mm"} | {COMMAND[each]: "A" for each in MODES}
+        signals = {COMMAND[each]: command if each == mode else 0 * command for each in DIRECTIONS}
+        units = {"displacement": "mm"} | {COMMAND[each]: "A" for each in DIRECTIONS}
         return Record(name, STEP_S, {"displacement": displacement, **signals}, units)
 
     return make
@@ -49,8 +49,8 @@ def clean(make_test):
     """Return the records of a campaign in which nothing is wrong: six tests and two ramps a mode."""
     ramp = np.linspace(0, 0.6, 2000)
     return [
-        *(make_test(f"{mode}-{number}", mode) for mode in MODES for number in range(1, 7)),
-        *(make_test(f"ramp-{mode}-{number}", mode, command=ramp) for mode in MODES for number in (1, 2)),
+        *(make_test(f"{mode}-{number}", mode) for mode in DIRECTIONS for number in range(1, 7)),
+        *(make_test(f"ramp-{mode}-{number}", mode, command=ramp) for mode in DIRECTIONS for number in (1, 2)),
     ]
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hitchid.audit import Level
-from hitchid.data.record import MODES
+from hitchid.audit import Severity
+from hitchid.data.record import DIRECTIONS
 
 
 def scaled(records, changed, role, factor, unit):
@@ -17,18 +17,18 @@ def scaled(records, changed, role, factor, unit):
 @pytest.mark.parametrize(
     ("role", "factor", "unit", "level", "probably"),
     [
-        ("displacement", 1.0, "m", Level.FAULT, "mm"),
-        ("displacement", 1e-3, "mm", Level.WARNING, "m,"),
-        ("displacement", 10.0, "deg", Level.WARNING, "raw count"),
-        ("displacement", 1.0, "rad", Level.WARNING, "degrees"),
-        ("displacement", 0.02, "deg", Level.NOTE, "radians"),
-        ("displacement", 1.0, "1", Level.WARNING, "percent"),
-        ("lifting_command", 1.0, "percent", Level.WARNING, "fraction"),
-        ("lifting_command", 1000.0, "percent", Level.WARNING, "raw count"),
-        ("lifting_command", 100.0, "1", Level.WARNING, "percent"),
-        ("lifting_command", 1000.0, "A", Level.FAULT, "mA"),
-        ("lifting_command", 1.0, "mA", Level.WARNING, "A"),
-        ("lifting_command", 1000.0, "V", Level.WARNING, "mV"),
+        ("displacement", 1.0, "m", Severity.FAULT, "mm"),
+        ("displacement", 1e-3, "mm", Severity.WARNING, "m,"),
+        ("displacement", 10.0, "deg", Severity.WARNING, "raw count"),
+        ("displacement", 1.0, "rad", Severity.WARNING, "degrees"),
+        ("displacement", 0.02, "deg", Severity.NOTE, "radians"),
+        ("displacement", 1.0, "1", Severity.WARNING, "percent"),
+        ("lifting_command", 1.0, "percent", Severity.WARNING, "fraction"),
+        ("lifting_command", 1000.0, "percent", Severity.WARNING, "raw count"),
+        ("lifting_command", 100.0, "1", Severity.WARNING, "percent"),
+        ("lifting_command", 1000.0, "A", Severity.FAULT, "mA"),
+        ("lifting_command", 1.0, "mA", Severity.WARNING, "A"),
+        ("lifting_command", 1000.0, "V", Severity.WARNING, "mV"),
     ],
 )
 def test_a_wrong_unit_is_told_and_nothing_converted(
@@ -68,18 +68,18 @@ def test_a_right_unit_is_not_doubted(clean, changed, found, role, factor, unit):
 @pytest.mark.parametrize(
     ("name", "unit", "value", "level"),
     [
-        ("pressure", "bar", 2000.0, Level.WARNING),
-        ("pressure", "bar", -5.0, Level.WARNING),
+        ("pressure", "bar", 2000.0, Severity.WARNING),
+        ("pressure", "bar", -5.0, Severity.WARNING),
         ("pressure", "bar", 180.0, None),
         ("pressure", "MPa", 18.0, None),
-        ("pressure", "1", 180.0, Level.NOTE),
+        ("pressure", "1", 180.0, Severity.NOTE),
         ("tank", "bar", -0.5, None),
     ],
 )
 def test_further_signals_are_held_against_their_unit(clean, changed, found, name, unit, value, level):
     records = [changed(r, signals={name: np.full(len(r), value)}, units={name: unit}) for r in clean]
     findings = found(records, "units")
-    assert [each.level for each in findings] == ([] if level is None else [level])
+    assert [each.severity for each in findings] == ([] if level is None else [level])
 
 
 def turned(record, changed):
@@ -88,18 +88,18 @@ def turned(record, changed):
 
 def test_one_test_against_the_others_is_that_tests_fault(clean, changed, found):
     (finding,) = found([turned(clean[0], changed), *clean[1:]], "sign")
-    assert (finding.level, finding.record) == (Level.FAULT, "lifting-1")
+    assert (finding.severity, finding.record) == (Severity.FAULT, "lifting-1")
     assert "falls" in finding.what
 
 
 def test_both_reversed_is_a_warning_and_both_alike_a_fault(clean, changed, found):
     (both,) = found([turned(record, changed) for record in clean], "sign")
-    assert both.level is Level.WARNING
+    assert both.severity is Severity.WARNING
     assert "measures downwards" in both.advice
     lifting = [r for r in clean if "lifting" in r.name]
     lowering = [turned(r, changed) for r in clean if "lowering" in r.name]
     (alike,) = found([*lifting, *lowering], "sign")
-    assert alike.level is Level.FAULT
+    assert alike.level is Severity.FAULT
     assert "grows under lifting and under lowering alike" in alike.what
 
 
@@ -107,18 +107,18 @@ def test_both_valves_at_once_are_found_with_their_span(clean, changed, found):
     command = np.zeros(len(clean[0]))
     command[200:300] = 0.5
     (finding,) = found([changed(clean[0], signals={"lowering_command": command}), *clean[1:]], "both valves")
-    assert (finding.level, finding.record) == (Level.WARNING, "lifting-1")
+    assert (finding.severity, finding.record) == (Severity.WARNING, "lifting-1")
     assert finding.spans == ((2.0, 2.99),)
     command[205:] = 0
     (finding,) = found([changed(clean[0], signals={"lowering_command": command}), *clean[1:]], "both valves")
-    assert finding.level is Level.NOTE
+    assert finding.level is Severity.NOTE
 
 
-@pytest.mark.parametrize(("offset", "level"), [(0.1, Level.WARNING), (0.02, Level.NOTE), (0.002, None)])
+@pytest.mark.parametrize(("offset", "level"), [(0.1, Severity.WARNING), (0.02, Severity.NOTE), (0.002, None)])
 def test_a_command_that_is_never_zero_is_found(clean, changed, found, offset, level):
     records = [changed(r, signals={"lifting_command": r.command("lifting") + offset}) for r in clean]
     findings = found(records, "idle command")
-    assert [(each.level, each.signal) for each in findings] == (
+    assert [(each.severity, each.signal) for each in findings] == (
         [] if level is None else [(level, "lifting_command")]
     )
     if level:
@@ -157,7 +157,7 @@ def test_levels_in_rising_order_are_no_drift(make_test, found):
 def test_starts_at_unlike_places_are_noted(clean, changed, found):
     moved = changed(clean[0], signals={"displacement": clean[0].displacement + 20})
     (finding,) = found([moved, *clean[1:]], "start position")
-    assert finding.level is Level.NOTE
+    assert finding.severity is Severity.NOTE
     assert "6 tests of lifting start between" in finding.what
 
 
@@ -181,7 +181,7 @@ def test_one_level_of_command_and_few_changes_are_told(make_test, clean, found):
     findings = found([make_test(f"l-{k}", command=step) for k in range(5)], "excitation")
     (one,) = said(findings, "one level of command, about 0.6 A")
     (few,) = said(findings, "changes fewer than 4 times")
-    assert (one.level, few.level) == (Level.WARNING, Level.NOTE)
+    assert (one.severity, few.severity) == (Severity.WARNING, Severity.NOTE)
     assert "in 5 of 5 tests" in few.what
     several = [make_test(f"l-{k}", command=level * step) for k, level in enumerate((0.6, 0.8, 1.0))]
     assert not said(found(several, "excitation"), "one level")
@@ -195,7 +195,7 @@ def test_little_motion_short_tests_and_rests_are_told(clean, make_test, found):
     idle = make_test("lifting-10", command=np.zeros(500), gain=0.0)
     findings = found([*clean, still, brief, resting, idle], "excitation")
     (little,) = said(findings, "times its noise")
-    assert (little.level, little.record) == (Level.WARNING, "lifting-7")
+    assert (little.severity, little.record) == (Severity.WARNING, "lifting-7")
     assert [each.record for each in said(findings, "lasts 2.49 s")] == ["lifting-8"]
     assert [each.record for each in said(findings, "is active in 8.0%")] == ["lifting-9"]
     assert [each.record for each in said(findings, "no command is active")] == ["lifting-10"]
@@ -205,7 +205,7 @@ def test_commands_barely_above_the_dead_zone_are_told(clean, make_test, found):
     weak = [make_test(f"w-{k}", command=0.5 * r.command("lifting")) for k, r in enumerate(clean[:6])]
     findings = found([*weak, *clean[6:]], "excitation")
     (finding,) = said(findings, "ramps set the piston off")
-    assert (finding.level, finding.signal) == (Level.WARNING, "lifting_command")
+    assert (finding.severity, finding.signal) == (Severity.WARNING, "lifting_command")
 
 
 def test_missing_ramps_tests_and_held_out_tests_are_noted(clean, make_test, found):
@@ -214,9 +214,9 @@ def test_missing_ramps_tests_and_held_out_tests_are_noted(clean, make_test, foun
     assert said(findings, "tests or strokes of lifting: 1, too few")
     assert said(findings, "no test of lifting is held out")
     assert said(findings, "lowering is never commanded")
-    assert {each.level for each in findings} == {Level.NOTE}
+    assert {each.level for each in findings} == {Severity.NOTE}
     without = found([r for r in clean if "ramp" not in r.name], "excitation")
-    assert [each.signal for each in without] == [f"{mode}_command" for mode in MODES]
+    assert [each.signal for each in without] == [f"{mode}_command" for mode in DIRECTIONS]
 
 
 def signed_around(make_test, changed, zero):
@@ -232,7 +232,7 @@ def signed_around(make_test, changed, zero):
     return records
 
 
-@pytest.mark.parametrize(("zero", "level"), [(7.4745, Level.FAULT), (-0.2, Level.WARNING)])
+@pytest.mark.parametrize(("zero", "level"), [(7.4745, Severity.FAULT), (-0.2, Severity.WARNING)])
 def test_a_command_that_rests_at_a_constant_gets_its_zero_proposed(make_test, changed, found, zero, level):
     (finding,) = found(signed_around(make_test, changed, zero), "neutral")
     assert finding.level is level

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hitchid.audit import Level
+from hitchid.audit import Severity
 from hitchid.audit.clocks import lag_of
 
 
@@ -29,14 +29,14 @@ def test_a_lag_is_found_to_a_fraction_of_a_sample(make_test, changed, delay_s):
 @pytest.mark.parametrize(
     ("delay_s", "level", "said"),
     [
-        (0.03, Level.NOTE, "lags behind the lifting command by 0.03"),
-        (0.2, Level.WARNING, "lags behind the lifting command by 0.2"),
-        (-0.05, Level.FAULT, "leads the lifting command by 0.05"),
+        (0.03, Severity.NOTE, "lags behind the lifting command by 0.03"),
+        (0.2, Severity.WARNING, "lags behind the lifting command by 0.2"),
+        (-0.05, Severity.FAULT, "leads the lifting command by 0.05"),
     ],
 )
 def test_a_lead_of_the_current_is_a_fault_and_a_lag_is_told(make_test, changed, found, delay_s, level, said):
     (finding,) = found([with_current(make_test, changed, "a", delay_s)], "lag")
-    assert (finding.level, finding.signal) == (level, "current_measured")
+    assert (finding.severity, finding.signal) == (level, "current_measured")
     stated = float(finding.what.rsplit(" ", 2)[1])
     assert stated == pytest.approx(abs(delay_s), abs=0.001)
     assert finding.what.startswith("current_measured " + said.rsplit(" ", 1)[0])
@@ -65,16 +65,16 @@ def test_motion_ahead_of_the_command_in_most_tests_is_a_fault(clean, changed, fo
 
     early = [ahead(clean[0]), ahead(clean[1]), *clean[2:]]
     two = found(early, "motion before command")
-    assert [(each.record, each.level) for each in two] == [
-        ("lifting-1", Level.WARNING),
-        ("lifting-2", Level.WARNING),
+    assert [(each.record, each.severity) for each in two] == [
+        ("lifting-1", Severity.WARNING),
+        ("lifting-2", Severity.WARNING),
     ]
     # The command comes at 0.5 s; the displacement is early by 0.4 s and takes the valve's lag to get clear.
     start, stop = two[0].spans[0]
     assert 0.1 < start < 0.25
     assert stop == pytest.approx(0.5)
     (every,) = found([ahead(record) for record in clean[:12]], "motion before command")
-    assert every.level is Level.FAULT
+    assert every.level is Severity.FAULT
 
 
 def test_creeping_before_a_test_is_a_warning_and_a_spike_is_not_motion(clean, changed, found):
@@ -82,7 +82,7 @@ def test_creeping_before_a_test_is_a_warning_and_a_spike_is_not_motion(clean, ch
     (finding,) = found(
         [changed(clean[0], signals={"displacement": creep}), *clean[1:]], "motion before command"
     )
-    assert finding.level is Level.WARNING
+    assert finding.severity is Severity.WARNING
     assert "creeps" in finding.what
     spike = clean[0].displacement.copy()
     spike[20] += 20
@@ -100,11 +100,11 @@ def test_resampled_logs_are_told(clean, changed, found):
     little = changed(clean[2], clock=ClockQuality(0.031, 0.0, 0.9))
     lost = changed(clean[3], clock=ClockQuality(0.001, 0.03, 0.06))
     told = found([slow, clean[0], jitter, little, lost, *clean[4:]], "sampling")
-    assert [(each.record, each.level) for each in told] == [
-        ("lifting-0", Level.WARNING),
-        ("lifting-2", Level.WARNING),
-        ("lifting-4", Level.WARNING),
-        ("lifting-3", Level.NOTE),
+    assert [(each.record, each.severity) for each in told] == [
+        ("lifting-0", Severity.WARNING),
+        ("lifting-2", Severity.WARNING),
+        ("lifting-4", Severity.WARNING),
+        ("lifting-3", Severity.NOTE),
     ]
     assert "sampled every 0.02 s, the campaign every 0.01 s" in told[0].what
     assert "15.0%" in told[1].what
@@ -128,9 +128,9 @@ def test_gaps_are_counted_with_what_is_lost(clean, changed, found):
     whole = clean[0]
     first, second = whole.slice(0, 400, name="cut@1"), whole.slice(650, 1200, name="cut@2")
     (finding,) = found([first, second, *clean[1:]], "gaps")
-    assert (finding.record, finding.level) == ("cut@1", Level.WARNING)
+    assert (finding.record, finding.severity) == ("cut@1", Severity.WARNING)
     assert np.allclose(finding.spans, [(3.99, 6.5)])
     assert "2.51 s of 11.99 s" in finding.what
     short = whole.slice(402, 1200, name="cut@2")
     (finding,) = found([first, short, *clean[1:]], "gaps")
-    assert finding.level is Level.NOTE
+    assert finding.level is Severity.NOTE

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hitchid.audit import Level, quality
+from hitchid.audit import Severity, quality
 from hitchid.data.resampling import ClockQuality
 
 # The median of |d²y| has a relative standard error of 1.17/√N; neighbours share samples, which makes it
@@ -49,7 +49,7 @@ def test_a_jittering_clock_is_told_as_reading_found_it(make_test, changed):
 
 def test_a_coarse_sensor_is_found(clean, changed, found):
     rough = [changed(r, signals={"displacement": 5.0 * np.round(r.displacement / 5.0)}) for r in clean]
-    warned = [each for each in found(rough, "quantisation") if each.level is Level.WARNING]
+    warned = [each for each in found(rough, "quantisation") if each.severity is Severity.WARNING]
     assert len(warned) == 1
     assert "steps of 5 mm" in warned[0].what
 
@@ -58,7 +58,7 @@ def test_one_step_motion_lost_in_rounding_is_noted(make_test, changed, found):
     records = [make_test(f"l-{n}", samples=6000, noise=0.0) for n in range(2)]
     rough = [changed(r, signals={"displacement": 0.4 * np.round(r.displacement / 0.4)}) for r in records]
     noted = found(rough, "quantisation")
-    assert [each.level for each in noted] == [Level.NOTE] * 2
+    assert [each.severity for each in noted] == [Severity.NOTE] * 2
     assert "steps of 0.4 mm" in noted[0].what
     fine = [changed(r, signals={"displacement": 0.01 * np.round(r.displacement / 0.01)}) for r in records]
     assert found(fine, "quantisation") == []
@@ -74,7 +74,7 @@ def test_noise_above_one_percent_of_the_range_is_found(make_test, found):
 def test_a_sensor_read_less_often_than_logged_is_found(clean, changed, found):
     held = np.repeat(clean[0].displacement[::10], 10)[: len(clean[0])]
     (finding,) = found([changed(clean[0], signals={"displacement": held}), *clean[1:]], "sampling")
-    assert (finding.record, finding.level) == ("lifting-1", Level.WARNING)
+    assert (finding.record, finding.severity) == ("lifting-1", Severity.WARNING)
     assert "every 0.1 s" in finding.what
 
 

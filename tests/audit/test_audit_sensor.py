@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hitchid.audit import Level
+from hitchid.audit import Severity
 
 
 @pytest.mark.parametrize("width", [1, 2, 3])
@@ -40,7 +40,7 @@ def test_a_stuck_sensor_is_found_with_its_span(make_test, changed, found, rounde
     displacement[410:601] = displacement[410]
     records[1] = changed(records[1], signals={"displacement": displacement})
     (finding,) = found(records, "stuck sensor")
-    assert (finding.level, finding.record) == (Level.FAULT, "l-1")
+    assert (finding.severity, finding.record) == (Severity.FAULT, "l-1")
     assert np.allclose(finding.spans, [(4.10, 6.00)], atol=0.02)
     assert "lifting is commanded at 0.6 A" in finding.what
 
@@ -87,7 +87,7 @@ def test_an_end_stop_is_found_and_keeps_the_noise(make_test, changed, found):
     at = 0.01 * float(np.argmax(records[0].displacement >= 60.0))
     findings = found(stopped)
     ends = [each for each in findings if each.check == "end stop"]
-    assert [(each.level, each.record) for each in ends] == [(Level.NOTE, "l-0"), (Level.NOTE, "l-1")]
+    assert [(each.severity, each.record) for each in ends] == [(Severity.NOTE, "l-0"), (Severity.NOTE, "l-1")]
     # Contact is told by what moves over 0.3 s.
     assert ends[0].spans[0][0] == pytest.approx(at, abs=0.3)
     assert ends[0].spans[0][1] == pytest.approx(9.99)
@@ -117,9 +117,9 @@ def test_a_saturated_sensor_is_found_with_its_spans(make_test, changed, found):
         changed(r, signals={"displacement": np.minimum(r.displacement, 60.0)}) for r in records[:2]
     ] + [make_test("l-2", command=0.7 * command)]
     findings = [each for each in found(clipped) if each.check == "saturated sensor"]
-    assert [(each.level, each.record) for each in findings] == [
-        (Level.WARNING, "l-0"),
-        (Level.WARNING, "l-1"),
+    assert [(each.severity, each.record) for each in findings] == [
+        (Severity.WARNING, "l-0"),
+        (Severity.WARNING, "l-1"),
     ]
     at = 0.01 * float(np.argmax(records[0].displacement >= 60.0))
     # The noise takes samples near the end off it; there the standing begins a little later.

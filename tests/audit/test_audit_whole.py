@@ -8,7 +8,7 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
-from hitchid.audit import AuditFinding, Level, audit, quality
+from hitchid.audit import AuditFinding, Severity, audit, quality
 from hitchid.data.campaign import Campaign
 from hitchid.data.record import Record
 from hitchid.errors import HitchError
@@ -34,10 +34,10 @@ def test_findings_come_by_level_then_check_then_record(clean, changed, found):
         changed(clean[3], signals={"displacement": stuck}),
         *clean[4:],
     ]
-    levels = list(Level)
+    levels = list(Severity)
     order = [record.name for record in Campaign.of(records).records]
     findings = found(records)
-    assert {each.level for each in findings} >= {Level.FAULT, Level.WARNING}
+    assert {each.severity for each in findings} >= {Severity.FAULT, Severity.WARNING}
     keys = [(levels.index(f.level), f.check, order.index(f.record) if f.record else -1) for f in findings]
     assert keys == sorted(keys)
 
@@ -140,6 +140,6 @@ def test_measured_logs_have_no_faults(data, folder):
     from hitchid.readers import read
 
     findings = audit(read(data(folder)))
-    assert [each for each in findings if each.level is Level.FAULT] == []
+    assert [each for each in findings if each.severity is Severity.FAULT] == []
     if folder == "rig-a":
-        assert [each for each in findings if each.level is Level.WARNING] == []
+        assert [each for each in findings if each.severity is Severity.WARNING] == []

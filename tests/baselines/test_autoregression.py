@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hitchid.baselines.autoregression import Arx, ahead
+from hitchid.baselines.autoregression import Arx, predict_ahead
 from hitchid.baselines.black_box import BlackBox, accumulated
 from hitchid.baselines.narx import Narx
 from hitchid.networks.lstm import Lstm
@@ -94,7 +94,7 @@ def measured():
 @every_autoregression
 def test_one_sample_ahead_is_one_step(model, measured):
     command, travel = measured
-    (found,) = ahead(model, command, travel, [1])
+    (found,) = predict_ahead(model, command, travel, [1])
     assert found[0] == 0.0
     np.testing.assert_allclose(found[1:], model.one_step(command, travel)[1:], rtol=0, atol=1e-13)
 
@@ -103,7 +103,7 @@ def test_one_sample_ahead_is_one_step(model, measured):
 def test_from_the_first_sample_any_horizon_is_the_free_run(model, measured):
     command, travel = measured
     horizons = [1, 5, 30, SAMPLES - 1]
-    rows = ahead(model, command, travel, horizons)
+    rows = predict_ahead(model, command, travel, horizons)
     free = model.free_run(command)
     for horizon, row in zip(horizons, rows, strict=True):
         np.testing.assert_array_equal(row[:horizon], 0.0)
@@ -114,20 +114,20 @@ def test_from_the_first_sample_any_horizon_is_the_free_run(model, measured):
 @every_autoregression
 def test_between_them_it_is_the_recursion_from_what_was_measured_up_to_the_horizon_before(model, measured):
     command, travel = measured
-    rows = ahead(model, command, travel, [2, 7])
+    rows = predict_ahead(model, command, travel, [2, 7])
     for horizon, row in zip((2, 7), rows, strict=True):
         for k in (10, 60, SAMPLES - 1):
             known = list(travel[: k - horizon + 1])
             for _ in range(horizon):
                 last = slice(len(known) - model.lag, len(known))
                 columns = command[last][::-1, None], np.array(known)[last][::-1, None]
-                known.append(float(model.following(*columns)[0]))
+                known.append(float(model.predict_next(*columns)[0]))
             assert len(known) == k + 1
             assert row[k] == pytest.approx(known[-1], abs=1e-13)
     # What was measured later than that does not count.
     later = np.where(np.arange(SAMPLES) > 60 - 7, 99.0, travel)
-    assert ahead(model, command, later, [7])[0, 60] == rows[1, 60]
-    assert ahead(model, command, later, [2])[0, 60] != rows[0, 60]
+    assert predict_ahead(model, command, later, [7])[0, 60] == rows[1, 60]
+    assert predict_ahead(model, command, later, [2])[0, 60] != rows[0, 60]
 
 
 @pytest.fixture(scope="module")
@@ -135,7 +135,7 @@ def black_box():
     rng = np.random.default_rng(2)
     network = eqx.tree_at(
         lambda n: (n.head.weight, n.head.bias),
-        Lstm.fresh(jax.random.key(0), 2, 4),
+        Lstm.init(jax.random.key(0), 2, 4),
         (jnp.asarray(rng.normal(size=(1, 4)), jnp.float32), jnp.asarray([0.3], jnp.float32)),
     )
     return BlackBox(network, jnp.asarray(2.0), jnp.asarray(50.0), jnp.asarray(30.0), jnp.asarray(0.1))

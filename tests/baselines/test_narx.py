@@ -54,15 +54,15 @@ def batch(commands, travels, *, until=None):
     counted = [np.arange(command.size) < (until or command.size) for command in commands]
     return Batch(
         command=stack(commands),
-        logged=stack(commands),
+        raw_command=stack(commands),
         dead_zone=jnp.zeros(len(commands)),
         displacement=stack([40.0 - travel for travel in travels]),
         valid=stack([np.ones(command.size, dtype=bool) for command in commands]),
-        counted=stack(counted),
+        loss_mask=stack(counted),
         initial=jnp.full(len(commands), 40.0),
-        load=jnp.zeros(len(commands)),
+        covariate=jnp.zeros(len(commands)),
         step_s=0.01,
-        direction=-1,
+        sign=-1,
     )
 
 
@@ -109,7 +109,7 @@ def test_one_step_uses_what_was_measured_up_to_the_sample_before(truth, commands
 def test_a_run_resumed_from_its_own_past_goes_on_as_it_would_have(truth, commands):
     whole = truth.free_run(commands[0])
     for past in (2, 5):
-        rest = truth.resumed(commands[0][60 - past :], whole[60 - past : 60])
+        rest = truth.simulate_from(commands[0][60 - past :], whole[60 - past : 60])
         np.testing.assert_allclose(rest, whole[60:], atol=1e-13)
 
 
@@ -193,7 +193,7 @@ def test_error_reduction_ratios_add_up_to_what_least_squares_explains(selection,
     rng = np.random.default_rng(3)
     travels = [recursion(command) + 0.01 * rng.normal(size=command.size) for command in commands]
     frols, one = method(selection, 2), np.array(1.0)
-    parts = fitting._sections(batch(commands, travels), longest=None)
+    parts = fitting._segments(batch(commands, travels), longest=None)
     rows, target = fitting._regression(parts, 2, (one, one), frols)
     ratios, order, _ = frols.error_reduction_ratio(rows, np.pad(target, (2, 0))[:, None], 8)
     for size in range(1, 9):
@@ -205,7 +205,7 @@ def test_error_reduction_ratios_add_up_to_what_least_squares_explains(selection,
 
 def test_every_test_has_its_own_rows_from_rest(selection, commands):
     tests = batch(commands, [recursion(command) for command in commands])
-    parts, scales = fitting._sections(tests, longest=None), (np.array(2.0), np.array(0.5))
+    parts, scales = fitting._segments(tests, longest=None), (np.array(2.0), np.array(0.5))
     rows, target = fitting._regression(parts, 2, scales, method(selection, 2))
     expected = []
     for command, travel in zip(commands, np.asarray(tests.travel), strict=True):
@@ -220,10 +220,10 @@ def test_every_test_has_its_own_rows_from_rest(selection, commands):
 def test_long_validation_tests_are_cut_into_sections_with_their_past(commands):
     travel = recursion(commands[0])
     deep = fitting.LAGS[-1]
-    parts = fitting._sections(batch(commands[:1], [travel]), longest=90)
-    assert [part.counted.size for part in parts] == [90, 90, 20]
+    parts = fitting._segments(batch(commands[:1], [travel]), longest=90)
+    assert [part.loss_mask.size for part in parts] == [90, 90, 20]
     for first, part in zip((0, 90, 180), parts, strict=True):
         padded = np.pad(travel, (deep, 0))
-        expected = padded[first : first + part.counted.size + deep]
+        expected = padded[first : first + part.loss_mask.size + deep]
         np.testing.assert_allclose(part.travel, expected, atol=1e-13)
         np.testing.assert_array_equal(part.command[deep:], commands[0][first : first + 90])

@@ -787,7 +787,7 @@ def test_a_run_that_fails_has_exit_code_1_and_leaves_nothing(bench_folder, tmp_p
     def fails(*_):
         raise FitError("the piston does not move")
 
-    monkeypatch.setattr("hitchid.estimation.misfit._speed_per_command", fails)
+    monkeypatch.setattr("hitchid.estimation.objective._speed_per_command", fails)
     (tmp_path / "quick.toml").write_text(QUICK)
     out = tmp_path / "model"
     result = hitchid("identify", bench_folder, "--out", out, "--config", tmp_path / "quick.toml")

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import benches
-from hitchid._support.checkpoints import holds_pieces, is_run
+from hitchid._support.checkpoints import has_results, is_run
 from hitchid.readers import write_table
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals are others there")
@@ -165,7 +165,7 @@ def stamps(folder):
 def test_an_identification_is_stopped_begun_anew_killed_and_gone_on_with(identify, tmp_path):
     unfinished = tmp_path / "model.unfinished"
     running = identify()
-    running.wait_for(lambda: holds_pieces(unfinished))
+    running.wait_for(lambda: has_results(unfinished))
     code, out, err, took_s = running.interrupt()
     assert (code, out) == (130, "")
     assert took_s < SOON_S
@@ -185,7 +185,7 @@ def test_an_identification_is_stopped_begun_anew_killed_and_gone_on_with(identif
 
     running = identify("--force")
     running.wait_for(
-        lambda: holds_pieces(unfinished) and stamps(unfinished).items().isdisjoint(before.items())
+        lambda: has_results(unfinished) and stamps(unfinished).items().isdisjoint(before.items())
     )
     running.kill()
     assert left_in(tmp_path) == ["model.unfinished"]

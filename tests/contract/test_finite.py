@@ -6,28 +6,28 @@ import numpy as np
 import pytest
 
 from hitchid.data.record import LIFTING
-from hitchid.estimation import Misfit
-from hitchid.structures import STRUCTURES, Batch, Form, structure_named
+from hitchid.estimation import Objective
+from hitchid.structures import STRUCTURES, Batch, ModelSpec, structure_named
 from hitchid.structures.structure import LinearStructure
 from truth import levels
 
 SAMPLES = 120
-WIDEST = Form(
+WIDEST = ModelSpec(
     structure_named("integrator-second-order"),
     dead_time=True,
-    curve=True,
-    spool=True,
-    position=True,
-    load="p",
+    valve_curve=True,
+    spool_dynamics=True,
+    stroke_gain_quadratic=True,
+    covariate="p",
 )
-PLAIN = [Form(each, dead_time=True) for each in STRUCTURES.values() if isinstance(each, LinearStructure)]
+PLAIN = [ModelSpec(each, dead_time=True) for each in STRUCTURES.values() if isinstance(each, LinearStructure)]
 # A nonlinear structure is integrated step by step, on clocks of the plants it is for.
 CLOCKS = {"inertia-with-friction": (1e-3,), "cascaded-tanks": (4.0,)}
 CASES = [
     *((form, clock) for form in PLAIN for clock in (1e-3, 4.0)),
     *((WIDEST, clock) for clock in (1e-3, 0.05, 4.0)),
-    (replace(WIDEST, position=False, slope=True), 0.01),
-    *((Form(structure_named(name)), clock) for name, clocks in CLOCKS.items() for clock in clocks),
+    (replace(WIDEST, stroke_gain_quadratic=False, stroke_gain_linear=True), 0.01),
+    *((ModelSpec(structure_named(name)), clock) for name, clocks in CLOCKS.items() for clock in clocks),
 ]
 
 
@@ -55,7 +55,7 @@ def batch_for(make_record, clock, form):
         )
         for number, (command, travel) in enumerate(zip(commands, travels, strict=True))
     ]
-    return Batch.of(records, LIFTING, dead_zone=0.1, direction=1, load=form.load)
+    return Batch.of(records, LIFTING, dead_zone=0.1, sign=1, covariate=form.load)
 
 
 @pytest.mark.parametrize(
@@ -71,7 +71,7 @@ def batch_for(make_record, clock, form):
     ),
 )
 def test_errors_and_derivatives_are_finite_between_bounds_and_at_them(make_record, form, clock):
-    misfit = Misfit.of(batch_for(make_record, clock, form), form)
+    misfit = Objective.of(batch_for(make_record, clock, form), form)
     equations = misfit.problem().normal_equations
     count, rng = len(form.parameters), np.random.default_rng(7)
     inside = rng.random((40, count))

@@ -11,7 +11,7 @@ import pytest
 import hitchid
 from hitchid.errors import InputError, LogError
 from hitchid.readers import find_logs, format_of, write_table
-from hitchid.readers.content import Wanted
+from hitchid.readers.content import ChannelSelection
 from hitchid.readers.formats import FORMATS, record_name
 from hitchid.validation import validate
 
@@ -141,7 +141,7 @@ def log(tmp_path):
     def write(ending, columns=TABLE, name="log"):
         path = tmp_path / f"{name}{ending}"
         WRITERS[ending.lower()](path, columns)
-        return format_of(path), path, Wanted("time_s", NAMES[1:], tuple(tmp_path.glob("*.dbc")))
+        return format_of(path), path, ChannelSelection("time_s", NAMES[1:], tuple(tmp_path.glob("*.dbc")))
 
     return write
 
@@ -185,7 +185,7 @@ def test_a_format_that_is_written_is_written_bit_for_bit(tmp_path, ending):
         assert not path.exists()
         return
     write_table(path, TABLE)
-    assert_whole(format_of(path).read(path, Wanted("time_s", NAMES[1:])), path)
+    assert_whole(format_of(path).read(path, ChannelSelection("time_s", NAMES[1:])), path)
 
 
 @every_ending
@@ -302,7 +302,7 @@ def test_a_missing_library_is_named_with_the_command_that_brings_it(
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(LogError) as caught:
-        format_of(path).read(path, Wanted("time_s", NAMES[1:], tuple(tmp_path.glob("*.dbc"))))
+        format_of(path).read(path, ChannelSelection("time_s", NAMES[1:], tuple(tmp_path.glob("*.dbc"))))
     assert str(caught.value) == f"{path}: {said}"
 
 

@@ -8,10 +8,10 @@ import pytest
 
 from hitchid.data.record import LIFTING
 from hitchid.errors import InputError
-from hitchid.structures import STRUCTURES, Batch, Benchmark, Form, structure_named
+from hitchid.structures import STRUCTURES, Batch, ModelSpec, PhysicalModel, structure_named
 from hitchid.structures.cascaded_tanks import EMPTY, LOWER_BRIM
-from hitchid.structures.inertia_with_friction import TURN
-from hitchid.structures.nonlinear import NonlinearStructure, simulated
+from hitchid.structures.inertia_with_friction import SIGN_SMOOTHING
+from hitchid.structures.nonlinear import NonlinearStructure, simulate_nonlinear
 from truth import STEP_S, held, levels
 
 EPS = np.finfo(np.float64).eps
@@ -52,7 +52,7 @@ def values_of(structure, **changed):
 def displacement(structure, command, *, initial=None, step_s=STEP_S, **changed):
     """Return the displacement of one test, shape [N]."""
     start = TYPICAL[structure.name][1] if initial is None else initial
-    rows = simulated(
+    rows = simulate_nonlinear(
         structure, values_of(structure, **changed), jnp.asarray(command)[None], jnp.array([start]), step_s
     )
     return np.asarray(rows)[0]
@@ -82,11 +82,11 @@ def test_a_test_starts_at_its_initial_displacement(structure, make_record):
     start = TYPICAL[structure.name][1]
     record = make_record(np.full(SAMPLES, start), levels(rng, SAMPLES))
     for direction in (1, -1):
-        batch = Batch.of([record], LIFTING, dead_zone=0.0, direction=direction)
-        model = Benchmark(structure, values_of(structure), jnp.asarray(0.0))
+        batch = Batch.of([record], LIFTING, dead_zone=0.0, sign=direction)
+        model = PhysicalModel(structure, values_of(structure), jnp.asarray(0.0))
         travel = model.travel(batch)
         assert float(travel[0, 0]) == 0.0
-        found = np.asarray(batch.displaced(travel))[0, :SAMPLES]
+        found = np.asarray(batch.to_displacement(travel))[0, :SAMPLES]
         expected = displacement(structure, record.command(LIFTING))
         np.testing.assert_allclose(found, expected, rtol=0, atol=4 * EPS * np.abs(expected).max())
 
@@ -94,9 +94,9 @@ def test_a_test_starts_at_its_initial_displacement(structure, make_record):
 @every_nonlinear_structure
 def test_the_command_is_heard_whole_whatever_the_dead_zone(structure, make_record):
     record = make_record(np.full(SAMPLES, 5.0), levels(np.random.default_rng(0), SAMPLES, low=0.2))
-    model = Benchmark(structure, values_of(structure), jnp.asarray(0.0))
+    model = PhysicalModel(structure, values_of(structure), jnp.asarray(0.0))
     runs = [
-        model.travel(Batch.of([record], LIFTING, dead_zone=zone, direction=1, initial=[5.0]))
+        model.travel(Batch.of([record], LIFTING, dead_zone=zone, sign=1, initial=[5.0]))
         for zone in (0.0, 0.3)
     ]
     np.testing.assert_array_equal(*runs)
@@ -114,17 +114,23 @@ def test_what_comes_later_changes_nothing_before(structure):
 @every_nonlinear_structure
 @pytest.mark.parametrize(
     "beside",
-    [{"dead_time": True}, {"curve": True}, {"spool": True}, {"position": True}, {"load": "pressure"}],
+    [
+        {"dead_time": True},
+        {"valve_curve": True},
+        {"spool_dynamics": True},
+        {"stroke_gain_quadratic": True},
+        {"covariate": "pressure"},
+    ],
 )
 def test_nothing_stands_around_a_nonlinear_structure(structure, beside):
     with pytest.raises(InputError, match=f"'{structure.name}' stands alone; required no dead time, curve"):
-        Form(structure, **beside)
-    assert Form(structure).parameters == structure.parameters
+        ModelSpec(structure, **beside)
+    assert ModelSpec(structure).parameters == structure.parameters
 
 
 @every_nonlinear_structure
 def test_it_has_no_transfer_function(structure):
-    model = Benchmark(structure, values_of(structure), jnp.asarray(0.0))
+    model = PhysicalModel(structure, values_of(structure), jnp.asarray(0.0))
     for asked in (model.to_scipy, model.to_control):
         for step_s in (None, STEP_S):
             with pytest.raises(InputError, match=f"'{structure.name}' is not linear; required a structure"):
@@ -136,7 +142,7 @@ def test_it_has_no_transfer_function(structure):
 @every_nonlinear_structure
 def test_its_values_are_told_by_name(structure):
     named, _ = TYPICAL[structure.name]
-    assert Benchmark(structure, values_of(structure), jnp.asarray(0.0)).named_values() == named
+    assert PhysicalModel(structure, values_of(structure), jnp.asarray(0.0)).named_values() == named
 
 
 # --- inertia with friction ---------------------------------------------------------------------------------
@@ -183,7 +189,7 @@ def test_a_force_below_coulomb_friction_moves_it_practically_nothing(share):
     gain, viscous, coulomb = (AXIS[name] for name in ("gain", "viscous_friction", "coulomb_friction"))
     found = displacement(INERTIA, np.full(SAMPLES, share * coulomb), initial=5.0, **VISCOUS) - 5.0
     # From rest its speed grows to where K (u − c tanh(v/v₀)) = B v, below v₀ artanh(u/c).
-    creeping = TURN * gain * coulomb / viscous * np.arctanh(abs(share))
+    creeping = SIGN_SMOOTHING * gain * coulomb / viscous * np.arctanh(abs(share))
     bound = creeping * STEP_S * np.arange(SAMPLES)
     assert np.all(np.sign(share) * found >= 0.0)
     assert np.all(np.abs(found) <= bound + EPS * 5.0)
@@ -202,7 +208,7 @@ def test_a_coasting_mass_is_stopped_by_coulomb_friction_where_its_closed_form_sa
     gone = (start - slowed * stops) / viscous
     # In the smooth sign the last v₀ of speed takes longer: below 3 v₀ the force is short of K c, and what
     # is left of speed v₀ runs out within v₀²/(K c) · (1 + 3²/2).
-    smooth = TURN * slowed / viscous
+    smooth = SIGN_SMOOTHING * slowed / viscous
     assert 0.0 <= found[-1] - gone <= 5.5 * smooth**2 / slowed + smooth * STEP_S
     assert abs(found[-1] - found[300]) < smooth * STEP_S
 

@@ -11,7 +11,15 @@ from hypothesis import strategies as st
 from scipy import signal
 
 from hitchid.errors import InputError
-from hitchid.structures import SHAPE, STRUCTURES, Benchmark, Form, Scales, discretise, structure_named
+from hitchid.structures import (
+    NONLINEARITY_PARAMETERS,
+    STRUCTURES,
+    ModelSpec,
+    PhysicalModel,
+    Scales,
+    discretise,
+    structure_named,
+)
 from hitchid.structures.nonlinear import NonlinearStructure
 from hitchid.structures.structure import LinearStructure
 from truth import STEP_S, held, levels, shifted
@@ -36,7 +44,7 @@ every_linear_structure = pytest.mark.parametrize("structure", LINEAR.values(), i
 
 def typical(structure, dead_time_s=0.0):
     values = jnp.array([TYPICAL[parameter.name] for parameter in structure.parameters])
-    return Benchmark(structure, values, jnp.asarray(dead_time_s))
+    return PhysicalModel(structure, values, jnp.asarray(dead_time_s))
 
 
 def drawn(data, structure):
@@ -93,10 +101,10 @@ def test_discretisation_agrees_with_scipy_for_any_parameters(structure, data):
     phi, gamma, *_ = signal.cont2discrete(
         (a, b[:, None], np.eye(1, n), np.zeros((1, 1))), step_s, method="zoh"
     )
-    assert int(found.whole) == 0
-    assert np.all(np.asarray(found.before) == 0.0)
+    assert int(found.delay_samples) == 0
+    assert np.all(np.asarray(found.gamma1) == 0.0)
     assert largest(found.transition - phi) <= 1e-12 * largest(phi)
-    assert largest(found.now - gamma[:, 0]) <= 1e-12 * largest(gamma)
+    assert largest(found.gamma0 - gamma[:, 0]) <= 1e-12 * largest(gamma)
 
 
 @eqx.filter_jit
@@ -196,7 +204,7 @@ def test_python_control_gets_what_scipy_gets(structure, step_s, dead_time_s):
     delay=st.integers(0, 50),
 )
 def test_response_is_linear_and_time_invariant(structure, data, seed, weights, delay):
-    model = Benchmark(structure, jnp.asarray(drawn(data, structure)), jnp.asarray(0.0137))
+    model = PhysicalModel(structure, jnp.asarray(drawn(data, structure)), jnp.asarray(0.0137))
     rng = np.random.default_rng(seed)
     one, other = levels(rng, SAMPLES, low=-1.0), levels(rng, SAMPLES, low=-1.0)
     mixed = weights[0] * one + weights[1] * other
@@ -236,19 +244,28 @@ def test_step_response_is_the_closed_form(structure):
 
 @every_linear_structure
 def test_searched_values_are_told_apart_from_the_dead_time(structure):
-    late, prompt = Form(structure, dead_time=True), Form(structure)
+    late, prompt = ModelSpec(structure, dead_time=True), ModelSpec(structure)
     assert late.parameters[:-1] == prompt.parameters == structure.parameters
     values = jnp.array([TYPICAL[parameter.name] for parameter in late.parameters])
-    assert late.benchmark(values, UNIT).named_values() == {p.name: TYPICAL[p.name] for p in late.parameters}
-    without = prompt.benchmark(values[:-1], UNIT)
+    assert late.physical_model(values, UNIT).named_values() == {
+        p.name: TYPICAL[p.name] for p in late.parameters
+    }
+    without = prompt.physical_model(values[:-1], UNIT)
     assert without.named_values() == {p.name: TYPICAL[p.name] for p in structure.parameters}
 
 
 @every_linear_structure
 def test_a_benchmark_with_curves_has_no_transfer_function(structure):
-    form = Form(structure, curve=True, spool=True, position=True, load="pressure", dead_time=True)
-    assert form.parameters == (*structure.parameters, *SHAPE, form.parameters[-1])
-    curved = form.benchmark(jnp.linspace(0.1, 0.9, len(form.parameters)), UNIT)
+    form = ModelSpec(
+        structure,
+        valve_curve=True,
+        spool_dynamics=True,
+        stroke_gain_quadratic=True,
+        covariate="pressure",
+        dead_time=True,
+    )
+    assert form.parameters == (*structure.parameters, *NONLINEARITY_PARAMETERS, form.parameters[-1])
+    curved = form.physical_model(jnp.linspace(0.1, 0.9, len(form.parameters)), UNIT)
     assert list(curved.named_values().values()) == pytest.approx(np.linspace(0.1, 0.9, len(form.parameters)))
     with pytest.raises(InputError, match="without them"):
         curved.to_scipy(STEP_S)

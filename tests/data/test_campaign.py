@@ -96,7 +96,7 @@ def test_tests_that_do_not_fit_together_are_refused(records, said):
 
 def test_a_sensor_that_reads_constant_is_no_fault_where_no_command_came():
     campaign = Campaign.of([a_test("rest", "idle", moved=np.full(40, 3.25)), a_test("x")])
-    assert campaign.modes == (LIFTING,)
+    assert campaign.directions == (LIFTING,)
 
 
 def test_all_records_come_in_the_unit_of_the_first_by_name():
@@ -163,7 +163,7 @@ def a_cycle(name, repeats=1):
 
 def test_cycles_are_cut_into_strokes_and_those_of_held_out_cycles_stay_held_out():
     campaign = Campaign.of([a_cycle(f"duty[{n}]") for n in range(5)], test_patterns=[escape("duty[3]")])
-    assert campaign.modes == ()
+    assert campaign.directions == ()
     cut = campaign.segmented({})
     assert names(cut.of_kind(LIFTING)) == [f"duty[{n}]#001" for n in range(5)]
     assert names(cut.of_kind(LOWERING)) == [f"duty[{n}]#002" for n in range(5)]

@@ -9,9 +9,9 @@ from hitchid.cli import app
 from hitchid.data.campaign import Campaign
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import FitError, InputError, LogError, OutputError, SettingsError
-from hitchid.identification.case import _check_dead_zone, _check_window
+from hitchid.identification.campaign_job import _check_dead_zone, _check_window
 from hitchid.identification.deadzone import DeadZone
-from hitchid.identification.phase2 import Training
+from hitchid.identification.phase2 import CompensatorConfig
 from hitchid.identification.preparation import prepare
 from hitchid.readers import read, write_table
 
@@ -112,7 +112,7 @@ def test_a_direction_of_which_nothing_is_left_is_an_error_with_its_causes(five, 
     with pytest.raises(InputError, match=r"none of the 2 lowering tests.*down-1: .*1 mm.*down-2: .*2 mm"):
         read(five)
     write_log("down-3", sign=-1)
-    assert read(five).modes == (LIFTING, LOWERING)
+    assert read(five).directions == (LIFTING, LOWERING)
 
 
 @pytest.mark.parametrize("split", [None, '[split]\ntest = ["a-5", "a-2"]\n'])
@@ -173,7 +173,7 @@ def test_tests_at_the_end_stop_and_ramps_that_do_not_move_leave_the_others(make_
     campaign = Campaign.of([*tests, *ramps], test_patterns=["test-3"])
     found = prepare(campaign, LIFTING, None)
     assert [each.name for each in found.left_out] == ["test-2", "ramp-2"]
-    assert found.everything.command.shape[0] == 2
+    assert found.all_tests.command.shape[0] == 2
     assert (found.dead_zone.origin, found.dead_zone.count) == ("ramps", 1)
     assert "1 of 3 lifting tests left out" in found.notices
     strict = Campaign.of([*tests, *ramps], test_patterns=["test-3"], strict=True)
@@ -190,9 +190,9 @@ def test_settings_that_contradict_the_logs_are_refused_before_any_search(five):
             _check_dead_zone(campaign, LIFTING, value)
     _check_dead_zone(campaign, LIFTING, 0.49)
     prepared = {LIFTING: prepare(campaign, LIFTING, GIVEN)}
-    _check_window(Training(window=120), prepared)
+    _check_window(CompensatorConfig(window=120), prepared)
     with pytest.raises(SettingsError, match="window is 100000 samples, required at most 120"):
-        _check_window(Training(window=100_000), prepared)
+        _check_window(CompensatorConfig(window=100_000), prepared)
 
 
 @pytest.mark.parametrize(
@@ -205,7 +205,7 @@ def test_a_run_that_failed_is_not_in_the_way_of_the_next(five, tmp_path, monkeyp
     def fail(campaign, *, checkpoints, **_):
         runs.append(campaign)
         kept = Checkpoints.of_run(checkpoints, {"seed": 0})
-        kept.arrays("piece", lambda: {"a": np.zeros(1)})
+        kept.cached_arrays("piece", lambda: {"a": np.zeros(1)})
         raise error
 
     monkeypatch.setattr("hitchid.identification.identify", fail)

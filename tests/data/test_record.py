@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from hitchid.data.record import Record, resampled
-from hitchid.data.resampling import KEPT_DEVIATION
+from hitchid.data.resampling import GRID_TOLERANCE
 from hitchid.errors import InputError, SettingsError
 
 EPS = np.finfo(np.float64).eps
@@ -67,7 +67,7 @@ def test_samples_are_the_records_own_and_cannot_be_written():
 
 def test_a_record_has_the_modes_it_has_commands_for():
     record = fresh()
-    assert record.modes == ("lifting",)
+    assert record.directions == ("lifting",)
     np.testing.assert_array_equal(record.command("lifting"), np.ones(5))
     with pytest.raises(InputError, match=r"'test'.*no lowering command.*displacement, lifting_command"):
         record.command("lowering")
@@ -172,7 +172,7 @@ def test_resampling_keeps_a_straight_line(offset, slope, had, count):
 )
 def test_a_command_is_in_force_from_its_stamp_on(had, wanted):
     had_s, wanted_s = np.cumsum([0.0, *had]), np.sort(wanted)
-    slack = KEPT_DEVIATION * np.median(np.diff(had_s))
+    slack = GRID_TOLERANCE * np.median(np.diff(had_s))
     taken = resampled({"lifting_command": had_s}, had_s, wanted_s)["lifting_command"]
     assert np.all(np.diff(taken) >= 0)
     for at, stamp in zip(wanted_s, taken, strict=True):

@@ -8,15 +8,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hitchid.data.resampling import (
-    EVEN,
-    GAP,
-    KEPT_DEVIATION,
+    GAP_FACTOR,
+    GRID_TOLERANCE,
     LONGEST_BRIDGE_S,
+    REGULAR_CLOCK,
     SHORT_GAP_S,
-    Section,
-    first_of_each_stamp,
+    LogSection,
     sections,
     uniform,
+    unique_stamp_rows,
 )
 from hitchid.errors import LogError
 
@@ -27,7 +27,7 @@ def rows(time_s, first_line=2):
     def line_of(row):
         return None if first_line is None else first_line + row
 
-    return first_of_each_stamp(np.asarray(time_s, dtype=float), "log.csv", column="time_s", line_of=line_of)
+    return unique_stamp_rows(np.asarray(time_s, dtype=float), "log.csv", column="time_s", line_of=line_of)
 
 
 def found(time_s, command=None, position=None):
@@ -56,7 +56,7 @@ def test_a_regular_clock_is_kept_with_its_step_to_the_last_digit(digits, exponen
     step_s = float(f"{digits}e{exponent}")  # 1 ms to 10 s
     # Stamps up to 10⁶ s are rounded to 10⁻¹⁰ s: a hundred-thousandth of the smallest step here is more.
     stamps = start_s + step_s * np.arange(samples)
-    assert found(stamps) == [Section(0, samples, step_s, resampled=False, notice="")]
+    assert found(stamps) == [LogSection(0, samples, step_s, resampled=False, notice="")]
 
 
 @given(st.integers(2, 500), st.sampled_from([30, 60, 120, 400, 1000, 2048]))
@@ -65,21 +65,21 @@ def test_a_rate_without_a_short_decimal_step_is_kept_without_drift(samples, rate
     (section,) = found(stamps)
     assert not section.resampled
     ours = section.step_s * np.arange(samples)
-    assert np.max(np.abs(ours - stamps)) <= KEPT_DEVIATION / rate_hz
+    assert np.max(np.abs(ours - stamps)) <= GRID_TOLERANCE / rate_hz
 
 
 def test_seconds_since_1970_are_kept_as_well_as_any_others():
     stamps = 1.7e9 + STEP_S * np.arange(500)
-    assert found(stamps) == [Section(0, 500, STEP_S, resampled=False, notice="")]
+    assert found(stamps) == [LogSection(0, 500, STEP_S, resampled=False, notice="")]
 
 
-@pytest.mark.parametrize("fraction", [0.001, 0.9 * KEPT_DEVIATION])
+@pytest.mark.parametrize("fraction", [0.001, 0.9 * GRID_TOLERANCE])
 def test_stamps_within_2_percent_of_a_step_are_kept(fraction):
     (section,) = found(swinging(fraction))
-    assert section == Section(0, 201, STEP_S, resampled=False, notice="", clock=EVEN)
+    assert section == LogSection(0, 201, STEP_S, resampled=False, notice="", clock=REGULAR_CLOCK)
 
 
-@pytest.mark.parametrize("fraction", [1.1 * KEPT_DEVIATION, 0.1, 0.24, 0.45])
+@pytest.mark.parametrize("fraction", [1.1 * GRID_TOLERANCE, 0.1, 0.24, 0.45])
 def test_any_jitter_is_resampled_onto_the_median_step_and_told(fraction):
     (section,) = found(swinging(fraction))
     assert section.resampled
@@ -208,7 +208,7 @@ def test_sections_cover_all_but_lone_samples_and_say_what_was_done(log):
     assert [(section.start, section.stop) for section in cut] == wanted
     for section in cut:
         assert ("split" in section.notice) == (section.start > 0)
-        assert ("resampled" in section.notice) == section.resampled == (section.clock != EVEN)
+        assert ("resampled" in section.notice) == section.resampled == (section.clock != REGULAR_CLOCK)
 
 
 @given(
@@ -226,4 +226,6 @@ def test_the_grid_lies_within_the_stamps_and_runs_forward(intervals, start_s):
         assert np.all(np.diff(grid) > 0)
         assert 0 <= section.clock.interpolated_share <= 1
         assert section.clock.jitter >= 0
-        assert section.clock.longest_gap_s == 0 or section.clock.longest_gap_s > GAP * np.median(intervals)
+        assert section.clock.longest_gap_s == 0 or section.clock.longest_gap_s > GAP_FACTOR * np.median(
+            intervals
+        )

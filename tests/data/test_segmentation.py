@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hitchid.data.record import Record
-from hitchid.data.segmentation import LABELS, Segment, Switch, durations_s, segments
+from hitchid.data.segmentation import LABELS, CommandThreshold, Segment, durations_s, segments
 
 STEP_S = 0.01
-ZONES = {"lifting": Switch(0.35), "lowering": Switch(0.25)}
+ZONES = {"lifting": CommandThreshold(0.35), "lowering": CommandThreshold(0.25)}
 
 
 @pytest.fixture
@@ -57,7 +57,7 @@ def test_without_a_dead_zone_five_percent_of_the_largest_command_of_all_logs_cou
     assert [label for label, *_ in found(record)] == ["hold", "lifting", "lowering"]
     scales = {"lifting": 2.0, "lowering": 2.0}
     assert found(record, scales=scales) == [("hold", 0, 50), ("lifting", 50, 100), ("hold", 100, 150)]
-    tiny = {mode: Switch(0.01) for mode in ZONES}
+    tiny = {mode: CommandThreshold(0.01) for mode in ZONES}
     assert found(record, tiny) == found(record)
 
 
@@ -67,7 +67,7 @@ def test_a_negative_command_works_as_well(held):
 
 @pytest.mark.parametrize("samples", [1, 7, 30])
 def test_dead_time_moves_both_edges(held, samples):
-    late = {"lifting": Switch(0.35, dead_time_s=samples * STEP_S)}
+    late = {"lifting": CommandThreshold(0.35, dead_time_s=samples * STEP_S)}
     record = held((50, 0, 0), (100, 1, 0), (60, 0, 0))
     assert found(record, late) == [
         ("hold", 0, 50 + samples),
@@ -78,7 +78,7 @@ def test_dead_time_moves_both_edges(held, samples):
 
 @pytest.mark.parametrize("samples", [50, 60, 100])
 def test_a_dead_time_as_long_as_the_record_leaves_a_hold(held, samples):
-    late = {"lifting": Switch(0.35, dead_time_s=samples * STEP_S)}
+    late = {"lifting": CommandThreshold(0.35, dead_time_s=samples * STEP_S)}
     assert found(held((50, 1, 0)), late) == [("hold", 0, 50)]
 
 
@@ -86,12 +86,12 @@ def test_hysteresis_ends_motion_below_where_it_began(held):
     rising = (50, 0.3, 0), (50, 0.4, 0)
     falling = (50, 0.3, 0), (50, 0.2, 0)
     record = held(*rising, *falling)
-    assert found(record, {"lifting": Switch(0.35)}) == [
+    assert found(record, {"lifting": CommandThreshold(0.35)}) == [
         ("hold", 0, 50),
         ("lifting", 50, 100),
         ("hold", 100, 200),
     ]
-    assert found(record, {"lifting": Switch(0.35, hysteresis=0.1)}) == [
+    assert found(record, {"lifting": CommandThreshold(0.35, hysteresis=0.1)}) == [
         ("hold", 0, 50),
         ("lifting", 50, 150),
         ("hold", 150, 200),
@@ -168,7 +168,7 @@ def test_a_slow_clock_can_be_divided(held):
 
 levels = st.sampled_from([0.0, 0.3, 0.5, 1.0])
 pieces = st.lists(st.tuples(st.integers(1, 60), levels, levels), min_size=1, max_size=8)
-switches = st.builds(Switch, st.floats(0, 0.6), st.floats(0, 0.3), st.floats(0, 0.5))
+switches = st.builds(CommandThreshold, st.floats(0, 0.6), st.floats(0, 0.3), st.floats(0, 0.5))
 
 
 @given(pieces, st.fixed_dictionaries({}, optional={"lifting": switches, "lowering": switches}), st.data())
@@ -177,7 +177,7 @@ def test_segments_cover_every_sample_once_in_order_and_neighbours_differ(command
     down = np.concatenate([np.full(n, down) for n, _, down in commands])
     speeds = data.draw(st.lists(st.sampled_from([-0.1, 0.0, 0.1]), min_size=1, max_size=5))
     speed = np.repeat(speeds, -(-up.size // len(speeds)))[: up.size]
-    divided = segments(recorded(np.cumsum(speed), up, down), switches=known)
+    divided = segments(recorded(np.cumsum(speed), up, down), command_thresholds=known)
     assert [each.start for each in divided] == [0, *(each.stop for each in divided[:-1])]
     assert divided[-1].stop == up.size
     assert all(each.stop > each.start for each in divided)

@@ -17,12 +17,12 @@ from hitchid.data.test_kinds import (
     STALL_S,
     STALL_SPEED_FRACTION,
     detect_kind,
-    directions,
+    direction_signs,
     effective_command,
     end_stop_contact,
     full_scales,
-    mode_changes,
-    ramp_mode,
+    ramp_direction,
+    split_by_direction,
     strokes,
 )
 
@@ -85,7 +85,7 @@ def test_the_effective_command_is_what_lies_beyond_the_dead_zone(command, dead_z
     ],
 )
 def test_what_a_record_is_follows_from_its_commands(record, kind):
-    assert detect_kind(record, dict.fromkeys(record.modes, 1.0)) == kind
+    assert detect_kind(record, dict.fromkeys(record.directions, 1.0)) == kind
 
 
 def test_five_percent_is_of_the_campaigns_command_not_the_records():
@@ -103,45 +103,45 @@ def test_full_scale_is_the_largest_command_of_a_unit_whichever_valve_it_drives()
 
 def test_a_ramp_is_of_the_mode_with_the_larger_command():
     up = np.linspace(0, 1, 500)
-    assert ramp_mode(record_of(up, 0.01 * up)) == "lifting"
-    assert ramp_mode(record_of(0.01 * up, up)) == "lowering"
+    assert ramp_direction(record_of(up, 0.01 * up)) == "lifting"
+    assert ramp_direction(record_of(0.01 * up, up)) == "lowering"
 
 
 def test_where_both_commands_are_effective_lowering_counts():
     record = record_of([0, 0.3, 0.4, 0.4, 0.0], [0, 0.2, 0.0, 0.3, 0.3])
-    np.testing.assert_array_equal(directions(record, ZONES), [0, 0, 1, -1, -1])
+    np.testing.assert_array_equal(direction_signs(record, ZONES), [0, 0, 1, -1, -1])
 
 
 @given(duty_cycles)
 def test_mode_changes_cover_every_sample_once_and_alternate(pieces):
     record = held(*pieces)
-    found = mode_changes(record, ZONES)
+    found = split_by_direction(record, ZONES)
     assert [found[0].start, *(stroke.stop for stroke in found)] == [
         *(stroke.start for stroke in found),
         len(record),
     ]
     assert found[0].start == 0
     assert all(stroke.stop > stroke.start for stroke in found)
-    assert all(one.mode != two.mode for one, two in pairwise(found))
+    assert all(one.direction != two.direction for one, two in pairwise(found))
 
 
 @given(duty_cycles)
 def test_during_a_stretch_no_other_mode_has_an_effect(pieces):
     record = held(*pieces)
-    direction = directions(record, ZONES)
-    for stroke in mode_changes(record, ZONES):
-        assert set(direction[stroke.start : stroke.stop]) <= {0, 1 if stroke.mode == "lifting" else -1}
+    direction = direction_signs(record, ZONES)
+    for stroke in split_by_direction(record, ZONES):
+        assert set(direction[stroke.start : stroke.stop]) <= {0, 1 if stroke.direction == "lifting" else -1}
 
 
 def test_a_hold_belongs_to_the_stroke_before_it_and_the_first_hold_to_the_first_stroke():
     record = held((10, 0, 0), (20, 0, 1), (30, 0, 0), (40, 1, 0), (50, 0, 0))
-    found = [(s.mode, s.start, s.stop) for s in mode_changes(record, ZONES)]
+    found = [(s.direction, s.start, s.stop) for s in split_by_direction(record, ZONES)]
     assert found == [("lowering", 0, 60), ("lifting", 60, 150)]
 
 
 def test_a_record_at_rest_is_one_stretch_and_no_stroke():
     record = held((100, 0.1, 0.1))
-    assert [(s.start, s.stop) for s in mode_changes(record, ZONES)] == [(0, 100)]
+    assert [(s.start, s.stop) for s in split_by_direction(record, ZONES)] == [(0, 100)]
     assert strokes(record, ZONES) == []
 
 
@@ -158,34 +158,34 @@ def test_strokes_are_in_order_do_not_overlap_and_last_half_a_second(pieces):
 @given(duty_cycles)
 def test_during_a_stroke_no_other_mode_has_an_effect(pieces):
     record = held(*pieces)
-    direction = directions(record, ZONES)
+    direction = direction_signs(record, ZONES)
     for stroke in strokes(record, ZONES):
-        assert set(direction[stroke.start : stroke.stop]) <= {0, 1 if stroke.mode == "lifting" else -1}
+        assert set(direction[stroke.start : stroke.stop]) <= {0, 1 if stroke.direction == "lifting" else -1}
 
 
 def test_a_stroke_shorter_than_half_a_second_is_left_out():
     brief = round(SHORTEST_STROKE_S / STEP_S) // 2
     record = held((100, 1, 0), (brief, 0, 1), (100, 1, 0))
-    assert [stroke.mode for stroke in strokes(record, ZONES)] == ["lifting", "lifting"]
+    assert [stroke.direction for stroke in strokes(record, ZONES)] == ["lifting", "lifting"]
 
 
 def test_where_the_mode_changes_without_a_rest_the_stroke_begins_at_the_change():
     record = held((100, 1, 0), (100, 0, 1))
-    found = [(s.mode, s.start, s.stop) for s in strokes(record, ZONES)]
+    found = [(s.direction, s.start, s.stop) for s in strokes(record, ZONES)]
     assert found == [("lifting", 0, 100), ("lowering", 100, 200)]
 
 
 def test_a_stroke_starts_its_lead_before_the_command_after_a_rest():
     record = held((100, 0, 0), (100, 1, 0), (80, 0, 0), (100, 0, 1))
     lead = round(LEAD_IN_S / STEP_S)
-    found = [(s.mode, s.start, s.stop) for s in strokes(record, ZONES)]
+    found = [(s.direction, s.start, s.stop) for s in strokes(record, ZONES)]
     assert found == [("lifting", 100 - lead, 280 - lead), ("lowering", 280 - lead, 380)]
 
 
 def test_a_pause_shorter_than_a_rest_does_not_cut_a_stroke():
     pause = round(REST_S / STEP_S) - 1
     record = held((20, 0, 0), (100, 1, 0), (pause, 0, 0), (100, 1, 0))
-    assert [(s.mode, s.start, s.stop) for s in strokes(record, ZONES)] == [("lifting", 10, 220 + pause)]
+    assert [(s.direction, s.start, s.stop) for s in strokes(record, ZONES)] == [("lifting", 10, 220 + pause)]
 
 
 def driven_into_stop(*, rest=20, moving=500, standing=200, commanded=200):

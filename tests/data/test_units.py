@@ -8,12 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hitchid.data.units import (
-    NOT_IN_NAMES,
+    NOT_COLUMN_SUFFIXES,
     SPELLINGS,
     UNITS,
     check_unit,
     conversion_factor,
-    known_unit,
+    parse_unit,
     unit_of_column,
 )
 from hitchid.errors import SettingsError
@@ -92,30 +92,30 @@ def test_an_unknown_unit_is_named_beside_all_that_are_known(pair):
     assert any(f"'{unit}'" in message for unit in pair if unit not in UNITS)
 
 
-@given(st.text(min_size=1), units.filter(lambda unit: unit not in NOT_IN_NAMES))
+@given(st.text(min_size=1), units.filter(lambda unit: unit not in NOT_COLUMN_SUFFIXES))
 def test_a_column_name_says_its_unit_after_its_last_underscore(stem, unit):
     assert unit_of_column(f"{stem}_{unit}") == unit
 
 
-@pytest.mark.parametrize("unit", NOT_IN_NAMES)
+@pytest.mark.parametrize("unit", NOT_COLUMN_SUFFIXES)
 def test_cylinder_1_and_the_lowest_value_are_no_units(unit):
     assert unit_of_column(f"stroke_{unit}") is None
 
 
 @given(units)
 def test_a_unit_is_known_by_itself_and_in_brackets(unit):
-    assert known_unit(unit) == known_unit(f" [{unit}] ") == unit
+    assert parse_unit(unit) == parse_unit(f" [{unit}] ") == unit
 
 
 @pytest.mark.parametrize("spelling", SPELLINGS)
 def test_every_spelling_means_a_unit_there_is(spelling):
-    assert known_unit(spelling.title()) == known_unit(spelling) == SPELLINGS[spelling]
+    assert parse_unit(spelling.title()) == parse_unit(spelling) == SPELLINGS[spelling]
     assert SPELLINGS[spelling] in UNITS
 
 
 @pytest.mark.parametrize("spelling", ["", "S", "MM", "kNm", "degF", "l/h", "furlong"])
 def test_a_unit_that_is_not_known_is_none(spelling):
-    assert known_unit(spelling) is None
+    assert parse_unit(spelling) is None
 
 
 @pytest.mark.parametrize("column", ["mm", "stroke", "stroke_", "stroke_MM", "stroke_mm_", "strokemm", ""])

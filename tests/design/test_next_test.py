@@ -9,16 +9,24 @@ from hypothesis import strategies as st
 
 from handmade import hitch as made_up
 from hitchid.data.record import LIFTING, LOWERING, Record
-from hitchid.design.next_test import BEST, TRIED, Limits, Proposal, command_of, design, write_command
+from hitchid.design.next_test import (
+    CANDIDATES,
+    MAX_PROPOSALS,
+    ExcitationLimits,
+    Proposal,
+    command_of,
+    design,
+    write_command,
+)
 from hitchid.errors import InputError, OutputError
 from hitchid.estimation import MultiStart
 from hitchid.experiments.excitation import precompensated
-from hitchid.identification.direction import envelope_of
+from hitchid.identification.direction import operating_range_of
 from hitchid.identification.phase1 import identify_benchmark
 from hitchid.model import Channel, Hitch
-from hitchid.networks.operating_range import Range
-from hitchid.structures import Batch, Form, structure_named
-from hitchid.uncertainty import KNOWN, DeadZoneError, Information, Uncertainty
+from hitchid.networks.operating_range import SignalRange
+from hitchid.structures import Batch, ModelSpec, structure_named
+from hitchid.uncertainty import NO_ERROR, DeadZoneError, Information, Uncertainty
 from truth import STEP_S, held, levels
 
 UNITS = {"displacement": "mm", "lifting_command": "A", "lowering_command": "A"}
@@ -32,7 +40,7 @@ def lagged(gain, time_constant):  # K / (s (τ s + 1))
     return [gain], [time_constant, 1.0, 0.0]
 
 
-def identified(mode, dead_zone=KNOWN):
+def identified(mode, dead_zone=NO_ERROR):
     """Return a channel identified from tests of a made-up plant, and what is known of it."""
     rng, records = np.random.default_rng(0), []
     for number in range(TESTS):
@@ -40,20 +48,20 @@ def identified(mode, dead_zone=KNOWN):
         travel = held(*lagged(*PLANTS[mode]), command) + 0.1 * rng.standard_normal(SAMPLES)
         signals = {"displacement": START_MM + travel, f"{mode}_command": precompensated(command, ZONE)}
         records.append(Record(f"{number}", STEP_S, signals, {role: UNITS[role] for role in signals}))
-    batch = Batch.of(records, mode, dead_zone=ZONE, direction=1, initial=[START_MM] * TESTS)
-    form = Form(structure_named("integrator-first-order"))
+    batch = Batch.of(records, mode, dead_zone=ZONE, sign=1, initial=[START_MM] * TESTS)
+    form = ModelSpec(structure_named("integrator-first-order"))
     search, units = MultiStart(60, starts=1), {"x": "mm", "u": "A"}
     found = identify_benchmark(batch, form, search, 0, units=units, dead_zone=dead_zone)
-    information = Information.of(found.fit.misfit, found.fit.position, found.moved)
-    channel = Channel(mode, 1, ZONE, None, found.benchmark, envelope=envelope_of(batch))
-    known = Uncertainty(found.known, information=information)
+    information = Information.of(found.fit.objective, found.fit.position, found.influence)
+    channel = Channel(mode, 1, ZONE, None, found.benchmark, envelope=operating_range_of(batch))
+    known = Uncertainty(found.assessment, information=information)
     return (channel if mode == LIFTING else mirrored(channel)), known
 
 
 def mirrored(channel):
     """Return the channel of the same tests, had they gone the other way."""
     ends = channel.envelope.displacement
-    other = Range(2 * START_MM - ends.highest, 2 * START_MM - ends.lowest)
+    other = SignalRange(2 * START_MM - ends.highest, 2 * START_MM - ends.lowest)
     return replace(channel, direction=-1, envelope=replace(channel.envelope, displacement=other))
 
 
@@ -82,13 +90,13 @@ def advice(model):
     seed=st.integers(0, 2**16),
 )
 def test_proposals_stay_within_whatever_limits(model, mode, highest, travel, steps, seed):
-    limits = Limits(highest, travel, steps * STEP_S)
+    limits = ExcitationLimits(highest, travel, steps * STEP_S)
     values = model.channels[mode].benchmark.named_values()
     # The shortest of many takes half as long as the tests there were, the lowest 0.3 of the highest command.
     if 0.3 * values["gain"] * (highest - ZONE) * LASTING_S / 2 > travel:
         limits = replace(limits, travel=LARGE_MM)
     found = design(model, mode, limits=limits, seed=seed)
-    assert 1 <= len(found.proposals) <= BEST
+    assert 1 <= len(found.proposals) <= MAX_PROPOSALS
     for proposal in found.proposals:
         command = command_of(model, mode, proposal)
         assert (command.size - 1) <= steps
@@ -101,13 +109,13 @@ def test_proposals_stay_within_whatever_limits(model, mode, highest, travel, ste
 
 
 def test_a_limit_between_two_samples_is_kept(model):
-    found = design(model, LIFTING, limits=Limits(longest_s=1.006))
+    found = design(model, LIFTING, limits=ExcitationLimits(longest_s=1.006))
     assert max(command_of(model, LIFTING, each).size - 1 for each in found.proposals) * STEP_S <= 1.006
 
 
 def test_a_test_in_which_nothing_happens_is_not_proposed(model):
     with pytest.raises(InputError):
-        design(model, LIFTING, limits=Limits(longest_s=0.03))
+        design(model, LIFTING, limits=ExcitationLimits(longest_s=0.03))
 
 
 def test_without_limits_tests_are_as_long_and_as_high_and_go_as_far_as_those_there_were(model, advice):
@@ -141,7 +149,7 @@ def test_what_a_test_leaves_follows_from_the_plants_own_derivatives(model):
             for step in (1e-4, -1e-4)
         )
         columns.append(slope * (ahead - behind) / (2e-4 * values[name]))
-    left = information.widths_with(np.stack(columns, axis=1)) / information.widths()
+    left = information.standard_errors_with(np.stack(columns, axis=1)) / information.standard_errors()
     assert list(best.left.values()) == pytest.approx(list(left), rel=1e-6)
 
 
@@ -181,18 +189,21 @@ def test_no_ramps_are_advised_where_the_dead_zone_is_given(model):
         ({"mode": "sideways"}, "required .*lifting gain.*lowering time_constant; came sideways"),
         ({"mode": LIFTING, "parameter": "damping"}, "came lifting damping"),
         (
-            {"mode": LIFTING, "limits": Limits(highest=0.3)},
+            {"mode": LIFTING, "limits": ExcitationLimits(highest=0.3)},
             "highest command: required above the dead zone of 0.35, came 0.3",
         ),
         (
-            {"mode": LIFTING, "limits": Limits(highest=0.35)},
+            {"mode": LIFTING, "limits": ExcitationLimits(highest=0.35)},
             "required above the dead zone of 0.35, came 0.35",
         ),
         (
-            {"mode": LIFTING, "limits": Limits(travel=0.001)},
-            f"lifting: none of {TRIED} tests stays within the limits; required wider ones",
+            {"mode": LIFTING, "limits": ExcitationLimits(travel=0.001)},
+            f"lifting: none of {CANDIDATES} tests stays within the limits; required wider ones",
         ),
-        ({"mode": LIFTING, "limits": Limits(longest_s=0.0)}, f"none of {TRIED} tests stays within"),
+        (
+            {"mode": LIFTING, "limits": ExcitationLimits(longest_s=0.0)},
+            f"none of {CANDIDATES} tests stays within",
+        ),
     ],
 )
 def test_what_cannot_be_designed_is_refused(model, asked, complaint):

@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hitchid.data.record import LIFTING
-from hitchid.estimation import Misfit, searchable
-from hitchid.estimation.correlations import LONGEST, PER_TEST, collectable
-from hitchid.estimation.searchable import FromCorrelations
-from hitchid.structures import STRUCTURES, Batch, Form, discretise, pulse_response, structure_named
-from hitchid.structures.discretise import driven
+from hitchid.estimation import Objective, search_problem
+from hitchid.estimation.correlations import MAX_SAMPLES, MAX_SAMPLES_PER_TEST, correlations_applicable
+from hitchid.estimation.search_problem import CorrelationObjective
+from hitchid.structures import STRUCTURES, Batch, ModelSpec, discretise, pulse_response, structure_named
+from hitchid.structures.discretise import simulate_linear
 from hitchid.structures.structure import LinearStructure
 from truth import STEP_S, held, levels, second_order
 
@@ -36,7 +36,7 @@ def campaign(make_record):
                 make_record(80.0 + direction * (shown + noise * rng.standard_normal(shown.size)), command)
             )
         stop = None if end_stop is None else 80.0 + direction * end_stop
-        return Batch.of(records, LIFTING, dead_zone=0.0, direction=direction, end_stop=stop)
+        return Batch.of(records, LIFTING, dead_zone=0.0, sign=direction, end_stop=stop)
 
     return make
 
@@ -48,16 +48,16 @@ def evaluated(fitness, positions):
 
 def errors(misfit, positions):
     """Return J at positions from correlations and by simulation."""
-    problem = searchable(misfit)
-    assert isinstance(problem.fitness, FromCorrelations)
+    problem = search_problem(misfit)
+    assert isinstance(problem.fitness, CorrelationObjective)
     return np.asarray(evaluated(problem.fitness, positions)), np.asarray(evaluated(misfit, positions))
 
 
 @pytest.mark.parametrize("dead_time", [False, True])
 @pytest.mark.parametrize("structure", LINEAR, ids=lambda each: each.name)
 def test_error_is_that_of_simulating_every_test(campaign, structure, dead_time):
-    misfit = Misfit.of(campaign(5), Form(structure, dead_time=dead_time))
-    positions = jnp.asarray(np.random.default_rng(1).random((40, len(misfit.form.parameters))))
+    misfit = Objective.of(campaign(5), ModelSpec(structure, dead_time=dead_time))
+    positions = jnp.asarray(np.random.default_rng(1).random((40, len(misfit.spec.parameters))))
     collected, simulated = errors(misfit, positions)
     np.testing.assert_allclose(collected, simulated, rtol=RELATIVE)
 
@@ -69,16 +69,16 @@ def test_tests_end_where_the_piston_stops_and_folds_leave_tests_out(campaign, se
     rng = np.random.default_rng(seed)
     kept = rng.random(6) < 0.7
     kept[rng.integers(6)] = True
-    shape = batch.counted.shape
-    misfit = Misfit.of(batch, Form(structure_named("integrator-second-order")))
-    misfit = misfit.over(batch.counting(jnp.asarray(np.broadcast_to(kept[:, None], shape))))
+    shape = batch.loss_mask.shape
+    misfit = Objective.of(batch, ModelSpec(structure_named("integrator-second-order")))
+    misfit = misfit.with_data(batch.masked(jnp.asarray(np.broadcast_to(kept[:, None], shape))))
     collected, simulated = errors(misfit, jnp.asarray(rng.random((10, 3))))
     np.testing.assert_allclose(collected, simulated, rtol=RELATIVE)
 
 
 def test_error_at_the_truth_is_noise_that_does_not_drown_in_the_way_gone(campaign):
     batch = campaign(4, noise=1e-3)
-    misfit = Misfit.of(batch, Form(structure_named("integrator-second-order")))
+    misfit = Objective.of(batch, ModelSpec(structure_named("integrator-second-order")))
     truth = misfit.position(np.array([20.0, 9.0, 0.5]))
     collected, simulated = errors(misfit, jnp.asarray(truth)[None])
     # The mean before motion, which is taken as the start, errs by the noise of one sample at most.
@@ -89,10 +89,11 @@ def test_error_at_the_truth_is_noise_that_does_not_drown_in_the_way_gone(campaig
 def test_many_tests_collect_to_what_few_do(campaign):
     few = campaign(3)
     many = few.take([0, 1, 2] * 40)
-    form = Form(structure_named("integrator-second-order"))
+    form = ModelSpec(structure_named("integrator-second-order"))
     positions = jnp.asarray(np.random.default_rng(2).random((10, 3)))
     once, often = (
-        np.asarray(evaluated(searchable(Misfit.of(batch, form)).fitness, positions)) for batch in (few, many)
+        np.asarray(evaluated(search_problem(Objective.of(batch, form)).fitness, positions))
+        for batch in (few, many)
     )
     np.testing.assert_allclose(often, once, rtol=RELATIVE)
 
@@ -103,7 +104,7 @@ def test_pulse_response_is_the_simulated_answer_to_one_sample(samples, dead_time
     structure = structure_named("integrator-second-order")
     model = discretise(structure, jnp.array([20.0, 9.0, 0.3]), dead_time_s, STEP_S)
     pulse = jnp.zeros((1, samples)).at[0, 0].set(1.0)
-    expected = np.asarray(driven(model, pulse))[0]
+    expected = np.asarray(simulate_linear(model, pulse))[0]
     # Powers of Φ are multiplied in another order: some rounding each of N times.
     bound = samples * np.finfo(float).eps * max(float(np.abs(expected).max()), 1e-300)
     np.testing.assert_allclose(pulse_response(model, samples), expected, atol=bound, rtol=0)
@@ -111,15 +112,19 @@ def test_pulse_response_is_the_simulated_answer_to_one_sample(samples, dead_time
 
 def test_samples_that_count_after_others_that_do_not_are_simulated(campaign):
     batch = campaign(4)
-    holes = jnp.asarray(np.arange(batch.counted.shape[1]) % 7 != 3)[None]
-    misfit = Misfit.of(batch.counting(holes), Form(structure_named("integrator")))
-    assert isinstance(searchable(misfit).fitness, Misfit)
+    holes = jnp.asarray(np.arange(batch.loss_mask.shape[1]) % 7 != 3)[None]
+    misfit = Objective.of(batch.masked(holes), ModelSpec(structure_named("integrator")))
+    assert isinstance(search_problem(misfit).fitness, Objective)
 
 
 def test_curves_and_few_long_tests_are_simulated(campaign):
     structure = structure_named("integrator-second-order")
-    curved = Misfit.of(campaign(4), Form(structure, curve=True))
-    assert isinstance(searchable(curved).fitness, Misfit)
-    assert not collectable(campaign(2, samples=(2 * PER_TEST + 1, 2 * PER_TEST + 2)))
-    assert collectable(campaign(4, samples=(2 * PER_TEST + 1, 2 * PER_TEST + 2)))
-    assert 2 * PER_TEST + 2 < LONGEST
+    curved = Objective.of(campaign(4), ModelSpec(structure, valve_curve=True))
+    assert isinstance(search_problem(curved).fitness, Objective)
+    assert not correlations_applicable(
+        campaign(2, samples=(2 * MAX_SAMPLES_PER_TEST + 1, 2 * MAX_SAMPLES_PER_TEST + 2))
+    )
+    assert correlations_applicable(
+        campaign(4, samples=(2 * MAX_SAMPLES_PER_TEST + 1, 2 * MAX_SAMPLES_PER_TEST + 2))
+    )
+    assert 2 * MAX_SAMPLES_PER_TEST + 2 < MAX_SAMPLES

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from hitchid.errors import FitError, InputError
 from hitchid.estimation.least_squares import NormalEquations, StopReason
-from hitchid.estimation.search import Problem, polish
-from hitchid.estimation.whale import Swarm
+from hitchid.estimation.search import SearchProblem, refine
+from hitchid.estimation.whale import WhaleConfig
 from hitchid.identification import DifferentialEvolution, MultiStart, Whale
 
 OPTIMUM = np.array([0.31, 0.83, 0.17])
@@ -42,7 +42,7 @@ class Counter:
         self.fails_beyond = fails_beyond
 
     def problem(self):
-        return Problem(3, fitness_failing_beyond(self.fails_beyond), 12, self._normal_equations)
+        return SearchProblem(3, fitness_failing_beyond(self.fails_beyond), 12, self._normal_equations)
 
     def count(self, positions):
         self.asked.append(np.array(positions))
@@ -79,7 +79,7 @@ def fitness_failing_beyond(limit):
 
 
 def whale(evaluations):
-    return Whale(Swarm(population=20, iterations=10**4, evaluations=evaluations))
+    return Whale(WhaleConfig(population=20, iterations=10**4, evaluations=evaluations))
 
 
 def evolution(evaluations):
@@ -168,7 +168,7 @@ def test_the_reason_says_that_the_budget_was_spent(search):
 
 
 def test_stagnation_is_the_reason_of_whales_that_settled():
-    swarm = Swarm(population=10, iterations=10**4, stagnation=5, tolerance=0.5)
+    swarm = WhaleConfig(population=10, iterations=10**4, stagnation=5, tolerance=0.5)
     found = Counter().run(Whale(swarm))
     assert "settled" in found.reason
     assert found.evaluations == 10 * len(found.fitness_trace) < 1000
@@ -187,10 +187,10 @@ def test_a_number_of_starts_ends_the_search_before_its_budget():
 )
 def test_polish_reaches_the_exact_minimum_from_anywhere(start, optimum):
     target = ROWS @ np.array(optimum) + 1e-3 * REST
-    problem = Problem(
+    problem = SearchProblem(
         3, lambda positions: positions[:, 0], 12, lambda at: equations(ROWS @ at - target, ROWS)
     )
-    best = polish(problem, np.array(start))
+    best = refine(problem, np.array(start))
     exact = np.linalg.lstsq(ROWS, target, rcond=None)[0]
     # At a relative change of 1e-14 of the sum of squares h² + |A δ|², |A δ| is 1e-7 h, h = 1e-3.
     assert np.abs(best.position - exact).max() <= 1e-9
@@ -200,8 +200,10 @@ def test_polish_reaches_the_exact_minimum_from_anywhere(start, optimum):
 
 def test_polish_stops_at_the_wall_before_a_minimum_outside_the_cube():
     outside = np.array([1.4, 0.5, -0.3])
-    problem = Problem(3, lambda positions: positions[:, 0], 3, lambda at: equations(at - outside, np.eye(3)))
-    best = polish(problem, np.array([0.4, 0.6, 0.5]))
+    problem = SearchProblem(
+        3, lambda positions: positions[:, 0], 3, lambda at: equations(at - outside, np.eye(3))
+    )
+    best = refine(problem, np.array([0.4, 0.6, 0.5]))
     np.testing.assert_allclose(best.position, [1.0, 0.5, 0.0], atol=1e-7)
 
 
@@ -217,7 +219,7 @@ def test_a_step_to_where_nothing_is_finite_is_rejected_and_a_shorter_one_taken(b
             )
         return equations(residuals, jacobian)
 
-    best = polish(Problem(1, lambda positions: positions[:, 0], 1, failing), np.array([0.9]))
+    best = refine(SearchProblem(1, lambda positions: positions[:, 0], 1, failing), np.array([0.9]))
     assert best.position[0] == pytest.approx(0.2, rel=1e-6)
 
 
@@ -225,7 +227,7 @@ def test_least_squares_that_can_step_nowhere_says_so():
     def failing(at):
         return equations(at - 2.0, np.eye(1)) if at[0] == 0.5 else equations(at * np.nan, np.eye(1))
 
-    best = polish(Problem(1, lambda positions: positions[:, 0], 1, failing), np.array([0.5]))
+    best = refine(SearchProblem(1, lambda positions: positions[:, 0], 1, failing), np.array([0.5]))
     assert best.reason is StopReason.NOT_FINITE
     assert best.position[0] == 0.5
 
@@ -239,20 +241,20 @@ def test_rosenbrocks_valley_is_followed_to_its_end(start):
         x, y = 4 * at - 2
         return equations(np.array([10 * (y - x**2), 1 - x]), 4 * np.array([[-20 * x, 10.0], [-1.0, 0.0]]))
 
-    best = polish(Problem(2, lambda positions: positions[:, 0], 2, valley), np.array(start))
+    best = refine(SearchProblem(2, lambda positions: positions[:, 0], 2, valley), np.array(start))
     np.testing.assert_allclose(best.position, [0.75, 0.75], atol=1e-6)
 
 
 def test_polish_refuses_a_start_that_cannot_be_simulated():
     counter = Counter(fails_beyond=0.5)
     with pytest.raises(FitError, match="simulation failed at the start"):
-        polish(counter.problem(), np.array([0.9, 0.5, 0.5]))
+        refine(counter.problem(), np.array([0.9, 0.5, 0.5]))
 
 
 @pytest.mark.parametrize(
     "search",
     [
-        Whale(Swarm(population=6, iterations=23, evaluations=None)),
+        Whale(WhaleConfig(population=6, iterations=23, evaluations=None)),
         DifferentialEvolution(evaluations=120, population=4),
         MultiStart(evaluations=80),
     ],

@@ -13,7 +13,7 @@ from jax.experimental import io_callback
 
 from hitchid.errors import InputError
 from hitchid.estimation import whale
-from hitchid.estimation.whale import Swarm
+from hitchid.estimation.whale import WhaleConfig
 
 OPTIMUM = np.array([0.31, 0.83, 0.17])
 TURN, _ = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))
@@ -40,7 +40,7 @@ def rosenbrock(positions):
 def test_whales_leave_random_search_far_behind_wherever_the_optimum_lies(objective, dimensions, factor):
     # The volume in which a quadratic misfit is below f goes with f^(D/2): to come as low, random search
     # would need 100^1.5 = 1000 times the budget in three dimensions, 20 times in two.
-    swarm = Swarm(population=30, iterations=100)
+    swarm = WhaleConfig(population=30, iterations=100)
     keys = jax.random.split(jax.random.key(0), SEEDS)
     search = jax.jit(jax.vmap(lambda key: whale.minimise(objective, dimensions, swarm, key).best_fitness))
     reached = np.asarray(search(keys))
@@ -83,7 +83,7 @@ def half_failing(positions):
 
 
 def test_the_outcome_is_the_best_of_everything_that_was_evaluated():
-    swarm = Swarm(population=8, iterations=15)
+    swarm = WhaleConfig(population=8, iterations=15)
     outcome, positions, fitness = logged(rotated_ellipsoid, swarm)
     assert positions.shape == (15, 8, 3)
     np.testing.assert_array_equal(outcome.trace.fitness, fitness)
@@ -92,7 +92,7 @@ def test_the_outcome_is_the_best_of_everything_that_was_evaluated():
     np.testing.assert_array_equal(outcome.best, positions.reshape(-1, 3)[flat])
     np.testing.assert_array_equal(outcome.trace.best_fitness, np.minimum.accumulate(fitness.min(axis=1)))
     assert int(outcome.generations) == 15
-    assert not bool(outcome.settled)
+    assert not bool(outcome.stagnated)
 
 
 def test_the_last_move_is_evaluated():
@@ -103,13 +103,13 @@ def test_the_last_move_is_evaluated():
         shape = jax.ShapeDtypeStruct((8,), positions.dtype)
         return io_callback(lambda _: np.full(8, float(next(countdown))), shape, positions)
 
-    outcome, positions, _ = logged(falling, Swarm(population=8, iterations=15))
+    outcome, positions, _ = logged(falling, WhaleConfig(population=8, iterations=15))
     assert float(outcome.best_fitness) == 1000.0 - 14
     np.testing.assert_array_equal(outcome.best, positions[-1, 0])
 
 
 def test_a_failed_simulation_is_counted_and_never_best():
-    outcome, _, fitness = logged(half_failing, Swarm(population=8, iterations=15))
+    outcome, _, fitness = logged(half_failing, WhaleConfig(population=8, iterations=15))
     failed = np.isnan(fitness)
     assert 0 < failed.sum() < failed.size
     np.testing.assert_array_equal(outcome.trace.failures, failed.sum(axis=1))
@@ -121,7 +121,9 @@ def test_a_failed_simulation_is_counted_and_never_best():
 
 @pytest.mark.parametrize("failure", [np.nan, np.inf, -np.inf])
 def test_failures_alone_leave_an_infinite_best_fitness(failure):
-    outcome, _, _ = logged(lambda positions: positions[:, 0] * 0 + failure, Swarm(population=4, iterations=5))
+    outcome, _, _ = logged(
+        lambda positions: positions[:, 0] * 0 + failure, WhaleConfig(population=4, iterations=5)
+    )
     assert float(outcome.best_fitness) == np.inf
     np.testing.assert_array_equal(outcome.trace.failures, [4] * 5)
     assert np.all(np.isposinf(outcome.trace.best_fitness))
@@ -134,7 +136,7 @@ def test_failures_alone_leave_an_infinite_best_fitness(failure):
 def test_no_more_generations_are_run_than_iterations_and_budget_allow(
     population, iterations, evaluations, generations
 ):
-    swarm = Swarm(population=population, iterations=iterations, evaluations=evaluations)
+    swarm = WhaleConfig(population=population, iterations=iterations, evaluations=evaluations)
     outcome, positions, _ = logged(sphere, swarm)
     assert swarm.generations == len(positions) == int(outcome.generations) == generations
     assert evaluations is None or positions[..., 0].size <= evaluations
@@ -143,28 +145,28 @@ def test_no_more_generations_are_run_than_iterations_and_budget_allow(
 @pytest.mark.parametrize("setting", [{"evaluations": 7}, {"population": 1}, {"iterations": 0}])
 def test_a_swarm_that_cannot_run_is_refused(setting):
     with pytest.raises(InputError, match="whale: required"):
-        Swarm(**{"population": 8, "iterations": 10, **setting})
+        WhaleConfig(**{"population": 8, "iterations": 10, **setting})
 
 
 @pytest.mark.parametrize("level", [3.0, 0.0, -3.0, np.nan])
 def test_stagnation_ends_the_search_early_and_says_so(level):
-    swarm = Swarm(population=4, iterations=30, stagnation=6)
+    swarm = WhaleConfig(population=4, iterations=30, stagnation=6)
     outcome, positions, _ = logged(lambda positions: positions[:, 0] * 0 + level, swarm)
     # The first generation is the last to improve; six more without improvement follow it.
     assert int(outcome.generations) == len(positions) == 7
-    assert bool(outcome.settled)
+    assert bool(outcome.stagnated)
     assert np.all(np.isposinf(outcome.trace.best_fitness[7:]))
 
 
 def test_a_search_that_goes_on_improving_does_not_stagnate():
-    swarm = Swarm(population=8, iterations=15, stagnation=15)
+    swarm = WhaleConfig(population=8, iterations=15, stagnation=15)
     outcome, _, _ = logged(sphere, swarm)
     assert int(outcome.generations) == 15
-    assert not bool(outcome.settled)
+    assert not bool(outcome.stagnated)
 
 
 def test_one_key_gives_one_search_bit_for_bit_and_another_key_another():
-    swarm = Swarm(population=8, iterations=15)
+    swarm = WhaleConfig(population=8, iterations=15)
     one, again, other = (logged(sphere, swarm, seed=seed)[0] for seed in (3, 3, 4))
     for first, second in zip(jax.tree.leaves(one), jax.tree.leaves(again), strict=True):
         np.testing.assert_array_equal(first, second)
@@ -172,18 +174,18 @@ def test_one_key_gives_one_search_bit_for_bit_and_another_key_another():
 
 
 def test_drawing_once_for_a_whale_moves_otherwise_from_the_same_start():
-    wide, _, _ = logged(sphere, Swarm(population=8, iterations=5))
-    narrow, _, _ = logged(sphere, Swarm(population=8, iterations=5, per_dimension=False))
+    wide, _, _ = logged(sphere, WhaleConfig(population=8, iterations=5))
+    narrow, _, _ = logged(sphere, WhaleConfig(population=8, iterations=5, per_dimension=False))
     np.testing.assert_array_equal(wide.trace.fitness[0], narrow.trace.fitness[0])
     assert np.all(np.asarray(wide.trace.fitness[1:]) != np.asarray(narrow.trace.fitness[1:]))
 
 
-ASKED = Swarm(population=6, iterations=20)
+ASKED = WhaleConfig(population=6, iterations=20)
 
 
 @eqx.filter_jit
 def ask(key, state):
-    return whale.ask(key, state, ASKED), whale.ask(key, state, Swarm(6, 20, per_dimension=False))
+    return whale.ask(key, state, ASKED), whale.ask(key, state, WhaleConfig(6, 20, per_dimension=False))
 
 
 @settings(deadline=None, max_examples=30)
@@ -204,9 +206,9 @@ def test_whales_stay_in_the_cube(seed, generation, corner):
 @pytest.mark.parametrize("stops", [(7, 20), (1, 2, 3, 20), (20,)])
 @pytest.mark.parametrize("stagnation", [None, 4])
 def test_a_search_that_is_looked_at_on_its_way_ends_where_it_would_have(stops, stagnation):
-    swarm = Swarm(population=6, iterations=20, stagnation=stagnation, tolerance=0.05)
+    swarm = WhaleConfig(population=6, iterations=20, stagnation=stagnation, tolerance=0.05)
     key = jax.random.key(4)
-    proceed = jax.jit(lambda carry, until: whale.proceed(sphere, carry, swarm, key, until))
+    proceed = jax.jit(lambda carry, until: whale.run_until(sphere, carry, swarm, key, until))
     carry = whale.begin(3, swarm, key)
     for until in stops:
         carry = proceed(carry, jnp.asarray(until))

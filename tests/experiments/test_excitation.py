@@ -53,7 +53,7 @@ def test_a_duty_cycle_never_commands_both_ways_and_stays_in_its_room(seed):
         levels=((0.05, 0.3), (0.05, 0.3)),
         speeds=(40.0, 20.0),
         start=125.0,
-        room=(40.0, 210.0),
+        displacement_range=(40.0, 210.0),
         duration_s=60.0,
         seed=seed,
     )

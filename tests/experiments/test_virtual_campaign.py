@@ -6,9 +6,9 @@ import pytest
 from hitchid.errors import OutputError
 from hitchid.experiments.virtual_campaign import write_campaign
 from hitchid.readers import read
-from hitchid.readers.content import Wanted
+from hitchid.readers.content import ChannelSelection
 from hitchid.readers.formats.csv import read as read_csv
-from hitchid.rig import limits, load_rig
+from hitchid.rig import load_rig, rig_limits
 
 
 @pytest.fixture(scope="module")
@@ -29,10 +29,10 @@ def test_a_bench_campaign_is_read_as_what_it_is(campaign_folder):
 
 def test_true_displacements_lie_beside_the_logs_and_are_not_read_with_them(campaign_folder):
     campaign = read(campaign_folder)
-    sensors_mm = 0.003 * 1e3 * limits(load_rig("nominal")).stroke_m
+    sensors_mm = 0.003 * 1e3 * rig_limits(load_rig("nominal")).stroke_m
     for record in campaign.records:
         file = campaign_folder / "truth" / f"{record.name}.csv"
-        truth = read_csv(file, Wanted("time_s", ("displacement_true_mm",)))
+        truth = read_csv(file, ChannelSelection("time_s", ("displacement_true_mm",)))
         true = truth.channels["displacement_true_mm"].values
         assert true.size == len(record)
         # The sensors' error is within 0.3 % of full scale; noise stays within its share of that.
@@ -40,7 +40,7 @@ def test_true_displacements_lie_beside_the_logs_and_are_not_read_with_them(campa
 
 
 def test_dynamic_tests_stay_within_the_stroke(campaign_folder):
-    stroke_mm = 1e3 * limits(load_rig("nominal")).stroke_m
+    stroke_mm = 1e3 * rig_limits(load_rig("nominal")).stroke_m
     campaign = read(campaign_folder)
     for mode in ("lifting", "lowering"):
         for record in campaign.of_kind(mode):

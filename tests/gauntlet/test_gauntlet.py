@@ -5,10 +5,10 @@ import signal
 
 import pytest
 from benchmarks.gauntlet.bars import compare, holds, read_bars, zoo_total
-from benchmarks.gauntlet.measured import SETS, WARM
-from benchmarks.gauntlet.outcome import HUNG, MODEL, REFUSED, TRACEBACK, Outcome, attempted
+from benchmarks.gauntlet.measured import SETS, TIMED_SETS
+from benchmarks.gauntlet.outcome import HUNG, MODEL, REFUSED, TRACEBACK, Outcome, run_guarded
 from benchmarks.gauntlet.page import page
-from benchmarks.gauntlet.workers import Job, carry_out
+from benchmarks.gauntlet.workers import Job, run_jobs
 
 from hitchid.errors import InputError
 
@@ -29,7 +29,7 @@ def test_a_figure_fails_that_is_more_than_a_twentieth_worse_than_its_bar(bar, go
 
 
 def test_every_bar_belongs_to_a_run():
-    assert set(read_bars()) <= {*SETS, *(f"{name}, warm" for name in WARM), "zoo"}
+    assert set(read_bars()) <= {*SETS, *(f"{name}, warm" for name in TIMED_SETS), "zoo"}
 
 
 def test_a_missing_figure_fails_and_stands_on_the_page():
@@ -51,7 +51,7 @@ def test_errors_become_outcomes():
         with outcome.timed("identify"):
             raise OverflowError("far out")
 
-    refused, fallen = attempted(Outcome("a"), refuse), attempted(Outcome("b"), fall)
+    refused, fallen = run_guarded(Outcome("a"), refuse), run_guarded(Outcome("b"), fall)
     assert (refused.result, refused.message, refused.failures) == (REFUSED, "no test; required one", [])
     assert fallen.result == TRACEBACK
     assert fallen.failures == ["identify: OverflowError: far out"]
@@ -65,6 +65,6 @@ def test_a_run_that_hangs_or_dies_takes_no_other_with_it():
         Job("well", Outcome, {"name": "well"}),
     ]
     outcomes = []
-    carry_out(jobs, outcomes.append, together=1)
+    run_jobs(jobs, outcomes.append, together=1)
     assert [outcome.result for outcome in outcomes] == [HUNG, TRACEBACK, MODEL]
     assert "code 3" in outcomes[1].message

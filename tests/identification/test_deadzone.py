@@ -10,9 +10,9 @@ from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import LogError
 from hitchid.identification.deadzone import (
     CANDIDATES,
+    from_onsets,
     from_ramps,
     from_tests,
-    of_onsets,
     ramp_rate,
     response_delay,
 )
@@ -167,17 +167,17 @@ def test_a_ramp_faster_than_the_plants_delay_makes_the_dead_zone_less_sure(ramp,
     found = response_delay(tests, 0.35, STEP_S)
     assert found == pytest.approx(delay_s)
     late = found * ramp_rate(ramp(0.35), LIFTING)
-    zone = of_onsets([0.35 + late], late)
-    assert zone.error.size == pytest.approx(late)
-    lower, upper = zone.stated("A").interval
+    zone = from_onsets([0.35 + late], late)
+    assert zone.error.standard_error == pytest.approx(late)
+    lower, upper = zone.to_quantity("A").interval
     assert lower <= 0.35 <= upper
 
 
 def test_a_plant_without_a_dead_zone_has_one_of_zero_that_is_not_exact():
     rng = np.random.default_rng(0)
     found = from_tests([dynamic(rng, 0.0, noise=1.0) for _ in range(4)], STEP_S)
-    assert found.value <= found.error.size
-    assert 0 < found.error.size < 0.1
+    assert found.value <= found.error.standard_error
+    assert 0 < found.error.standard_error < 0.1
 
 
 def test_a_lag_of_some_samples_of_a_slow_clock_does_not_pass_for_a_dead_zone():
@@ -196,5 +196,5 @@ def test_a_dead_zone_at_the_end_of_its_candidates_has_an_error_that_is_not_negat
     found = from_tests(
         [(u, w, np.ones(SAMPLES, bool)) for u, w in zip(command, travels, strict=True)], STEP_S
     )
-    assert found.error.size >= 0
-    assert found.value + found.error.size >= 0.9
+    assert found.error.standard_error >= 0
+    assert found.value + found.error.standard_error >= 0.9

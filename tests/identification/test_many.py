@@ -6,7 +6,7 @@ import pytest
 
 import hitchid
 from benches import write_bench
-from hitchid._support.progress import Step
+from hitchid._support.progress import ProgressUpdate
 from hitchid.errors import HitchError, InputError
 from hitchid.identification import identify_many
 
@@ -34,7 +34,7 @@ def test_each_model_is_the_one_its_campaign_alone_gives(campaigns, quick_setting
 
 def test_a_campaign_that_fails_leaves_the_others_alone(campaigns, quick_settings):
     unmatched = replace(campaigns[0], unmatched=("no-such-test-*",))
-    told: list[Step] = []
+    told: list[ProgressUpdate] = []
     settings = {**quick_settings, "training": None}
     first, second = identify_many([unmatched, campaigns[1]], **settings, progress=told.append)
     assert isinstance(first, InputError)

@@ -10,9 +10,9 @@ from scipy import stats
 
 from hitchid.data.record import LIFTING
 from hitchid.errors import FitError, InputError
-from hitchid.estimation.misfit import TIED, TRACE, Misfit, _apart
-from hitchid.estimation.whale import Swarm
-from hitchid.identification import Form, MultiStart, Whale
+from hitchid.estimation.objective import GAIN_RIDGE, RIDGE_FLOOR, Objective, _per_test_gain_residuals
+from hitchid.estimation.whale import WhaleConfig
+from hitchid.identification import ModelSpec, MultiStart, Whale
 from hitchid.identification.phase1 import identify_benchmark
 from hitchid.structures import Batch, structure_named
 from truth import STEP_S, held, lag, levels, second_order, shifted
@@ -42,14 +42,14 @@ def batch_of(make_record):
             records.append(make_record(80.0 + direction * noisy, command))
         stop = None if end_stop is None else 80.0 + direction * end_stop
         initial = None if start is None else [start] * len(records)
-        return Batch.of(records, LIFTING, dead_zone=0.0, direction=direction, end_stop=stop, initial=initial)
+        return Batch.of(records, LIFTING, dead_zone=0.0, sign=direction, end_stop=stop, initial=initial)
 
     return make
 
 
 def identified(batch, structure, *, search=None, seed=0, **form):
     return identify_benchmark(
-        batch, Form(structure, **form), search or MultiStart(evaluations=150), seed, units=UNITS
+        batch, ModelSpec(structure, **form), search or MultiStart(evaluations=150), seed, units=UNITS
     )
 
 
@@ -63,7 +63,7 @@ def test_gain_natural_frequency_and_damping_are_found_again(batch_of, omega, dam
     found = identified(batch, SECOND_ORDER)
     expected = {"gain": 21.0, "natural_frequency": omega, "damping_ratio": damping}
     assert values(found) == pytest.approx(expected, rel=1e-6)
-    assert {estimate.verdict for estimate in found.estimates} == {"determined"}
+    assert {estimate.verdict for estimate in found.parameter_estimates} == {"determined"}
     # Rounding of displacements of 80 mm and of sums over 250 samples.
     assert found.rmse <= 250 * np.finfo(float).eps * 100.0
     assert found.rmse <= found.search_rmse
@@ -73,14 +73,14 @@ def test_gain_natural_frequency_and_damping_are_found_again(batch_of, omega, dam
 def test_initial_speed_and_time_constant_of_a_lag_are_found_again(batch_of, direction):
     found = identified(batch_of(plants(lag(15.0, 0.7)), direction=direction), LAG)
     assert values(found) == pytest.approx({"gain": 15.0, "time_constant": 0.7}, rel=1e-6)
-    follows = {each.name: (each.value, each.unit) for each in found.known.derived}
+    follows = {each.name: (each.value, each.unit) for each in found.assessment.derived}
     assert follows["alpha2 = K"] == (pytest.approx(15.0 * 0.7, rel=1e-6), "mm/A")
     assert follows["beta4 = tau"] == (pytest.approx(0.7, rel=1e-6), "s")
-    assert found.estimates[0].unit == "mm/(s·A)"
+    assert found.parameter_estimates[0].unit == "mm/(s·A)"
 
 
 def test_whales_and_the_polish_find_a_lag_again(batch_of):
-    search = Whale(Swarm(population=10, evaluations=200))
+    search = Whale(WhaleConfig(population=10, evaluations=200))
     found = identified(batch_of(plants(lag(15.0, 0.7))), LAG, search=search)
     assert values(found) == pytest.approx({"gain": 15.0, "time_constant": 0.7}, rel=1e-6)
     assert found.rmse < found.search_rmse
@@ -144,7 +144,7 @@ def test_standard_errors_cover_plants_that_differ_from_test_to_test(batch_of):
     for _ in range(30):
         varied = [(command, 15.0 * (1 + 0.05 * rng.standard_normal()) * travel) for command, travel in tests]
         batch = batch_of(varied, noise=0.05, rng=rng)
-        found.append(identified(batch, INTEGRATOR, search=MultiStart(20, starts=1)).estimates[0])
+        found.append(identified(batch, INTEGRATOR, search=MultiStart(20, starts=1)).parameter_estimates[0])
     scatter = np.std([estimate.value for estimate in found], ddof=1)
     reported = np.sqrt(np.mean([estimate.error**2 for estimate in found]))
     least, most = chi_bounds(30)
@@ -154,7 +154,7 @@ def test_standard_errors_cover_plants_that_differ_from_test_to_test(batch_of):
 
 def test_a_lag_without_end_is_at_its_upper_bound(batch_of):
     found = identified(batch_of(plants(([15.0], [1.0, 0.0]))), LAG)
-    estimates = {estimate.name: estimate for estimate in found.estimates}
+    estimates = {estimate.name: estimate for estimate in found.parameter_estimates}
     assert estimates["time_constant"].verdict.startswith("only K/τ is determined: τ > ")
     assert estimates["time_constant"].interval[1] is None
     assert estimates["gain"].verdict == "determined"
@@ -171,7 +171,7 @@ def test_a_lag_far_longer_than_the_tests_is_not_called_determined(batch_of):
     for seed in range(20):
         batch = batch_of(tests, noise=0.3, rng=np.random.default_rng(seed))
         found = identified(batch, LAG, search=MultiStart(evaluations=60))
-        called.append(found.estimates[1].determined)
+        called.append(found.parameter_estimates[1].determined)
     assert called.count(True) <= 5
 
 
@@ -181,7 +181,7 @@ def test_a_lag_far_longer_than_the_tests_is_not_called_determined(batch_of):
 )
 def test_bounds_are_kept_and_a_parameter_at_one_is_said_to_be(batch_of, bounds, verdict):
     found = identified(batch_of(plants(lag(15.0, 0.7))), LAG, bounds={"time_constant": bounds})
-    estimate = found.estimates[1]
+    estimate = found.parameter_estimates[1]
     assert (estimate.lower, estimate.upper) == pytest.approx(bounds)
     assert bounds[0] <= estimate.value * (1 + 1e-12)
     assert estimate.value <= bounds[1] * (1 + 1e-12)
@@ -242,7 +242,7 @@ def test_a_slope_is_found_again_although_tests_are_faster_or_slower(batch_of, sl
     rng = np.random.default_rng(seed)
     tests = sloping(slope, 1 + 0.03 * rng.choice([-1.0, 1.0], 10))
     batch = batch_of(tests, noise=0.02, rng=rng, start=80.0)
-    found = {each.name: each for each in identified(batch, INTEGRATOR, slope=True).estimates}
+    found = {each.name: each for each in identified(batch, INTEGRATOR, slope=True).parameter_estimates}
     estimate = found["position_slope"]
     # Noise of 0.02 mm at 2500 samples of some 15 mm of travel: the slope is known to a hundredth.
     assert estimate.error < 0.05 * abs(slope) * half_range(batch)
@@ -255,8 +255,8 @@ def test_the_gain_beside_a_slope_is_that_which_fits_all_tests_together(batch_of)
     tests = sloping(0.015, 1 + 0.03 * np.array([-1.0, 1.0, 1.0, 1.0, -1.0, 1.0]))
     batch = batch_of(tests, start=80.0)
     found = identified(batch, INTEGRATOR, slope=True)
-    pooled = Misfit.of(batch, Form(INTEGRATOR, slope=True)).pooled()
-    gain, slope = (estimate.value for estimate in found.estimates)
+    pooled = Objective.of(batch, ModelSpec(INTEGRATOR, stroke_gain_linear=True)).pooled()
+    gain, slope = (estimate.value for estimate in found.parameter_estimates)
 
     def rmse(factor):
         return float(pooled(jnp.asarray(pooled.position(np.array([factor * gain, slope])))[None])[0])
@@ -282,11 +282,11 @@ def test_where_tests_are_alike_and_nothing_slopes_a_factor_of_their_own_changes_
 def test_only_a_slope_sets_tests_apart_and_only_where_tests_are_four_more_than_parameters(batch_of):
     made = plants(lag(15.0, 0.7), tests=6)
     batch = batch_of(made)
-    assert Misfit.of(batch, Form(INTEGRATOR, slope=True)).apart
-    assert not Misfit.of(batch_of(made[:5]), Form(INTEGRATOR, slope=True)).apart
-    assert not Misfit.of(batch, Form(INTEGRATOR, slope=True)).pooled().apart
-    assert not Misfit.of(batch, Form(INTEGRATOR)).apart
-    assert not Misfit.of(batch, Form(INTEGRATOR, position=True)).apart
+    assert Objective.of(batch, ModelSpec(INTEGRATOR, stroke_gain_linear=True)).per_test_gain
+    assert not Objective.of(batch_of(made[:5]), ModelSpec(INTEGRATOR, stroke_gain_linear=True)).per_test_gain
+    assert not Objective.of(batch, ModelSpec(INTEGRATOR, stroke_gain_linear=True)).pooled().per_test_gain
+    assert not Objective.of(batch, ModelSpec(INTEGRATOR)).per_test_gain
+    assert not Objective.of(batch, ModelSpec(INTEGRATOR, stroke_gain_quadratic=True)).per_test_gain
 
 
 @settings(deadline=None, max_examples=50)
@@ -295,9 +295,11 @@ def test_misses_apart_are_those_of_the_best_factor_of_each_test(seed, size, othe
     rng = np.random.default_rng(seed)
     measured = np.concatenate([np.zeros((3, 1)), rng.normal(size=(3, 20))], axis=1)
     travel = size * measured + np.concatenate([np.zeros((3, 1)), rng.normal(size=(3, 20))], axis=1)
-    found = np.sum(np.asarray(_apart(jnp.asarray(travel), jnp.asarray(measured))) ** 2, axis=1)
+    found = np.sum(
+        np.asarray(_per_test_gain_residuals(jnp.asarray(travel), jnp.asarray(measured))) ** 2, axis=1
+    )
     moved = np.sum(measured**2, axis=1)
-    held = TIED * (moved + TRACE * moved.mean())
+    held = GAIN_RIDGE * (moved + RIDGE_FLOOR * moved.mean())
 
     def objective(factor):
         return np.sum((factor * travel - measured) ** 2, axis=1) + held * (factor - 1) ** 2
@@ -313,8 +315,10 @@ def test_a_test_that_is_only_faster_misses_by_what_ties_its_factor():
     """With y = f ŷ and s = f (1 + ρ f)/(1 + ρ f²) all that is left is ρ y·y (s − 1)² and (s − f)² ŷ·ŷ."""
     travel, factor = np.linspace(0.0, 10.0, 50)[None], 1.03
     measured = factor * travel
-    squares = float(np.sum(np.asarray(_apart(jnp.asarray(travel), jnp.asarray(measured))) ** 2))
-    tied = TIED * (1 + TRACE) * factor**2
+    squares = float(
+        np.sum(np.asarray(_per_test_gain_residuals(jnp.asarray(travel), jnp.asarray(measured))) ** 2)
+    )
+    tied = GAIN_RIDGE * (1 + RIDGE_FLOOR) * factor**2
     own = (factor + tied) / (1 + tied)
     expected = ((own - factor) ** 2 + tied * (own - 1) ** 2) * float(np.sum(travel**2))
     assert squares == pytest.approx(expected, rel=1e-9)
@@ -325,10 +329,10 @@ def test_a_test_that_is_only_faster_misses_by_what_ties_its_factor():
 def test_tests_that_fill_up_a_batch_change_nothing(batch_of, slope):
     """Five tests are laid beside three that count nowhere, so that five to eight compile once."""
     batch = batch_of(plants(second_order(21.0, 18.0, 0.3), tests=5), noise=0.1, rng=np.random.default_rng(3))
-    misfit = Misfit.of(batch, Form(SECOND_ORDER, slope=slope))
-    position = np.full(len(misfit.form.parameters), 0.4)
+    misfit = Objective.of(batch, ModelSpec(SECOND_ORDER, stroke_gain_linear=slope))
+    position = np.full(len(misfit.spec.parameters), 0.4)
     residuals, test = misfit.errors(position)
-    assert misfit.over(batch.filled_up()).batch.command.shape[0] == 8
+    assert misfit.with_data(batch.pad_batch()).batch.command.shape[0] == 8
     plain = np.asarray(misfit.residuals(jnp.asarray(position)))[np.asarray(batch.counted)]
     # The same sums in programs of two shapes.
     bound = 10 * SAMPLES * np.finfo(float).eps * np.abs(plain).max()
@@ -340,6 +344,6 @@ def test_tests_that_fill_up_a_batch_change_nothing(batch_of, slope):
     assert np.all(np.abs(equations.gradient - jacobian.T @ plain) <= size)
     np.testing.assert_allclose(equations.curvature, jacobian.T @ jacobian, rtol=1e-9)
     assert set(test) == {0, 1, 2, 3, 4}
-    assert misfit.by_test(position).shape == (5,)
-    mean_square = float(np.mean(misfit.by_test(position) ** 2))
+    assert misfit.rmse_by_test(position).shape == (5,)
+    mean_square = float(np.mean(misfit.rmse_by_test(position) ** 2))
     assert mean_square == pytest.approx(float(misfit(jnp.asarray(position)[None])[0]) ** 2, rel=1e-9)

@@ -47,12 +47,12 @@ def told(notices, words):
 @pytest.mark.parametrize("direction", [1, -1])
 def test_the_direction_is_found_and_an_unusual_one_told(tests_of, mode, direction):
     found = prepare(everything(tests_of(4, mode, direction=direction)), mode, GIVEN)
-    assert found.direction == found.everything.direction == direction
+    assert found.sign == found.all_tests.sign == direction
     usual = direction == (1 if mode == LIFTING else -1)
     words = "grows" if direction > 0 else "falls"
     assert bool(told(found.notices, f"the displacement {words} in {mode}: taken as measured")) != usual
     # Whichever way the sensor counts, travel is positive where the command drives.
-    assert np.all(np.asarray(found.everything.travel)[:, SAMPLES - 1] > 0)
+    assert np.all(np.asarray(found.all_tests.travel)[:, SAMPLES - 1] > 0)
 
 
 def stopping(make_record, stops, *, direction=1):
@@ -72,7 +72,7 @@ def test_an_end_stop_is_the_place_where_tests_agree_to_stand(make_record, direct
     assert found.end_stop == pytest.approx(20.0 + direction * 50.0)
     assert told(found.notices, "end stop at")
     assert told(found.notices, "met in 3 of 3 tests")
-    counted = np.asarray(found.everything.counted)
+    counted = np.asarray(found.all_tests.loss_mask)
     # The stop is met after 50 mm / 30 mm/s = 1.67 s; what counts ends 1 % of the way before.
     np.testing.assert_array_equal(counted.sum(axis=1), [165, 165, 165])
 
@@ -90,7 +90,7 @@ def test_there_is_no_end_stop_where_tests_do_not_agree(make_record, stops, reaso
     found = prepare(everything(stopping(make_record, stops)), LIFTING, GIVEN)
     assert found.end_stop is None, reason
     assert not told(found.notices, "end stop")
-    assert np.asarray(found.everything.counted).sum() == 3 * SAMPLES
+    assert np.asarray(found.all_tests.loss_mask).sum() == 3 * SAMPLES
 
 
 @pytest.mark.parametrize(
@@ -116,9 +116,9 @@ def test_whole_tests_are_set_aside_to_stop_the_training(tests_of, count, validat
 def test_the_last_quarter_of_a_single_test_stops_its_training(tests_of):
     found = prepare(everything(tests_of(2)), LIFTING, GIVEN)
     assert told(found.notices, "one test only: its last quarter stops the training")
-    sample = np.arange(found.everything.counted.shape[1])
-    np.testing.assert_array_equal(found.training.counted[0], sample < 225)
-    np.testing.assert_array_equal(found.validation.counted[0], (sample >= 225) & (sample < 300))
+    sample = np.arange(found.all_tests.loss_mask.shape[1])
+    np.testing.assert_array_equal(found.training.loss_mask[0], sample < 225)
+    np.testing.assert_array_equal(found.validation.loss_mask[0], (sample >= 225) & (sample < 300))
     assert found.validation_names == ("lifting-00",)
 
 
@@ -148,7 +148,7 @@ def test_a_given_dead_zone_is_taken_and_applied(make_record, tests_of):
     assert found.dead_zone == DeadZone(0.5, None, 0, "given")
     commands = np.stack([record.command(LIFTING) for record in records[1:3]])
     beyond = np.maximum(commands - 0.5, 0)
-    np.testing.assert_allclose(np.asarray(found.everything.command)[:, :SAMPLES], beyond, atol=1e-15)
+    np.testing.assert_allclose(np.asarray(found.all_tests.command)[:, :SAMPLES], beyond, atol=1e-15)
 
 
 def test_a_dead_zone_that_cannot_be_told_is_zero_with_a_notice(make_record):
@@ -177,7 +177,7 @@ def test_held_out_tests_are_not_looked_at_and_one_must_be_left(tests_of):
     records[-1] = replace(records[-1], signals={**records[-1].signals, "displacement": spoilt})
     after = prepare(everything(records), LIFTING, None)
     assert after.dead_zone == before.dead_zone
-    np.testing.assert_array_equal(after.everything.displacement, before.everything.displacement)
+    np.testing.assert_array_equal(after.all_tests.displacement, before.all_tests.displacement)
     with pytest.raises(InputError, match=r"all 4 lifting tests are held out"):
         prepare(everything(records, test_patterns=["lifting-*"]), LIFTING, None)
 

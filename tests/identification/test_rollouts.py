@@ -8,15 +8,15 @@ import pytest
 
 from hitchid.data.record import LIFTING
 from hitchid.identification import Rollouts
-from hitchid.identification.direction import envelope_of
+from hitchid.identification.direction import operating_range_of
 from hitchid.identification.rollouts import train_on_rollouts
-from hitchid.networks.speed_compensator import compensated
-from hitchid.structures import Batch, Benchmark, structure_named
+from hitchid.networks.speed_compensator import simulate_compensated
+from hitchid.structures import Batch, PhysicalModel, structure_named
 from truth import STEP_S, levels
 
 SAMPLES, GAIN, NOISE = 240, 30.0, 0.02
 QUICK = Rollouts(hidden=4, epochs=100)
-BENCHMARK = Benchmark(structure_named("integrator"), jnp.array([GAIN]), jnp.asarray(0.0))
+BENCHMARK = PhysicalModel(structure_named("integrator"), jnp.array([GAIN]), jnp.asarray(0.0))
 
 
 def along_the_stroke(command, start):
@@ -45,14 +45,14 @@ def tests_of(make_record):
             command = top * levels(rng, SAMPLES, low=0.3)
             displacement = plant(command, rng.uniform(55.0, 75.0))
             records.append(make_record(displacement + noise * rng.standard_normal(SAMPLES), command))
-        return Batch.of(records, LIFTING, dead_zone=0.0, direction=1)
+        return Batch.of(records, LIFTING, dead_zone=0.0, sign=1)
 
     return make
 
 
 def trained(batch, *, seed=0, settings=QUICK):
     travel = BENCHMARK.travel(batch)
-    return train_on_rollouts(batch, travel, envelope_of(batch), settings, jax.random.key(seed))
+    return train_on_rollouts(batch, travel, operating_range_of(batch), settings, jax.random.key(seed))
 
 
 def with_displacement(batch, displacement):
@@ -68,7 +68,7 @@ def free_run_errors(batch, travel):
 def test_a_speed_that_the_benchmark_misses_is_learnt_and_ships(tests_of):
     batch = tests_of(along_the_stroke)
     model, gate = trained(batch)
-    assert gate.open
+    assert gate.accepted
     assert model is not None
     assert np.mean(gate.compensated < gate.benchmark) >= 2 / 3
     # What is missed is up to 30 % of the speed; half of the error is gone on tests it has not seen.
@@ -81,14 +81,14 @@ def test_a_speed_that_the_benchmark_misses_is_learnt_and_ships(tests_of):
     fresh = tests_of(along_the_stroke, tests=6, seed=1)
     alone = BENCHMARK.travel(fresh)
     heard = fresh.command, fresh.initial, fresh.load
-    found = free_run_errors(fresh, compensated(model, alone, *heard))
+    found = free_run_errors(fresh, simulate_compensated(model, alone, *heard))
     assert np.sqrt(np.mean(found**2)) < 0.5 * np.sqrt(np.mean(free_run_errors(fresh, alone) ** 2))
 
 
 def test_where_the_benchmark_is_the_truth_nothing_ships(tests_of):
     model, gate = trained(tests_of(integrating))
     assert model is None
-    assert not gate.open
+    assert not gate.accepted
     assert gate.sentence.startswith("no compensator in free run: ")
     # The initial displacement, a mean of six noisy samples, and white noise are all that is left.
     assert np.mean(gate.benchmark) == pytest.approx(NOISE * np.sqrt(1 + 1 / 6), rel=0.1)
@@ -106,10 +106,10 @@ def test_the_gates_figures_of_the_benchmark_are_those_of_its_free_run(tests_of):
 
 def test_samples_that_do_not_count_are_neither_learnt_nor_judged(tests_of):
     batch = tests_of(along_the_stroke)
-    early = batch.counting(jnp.broadcast_to(jnp.arange(batch.command.shape[1]) < 150, batch.counted.shape))
+    early = batch.masked(jnp.broadcast_to(jnp.arange(batch.command.shape[1]) < 150, batch.counted.shape))
     spoilt = with_displacement(early, jnp.where(early.counted, early.displacement, 1e3))
     quick = Rollouts(hidden=2, epochs=10)
-    envelope = envelope_of(early)
+    envelope = operating_range_of(early)
     gates = [
         train_on_rollouts(each, BENCHMARK.travel(each), envelope, quick, jax.random.key(0))[1]
         for each in (early, spoilt)
@@ -128,9 +128,9 @@ def test_a_test_judges_only_who_has_not_seen_it(tests_of):
     # Test 0 is judged by member 0, which neither trains nor stops on tests 0, 4 and 8. Mirrored at the
     # benchmark, its errors are as large as before, and so is the unit of the loss.
     travel = BENCHMARK.travel(batch)
-    mirrored = jnp.where(batch.valid, 2 * batch.displaced(travel) - batch.displacement, 0.0)
+    mirrored = jnp.where(batch.valid, 2 * batch.to_displacement(travel) - batch.displacement, 0.0)
     changed = with_displacement(batch, batch.displacement.at[0].set(mirrored[0]))
-    _, other = train_on_rollouts(changed, travel, envelope_of(batch), quick, jax.random.key(0))
+    _, other = train_on_rollouts(changed, travel, operating_range_of(batch), quick, jax.random.key(0))
     np.testing.assert_allclose(other.benchmark, gate.benchmark, rtol=1e-9)
     # The same weights but for rounding in single precision over twenty epochs.
     np.testing.assert_allclose(other.compensated[[4, 8]], gate.compensated[[4, 8]], rtol=1e-4)
@@ -146,7 +146,7 @@ def test_a_test_judges_only_who_has_not_seen_it(tests_of):
 def test_too_few_tests_train_nothing_and_say_so(tests_of, tests):
     model, gate = trained(tests_of(along_the_stroke, tests=tests))
     assert model is None
-    assert not gate.open
+    assert not gate.accepted
     assert gate.benchmark.size == gate.compensated.size == 0
     assert gate.sentence == ("no compensator in free run: fewer than 3 tests, too few to hold any out")
 

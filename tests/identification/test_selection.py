@@ -7,15 +7,15 @@ import pytest
 from hitchid._support.metrics import proven_better
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import SettingsError
-from hitchid.identification import Automatic, MultiStart, read_settings
-from hitchid.identification.identify import CHOSEN
-from hitchid.identification.selection import _folds, choose_form
-from hitchid.structures import Batch, Form, Scales, structure_named
+from hitchid.identification import AutoStructure, MultiStart, read_settings
+from hitchid.identification.identify import DEFAULT_STRUCTURES
+from hitchid.identification.selection import _folds, choose_spec
+from hitchid.structures import Batch, ModelSpec, Scales, structure_named
 from truth import levels
 
 SAMPLES = 250
 UNITS = {"x": "mm", "u": "A"}
-PLAIN = Form(structure_named("integrator-second-order"))
+PLAIN = ModelSpec(structure_named("integrator-second-order"))
 SEARCH = MultiStart(evaluations=60)
 SCALES = Scales(*(jnp.asarray(scale) for scale in (1.0, 90.0, 40.0, 0.0, 1.0)))
 
@@ -29,49 +29,49 @@ def simulated(make_record, form, values, *, noise=0.02, tests=8, dead_zone=0.0):
         np.where(shape > 0, dead_zone + top * shape, 0.0) for top, shape in zip(tops, shapes, strict=True)
     ]
     still = [make_record(np.full(SAMPLES, 80.0), command) for command in commands]
-    batch = Batch.of(still, LIFTING, dead_zone=dead_zone, direction=1)
+    batch = Batch.of(still, LIFTING, dead_zone=dead_zone, sign=1)
     travels = np.asarray(form.benchmark(jnp.asarray(values), SCALES).travel(batch))[:, :SAMPLES]
     moved = [80.0 + travel + noise * rng.standard_normal(SAMPLES) for travel in travels]
     records = [make_record(x, u) for x, u in zip(moved, commands, strict=True)]
-    return Batch.of(records, LIFTING, dead_zone=dead_zone, direction=1)
+    return Batch.of(records, LIFTING, dead_zone=dead_zone, sign=1)
 
 
 def test_a_linear_plant_keeps_its_transfer_function(make_record):
     batch = simulated(make_record, PLAIN, [20.0, 15.0, 0.8])
-    found, tried = choose_form(batch, Automatic(PLAIN), SEARCH, 0, units=UNITS)
+    found, tried = choose_spec(batch, AutoStructure(PLAIN), SEARCH, 0, units=UNITS)
     assert tried[0].name == "transfer function"
-    assert found.benchmark.shape is None
+    assert found.benchmark.nonlinearity is None
     # Noise of 0.02 mm over two thousand samples.
     assert tried[0].held_out_rmse == pytest.approx(0.02, rel=0.1)
     assert [each.chosen for each in tried] == [True] + [False] * (len(tried) - 1)
     # Nested forms fit no worse, but that a spool lags by 1 ms at least, at 20 mm/s.
     for each in tried:
-        lags = 0.02 if each.form.spool else 0.0
+        lags = 0.02 if each.spec.spool_dynamics else 0.0
         assert each.rmse <= np.hypot(tried[0].rmse * (1 + 1e-6), lags)
 
 
 def test_a_valve_curve_is_found_where_there_is_one(make_record):
-    curved = Form(structure_named("integrator-second-order"), curve=True)
+    curved = ModelSpec(structure_named("integrator-second-order"), valve_curve=True)
     values = [20.0, 15.0, 0.8, 0.05, 2.0, 0.6]
     batch = simulated(make_record, curved, values)
-    found, tried = choose_form(batch, Automatic(PLAIN), SEARCH, 0, units=UNITS)
+    found, tried = choose_spec(batch, AutoStructure(PLAIN), SEARCH, 0, units=UNITS)
     named = {each.name: each for each in tried}
     assert named["with valve curve"].held_out_rmse < 0.1 * named["transfer function"].held_out_rmse
-    assert found.benchmark.shape is not None
+    assert found.benchmark.nonlinearity is not None
     assert found.rmse == pytest.approx(0.02, rel=0.1)
     command = jnp.linspace(0.2, 0.9, 30)[None]
     none = jnp.zeros(1)
-    true = curved.benchmark(jnp.asarray(values), SCALES)
-    speeds = [each.values[0] * each.shape.flow(command, none) for each in (found.benchmark, true)]
+    true = curved.physical_model(jnp.asarray(values), SCALES)
+    speeds = [each.values[0] * each.nonlinearity.flow(command, none) for each in (found.benchmark, true)]
     np.testing.assert_allclose(*speeds, rtol=0.02)
 
 
 @pytest.mark.parametrize("revised", [True, False])
 def test_a_dead_zone_that_is_too_large_for_a_valve_curve_is_found_anew(make_record, revised):
-    curved = Form(structure_named("integrator-second-order"), curve=True)
+    curved = ModelSpec(structure_named("integrator-second-order"), valve_curve=True)
     batch = simulated(make_record, curved, [20.0, 15.0, 0.8, 0.05, 2.0, 0.6], dead_zone=0.1)
-    found, tried = choose_form(
-        batch.with_dead_zone(0.4), Automatic(PLAIN), SEARCH, 0, units=UNITS, revised=revised
+    found, tried = choose_spec(
+        batch.with_dead_zone(0.4), AutoStructure(PLAIN), SEARCH, 0, units=UNITS, revised=revised
     )
     (taken,) = (each for each in tried if each.chosen)
     assert [each.dead_zone for each in tried[:2]] == [0.4, 0.4]
@@ -82,25 +82,25 @@ def test_a_dead_zone_that_is_too_large_for_a_valve_curve_is_found_anew(make_reco
 
 def test_folds_hold_out_levels_between_the_extremes(make_record):
     records = [make_record(np.linspace(80.0, 90.0, 100), np.full(100, level)) for level in (1, 1, 2, 3, 4, 4)]
-    batch = Batch.of(records, LIFTING, dead_zone=0.0, direction=1)
-    folds = _folds(batch, alone=False)
+    batch = Batch.of(records, LIFTING, dead_zone=0.0, sign=1)
+    folds = _folds(batch, separate_tests=False)
     assert [list(np.flatnonzero(fold)) for fold in folds] == [[2], [3]]
-    alone = _folds(batch, alone=True)
+    alone = _folds(batch, separate_tests=True)
     assert sorted(int(np.flatnonzero(fold)[0]) for fold in alone) == [1, 2, 3, 4]
 
 
 def test_tests_of_one_level_leave_the_plain_form(make_record):
     batch = simulated(make_record, PLAIN, [20.0, 15.0, 0.8], tests=1)
-    found, tried = choose_form(batch, Automatic(PLAIN), SEARCH, 0, units=UNITS)
+    found, tried = choose_spec(batch, AutoStructure(PLAIN), SEARCH, 0, units=UNITS)
     assert tried == ()
-    assert found.benchmark.shape is None
+    assert found.benchmark.nonlinearity is None
 
 
 def test_a_hysteresis_is_found_where_there_is_one_and_its_width_told(make_record):
-    played = Form(structure_named("integrator-second-order"), curve=True, spool=True)
+    played = ModelSpec(structure_named("integrator-second-order"), valve_curve=True, spool_dynamics=True)
     true = dict(zip((p.name for p in played.parameters), PLAYED, strict=True))
     batch = simulated(make_record, played, PLAYED, dead_zone=0.3)
-    found, tried = choose_form(batch, Automatic(PLAIN), SEARCH, 0, units=UNITS)
+    found, tried = choose_spec(batch, AutoStructure(PLAIN), SEARCH, 0, units=UNITS)
     named = {each.name: each for each in tried}
     with_play, without = (
         named[name] for name in ("with lag and hysteresis of the spool", "with valve curve")
@@ -109,9 +109,9 @@ def test_a_hysteresis_is_found_where_there_is_one_and_its_width_told(make_record
     assert with_play.held_out_rmse == pytest.approx(np.sqrt(np.mean(with_play.held_out**2)), rel=1e-15)
     assert with_play.held_out_rmse < 0.5 * without.held_out_rmse
     assert found.rmse == pytest.approx(0.02, rel=0.1)
-    (told,) = (each for each in found.known.derived if each.name == "width of the hysteresis")
+    (told,) = (each for each in found.assessment.derived if each.name == "width of the hysteresis")
     width, unit = told.value, told.unit
-    (error,) = (each.error for each in found.estimates if each.name == "hysteresis")
+    (error,) = (each.error for each in found.parameter_estimates if each.name == "hysteresis")
     assert unit == "A"
     # Three standard errors, which are a tenth of the width at most.
     assert 3 * error * 0.3 < 0.1 * width
@@ -128,17 +128,19 @@ def test_the_settings_file_asks_for_a_choice_or_for_curves(tmp_path):
         '[lowering]\nstructure = "first-order-lag"\ncurve = true\nspool = true\n'
     )
     forms = read_settings(path).get("structure", {})
-    assert forms["lifting"] == Automatic(PLAIN, load="pressure")
-    assert forms["lowering"] == Form(structure_named("first-order-lag"), curve=True, spool=True)
+    assert forms["lifting"] == AutoStructure(PLAIN, covariate="pressure")
+    assert forms["lowering"] == ModelSpec(
+        structure_named("first-order-lag"), valve_curve=True, spool_dynamics=True
+    )
 
 
 def test_where_nothing_is_asked_for_the_form_is_chosen(tmp_path):
     path = tmp_path / "settings.toml"
     path.write_text("")
-    assert read_settings(path).get("structure") == dict(CHOSEN)
+    assert read_settings(path).get("structure") == dict(DEFAULT_STRUCTURES)
     # A choice starts from what stands still without a command.
-    assert CHOSEN[LIFTING] == Automatic(PLAIN)
-    assert CHOSEN[LOWERING].plain.structure.name == "integrator-first-order"
+    assert DEFAULT_STRUCTURES[LIFTING] == AutoStructure(PLAIN)
+    assert DEFAULT_STRUCTURES[LOWERING].baseline_spec.structure.name == "integrator-first-order"
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from hitchid.data.segmentation import Switch
+from hitchid.data.segmentation import CommandThreshold
 from hitchid.errors import InputError, SettingsError
 from hitchid.inspection.inspect_logs import inspect
 from hitchid.readers import write_table
@@ -172,8 +172,8 @@ def test_a_mixed_log_has_its_segments_and_how_long_each_kind_takes(write_log):
 def test_what_a_model_knows_of_the_valves_divides_a_mixed_log(write_log):
     up, down = np.repeat([0, 0.3, 1.0, 0], 50), np.repeat([0, 0, 0, 1.0], 50)
     folder = write_log("mixed", up, down, moved=np.cumsum(up - down))
-    late = {"lifting": Switch(0.35, dead_time_s=0.1), "lowering": Switch(0.25)}
-    (entry,) = inspect(folder, switches=lambda units: late).records
+    late = {"lifting": CommandThreshold(0.35, dead_time_s=0.1), "lowering": CommandThreshold(0.25)}
+    (entry,) = inspect(folder, command_thresholds=lambda units: late).records
     assert [tuple(each.values()) for each in entry["segments"]] == [
         ("hold", 0.0, 1.1),
         ("lifting", 1.1, 1.5),

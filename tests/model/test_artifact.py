@@ -81,7 +81,9 @@ def test_a_model_with_every_part_simulates_and_predicts_as_before(tmp_path, make
         assert ours.narx is not None
         np.testing.assert_array_equal(ours.narx.free_run(up), theirs.narx.free_run(up))
         batch = channel.batch([record])
-        np.testing.assert_array_equal(ours.paper.echo(batch), theirs.paper.echo(batch))
+        np.testing.assert_array_equal(
+            ours.paper.simulate_closed_loop(batch), theirs.paper.simulate_closed_loop(batch)
+        )
     assert back.extrapolation(record) == model.extrapolation(record) != ()
 
 

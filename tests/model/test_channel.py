@@ -29,13 +29,13 @@ def run(rows):
 def test_without_anything_learnt_the_echo_is_the_benchmark(record, compensated):
     model = channel(LIFTING, "integrator-first-order", compensated=compensated)
     batch = model.batch([record])
-    np.testing.assert_array_equal(model.echo(batch), model.simulate_benchmark(batch))
+    np.testing.assert_array_equal(model.simulate_closed_loop(batch), model.simulate_benchmark(batch))
 
 
 def test_an_echo_that_is_measured_is_what_one_step_ahead_predicts(record):
     """Where the model is right there is no difference between hearing itself and hearing what is measured."""
     model = channel(LIFTING, "integrator-first-order", compensated=True)
-    echo = run(model.echo(model.batch([record], [100.0])))
+    echo = run(model.simulate_closed_loop(model.batch([record], [100.0])))
     heard = model.batch([echoed(record, echo)], [100.0])
     predicted = run(model.predict(heard, (1,))[0])
     # A prediction reads the last L features, the echo all of them: up to there they are the same, but for
@@ -60,7 +60,7 @@ def test_in_free_run_the_compensator_for_predictions_is_silent(record):
     one = channel(LIFTING, "integrator-first-order", free_run=True)
     batch = both.batch([record])
     np.testing.assert_array_equal(both.simulate(batch), one.simulate(batch))
-    assert np.any(both.echo(batch) != both.simulate(batch))
+    assert np.any(both.simulate_closed_loop(batch) != both.simulate(batch))
     alone = channel(LIFTING, "integrator-first-order", compensated=True)
     np.testing.assert_array_equal(alone.simulate(batch), alone.simulate_benchmark(batch))
 
@@ -87,7 +87,7 @@ def test_outside_is_where_a_range_is_left_and_never_in_the_padding(record):
     model = channel(LIFTING, free_run=False, covered=covered)
     batch = model.batch([record], [100.0])
     displacement = model.simulate(batch)
-    found = model.outside(batch, displacement)
+    found = model.out_of_range(batch, displacement)
     effective = np.maximum(record.command(LIFTING) - DEAD_ZONES[LIFTING], 0)
     np.testing.assert_array_equal(found["command"][0, :SAMPLES], effective > 0.3)
     np.testing.assert_array_equal(found["displacement"][0, :SAMPLES], run(displacement) > 103.0)
@@ -96,7 +96,7 @@ def test_outside_is_where_a_range_is_left_and_never_in_the_padding(record):
         assert not rows[0, SAMPLES:].any()
     assert found["command"].any()
     assert found["displacement"].any()
-    assert channel(LIFTING).outside(batch, displacement) == {}
+    assert channel(LIFTING).out_of_range(batch, displacement) == {}
 
 
 def test_extrapolation_is_told_in_words_for_each_direction(make_record):

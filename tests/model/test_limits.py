@@ -24,7 +24,7 @@ def test_where_no_stop_was_seen_the_limit_is_a_tenth_of_the_range_beyond_the_log
 @given(st.lists(displacements, min_size=1, max_size=9), displacements)
 def test_what_is_held_lies_within_the_limits_or_the_start_beyond_them(samples, start):
     limits = TravelLimits(-3.0, 8.0)
-    held = np.asarray(limits.hold(jnp.asarray(samples), jnp.asarray(start)))
+    held = np.asarray(limits.clip(jnp.asarray(samples), jnp.asarray(start)))
     assert np.all(held >= min(-3.0, start) - 1e-6 * abs(start))
     assert np.all(held <= max(8.0, start) + 1e-6 * abs(start))
     inside = (np.array(samples) > -3.0) & (np.array(samples) < 8.0)
@@ -40,5 +40,5 @@ def test_what_is_held_lies_within_the_limits_or_the_start_beyond_them(samples, s
     ],
 )
 def test_a_limit_that_is_no_stop_is_told_where_it_is_reached(limits, expected):
-    assert limits.reached(np.array([0.0, 5.0, 10.0])).tolist() == expected
+    assert limits.at_soft_limit(np.array([0.0, 5.0, 10.0])).tolist() == expected
     assert ("mechanical stop" in limits.sentence("mm")) == (limits.lower_stop or limits.upper_stop)

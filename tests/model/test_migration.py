@@ -9,7 +9,7 @@ import pytest
 from hitchid.data.record import Record
 from hitchid.errors import ModelFolderError
 from hitchid.model import load, load_trace, save
-from hitchid.model.migration import SCHEMA, STEPS, migrated, readable
+from hitchid.model.migration import MIGRATIONS, SCHEMA, is_readable, migrate
 
 OLDER = Path(__file__).parent / "older"
 STEP_S = 0.01
@@ -35,11 +35,11 @@ def record(rows):
 
 
 def test_every_older_schema_that_is_read_has_a_folder_its_version_wrote():
-    assert {path.name for path in OLDER.iterdir()} == {f"schema-{schema}" for schema in STEPS}
-    assert sorted(STEPS) == list(range(min(STEPS), SCHEMA))
+    assert {path.name for path in OLDER.iterdir()} == {f"schema-{schema}" for schema in MIGRATIONS}
+    assert sorted(MIGRATIONS) == list(range(min(MIGRATIONS), SCHEMA))
 
 
-@pytest.mark.parametrize("schema", STEPS)
+@pytest.mark.parametrize("schema", MIGRATIONS)
 def test_an_older_model_predicts_what_it_did(schema):
     folder, rows = written(schema)
     model = load(folder)
@@ -51,7 +51,7 @@ def test_an_older_model_predicts_what_it_did(schema):
     assert load_trace(folder) == {"lifting": {"fitness": [3.0, 1.5]}}
 
 
-@pytest.mark.parametrize("schema", STEPS)
+@pytest.mark.parametrize("schema", MIGRATIONS)
 def test_an_older_model_saved_again_is_of_this_version(schema, tmp_path):
     folder, rows = written(schema)
     save(load(folder), tmp_path / "model")
@@ -60,7 +60,7 @@ def test_an_older_model_saved_again_is_of_this_version(schema, tmp_path):
     np.testing.assert_array_equal(again.simulate(record(rows)), load(folder).simulate(record(rows)))
 
 
-@pytest.mark.parametrize("schema", STEPS)
+@pytest.mark.parametrize("schema", MIGRATIONS)
 def test_an_older_model_that_was_edited_is_refused(schema, tmp_path):
     folder, _ = written(schema)
     place = shutil.copytree(folder, tmp_path / "model")
@@ -70,11 +70,11 @@ def test_an_older_model_that_was_edited_is_refused(schema, tmp_path):
         load(place)
 
 
-@pytest.mark.parametrize("schema", [min(STEPS) - 1, SCHEMA + 1, 0, True, "4", 4.0, None])
+@pytest.mark.parametrize("schema", [min(MIGRATIONS) - 1, SCHEMA + 1, 0, True, "4", 4.0, None])
 def test_what_no_step_leads_from_is_not_readable(schema):
-    assert not readable(schema)
+    assert not is_readable(schema)
 
 
 def test_a_description_of_this_version_stays_as_it_is():
     content = {"schema": SCHEMA, "drift": 0.3}
-    assert migrated(content) == content
+    assert migrate(content) == content

@@ -13,7 +13,7 @@ from hitchid.networks.error_compensator import (
     Sample,
     free_run,
     measured_features,
-    rolled_out,
+    multi_step_errors,
 )
 from hitchid.networks.lstm import Lstm
 from hitchid.structures import Batch
@@ -67,7 +67,7 @@ def by_hand(made_up):
 def untrained(made_up):
     rows = by_hand(made_up)
     return Compensator(
-        Lstm.fresh(jax.random.key(0), len(FEATURES), HIDDEN),
+        Lstm.init(jax.random.key(0), len(FEATURES), HIDDEN),
         jnp.asarray(rows.mean(axis=0)),
         jnp.asarray(rows.std(axis=0)),
         jnp.asarray(ERROR_STEP),
@@ -86,7 +86,7 @@ def compensator(untrained):
     )
 
 
-roll = eqx.filter_jit(rolled_out)
+roll = eqx.filter_jit(multi_step_errors)
 run_free = eqx.filter_jit(free_run)
 features_of = eqx.filter_jit(measured_features)
 TRUSTED = jnp.ones(SAMPLES)
@@ -171,7 +171,7 @@ def test_a_step_comes_of_exactly_the_features_since_the_last_hand_over_but_one(c
 def test_training_reads_what_a_prediction_reads(compensator, made_up, make_record):
     features = by_hand(made_up)
     record = make_record(made_up.displacement, made_up.command)
-    batch = Batch.of([record], "lifting", dead_zone=0.0, direction=1)
+    batch = Batch.of([record], "lifting", dead_zone=0.0, sign=1)
     wide = np.zeros((1, batch.command.shape[1], len(FEATURES)))
     wide[0, :SAMPLES] = features
     errors = np.zeros(wide.shape[:2])
@@ -179,7 +179,7 @@ def test_training_reads_what_a_prediction_reads(compensator, made_up, make_recor
     sequences = _sequences(compensator, wide, errors, batch)
     scaled = np.asarray(compensator.scale(jnp.asarray(features)))
     for stretch in range(SAMPLES // WINDOW):
-        for place in np.flatnonzero(sequences.counted[stretch]):
+        for place in np.flatnonzero(sequences.loss_mask[stretch]):
             position = stretch * WINDOW + int(place)
             read = slice(0, WINDOW + int(place) + 1)
             valid = np.asarray(sequences.valid[stretch])[read]
@@ -187,7 +187,7 @@ def test_training_reads_what_a_prediction_reads(compensator, made_up, make_recor
             np.testing.assert_array_equal(rows, scaled[heard_from(position) : position])
             moved = (errors[0, position] - errors[0, position - 1]) / ERROR_STEP
             assert float(sequences.target[stretch, place]) == pytest.approx(moved, rel=1e-6)
-    assert int(sequences.counted.sum()) == SAMPLES - 1
+    assert int(sequences.loss_mask.sum()) == SAMPLES - 1
 
 
 @pytest.mark.parametrize("origin", [0, 5, WINDOW - 2, 20, 33])

@@ -15,7 +15,7 @@ SINGLE = float(np.finfo(np.float32).eps)
 @pytest.fixture
 def network():
     rng = np.random.default_rng(1)
-    fresh = Lstm.fresh(jax.random.key(0), INPUTS, HIDDEN)
+    fresh = Lstm.init(jax.random.key(0), INPUTS, HIDDEN)
     return jax.tree.map(lambda leaf: jnp.asarray(rng.normal(size=leaf.shape), jnp.float32), fresh)
 
 
@@ -38,11 +38,11 @@ def one_by_one(network, inputs, exist):
 
     def advance(hidden, given):
         row, exists = given
-        read = network.read(hidden, row)
+        read = network.step(hidden, row)
         hidden = jax.tree.map(lambda new, old: jnp.where(exists[:, None], new, old), read, hidden)
         return hidden, network.output(hidden)
 
-    return jax.lax.scan(advance, network.blank((inputs.shape[1],)), (inputs, exist))[1]
+    return jax.lax.scan(advance, network.zero_state((inputs.shape[1],)), (inputs, exist))[1]
 
 
 def by_the_book(network, inputs, exist):
@@ -68,7 +68,7 @@ def doubled(tree):
 
 
 def at_once(network, inputs, exist):
-    return network.outputs(inputs, exist)
+    return network.unroll(inputs, exist)
 
 
 def told(network, inputs, exist, weights, outputs):
@@ -105,7 +105,7 @@ def test_sequences_that_do_not_exist_change_no_derivative(network, inputs):
     exist = jnp.asarray(np.arange(SEQUENCES) < 4)[None].repeat(SAMPLES, axis=0)
 
     def loss(network, inputs, exist):
-        return jnp.sum(jnp.where(exist, network.outputs(inputs, exist), 0.0) ** 2)
+        return jnp.sum(jnp.where(exist, network.unroll(inputs, exist), 0.0) ** 2)
 
     alone = eqx.filter_grad(loss)(network, inputs[:, :4], exist[:, :4])
     beside = eqx.filter_grad(loss)(network, 1e3 * inputs.at[:, :4].divide(1e3), exist)

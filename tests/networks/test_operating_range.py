@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from handmade import envelope
 from hitchid.data.record import LIFTING
-from hitchid.identification.direction import envelope_of
-from hitchid.networks.operating_range import Range
+from hitchid.identification.direction import operating_range_of
+from hitchid.networks.operating_range import SignalRange
 from hitchid.structures import Batch
 
 EPS = np.finfo(np.float64).eps
@@ -17,7 +17,7 @@ ends = st.tuples(st.floats(-1e3, 1e3), st.floats(0.1, 1e3))
 
 
 def trusted(lowest, highest, values):
-    return np.asarray(Range(jnp.asarray(lowest), jnp.asarray(highest)).trust(jnp.asarray(values)))
+    return np.asarray(SignalRange(jnp.asarray(lowest), jnp.asarray(highest)).trust(jnp.asarray(values)))
 
 
 @settings(deadline=None)
@@ -69,12 +69,12 @@ def test_the_ranges_of_a_model_are_those_of_the_samples_that_count(make_record):
         make_record(np.linspace(start, start + 10.0, 100), np.linspace(0.0, top, 100))
         for start, top in ((80.0, 0.7), (70.0, 0.9))
     ]
-    batch = Batch.of(records, LIFTING, dead_zone=0.3, direction=1)
-    found = envelope_of(batch)
+    batch = Batch.of(records, LIFTING, dead_zone=0.3, sign=1)
+    found = operating_range_of(batch)
     ranges = {name: (float(each.lowest), float(each.highest)) for name, each in vars(found).items()}
     assert ranges["command"] == pytest.approx((0.0, 0.6))
     assert ranges["displacement"] == (70.0, 90.0)
     assert ranges["load"] == (0.0, 0.0)
-    early = batch.counting(jnp.asarray(np.arange(batch.command.shape[1]) < 50)[None] & batch.counted)
-    assert float(envelope_of(early).displacement.highest) == records[0].displacement[49]
-    assert float(envelope_of(early).command.highest) == pytest.approx(0.9 * 49 / 99 - 0.3)
+    early = batch.masked(jnp.asarray(np.arange(batch.command.shape[1]) < 50)[None] & batch.loss_mask)
+    assert float(operating_range_of(early).displacement.highest) == records[0].displacement[49]
+    assert float(operating_range_of(early).command.highest) == pytest.approx(0.9 * 49 / 99 - 0.3)

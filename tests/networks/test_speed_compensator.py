@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from handmade import envelope, speed_compensator
-from hitchid.networks.speed_compensator import AUTHORITY, compensated, driven_by
+from hitchid.networks.speed_compensator import AUTHORITY, compute_block_inputs, simulate_compensated
 
 EPS = np.finfo(np.float64).eps
 SAMPLES, TESTS = 200, 3
@@ -30,7 +30,7 @@ def made_up(seed=0, *, samples=SAMPLES):
 @pytest.mark.parametrize("every", [1, 3, 7, 64, 1000])
 def test_untrained_it_is_the_benchmark_whatever_the_blocks(every):
     travel, *heard = made_up()
-    found = compensated(speed_compensator(trained=False, every=every), travel, *heard)
+    found = simulate_compensated(speed_compensator(trained=False, every=every), travel, *heard)
     np.testing.assert_array_equal(found, travel)
 
 
@@ -39,12 +39,12 @@ def test_a_standing_benchmark_stands_for_a_minute_whatever_was_learnt():
     pause = np.full((TESTS, 6000), np.asarray(travel)[:, -1:])
     paused = jnp.asarray(np.concatenate([travel, pause], axis=1))
     silent = jnp.asarray(np.concatenate([command, np.zeros((TESTS, 6000))], axis=1))
-    found = np.asarray(compensated(speed_compensator(size=5.0), paused, silent, initial, load))
+    found = np.asarray(simulate_compensated(speed_compensator(size=5.0), paused, silent, initial, load))
     assert np.all(found[:, 599] != np.asarray(travel)[:, 599])
     np.testing.assert_array_equal(np.ptp(found[:, 600:], axis=1), 0.0)
     # Nor does a command move it where the benchmark takes no notice of one.
     pushed = jnp.full_like(silent, 0.4)
-    moved = np.asarray(compensated(speed_compensator(size=5.0), 0 * paused, pushed, initial, load))
+    moved = np.asarray(simulate_compensated(speed_compensator(size=5.0), 0 * paused, pushed, initial, load))
     np.testing.assert_array_equal(moved, 0.0)
 
 
@@ -57,7 +57,7 @@ def test_a_standing_benchmark_stands_for_a_minute_whatever_was_learnt():
 def test_its_speed_is_within_half_of_the_benchmarks_for_any_weights(seed, size, direction):
     travel, *heard = made_up(seed)
     model = speed_compensator(seed, size=size, direction=direction)
-    found = np.asarray(compensated(model, travel, *heard))
+    found = np.asarray(simulate_compensated(model, travel, *heard))
     ratio = np.diff(found, axis=1) / np.diff(np.asarray(travel), axis=1)
     # Travel up to 100 mm in steps of 1/1024 mm at least: what rounding makes of their ratio.
     rounding = 8 * EPS * float(travel.max()) / FINE
@@ -71,8 +71,8 @@ def test_where_the_tests_have_not_been_it_moves_as_the_benchmark_does(beyond):
     ranges = {"command": (0.6, 0.7), "displacement": (900.0, 950.0), "load": (5.0, 6.0)}
     travel, *heard = made_up()
     outside = speed_compensator(size=5.0, covered=envelope(**{beyond: ranges[beyond]}))
-    np.testing.assert_array_equal(compensated(outside, travel, *heard), travel)
-    inside = np.asarray(compensated(speed_compensator(size=5.0), travel, *heard))
+    np.testing.assert_array_equal(simulate_compensated(outside, travel, *heard), travel)
+    inside = np.asarray(simulate_compensated(speed_compensator(size=5.0), travel, *heard))
     assert np.all(inside[:, 10:] != np.asarray(travel)[:, 10:])
 
 
@@ -81,7 +81,7 @@ def test_it_fades_out_where_it_leaves_the_tests_behind():
     travel, *heard = made_up(samples=500)
     highest = 100.0
     model = speed_compensator(size=5.0, covered=envelope(displacement=(50.0, highest)))
-    found = np.asarray(compensated(model, travel, *heard))
+    found = np.asarray(simulate_compensated(model, travel, *heard))
     ratio = np.diff(found, axis=1) / np.diff(np.asarray(travel), axis=1)
     block = 3 * (np.arange(499) // 3)
     place = np.asarray(heard[1])[:, None] + found[:, block]
@@ -106,7 +106,7 @@ def by_hand(model, drive):
         output, memory, travel = np.zeros((count, 4)), np.zeros((count, 4)), 0.0
         for block in range(drive.command.shape[0]):
             travels[block, test] = travel
-            place = float(drive.initial[test]) + model.direction * travel
+            place = float(drive.initial[test]) + model.sign * travel
             inputs = [
                 float(drive.command[block, test]) / float(model.command),
                 float(drive.before[block, test]) / float(model.moved),
@@ -130,8 +130,8 @@ def by_hand(model, drive):
 def test_its_rollout_is_that_of_its_equations(direction, joined):
     travel, *heard = made_up(samples=60)
     model = speed_compensator(direction=direction)
-    drive = driven_by(travel, *heard, model.every)
-    found = eqx.filter_jit(type(model).rollout)(model, model.networks, drive, joined=joined)
+    drive = compute_block_inputs(travel, *heard, model.block_size)
+    found = eqx.filter_jit(type(model).rollout)(model, model.networks, drive, fused=joined)
     expected = by_hand(model, drive)
     # Single precision in 20 steps, each sums of nine products of order 1; travel is the sum of them.
     single = 20 * 9 * float(np.finfo(np.float32).eps)
@@ -143,9 +143,9 @@ def test_its_rollout_is_that_of_its_equations(direction, joined):
 @pytest.mark.parametrize("every", [1, 3, 8])
 def test_what_it_hears_are_means_and_sums_over_the_block_before(every):
     travel, *heard = made_up()
-    drive = driven_by(travel, *heard, every)
+    drive = compute_block_inputs(travel, *heard, every)
     blocks = -(-SAMPLES // every)
-    assert drive.command.shape == drive.before.shape == drive.moved.shape == (blocks, TESTS)
+    assert drive.command.shape == drive.previous_increment.shape == drive.moved.shape == (blocks, TESTS)
     np.testing.assert_array_equal(drive.moved.sum(axis=0), travel[:, -1])
     np.testing.assert_array_equal(drive.before[1:], drive.moved[:-1])
     assert not np.any(drive.before[0])
@@ -174,10 +174,13 @@ def test_within_a_block_a_command_changes_only_what_the_benchmark_does(every):
     start, stop = 6 * every, 7 * every
     model = speed_compensator(size=5.0, every=every)
     one, other = changed_within(start, stop)
-    factors = [np.asarray(model.rollout(model.networks, driven_by(*each, every))[1]) for each in (one, other)]
+    factors = [
+        np.asarray(model.rollout(model.networks, compute_block_inputs(*each, every))[1])
+        for each in (one, other)
+    ]
     np.testing.assert_array_equal(factors[0][:7], factors[1][:7])
     assert np.all(factors[0][7] != factors[1][7])
-    found, changed = (np.asarray(compensated(model, *each)) for each in (one, other))
+    found, changed = (np.asarray(simulate_compensated(model, *each)) for each in (one, other))
     np.testing.assert_array_equal(found[:, : start + 1], changed[:, : start + 1])
     ratio = np.diff(changed[:, start : stop + 1], axis=1) / FINE
     # Steps of 1/1024 mm of a travel of up to 100 mm, rounded twice.
@@ -189,11 +192,11 @@ def test_within_a_block_a_command_changes_only_what_the_benchmark_does(every):
 def test_it_starts_anew_from_what_was_measured_where_it_is_asked_to(anchored_every):
     travel, *heard = made_up()
     model = speed_compensator(size=5.0, every=5)
-    drive = driven_by(travel, *heard, model.every)
-    measured = jnp.asarray(np.random.default_rng(1).uniform(0.0, 30.0, drive.moved.shape))
+    drive = compute_block_inputs(travel, *heard, model.block_size)
+    measured = jnp.asarray(np.random.default_rng(1).uniform(0.0, 30.0, drive.travel_increment.shape))
     found, factor = (
         np.asarray(each)
-        for each in model.rollout(model.networks, drive, measured=measured, anchored_every=anchored_every)
+        for each in model.rollout(model.networks, drive, measured=measured, anchor_interval=anchored_every)
     )
     block = np.arange(len(found))
     anchored = block % anchored_every == 0
@@ -202,17 +205,17 @@ def test_it_starts_anew_from_what_was_measured_where_it_is_asked_to(anchored_eve
     gone_on = np.flatnonzero(~anchored)
     np.testing.assert_allclose(found[gone_on], after[gone_on - 1], rtol=4 * EPS)
     free = model.rollout(model.networks, drive)[0]
-    once = model.rollout(model.networks, drive, measured=0 * measured, anchored_every=len(found))[0]
+    once = model.rollout(model.networks, drive, measured=0 * measured, anchor_interval=len(found))[0]
     np.testing.assert_array_equal(once, free)
 
 
 def test_what_comes_later_changes_nothing_before():
     travel, command, initial, load = made_up()
-    model = replace(speed_compensator(size=5.0), every=1)
+    model = replace(speed_compensator(size=5.0), block_size=1)
     late = np.arange(SAMPLES) >= 120
     changed = jnp.asarray(np.where(late, 0.0, np.asarray(command)))
     stopped = jnp.asarray(np.where(late, np.asarray(travel)[:, 120:121], np.asarray(travel)))
-    one = np.asarray(compensated(model, travel, command, initial, load))
-    other = np.asarray(compensated(model, stopped, changed, initial, load))
+    one = np.asarray(simulate_compensated(model, travel, command, initial, load))
+    other = np.asarray(simulate_compensated(model, stopped, changed, initial, load))
     np.testing.assert_array_equal(one[:, :120], other[:, :120])
     assert np.all(one[:, 125:] != other[:, 125:])

@@ -14,7 +14,7 @@ import handmade
 from handmade import DEAD_ZONES, GAINS, STEP_S
 from hitchid.data.record import LIFTING
 from hitchid.errors import InputError
-from hitchid.online.live import KNOWN, LONGEST_GAP, SET_BACK, Live
+from hitchid.online.live import CLOCK_SET_BACK_SAMPLES, FIELDS, MAX_GAP_SAMPLES, Live
 from truth import levels
 
 MODEL = handmade.hitch(compensated=True)
@@ -46,17 +46,17 @@ def said(answer, word):
 
 def test_it_waits_for_a_displacement_and_starts_there():
     live = Live(MODEL)
-    waiting = live.hear(sample(0.0, LIFT, 0.0))
+    waiting = live.process(sample(0.0, LIFT, 0.0))
     assert (waiting.displacement, waiting.mode) == (None, "standing")
     assert waiting.flags == ("waiting for a displacement to start from",)
-    begun = live.hear(full(0.01))
+    begun = live.process(full(0.01))
     assert (begun.mode, begun.flags) == ("lifting", ())
-    alone = Live(MODEL).hear(full(0.01))
+    alone = Live(MODEL).process(full(0.01))
     assert begun == alone
 
 
 def test_with_an_initial_displacement_it_starts_at_once():
-    answer = Live(MODEL, initial=START).hear(sample(0.0, LIFT, 0.0))
+    answer = Live(MODEL, initial=START).process(sample(0.0, LIFT, 0.0))
     assert answer.displacement == pytest.approx(START + TRAVEL, rel=1e-12)
     assert (answer.mode, answer.flags) == ("lifting", ())
 
@@ -69,16 +69,16 @@ def test_an_initial_displacement_that_is_none_is_refused(initial):
 
 def test_an_answer_is_for_one_sampling_time_after_its_sample():
     live = Live(MODEL)
-    assert live.hear(sample()).time_s == STEP_S
-    assert live.hear(sample()).time_s == 2 * STEP_S
-    assert live.hear(full(5.0)).time_s == 5.0 + STEP_S
+    assert live.process(sample()).time_s == STEP_S
+    assert live.process(sample()).time_s == 2 * STEP_S
+    assert live.process(full(5.0)).time_s == 5.0 + STEP_S
 
 
 def test_a_missing_command_keeps_the_last_one():
     live, told = Live(MODEL, initial=START), Live(MODEL, initial=START)
-    live.hear(sample(0.0, LIFT, 0.0))
-    told.hear(sample(0.0, LIFT, 0.0))
-    answer, expected = live.hear(sample(0.01)), told.hear(sample(0.01, LIFT, 0.0))
+    live.process(sample(0.0, LIFT, 0.0))
+    told.process(sample(0.0, LIFT, 0.0))
+    answer, expected = live.process(sample(0.01)), told.process(sample(0.01, LIFT, 0.0))
     assert answer.displacement == expected.displacement
     assert answer.flags == tuple(
         f"{mode}_command is missing: the last one stands" for mode in ("lifting", "lowering")
@@ -88,10 +88,10 @@ def test_a_missing_command_keeps_the_last_one():
 
 def test_a_missing_displacement_is_coasted_over_and_told_once_there_was_one():
     live = Live(MODEL, initial=START)
-    assert not said(live.hear(sample(0.0, LIFT, 0.0)), "coasting")
-    measured = live.hear(full(0.01))
+    assert not said(live.process(sample(0.0, LIFT, 0.0)), "coasting")
+    measured = live.process(full(0.01))
     assert not said(measured, "coasting")
-    coasted = live.hear(sample(0.02, LIFT, 0.0))
+    coasted = live.process(sample(0.02, LIFT, 0.0))
     assert said(coasted, "coasting")
     # The benchmark's travel, and the step of the predicted error, a few of its σ.
     assert coasted.displacement == pytest.approx(measured.displacement + TRAVEL, abs=10 * handmade.ERROR_STEP)
@@ -100,12 +100,15 @@ def test_a_missing_displacement_is_coasted_over_and_told_once_there_was_one():
 @pytest.mark.parametrize("missed", [1, 7])
 def test_samples_that_come_late_are_made_up_for(missed):
     live, told = Live(MODEL), Live(MODEL)
-    live.hear(full(0.0))
-    told.hear(full(0.0))
+    live.process(full(0.0))
+    told.process(full(0.0))
     for _ in range(missed):
-        told.hear(sample())
+        told.process(sample())
     again = STEP_S * (missed + 1)
-    late, expected = live.hear(full(again, displacement=101.0)), told.hear(full(again, displacement=101.0))
+    late, expected = (
+        live.process(full(again, displacement=101.0)),
+        told.process(full(again, displacement=101.0)),
+    )
     assert late.displacement == expected.displacement
     assert late.flags == (f"late: {missed} samples are missing before {again:g} s",)
     assert expected.flags == ()
@@ -117,34 +120,34 @@ def test_every_sample_of_a_jittered_clock_counts_for_the_time_it_is_nearest_to(j
     live, stamps = Live(MODEL), np.sort(every_s * (np.arange(len(jitter)) + np.array(jitter)))
     stamps = np.concatenate([stamps[:1], stamps[1:][np.diff(stamps) > 0]])
     for stamp in stamps:
-        answer = live.hear(sample(float(stamp), LIFT, 0.0, START if stamp == stamps[0] else None))
+        answer = live.process(sample(float(stamp), LIFT, 0.0, START if stamp == stamps[0] else None))
         assert not said(answer, "out of order")
         assert abs(answer.time_s - stamp - STEP_S) <= 0.5 * STEP_S + 1e-8
     steps = round((answer.time_s - stamps[0]) / STEP_S)
     alone = Live(MODEL)
-    alone.hear(full(0.0))
+    alone.process(full(0.0))
     for _ in range(steps - 1):
-        expected = alone.hear(sample(lifting=LIFT, lowering=0.0)).displacement
+        expected = alone.process(sample(lifting=LIFT, lowering=0.0)).displacement
     assert steps == 1 or answer.displacement == pytest.approx(expected, rel=1e-12)
 
 
 def test_of_two_samples_for_one_time_the_later_counts():
     live, told = Live(MODEL), Live(MODEL)
     for each in (live, told):
-        each.hear(full(0.0))
-    live.hear(sample(0.006, LIFT, 0.0, 102.0))
-    answer = live.hear(sample(0.014, 0.0, LIFT))
+        each.process(full(0.0))
+    live.process(sample(0.006, LIFT, 0.0, 102.0))
+    answer = live.process(sample(0.014, 0.0, LIFT))
     assert said(answer, "early: 0.014 s takes the place of 0.006 s")
-    expected = told.hear(sample(0.01, 0.0, LIFT, 102.0))
+    expected = told.process(sample(0.01, 0.0, LIFT, 102.0))
     assert (answer.displacement, answer.mode) == (expected.displacement, expected.mode)
 
 
 def test_lines_without_a_time_do_not_use_up_the_time_of_samples():
     live, told = Live(MODEL), Live(MODEL)
     for k in range(20):
-        live.hear("")
-        live.hear("nonsense")
-        answer, expected = live.hear(full(STEP_S * k)), told.hear(full(STEP_S * k))
+        live.process("")
+        live.process("nonsense")
+        answer, expected = live.process(full(STEP_S * k)), told.process(full(STEP_S * k))
         if k:
             assert answer == expected
 
@@ -152,15 +155,15 @@ def test_lines_without_a_time_do_not_use_up_the_time_of_samples():
 def test_what_leaves_the_tests_is_told():
     covered = handmade.envelope(command=(0.05, 0.4), displacement=(50.0, 150.0))
     live = Live(handmade.hitch("integrator", covered=covered))
-    assert live.hear(full(0.0)).flags == ()
+    assert live.process(full(0.0)).flags == ()
     zone = DEAD_ZONES[LIFTING]
-    assert live.hear(full(0.01, lifting=zone + 0.39, displacement=149.0)).flags == ()
+    assert live.process(full(0.01, lifting=zone + 0.39, displacement=149.0)).flags == ()
     for lifting, displacement in ((zone + 0.41, 100.0), (zone + 0.04, 100.0)):
-        (flag,) = live.hear(full(None, lifting=lifting, displacement=displacement)).flags
+        (flag,) = live.process(full(None, lifting=lifting, displacement=displacement)).flags
         assert flag == (
             f"outside: lifting_command {lifting:g}; the tests covered 0.05 to 0.4 A beyond the dead zone"
         )
-    (flag,) = live.hear(full(None, displacement=151.0)).flags
+    (flag,) = live.process(full(None, displacement=151.0)).flags
     assert flag.startswith("outside: displacement 151; the tests covered 50 to 150 mm")
 
 
@@ -173,7 +176,7 @@ def test_everything_is_compiled_before_the_first_sample():
         live = Live(handmade.hitch("integrator-first-order", compensated=True, free_run=True))
         assert compiled
         compiled.clear()
-        live.hear(full(0.0))
+        live.process(full(0.0))
         assert compiled == []
     finally:
         jax.monitoring.clear_event_listeners()
@@ -184,63 +187,63 @@ def test_a_sample_out_of_order_is_not_taken_in(early):
     live, other = Live(MODEL), Live(MODEL)
     for each in (live, other):
         for k in range(3):
-            last = each.hear(full(STEP_S * k))
-    refused = live.hear(full(early, lifting=0.0, displacement=50.0))
+            last = each.process(full(STEP_S * k))
+    refused = live.process(full(early, lifting=0.0, displacement=50.0))
     assert (refused.time_s, refused.displacement, refused.mode) == last[:3]
     assert len(refused.flags) == 1
     assert said(refused, "out of order")
-    assert live.hear(full(0.03)) == other.hear(full(0.03))
+    assert live.process(full(0.03)) == other.process(full(0.03))
 
 
-@pytest.mark.parametrize("early", [-STEP_S * (SET_BACK + 2), -1e300])
+@pytest.mark.parametrize("early", [-STEP_S * (CLOCK_SET_BACK_SAMPLES + 2), -1e300])
 def test_a_clock_set_far_back_starts_anew(early):
     live = Live(MODEL)
     for k in range(3):
-        live.hear(full(STEP_S * k))
-    begun = live.hear(full(early, displacement=50.0))
+        live.process(full(STEP_S * k))
+    begun = live.process(full(early, displacement=50.0))
     assert said(begun, "the clock was set back")
-    assert begun.displacement == Live(MODEL).hear(full(0.0, displacement=50.0)).displacement
+    assert begun.displacement == Live(MODEL).process(full(0.0, displacement=50.0)).displacement
 
 
-@pytest.mark.parametrize("gap_s", [STEP_S * (LONGEST_GAP + 2), 1e15, 1e308])
+@pytest.mark.parametrize("gap_s", [STEP_S * (MAX_GAP_SAMPLES + 2), 1e15, 1e308])
 def test_after_too_long_a_gap_nothing_is_known_any_more(gap_s):
     live = Live(MODEL)
-    live.hear(full(0.0))
-    forgotten = live.hear(sample(gap_s, LIFT, 0.0))
+    live.process(full(0.0))
+    forgotten = live.process(sample(gap_s, LIFT, 0.0))
     assert (forgotten.displacement, forgotten.mode) == (None, "standing")
     assert said(forgotten, "late: ")
     assert said(forgotten, "waiting for a displacement")
-    begun = live.hear(full(gap_s + STEP_S, displacement=70.0))
-    assert begun.displacement == Live(MODEL).hear(full(0.0, displacement=70.0)).displacement
+    begun = live.process(full(gap_s + STEP_S, displacement=70.0))
+    assert begun.displacement == Live(MODEL).process(full(0.0, displacement=70.0)).displacement
 
 
 def test_both_valves_on_is_told():
     live = Live(MODEL, initial=START)
-    both = live.hear(sample(0.0, LIFT, LIFT))
+    both = live.process(sample(0.0, LIFT, LIFT))
     assert (both.mode, both.flags) == ("lowering", ("both valves are on: lowering counts",))
-    assert live.hear(sample(0.01, LIFT, 0.0)).flags == ()
+    assert live.process(sample(0.01, LIFT, 0.0)).flags == ()
 
 
 def test_what_is_not_known_is_told_and_passed_over():
     live, told = Live(MODEL), Live(MODEL)
-    answer = live.hear(full(0.0, pressure=3.0))
-    assert answer.displacement == told.hear(full(0.0)).displacement
+    answer = live.process(full(0.0, pressure=3.0))
+    assert answer.displacement == told.process(full(0.0)).displacement
     assert len(answer.flags) == 1
-    assert all(name in answer.flags[0] for name in ("'pressure'", *KNOWN))
+    assert all(name in answer.flags[0] for name in ("'pressure'", *FIELDS))
 
 
 @pytest.mark.parametrize(
     "line", ["", "{", "nonsense", "[" * 100_000, '{"displacement": ' + "9" * 5000 + "}"], ids=range(5)
 )
 def test_what_is_no_json_is_told(line):
-    answer = Live(MODEL, initial=START).hear(line)
+    answer = Live(MODEL, initial=START).process(line)
     assert answer.displacement == START
     assert said(answer, "the line is no JSON")
 
 
 @pytest.mark.parametrize("line", ["[]", "[0.0, 0.5]", "1", '"text"', "null", "true", "NaN"])
 def test_what_is_no_object_is_told(line):
-    answer = Live(MODEL, initial=START).hear(line)
+    answer = Live(MODEL, initial=START).process(line)
     assert answer.displacement == START
     assert said(answer, "required an object")
 
@@ -249,8 +252,8 @@ def test_what_is_no_object_is_told(line):
 def test_what_is_no_number_counts_as_missing_and_is_told(value):
     live, told = Live(MODEL), Live(MODEL)
     for each in (live, told):
-        each.hear(full(0.0))
-    answer, expected = live.hear(full(0.01, displacement=value)), told.hear(sample(0.01, LIFT, 0.0))
+        each.process(full(0.0))
+    answer, expected = live.process(full(0.01, displacement=value)), told.process(sample(0.01, LIFT, 0.0))
     assert answer.displacement == expected.displacement
     assert answer.flags == ("not a number: displacement", *expected.flags)
 
@@ -260,19 +263,19 @@ def test_what_is_no_number_counts_as_missing_and_is_told(value):
 def test_what_is_not_finite_counts_as_missing(role, text):
     live, told = Live(MODEL), Live(MODEL)
     for each in (live, told):
-        each.hear(full(0.0))
+        each.process(full(0.0))
     lines = json.loads(full(0.01))
     del lines[role]
-    expected = told.hear(json.dumps(lines))
-    assert live.hear(json.dumps(lines)[:-1] + f', "{role}": {text}}}') == expected
+    expected = told.process(json.dumps(lines))
+    assert live.process(json.dumps(lines)[:-1] + f', "{role}": {text}}}') == expected
     assert said(expected, "coasting" if role == "displacement" else "missing")
 
 
 @pytest.mark.parametrize("size", [1e10, 1e40, 1.7e308])
 def test_a_displacement_beyond_all_measure_is_none_to_start_from(size):
     live = Live(MODEL)
-    assert live.hear(full(0.0, displacement=size)).displacement is None
-    assert live.hear(full(0.01)).displacement == Live(MODEL).hear(full(0.0)).displacement
+    assert live.process(full(0.0, displacement=size)).displacement is None
+    assert live.process(full(0.01)).displacement == Live(MODEL).process(full(0.0)).displacement
 
 
 numbers = st.one_of(
@@ -281,7 +284,7 @@ numbers = st.one_of(
     st.sampled_from([0.3, 0.6, 100.0, 1e9, -1e9, 1e40, 1.7e308, -1.7e308, 10**400]),
 )
 values = st.one_of(numbers, st.booleans(), st.none(), st.text(max_size=5), st.lists(numbers, max_size=2))
-names = st.sampled_from([*KNOWN, "pressure"])
+names = st.sampled_from([*FIELDS, "pressure"])
 lines = st.one_of(
     st.dictionaries(names, values, max_size=5).map(json.dumps),
     st.dictionaries(names, numbers, min_size=3, max_size=5).map(json.dumps),
@@ -294,17 +297,17 @@ lines = st.one_of(
 def test_whatever_comes_it_answers_with_numbers_or_nothing(heard, initial):
     live = Live(MODEL, initial=initial)
     for line in heard:
-        answer = live.hear(line)
+        answer = live.process(line)
         assert math.isfinite(answer.time_s)
         assert answer.displacement is None or math.isfinite(answer.displacement)
         assert answer.mode in ("lifting", "lowering", "standing")
-        assert json.loads(answer.line(), parse_constant=pytest.fail) == {
+        assert json.loads(answer.to_json(), parse_constant=pytest.fail) == {
             "time_s": answer.time_s,
             "displacement": answer.displacement,
             "mode": answer.mode,
             "flags": list(answer.flags),
         }
-        assert len(answer.line().splitlines()) == 1
+        assert len(answer.to_json().splitlines()) == 1
 
 
 @pytest.fixture
@@ -323,7 +326,7 @@ def answers(live, record, *, measured):
     heard = zip(
         record.time_s, record.command("lifting"), record.command("lowering"), record.displacement, strict=True
     )
-    rows = [live.hear(sample(t, up, down, y if measured else None)) for t, up, down, y in heard]
+    rows = [live.process(sample(t, up, down, y if measured else None)) for t, up, down, y in heard]
     assert all(row.flags == () for row in rows)
     return np.array([row.displacement for row in rows])
 

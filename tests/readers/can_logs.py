@@ -6,7 +6,7 @@ import can
 import cantools.database
 from can.io.mf4 import MF4Writer
 
-from hitchid.readers.content import Wanted
+from hitchid.readers.content import ChannelSelection
 from hitchid.readers.formats.can.streams import Frame
 
 EXTENDED = 0x80000000
@@ -68,4 +68,4 @@ def logged(frames, path):
 
 def wanted(*signals, databases=()):
     """Return a wish for signals, all of them where none is named."""
-    return Wanted("time_s", signals or None, tuple(databases))
+    return ChannelSelection("time_s", signals or None, tuple(databases))

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from hitchid.errors import LogError
-from hitchid.readers.content import Wanted
+from hitchid.readers.content import ChannelSelection
 
-EVERYTHING = Wanted("time_s", None)
+EVERYTHING = ChannelSelection("time_s", None)
 FOREIGN = {
     "empty": b"",
     "one byte": b"x",

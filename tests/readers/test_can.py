@@ -12,7 +12,7 @@ from can_logs import EXTENDED, PROTOCOL, frame, logged, marked, message, truth, 
 from hitchid.errors import LogError
 from hitchid.readers.formats.can import SUFFIXES, is_bus_log, read, read_bus, read_mf4
 from hitchid.readers.formats.can.bits import available
-from hitchid.readers.formats.can.database import Field, parameter_group
+from hitchid.readers.formats.can.database import CanSignal, parameter_group
 from hitchid.readers.formats.can.streams import Frame
 
 KINDS = (".asc", ".blf", ".mf4")
@@ -255,7 +255,7 @@ def test_destination_and_priority_are_not_part_of_a_group_but_the_low_byte_of_a_
 
 
 def field(length, *, signed=False):
-    return Field("x", None, 0, length, True, signed, False, 1.0, 0.0, None, ())
+    return CanSignal("x", None, 0, length, True, signed, False, 1.0, 0.0, None, ())
 
 
 @pytest.mark.parametrize(

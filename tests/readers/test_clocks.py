@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from hitchid.data.signal_map import CampaignFile, Column, SignalMap
 from hitchid.errors import LogError
 from hitchid.readers import ReaderProcess, read_log
-from hitchid.readers.clocks import on_one_clock
-from hitchid.readers.content import Channel, Content
+from hitchid.readers.clocks import resample_to_common_clock
+from hitchid.readers.content import Content, LogChannel
 from hitchid.readers.table import table_of
 
 EPS = np.finfo(np.float64).eps
@@ -31,7 +31,7 @@ def stepped(time_s, at=0.5):
 def merged(channels, signals=SIGNALS):
     """Return the table of channels, name to clock and samples."""
     given = {
-        name: Channel(np.asarray(values, dtype=float), clock_s=clock)
+        name: LogChannel(np.asarray(values, dtype=float), clock_s=clock)
         for name, (clock, values) in channels.items()
     }
     return table_of(Content(SOURCE, given), signals)
@@ -141,9 +141,9 @@ def test_equal_clocks_leave_every_bit_and_say_nothing(shared):
 def test_a_channel_that_holds_the_time_counts_for_all():
     stamps = SLOW + 5.0
     given = {
-        "time_s": Channel(stamps),
-        "x": Channel(line(SLOW), clock_s=SLOW),
-        "i": Channel(stepped(SLOW), clock_s=SLOW + 2.0),
+        "time_s": LogChannel(stamps),
+        "x": LogChannel(line(SLOW), clock_s=SLOW),
+        "i": LogChannel(stepped(SLOW), clock_s=SLOW + 2.0),
     }
     table = table_of(Content(SOURCE, given), SIGNALS)
     assert table.time_s.tobytes() == stamps.tobytes()
@@ -295,10 +295,12 @@ def test_the_order_of_the_channels_does_not_matter_and_a_line_stays_one(x, i, p,
 
 def test_a_time_that_a_channels_own_clock_gives_the_lie_is_refused():
     time = np.arange(200) / 100
-    slow = Channel(np.arange(200.0), clock_s=2 * time)
-    shifted = Channel(np.arange(200.0), clock_s=time + 5.0)
+    slow = LogChannel(np.arange(200.0), clock_s=2 * time)
+    shifted = LogChannel(np.arange(200.0), clock_s=time + 5.0)
     names = {"displacement": "x"}
-    kept, _, _ = on_one_clock(Path("log.tdms"), Channel(time), {"displacement": shifted}, names)
+    kept, _, _ = resample_to_common_clock(
+        Path("log.tdms"), LogChannel(time), {"displacement": shifted}, names
+    )
     np.testing.assert_array_equal(kept, time)
     with pytest.raises(LogError, match=r"column 'x': lasts 3.98 s by its own clock, 1.99 s by the time"):
-        on_one_clock(Path("log.tdms"), Channel(time), {"displacement": slow}, names)
+        resample_to_common_clock(Path("log.tdms"), LogChannel(time), {"displacement": slow}, names)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from hitchid.errors import LogError
-from hitchid.readers.content import Wanted
+from hitchid.readers.content import ChannelSelection
 from hitchid.readers.formats.csv import read, read_rows, write_rows, write_table
 
 NAMES = ("time_s", "current_up_A", "displacement_mm")
@@ -49,7 +49,7 @@ def with_cell(cell, row=9, column=1):
 
 def read_table(path, names=NAMES):
     """Return the columns of these names."""
-    return read(path, Wanted(names[0], tuple(names[1:])))
+    return read(path, ChannelSelection(names[0], tuple(names[1:])))
 
 
 def same_bits(one, other):
@@ -287,19 +287,22 @@ SHIFTED = {
 @pytest.mark.parametrize("content", SHIFTED.values(), ids=SHIFTED.keys())
 def test_samples_that_do_not_lie_under_the_names_are_refused(log, content):
     with pytest.raises(LogError, match=r"line 2: the line has \d cells, the header in line 1 \d names"):
-        read(log(content), Wanted("no", ("such",)))
+        read(log(content), ChannelSelection("no", ("such",)))
 
 
 def test_a_row_that_grows_wide_far_below_is_refused(log):
     rest = "".join(f"{k},0,7\n" for k in range(500))
     with pytest.raises(LogError, match=r"line 502: the line has 4 cells, the header in line 1 3 names"):
-        read(log(f"time_ms,u_A,x_mm\n{rest}500,0,5,7\n501,0,5,8\n"), Wanted("time_ms", ("u_A", "x_mm")))
+        read(
+            log(f"time_ms,u_A,x_mm\n{rest}500,0,5,7\n501,0,5,8\n"),
+            ChannelSelection("time_ms", ("u_A", "x_mm")),
+        )
 
 
 @pytest.mark.parametrize("foreign", ["degC", "°C", "kN", "l/min", "rpm"])
 def test_a_unit_that_is_not_known_does_not_hide_the_others(log, foreign):
     rows = "".join(f"{10 * k};{k};20,5;{k}\n" for k in range(30))
-    content = read(log(f"t;u;temp;x\nms;mA;{foreign};cm\n{rows}"), Wanted("t", ("u", "temp", "x")))
+    content = read(log(f"t;u;temp;x\nms;mA;{foreign};cm\n{rows}"), ChannelSelection("t", ("u", "temp", "x")))
     units = {"t": "ms", "u": "mA", "temp": foreign, "x": "cm"}
     assert {name: each.unit for name, each in content.channels.items()} == units
     assert len(content.channels["t"].values) == 30
@@ -308,8 +311,8 @@ def test_a_unit_that_is_not_known_does_not_hide_the_others(log, foreign):
 def test_a_name_that_brackets_alone_tell_apart_must_be_whole(log):
     path = log("t [s];Lift [V];Lift [mm]\n" + "".join(f"{k};{k};{2 * k}\n" for k in range(30)))
     with pytest.raises(LogError, match=r"column 'Lift': several columns are meant: Lift \[V\], Lift \[mm\]"):
-        read(path, Wanted("t", ("Lift",)))
-    whole = read(path, Wanted("t", ("Lift [mm]",))).channels["Lift [mm]"]
+        read(path, ChannelSelection("t", ("Lift",)))
+    whole = read(path, ChannelSelection("t", ("Lift [mm]",))).channels["Lift [mm]"]
     assert (whole.values[3], whole.unit) == (6.0, "mm")
 
 
@@ -321,15 +324,15 @@ def test_no_sample_is_lost_above_a_bad_line(log):
 def test_commas_that_may_be_thousands_are_refused(log):
     rows = "".join(f"{k};{k};{cell}\n" for k, cell in enumerate(["998", "999", "1,000", "1,001"] * 5))
     with pytest.raises(LogError, match="may be a decimal or a thousand"):
-        read(log("time_s;current_up_A;p\n" + rows), Wanted("time_s", ("p",)))
+        read(log("time_s;current_up_A;p\n" + rows), ChannelSelection("time_s", ("p",)))
     for decimal in ("0,998", "1,5", "1,0005"):
         text = "time_s;current_up_A;p\n" + rows.replace("998", decimal, 1)
-        content = read(log(text), Wanted("time_s", ("p",)))
+        content = read(log(text), ChannelSelection("time_s", ("p",)))
         assert content.channels["p"].values[2] == 1.0
 
 
 def test_a_last_line_without_an_end_is_told(log):
-    wanted = Wanted(NAMES[0], NAMES[1:])
+    wanted = ChannelSelection(NAMES[0], NAMES[1:])
     assert read(log(PLAIN), wanted).notices == ()
     (notice,) = read(log(PLAIN.rstrip("\n")), wanted).notices
     assert "cut short" in notice
@@ -393,7 +396,7 @@ max,,1.7e+308,1.7e+308,100
 
 
 def test_an_export_of_controldesk_is_read_by_the_last_parts_of_paths(log):
-    content = read(log(exported()), Wanted("time_s", ("Boom_ang", "Head_P", "up")))
+    content = read(log(exported()), ChannelSelection("time_s", ("Boom_ang", "Head_P", "up")))
     units = {"time_s": "s", "Boom_ang": "deg", "Head_P": "bar", "up": "%"}
     assert {name: channel.unit for name, channel in content.channels.items()} == units
     np.testing.assert_array_equal(content.channels["time_s"].values, [0.0, 0.0099887, 0.0200245])
@@ -407,15 +410,17 @@ def test_an_export_of_controldesk_is_read_by_the_last_parts_of_paths(log):
 
 
 def test_every_raster_of_controldesk_has_a_time_of_its_own(log):
-    content = read(log(exported("1ms", names="In1,In1,")), Wanted("time_s/10ms", ("Head_P",)))
+    content = read(log(exported("1ms", names="In1,In1,")), ChannelSelection("time_s/10ms", ("Head_P",)))
     np.testing.assert_array_equal(content.channels["time_s/10ms"].values, [0.0, 0.0099887, 0.0200245])
     with pytest.raises(LogError, match=r"no such column.*time_s/10ms.*time_s/1ms"):
-        read(log(exported("1ms", names="In1,In1,")), Wanted("time_s", ("Head_P",)))
+        read(log(exported("1ms", names="In1,In1,")), ChannelSelection("time_s", ("Head_P",)))
 
 
 def test_a_name_that_stands_twice_does_no_harm_unless_it_is_asked_for(log):
     doubled = PLAIN.replace("\n", ",1,2\n").replace(",1,2", ",In1,In1", 1)
-    assert read(log(doubled), Wanted("time_s", ("current_up_A",))).channels["time_s"].values.size == len(ROWS)
-    assert "In1" not in read(log(doubled), Wanted("time_s", None)).channels
+    assert read(log(doubled), ChannelSelection("time_s", ("current_up_A",))).channels[
+        "time_s"
+    ].values.size == len(ROWS)
+    assert "In1" not in read(log(doubled), ChannelSelection("time_s", None)).channels
     with pytest.raises(LogError, match="column 'In1': several columns are meant: In1, In1"):
-        read(log(doubled), Wanted("time_s", ("In1",)))
+        read(log(doubled), ChannelSelection("time_s", ("In1",)))

@@ -7,11 +7,11 @@ from damaged import FOREIGN, cut_everywhere, damage_everywhere, sample, table, w
 from scipy.io import netcdf_file
 
 from hitchid.errors import LogError
-from hitchid.readers.content import Wanted
-from hitchid.readers.formats.cf import decoded
+from hitchid.readers.content import ChannelSelection
+from hitchid.readers.formats.cf import decode_values
 from hitchid.readers.formats.hdf5 import read
 
-ALL = Wanted("time_s", None)
+ALL = ChannelSelection("time_s", None)
 TIME = np.arange(50) * 20.0
 
 
@@ -57,7 +57,7 @@ def test_doubles_are_read_bit_for_bit(log, options, filters):
         for name, values in columns.items():
             file.create_dataset(f"bench/{name}", data=values, **filters)
 
-    content = read(log(fill, **options), Wanted("time_s", ("stroke_mm", "current_mA", "x")))
+    content = read(log(fill, **options), ChannelSelection("time_s", ("stroke_mm", "current_mA", "x")))
     assert list(content.channels) == list(columns)
     for name, values in columns.items():
         assert content.channels[name].values.tobytes() == values.tobytes()
@@ -92,12 +92,12 @@ def test_scales_of_time_are_clocks_in_seconds(log):
     np.testing.assert_array_equal(time.values, np.arange(50) * 20 / 1000)
     assert content.channels["rig/stroke"].clock_s is content.channels["rig/pressure"].clock_s is time.values
     assert content.channels["loose"].clock_s is None
-    only = read(log(netcdf4, "log.nc"), Wanted("t", ("stroke",)))
+    only = read(log(netcdf4, "log.nc"), ChannelSelection("t", ("stroke",)))
     assert list(only.channels) == ["stroke"]
 
 
 def test_packed_numbers_are_unpacked_and_filled_ones_are_none(log):
-    channels = read(log(netcdf4, "log.nc"), Wanted("time", ("stroke", "pressure"))).channels
+    channels = read(log(netcdf4, "log.nc"), ChannelSelection("time", ("stroke", "pressure"))).channels
     expected = np.arange(50) * 0.5 + 10.0
     expected[3] = np.nan
     np.testing.assert_array_equal(channels["stroke"].values, expected)
@@ -131,7 +131,7 @@ def test_scales_of_anything_else_are_no_clocks(log, units):
     path = log(fill)
     assert read(path, ALL).channels["x"].clock_s is None
     with pytest.raises(LogError, match="column 'time_s': there is no such channel"):
-        read(path, Wanted("time_s", ("x",)))
+        read(path, ChannelSelection("time_s", ("x",)))
 
 
 def outside(tmp_path):
@@ -164,10 +164,10 @@ def test_what_is_kept_in_another_file_is_refused(log, tmp_path, fill):
         file["y"] = np.arange(8.0)
 
     path = log(both)
-    for wanted in (ALL, Wanted("y", ("x",))):
+    for wanted in (ALL, ChannelSelection("y", ("x",))):
         with pytest.raises(LogError, match="column 'x': is kept in another file, required it in this one"):
             read(path, wanted)
-    np.testing.assert_array_equal(read(path, Wanted("y", ())).channels["y"].values, np.arange(8.0))
+    np.testing.assert_array_equal(read(path, ChannelSelection("y", ())).channels["y"].values, np.arange(8.0))
 
 
 @pytest.mark.parametrize("options", [{}, {"libver": "latest"}, {"userblock_size": 512}], ids=str)
@@ -255,6 +255,6 @@ def test_a_classic_netcdf_file_of_others_is_read():
 def test_numbers_without_a_sign_and_a_valid_range_are_those_of_netcdf():
     stored = np.array([-1, 5, 100], dtype=">i2")
     attributes = {"_Unsigned": b"true", "scale_factor": 0.01}
-    np.testing.assert_allclose(decoded(stored, attributes), [655.35, 0.05, 1.0], rtol=1e-15)
+    np.testing.assert_allclose(decode_values(stored, attributes), [655.35, 0.05, 1.0], rtol=1e-15)
     for valid in ({"valid_range": np.array([0, 50])}, {"valid_min": 0, "valid_max": 50}):
-        np.testing.assert_array_equal(decoded(stored, valid), [np.nan, 5.0, np.nan])
+        np.testing.assert_array_equal(decode_values(stored, valid), [np.nan, 5.0, np.nan])

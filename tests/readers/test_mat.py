@@ -14,12 +14,12 @@ from scipy import sparse
 from scipy.io import savemat
 
 from hitchid.errors import LogError
-from hitchid.readers.content import Wanted
+from hitchid.readers.content import ChannelSelection
 from hitchid.readers.formats.mat import read
 
 SAMPLES = 50
 SIGNALS = {"t": np.arange(SAMPLES) / 100, "up": np.arange(SAMPLES) % 3, "x": np.sqrt(np.arange(SAMPLES))}
-ALL, SOME = Wanted("t", None), Wanted("t", ("x", "up"))
+ALL, SOME = ChannelSelection("t", None), ChannelSelection("t", ("x", "up"))
 WAYS = ({}, {"oned_as": "column"}, {"do_compression": True}, {"format": "4"})
 WAY_NAMES = ["rows", "columns", "compressed", "version 4"]
 finite = st.floats(allow_nan=False, allow_infinity=False)
@@ -103,7 +103,7 @@ def saved(request, tmp_path):
 @pytest.mark.parametrize("way", WAYS, ids=WAY_NAMES)
 def test_vectors_are_read_however_they_were_saved(log, way):
     path = log(**way)
-    content = read(path, Wanted("t", ("x",)))
+    content = read(path, ChannelSelection("t", ("x",)))
     assert list(content.channels) == ["t", "x"]
     assert (content.source, content.line_of(0)) == (path, None)
     for name, channel in content.channels.items():
@@ -133,7 +133,7 @@ def test_tables_of_version_7_3_are_read_bit_for_bit(tmp_path, turned):
         tmp_path / "log.mat",
         {name: values[:, None] if turned else values for name, values in columns.items()},
     )
-    content = read(tmp_path / "log.mat", Wanted("time_s", ("stroke_mm", "current_mA", "x")))
+    content = read(tmp_path / "log.mat", ChannelSelection("time_s", ("stroke_mm", "current_mA", "x")))
     for name, values in columns.items():
         assert content.channels[name].values.tobytes() == values.tobytes()
 
@@ -164,7 +164,7 @@ def test_complex_numbers_are_refused_by_name_and_passed_over_among_all(log):
     assert list(read(path, ALL).channels) == ["t", "up"]
 
 
-MIXED = Wanted("x", ("log/rig/x", "stroke"))
+MIXED = ChannelSelection("x", ("log/rig/x", "stroke"))
 NESTED = {
     "log": {"t": SIGNALS["t"], "rig": {"x": SIGNALS["x"], "one": 2.0}, "note": "cold"},
     "x": SIGNALS["x"] / 3,
@@ -176,10 +176,12 @@ def test_fields_of_structs_are_named_by_their_path(saved):
     content = read(path, ALL)
     assert sorted(content.channels) == ["log/rig/x", "log/t", "x"]
     np.testing.assert_array_equal(content.channels["log/rig/x"].values, SIGNALS["x"])
-    np.testing.assert_array_equal(read(path, Wanted("log/t", ("x",))).channels["x"].values, SIGNALS["x"] / 3)
+    np.testing.assert_array_equal(
+        read(path, ChannelSelection("log/t", ("x",))).channels["x"].values, SIGNALS["x"] / 3
+    )
     with pytest.raises(LogError, match=r"'t': lies in another group than 'x'; required .* 'log/t'"):
-        read(path, Wanted("t", ("x",)))
-    assert list(read(path, Wanted("t", ("log/rig/x",))).channels) == ["t", "log/rig/x"]
+        read(path, ChannelSelection("t", ("x",)))
+    assert list(read(path, ChannelSelection("t", ("log/rig/x",))).channels) == ["t", "log/rig/x"]
 
 
 def control_desk(**more):
@@ -201,7 +203,7 @@ def test_signals_of_control_desk_bring_their_clock(saved):
     np.testing.assert_array_equal(channels["Model Root/pressure"].clock_s, np.arange(5.0))
     assert channels["flow"].clock_s is channels["Model Root/stroke"].clock_s
     np.testing.assert_array_equal(channels["flow"].values, SIGNALS["x"] / 3)
-    assert list(read(path, Wanted("time_s", ("stroke",))).channels) == ["stroke"]
+    assert list(read(path, ChannelSelection("time_s", ("stroke",))).channels) == ["stroke"]
 
 
 def test_a_control_desk_export_on_one_axis_needs_no_index(saved):
@@ -237,7 +239,7 @@ def test_what_is_kept_in_another_file_is_refused(tmp_path):
     with h5py.File(tmp_path / "log.mat", "r+") as file:
         file["x"] = h5py.ExternalLink("secret.mat", "/x")
     with pytest.raises(LogError, match="column 'x': is kept in another file, required it in this one"):
-        read(tmp_path / "log.mat", Wanted("t", ("x",)))
+        read(tmp_path / "log.mat", ChannelSelection("t", ("x",)))
 
 
 @pytest.mark.parametrize("way", WAYS, ids=WAY_NAMES)

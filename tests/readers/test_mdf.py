@@ -7,10 +7,10 @@ from asammdf.blocks.conversion_utils import from_dict
 from damaged import FOREIGN, assert_same, cut_everywhere, damage_everywhere, table, without
 
 from hitchid.errors import LogError
-from hitchid.readers.content import Wanted
+from hitchid.readers.content import ChannelSelection
 from hitchid.readers.formats.mdf import read, write_table
 
-ALL = Wanted("time_s", None)
+ALL = ChannelSelection("time_s", None)
 FAST, SLOW = np.arange(200) / 100, np.arange(20) / 10
 RANDOM = np.random.default_rng(7)
 STROKE, PRESSURE = RANDOM.normal(size=200), RANDOM.normal(size=20)
@@ -39,7 +39,7 @@ def signal(name, values=STROKE, time=FAST, unit="", conversion=None, **options):
 def test_a_written_table_reads_back_bit_for_bit(tmp_path, suffix):
     columns = table()
     write_table(tmp_path / f"log{suffix}", columns)
-    content = read(tmp_path / f"log{suffix}", Wanted("time_s", ("stroke_mm", "current_mA", "x")))
+    content = read(tmp_path / f"log{suffix}", ChannelSelection("time_s", ("stroke_mm", "current_mA", "x")))
     assert list(content.channels) == ["stroke_mm", "current_mA", "x"]
     assert_same(content, columns)
     assert [channel.unit for channel in content.channels.values()] == ["mm", "mA", None]
@@ -81,7 +81,7 @@ def test_each_group_has_its_own_clock(log, version):
 
 
 def test_the_time_need_not_be_a_channel(log):
-    content = read(log(("fast", [signal("stroke")])), Wanted("whatever", ("stroke",)))
+    content = read(log(("fast", [signal("stroke")])), ChannelSelection("whatever", ("stroke",)))
     assert list(content.channels) == ["stroke"]
 
 
@@ -90,7 +90,7 @@ def test_groups_without_a_name_of_their_own_go_by_number(log):
     content = read(path, ALL)
     assert list(content.channels) == ["0/x", "1/x", "other/y", "other/y (2)"]
     with pytest.raises(LogError, match="column 'x': several channels are meant: 0/x, 1/x"):
-        read(path, Wanted("t", ("x",)))
+        read(path, ChannelSelection("t", ("x",)))
 
 
 def test_the_only_group_needs_no_name(log):
@@ -118,7 +118,7 @@ def test_the_parts_of_an_array_are_channels_and_the_array_is_none(log):
 def test_scaled_numbers_are_scaled_in_doubles(log, version, kind):
     raw = np.arange(200).astype(kind)
     scaled = signal("x", raw, conversion={"a": 0.1, "b": -3.7})
-    values = read(log(("g", [scaled]), version=version), Wanted("t", ("x",))).channels["x"].values
+    values = read(log(("g", [scaled]), version=version), ChannelSelection("t", ("x",))).channels["x"].values
     np.testing.assert_array_equal(values, raw.astype(float) * 0.1 - 3.7)
 
 
@@ -127,7 +127,7 @@ def test_the_unit_of_a_conversion_counts_where_the_channel_has_none(log, unit, s
     # ASAM MDF 4, CCBLOCK: the channel's unit overwrites the conversion's.
     converted = signal("x", np.arange(200, dtype=np.int16), unit=unit, conversion={"a": 0.1, "b": 0.0})
     converted.conversion.unit = "cm"
-    assert read(log(("g", [converted])), Wanted("t", ("x",))).channels["x"].unit == stated
+    assert read(log(("g", [converted])), ChannelSelection("t", ("x",))).channels["x"].unit == stated
 
 
 def test_a_rational_and_a_table_conversion_are_carried_out(log):
@@ -139,7 +139,7 @@ def test_a_rational_and_a_table_conversion_are_carried_out(log):
         signal("r", raw, conversion=rational),
         signal("t", raw, conversion={**points, "interpolation": True}),
     ]
-    channels = read(log(("g", signals)), Wanted("t", ("r", "t"))).channels
+    channels = read(log(("g", signals)), ChannelSelection("t", ("r", "t"))).channels
     np.testing.assert_allclose(channels["r"].values, (2 * raw + 1) / 4, rtol=1e-15)
     np.testing.assert_allclose(channels["t"].values, np.interp(raw, [0, 100, 200], [0, 1, 5]), rtol=1e-15)
 
@@ -149,7 +149,8 @@ def test_a_state_whose_names_are_text_is_read_by_number(log, version):
     raw = (np.arange(200) % 2).astype(np.uint8)
     state = signal("mode", raw, conversion={"val_0": 0, "text_0": b"off", "val_1": 1, "text_1": b"on"})
     np.testing.assert_array_equal(
-        read(log(("g", [state]), version=version), Wanted("t", ("mode",))).channels["mode"].values, raw
+        read(log(("g", [state]), version=version), ChannelSelection("t", ("mode",))).channels["mode"].values,
+        raw,
     )
 
 
@@ -163,7 +164,11 @@ def test_text_for_some_numbers_leaves_the_scale_of_the_others(log):
         "default": scale,
         "default_addr": scale,
     }
-    values = read(log(("g", [signal("x", raw, conversion=fault)])), Wanted("t", ("x",))).channels["x"].values
+    values = (
+        read(log(("g", [signal("x", raw, conversion=fault)])), ChannelSelection("t", ("x",)))
+        .channels["x"]
+        .values
+    )
     np.testing.assert_array_equal(values, np.where(raw == 255, np.nan, raw * 0.5))
 
 
@@ -172,14 +177,14 @@ def test_a_formula_is_not_evaluated(log, version):
     formula = {"formula": "__import__('os').abort() + X1"}
     path = log(("g", [signal("x", conversion=formula), signal("y")]), version=version)
     with pytest.raises(LogError, match="column 'x': is converted by a formula, required numbers"):
-        read(path, Wanted("t", ("x",)))
-    np.testing.assert_array_equal(read(path, Wanted("t", ("y",))).channels["y"].values, STROKE)
+        read(path, ChannelSelection("t", ("x",)))
+    np.testing.assert_array_equal(read(path, ChannelSelection("t", ("y",))).channels["y"].values, STROKE)
 
 
 def test_samples_marked_invalid_are_no_numbers(log):
     invalid = np.arange(200) % 10 == 3
     path = log(("g", [signal("x", invalidation_bits=invalid), signal("y")]))
-    channels = read(path, Wanted("t", ("x", "y"))).channels
+    channels = read(path, ChannelSelection("t", ("x", "y"))).channels
     np.testing.assert_array_equal(channels["x"].values, np.where(invalid, np.nan, STROKE))
     np.testing.assert_array_equal(channels["y"].values, STROKE)
     assert channels["x"].clock_s.size == 200
@@ -193,7 +198,7 @@ def test_a_master_that_counts_an_angle_is_no_clock(log):
     assert channels["g/x"].clock_s is None
     np.testing.assert_array_equal(channels["g/crank"].values, FAST)
     with pytest.raises(LogError, match="column 'time_s': there is no such channel"):
-        read(path, Wanted("time_s", ("x",)))
+        read(path, ChannelSelection("time_s", ("x",)))
 
 
 def test_a_master_that_is_not_in_the_file_counts_samples(log):
@@ -214,7 +219,7 @@ def test_long_and_compressed_groups_are_read_whole(log, compression):
     time = np.arange(60_000) / 1000
     values = np.random.default_rng(1).normal(size=time.size)
     path = log(("g", [signal("x", values, time)]), compression=compression)
-    channel = read(path, Wanted("t", ("x",))).channels["x"]
+    channel = read(path, ChannelSelection("t", ("x",))).channels["x"]
     np.testing.assert_array_equal(channel.values, values)
     np.testing.assert_array_equal(channel.clock_s, time)
 
@@ -225,7 +230,7 @@ def test_data_lists_of_version_4_20_are_read(log, compression, options):
     invalid = np.arange(200) % 10 == 3
     signals = [signal("x"), signal("y", 2 * STROKE, invalidation_bits=invalid)]
     path = log(("g", signals), version="4.20", compression=compression, **options)
-    channels = read(path, Wanted("t", ("x", "y"))).channels
+    channels = read(path, ChannelSelection("t", ("x", "y"))).channels
     np.testing.assert_array_equal(channels["x"].values, STROKE)
     np.testing.assert_array_equal(channels["y"].values, np.where(invalid, np.nan, 2 * STROKE))
     np.testing.assert_array_equal(channels["y"].clock_s, FAST)

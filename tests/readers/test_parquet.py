@@ -9,10 +9,10 @@ from damaged import FOREIGN, assert_same, cut_everywhere, damage_everywhere, sam
 from pyarrow import parquet
 
 from hitchid.errors import LogError
-from hitchid.readers.content import Wanted
+from hitchid.readers.content import ChannelSelection
 from hitchid.readers.formats.parquet import read, write_table
 
-ALL = Wanted("time_s", None)
+ALL = ChannelSelection("time_s", None)
 
 
 @pytest.fixture
@@ -33,7 +33,7 @@ def log(tmp_path):
 def test_a_written_table_reads_back_bit_for_bit(tmp_path):
     columns = table()
     write_table(tmp_path / "log.parquet", columns)
-    content = read(tmp_path / "log.parquet", Wanted("time_s", ("stroke_mm", "current_mA", "x")))
+    content = read(tmp_path / "log.parquet", ChannelSelection("time_s", ("stroke_mm", "current_mA", "x")))
     assert list(content.channels) == list(columns)
     assert_same(content, columns)
     assert [channel.unit for channel in content.channels.values()] == ["s", "mm", "mA", None]
@@ -42,14 +42,14 @@ def test_a_written_table_reads_back_bit_for_bit(tmp_path):
 
 def test_only_the_wanted_columns_are_read(log):
     path = log({"t": [0.0, 1.0], "a": [1.0, 2.0], "a.b": [3.0, 4.0], "spare": [5.0, 6.0]})
-    content = read(path, Wanted("t", ("a.b",)))
+    content = read(path, ChannelSelection("t", ("a.b",)))
     assert list(content.channels) == ["t", "a.b"]
     np.testing.assert_array_equal(content.channels["a.b"].values, [3.0, 4.0])
     with pytest.raises(
         LogError,
         match=r"column 'b': there is no such channel; .*; found t, a, a\.b",
     ):
-        read(path, Wanted("t", ("b",)))
+        read(path, ChannelSelection("t", ("b",)))
 
 
 def test_every_kind_of_number_is_read_and_nothing_else(log):
@@ -85,7 +85,7 @@ def test_numbers_kept_in_a_dictionary_are_read(log):
 def test_time_stamps_turn_into_seconds_since_the_first(log, tick):
     start = np.datetime64("2024-05-01T10:00:00", tick)
     stamps = start + np.array([0, 1, 2, 30]) * np.timedelta64(1, tick)
-    time = read(log({"t": stamps, "x": np.arange(4.0)}), Wanted("t", ("x",))).channels["t"]
+    time = read(log({"t": stamps, "x": np.arange(4.0)}), ChannelSelection("t", ("x",))).channels["t"]
     step = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}[tick]
     assert time.unit == "s"
     np.testing.assert_array_equal(time.values, np.array([0, 1, 2, 30]) / step)

@@ -13,9 +13,9 @@ import pytest
 import hitchid.readers
 from hitchid.errors import LogError
 from hitchid.readers import ReaderProcess, process
-from hitchid.readers.content import Wanted
+from hitchid.readers.content import ChannelSelection
 
-ALL = Wanted("time_s", None)
+ALL = ChannelSelection("time_s", None)
 VALUES = np.array([np.nan, np.inf, -np.inf, -0.0, 0.0, 5e-324, -5e-324, 1.7976931348623157e308, 0.1])
 # Read by the child as it starts: there, a log is a script that the "reader" of its format runs.
 PLUGIN = """
@@ -278,7 +278,7 @@ def test_the_wish_arrives_as_it_was(reader, tmp_path):
     path = tmp_path / "wish.log"
     path.write_text("notices = (repr((wanted.time, wanted.signals, [str(d) for d in wanted.databases])),)")
     databases = (tmp_path / "b us.dbc", Path(os.fsdecode(b"/x/\xff.dbc")))
-    wanted = Wanted('t"\n', ("ä", "\udcff", "x"), databases)
+    wanted = ChannelSelection('t"\n', ("ä", "\udcff", "x"), databases)
     (notice,) = reader.read(path, wanted).notices
     assert notice == repr((wanted.time, wanted.signals, list(map(str, databases))))
     (notice,) = reader.read(path, ALL).notices

@@ -11,7 +11,7 @@ from hitchid.data.signal_map import DEFAULT_SIGNALS, CampaignFile, Column
 from hitchid.errors import HitchError, InputError, LogError
 from hitchid.readers import ReaderProcess, find_logs, read, read_log, write_table
 from hitchid.readers.formats import record_name
-from hitchid.readers.reading import SHORTEST
+from hitchid.readers.reading import MIN_SAMPLES
 
 EPS = np.finfo(np.float64).eps
 STEP_S = 0.01
@@ -167,7 +167,7 @@ def test_other_names_units_and_covariates_come_from_the_folders_own_settings(tmp
     )
     (record,) = read(tmp_path).records
     assert record.step_s == STEP_S
-    assert record.modes == ("lowering",)
+    assert record.directions == ("lowering",)
     assert dict(record.units) == {
         "displacement": "deg",
         "lowering_command": "percent",
@@ -194,7 +194,7 @@ def test_a_single_channel_keeps_the_sign_of_its_command(tmp_path):
     write_table(tmp_path / "a.csv", {"time_s": columns()["time_s"], "v_V": signed, "displacement_mm": signed})
     settle(tmp_path, '[signals]\nlifting_command = "v_V"\n')
     (record,) = read(tmp_path).records
-    assert record.modes == ("lifting",)
+    assert record.directions == ("lifting",)
     np.testing.assert_array_equal(record.command("lifting"), signed)
 
 
@@ -316,16 +316,16 @@ def test_any_start_and_unit_of_time_gives_the_same_clock(folder, unit, per_secon
     np.testing.assert_array_equal(record.displacement, columns()["displacement_mm"])
 
 
-@pytest.mark.parametrize("samples", [1, 2, 5, SHORTEST - 1])
+@pytest.mark.parametrize("samples", [1, 2, 5, MIN_SAMPLES - 1])
 def test_a_log_too_short_is_refused_with_its_length(folder, samples):
     write_table(folder / "a.csv", {name: values[:samples] for name, values in columns().items()})
-    with pytest.raises(LogError, match=rf"a\.csv: the log has {samples} samples in a row.*{SHORTEST}"):
+    with pytest.raises(LogError, match=rf"a\.csv: the log has {samples} samples in a row.*{MIN_SAMPLES}"):
         read(folder)
 
 
 def test_the_shortest_log_is_read(folder):
-    write_table(folder / "a.csv", {name: values[:SHORTEST] for name, values in columns().items()})
-    assert len(read(folder).records[0]) == SHORTEST
+    write_table(folder / "a.csv", {name: values[:MIN_SAMPLES] for name, values in columns().items()})
+    assert len(read(folder).records[0]) == MIN_SAMPLES
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])

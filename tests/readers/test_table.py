@@ -11,7 +11,7 @@ from hypothesis.extra.numpy import arrays
 from hitchid.data.signal_map import COMMANDS, POSITIONS, Column, SignalMap
 from hitchid.data.units import SPELLINGS, UNITS
 from hitchid.errors import LogError
-from hitchid.readers.content import Channel, Content, Wanted, chosen
+from hitchid.readers.content import ChannelSelection, Content, LogChannel, match_channels
 from hitchid.readers.table import table_of
 
 EPS = np.finfo(np.float64).eps
@@ -36,9 +36,9 @@ def signal_map(displacement, unit=None, *, time=("t", "s"), command=("i", "A"), 
 def content(unit=None, *, name="x", time=None, current=None, **more):
     """Return what a reader hands over: a time, a current, a displacement in a unit as the file spells it."""
     channels = {
-        "t": Channel(STAMPS, time),
-        "i": Channel(CURRENT, current),
-        name: Channel(STROKE, unit),
+        "t": LogChannel(STAMPS, time),
+        "i": LogChannel(CURRENT, current),
+        name: LogChannel(STROKE, unit),
         **more,
     }
     return Content(SOURCE, channels, notices=("read with care",))
@@ -66,7 +66,7 @@ def test_a_unit_as_the_map_has_it_leaves_every_number_and_says_nothing():
 def test_other_spellings_of_a_unit_are_that_unit(spelling, unit):
     if UNITS[unit].dimension not in POSITIONS:
         table = table_of(
-            content("mm", p=Channel(STROKE, f" [{spelling.upper()}] ")), signal_map("x", covariates=("p",))
+            content("mm", p=LogChannel(STROKE, f" [{spelling.upper()}] ")), signal_map("x", covariates=("p",))
         )
         assert table.units["p"] == unit
     else:
@@ -95,8 +95,8 @@ def test_another_unit_of_the_dimension_is_converted_with_a_notice_that_names_bot
 )
 def test_the_physical_quantity_is_kept_whatever_the_units(pair, values):
     had, asked = pair
-    channels = {"t": Channel(np.arange(values.size) / 128), "i": Channel(values)}
-    table = table_of(Content(SOURCE, {**channels, "x": Channel(values, had)}), signal_map("x", asked))
+    channels = {"t": LogChannel(np.arange(values.size) / 128), "i": LogChannel(values)}
+    table = table_of(Content(SOURCE, {**channels, "x": LogChannel(values, had)}), signal_map("x", asked))
     before, after = values * UNITS[had].factor, table.signals["displacement"] * UNITS[asked].factor
     # A quotient, two products here and one there: four roundings of half a unit in the last place.
     np.testing.assert_allclose(after, before, rtol=4 * EPS, atol=4 * np.finfo(np.float64).tiny)
@@ -108,7 +108,7 @@ def test_the_physical_quantity_is_kept_whatever_the_units(pair, values):
 def test_a_unit_of_another_dimension_is_refused_naming_both(had, asked):
     role = {"lifting_command": Column(column="x", unit=asked)}
     signals = signal_map("x", asked) if asked != "A" else SignalMap(displacement=Column(column="y"), **role)
-    said = refused(content(had, y=Channel(STROKE, "mm"), time_s=Channel(STAMPS)), signals)
+    said = refused(content(had, y=LogChannel(STROKE, "mm"), time_s=LogChannel(STAMPS)), signals)
     assert f"'{had}'" in said
     assert f"'{asked}'" in said
     assert "column 'x'" in said
@@ -139,7 +139,7 @@ def test_a_name_that_agrees_with_the_file_is_no_contradiction_in_any_unit():
 
 @pytest.mark.parametrize("time", [("t_ms", "ms"), ("t_ms", None), ("t_ms", "s")])
 def test_a_time_whose_name_contradicts_the_file_is_refused(time):
-    stamps = Channel(STAMPS, "s")
+    stamps = LogChannel(STAMPS, "s")
     said = refused(content("mm", t_ms=stamps), signal_map("x", time=time))
     assert "column 't_ms'" in said
 
@@ -181,7 +181,7 @@ def test_a_map_without_a_unit_takes_the_files(unit):
     ],
 )
 def test_a_covariate_has_the_unit_of_the_file_else_of_its_name_else_none(name, said, unit):
-    channel = {name: Channel(STROKE, said)}
+    channel = {name: LogChannel(STROKE, said)}
     table = table_of(content("mm", **channel), signal_map("x", covariates=(name,)))
     assert table.units[name] == unit
     assert table.signals[name].tobytes() == STROKE.tobytes()
@@ -192,7 +192,7 @@ def test_a_covariate_has_the_unit_of_the_file_else_of_its_name_else_none(name, s
 
 
 def test_a_covariate_whose_name_contradicts_the_file_is_refused():
-    oil = {"oil_bar": Channel(STROKE, "Pa")}
+    oil = {"oil_bar": LogChannel(STROKE, "Pa")}
     assert "'oil_bar'" in refused(content("mm", **oil), signal_map("x", covariates=("oil_bar",)))
 
 
@@ -246,7 +246,7 @@ def test_what_is_not_finite_is_refused_with_its_place_and_count(name, value):
 
 
 def test_a_channel_of_another_length_than_the_time_is_refused():
-    short = {"x": Channel(STROKE[:-1], "mm")}
+    short = {"x": LogChannel(STROKE[:-1], "mm")}
     said = refused(content("mm", **short), signal_map("x", "mm"))
     for part in ("column 'x'", "29 samples", "30"):
         assert part in said
@@ -260,7 +260,7 @@ def test_a_unit_that_the_map_gives_against_the_name_counts_and_is_told():
 
 
 def test_a_time_that_is_named_and_not_there_is_refused_although_the_file_keeps_clocks():
-    channels = {name: Channel(values, clock_s=STAMPS) for name, values in (("i", CURRENT), ("x", STROKE))}
+    channels = {name: LogChannel(values, clock_s=STAMPS) for name, values in (("i", CURRENT), ("x", STROKE))}
     clocked = Content(SOURCE, channels)
     assert table_of(clocked, signal_map("x", "mm", time=("time_s", "s"))).time_s.tobytes() == STAMPS.tobytes()
     assert "column 'Ziet': there is no such channel" in refused(
@@ -271,12 +271,12 @@ def test_a_time_that_is_named_and_not_there_is_refused_although_the_file_keeps_c
 @pytest.mark.parametrize("time", ["valve/t", "t"])
 def test_the_time_of_one_group_counts_for_another_by_its_full_name_alone(time):
     names = ["valve/t", "valve/i", "pos/x", "valve/deep/p"]
-    assert set(chosen(SOURCE, names, Wanted(time, ("i", "p")))) == {time, "i", "p"}
+    assert set(match_channels(SOURCE, names, ChannelSelection(time, ("i", "p")))) == {time, "i", "p"}
     if time in names:
-        assert chosen(SOURCE, names, Wanted(time, ("x",))) == {time: time, "x": "pos/x"}
+        assert match_channels(SOURCE, names, ChannelSelection(time, ("x",))) == {time: time, "x": "pos/x"}
     else:
         with pytest.raises(LogError, match=r"lies in another group than 'pos/x'; required .* 'valve/t'"):
-            chosen(SOURCE, names, Wanted(time, ("x",)))
+            match_channels(SOURCE, names, ChannelSelection(time, ("x",)))
 
 
 # --- zero and scale ---------------------------------------------------------------------------------------
@@ -333,14 +333,14 @@ def test_a_signed_command_with_a_neutral_that_is_not_zero_rests_at_none():
         command=Column(column="i", unit="percent", zero=7.5, scale=-1.0),
     )
     readings = np.where(STAMPS[10] > STAMPS, 7.5, np.where(STAMPS[20] > STAMPS, 5.0, 9.0))
-    table = table_of(content(i=Channel(readings)), signals)
+    table = table_of(content(i=LogChannel(readings)), signals)
     np.testing.assert_array_equal(table.signals["lifting_command"], np.maximum(7.5 - readings, 0))
     np.testing.assert_array_equal(table.signals["lowering_command"], np.maximum(readings - 7.5, 0))
 
 
 def test_a_covariate_may_have_unit_zero_and_scale():
     oil = Column(column="p", unit="bar", zero=0.5, scale=100.0)
-    table = table_of(content("mm", p=Channel(CURRENT, "V")), signal_map("x", covariates=[oil, "i"]))
+    table = table_of(content("mm", p=LogChannel(CURRENT, "V")), signal_map("x", covariates=[oil, "i"]))
     assert (table.units["p"], table.units["i"]) == ("bar", "1")
     np.testing.assert_array_equal(table.signals["p"], (CURRENT - 0.5) * 100.0)
 

@@ -8,10 +8,10 @@ from damaged import FOREIGN, assert_same, cut_everywhere, damage_everywhere, sam
 from nptdms import ChannelObject, GroupObject, RootObject, TdmsWriter
 
 from hitchid.errors import LogError
-from hitchid.readers.content import Wanted
+from hitchid.readers.content import ChannelSelection
 from hitchid.readers.formats.tdms import read, write_table
 
-ALL = Wanted("time_s", None)
+ALL = ChannelSelection("time_s", None)
 SEGMENT = struct.Struct("<4sIIQQ")
 
 
@@ -36,7 +36,7 @@ def waveform(name, values, **properties):
 def test_a_written_table_reads_back_bit_for_bit(tmp_path):
     columns = table()
     write_table(tmp_path / "log.tdms", columns)
-    content = read(tmp_path / "log.tdms", Wanted("time_s", ("stroke_mm", "current_mA", "x")))
+    content = read(tmp_path / "log.tdms", ChannelSelection("time_s", ("stroke_mm", "current_mA", "x")))
     assert_same(content, columns)
     assert [channel.unit for channel in content.channels.values()] == ["s", "mm", "mA", None]
     assert content.source == tmp_path / "log.tdms"
@@ -65,7 +65,7 @@ def test_every_channel_is_listed_by_group_and_name(log):
 
 def test_waveforms_bring_their_clock_and_share_it(log):
     path = log([waveform("a", range(5)), waveform("b", range(5)), waveform("c", range(3), wf_increment=0.5)])
-    channels = read(path, Wanted("time_s", ("a", "b", "c"))).channels
+    channels = read(path, ChannelSelection("time_s", ("a", "b", "c"))).channels
     assert list(channels) == ["a", "b", "c"]
     np.testing.assert_array_equal(channels["a"].clock_s, 0.01 * np.arange(5))
     assert channels["a"].clock_s is channels["b"].clock_s
@@ -89,8 +89,8 @@ def test_waveforms_of_which_some_start_nobody_knows_when_are_refused(log):
     start = np.datetime64("2024-05-01T10:00:00.000000")
     path = log([waveform("a", range(3), wf_start_time=start), waveform("b", range(3))])
     with pytest.raises(LogError, match="column 'Bench/b': has no start time, others have one"):
-        read(path, Wanted("time_s", ("a", "b")))
-    assert list(read(path, Wanted("time_s", ("b",))).channels) == ["b"]
+        read(path, ChannelSelection("time_s", ("a", "b")))
+    assert list(read(path, ChannelSelection("time_s", ("b",))).channels) == ["b"]
 
 
 def test_a_recording_that_was_appended_is_refused(log):
@@ -115,20 +115,20 @@ def test_a_waveform_not_over_time_has_no_clock(log, properties):
         LogError,
         match=r"column 'time_s': there is no such channel; .*; found Bench/a",
     ):
-        read(path, Wanted("time_s", ("a",)))
+        read(path, ChannelSelection("time_s", ("a",)))
 
 
 def test_a_time_may_not_be_missing_where_one_channel_has_no_clock(log):
     path = log([waveform("a", range(3)), ChannelObject("Bench", "b", np.arange(3.0))])
-    assert list(read(path, Wanted("time_s", ("a",))).channels) == ["a"]
+    assert list(read(path, ChannelSelection("time_s", ("a",))).channels) == ["a"]
     with pytest.raises(LogError, match="column 'time_s'"):
-        read(path, Wanted("time_s", ("a", "b")))
+        read(path, ChannelSelection("time_s", ("a", "b")))
 
 
 def test_time_stamps_turn_into_seconds_since_the_first(log):
     stamps = np.datetime64("2024-05-01T10:00:00.5") + np.arange(4) * np.timedelta64(10_000, "us")
     path = log([ChannelObject("Bench", "Time", stamps), ChannelObject("Bench", "x", np.arange(4.0))])
-    time = read(path, Wanted("Time", ("x",))).channels["Time"]
+    time = read(path, ChannelSelection("Time", ("x",))).channels["Time"]
     assert (time.unit, time.clock_s) == ("s", None)
     np.testing.assert_allclose(time.values, [0.0, 0.01, 0.02, 0.03], rtol=0, atol=1e-12)
 

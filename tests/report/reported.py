@@ -7,7 +7,7 @@ import numpy as np
 
 from hitchid.data.record import Record
 from hitchid.data.segmentation import segments
-from hitchid.report import Document, Finding, Level, Picture, Pictures, Section, Text, figures
+from hitchid.report import Document, Finding, Picture, Pictures, Rating, ReportSection, Text, figures
 from hitchid.report.document import Findings
 from hitchid.uncertainty import Characteristics, Estimate, Estimates, MeasuredSpeed, Quantity, SpeedPoint
 from hitchid.validation import Predictions, Table
@@ -207,9 +207,9 @@ TABLE = Table(
     ),
 )
 FINDINGS = (
-    Finding(Level.GOOD, "The free run keeps up."),
-    Finding(Level.CAUTION, "A baseline is near."),
-    Finding(Level.BAD, "The band is too narrow."),
+    Finding(Rating.GOOD, "The free run keeps up."),
+    Finding(Rating.CAUTION, "A baseline is near."),
+    Finding(Rating.BAD, "The band is too narrow."),
 )
 
 
@@ -227,14 +227,16 @@ def picture(name="curve", *, caption="What is seen.", alt="Error over the horizo
 def document(*, said="A paragraph.", table=TABLE, items=None, title="A report", notices=("Mind the gap.",)):
     """Return a report with a block of every kind, sections in sections among them."""
     pictures = Pictures(items or (picture(), picture("long", wide=True)))
-    below = Section("Details", (Text(said), pictures), (Section("Finer", (table, Findings(FINDINGS))),))
+    below = ReportSection(
+        "Details", (Text(said), pictures), (ReportSection("Finer", (table, Findings(FINDINGS))),)
+    )
     return Document(
         title=title,
         subtitle=f"of {said}",
         verdict=FINDINGS,
         notices=notices,
         sections=(
-            Section("Mixed cycles", (table, Text(said)), (below,)),
-            Section("Logs", (Findings(FINDINGS),)),
+            ReportSection("Mixed cycles", (table, Text(said)), (below,)),
+            ReportSection("Logs", (Findings(FINDINGS),)),
         ),
     )

@@ -7,7 +7,7 @@ from itertools import product
 import pytest
 
 import reported
-from hitchid.report import Document, Level, Picture, Pictures, Section, Text, figures, write_report
+from hitchid.report import Document, Picture, Pictures, Rating, ReportSection, Text, figures, write_report
 from hitchid.report.document import Findings
 from hitchid.report.figures.style import SHADES
 from hitchid.validation import Table
@@ -57,7 +57,7 @@ def everything(timeline):
         "intervals": figures.intervals(reported.known_parameters()),
         "coverage": figures.coverage(reported.bands(), reported.STEP_S),
         "correlations": figures.residual_correlations(reported.residuals()),
-        "places": figures.residuals_by_place(reported.residuals(), "mm", "A"),
+        "places": figures.residuals_by_variable(reported.residuals(), "mm", "A"),
         "convergence": figures.convergence(reported.trace(*reported.ESTIMATES), "mm"),
         "losses": figures.losses(reported.trace()),
         "structures": figures.structures(reported.trace()["candidates"], "mm"),
@@ -66,7 +66,7 @@ def everything(timeline):
     narrow = tuple(
         Picture(name, each, f"Caption of {name}.", f"Text of {name}.") for name, each in drawn.items()
     )
-    accuracy = Section("Accuracy", (WIDE_TABLE, Pictures(narrow)))
+    accuracy = ReportSection("Accuracy", (WIDE_TABLE, Pictures(narrow)))
     wide = Picture("timeline", timeline, "What mixed logs do.", "Displacement over time.", wide=True)
     return Document(
         "Validation of a hitch model",
@@ -74,8 +74,8 @@ def everything(timeline):
         reported.FINDINGS,
         (f"{LONG_NAME}: a log of a long name.",),
         (
-            Section("Lifting", (), (accuracy, Section("Trust", (Text(LONG_NAME),)))),
-            Section("Logs", (Findings(reported.FINDINGS), reported.TABLE, Pictures((wide,)))),
+            ReportSection("Lifting", (), (accuracy, ReportSection("Trust", (Text(LONG_NAME),)))),
+            ReportSection("Logs", (Findings(reported.FINDINGS), reported.TABLE, Pictures((wide,)))),
         ),
     )
 
@@ -245,7 +245,7 @@ def test_curves_are_drawn_in_the_colours_of_the_scheme(opened, scheme):
 
 
 def test_levels_of_findings_look_different_and_have_a_sign(page):
-    for level in Level:
+    for level in Rating:
         first = page.locator(f"#verdict li.{level.value}").first
         assert first.is_visible()
         assert first.locator(".sign").inner_text().strip() in "✓!✗"
@@ -253,9 +253,9 @@ def test_levels_of_findings_look_different_and_have_a_sign(page):
         page.locator(f"#verdict li.{level.value} .sign").first.evaluate(
             "each => getComputedStyle(each).color"
         )
-        for level in Level
+        for level in Rating
     }
-    assert len(colours) == len(Level)
+    assert len(colours) == len(Rating)
 
 
 def test_the_keyboard_reaches_links_tables_and_wide_figures_in_their_order(opened):

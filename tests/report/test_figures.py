@@ -19,8 +19,8 @@ import handmade
 import reported
 from hitchid.data.record import LIFTING
 from hitchid.report import figures
-from hitchid.report.figures.style import COLOURS, LABELS, SHADES, STRETCHES, thinned
-from hitchid.report.figures.valve import ONSET
+from hitchid.report.figures.style import COLOURS, DECIMATION_BINS, LABELS, SHADES, decimate
+from hitchid.report.figures.valve import ONSET_FACTOR
 from hitchid.report.svg import svg
 
 COLUMN_IN, PAGE_IN = 3.5, 7.2
@@ -81,7 +81,7 @@ DRAWN = {
         {part: reported.predictions() for part in ("training", "validation")}, unit
     ),
     "residual_correlations": lambda unit: figures.residual_correlations(reported.residuals()),
-    "residuals_by_place": lambda unit: figures.residuals_by_place(reported.residuals(), unit, "A"),
+    "residuals_by_place": lambda unit: figures.residuals_by_variable(reported.residuals(), unit, "A"),
     "searches": lambda unit: figures.searches(reported.searches(), unit),
     "speed_map": lambda unit: figures.speed_map(reported.characteristics(unit)),
     "structures": lambda unit: figures.structures(reported.trace()["candidates"], unit),
@@ -395,7 +395,7 @@ def test_outputs_show_each_test_without_its_first_sample_and_keep_its_extremes()
     starts = np.cumsum([0.0, *(time_s[-1] for time_s in tests.time_s)])
     for label, rows in drawn.items():
         time_s, values = lines[label].get_data()
-        assert values.size <= 2 * STRETCHES + len(rows)
+        assert values.size <= 2 * DECIMATION_BINS + len(rows)
         for row, start, stop in zip(rows, starts, starts[1:], strict=False):
             inside = values[(time_s > start) & (time_s <= stop)]
             assert np.nanmin(inside) == pytest.approx(row[1:].min())
@@ -431,7 +431,7 @@ def test_predicted_errors_show_what_the_benchmark_misses():
 def test_time_goes_on_from_test_to_test():
     tests = reported.predictions((3, 4, 2))
     steps = [0, 1, 2, 2, 3, 4, 5, 5, 6]
-    np.testing.assert_allclose(figures.joined_time(tests), 0.01 * np.array(steps), rtol=1e-12)
+    np.testing.assert_allclose(figures.concatenated_time(tests), 0.01 * np.array(steps), rtol=1e-12)
 
 
 def test_coverage_shows_shares_in_percent_over_seconds():
@@ -473,7 +473,7 @@ def test_correlations_show_what_was_found_and_its_bounds():
 def test_places_show_mean_and_spread_of_the_errors_in_each_bin():
     found = reported.residuals()
     for axes, name in zip(
-        figures.residuals_by_place(found, "mm", "A").axes, ("position", "speed", "command"), strict=True
+        figures.residuals_by_variable(found, "mm", "A").axes, ("position", "speed", "command"), strict=True
     ):
         bins = found[f"by_{name}"]["bins"]
         spreads, means = axes.get_lines()[0:-1:2], axes.get_lines()[1:-1:2]
@@ -623,7 +623,7 @@ def test_a_ramp_is_drawn_up_to_where_motion_is_plain(ramp):
     way, value = axes.get_lines()
     assert set(value.get_xdata()) == {0.35}
     command, moved = way.get_data()
-    assert command.max() <= ONSET * 0.35
+    assert command.max() <= ONSET_FACTOR * 0.35
     assert moved[command < 0.35].max() == 0
     assert np.interp(0.5, command, moved) == pytest.approx(
         np.interp(0.5, ramp.command(LIFTING), ramp.displacement - 100), abs=0.05
@@ -698,7 +698,7 @@ SPARSE = {
     "two epochs": lambda: figures.losses(reported.trace(iterations=2)),
     "errors that stand": lambda: figures.residual_correlations(reported.residuals(level=0.1)),
     "no errors": lambda: figures.residual_correlations(reported.residuals(level=0.0)),
-    "errors that stand by place": lambda: figures.residuals_by_place(
+    "errors that stand by place": lambda: figures.residuals_by_variable(
         reported.residuals(level=0.1), "mm", "A"
     ),
 }
@@ -727,12 +727,12 @@ VALUES = st.lists(
 def test_a_thinned_curve_keeps_its_extremes_its_gaps_and_its_order(values, repeats, seed):
     whole = np.random.default_rng(seed).permutation(np.repeat(np.array(values, dtype=float), repeats))
     place = np.arange(whole.size)
-    at, kept = thinned(place, whole)
+    at, kept = decimate(place, whole)
     assert np.all(np.diff(at) > 0)
     np.testing.assert_array_equal(kept, whole[at])
     gaps = np.isnan(whole)
     assert np.isnan(kept).sum() == gaps.sum()
-    assert at.size <= 2 * STRETCHES + gaps.sum()
+    assert at.size <= 2 * DECIMATION_BINS + gaps.sum()
     if not gaps.all():
         assert (np.nanmin(kept), np.nanmax(kept)) == (np.nanmin(whole), np.nanmax(whole))
 
@@ -741,15 +741,15 @@ def test_a_thinned_curve_keeps_its_extremes_its_gaps_and_its_order(values, repea
 @given(samples=st.integers(700, 5000), seed=st.integers(0, 99))
 def test_a_thinned_curve_lies_nowhere_far_from_the_whole(samples, seed):
     walk = np.cumsum(np.random.default_rng(seed).standard_normal(samples))
-    at, kept = thinned(np.arange(samples), walk)
+    at, kept = decimate(np.arange(samples), walk)
     # Between two points that are kept lie two stretches of samples at most, whose spread bounds the miss.
-    reach = 2 * -(-samples // STRETCHES)
+    reach = 2 * -(-samples // DECIMATION_BINS)
     for k in np.random.default_rng(seed).integers(at[0], at[-1], 20):
         near = walk[max(0, k - reach) : k + reach + 1]
         assert near.min() <= np.interp(k, at, kept) <= near.max()
 
 
 def test_a_short_curve_is_left_as_it_is():
-    values = np.random.default_rng(0).standard_normal(2 * STRETCHES)
+    values = np.random.default_rng(0).standard_normal(2 * DECIMATION_BINS)
     place = np.arange(values.size)
-    assert thinned(place, values) == (place, values) or thinned(place, values)[1] is values
+    assert decimate(place, values) == (place, values) or decimate(place, values)[1] is values

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
 import reported
-from hitchid.report import Document, Picture, Pictures, Section, Text
+from hitchid.report import Document, Picture, Pictures, ReportSection, Text
 from hitchid.report.page import html, numeric
 from hitchid.report.svg import svg
 from hitchid.validation import Table
@@ -178,7 +178,10 @@ def test_identifiers_differ_and_every_link_of_the_contents_leads_to_a_section(ro
 
 
 def test_sections_of_one_name_in_several_have_identifiers_of_their_own():
-    both = tuple(Section(mode, sections=(Section("Trust"), Section("Errors"))) for mode in ("Up", "Down"))
+    both = tuple(
+        ReportSection(mode, sections=(ReportSection("Trust"), ReportSection("Errors")))
+        for mode in ("Up", "Down")
+    )
     root = read(page(replace(reported.document(), sections=both)))
     identifiers = [each["id"] for each in root.all("section")]
     assert len(set(identifiers)) == 7
@@ -334,7 +337,7 @@ def test_no_text_breaks_the_page(said):
         said,
         reported.FINDINGS,
         (said,),
-        (Section("Logs", (Text(said), Table(said, (said, "n"), ((said, said),)))),),
+        (ReportSection("Logs", (Text(said), Table(said, (said, "n"), ((said, said),)))),),
     )
     assert Reader(html(small, {})).faults == []
 
@@ -349,6 +352,6 @@ def test_a_figure_whose_words_are_hostile_stays_a_figure():
     drawn = Figure()
     drawn.text(0.2, 0.2, "<script>alert(1)</script> & $x_1$")
     picture = Picture("hostile", drawn, "", "")
-    document = replace(reported.document(), sections=(Section("A", (Pictures((picture,)),)),))
+    document = replace(reported.document(), sections=(ReportSection("A", (Pictures((picture,)),)),))
     root = read(html(document, {"hostile": svg(drawn)}))
     assert not list(root.all("script"))

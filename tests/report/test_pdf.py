@@ -9,7 +9,7 @@ import pytest
 
 import reported
 from hitchid.errors import InputError
-from hitchid.report import Document, Finding, Level, Pictures, Section, Text, check_pdf
+from hitchid.report import Document, Finding, Pictures, Rating, ReportSection, Text, check_pdf
 from hitchid.report.pdf import pdf
 from hitchid.report.svg import svg
 from hitchid.validation import Table
@@ -107,9 +107,9 @@ def test_text_that_is_markup_elsewhere_stays_text(made, words, hostile):
     document = Document(
         f"title {hostile}",
         f"subtitle {hostile}",
-        (Finding(Level.BAD, f"finding {hostile}"),),
+        (Finding(Rating.BAD, f"finding {hostile}"),),
         (f"notice {hostile}",),
-        (Section(f"section {hostile}", (Text(f"text {hostile}"), table, Pictures((picture,)))),),
+        (ReportSection(f"section {hostile}", (Text(f"text {hostile}"), table, Pictures((picture,)))),),
     )
     said = words(made(document)).replace(" ", "")
     for front in ("title", "subtitle", "finding", "notice", "section", "text", "T", "h", "c", "d", "p"):
@@ -121,7 +121,7 @@ def test_text_that_is_markup_elsewhere_stays_text(made, words, hostile):
     "said", ["log-\udcff", "one\ntwo\n\n= three", "\x00", "漢字", "\N{RIGHT-TO-LEFT MARK}", ""]
 )
 def test_whatever_a_name_holds_a_pdf_is_made(made, said):
-    named = Section(said, (Text(said), Table(said, (said, said), ((said, said),))))
+    named = ReportSection(said, (Text(said), Table(said, (said, said), ((said, said),))))
     assert made(Document(said, said, reported.FINDINGS, (said,), (named,))).startswith(b"%PDF-")
 
 
@@ -133,15 +133,15 @@ def test_a_table_without_a_row_is_still_a_table(made, words):
 def test_a_long_table_goes_on_with_its_header_on_the_next_page(made, words):
     rows = tuple((f"test-{number:03d}", f"{number}.5") for number in range(120))
     long = Table("lifting: all", ("test of the series", "RMSE / mm"), rows)
-    said = words(made(Document("A", "B", (), (), (Section("All", (long,)),))))
+    said = words(made(Document("A", "B", (), (), (ReportSection("All", (long,)),))))
     assert all(name in said for name, _ in rows)
     assert said.count("test of the series") >= 2
 
 
 def test_a_pdf_that_cannot_be_made_is_refused_early(monkeypatch):
     monkeypatch.setattr("hitchid.report.pdf.find_spec", lambda name: None)
-    check_pdf(asked=False)
+    check_pdf(requested=False)
     with pytest.raises(InputError, match=r"hitchid\[pdf\]"):
-        check_pdf(asked=True)
+        check_pdf(requested=True)
     with pytest.raises(InputError, match=r"hitchid\[pdf\]"):
         pdf(reported.document(), {})

@@ -22,8 +22,8 @@ from hitchid.model import Provenance
 from hitchid.readers import read, write_table
 from hitchid.report import (
     FIGURES,
-    Level,
     Pictures,
+    Rating,
     Text,
     comparison_report,
     sections,
@@ -252,7 +252,7 @@ def test_the_verdict_has_the_figures_of_the_result(report, validated, name):
         figures = channel["greybox"]["free_run"]
         assert f"{len(channel['tests'])} unseen tests" in free.sentence
         if figures["rmse"] is None:
-            assert (free.level, "diverged" in free.sentence) == (Level.BAD, True)
+            assert (free.level, "diverged" in free.sentence) == (Rating.BAD, True)
             continue
         told = float(re.search(r"RMSE ([\d.e+-]+)", free.sentence)[1])
         # Two digits of the standard error are told, so half a unit of the second.
@@ -269,7 +269,7 @@ def test_a_free_run_is_good_only_where_it_is_better_than_every_baseline(report, 
         rivals = [each.get("free_run", {}).get("rmse") for each in channel["baselines"].values()]
         rivals = [rival for rival in rivals if rival is not None]
         better = own is not None and bool(rivals) and own < min(rivals)
-        assert better or free.level != Level.GOOD
+        assert better or free.level != Rating.GOOD
         if own is not None and rivals:
             assert f"{min(rivals):.3g} mm" in free.sentence
         if own is not None and not rivals:
@@ -303,7 +303,7 @@ BASELINES = ("transfer_function", "paper", "arx", "narx", "lstm")
 @pytest.mark.parametrize(
     ("factors", "level"),
     # By how much the free run errs less than every baseline in each of three tests.
-    [((0.5, 0.5, 0.5), Level.GOOD), ((0.9, 0.5, 0.99), Level.CAUTION), ((1.5, 1.5, 1.5), Level.CAUTION)],
+    [((0.5, 0.5, 0.5), Rating.GOOD), ((0.9, 0.5, 0.99), Rating.CAUTION), ((1.5, 1.5, 1.5), Rating.CAUTION)],
 )
 def test_a_free_run_is_good_where_tests_tell_it_apart_from_every_baseline(judged, factors, level):
     def erring(tests):
@@ -318,7 +318,7 @@ def test_a_free_run_is_good_where_tests_tell_it_apart_from_every_baseline(judged
 
 def test_a_free_run_worse_than_a_mean_is_bad(judged):
     verdict = judged(lambda lifting: lifting["greybox"]["free_run"].update(fit=-1.0))
-    assert finding(verdict, "Lifting, free run").level == Level.BAD
+    assert finding(verdict, "Lifting, free run").level == Rating.BAD
 
 
 def test_baselines_that_all_diverged_are_told_from_none(judged):
@@ -330,12 +330,12 @@ def test_baselines_that_all_diverged_are_told_from_none(judged):
 
     for runs, said in ((wild, "every baseline diverged"), (none, "no baseline stands beside it")):
         found = finding(judged(runs=runs), "Lifting, free run")
-        assert (found.level, said in found.sentence) in ((Level.CAUTION, True), (Level.BAD, False))
+        assert (found.level, said in found.sentence) in ((Rating.CAUTION, True), (Rating.BAD, False))
 
 
 @pytest.mark.parametrize(
     ("covered", "level"),
-    [(0.5, Level.BAD), (0.84, Level.BAD), (0.86, Level.GOOD), (0.94, Level.GOOD), (0.99, Level.CAUTION)],
+    [(0.5, Rating.BAD), (0.84, Rating.BAD), (0.86, Rating.GOOD), (0.94, Rating.GOOD), (0.99, Rating.CAUTION)],
 )
 def test_a_band_is_judged_by_what_it_holds(judged, covered, level):
     told = {"covered": covered, "covered_error": 0.01}
@@ -347,15 +347,15 @@ def test_a_band_is_judged_by_what_it_holds(judged, covered, level):
 def test_a_band_is_not_judged_by_tests_that_tell_little(judged):
     told = {"covered": 0.8, "covered_error": 0.06}
     band = finding(judged(lambda lifting: lifting["bands"]["free_run"].update(told)), "Lifting", "band")
-    assert (band.level, "by chance" in band.sentence) == (Level.CAUTION, True)
+    assert (band.level, "by chance" in band.sentence) == (Rating.CAUTION, True)
     alone = {"covered": 0.8, "covered_error": None}
     band = finding(judged(lambda lifting: lifting["bands"]["free_run"].update(alone)), "Lifting", "band")
-    assert (band.level, "too few" in band.sentence) == (Level.CAUTION, True)
+    assert (band.level, "too few" in band.sentence) == (Rating.CAUTION, True)
 
 
 def test_parameters_that_are_not_determined_are_named(report):
     said = finding(report("whole").verdict, "Lifting", "parameters")
-    assert said.level == Level.CAUTION
+    assert said.level == Rating.CAUTION
     assert "3 of 5" in said.sentence
     assert said.sentence.endswith(": τ, ωh, ξh.")
 
@@ -366,7 +366,7 @@ def test_parameters_that_all_are_determined_are_good(judged, names):
         estimates = lifting["parameters"]["estimates"]
         lifting["parameters"]["estimates"] = {name: estimates[name] for name in names}
 
-    assert finding(judged(keep), "Lifting", "parameter", "determined").level == Level.GOOD
+    assert finding(judged(keep), "Lifting", "parameter", "determined").level == Rating.GOOD
 
 
 def test_nothing_is_said_of_parameters_that_nobody_told(judged):
@@ -377,7 +377,7 @@ def test_nothing_is_said_of_parameters_that_nobody_told(judged):
 def test_one_cycle_is_too_few_to_judge(report, validated):
     own = validated("whole").metrics["cycles"]["greybox"]["free_run"]
     said = finding(report("whole").verdict, "Mixed cycles")
-    assert said.level in (Level.CAUTION, Level.BAD)
+    assert said.level in (Rating.CAUTION, Rating.BAD)
     assert "1 unseen cycle " in said.sentence
     assert f"{own['rmse']:.4g} mm" in said.sentence
 
@@ -391,7 +391,7 @@ def test_acceptance_stands_first_and_tells_what_fails(validated, tmp_path, tests
     result = validated("lifting alone")
     acceptance = check_limits(result.metrics, read_limits(tmp_path / "limits.toml"))
     first = sections.verdict(result, acceptance)[0]
-    assert first.level == (Level.BAD if failed else Level.GOOD)
+    assert first.level == (Rating.BAD if failed else Rating.GOOD)
     assert first.sentence.startswith("Not accepted" if failed else "Accepted")
     below = sections.limits(acceptance)
     assert below.title == "Acceptance"
@@ -399,7 +399,7 @@ def test_acceptance_stands_first_and_tells_what_fails(validated, tmp_path, tests
     assert [row[-1] for row in table.rows].count("fail") == failed
     said = [item for group in blocks(below, Findings) for item in group.items]
     assert len(said) == failed
-    assert {each.level for each in said} <= {Level.BAD}
+    assert {each.level for each in said} <= {Rating.BAD}
     for check in acceptance.checks:
         assert (check.name in first.sentence) == (not check.passed)
 
@@ -475,7 +475,7 @@ def test_what_the_audit_found_stands_with_the_logs(logs, tmp_path):
     path.write_text("\n".join([header, *spiked, ""]))
     found = sections.logs(read(place), handmade.hitch("integrator"))
     said = [item for group in blocks(found, Findings) for item in group.items]
-    assert any(item.level is Level.CAUTION and "lifting-02: spikes" in item.sentence for item in said)
+    assert any(item.level is Rating.CAUTION and "lifting-02: spikes" in item.sentence for item in said)
 
 
 def test_lowering_logs_are_not_used_by_a_model_that_only_lifts(report):
@@ -539,10 +539,10 @@ def test_the_verdict_names_the_model_that_errs_less(compared, pair, better):
     rmse = {name: np.sqrt(np.mean(tests.rmse(name) ** 2)) for name in "ab"}
     (lifting,) = findings(document, "Lifting")
     if better is None:
-        assert lifting.level == Level.CAUTION
+        assert lifting.level == Rating.CAUTION
         assert "do not tell the models apart" in lifting.sentence
     else:
-        assert lifting.level == Level.GOOD
+        assert lifting.level == Rating.GOOD
         assert lifting.sentence.startswith(f"Lifting: {better} errs less")
         worse = {"A": "b", "B": "a"}[better]
         assert not rmse[better.lower()] > rmse[worse]

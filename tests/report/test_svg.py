@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 import reported
 from hitchid.report import figures
 from hitchid.report.figures.style import COLOURS, SHADES, style
-from hitchid.report.svg import inside_page, svg
+from hitchid.report.svg import inline_svg, svg
 
 SVG, XLINK = "{http://www.w3.org/2000/svg}", "{http://www.w3.org/1999/xlink}"
 DRAWN = {
@@ -34,7 +34,7 @@ def files():
 @pytest.fixture(scope="module")
 def page(files):
     """Return all figures as they stand in one page, in an element that names the namespaces."""
-    inside = [inside_page(text, name, f"what {name} shows") for name, text in files.items()]
+    inside = [inline_svg(text, name, f"what {name} shows") for name, text in files.items()]
     return f'<div xmlns="{SVG[1:-1]}" xmlns:xlink="{XLINK[1:-1]}">{"".join(inside)}</div>'
 
 
@@ -96,7 +96,7 @@ def test_figures_in_one_page_share_no_identifier_and_every_reference_resolves(pa
 
 
 def test_the_same_figure_under_two_names_shares_no_identifier(files):
-    elements = [inside_page(files["outputs"], name, "") for name in "ab"]
+    elements = [inline_svg(files["outputs"], name, "") for name in "ab"]
     one, other = (set(re.findall(r'\bid="([^"]+)"', element)) for element in elements)
     assert one
     assert not one & other
@@ -158,7 +158,7 @@ def test_a_file_is_smaller_than_what_matplotlib_writes(files, name):
 
 
 def test_a_figure_of_many_points_is_smaller_in_a_page_than_on_its_own(files):
-    assert len(inside_page(files["outputs"], "lifting-outputs", "")) < len(files["outputs"])
+    assert len(inline_svg(files["outputs"], "lifting-outputs", "")) < len(files["outputs"])
 
 
 def test_an_element_is_an_image_with_a_text(page):
@@ -171,7 +171,7 @@ def test_an_element_is_an_image_with_a_text(page):
 @given(st.text(st.characters(exclude_categories=("Cs", "Cc"))))
 def test_whatever_a_text_holds_it_comes_out_as_it_was(alt):
     small = '<?xml version="1.0"?><svg width="1pt" xmlns="http://www.w3.org/2000/svg"><g id="a"></g></svg>'
-    element = inside_page(small, "name", alt)
+    element = inline_svg(small, "name", alt)
     assert ElementTree.fromstring(element.encode()).get("aria-label") == alt  # noqa: S314 - our own
     assert f'"{escape(alt)}"' in element
 
@@ -188,6 +188,6 @@ def test_a_name_that_looks_like_a_colour_or_a_reference_stays_as_it_is():
     figure = Figure()
     figure.text(0.1, 0.1, name)
     root = ElementTree.fromstring(  # noqa: S314 - our own
-        f'<div xmlns:xlink="{XLINK[1:-1]}">{inside_page(svg(figure), "one", "")}</div>'.encode()
+        f'<div xmlns:xlink="{XLINK[1:-1]}">{inline_svg(svg(figure), "one", "")}</div>'.encode()
     )
     assert name in ["".join(each.itertext()).strip() for each in root.iter("text")]

@@ -45,6 +45,6 @@ def test_random_commands_stay_within_physics(rig, seed, start, load, temperature
     # the pump's flow of that step: in a whole test, not each time.
     step_m3 = np.diff(np.asarray(motion.pumped_m3)).max() / SUBSTEPS
     for volume in map(
-        np.asarray, (motion.pumped_m3, motion.relieved_m3, motion.lifted_m3, motion.secured_m3)
+        np.asarray, (motion.pumped_m3, motion.relieved_m3, motion.lifted_m3, motion.safety_relieved_m3)
     ):
         assert np.all(np.sum(np.maximum(-np.diff(volume, axis=1), 0.0), axis=1) <= step_m3)

@@ -8,7 +8,7 @@ import pytest
 
 from hitchid.errors import InputError, SettingsError
 from hitchid.rig import measure, simulate
-from hitchid.rig.measurement import _lagged
+from hitchid.rig.measurement import _first_order_filter
 
 FULL_SCALE = 0.003
 
@@ -82,7 +82,7 @@ def test_the_curve_belongs_to_the_rig_and_the_noise_to_the_key(any_rig, at_rest)
 def test_the_filter_lags_a_straight_run_by_its_time_constant():
     corner = 2.5
     ramp = jnp.asarray(0.01 * np.arange(200.0))[None, :]
-    lag = np.asarray(ramp - _lagged(ramp, jnp.asarray(corner)))[0, 50:]
+    lag = np.asarray(ramp - _first_order_filter(ramp, jnp.asarray(corner)))[0, 50:]
     np.testing.assert_allclose(lag, 0.01 / corner, rtol=1e-9)
 
 

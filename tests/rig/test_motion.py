@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hitchid.errors import InputError, SettingsError
-from hitchid.rig import limits, simulate
+from hitchid.rig import rig_limits, simulate
 from hitchid.rig.oil import TANK_PRESSURE_PA
 from hitchid.rig.simulation import SUBSTEPS
 
@@ -19,9 +19,9 @@ def test_no_oil_is_made_or_lost(any_rig, binary):
     motion = simulate(any_rig, currents, initial_displacement_m=[0.03, 0.22, 0.2, 0.1], load_force_n=500.0)
     cylinder = any_rig.cylinder
     held = any_rig.oil.amount(
-        motion.pressure_pa, cylinder.volume(motion.displacement_m), cylinder.yielding
+        motion.pressure_pa, cylinder.volume(motion.displacement_m), cylinder.compliance
     ) + any_rig.supply.amount(any_rig.oil, motion.supply_pressure_pa)
-    left = motion.relieved_m3 + motion.leaked_m3 + motion.lowered_m3 + motion.secured_m3
+    left = motion.relieved_m3 + motion.leaked_m3 + motion.lowered_m3 + motion.safety_relieved_m3
     there = np.asarray(held + left - motion.pumped_m3)
     assert np.all(np.asarray(motion.pumped_m3)[:, -1] > 1e-3)
     np.testing.assert_allclose(there, np.broadcast_to(there[:, :1], there.shape), rtol=1e-9)
@@ -45,7 +45,7 @@ def test_steady_lifting_speed_is_flow_over_area(any_rig, held):
     ) * (motion.pressure_pa - TANK_PRESSURE_PA)
     # the rising load compresses oil and widens the hose on the way: that share of the flow moves no piston
     pressure = np.asarray(motion.pressure_pa)[:, late]
-    capacity = any_rig.oil.capacity(motion.pressure_pa, motion.cylinder_oil_m3, any_rig.cylinder.yielding)
+    capacity = any_rig.oil.capacity(motion.pressure_pa, motion.cylinder_oil_m3, any_rig.cylinder.compliance)
     storing = np.asarray(capacity)[:, late] * np.gradient(pressure, 0.01, axis=1)
     sigma = np.asarray(any_rig.oil.specific_volume(motion.pressure_pa))[:, late]
     speed = (np.asarray(swept)[:, late] - storing) * sigma / float(any_rig.cylinder.area)
@@ -83,7 +83,7 @@ def test_the_pump_bounds_the_lifting_speed(any_rig, held):
     wide = eqx.tree_at(lambda r: r.lifting_valve.spool.full_area, any_rig, jnp.asarray(3e-5))
     motion = simulate(wide, held([3.0], 0.0), initial_displacement_m=0.02)
     speed = np.asarray(motion.speed_m_s)[0, 150:250].mean()
-    assert 0.7 * limits(wide).lifting_speed_m_s < speed < limits(wide).lifting_speed_m_s
+    assert 0.7 * rig_limits(wide).lifting_speed_m_s < speed < rig_limits(wide).lifting_speed_m_s
 
 
 def test_halving_the_step_changes_nothing_that_matters(any_rig, binary):

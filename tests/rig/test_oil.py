@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hitchid.rig.oil import TANK_PRESSURE_PA, turbulent
+from hitchid.rig.oil import TANK_PRESSURE_PA, orifice_flow
 
 
 @pytest.mark.parametrize("pressure", [5e3, 1e5, 1e6, 8e6, 3e7])
@@ -43,14 +43,14 @@ def test_the_accumulator_gives_back_what_it_took(rig, stored):
 def test_orifice_flow_is_the_root_of_the_drop_and_its_slope_is_right():
     g = jnp.asarray(1e-7)
     for drop in (-3e6, -1e4, 0.0, 5e3, 1e5, 8e6):
-        flow, slope = turbulent(g, jnp.asarray(drop))
-        np.testing.assert_allclose(slope, jax.grad(lambda d: turbulent(g, d)[0])(drop), rtol=1e-9)
+        flow, slope = orifice_flow(g, jnp.asarray(drop))
+        np.testing.assert_allclose(slope, jax.grad(lambda d: orifice_flow(g, d)[0])(drop), rtol=1e-9)
         if abs(drop) > 1e6:
             np.testing.assert_allclose(flow, np.sign(drop) * 1e-7 * np.sqrt(abs(drop)), rtol=1e-4)
 
 
 def test_the_pump_on_relief_is_in_balance(any_rig):
     pressure = any_rig.supply.idle_pressure()
-    delivered, _ = any_rig.supply.delivered(pressure, jnp.asarray(1.0))
+    delivered, _ = any_rig.supply.pump_delivery(pressure, jnp.asarray(1.0))
     np.testing.assert_allclose(any_rig.supply.relieved(pressure)[0], delivered, rtol=1e-12)
     assert pressure > TANK_PRESSURE_PA + any_rig.supply.relief_pressure

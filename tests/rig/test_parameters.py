@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hitchid.errors import SettingsError
-from hitchid.rig import limits, load_rig, parameter_sets
+from hitchid.rig import load_rig, parameter_sets, rig_limits
 from hitchid.rig.parameter_files import build_rig
 
 
@@ -40,7 +40,7 @@ def test_parameters_are_kept_in_si_units(rig):
 def test_parameters_are_double_whatever_the_caller_is_set_to(rig):
     with jax.enable_x64(False):
         fresh = load_rig("nominal")
-        assert limits(fresh) == limits(rig)
+        assert rig_limits(fresh) == rig_limits(rig)
     leaves = jax.tree.leaves(eqx.filter(fresh, eqx.is_array))
     assert {leaf.dtype for leaf in leaves} == {np.dtype("float64")}
 

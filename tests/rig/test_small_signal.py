@@ -91,7 +91,7 @@ def test_hydraulic_stiffness_and_mass_set_the_frequency(rig):
     point = OperatingPoint(0.12, CURRENT_A)
     chain = small_signal(rig, point)
     _, mass, _ = rig.linkage.reduced(jnp.asarray(0.12))
-    hose = float(rig.cylinder.yielding)
+    hose = float(rig.cylinder.compliance)
     oil = float(rig.cylinder.volume(jnp.asarray(0.12)) / rig.oil.bulk_modulus)
     about = float(rig.cylinder.area) / np.sqrt(float(mass) * (hose + oil))
     assert chain.natural_frequency == pytest.approx(about, rel=0.15)

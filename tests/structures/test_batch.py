@@ -10,12 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hitchid.data.record import LIFTING
-from hitchid.structures import Batch, Benchmark, before_end_stop, structure_named
+from hitchid.structures import Batch, PhysicalModel, before_end_stop, structure_named
 from hitchid.structures.batch import mean_before_motion
 from truth import STEP_S, levels
 
 EPS = np.finfo(np.float64).eps
-BENCHMARK = Benchmark(
+BENCHMARK = PhysicalModel(
     structure_named("integrator-second-order"), jnp.array([21.0, 18.0, 0.4]), jnp.asarray(0.013)
 )
 
@@ -36,7 +36,7 @@ def records(make_record):
 
 
 def laid(records, **options):
-    return Batch.of(records, LIFTING, **{"dead_zone": 0.2, "direction": 1, **options})
+    return Batch.of(records, LIFTING, **{"dead_zone": 0.2, "sign": 1, **options})
 
 
 def test_a_longer_neighbour_changes_nothing(records):
@@ -58,7 +58,7 @@ def test_padding_is_neither_valid_nor_counted(records):
     batch = laid(records)
     for row, record in enumerate(records):
         np.testing.assert_array_equal(batch.valid[row], np.arange(512) < len(record))
-        np.testing.assert_array_equal(batch.counted[row], np.arange(512) < len(record))
+        np.testing.assert_array_equal(batch.loss_mask[row], np.arange(512) < len(record))
         assert not np.any(batch.command[row, len(record) :])
 
 
@@ -68,7 +68,7 @@ def test_a_batch_holds_the_command_beyond_the_dead_zone_and_the_measured_displac
         beyond = np.maximum(record.command(LIFTING) - 0.2, 0.0)
         np.testing.assert_array_equal(batch.command[row, : len(record)], beyond)
         np.testing.assert_array_equal(batch.displacement[row, : len(record)], record.displacement)
-        np.testing.assert_array_equal(batch.logged[row, : len(record)], record.command(LIFTING))
+        np.testing.assert_array_equal(batch.raw_command[row, : len(record)], record.command(LIFTING))
     np.testing.assert_array_equal(batch.dead_zone, [0.2, 0.2, 0.2])
     assert batch.step_s == STEP_S
 
@@ -86,15 +86,15 @@ def test_the_second_input_counts_as_its_mean_before_motion(records):
             record, signals=signals, units={**record.units, "pressure": "bar"}
         )
     batch = laid(records, load="pressure")
-    assert batch.load.shape == (3,)
-    np.testing.assert_allclose(batch.load, told, rtol=1e-12)
-    np.testing.assert_array_equal(laid(records).load, [0.0, 0.0, 0.0])
+    assert batch.covariate.shape == (3,)
+    np.testing.assert_allclose(batch.covariate, told, rtol=1e-12)
+    np.testing.assert_array_equal(laid(records).covariate, [0.0, 0.0, 0.0])
 
 
 @pytest.mark.parametrize("most", [100, 171, 256, 512, 4096])
 def test_a_thinned_batch_keeps_the_integral_of_every_command_and_the_start(records, most):
     batch = laid(records, end_stop=60.0)
-    thin = batch.thinned(most)
+    thin = batch.decimate(most)
     count = thin.command.shape[1]
     assert count <= most
     factor = round(thin.step_s / batch.step_s)
@@ -114,14 +114,14 @@ def test_a_thinned_batch_keeps_the_integral_of_every_command_and_the_start(recor
         np.testing.assert_array_equal(getattr(thin, name), getattr(batch, name))
     for name in ("displacement", "valid", "counted"):
         np.testing.assert_array_equal(getattr(thin, name), np.asarray(getattr(batch, name))[:, ::factor])
-    assert thin.direction == batch.direction
+    assert thin.sign == batch.sign
 
 
 def test_an_integrator_answers_a_thinned_batch_at_its_samples_as_the_whole_one(records):
     """∫u dt at the coarse samples is the same sum, so that K/s has not lost anything."""
-    model = Benchmark(structure_named("integrator"), jnp.array([21.0]), jnp.asarray(0.0))
+    model = PhysicalModel(structure_named("integrator"), jnp.array([21.0]), jnp.asarray(0.0))
     batch = laid(records)
-    found = np.asarray(model.travel(batch.thinned(128)))
+    found = np.asarray(model.travel(batch.decimate(128)))
     whole = np.asarray(model.travel(batch))[:, ::4]
     np.testing.assert_allclose(found, whole, rtol=0, atol=512 * EPS * whole.max())
 
@@ -131,7 +131,7 @@ def test_displaced_undoes_travel(records, direction):
     batch = laid(records, direction=direction)
     travel = np.asarray(batch.travel)
     assert np.sign(travel[2, 299]) == direction
-    back = np.asarray(batch.displaced(batch.travel))
+    back = np.asarray(batch.to_displacement(batch.travel))
     np.testing.assert_allclose(back, batch.displacement, rtol=0, atol=2 * EPS * np.abs(back).max())
 
 
@@ -140,17 +140,17 @@ def test_take_keeps_whole_tests_in_the_order_asked_for(records):
     some = batch.take([2, 0])
     for name in ("command", "logged", "dead_zone", "displacement", "valid", "counted", "initial", "load"):
         np.testing.assert_array_equal(getattr(some, name), np.asarray(getattr(batch, name))[[2, 0]])
-    assert (some.step_s, some.direction) == (batch.step_s, batch.direction)
+    assert (some.step_s, some.sign) == (batch.step_s, batch.sign)
 
 
 def test_counting_takes_samples_away_and_never_adds_any(records):
     batch = laid(records, end_stop=60.0)
     asked = jnp.arange(512)[None, :] % 2 == jnp.zeros((3, 1), int)
     np.testing.assert_array_equal(
-        batch.counting(asked).counted, np.asarray(batch.counted) & np.asarray(asked)
+        batch.masked(asked).loss_mask, np.asarray(batch.loss_mask) & np.asarray(asked)
     )
-    everything = batch.counting(jnp.ones_like(batch.counted))
-    np.testing.assert_array_equal(everything.counted, batch.counted)
+    everything = batch.masked(jnp.ones_like(batch.loss_mask))
+    np.testing.assert_array_equal(everything.loss_mask, batch.loss_mask)
     np.testing.assert_array_equal(everything.displacement, batch.displacement)
 
 

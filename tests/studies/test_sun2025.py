@@ -6,9 +6,9 @@ import json
 import numpy as np
 import pytest
 
-from hitchid.data.record import LIFTING, MODES
+from hitchid.data.record import DIRECTIONS, LIFTING
 from hitchid.experiments.virtual_campaign import DYNAMIC_S, HIGH, LOW, STROKE_FRACTION
-from hitchid.identification import Descent, MultiStart, Rollouts, Training
+from hitchid.identification import AdamConfig, CompensatorConfig, MultiStart, Rollouts
 from hitchid.rig import load_rig, simulate
 from hitchid.studies.sun2025 import Plan, reproduce
 from hitchid.studies.sun2025.mechanistic import mechanistic
@@ -21,16 +21,16 @@ def test_a_small_study_writes_every_table_and_figure(tmp_path):
         search=MultiStart(evaluations=60),
         comparison=None,
         # Which compensator ships and what stands beside it play no part: the layout is the same.
-        training=Training(
+        training=CompensatorConfig(
             hidden=6,
             window=20,
-            descent=Descent(epochs=6, patience=6),
+            adam=AdamConfig(epochs=6, patience=6),
             rollouts=Rollouts(hidden=4, epochs=10),
             baselines=False,
         ),
     )
     study = reproduce(tmp_path / "study", plan=plan)
-    assert [each.number for each in study.drawn] == list(range(5, 13))
+    assert [each.number for each in study.figures] == list(range(5, 13))
     page = (tmp_path / "study" / "report.html").read_text()
     for number in range(5, 13):
         assert (tmp_path / "study" / "figures" / f"figure-{number:02d}.svg").stat().st_size > 1000
@@ -53,7 +53,7 @@ def test_a_small_study_writes_every_table_and_figure(tmp_path):
         np.testing.assert_allclose(np.sqrt(np.mean(errors**2)), free_run, rtol=1e-9)
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", DIRECTIONS)
 def test_the_mechanistic_gain_leads_to_the_speed_of_the_mean_test(mode):
     """At u₀ = v₀/K beyond the dead zone the bench passes the middle of the way at v₀.
 
@@ -64,9 +64,9 @@ def test_the_mechanistic_gain_leads_to_the_speed_of_the_mean_test(mode):
     known = mechanistic(rig, mode)
     stroke_mm = 1e3 * float(rig.cylinder.stroke)
     speed = np.mean(LOW + HIGH) * STROKE_FRACTION * stroke_mm / DYNAMIC_S
-    gain = known.benchmark.named_values()["gain"]
+    gain = known.physical_model.named_values()["gain"]
     currents = np.zeros((1, 1001, 2))
-    currents[:, 20:, MODES.index(mode)] = known.dead_zone + speed / gain
+    currents[:, 20:, DIRECTIONS.index(mode)] = known.dead_zone + speed / gain
     start = 0.0 if mode == LIFTING else float(rig.cylinder.stroke)
     motion = simulate(rig, currents, initial_displacement_m=start)
     travel = 1e3 * np.abs(np.asarray(motion.displacement_m)[0] - start)
@@ -74,7 +74,7 @@ def test_the_mechanistic_gain_leads_to_the_speed_of_the_mean_test(mode):
     assert np.polyfit(0.01 * near, travel[near], 1)[0] == pytest.approx(speed, rel=0.01)
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", DIRECTIONS)
 def test_the_mechanistic_dead_zone_is_the_data_sheet_s(mode):
     """It is the valve's overlap with half the hysteresis, on a bench whose valves differ from the nominal."""
     rig = load_rig("light-warm-worn")

@@ -6,17 +6,17 @@ import pytest
 from scipy import stats
 
 from hitchid.data.record import LIFTING
-from hitchid.estimation import Misfit, MultiStart, polish_some
+from hitchid.estimation import MultiStart, Objective, refine_subset
 from hitchid.identification.phase1 import find_parameters
-from hitchid.structures import Batch, Form, structure_named
+from hitchid.structures import Batch, ModelSpec, structure_named
 from hitchid.uncertainty import DeadZoneError, assess
 from hitchid.uncertainty.profile import profile
 from truth import STEP_S, held, lag, levels
 
 UNITS = {"x": "mm", "u": "A"}
-INTEGRATOR = Form(structure_named("integrator"))
-LAG = Form(structure_named("first-order-lag"))
-SECOND_ORDER = Form(structure_named("integrator-second-order"))
+INTEGRATOR = ModelSpec(structure_named("integrator"))
+LAG = ModelSpec(structure_named("first-order-lag"))
+SECOND_ORDER = ModelSpec(structure_named("integrator-second-order"))
 SAMPLES = 250
 
 
@@ -28,7 +28,7 @@ def batch_of(make_record):
             make_record(80.0 + travel + noise * rng.standard_normal(travel.size), command)
             for command, travel in tests
         ]
-        return Batch.of(records, LIFTING, dead_zone=dead_zone, direction=1, initial=[80.0] * len(records))
+        return Batch.of(records, LIFTING, dead_zone=dead_zone, sign=1, initial=[80.0] * len(records))
 
     return make
 
@@ -42,7 +42,7 @@ def alike(gains):
 
 def assessed(batch, form, *, dead_zone=DeadZoneError(), starts=3):  # noqa: B008
     fit = find_parameters(batch, form, MultiStart(evaluations=10**4, starts=starts), 0)
-    known, moved = assess(fit.misfit, fit.position, units=UNITS, dead_zone=dead_zone)
+    known, moved = assess(fit.objective, fit.position, units=UNITS, dead_zone=dead_zone)
     return {each.name: each for each in known.parameters}, known, moved
 
 
@@ -59,7 +59,7 @@ def test_of_tests_alike_the_gain_is_their_mean_with_students_interval(batch_of):
     found, (mean, error, reach) = estimates["gain"], t_interval(gains)
     assert found.value == pytest.approx(mean, rel=1e-9)
     assert found.error == pytest.approx(error, rel=1e-6)
-    assert moved.degrees == pytest.approx([7.0], rel=1e-6)
+    assert moved.degrees_of_freedom == pytest.approx([7.0], rel=1e-6)
     # The interval is one of the logarithm: of the second order in the relative reach beside the mean's.
     second = (reach / mean) ** 2
     assert found.interval == pytest.approx((mean - reach, mean + reach), rel=second)
@@ -108,14 +108,14 @@ def test_the_error_of_the_dead_zone_moves_the_gain_as_a_fit_behind_another_does(
 def test_a_parameter_that_moves_nothing_is_not_determined_however_small_its_scores(batch_of):
     command = levels(np.random.default_rng(0), SAMPLES, low=0.2)
     tests = [(command, held(*lag(15.0, 0.05), command)) for _ in range(12)]
-    form = Form(structure_named("integrator-first-order"), curve=True)
+    form = ModelSpec(structure_named("integrator-first-order"), valve_curve=True)
     fit = find_parameters(batch_of(tests, noise=0.3), form, MultiStart(evaluations=10**4, starts=3), 0)
     names = [parameter.name for parameter in form.parameters]
     place, others = names.index("saturation"), [n for n, name in enumerate(names) if name != "saturation"]
     position = fit.position.copy()
     position[place] = 0.9
-    position[others] = polish_some(fit.misfit, others, [position], 50, 1e-12).position
-    known, _ = assess(fit.misfit, position, units=UNITS)
+    position[others] = refine_subset(fit.objective, others, [position], 50, 1e-12).position
+    known, _ = assess(fit.objective, position, units=UNITS)
     saturation = next(each for each in known.parameters if each.name == "saturation")
     assert saturation.error is None
     assert not saturation.determined
@@ -134,7 +134,7 @@ def test_a_profile_allows_what_another_dead_zone_would(batch_of):
     command = levels(np.random.default_rng(0), SAMPLES, low=0.4)
     tests = [(command, held(*lag(15.0, 0.7), command)) for _ in range(8)]
     batch = batch_of(tests, noise=0.3)
-    misfit = Misfit.of(batch, LAG)
+    misfit = Objective.of(batch, LAG)
     position = misfit.position(np.array([15.0, 0.7]))
     sure = profile(misfit, position, 0)
     unsure = profile(misfit, position, 0, DeadZoneError(0.02, 3))
@@ -157,7 +157,7 @@ def test_what_follows_from_parameters_has_their_interval(batch_of):
     assert np.diag(correlation) == pytest.approx([1.0, 1.0])
     variance = errors @ correlation @ errors
     lower, upper = derived["alpha2 = K"].interval
-    reach = stats.t.ppf(0.975, np.min(moved.degrees)) * np.sqrt(variance)
+    reach = stats.t.ppf(0.975, np.min(moved.degrees_of_freedom)) * np.sqrt(variance)
     assert np.log(upper / lower) == pytest.approx(2 * reach, rel=1e-3)
     assert derived["alpha2 = K"].determined
 
@@ -203,7 +203,7 @@ def test_one_test_is_cut_into_stretches(batch_of):
 def test_sensitivities_are_those_of_the_error_to_a_hundredth(batch_of):
     tests = alike([15.0, 14.0, 16.0, 15.5, 14.5])
     estimates, _, _ = assessed(batch_of(tests), INTEGRATOR)
-    misfit = Misfit.of(batch_of(tests), INTEGRATOR)
+    misfit = Objective.of(batch_of(tests), INTEGRATOR)
 
     def rmse(factor):
         position = misfit.position(np.array([factor * estimates["gain"].value]))

@@ -10,7 +10,14 @@ from scipy import stats
 
 from hitchid.errors import InputError
 from hitchid.uncertainty import Bands
-from hitchid.uncertainty.bands import GRID, HALVINGS, LEVELS, calibrated, free_run_scores, sensor_noise
+from hitchid.uncertainty.bands import (
+    BISECTION_STEPS,
+    GRID,
+    LEVELS,
+    conformal_quantile,
+    nonconformity_scores,
+    sensor_noise,
+)
 
 BANDS = Bands(
     alternatives=(),
@@ -37,7 +44,7 @@ def coverage_of_a_test_to_come(tests, level):
     rng = np.random.default_rng(0)
     drawn = rng.random((SETS, tests))
     # Of uniform scores a share q lies below q.
-    return float(np.mean([calibrated([np.full(30, score) for score in row], level) for row in drawn]))
+    return float(np.mean([conformal_quantile([np.full(30, score) for score in row], level) for row in drawn]))
 
 
 def doubt(tests, level):
@@ -61,8 +68,8 @@ def test_where_samples_of_a_test_are_one_coverage_is_within_a_test_of_the_level(
 def test_more_is_asked_than_few_tests_can_tell_and_their_largest_is_returned():
     rows = [np.full(9, float(number)) for number in range(5)]
     # Of five tests each is covered by the others in four cases at most.
-    assert calibrated(rows, 0.9) == 4.0
-    assert calibrated(rows, 0.5) < 4.0
+    assert conformal_quantile(rows, 0.9) == 4.0
+    assert conformal_quantile(rows, 0.5) < 4.0
 
 
 @pytest.mark.parametrize("level", LEVELS)
@@ -70,7 +77,7 @@ def test_the_level_needs_no_raising_where_samples_are_independent(level):
     tests, samples = 10, 2000
     rng = np.random.default_rng(1)
     drawn = rng.random((20, tests, samples))
-    found = np.array([calibrated(list(each), level) for each in drawn])
+    found = np.array([conformal_quantile(list(each), level) for each in drawn])
     # A binomial count of all samples, and quantiles between grid points 1/400 apart.
     error = np.sqrt(level * (1 - level) / (tests * samples))
     assert np.all(np.abs(found - level) <= SURE * error + GRID[1])
@@ -81,8 +88,8 @@ def test_tests_of_which_each_is_partly_its_own_ask_for_the_largest_score():
     rng = np.random.default_rng(2)
     rows = [np.concatenate([rng.random(100), np.full(100, 10 + own)]) for own in rng.random(9)]
     # The others cover eight of nine tests whole and half of the last: 17/18 = 0.944.
-    assert calibrated(rows, 0.95) == max(row.max() for row in rows)
-    assert calibrated(rows, 0.94) < max(row.max() for row in rows)
+    assert conformal_quantile(rows, 0.95) == max(row.max() for row in rows)
+    assert conformal_quantile(rows, 0.94) < max(row.max() for row in rows)
 
 
 def test_the_level_is_raised_where_some_tests_err_more_than_others():
@@ -91,17 +98,17 @@ def test_the_level_is_raised_where_some_tests_err_more_than_others():
     for _ in range(40):
         sizes = np.exp(0.7 * rng.standard_normal((8, 1)))
         rows = sizes * np.abs(rng.standard_normal((8, 200)))
-        raised.append(np.log(calibrated(list(rows), level) / np.quantile(rows, level)))
+        raised.append(np.log(conformal_quantile(list(rows), level) / np.quantile(rows, level)))
     assert np.mean(raised) > SURE * np.std(raised) / np.sqrt(40)
 
 
 @given(rows=scores, levels=st.tuples(st.floats(0.01, 0.99), st.floats(0.01, 0.99)).map(sorted))
 def test_more_coverage_never_takes_a_smaller_score(rows, levels):
-    less, more = (calibrated(rows, level) for level in levels)
+    less, more = (conformal_quantile(rows, level) for level in levels)
     pooled = np.concatenate([np.quantile(row, GRID) for row in rows])
     # Halving leaves the probability of the lower level up to 2⁻¹² above that of the higher one; between two
     # scores the quantile is interpolated, one more place.
-    probability = np.mean(pooled <= more) + 0.5**HALVINGS + 1 / pooled.size
+    probability = np.mean(pooled <= more) + 0.5**BISECTION_STEPS + 1 / pooled.size
     assert less <= np.quantile(pooled, min(probability, 1.0)) * (1 + 1e-12)
 
 
@@ -109,19 +116,21 @@ def test_more_coverage_never_takes_a_smaller_score(rows, levels):
 def test_scores_in_another_unit_give_the_score_in_that_unit(rows, level, power):
     # Powers of two scale without rounding.
     factor = 2.0**power
-    assert calibrated([factor * row for row in rows], level) == factor * calibrated(rows, level)
+    assert conformal_quantile([factor * row for row in rows], level) == factor * conformal_quantile(
+        rows, level
+    )
 
 
 @given(rows=scores, level=st.floats(0.01, 0.99), seed=st.integers(0, 99))
 def test_the_order_of_tests_and_samples_does_not_matter(rows, level, seed):
     rng = np.random.default_rng(seed)
     shuffled = [rng.permutation(rows[number]) for number in rng.permutation(len(rows))]
-    assert calibrated(shuffled, level) == pytest.approx(calibrated(rows, level), rel=1e-12)
+    assert conformal_quantile(shuffled, level) == pytest.approx(conformal_quantile(rows, level), rel=1e-12)
 
 
 @given(row=st.lists(st.floats(0, 1e6), min_size=1, max_size=20), level=st.floats(0.01, 0.99))
 def test_of_one_test_the_largest_score_is_returned(row, level):
-    assert calibrated([np.array(row)], level) == max(row)
+    assert conformal_quantile([np.array(row)], level) == max(row)
 
 
 def test_noise_is_found_beside_what_is_smooth():
@@ -159,7 +168,7 @@ def test_a_parabola_has_no_noise_and_tests_of_three_samples_tell_none():
     level=st.sampled_from(LEVELS),
 )
 def test_the_score_of_a_sample_is_that_whose_band_just_reaches_it(errors, spread, noise, level):
-    (found,) = free_run_scores([errors], [np.full(errors.size, spread)], noise, level)
+    (found,) = nonconformity_scores([errors], [np.full(errors.size, spread)], noise, level)
     floor = stats.norm.ppf(0.5 + level / 2) * noise
     # √(e² − f²) and back: rounding of squares of at most 100.
     np.testing.assert_allclose(
@@ -169,7 +178,7 @@ def test_the_score_of_a_sample_is_that_whose_band_just_reaches_it(errors, spread
 
 
 def test_a_sample_where_all_alternatives_agree_scores_finitely():
-    ((inside, outside),) = free_run_scores([np.array([0.01, 1.0])], [np.zeros(2)], 0.1, 0.95)
+    ((inside, outside),) = nonconformity_scores([np.array([0.01, 1.0])], [np.zeros(2)], 0.1, 0.95)
     assert inside == 0.0
     assert 1e6 < outside < np.inf
 

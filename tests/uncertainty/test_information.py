@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 
 from hitchid._support.storage import canonical_json
 from hitchid.data.record import LIFTING
-from hitchid.estimation import MultiStart, Run, Trail
+from hitchid.estimation import MultiStart, SearchHistory, SearchRun
 from hitchid.identification.phase1 import identify_benchmark
-from hitchid.structures import Batch, Form, structure_named
-from hitchid.uncertainty import KNOWN, Alternative, Bands, DeadZoneError, Information, Uncertainty
+from hitchid.structures import Batch, ModelSpec, structure_named
+from hitchid.uncertainty import NO_ERROR, Bands, DeadZoneError, EnsembleMember, Information, Uncertainty
 from hitchid.uncertainty.information import _autocovariance
 from truth import held, lag, levels
 
@@ -26,14 +26,14 @@ SURE = 3.3  # standard errors, beyond which 1 in 1000 lies
 def found(make_record):
     """Return a function that identifies a form from eight noisy tests of a lag, or of an integrator."""
 
-    def identify(form=None, *, fraction=None, dead_zone=KNOWN):
+    def identify(form=None, *, fraction=None, dead_zone=NO_ERROR):
         rng, records = np.random.default_rng(0), []
         for _ in range(TESTS):
             command = levels(rng, SAMPLES, low=0.2)
             travel = held(*(fraction or lag(15.0, 0.7)), command) + 0.3 * rng.standard_normal(SAMPLES)
             records.append(make_record(80.0 + travel, np.where(command > 0, command + 0.35, 0.0)))
-        batch = Batch.of(records, LIFTING, dead_zone=0.35, direction=1, initial=[80.0] * TESTS)
-        form = form or Form(structure_named("first-order-lag"))
+        batch = Batch.of(records, LIFTING, dead_zone=0.35, sign=1, initial=[80.0] * TESTS)
+        form = form or ModelSpec(structure_named("first-order-lag"))
         return identify_benchmark(batch, form, MultiStart(100, starts=2), 0, units=UNITS, dead_zone=dead_zone)
 
     return identify
@@ -61,7 +61,7 @@ def by_hand(jacobian, *, tests=5, size=0.3, every=1, fixed=0.0):
     )
 
 
-@pytest.mark.parametrize("dead_zone", [KNOWN, DeadZoneError(0.01, 3)], ids=["known", "from ramps"])
+@pytest.mark.parametrize("dead_zone", [NO_ERROR, DeadZoneError(0.01, 3)], ids=["known", "from ramps"])
 def test_widths_are_the_standard_errors_of_the_estimates(found, dead_zone):
     phase1 = found(dead_zone=dead_zone)
     information = information_of(phase1)
@@ -69,13 +69,13 @@ def test_widths_are_the_standard_errors_of_the_estimates(found, dead_zone):
     # H⁻¹ H is one to rounding times the condition of H, from either side.
     rounding = 100 * np.linalg.cond(np.array(information.curvature)) * np.finfo(float).eps
     errors = np.array([estimate.error for estimate in phase1.estimates])
-    np.testing.assert_allclose(information.widths() * information.slopes, errors, rtol=rounding)
+    np.testing.assert_allclose(information.standard_errors() * information.slopes, errors, rtol=rounding)
     assert (information.tests, information.samples) == (TESTS, SAMPLES)
     assert np.any(information.fixed) == (dead_zone.size > 0)
 
 
 def test_a_parameter_at_a_bound_is_left_out(found):
-    form = Form(structure_named("first-order-lag"), bounds={"time_constant": (2.0, 9.0)})
+    form = ModelSpec(structure_named("first-order-lag"), bounds={"time_constant": (2.0, 9.0)})
     information = information_of(found(form))
     assert information.names == ("gain",)
     assert np.shape(information.curvature) == np.shape(information.scatter) == (1, 1)
@@ -83,7 +83,7 @@ def test_a_parameter_at_a_bound_is_left_out(found):
 
 def test_another_test_like_those_narrows_to_what_their_number_says(found):
     information = information_of(found())
-    share = information.widths_with_another() / information.widths()
+    share = information.standard_errors_with_repeat() / information.standard_errors()
     np.testing.assert_allclose(share, np.sqrt(TESTS / (TESTS + 1)), rtol=1e-9)
 
 
@@ -106,25 +106,29 @@ def test_repeating_a_jacobian_under_white_errors_narrows_as_one_more_of_the_same
     information = by_hand(jacobian, tests=tests)
     # H' = (T + 1)/T H and so its scatter: V' = V T/(T + 1); rounding by the condition of H.
     rounding = 100 * np.linalg.cond(jacobian) ** 2 * np.finfo(float).eps
-    share = information.widths_with(jacobian) / information.widths()
+    share = information.standard_errors_with(jacobian) / information.standard_errors()
     np.testing.assert_allclose(share, np.sqrt(tests / (tests + 1)), rtol=rounding)
 
 
 def test_lags_of_several_samples_say_the_same_where_the_jacobian_is_slow():
     slow = np.repeat(np.random.default_rng(1).normal(size=(40, 2)), 3, axis=0)
-    fine, coarse = (by_hand(slow, every=every).widths_with(slow) for every in (1, 3))
+    fine, coarse = (by_hand(slow, every=every).standard_errors_with(slow) for every in (1, 3))
     np.testing.assert_allclose(coarse, fine, rtol=1e-12)
 
 
 @pytest.mark.parametrize("samples", [1, 7, 100, 1000])
 def test_a_test_that_says_nothing_narrows_nothing(samples):
     information = by_hand(np.random.default_rng(2).normal(size=(50, 3)), every=4)
-    np.testing.assert_array_equal(information.widths_with(np.zeros((samples, 3))), information.widths())
+    np.testing.assert_array_equal(
+        information.standard_errors_with(np.zeros((samples, 3))), information.standard_errors()
+    )
 
 
 def test_a_test_narrows_only_what_it_excites():
     information = by_hand(np.eye(2)[np.arange(40) % 2])
-    first, second = information.widths_with(np.eye(2)[np.zeros(40, int)]) / information.widths()
+    first, second = (
+        information.standard_errors_with(np.eye(2)[np.zeros(40, int)]) / information.standard_errors()
+    )
     assert second == pytest.approx(1.0, rel=1e-12)
     # Five tests gave 20 samples to each parameter; forty more are two tests' worth: √(5/7).
     assert first == pytest.approx(np.sqrt(5 / 7), rel=1e-12)
@@ -133,7 +137,7 @@ def test_a_test_narrows_only_what_it_excites():
 def test_what_the_dead_zone_adds_no_test_takes_away():
     jacobian = 100 * np.random.default_rng(3).normal(size=(50, 2))
     information = by_hand(jacobian, fixed=0.04)
-    many = information.widths_with(np.tile(100 * jacobian, (40, 1)))
+    many = information.standard_errors_with(np.tile(100 * jacobian, (40, 1)))
     assert np.all(many >= 0.2)
     # The rest, 0.3/(100 √250) = 2e-4 before the test, is a millionth beside it in squares.
     assert many == pytest.approx([0.2, 0.2], rel=1e-6)
@@ -167,21 +171,27 @@ def test_a_test_far_shorter_than_the_others_is_no_hindrance():
 def test_what_is_known_comes_back_from_json(found):
     phase1 = found(dead_zone=DeadZoneError(0.01, 3))
     bands = Bands(
-        (Alternative((1.0, 2.0), 1, 0.5), Alternative((3.0,))), 0.1, (0.5,), (1.0,), (1,), ((1.0,),), (8, 3)
+        (EnsembleMember((1.0, 2.0), 1, 0.5), EnsembleMember((3.0,))),
+        0.1,
+        (0.5,),
+        (1.0,),
+        (1,),
+        ((1.0,),),
+        (8, 3),
     )
-    run = Run((None, 1.5), ((1.0,), (2.0,)), 60, 1, "spent")
+    run = SearchRun((None, 1.5), ((1.0,), (2.0,)), 60, 1, "spent")
     whole = Uncertainty(
         benchmark=phase1.known,
         paper=phase1.known,
         bands=bands,
-        searches=(Trail("whale", (run, Run((), (), 0, 0, "failed"))),),
+        searches=(SearchHistory("whale", (run, SearchRun((), (), 0, 0, "failed"))),),
         searched=("gain",),
         information=information_of(phase1),
     )
     for known in (whole, Uncertainty(phase1.known)):
         assert Uncertainty.of(json.loads(canonical_json(known.describe()))) == known
     back = Uncertainty.of(json.loads(canonical_json(whole.describe()))).information
-    np.testing.assert_array_equal(back.widths(), whole.information.widths())
+    np.testing.assert_array_equal(back.standard_errors(), whole.information.standard_errors())
 
 
 @pytest.mark.parametrize("spoil", [{"curvature": [[1.0, None]]}, {"every": "often"}, {"names": "gain"}])
@@ -198,8 +208,8 @@ def test_what_a_tests_own_speed_would_take_up_is_not_heard():
     travel, other = np.cumsum(rng.random(50)), rng.standard_normal(50)
     jacobian = np.stack([3.0 * travel, other], axis=1)
     information = by_hand(jacobian)
-    np.testing.assert_array_equal(information.heard(travel, jacobian), jacobian)
-    heard = replace(information, apart=True).heard(travel, jacobian)
+    np.testing.assert_array_equal(information.profile_out_gain(travel, jacobian), jacobian)
+    heard = replace(information, apart=True).profile_out_gain(travel, jacobian)
     # A speed that is tied to one with ρ = 0.01 leaves ρ/(1 + ρ) of what goes with the travel itself.
     np.testing.assert_allclose(heard[:, 0], 3.0 * travel * 0.01 / 1.01, rtol=1e-9)
     assert abs(travel @ heard[:, 1]) <= 0.01 * abs(travel @ other)

@@ -11,13 +11,21 @@ import pytest
 from scipy import signal, stats
 
 from hitchid.data.record import LIFTING
-from hitchid.estimation import Misfit
-from hitchid.estimation.search import polish
+from hitchid.estimation import Objective
+from hitchid.estimation.search import refine
 from hitchid.identification import direction
 from hitchid.identification.deadzone import DeadZone
 from hitchid.identification.phase1 import Phase1
-from hitchid.structures import SHAPE, Batch, Benchmark, Form, Scales, Shape, structure_named
-from hitchid.structures.shape import NEUTRAL
+from hitchid.structures import (
+    NONLINEARITY_PARAMETERS,
+    Batch,
+    ModelSpec,
+    PhysicalModel,
+    Scales,
+    StaticNonlinearity,
+    structure_named,
+)
+from hitchid.structures.static_nonlinearity import NEUTRAL
 from hitchid.uncertainty import (
     Characteristics,
     DeadZoneError,
@@ -26,7 +34,7 @@ from hitchid.uncertainty import (
     characteristic_sentences,
     characteristics,
 )
-from hitchid.uncertainty.moves import Moves, moves
+from hitchid.uncertainty.influence import Influence, compute_influence
 from hitchid.uncertainty.operating_points import measured_speeds, operating_levels
 from hitchid.uncertainty.profile import Profile
 from hitchid.uncertainty.scores import Scores
@@ -34,8 +42,8 @@ from hitchid.uncertainty.step_response import speed_lag, steady_speed, step_time
 from truth import STEP_S, held, second_order, shifted
 
 UNITS = {"x": "mm", "u": "A"}
-FIRST_ORDER = Form(structure_named("integrator-first-order"), dead_time=True)
-INTEGRATOR = Form(structure_named("integrator"))
+FIRST_ORDER = ModelSpec(structure_named("integrator-first-order"), dead_time=True)
+INTEGRATOR = ModelSpec(structure_named("integrator"))
 GAIN, LAG_S, LATE = 30.0, 0.1, 5
 LEVELS = (0.4, 0.7, 1.0)
 SAMPLES = 200
@@ -45,7 +53,7 @@ SAMPLES = 200
 def batch_of(make_record):
     def make(tests, *, dead_zone=0.0):
         records = [make_record(80.0 + travel, command) for command, travel in tests]
-        return Batch.of(records, LIFTING, dead_zone=dead_zone, direction=1, initial=[80.0] * len(records))
+        return Batch.of(records, LIFTING, dead_zone=dead_zone, sign=1, initial=[80.0] * len(records))
 
     return make
 
@@ -70,13 +78,17 @@ def steps(rng, *, scatter, noise, levels=LEVELS * 3):
 
 def fitted(batch, form, values, *, error=DeadZoneError(), profiles=()):  # noqa: B008
     """Return the characteristics from the least squares next to known values."""
-    misfit = Misfit.of(batch, form)
+    misfit = Objective.of(batch, form)
     problem = misfit.problem()
-    position = polish(problem, misfit.position(np.array(values)), limit=30).position
-    moved = moves(misfit, position, np.ones(position.size, bool), error, seed=0)
+    position = refine(problem, misfit.position(np.array(values)), limit=30).position
+    moved = compute_influence(misfit, position, np.ones(position.size, bool), error, seed=0)
     moved = moved._replace(profiles=tuple(profile(misfit, position) for profile in profiles))
-    zone = DeadZone(float(batch.dead_zone[0]), None, 0, "given").stated("A")
-    return characteristics(misfit, position, moved, dead_zone=zone, error=error, units=UNITS), moved, position
+    zone = DeadZone(float(batch.dead_zone[0]), None, 0, "given").to_quantity("A")
+    return (
+        characteristics(misfit, position, moved, dead_zone=zone, dead_zone_error=error, units=UNITS),
+        moved,
+        position,
+    )
 
 
 def test_of_integrators_alike_the_speed_has_students_interval_of_their_gains(batch_of):
@@ -160,16 +172,18 @@ def test_a_profile_widens_a_speed_to_what_still_fits_and_opens_it_where_it_has_n
 
 
 def shaped(**values):
-    neutral = {parameter.name: NEUTRAL.get(parameter.name, 0.0) for parameter in SHAPE}
+    neutral = {parameter.name: NEUTRAL.get(parameter.name, 0.0) for parameter in NONLINEARITY_PARAMETERS}
     scales = Scales(*map(jnp.asarray, (2.0, 100.0, 50.0, 10.0, 4.0)))
-    return Shape(jnp.asarray([{**neutral, **values}[parameter.name] for parameter in SHAPE]), scales)
+    return StaticNonlinearity(
+        jnp.asarray([{**neutral, **values}[parameter.name] for parameter in NONLINEARITY_PARAMETERS]), scales
+    )
 
 
 def test_steady_speed_follows_the_valve_curve_and_the_load():
     shape = shaped(
         opening=0.1, exponent=1.5, saturation=0.6, load_shift=0.05, load_gain=-0.2, position_curve=0.3
     )
-    benchmark = Benchmark(INTEGRATOR.structure, jnp.asarray([20.0]), jnp.zeros(()), shape)
+    benchmark = PhysicalModel(INTEGRATOR.structure, jnp.asarray([20.0]), jnp.zeros(()), shape)
     commands, loads = np.array([0.4, 1.0, 2.2]), np.array([10.0, 14.0, 14.0])
     z, load = (np.maximum(commands - 0.3, 0) / 2.0), (loads - 10.0) / 4.0
     v = np.maximum(z - 0.05 * load - 0.1, 0) ** 1.5
@@ -182,7 +196,7 @@ def test_steady_speed_follows_the_valve_curve_and_the_load():
 @pytest.mark.parametrize(("omega", "damping"), [(12.0, 0.3), (5.0, 1.0), (40.0, 8.0)])
 def test_delay_and_response_time_are_those_of_the_step_response(omega, damping):
     structure = structure_named("integrator-second-order")
-    benchmark = Benchmark(structure, jnp.asarray([30.0, omega, damping]), jnp.asarray(0.07))
+    benchmark = PhysicalModel(structure, jnp.asarray([30.0, omega, damping]), jnp.asarray(0.07))
     (num,), den = second_order(1.0, omega, damping)
     time_s, speed = signal.step(([num], den[:-1]), T=np.linspace(0, 40 * damping / omega, 200_001))
     for found, part in zip(
@@ -195,7 +209,9 @@ def test_delay_and_response_time_are_those_of_the_step_response(omega, damping):
 
 
 def test_a_lagging_spool_delays_motion_until_it_has_passed_the_dead_zone():
-    benchmark = Benchmark(INTEGRATOR.structure, jnp.asarray([30.0]), jnp.asarray(0.02), shaped(spool_lag=0.2))
+    benchmark = PhysicalModel(
+        INTEGRATOR.structure, jnp.asarray([30.0]), jnp.asarray(0.02), shaped(spool_lag=0.2)
+    )
     delay, response_time = step_times(benchmark, 1.0, 10.0, 0.5, 0.0)
     # c (1 − exp(−t/τ)) − d is a part p of c − d at t = τ ln(c / ((1 − p) (c − d))).
     for found, part in ((delay, 0.05), (response_time, 1 - np.exp(-1))):
@@ -216,7 +232,7 @@ def test_levels_are_those_at_which_tests_stood_else_a_grid_within_what_occurred(
 
 def test_measured_speeds_are_those_of_the_plant_around_mid_stroke(batch_of):
     batch = batch_of(steps(np.random.default_rng(0), scatter=0.0, noise=0.0, levels=(1.0, 0.95, -0.9)))
-    found = measured_speeds(batch, 0.3, 0.15, loaded=False)
+    found = measured_speeds(batch, 0.3, 0.15, has_load=False)
     assert [each.command for each in found] == pytest.approx([0.9, 0.95, 1.0])
     assert [each.speed for each in found] == pytest.approx([0.9 * GAIN, 0.95 * GAIN, GAIN], rel=0.01)
 
@@ -240,12 +256,19 @@ def test_a_factor_on_the_gain_scales_speeds_and_their_intervals_and_a_descriptio
 
 def test_a_structure_without_a_steady_speed_has_no_speed_map(batch_of):
     batch = batch_of(steps(np.random.default_rng(0), scatter=0.0, noise=0.0))
-    misfit = Misfit.of(batch, Form(structure_named("inertia-with-friction")))
+    misfit = Objective.of(batch, ModelSpec(structure_named("inertia-with-friction")))
     zone = DeadZone(0.0, None, 0, "structure")
     none = np.zeros((1, 8))
-    moved = Moves(none, none[0], none[0], none, Scores(none, np.zeros((1, 8, 8))), np.ones(8, bool), none[:1])
+    moved = Influence(
+        none, none[0], none[0], none, Scores(none, np.zeros((1, 8, 8))), np.ones(8, bool), none[:1]
+    )
     found = characteristics(
-        misfit, np.full(8, 0.5), moved, dead_zone=zone.stated("A"), error=zone.error, units=UNITS
+        misfit,
+        np.full(8, 0.5),
+        moved,
+        dead_zone=zone.to_quantity("A"),
+        dead_zone_error=zone.error,
+        units=UNITS,
     )
     assert found is None
 

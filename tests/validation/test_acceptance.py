@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hitchid._support.metrics import HORIZONS
 from hitchid.errors import SettingsError
 from hitchid.validation.acceptance import check_limits, line
-from hitchid.validation.limits import BASELINES, Limits, read_limits
+from hitchid.validation.limits import BASELINES, AcceptanceLimits, read_limits
 
 FILE = """
 unit = "mm"
@@ -65,7 +65,7 @@ def campaign(unit="mm"):
 
 
 def limits_of(mode="lifting", unit="mm", **demanded):
-    return Limits.model_validate({"unit": unit, mode: demanded})
+    return AcceptanceLimits.model_validate({"unit": unit, mode: demanded})
 
 
 def only(metrics, limits):

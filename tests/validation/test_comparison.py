@@ -41,8 +41,8 @@ def having_seen(model, *records):
 def test_the_model_that_errs_less_on_every_test_is_found_on_either_side(campaign):
     for first, second, better in ((RIGHT, SLOW, "A"), (SLOW, RIGHT, "B")):
         compared = compare(first, second, campaign)
-        assert compared.parts == (LIFTING, LOWERING)
-        for mode in compared.parts:
+        assert compared.sections == (LIFTING, LOWERING)
+        for mode in compared.sections:
             name, said = compared.verdict(mode)
             assert name == better
             assert said.startswith(f"{better} errs less in free run, on 5 of 5 tests")
@@ -51,7 +51,7 @@ def test_the_model_that_errs_less_on_every_test_is_found_on_either_side(campaign
 
 def test_a_model_is_never_proven_better_than_itself(campaign):
     compared = compare(RIGHT, RIGHT, campaign)
-    for mode in compared.parts:
+    for mode in compared.sections:
         name, said = compared.verdict(mode)
         assert name is None
         assert "do not tell the models apart" in said
@@ -121,7 +121,7 @@ def test_cycles_are_cut_alike_for_both_where_there_is_nothing_else(make_record):
         records.append(make_record(measured, lifting, lowering, name=f"cycle-{number}"))
     cut = replace(RIGHT, provenance=Provenance(cut_at={LIFTING: 0.3, LOWERING: 0.2}))
     compared = compare(cut, replace(SLOW, provenance=Provenance(cut_at=DEAD_ZONES)), Campaign.of(records))
-    assert "cycles" in compared.parts
-    for part in compared.parts:
+    assert "cycles" in compared.sections
+    for part in compared.sections:
         one, other = compared.figures(part)
         assert one["tests"] == other["tests"]

@@ -11,17 +11,17 @@ from hitchid import identify, validate
 from hitchid.data.campaign import Campaign
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError
-from hitchid.identification import Descent, Form, MultiStart, Rollouts, Training
+from hitchid.identification import AdamConfig, CompensatorConfig, ModelSpec, MultiStart, Rollouts
 from hitchid.structures import structure_named
 from truth import held, levels
 
-FORM = Form(structure_named("integrator-first-order"))
+FORM = ModelSpec(structure_named("integrator-first-order"))
 QUICK = {
     "structure": {LIFTING: FORM, LOWERING: FORM},
     "search": MultiStart(evaluations=30),
     "comparison": None,
-    "training": Training(
-        hidden=4, window=10, descent=Descent(epochs=5, patience=5), rollouts=Rollouts(hidden=4, epochs=10)
+    "training": CompensatorConfig(
+        hidden=4, window=10, adam=AdamConfig(epochs=5, patience=5), rollouts=Rollouts(hidden=4, epochs=10)
     ),
 }
 
@@ -77,7 +77,7 @@ def cycles(make_record):
 
 
 def test_of_mixed_logs_only_strokes_of_held_out_cycles_are_validated_on(cycles, tmp_path):
-    form = Form(structure_named("integrator"))
+    form = ModelSpec(structure_named("integrator"))
     settings = {**QUICK, "structure": {LIFTING: form, LOWERING: form}, "training": None}
     found = {}
     for name, records in (("one", cycles), ("two", [*cycles[:3], spoilt(cycles[3])])):

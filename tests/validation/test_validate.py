@@ -9,14 +9,14 @@ import pytest
 
 from handmade import AHEAD, DEAD_ZONES, GAINS, channel, envelope, hitch, hitch_of, with_bands
 from hitchid._support.metrics import HORIZONS
-from hitchid.baselines.autoregression import ahead
+from hitchid.baselines.autoregression import predict_ahead
 from hitchid.data.campaign import Campaign
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError, OutputError
-from hitchid.estimation import Run, Trail
-from hitchid.model import Provenance, TwoModes, unpadded
+from hitchid.estimation import SearchHistory, SearchRun
+from hitchid.model import Provenance, TwoModes, remove_padding
 from hitchid.validation import compare, validate
-from hitchid.validation.cycles import ORIGINS
+from hitchid.validation.cycles import ORIGIN_STRIDE
 from hitchid.validation.tables import NAMES
 from truth import STEP_S, levels
 
@@ -212,8 +212,10 @@ def test_figures_are_in_the_unit_of_the_log(tests_of, cycle):
 
 def test_errors_of_the_searches_are_in_the_unit_of_the_log_too(tests_of):
     known = with_bands(MODELS, LIFTING).uncertainty[LIFTING]
-    run = Run(fitness=(None, 20.0, 10.0), values=((1.0,),) * 3, evaluations=3, failures=1, reason="done")
-    model = replace(MODELS, uncertainty={LIFTING: replace(known, searches=(Trail("whale", (run,)),))})
+    run = SearchRun(
+        fitness=(None, 20.0, 10.0), values=((1.0,),) * 3, evaluations=3, failures=1, reason="done"
+    )
+    model = replace(MODELS, uncertainty={LIFTING: replace(known, searches=(SearchHistory("whale", (run,)),))})
     in_cm = [record.convert({"displacement": "cm"}) for record in tests_of()]
     search = validate(model, Campaign.of(in_cm)).metrics["channels"][LIFTING]["searches"]["whale"]
     assert search["rmse"] == pytest.approx([1.0], rel=1e-12)
@@ -244,10 +246,10 @@ def test_cycles_are_predicted_over_horizons_by_what_the_model_gives(tests_of, cy
     for h in (1, 20):
         place = HORIZONS.index(h)
         # One sample in so many is predicted from.
-        ahead = [MODELS.predict(record, horizon=h)[h::ORIGINS] for record in records]
-        grey = by_hand([y[h::ORIGINS] for y in measured], ahead)
+        ahead = [MODELS.predict(record, horizon=h)[h::ORIGIN_STRIDE] for record in records]
+        grey = by_hand([y[h::ORIGIN_STRIDE] for y in measured], ahead)
         assert horizons["greybox"][place] == pytest.approx(grey["rmse"], rel=1e-9)
-        held = by_hand([y[h::ORIGINS] for y in measured], [y[:-h][::ORIGINS] for y in measured])
+        held = by_hand([y[h::ORIGIN_STRIDE] for y in measured], [y[:-h][::ORIGIN_STRIDE] for y in measured])
         assert horizons["persistence"][place] == pytest.approx(held["rmse"], rel=1e-9)
         if h == 1:
             assert cycles["greybox"]["one_step"] == pytest.approx(grey, rel=1e-9)
@@ -325,7 +327,7 @@ def test_an_autoregression_is_iterated_over_a_horizon_from_what_was_measured(tes
     free = [y[:6].mean() + model.free_run(u) for y, u in zip(measured, commands, strict=True)]
     assert channel["baselines"][name]["free_run"] == pytest.approx(by_hand(measured, free), rel=1e-9)
     steps = [1, 5, 100]
-    rows = [ahead(model, u, w, steps) for u, w in zip(commands, travels, strict=True)]
+    rows = [predict_ahead(model, u, w, steps) for u, w in zip(commands, travels, strict=True)]
     for number, step in enumerate(steps):
         predicted = [y[:6].mean() + row[number] for y, row in zip(measured, rows, strict=True)]
         rmse = by_hand([y[step:] for y in measured], [p[step:] for p in predicted])["rmse"]
@@ -341,9 +343,9 @@ def test_the_papers_method_is_its_own_transfer_function_and_the_echo_of_its_comp
     alone = replace(MODELS, channels={LIFTING: paper})
     for name, rows in (
         ("transfer_function", paper.simulate_benchmark(batch)),
-        ("paper", paper.echo(batch)),
+        ("paper", paper.simulate_closed_loop(batch)),
     ):
-        predicted = unpadded(np.asarray(rows), records)
+        predicted = remove_padding(np.asarray(rows), records)
         expected = by_hand(measured, predicted)
         assert channel["baselines"][name]["free_run"] == pytest.approx(expected, rel=1e-6)
     one_step = [alone.predict(record)[1:] for record in map(one_way, records)]

@@ -14,10 +14,10 @@ from hitchid._support.storage import canonical_json, digest, write_bytes
 from hitchid.errors import InputError
 
 Arrays = Mapping[str, np.ndarray]
-Piece = TypeVar("Piece")
-SUFFIX, OF, FAILED = ".npz", "run.json", "failed"
-SEAL = 64
-LEGIBLE, TOLD_APART = 80, 16
+Cached = TypeVar("Cached")
+SUFFIX, RUN_FILE, FAILED_FILE = ".npz", "run.json", "failed"
+DIGEST_LENGTH = 64
+MAX_READABLE, HASH_LENGTH = 80, 16
 
 
 @dataclass(frozen=True)
@@ -26,11 +26,11 @@ class Checkpoints:
 
     Attributes:
         folder: of one run, or of pieces whose names say all that went into them; None keeps nothing.
-        under: the parts of the work that the pieces belong to, from the largest.
+        parents: the parts of the work that the pieces belong to, from the largest.
     """
 
     folder: Path | None = None
-    under: tuple[str, ...] = ()
+    parents: tuple[str, ...] = ()
 
     @classmethod
     def of_run(cls, folder: Path, content: Mapping[str, Any]) -> "Checkpoints":
@@ -43,24 +43,26 @@ class Checkpoints:
         Raises:
             InputError: the folder holds pieces of another run, or something else.
         """
-        stamp, place = canonical_json(content), folder / OF
-        if place.is_file():
-            if place.read_bytes() != stamp:
+        stamp, run_file = canonical_json(content), folder / RUN_FILE
+        if run_file.is_file():
+            if run_file.read_bytes() != stamp:
                 raise InputError(
                     f"{folder}: holds an unfinished run of other logs, other settings or another version; "
                     "required the same ones; --force without --resume begins anew"
                 )
-        elif folder.is_dir() and any(not each.name.startswith(f".{OF}-") for each in folder.iterdir()):
+        elif folder.is_dir() and any(
+            not child_path.name.startswith(f".{RUN_FILE}-") for child_path in folder.iterdir()
+        ):
             raise InputError(f"{folder}: holds no unfinished run; required another place, or an empty folder")
         else:
-            write_bytes(place, stamp, force=True)
+            write_bytes(run_file, stamp, force=True)
         return cls(folder)
 
-    def part(self, name: str) -> "Checkpoints":
+    def child(self, name: str) -> "Checkpoints":
         """Return the place of the pieces of a part of the work."""
-        return replace(self, under=(*self.under, name))
+        return replace(self, parents=(*self.parents, name))
 
-    def arrays(self, name: str, work: Callable[[], Arrays]) -> Arrays:
+    def cached_arrays(self, name: str, work: Callable[[], Arrays]) -> Arrays:
         """Return what was kept under a name, or else do the work and keep what comes.
 
         Raises:
@@ -68,14 +70,14 @@ class Checkpoints:
         """
         if self.folder is None:
             return work()
-        path = self.folder / _file_name(*self.under, name)
-        kept = _read(path)
-        if kept is None:
-            kept = dict(work())
-            write_bytes(path, _sealed(kept), force=True)
-        return kept
+        path = self.folder / _file_name(*self.parents, name)
+        arrays = _read(path)
+        if arrays is None:
+            arrays = dict(work())
+            write_bytes(path, _with_digest(arrays), force=True)
+        return arrays
 
-    def piece(self, name: str, kind: Callable[..., Piece], work: Callable[[], Piece]) -> Piece:
+    def cached(self, name: str, kind: Callable[..., Cached], work: Callable[[], Cached]) -> Cached:
         """Return a record of numbers, texts and arrays kept under a name, or else do the work and keep it.
 
         Args:
@@ -87,18 +89,18 @@ class Checkpoints:
             OutputError: it cannot be written.
         """
 
-        def taken_apart() -> Arrays:
-            found: Any = work()
-            return {field.name: np.asarray(getattr(found, field.name)) for field in fields(found)}
+        def as_arrays() -> Arrays:
+            record: Any = work()
+            return {field.name: np.asarray(getattr(record, field.name)) for field in fields(record)}
 
-        found = self.arrays(name, taken_apart)
-        return kind(**{name: value if value.ndim else value.item() for name, value in found.items()})
-
-
-NOWHERE = Checkpoints()
+        arrays = self.cached_arrays(name, as_arrays)
+        return kind(**{name: value if value.ndim else value.item() for name, value in arrays.items()})
 
 
-def holds_pieces(folder: Path) -> bool:
+DISABLED = Checkpoints()
+
+
+def has_results(folder: Path) -> bool:
     """Tell whether anything was finished in a folder."""
     return any(folder.glob(f"*{SUFFIX}"))
 
@@ -107,28 +109,28 @@ def mark_failed(folder: Path, *, failed: bool) -> None:
     """Note whether the run in a folder ended with an error: the next one may then begin in its place."""
     with suppress(OSError):  # a full disk, mostly: the run can then be gone on with, as after a stop
         if failed:
-            (folder / FAILED).touch()
+            (folder / FAILED_FILE).touch()
         else:
-            (folder / FAILED).unlink(missing_ok=True)
+            (folder / FAILED_FILE).unlink(missing_ok=True)
 
 
 def has_failed(folder: Path) -> bool:
     """Tell whether the run in a folder ended with an error."""
-    return is_run(folder) and (folder / FAILED).is_file()
+    return is_run(folder) and (folder / FAILED_FILE).is_file()
 
 
 def is_run(folder: Path) -> bool:
     """Tell whether a folder holds pieces of one run."""
-    return (folder / OF).is_file()
+    return (folder / RUN_FILE).is_file()
 
 
 def _file_name(*names: str) -> str:
     """Return a file name that tells the names, and differs for any others however alike."""
-    legible = re.sub(r"[^a-z0-9]+", "-", "-".join(names).lower())[:LEGIBLE]
-    return f"{legible}-{digest(repr(names).encode())[:TOLD_APART]}{SUFFIX}"
+    legible = re.sub(r"[^a-z0-9]+", "-", "-".join(names).lower())[:MAX_READABLE]
+    return f"{legible}-{digest(repr(names).encode())[:HASH_LENGTH]}{SUFFIX}"
 
 
-def _sealed(arrays: Arrays) -> bytes:
+def _with_digest(arrays: Arrays) -> bytes:
     """Return arrays as they lie on disk, behind a digest that tells whether they are whole."""
     content = io.BytesIO()
     np.savez(content, allow_pickle=False, **arrays)
@@ -141,9 +143,9 @@ def _read(path: Path) -> dict[str, np.ndarray] | None:
         return None
     try:
         data = path.read_bytes()
-        if digest(data[SEAL:]).encode() != data[:SEAL]:
+        if digest(data[DIGEST_LENGTH:]).encode() != data[:DIGEST_LENGTH]:
             return None
-        with np.load(io.BytesIO(data[SEAL:]), allow_pickle=False) as kept:
-            return dict(kept)
+        with np.load(io.BytesIO(data[DIGEST_LENGTH:]), allow_pickle=False) as archive:
+            return dict(archive)
     except Exception:  # an archive may be sealed and yet none that numpy reads
         return None

@@ -11,7 +11,7 @@ import numpy as np
 from hitchid.errors import InputError
 
 Kind = TypeVar("Kind")
-SHOWN = 60
+MAX_SHOWN = 60
 
 
 def instance(value: object, kind: type[Kind] | tuple[type[Kind], ...], name: str, required: str) -> Kind:
@@ -27,7 +27,7 @@ def instance(value: object, kind: type[Kind] | tuple[type[Kind], ...], name: str
         InputError: it is of another kind.
     """
     if not isinstance(value, kind):
-        raise refusal(name, required, value)
+        raise input_error(name, required, value)
     return value
 
 
@@ -38,29 +38,29 @@ def number(value: object, name: str, *, above: float = -math.inf) -> float:
         InputError: it is none, or not above a limit.
     """
     try:
-        found = np.asarray(value)
-        fits = found.shape == () and found.dtype.kind in "iuf" and above < float(found) < math.inf
+        array = np.asarray(value)
+        is_valid = array.shape == () and array.dtype.kind in "iuf" and above < float(array) < math.inf
     except (TypeError, ValueError) as error:
-        raise refusal(name, "a number", value) from error
-    if not fits:
-        raise refusal(
+        raise input_error(name, "a number", value) from error
+    if not is_valid:
+        raise input_error(
             name, f"a finite number above {above:g}" if above > -math.inf else "a finite number", value
         )
-    return float(found)
+    return float(array)
 
 
-def whole(value: object, name: str, *, least: int = 0) -> int:
+def integer(value: object, name: str, *, minimum: int = 0) -> int:
     """Return a whole number that is not below a limit; raises InputError where it is none."""
-    if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
-        raise refusal(name, f"a whole number of at least {least}", value)
+    if isinstance(value, bool) or not isinstance(value, Integral) or value < minimum:
+        raise input_error(name, f"a whole number of at least {minimum}", value)
     return int(value)
 
 
-def chosen(value: object, known: Iterable[str], name: str) -> str:
+def one_of(value: object, allowed: Iterable[str], name: str) -> str:
     """Return one of the known names; raises InputError where it is none of them."""
-    names = tuple(known)
+    names = tuple(allowed)
     if not isinstance(value, str) or value not in names:
-        raise refusal(name, f"one of {', '.join(names)}", value)
+        raise input_error(name, f"one of {', '.join(names)}", value)
     return value
 
 
@@ -69,25 +69,25 @@ def path(value: object, name: str) -> Path:
     return Path(instance(value, (str, Path), name, "a path"))
 
 
-def several(
+def tuple_of(
     values: object, kind: type[Kind] | tuple[type[Kind], ...], name: str, required: str
 ) -> tuple[Kind, ...]:
     """Return values of a kind out of anything that can be gone through, but text; raises InputError."""
     if isinstance(values, str | bytes | Mapping) or not isinstance(values, Iterable):
-        raise refusal(name, required, values)
+        raise input_error(name, required, values)
     return tuple(instance(value, kind, name, required) for value in values)
 
 
-def keyed(values: object, known: Iterable[str], name: str) -> Mapping[str, object]:
+def mapping_of(values: object, allowed: Iterable[str], name: str) -> Mapping[str, object]:
     """Return a mapping whose keys are all known; raises InputError."""
-    found = instance(values, Mapping, name, "a mapping")
-    for key in found:
-        chosen(key, known, f"{name}: key")
-    return found
+    mapping = instance(values, Mapping, name, "a mapping")
+    for key in mapping:
+        one_of(key, allowed, f"{name}: key")
+    return mapping
 
 
-def refusal(name: str, required: str, value: object) -> InputError:
+def input_error(name: str, required: str, value: object) -> InputError:
     """Return the complaint about a value."""
-    said = repr(value)
-    shown = said if len(said) <= SHOWN else f"{said[:SHOWN]}…"
+    text = repr(value)
+    shown = text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}…"
     return InputError(f"{name}: required {required}, came {type(value).__name__} {shown}")

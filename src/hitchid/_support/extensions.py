@@ -7,12 +7,12 @@ from typing import TypeVar
 
 from hitchid.errors import InputError
 
-Part = TypeVar("Part")
+Extension = TypeVar("Extension")
 
 
 def with_extensions(
-    group: str, own: Iterable[Part], *, kind: type[Part], name: Callable[[Part], str]
-) -> Mapping[str, Part]:
+    group: str, built_in: Iterable[Extension], *, kind: type[Extension], name: Callable[[Extension], str]
+) -> Mapping[str, Extension]:
     """Return this package's parts of one kind and those that installed packages register, by name.
 
     Another package registers a part by an entry point, for instance
@@ -20,33 +20,35 @@ def with_extensions(
 
     Args:
         group: name of the group of entry points.
-        own: the parts of this package.
+        built_in: the parts of this package.
         kind: the type that every part has.
         name: returns the name of a part.
 
     Raises:
         InputError: a registered part cannot be imported, is of another type, or its name is taken.
     """
-    parts = {name(part): part for part in own}
+    extensions = {name(extension): extension for extension in built_in}
     for entry in sorted(entry_points(group=group), key=lambda entry: entry.name):
-        part = _load(entry, kind)
-        if name(part) in parts:
-            raise InputError(f"{_source(entry)}: the name '{name(part)}' is taken; required another name")
-        parts[name(part)] = part
-    return MappingProxyType(parts)
+        extension = _load(entry, kind)
+        if name(extension) in extensions:
+            raise InputError(
+                f"{_source(entry)}: the name '{name(extension)}' is taken; required another name"
+            )
+        extensions[name(extension)] = extension
+    return MappingProxyType(extensions)
 
 
-def _load(entry: EntryPoint, kind: type[Part]) -> Part:
+def _load(entry: EntryPoint, kind: type[Extension]) -> Extension:
     try:
-        part = entry.load()
+        extension = entry.load()
     except Exception as error:  # the code of another package may raise anything
         raise InputError(
             f"{_source(entry)}: cannot be imported: {type(error).__name__}: {error}; required a package that "
             "can be imported; repair or uninstall it"
         ) from error
-    if not isinstance(part, kind):
-        raise InputError(f"{_source(entry)}: required a {kind.__name__}, came a {type(part).__name__}")
-    return part
+    if not isinstance(extension, kind):
+        raise InputError(f"{_source(entry)}: required a {kind.__name__}, came a {type(extension).__name__}")
+    return extension
 
 
 def _source(entry: EntryPoint) -> str:

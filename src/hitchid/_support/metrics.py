@@ -7,10 +7,10 @@ import numpy as np
 from scipy.special import stdtrit
 
 HORIZONS = (1, 2, 5, 10, 20, 50, 100)
-BETTER = 1.02
-MOST = 2 / 3
-FEWEST, ONE_ERROR, CONFIDENCE = 6, 0.84, 0.9
-NO_ERROR = 1e-300
+MIN_IMPROVEMENT = 1.02
+MIN_WIN_RATE = 2 / 3
+MIN_TESTS, ONE_SIGMA_LEVEL, FEW_TESTS_LEVEL = 6, 0.84, 0.9
+ERROR_FLOOR = 1e-300
 
 
 class ErrorFigures(NamedTuple):
@@ -47,10 +47,10 @@ def error_figures(actual: Sequence[np.ndarray], predicted: Sequence[np.ndarray])
         The pooled figures; `r2` and `fit` are 0 and the error counts in full where nothing moved.
     """
     error = np.concatenate([np.asarray(p) - np.asarray(a) for a, p in zip(actual, predicted, strict=True)])
-    moving = [np.asarray(a) for a in actual if np.ptp(a) > 0]
-    spread = float(sum(np.sum((a - np.mean(a)) ** 2) for a in moving))
-    lost = float(np.sum(error**2))
-    ratio = lost / spread if spread > 0 else 1.0
+    moving_tests = [np.asarray(a) for a in actual if np.ptp(a) > 0]
+    spread = float(sum(np.sum((a - np.mean(a)) ** 2) for a in moving_tests))
+    squared_error = float(np.sum(error**2))
+    ratio = squared_error / spread if spread > 0 else 1.0
     return ErrorFigures(
         rmse=float(np.sqrt(np.mean(error**2))),
         mae=float(np.mean(np.abs(error))),
@@ -78,11 +78,11 @@ def rmse_error(actual: Sequence[np.ndarray], predicted: Sequence[np.ndarray]) ->
         return float("nan")
     sums, counts = np.array([np.sum(e**2) for e in errors]), np.array([e.size for e in errors])
     with np.errstate(invalid="ignore", over="ignore"):  # of what diverged the figure is none either
-        without = np.sqrt((sums.sum() - sums) / (counts.sum() - counts))
-    return float(np.sqrt((tests - 1) / tests * np.sum((without - without.mean()) ** 2)))
+        leave_one_out = np.sqrt((sums.sum() - sums) / (counts.sum() - counts))
+    return float(np.sqrt((tests - 1) / tests * np.sum((leave_one_out - leave_one_out.mean()) ** 2)))
 
 
-def surely_less(errors: np.ndarray, than: np.ndarray, samples: np.ndarray) -> bool:
+def significantly_better(errors: np.ndarray, other_errors: np.ndarray, samples: np.ndarray) -> bool:
     """Tell whether one model errs less than another beyond what chance between tests gives.
 
     d = ln r_than − ln r over all samples, its standard error s by the jackknife over the tests that both were
@@ -90,8 +90,8 @@ def surely_less(errors: np.ndarray, than: np.ndarray, samples: np.ndarray) -> bo
     errors scatter from test to test by factors.
 
     Args:
-        errors, than: root mean square error of each test, of the one and of the other, shape [T]; infinite
-            where a model diverged.
+        errors, other_errors: root mean square error of each test, of the one and of the other, shape [T];
+            infinite where a model diverged.
         samples: how many samples each test has, shape [T].
 
     Returns:
@@ -100,24 +100,27 @@ def surely_less(errors: np.ndarray, than: np.ndarray, samples: np.ndarray) -> bo
     tests = errors.size
     if not np.all(np.isfinite(errors)) or tests < 2:
         return False
-    if not np.all(np.isfinite(than)):
+    if not np.all(np.isfinite(other_errors)):
         return True
 
-    def ratio(kept: np.ndarray) -> float:
-        pooled = [np.sqrt(np.average(each[kept] ** 2, weights=samples[kept])) for each in (than, errors)]
+    def log_ratio(selected: np.ndarray) -> float:
+        pooled = [
+            np.sqrt(np.average(test_errors[selected] ** 2, weights=samples[selected]))
+            for test_errors in (other_errors, errors)
+        ]
         return float(np.log(pooled[0]) - np.log(pooled[1]))
 
-    everything = np.arange(tests)
+    test_indices = np.arange(tests)
     with np.errstate(divide="ignore", invalid="ignore"):
-        whole = ratio(everything >= 0)
-        without = np.array([ratio(everything != left) for left in everything])
-    if not np.all(np.isfinite(without)):  # a model without any error has no logarithm
-        return bool(np.all(errors < than))
-    error = np.sqrt((tests - 1) / tests * np.sum((without - without.mean()) ** 2))
-    return bool(whole > stdtrit(tests - 1, 0.975) * error)
+        overall = log_ratio(test_indices >= 0)
+        leave_one_out = np.array([log_ratio(test_indices != omitted) for omitted in test_indices])
+    if not np.all(np.isfinite(leave_one_out)):  # a model without any error has no logarithm
+        return bool(np.all(errors < other_errors))
+    error = np.sqrt((tests - 1) / tests * np.sum((leave_one_out - leave_one_out.mean()) ** 2))
+    return bool(overall > stdtrit(tests - 1, 0.975) * error)
 
 
-def proven_better(errors: np.ndarray, than: np.ndarray) -> bool:
+def proven_better(errors: np.ndarray, other_errors: np.ndarray) -> bool:
     """Tell whether held-out tests prove one model better than another.
 
     It is better by 2 % in root mean square over all tests, on two thirds of them, and the mean of ln(r₂/r)
@@ -126,12 +129,14 @@ def proven_better(errors: np.ndarray, than: np.ndarray) -> bool:
     Logarithms, for errors scatter by factors.
 
     Args:
-        errors, than: root mean square error of each test, of the one and of the other, shape [T].
+        errors, other_errors: root mean square error of each test, of the one and of the other, shape [T].
     """
-    total, other = (float(np.sqrt(np.mean(each**2))) for each in (errors, than))
+    rmse, other_rmse = (float(np.sqrt(np.mean(test_errors**2))) for test_errors in (errors, other_errors))
     tests = errors.size
-    if tests < 2 or not (BETTER * total < other and float(np.mean(errors < than)) >= MOST):
+    if tests < 2 or not (
+        MIN_IMPROVEMENT * rmse < other_rmse and float(np.mean(errors < other_errors)) >= MIN_WIN_RATE
+    ):
         return False
-    gained = np.log(np.maximum(than, NO_ERROR) / np.maximum(errors, NO_ERROR))
-    required = float(stdtrit(tests - 1, ONE_ERROR if tests >= FEWEST else CONFIDENCE))
-    return bool(gained.mean() > required * gained.std(ddof=1) / np.sqrt(tests))
+    log_ratios = np.log(np.maximum(other_errors, ERROR_FLOOR) / np.maximum(errors, ERROR_FLOOR))
+    required = float(stdtrit(tests - 1, ONE_SIGMA_LEVEL if tests >= MIN_TESTS else FEW_TESTS_LEVEL))
+    return bool(log_ratios.mean() > required * log_ratios.std(ddof=1) / np.sqrt(tests))

@@ -11,7 +11,7 @@ Name = TypeVar("Name")
 Result = TypeVar("Result")
 
 
-def abreast(work: Callable[[Name], Result], names: Iterable[Name]) -> dict[Name, Result]:
+def parallel(work: Callable[[Name], Result], names: Iterable[Name]) -> dict[Name, Result]:
     """Do a work for each of several names, as many at a time as there are cores, in double precision.
 
     Threads are enough: JAX compiles and computes outside of Python's lock.
@@ -23,7 +23,7 @@ def abreast(work: Callable[[Name], Result], names: Iterable[Name]) -> dict[Name,
     Returns:
         Name to what came of it, in the order of the names.
     """
-    with ThreadPoolExecutor(max(2, os.cpu_count() or 1)) as cores:
+    with ThreadPoolExecutor(max(2, os.cpu_count() or 1)) as executor:
         # JAX knows its precision thread by thread.
-        begun = {name: cores.submit(double_precision(work), name) for name in names}
-    return {name: each.result() for name, each in begun.items()}
+        futures = {name: executor.submit(double_precision(work), name) for name in names}
+    return {name: future.result() for name, future in futures.items()}

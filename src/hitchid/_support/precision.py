@@ -14,8 +14,8 @@ def double_precision(function: Callable[Arguments, Result]) -> Callable[Argument
     """Let a function compute in float64 without changing JAX's setting outside it."""
 
     @wraps(function)
-    def within(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
+    def wrapper(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
         with jax.enable_x64(True):
             return function(*args, **kwargs)
 
-    return within
+    return wrapper

@@ -6,37 +6,39 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 
-class Step(NamedTuple):
+class ProgressUpdate(NamedTuple):
     """Where long work stands.
 
     Attributes:
         stage: what is being done.
         fraction: of all work that is done.
-        round: how far the stage is, as `iteration 40`; empty where it has no rounds.
+        iteration: how far the stage is, as `iteration 40`; empty where it has no rounds.
         figures: what the stage makes smaller, name to its value now.
-        strand: which of several works done at the same time tells; empty where there is one.
+        task: which of several works done at the same time tells; empty where there is one.
     """
 
     stage: str
     fraction: float
-    round: str = ""
+    iteration: str = ""
     figures: Mapping[str, float] = MappingProxyType({})
-    strand: str = ""
+    task: str = ""
 
 
-Progress = Callable[[Step], None]
-Heard = Callable[[int, float], None]
+ProgressCallback = Callable[[ProgressUpdate], None]
+IterationCallback = Callable[[int, float], None]
 """Called after a round of a search with its number and the best error so far."""
 
 
-ROUNDS = 100
+TYPICAL_ITERATIONS = 100
 
 
-def silent(_: Step) -> None:
+def silent(_: ProgressUpdate) -> None:
     """Tell nobody."""
 
 
-def part(progress: Progress, start: float, width: float, name: str = "") -> Progress:
+def subtask_progress(
+    progress: ProgressCallback, start: float, width: float, name: str = ""
+) -> ProgressCallback:
     """Return what tells of a part of the work as of the whole.
 
     Args:
@@ -45,14 +47,16 @@ def part(progress: Progress, start: float, width: float, name: str = "") -> Prog
         name: put before each stage.
     """
 
-    def tell(step: Step) -> None:
+    def report(step: ProgressUpdate) -> None:
         stage = f"{name}: {step.stage}" if name else step.stage
         progress(step._replace(stage=stage, fraction=start + width * step.fraction))
 
-    return tell
+    return report
 
 
-def strands(progress: Progress, start: float, width: float, names: Sequence[str]) -> dict[str, Progress]:
+def parallel_progress(
+    progress: ProgressCallback, start: float, width: float, names: Sequence[str]
+) -> dict[str, ProgressCallback]:
     """Return what tells of works done at the same time, by name; they tell one after the other.
 
     Args:
@@ -60,21 +64,23 @@ def strands(progress: Progress, start: float, width: float, names: Sequence[str]
         start, width: where they begin and how much of the whole they are together, fractions.
         names: put before each stage.
     """
-    done, one_at_a_time = dict.fromkeys(names, 0.0), Lock()
+    fractions, lock = dict.fromkeys(names, 0.0), Lock()
 
-    def teller(name: str) -> Progress:
-        def tell(step: Step) -> None:
-            with one_at_a_time:
-                done[name] = step.fraction
-                fraction = start + width * sum(done.values()) / len(done)
-                progress(step._replace(stage=f"{name}: {step.stage}", fraction=fraction, strand=name))
+    def reporter(name: str) -> ProgressCallback:
+        def report(step: ProgressUpdate) -> None:
+            with lock:
+                fractions[name] = step.fraction
+                fraction = start + width * sum(fractions.values()) / len(fractions)
+                progress(step._replace(stage=f"{name}: {step.stage}", fraction=fraction, task=name))
 
-        return tell
+        return report
 
-    return {name: teller(name) for name in names}
+    return {name: reporter(name) for name in names}
 
 
-def rounds(progress: Progress, stage: str, start: float, width: float, name: str) -> Heard:
+def iteration_progress(
+    progress: ProgressCallback, stage: str, start: float, width: float, name: str
+) -> IterationCallback:
     """Return what tells of a search round by round.
 
     A search stops when it has converged, so its length is not known before: the fraction nears its end.
@@ -86,8 +92,8 @@ def rounds(progress: Progress, stage: str, start: float, width: float, name: str
         name: of the error that is made smaller.
     """
 
-    def tell(number: int, error: float) -> None:
-        done = start + width * number / (number + ROUNDS)
-        progress(Step(stage, done, f"iteration {number}", {name: error}))
+    def report(number: int, error: float) -> None:
+        fraction = start + width * number / (number + TYPICAL_ITERATIONS)
+        progress(ProgressUpdate(stage, fraction, f"iteration {number}", {name: error}))
 
-    return tell
+    return report

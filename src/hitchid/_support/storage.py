@@ -11,7 +11,7 @@ from pathlib import Path
 from hitchid.errors import InputError, OutputError
 
 MANIFEST_FILE = ".hitchid.json"
-NAMED = 3
+MAX_NAMED = 3
 
 
 def canonical_json(content: object) -> bytes:
@@ -24,7 +24,7 @@ def canonical_json(content: object) -> bytes:
     return f"{text}\n".encode()
 
 
-def own(path: Path) -> Path:
+def inside_folder(path: Path) -> Path:
     """Return a file found in a folder, unless it is a link out of it.
 
     Raises:
@@ -40,7 +40,7 @@ def own(path: Path) -> Path:
     return path
 
 
-def write_folder(folder: Path, write: Callable[[Path], None], *, mark: str, force: bool) -> None:
+def write_folder(folder: Path, write: Callable[[Path], None], *, result_kind: str, force: bool) -> None:
     """Write a folder beside its place and move it there, so that it appears whole or not at all.
 
     `.hitchid.json` in it lists its files with their SHA-256.
@@ -48,69 +48,72 @@ def write_folder(folder: Path, write: Callable[[Path], None], *, mark: str, forc
     Args:
         folder: where to.
         write: fills a folder.
-        mark: the kind of result, named after its main file; `force` replaces no other kind.
+        result_kind: the kind of result, named after its main file; `force` replaces no other kind.
         force: replace an older result, as long as nothing in it was added or changed.
 
     Raises:
         OutputError: something stands there already, or it cannot be written.
     """
-    check_folder(folder, mark=mark, force=force)
+    check_folder(folder, result_kind=result_kind, force=force)
     target = Path(os.path.realpath(folder))
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        beside = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
+        temporary = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
         try:
-            write(beside)
-            put(beside, {MANIFEST_FILE: canonical_json({"kind": mark, "files": _digests(beside)})})
-            os.chmod(beside, 0o755)  # noqa: S103
-            _settle(*beside.rglob("*"), beside)
-            check_folder(folder, mark=mark, force=force)  # what was put there meanwhile stays
-            older = beside.with_name(f"{beside.name}-older")
+            write(temporary)
+            write_files(
+                temporary,
+                {MANIFEST_FILE: canonical_json({"kind": result_kind, "files": _digests(temporary)})},
+            )
+            os.chmod(temporary, 0o755)  # noqa: S103
+            fsync(*temporary.rglob("*"), temporary)
+            check_folder(folder, result_kind=result_kind, force=force)  # what was put there meanwhile stays
+            backup = temporary.with_name(f"{temporary.name}-older")
             if target.exists():
-                target.rename(older)
+                target.rename(backup)
             try:
-                beside.rename(target)
+                temporary.rename(target)
             except BaseException:  # Ctrl-C among them: what was there comes back
-                if older.exists():
-                    older.rename(target)
+                if backup.exists():
+                    backup.rename(target)
                 raise
-            _settle(target.parent)
-            shutil.rmtree(older, ignore_errors=True)
+            fsync(target.parent)
+            shutil.rmtree(backup, ignore_errors=True)
         finally:
-            shutil.rmtree(beside, ignore_errors=True)
+            shutil.rmtree(temporary, ignore_errors=True)
     except OSError as error:
         raise OutputError(f"{folder}: cannot be written: {error}") from error
 
 
 def _digests(folder: Path) -> dict[str, str]:
     """Return the SHA-256 of every file below a folder but its manifest, by its path there; "" for no file."""
-    found = sorted(path for path in folder.rglob("*") if path.is_symlink() or not path.is_dir())
+    paths = sorted(path for path in folder.rglob("*") if path.is_symlink() or not path.is_dir())
     return {
         path.relative_to(folder).as_posix(): ""
         if path.is_symlink() or not path.is_file()
         else digest(path.read_bytes())
-        for path in found
+        for path in paths
         if path != folder / MANIFEST_FILE
     }
 
 
-def _settle(*places: Path) -> None:
+def fsync(*paths: Path) -> None:
     """Have files and folders written out to the disk, so that what is renamed afterwards is whole.
 
     Raises:
         OSError: the disk is full or fails.
     """
-    for place in places:
-        if place.is_dir() and os.name == "nt":  # folders cannot be opened there
+    for path in paths:
+        if path.is_dir() and os.name == "nt":  # folders cannot be opened there
             continue
-        handle = os.open(place, os.O_RDONLY)
+        handle = os.open(path, os.O_RDONLY)
         try:
             os.fsync(handle)
         finally:
             os.close(handle)
 
 
-def put(folder: Path, files: Mapping[str, bytes]) -> None:
+def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
     """Write files into a folder that is being filled: name to content."""
     for name, content in files.items():
         (folder / name).write_bytes(content)
@@ -121,21 +124,21 @@ def digest(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-def check_folder(folder: Path, *, mark: str, force: bool) -> None:
+def check_folder(folder: Path, *, result_kind: str, force: bool) -> None:
     """Complain early about a place where `write_folder` would not write.
 
     Raises:
         OutputError: something stands there that must not be replaced.
     """
-    _check_place(folder)
+    _check_path(folder)
     occupied = folder.exists() and not (folder.is_dir() and not any(folder.iterdir()))
     if occupied and not force:
         raise OutputError(f"{folder}: exists already; required a new folder, or --force to replace it")
     if occupied:
-        _check_ours(folder, mark)
+        _check_replaceable(folder, result_kind)
 
 
-def _check_ours(folder: Path, mark: str) -> None:
+def _check_replaceable(folder: Path, result_kind: str) -> None:
     """Refuse to replace a folder that holds anything but an older result of the same kind, as written."""
     try:
         manifest = json.loads((folder / MANIFEST_FILE).read_bytes())
@@ -145,20 +148,20 @@ def _check_ours(folder: Path, mark: str) -> None:
             f"{folder}: holds no {MANIFEST_FILE} that says what of it is a result, so --force does not "
             "replace it; required another place"
         ) from error
-    if kind != mark:
+    if kind != result_kind:
         raise OutputError(
-            f"{folder}: is a result with {kind}, not with {mark}, so --force does not replace it; "
+            f"{folder}: is a result with {kind}, not with {result_kind}, so --force does not replace it; "
             "required another place"
         )
     try:
-        foreign = [name for name, known in _digests(folder).items() if files.get(name) != known]
+        foreign = [name for name, checksum in _digests(folder).items() if files.get(name) != checksum]
     except OSError as error:
         raise OutputError(f"{folder}: cannot be read: {error}") from error
     if foreign:
-        more = f" and {len(foreign) - NAMED} more" if len(foreign) > NAMED else ""
+        more = f" and {len(foreign) - MAX_NAMED} more" if len(foreign) > MAX_NAMED else ""
         raise OutputError(
             f"{folder}: holds {len(foreign)} file{'s' if len(foreign) > 1 else ''} that the command did not "
-            f"write or that changed since: {', '.join(foreign[:NAMED])}{more}; --force does not replace it; "
+            f"write or that changed since: {', '.join(foreign[:MAX_NAMED])}{more}; --force does not replace it; "
             "required another place"
         )
 
@@ -177,17 +180,21 @@ def check_inputs(out: Path, inputs: Iterable[Path | None]) -> None:
     """
     if not out.exists():
         return
-    for given in inputs:
-        if given is None or not given.exists():
+    for input_path in inputs:
+        if input_path is None or not input_path.exists():
             continue
-        place = Path(os.path.realpath(given))
-        if any(os.path.samefile(out, each) for each in (place, *place.parents)):
-            raise OutputError(f"{out}: {given} is read from there; required another place to write")
-        if out.is_file() and place.is_dir() and os.path.samefile(Path(os.path.realpath(out)).parent, place):
-            raise OutputError(f"{out}: lies in {given}, which is read; required another place to write")
+        real_path = Path(os.path.realpath(input_path))
+        if any(os.path.samefile(out, ancestor) for ancestor in (real_path, *real_path.parents)):
+            raise OutputError(f"{out}: {input_path} is read from there; required another place to write")
+        if (
+            out.is_file()
+            and real_path.is_dir()
+            and os.path.samefile(Path(os.path.realpath(out)).parent, real_path)
+        ):
+            raise OutputError(f"{out}: lies in {input_path}, which is read; required another place to write")
 
 
-def _check_place(path: Path) -> None:
+def _check_path(path: Path) -> None:
     """Refuse a name no file can have, and a place inside something that is no folder."""
     try:
         ancestor = next(parent for parent in path.absolute().parents if parent.exists())
@@ -204,7 +211,7 @@ def check_file(path: Path, *, force: bool) -> None:
     Raises:
         OutputError: something stands there that must not be replaced.
     """
-    _check_place(path)
+    _check_path(path)
     if path.exists() and not (force and path.is_file()):
         raise OutputError(f"{path}: exists already; required a new file, or --force to replace one")
 
@@ -223,12 +230,12 @@ def write_file(path: Path, write: Callable[[Path], None], *, force: bool) -> Non
     check_file(path, force=force)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=f".{path.name}-", dir=path.parent) as beside:
-            fresh = Path(beside) / path.name
-            write(fresh)
-            _settle(fresh)
-            fresh.replace(path)
-            _settle(path.parent)
+        with tempfile.TemporaryDirectory(prefix=f".{path.name}-", dir=path.parent) as temporary_folder:
+            temporary_file = Path(temporary_folder) / path.name
+            write(temporary_file)
+            fsync(temporary_file)
+            temporary_file.replace(path)
+            fsync(path.parent)
     except OSError as error:
         raise OutputError(f"{path}: cannot be written: {error}") from error
 
@@ -236,7 +243,7 @@ def write_file(path: Path, write: Callable[[Path], None], *, force: bool) -> Non
 def write_bytes(path: Path, content: bytes, *, force: bool) -> None:
     """Write a file whole or not at all; see `write_file`."""
 
-    def write(beside: Path) -> None:
-        beside.write_bytes(content)
+    def write(temporary_file: Path) -> None:
+        temporary_file.write_bytes(content)
 
     write_file(path, write, force=force)

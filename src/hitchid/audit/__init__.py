@@ -1,9 +1,9 @@
 """The audit of logs before any fit: what in them would spoil a model, where, and what to do about it."""
 
-from hitchid.audit.auditing import audit as audit
+from hitchid.audit.audit import audit as audit
 from hitchid.audit.finding import AuditFinding as AuditFinding
-from hitchid.audit.finding import Level as Level
-from hitchid.audit.neutral import Run as Run
+from hitchid.audit.finding import Severity as Severity
+from hitchid.audit.neutral import CommandResponse as CommandResponse
 from hitchid.audit.neutral import rest_level as rest_level
 from hitchid.audit.quality import Quality as Quality
 from hitchid.audit.quality import quality as quality

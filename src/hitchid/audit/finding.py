@@ -9,10 +9,10 @@ import numpy as np
 
 from hitchid.data.record import Record
 
-SPANS_KEPT = 50
+MAX_SPANS = 50
 
 
-class Level(Enum):
+class Severity(Enum):
     """How much a finding weighs, the gravest first."""
 
     FAULT = "fault"
@@ -26,70 +26,70 @@ class AuditFinding:
 
     Attributes:
         check: short name of the check.
-        level: `FAULT` (a model from this would be wrong), `WARNING` or `NOTE`.
+        severity: `FAULT` (a model from this would be wrong), `WARNING` or `NOTE`.
         record: name of the record, empty where it is about several or all.
         signal: role of the signal, empty where it is about none or several.
         spans: where, as (start, stop) in s of the log's own time; empty where it is all of it.
         what: what was found, with numbers and units.
         advice: what to do, or to measure again.
-        parts: the findings on single records that it stands for, where it is about several.
+        merged: the findings on single records that it stands for, where it is about several.
     """
 
     check: str
-    level: Level
+    severity: Severity
     record: str
     signal: str
     spans: tuple[tuple[float, float], ...]
     what: str
     advice: str
-    parts: tuple["AuditFinding", ...] = ()
+    merged: tuple["AuditFinding", ...] = ()
 
     @property
     def records(self) -> tuple[str, ...]:
         """Names of the records it is about; empty where it is about the campaign."""
-        named = [self.record] if self.record else [part.record for part in self.parts]
-        return tuple(dict.fromkeys(named))
+        names = [self.record] if self.record else [finding.record for finding in self.merged]
+        return tuple(dict.fromkeys(names))
 
     @property
-    def places(self) -> tuple[tuple[str, float, float], ...]:
+    def locations(self) -> tuple[tuple[str, float, float], ...]:
         """Where, as record, start and stop in s of its own time; empty where it is all of them."""
-        return tuple((each.record, *span) for each in (self, *self.parts) for span in each.spans)
+        return tuple((finding.record, *span) for finding in (self, *self.merged) for span in finding.spans)
 
     def describe(self) -> dict[str, object]:
         """Return everything as JSON can hold it."""
         return {
             "check": self.check,
-            "level": self.level.value,
+            "level": self.severity.value,
             "records": list(self.records),
             "signal": self.signal,
             "places": [
-                {"record": record, "start_s": start, "stop_s": stop} for record, start, stop in self.places
+                {"record": record, "start_s": start, "stop_s": stop} for record, start, stop in self.locations
             ],
             "what": self.what,
             "advice": self.advice,
         }
 
 
-def runs(true: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def true_intervals(condition: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return first and one past last sample of every stretch where something is true.
 
     Args:
-        true: of booleans, shape [N].
+        condition: of booleans, shape [N].
 
     Returns:
         Starts and stops, each of shape [M].
     """
-    edges = np.flatnonzero(np.diff(true.astype(np.int8), prepend=0, append=0))
+    edges = np.flatnonzero(np.diff(condition.astype(np.int8), prepend=0, append=0))
     return edges[::2], edges[1::2]
 
 
 def spans_of(record: Record, stretches: Iterable[tuple[int, int]]) -> tuple[tuple[float, float], ...]:
     """Return samples `start:stop` as times of the first and the last of them, s; of many, the longest 50."""
-    kept = list(stretches)
-    if len(kept) > SPANS_KEPT:
-        kept = sorted(sorted(kept, key=lambda each: each[0] - each[1])[:SPANS_KEPT])
+    selected = list(stretches)
+    if len(selected) > MAX_SPANS:
+        selected = sorted(sorted(selected, key=lambda interval: interval[0] - interval[1])[:MAX_SPANS])
     times = [
         (record.start_s + int(start) * record.step_s, record.start_s + (int(stop) - 1) * record.step_s)
-        for start, stop in kept
+        for start, stop in selected
     ]
     return tuple((round(a, 6), round(b, 6)) for a, b in times if isfinite(a) and isfinite(b))

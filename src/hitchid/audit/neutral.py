@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hitchid.audit.finding import AuditFinding, Level
-from hitchid.audit.look import Survey, command_unit
+from hitchid.audit.context import CampaignContext, command_unit
+from hitchid.audit.finding import AuditFinding, Severity
 from hitchid.data.record import COMMAND, LIFTING, LOWERING, Record
 from hitchid.data.test_kinds import ACTIVE_FRACTION
 
@@ -16,7 +16,7 @@ BINS = 200
 CREEP_FRACTION = 0.2
 
 
-class Run(NamedTuple):
+class CommandResponse(NamedTuple):
     """One log's signed command and displacement, each of shape [N], and its sampling time, s."""
 
     command: np.ndarray
@@ -24,7 +24,7 @@ class Run(NamedTuple):
     step_s: float
 
 
-def rest_level(runs: Sequence[Run]) -> float | None:
+def rest_level(runs: Sequence[CommandResponse]) -> float | None:
     """Return the reading at which a signed command rests; None where no reading is clearly one.
 
     The most frequent reading, of at least a tenth of all samples: to it the command returns. Above and below
@@ -32,74 +32,74 @@ def rest_level(runs: Sequence[Run]) -> float | None:
     less than a fifth as fast as either way: one-sided commands with a favourite level do not pass.
     """
     commands = np.concatenate([run.command for run in runs])
-    reach = float(np.ptp(commands))
-    if not 0 < reach < np.inf:
+    command_range = float(np.ptp(commands))
+    if not 0 < command_range < np.inf:
         return None
     level, share = _most_frequent(commands)
     if share < RESTING_FRACTION:
         return None
-    band = ACTIVE_FRACTION * reach
+    band = ACTIVE_FRACTION * command_range
     speeds = []
     for inside in (
         lambda c: c > level + band,
         lambda c: c < level - band,
         lambda c: np.abs(c - level) <= band,
     ):
-        moved = sum(float(np.sum(np.diff(r.displacement)[inside(r.command[:-1])])) for r in runs)
-        spent = sum(np.count_nonzero(inside(r.command[:-1])) * r.step_s for r in runs)
-        if spent < WORKING_FRACTION * sum(r.command.size * r.step_s for r in runs):
+        travel = sum(float(np.sum(np.diff(r.displacement)[inside(r.command[:-1])])) for r in runs)
+        duration_s = sum(np.count_nonzero(inside(r.command[:-1])) * r.step_s for r in runs)
+        if duration_s < WORKING_FRACTION * sum(r.command.size * r.step_s for r in runs):
             return None
-        speeds.append(moved / spent)
-    above, below, at = speeds
+        speeds.append(travel / duration_s)
+    above, below, at_rest = speeds
     moving = min(abs(above), abs(below))
-    return level if above * below < 0 and abs(at) < CREEP_FRACTION * moving else None
+    return level if above * below < 0 and abs(at_rest) < CREEP_FRACTION * moving else None
 
 
 def _most_frequent(samples: np.ndarray) -> tuple[float, float]:
     """Return the most frequent value, or of noisy ones the median of the fullest bin, and its share."""
     values, counts = np.unique(samples, return_counts=True)
-    most = int(np.argmax(counts))
-    if counts[most] >= RESTING_FRACTION * samples.size:
-        return float(values[most]), float(counts[most] / samples.size)
+    most_frequent = int(np.argmax(counts))
+    if counts[most_frequent] >= RESTING_FRACTION * samples.size:
+        return float(values[most_frequent]), float(counts[most_frequent] / samples.size)
     filled, edges = np.histogram(samples, bins=BINS)
     fullest = int(np.argmax(filled))
     inside = samples[(samples >= edges[fullest]) & (samples <= edges[fullest + 1])]
     return float(np.median(inside)), inside.size / samples.size
 
 
-def neutral(survey: Survey) -> list[AuditFinding]:
+def neutral(context: CampaignContext) -> list[AuditFinding]:
     """Find a signed command that rests at a constant above 5 % of its largest reading.
 
     Counted from zero such a command calls for one direction even while it rests: a fault where it never
     changes its sign, for then one direction is not seen at all, else a warning.
     """
-    records = [look.record for look in survey.looks]
+    records = [test.record for test in context.tests]
     signed = [_signed(record) for record in records]
-    if any(each is None for each in signed):
+    if any(command is None for command in signed):
         return []
     runs = [
-        Run(each, record.displacement, record.step_s)
-        for each, record in zip(signed, records, strict=True)
-        if each is not None
+        CommandResponse(command, record.displacement, record.step_s)
+        for command, record in zip(signed, records, strict=True)
+        if command is not None
     ]
-    level, largest = rest_level(runs), max(survey.scales.values())
+    level, largest = rest_level(runs), max(context.scales.values())
     if level is None or abs(level) <= ACTIVE_FRACTION * largest:
         return []
     unseen = all(np.min(run.command) * np.max(run.command) >= 0 for run in runs)
-    mode = LIFTING if LIFTING in records[0].modes else LOWERING
+    direction = LIFTING if LIFTING in records[0].directions else LOWERING
     what = (
-        f"the command rests at {level:.6g} {command_unit(records[0], mode)} and moves the piston both ways "
+        f"the command rests at {level:.6g} {command_unit(records[0], direction)} and moves the piston both ways "
         f"around it{', so that one direction is taken for both' if unseen else ''}"
     )
     advice = f"put zero = {level:.6g} beside the column of the command in campaign.toml"
-    severity = Level.FAULT if unseen else Level.WARNING
-    return [AuditFinding("neutral", severity, "", COMMAND[mode], (), what, advice)]
+    severity = Severity.FAULT if unseen else Severity.WARNING
+    return [AuditFinding("neutral", severity, "", COMMAND[direction], (), what, advice)]
 
 
 def _signed(record: Record) -> np.ndarray | None:
     """Return lifting less lowering command, shape [N]; None where both are on at once, as none signed is."""
-    commands = [record.command(mode) for mode in record.modes]
+    commands = [record.command(direction) for direction in record.directions]
     if len(commands) == 1:
-        return commands[0] if record.modes == (LIFTING,) else -commands[0]
+        return commands[0] if record.directions == (LIFTING,) else -commands[0]
     lifting, lowering = commands
     return None if np.any((lifting != 0) & (lowering != 0)) else lifting - lowering

@@ -6,13 +6,13 @@ from math import isfinite
 import numpy as np
 
 from hitchid.data.record import Record
-from hitchid.data.resampling import KEPT_DEVIATION
+from hitchid.data.resampling import GRID_TOLERANCE
 
-LOOKED_AT = 2**20
+MAX_SAMPLES = 2**20
 GRID_DEVIATION = 0.05
 FEWEST_VALUES = 3
-MOST_STEPS = 1e7
-FEWEST_TURNS = 10
+MAX_STEPS = 1e7
+MIN_TURNS = 10
 # Median of |x| of a normal x of unit variance, and the spread of second differences of white noise.
 NORMAL_MEDIAN = 0.6744897501960817
 SECOND_DIFFERENCE = 6.0**0.5
@@ -45,19 +45,19 @@ class Quality:
     noise: float
 
     @property
-    def reach(self) -> float:
+    def peak_to_peak(self) -> float:
         """Difference of the highest and the lowest displacement."""
         with np.errstate(over="ignore"):
             return float(np.float64(self.highest) - np.float64(self.lowest))
 
     @property
-    def sure(self) -> float:
+    def noise_bound(self) -> float:
         """A deviation that neither noise nor rounding reaches: 6 σ + 2 q, in the displacement's unit."""
         return 6.0 * self.noise + 2.0 * (self.quantum or 0.0)
 
     def describe(self) -> dict[str, object]:
         """Return everything as JSON can hold it."""
-        values = {**vars(self), "reach": self.reach}
+        values = {**vars(self), "reach": self.peak_to_peak}
         return {
             name: None if isinstance(value, float) and not isfinite(value) else value
             for name, value in values.items()
@@ -85,7 +85,7 @@ def quality(record: Record) -> Quality:
         samples=len(record),
         step_s=record.step_s,
         duration_s=(len(record) - 1) * record.step_s,
-        jitter=record.clock.jitter if record.clock.jitter > KEPT_DEVIATION else None,
+        jitter=record.clock.jitter if record.clock.jitter > GRID_TOLERANCE else None,
         unit=record.unit,
         lowest=float(displacement.min()),
         highest=float(displacement.max()),
@@ -96,7 +96,7 @@ def quality(record: Record) -> Quality:
 
 def _quantum(displacement: np.ndarray) -> float | None:
     """Return the step of the grid on which all displacements lie, None where there is none."""
-    values = np.unique(displacement[:: -(-displacement.size // LOOKED_AT)])
+    values = np.unique(displacement[:: -(-displacement.size // MAX_SAMPLES)])
     double = np.finfo(float)
     rounding = 16 * double.eps * max(abs(float(values[0])), abs(float(values[-1])))
     rounding = max(rounding, float(double.tiny))  # half of a step below it may be nothing
@@ -106,38 +106,38 @@ def _quantum(displacement: np.ndarray) -> float | None:
         return None
     # The mean of all smallest gaps is surer than one of them where values were converted or rounded.
     step = float(np.mean(gaps[gaps < 1.5 * gaps.min()]))
-    places = (values - values[0]) / step
-    deviation = float(np.max(np.abs(places - np.rint(places))))
-    if not (places[-1] < MOST_STEPS and deviation < GRID_DEVIATION):
+    grid_positions = (values - values[0]) / step
+    deviation = float(np.max(np.abs(grid_positions - np.rint(grid_positions))))
+    if not (grid_positions[-1] < MAX_STEPS and deviation < GRID_DEVIATION):
         return None
     # So few values may lie on a grid by chance alone, unless they come again and again.
-    chance = values.size < 10 and displacement.size < 5 * values.size
-    return None if chance or _is_steady(displacement[:LOOKED_AT], step) else step
+    may_be_chance = values.size < 10 and displacement.size < 5 * values.size
+    return None if may_be_chance or _is_steady(displacement[:MAX_SAMPLES], step) else step
 
 
 def _is_steady(displacement: np.ndarray, step: float) -> bool:
     """Tell motion at one constant speed, whose samples lie on a grid without any rounding."""
     steps = np.abs(np.diff(displacement)) / step
     moving = steps > 0.5
-    several = bool(np.any(steps[moving] > 1.5)) and bool(np.any(np.diff(np.sort(steps[moving])) > 0.5))
-    return not several and int(np.count_nonzero(np.diff(moving))) < FEWEST_TURNS
+    several_speeds = bool(np.any(steps[moving] > 1.5)) and bool(np.any(np.diff(np.sort(steps[moving])) > 0.5))
+    return not several_speeds and int(np.count_nonzero(np.diff(moving))) < MIN_TURNS
 
 
 def _noise(displacement: np.ndarray, quantum: float | None) -> float:
     if displacement.size < 5:
         return 0.0
-    bent = displacement[2:] - displacement[1:-1]
-    bent -= displacement[1:-1]
-    bent += displacement[:-2]
-    np.abs(bent, out=bent)
-    bent.partition(bent.size // 2)
-    middle = float(bent[bent.size // 2])
+    second_difference = displacement[2:] - displacement[1:-1]
+    second_difference -= displacement[1:-1]
+    second_difference += displacement[:-2]
+    np.abs(second_difference, out=second_difference)
+    second_difference.partition(second_difference.size // 2)
+    median = float(second_difference[second_difference.size // 2])
     if quantum is None:
-        return middle / NORMAL_MEDIAN / SECOND_DIFFERENCE
+        return median / NORMAL_MEDIAN / SECOND_DIFFERENCE
     # The median of rounded values is itself rounded: what lies on one step is spread evenly over it.
-    low, width = (middle - quantum / 2, quantum) if middle > quantum / 2 else (0.0, quantum / 2)
-    below = float(np.mean(bent < middle - quantum / 2))
-    on = float(np.mean(np.abs(bent - middle) < quantum / 2))
-    middle = low + width * (0.5 - below) / on
-    spread = middle / NORMAL_MEDIAN / SECOND_DIFFERENCE
+    low, width = (median - quantum / 2, quantum) if median > quantum / 2 else (0.0, quantum / 2)
+    below = float(np.mean(second_difference < median - quantum / 2))
+    on = float(np.mean(np.abs(second_difference - median) < quantum / 2))
+    median = low + width * (0.5 - below) / on
+    spread = median / NORMAL_MEDIAN / SECOND_DIFFERENCE
     return float(np.sqrt(max(0.0, spread * spread - quantum * quantum / 12)))

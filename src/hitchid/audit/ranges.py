@@ -4,13 +4,13 @@ from collections.abc import Callable
 from math import pi
 from typing import NamedTuple
 
-from hitchid.audit.finding import AuditFinding, Level
-from hitchid.audit.look import Survey
+from hitchid.audit.context import CampaignContext
+from hitchid.audit.finding import AuditFinding, Severity
 from hitchid.data.record import COMMAND, DISPLACEMENT
 from hitchid.data.units import UNITS
 
 
-class _Range(NamedTuple):
+class _SignalRange(NamedTuple):
     """Lowest and highest number of a signal in all logs, and its unit."""
 
     lowest: float
@@ -22,7 +22,7 @@ class _Range(NamedTuple):
         return max(abs(self.lowest), abs(self.highest))
 
     @property
-    def reach(self) -> float:
+    def peak_to_peak(self) -> float:
         return self.highest - self.lowest
 
     @property
@@ -31,13 +31,13 @@ class _Range(NamedTuple):
         return UNITS[self.unit].factor
 
 
-class _Doubt(NamedTuple):
+class _PlausibilityRule(NamedTuple):
     """What makes a range doubtful, and what it probably is."""
 
     dimension: str
-    applies: Callable[[_Range], bool]
-    level: Level
-    probably: str
+    applies: Callable[[_SignalRange], bool]
+    severity: Severity
+    suggestion: str
 
 
 LONGEST_M = 20.0
@@ -50,61 +50,69 @@ LARGEST_VOLTAGE_V = 100.0
 OVERDRIVE = 1.05
 
 _POSITION = (
-    _Doubt("length", lambda r: r.reach * r.si > LONGEST_M, Level.FAULT, "a smaller unit, such as mm"),
-    _Doubt(
+    _PlausibilityRule(
+        "length", lambda r: r.peak_to_peak * r.si > LONGEST_M, Severity.FAULT, "a smaller unit, such as mm"
+    ),
+    _PlausibilityRule(
         "length",
-        lambda r: 0 < r.reach * r.si < SHORTEST_M,
-        Level.WARNING,
+        lambda r: 0 < r.peak_to_peak * r.si < SHORTEST_M,
+        Severity.WARNING,
         "a larger unit, such as m, or a piston that hardly moves",
     ),
 )
 _ANGLE = (
-    _Doubt("angle", lambda r: r.unit == "rad" and r.largest > 2 * pi, Level.WARNING, "degrees"),
-    _Doubt(
+    _PlausibilityRule("angle", lambda r: r.unit == "rad" and r.largest > 2 * pi, Severity.WARNING, "degrees"),
+    _PlausibilityRule(
         "angle",
         lambda r: r.unit == "deg" and r.largest > 360.0,
-        Level.WARNING,
+        Severity.WARNING,
         "a raw count, or an encoder that ran over",
     ),
-    _Doubt("angle", lambda r: r.unit == "deg" and 0 < r.largest <= 2 * pi, Level.NOTE, "radians"),
+    _PlausibilityRule(
+        "angle", lambda r: r.unit == "deg" and 0 < r.largest <= 2 * pi, Severity.NOTE, "radians"
+    ),
 )
 _RATIO = (
-    _Doubt("ratio", lambda r: r.unit == "1" and r.largest > OVERDRIVE, Level.WARNING, "percent"),
-    _Doubt(
+    _PlausibilityRule(
+        "ratio", lambda r: r.unit == "1" and r.largest > OVERDRIVE, Severity.WARNING, "percent"
+    ),
+    _PlausibilityRule(
         "ratio",
         lambda r: r.unit == "percent" and r.largest > 100 * OVERDRIVE,
-        Level.WARNING,
+        Severity.WARNING,
         "a raw count, not percent",
     ),
-    _Doubt(
+    _PlausibilityRule(
         "ratio",
         lambda r: r.unit == "percent" and 0 < r.largest <= 1,
-        Level.WARNING,
+        Severity.WARNING,
         "a fraction, in unit 1",
     ),
 )
 _ELECTRIC = (
-    _Doubt("current", lambda r: r.unit == "A" and r.largest > LARGEST_CURRENT_A, Level.FAULT, "mA"),
-    _Doubt(
+    _PlausibilityRule(
+        "current", lambda r: r.unit == "A" and r.largest > LARGEST_CURRENT_A, Severity.FAULT, "mA"
+    ),
+    _PlausibilityRule(
         "current",
         lambda r: r.unit == "mA" and 0 < r.largest <= SMALLEST_MILLIAMPERE,
-        Level.WARNING,
+        Severity.WARNING,
         "A",
     ),
-    _Doubt("voltage", lambda r: r.largest > LARGEST_VOLTAGE_V, Level.WARNING, "mV"),
+    _PlausibilityRule("voltage", lambda r: r.largest > LARGEST_VOLTAGE_V, Severity.WARNING, "mV"),
 )
 _PRESSURE = (
-    _Doubt(
+    _PlausibilityRule(
         "pressure",
         lambda r: r.highest * r.si > LARGEST_PRESSURE_PA or r.lowest * r.si < LOWEST_PRESSURE_PA,
-        Level.WARNING,
+        Severity.WARNING,
         "another unit of pressure, or the zero of the sensor is off",
     ),
 )
-DOUBTS = (*_POSITION, *_ANGLE, *_RATIO, *_ELECTRIC, *_PRESSURE)
+PLAUSIBILITY_RULES = (*_POSITION, *_ANGLE, *_RATIO, *_ELECTRIC, *_PRESSURE)
 
 
-def units(survey: Survey) -> list[AuditFinding]:
+def units(context: CampaignContext) -> list[AuditFinding]:
     """Find signals whose range over all logs is not plausible in their unit; nothing is ever converted.
 
     The limits: no lifting cylinder strokes 20 m, none is worth a model below 1 mm; a valve's coil takes a few
@@ -113,40 +121,42 @@ def units(survey: Survey) -> list[AuditFinding]:
     zero is a sensor's offset; benches have no signals beyond 100 V. Impossible is a fault, unlikely a
     warning. A further measured signal in unit 1 mostly was given no unit at all: a note.
     """
-    found = []
-    roles = dict.fromkeys(role for look in survey.looks for role in look.record.signals)
+    findings = []
+    roles = dict.fromkeys(role for test in context.tests for role in test.record.signals)
     for role in roles:
-        given = _range(survey, role)
-        further = role != DISPLACEMENT and role not in COMMAND.values()
-        for doubt in DOUBTS:
-            if doubt.dimension != UNITS[given.unit].dimension or not doubt.applies(given):
+        signal_range = _signal_range(context, role)
+        is_covariate = role != DISPLACEMENT and role not in COMMAND.values()
+        for rule in PLAUSIBILITY_RULES:
+            if rule.dimension != UNITS[signal_range.unit].dimension or not rule.applies(signal_range):
                 continue
-            if further and doubt.dimension in ("length", "ratio"):
+            if is_covariate and rule.dimension in ("length", "ratio"):
                 continue  # a further signal may be small, or have come without a unit
-            found.append(_finding(role, given, doubt.level, f"this is probably {doubt.probably}"))
-        if further and given.unit == "1" and given.largest > OVERDRIVE:
-            found.append(_finding(role, given, Level.NOTE, "so its unit is not told"))
-    return found
+            findings.append(
+                _finding(role, signal_range, rule.severity, f"this is probably {rule.suggestion}")
+            )
+        if is_covariate and signal_range.unit == "1" and signal_range.largest > OVERDRIVE:
+            findings.append(_finding(role, signal_range, Severity.NOTE, "so its unit is not told"))
+    return findings
 
 
-def _range(survey: Survey, role: str) -> _Range:
-    present = [look.record for look in survey.looks if role in look.record.signals]
+def _signal_range(context: CampaignContext, role: str) -> _SignalRange:
+    present = [test.record for test in context.tests if role in test.record.signals]
     arrays = [record.signals[role] for record in present]
-    return _Range(
-        float(min(each.min() for each in arrays)),
-        float(max(each.max() for each in arrays)),
+    return _SignalRange(
+        float(min(array.min() for array in arrays)),
+        float(max(array.max() for array in arrays)),
         present[0].units[role],
     )
 
 
-def _finding(role: str, given: _Range, level: Level, judgement: str) -> AuditFinding:
+def _finding(role: str, signal_range: _SignalRange, severity: Severity, judgement: str) -> AuditFinding:
     what = (
-        f"{role} runs from {given.lowest:.4g} to {given.highest:.4g} over all logs "
-        f"and is said to be in unit '{given.unit}': {judgement}"
+        f"{role} runs from {signal_range.lowest:.4g} to {signal_range.highest:.4g} over all logs "
+        f"and is said to be in unit '{signal_range.unit}': {judgement}"
     )
     return AuditFinding(
         "units",
-        level,
+        severity,
         "",
         role,
         (),

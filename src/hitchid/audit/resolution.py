@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from hitchid.audit.finding import AuditFinding, Level
-from hitchid.audit.look import Look
+from hitchid.audit.context import RecordContext
+from hitchid.audit.finding import AuditFinding, Severity
 
 FEWEST_STEPS = 200
 MUCH_NOISE = 0.01
@@ -11,11 +11,11 @@ HIDDEN_NOISE = 1 / 3
 REPEATS = 3
 FEWEST_HOPS = 10
 HOP_STEPS = 4.0
-EVEN = 1.5
-LOOKED_AT = 2**20
+MAX_SPACING_RATIO = 1.5
+MAX_SAMPLES = 2**20
 
 
-def quantisation(look: Look) -> list[AuditFinding]:
+def quantisation(context: RecordContext) -> list[AuditFinding]:
     """Find displacements written in too large a step.
 
     Fewer than 200 steps over the campaign's range (0.5 % each) are coarser than the models to be told apart:
@@ -23,65 +23,65 @@ def quantisation(look: Look) -> list[AuditFinding]:
     step does not hide the rounding, most one-step motions are zero: a note, for errors of one-step
     predictions then tell of the rounding.
     """
-    step, quality = look.quality.quantum, look.quality
-    if step is None or not look.reach > 0:
+    step, quality = context.quality.quantum, context.quality
+    if step is None or not context.campaign_range > 0:
         return []
-    found = []
-    if look.reach < FEWEST_STEPS * step:
-        found.append(
-            look.finding(
+    findings = []
+    if context.campaign_range < FEWEST_STEPS * step:
+        findings.append(
+            context.finding(
                 "quantisation",
-                Level.WARNING,
+                Severity.WARNING,
                 f"the displacement comes in steps of {step:.3g} {quality.unit}, only "
-                f"{look.reach / step:.0f} over the range of {look.reach:.4g} {quality.unit}",
+                f"{context.campaign_range / step:.0f} over the range of {context.campaign_range:.4g} {quality.unit}",
                 "use a finer sensor or converter, or log more digits",
             )
         )
-    return found + _lost_in_rounding(look, step)
+    return findings + _below_resolution(context, step)
 
 
-def _lost_in_rounding(look: Look, step: float) -> list[AuditFinding]:
-    quality = look.quality
-    moving = look.any_active()[:-1]
+def _below_resolution(context: RecordContext, step: float) -> list[AuditFinding]:
+    quality = context.quality
+    moving = context.any_active()[:-1]
     samples = int(np.count_nonzero(moving))
     if not samples or quality.noise > HIDDEN_NOISE * step:
         return []
-    motion = np.abs(np.diff(look.record.displacement))
-    each = float(np.sum(motion, where=moving)) / samples
-    still = float(np.count_nonzero(moving & (motion < step / 2))) / samples
-    if not (0 < each < step / 2 and still > 0.5):
+    motion = np.abs(np.diff(context.record.displacement))
+    mean_motion = float(np.sum(motion, where=moving)) / samples
+    still_share = float(np.count_nonzero(moving & (motion < step / 2))) / samples
+    if not (0 < mean_motion < step / 2 and still_share > 0.5):
         return []
     return [
-        look.finding(
+        context.finding(
             "quantisation",
-            Level.NOTE,
-            f"in {still:.0%} of the commanded samples the displacement does not change, for it comes "
-            f"in steps of {step:.3g} {quality.unit} and moves {each:.2g} {quality.unit} a sample",
+            Severity.NOTE,
+            f"in {still_share:.0%} of the commanded samples the displacement does not change, for it comes "
+            f"in steps of {step:.3g} {quality.unit} and moves {mean_motion:.2g} {quality.unit} a sample",
             "judge models by long runs, not by one-step errors; or log more digits",
         )
     ]
 
 
-def noisy(look: Look) -> list[AuditFinding]:
+def noisy(context: RecordContext) -> list[AuditFinding]:
     """Find displacements whose noise is above 1 % of the campaign's range.
 
     Such noise is as large as the error of a good model in free run.
     """
-    noise, unit = look.quality.noise, look.quality.unit
-    if not (look.reach > 0 and noise > MUCH_NOISE * look.reach):
+    noise, unit = context.quality.noise, context.quality.unit
+    if not (context.campaign_range > 0 and noise > MUCH_NOISE * context.campaign_range):
         return []
     return [
-        look.finding(
+        context.finding(
             "noise",
-            Level.WARNING,
+            Severity.WARNING,
             f"the displacement's noise has a standard deviation of {noise:.3g} {unit}, "
-            f"{noise / look.reach:.1%} of the range of {look.reach:.4g} {unit}",
+            f"{noise / context.campaign_range:.1%} of the range of {context.campaign_range:.4g} {unit}",
             "look at shielding, supply and the sensor's range",
         )
     ]
 
 
-def renewal(look: Look) -> list[AuditFinding]:
+def update_rate(context: RecordContext) -> list[AuditFinding]:
     """Find displacements that stand and hop: renewed less often than logged, or with a dead band.
 
     At least ten changes, each by four of the smallest steps and of σ or more in the median, have three or
@@ -90,27 +90,27 @@ def renewal(look: Look) -> list[AuditFinding]:
     often than logged, a warning, for what the log calls a step is several. Else it has a dead band: a note, a
     warning where its hops are above 0.5 % of the campaign's range.
     """
-    quality, step_s = look.quality, look.record.step_s
-    steps = np.diff(look.record.displacement[:LOOKED_AT])
+    quality, step_s = context.quality, context.record.step_s
+    steps = np.diff(context.record.displacement[:MAX_SAMPLES])
     spacing = np.diff(np.flatnonzero(steps))
-    alone = (spacing[:-1] > REPEATS) & (spacing[1:] > REPEATS)
-    if np.count_nonzero(alone) < FEWEST_HOPS:
+    isolated = (spacing[:-1] > REPEATS) & (spacing[1:] > REPEATS)
+    if np.count_nonzero(isolated) < FEWEST_HOPS:
         return []
-    hop = float(np.median(np.abs(steps[np.flatnonzero(steps)[1:-1][alone]])))
+    hop = float(np.median(np.abs(steps[np.flatnonzero(steps)[1:-1][isolated]])))
     if not hop >= HOP_STEPS * max(quality.quantum or 0.0, quality.noise):
         return []
     middle, long = np.percentile(spacing, [50, 90])
-    if middle > REPEATS and long <= EVEN * middle:
+    if middle > REPEATS and long <= MAX_SPACING_RATIO * middle:
         what = (
             f"the displacement is renewed only every {middle * step_s:.3g} s, but logged every {step_s:g} s"
         )
         advice = "log at the rate the sensor is read at; dead times below that cannot be told"
-        return [look.finding("sampling", Level.WARNING, what, advice)]
+        return [context.finding("sampling", Severity.WARNING, what, advice)]
     share = np.count_nonzero(steps) / steps.size
     what = (
         f"the displacement changes in {share:.1%} of the samples and else repeats exactly; in slow motion it "
-        f"hops by {hop:.2g} {quality.unit}, the range being {look.reach:.4g} {quality.unit}"
+        f"hops by {hop:.2g} {quality.unit}, the range being {context.campaign_range:.4g} {quality.unit}"
     )
     advice = "look for a dead band in the sensor or in the logger, or friction in the sensor's drive"
-    level = Level.WARNING if hop * FEWEST_STEPS > look.reach else Level.NOTE
-    return [look.finding("dead band", level, what, advice)]
+    severity = Severity.WARNING if hop * FEWEST_STEPS > context.campaign_range else Severity.NOTE
+    return [context.finding("dead band", severity, what, advice)]

@@ -2,23 +2,23 @@
 
 import numpy as np
 
-from hitchid.audit.finding import AuditFinding, Level
-from hitchid.audit.look import Look
+from hitchid.audit.context import RecordContext
+from hitchid.audit.finding import AuditFinding, Severity
 
 SPIKE_SIGMAS = 8.0
 FASTER_THAN_MOTION = 3.0
 FAST_FRACTION = 0.99
 LONGEST_SPIKE = 3
-WORTH_FRACTION = 0.002
+MIN_SPIKE_FRACTION = 0.002
 RETURNED_FRACTION = 0.5
 MOST_SPIKES_FRACTION = 0.02
 JUMP_FACTOR = 5.0
 JUMP_AROUND = 5
 JUMP_FRACTION = 0.01
-LOOKED_AT = 2**20
+MAX_SAMPLES = 2**20
 
 
-def spikes(look: Look) -> list[AuditFinding]:
+def spikes(context: RecordContext) -> list[AuditFinding]:
     """Find one to three samples that stand off and come back.
 
     Two steps y[k+1] − y[k] beyond 8 √2 σ + 2 q, beyond three times the 99th percentile of all steps (no
@@ -26,86 +26,88 @@ def spikes(look: Look) -> list[AuditFinding]:
     bring the displacement back by more than half. Where more than 2 % of all steps are so large, they are
     how the log is.
     """
-    steps = np.diff(look.record.displacement)
-    big = _big(look, steps)
-    if big.size < 2 or big.size > MOST_SPIKES_FRACTION * steps.size:
+    steps = np.diff(context.record.displacement)
+    large = _large_steps(context, steps)
+    if large.size < 2 or large.size > MOST_SPIKES_FRACTION * steps.size:
         return []
-    pairs, heights = _pairs(look.record.displacement, steps, big)
+    pairs, heights = _pairs(context.record.displacement, steps, large)
     if not pairs:
         return []
-    at, unit = look.record.start_s + pairs[0][0] * look.record.step_s, look.quality.unit
+    first_s, unit = context.record.start_s + pairs[0][0] * context.record.step_s, context.quality.unit
     return [
-        look.finding(
+        context.finding(
             "spikes",
-            Level.WARNING,
+            Severity.WARNING,
             f"{len(pairs)} spike{'s' * (len(pairs) > 1)} of up to {max(heights):.3g} {unit} in the "
-            f"displacement, first at {at:.6g} s",
+            f"displacement, first at {first_s:.6g} s",
             "look at the sensor's cable, its shield and its slider; a fit takes spikes for motion",
-            at=pairs,
+            intervals=pairs,
         )
     ]
 
 
-def jumps(look: Look) -> list[AuditFinding]:
+def jumps(context: RecordContext) -> list[AuditFinding]:
     """Find single steps of the displacement that no motion leads to or follows.
 
     A step as large as those of spikes and beyond 1 % of the range, five times larger than any of the five
     before and after: a piston gathers speed over several samples, a slipping sensor doesn't.
     """
-    steps = np.diff(look.record.displacement)
-    big = _big(look, steps)
-    if big.size == 0 or big.size > MOST_SPIKES_FRACTION * steps.size:
+    steps = np.diff(context.record.displacement)
+    large = _large_steps(context, steps)
+    if large.size == 0 or large.size > MOST_SPIKES_FRACTION * steps.size:
         return []
     offsets = np.array([k for k in range(-JUMP_AROUND, JUMP_AROUND + 1) if k])
-    around = big[:, None] + offsets
-    near = np.where((around >= 0) & (around < steps.size), around, big[:, None] + 1)
-    beside = np.abs(steps[np.clip(near, 0, steps.size - 1)])
-    alone = np.abs(steps[big]) > JUMP_FACTOR * beside.max(axis=1)
-    worth = np.abs(steps[big]) > JUMP_FRACTION * look.quality.reach
-    inside = (big >= JUMP_AROUND) & (big < steps.size - JUMP_AROUND)
-    found = big[alone & worth & inside]
-    if found.size == 0:
+    neighbours = large[:, None] + offsets
+    valid_neighbours = np.where((neighbours >= 0) & (neighbours < steps.size), neighbours, large[:, None] + 1)
+    neighbour_steps = np.abs(steps[np.clip(valid_neighbours, 0, steps.size - 1)])
+    isolated = np.abs(steps[large]) > JUMP_FACTOR * neighbour_steps.max(axis=1)
+    significant = np.abs(steps[large]) > JUMP_FRACTION * context.quality.peak_to_peak
+    inside = (large >= JUMP_AROUND) & (large < steps.size - JUMP_AROUND)
+    jump_samples = large[isolated & significant & inside]
+    if jump_samples.size == 0:
         return []
-    largest = float(steps[found][np.argmax(np.abs(steps[found]))])
-    at = look.record.start_s + float(found[0]) * look.record.step_s
+    largest = float(steps[jump_samples][np.argmax(np.abs(steps[jump_samples]))])
+    first_s = context.record.start_s + float(jump_samples[0]) * context.record.step_s
     return [
-        look.finding(
+        context.finding(
             "jumps",
-            Level.WARNING,
-            f"the displacement jumps {found.size} time{'s' * (found.size > 1)}, by up to {abs(largest):.3g} "
-            f"{look.quality.unit} from one sample to the next, first at {at:.6g} s",
+            Severity.WARNING,
+            f"the displacement jumps {jump_samples.size} time{'s' * (jump_samples.size > 1)}, by up to {abs(largest):.3g} "
+            f"{context.quality.unit} from one sample to the next, first at {first_s:.6g} s",
             "look whether the sensor slips, its slider sticks, or samples were lost; cut the log there",
-            at=[(int(k), int(k) + 2) for k in found],
+            intervals=[(int(k), int(k) + 2) for k in jump_samples],
         )
     ]
 
 
-def _big(look: Look, steps: np.ndarray) -> np.ndarray:
+def _large_steps(context: RecordContext, steps: np.ndarray) -> np.ndarray:
     """Return which steps are beyond noise and motion."""
     if steps.size < 2 * JUMP_AROUND:
         return np.zeros(0, dtype=np.int64)
-    usual = np.abs(steps[:LOOKED_AT])
-    place = int(FAST_FRACTION * (usual.size - 1))
-    usual.partition(place)
-    quality = look.quality
+    step_sizes = np.abs(steps[:MAX_SAMPLES])
+    percentile_index = int(FAST_FRACTION * (step_sizes.size - 1))
+    step_sizes.partition(percentile_index)
+    quality = context.quality
     limit = max(
         SPIKE_SIGMAS * 2**0.5 * quality.noise + 2 * (quality.quantum or 0.0),
-        FASTER_THAN_MOTION * float(usual[place]),
-        WORTH_FRACTION * quality.reach,
+        FASTER_THAN_MOTION * float(step_sizes[percentile_index]),
+        MIN_SPIKE_FRACTION * quality.peak_to_peak,
     )
     return np.flatnonzero(np.abs(steps) > limit) if limit > 0 else np.zeros(0, dtype=np.int64)
 
 
 def _pairs(
-    displacement: np.ndarray, steps: np.ndarray, big: np.ndarray
+    displacement: np.ndarray, steps: np.ndarray, large: np.ndarray
 ) -> tuple[list[tuple[int, int]], list[float]]:
     """Return samples `start:stop` of spikes and their heights."""
-    leave, back = big[:-1], big[1:]
-    height = np.abs(steps[leave])
-    left = np.abs(displacement[back + 1] - displacement[leave])
-    spike = (back - leave <= LONGEST_SPIKE) & (steps[leave] * steps[back] < 0)
-    spike &= left < RETURNED_FRACTION * height
-    found = np.flatnonzero(spike)
+    out, back = large[:-1], large[1:]
+    height = np.abs(steps[out])
+    remainder = np.abs(displacement[back + 1] - displacement[out])
+    spike = (back - out <= LONGEST_SPIKE) & (steps[out] * steps[back] < 0)
+    spike &= remainder < RETURNED_FRACTION * height
+    candidates = np.flatnonzero(spike)
     # The way back of one spike is not the way out of the next.
-    kept = [int(k) for place, k in enumerate(found) if place == 0 or found[place - 1] != k - 1]
-    return [(int(leave[k]) + 1, int(back[k]) + 1) for k in kept], [float(height[k]) for k in kept]
+    selected = [
+        int(k) for position, k in enumerate(candidates) if position == 0 or candidates[position - 1] != k - 1
+    ]
+    return [(int(out[k]) + 1, int(back[k]) + 1) for k in selected], [float(height[k]) for k in selected]

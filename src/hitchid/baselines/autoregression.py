@@ -24,9 +24,9 @@ class Arx(eqx.Module):
     def fit(cls, tests: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], order: int) -> "Arx":
         """Fit by least squares to command, travel and which samples count, each of shape [N_i], from rest."""
         rows = np.concatenate(
-            [_lagged(travel, command, order)[counted] for command, travel, counted in tests]
+            [_lagged(travel, command, order)[loss_mask] for command, travel, loss_mask in tests]
         )
-        target = np.concatenate([travel[counted] for _, travel, counted in tests])
+        target = np.concatenate([travel[loss_mask] for _, travel, loss_mask in tests])
         solution = np.linalg.lstsq(rows, target, rcond=None)[0]
         return cls(solution[:order], solution[order:])
 
@@ -35,7 +35,7 @@ class Arx(eqx.Module):
         """The longest lag n."""
         return self.past.size
 
-    def following(self, command: np.ndarray, travel: np.ndarray) -> np.ndarray:
+    def predict_next(self, command: np.ndarray, travel: np.ndarray) -> np.ndarray:
         """Return w(k) from u(k−1) … u(k−n) and w(k−1) … w(k−n), shape [n, N] each."""
         return self.command @ command + self.past @ travel
 
@@ -69,12 +69,12 @@ class Autoregression(Protocol):
         """The longest lag n."""
         ...
 
-    def following(self, command: np.ndarray, travel: np.ndarray) -> np.ndarray:
+    def predict_next(self, command: np.ndarray, travel: np.ndarray) -> np.ndarray:
         """Return w(k) from u(k−1) … u(k−n) and w(k−1) … w(k−n), shape [n, N] each."""
         ...
 
 
-def ahead(
+def predict_ahead(
     model: Autoregression, command: np.ndarray, travel: np.ndarray, horizons: Sequence[int]
 ) -> np.ndarray:
     """Return travel predicted from measured travel up to h samples before, zero for the first h samples.
@@ -89,12 +89,14 @@ def ahead(
     """
     lag, count, farthest = model.lag, command.size, max(horizons)
     past = np.concatenate([np.zeros(lag), travel])
-    heard = np.concatenate([np.zeros(lag), command, np.zeros(farthest)])
-    known = [past[lag - i : lag - i + count] for i in range(lag)]
-    found = {}
+    padded_command = np.concatenate([np.zeros(lag), command, np.zeros(farthest)])
+    history = [past[lag - i : lag - i + count] for i in range(lag)]
+    predictions = {}
     with np.errstate(over="ignore", invalid="ignore"):
         for step in range(1, farthest + 1):
-            commands = np.stack([heard[lag + step - i : lag + step - i + count] for i in range(1, lag + 1)])
-            known = [model.following(commands, np.stack(known)), *known[: lag - 1]]
-            found[step] = known[0]
-    return np.stack([np.concatenate([np.zeros(h), found[h][: count - h]]) for h in horizons])
+            commands = np.stack(
+                [padded_command[lag + step - i : lag + step - i + count] for i in range(1, lag + 1)]
+            )
+            history = [model.predict_next(commands, np.stack(history)), *history[: lag - 1]]
+            predictions[step] = history[0]
+    return np.stack([np.concatenate([np.zeros(h), predictions[h][: count - h]]) for h in horizons])

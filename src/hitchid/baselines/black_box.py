@@ -27,9 +27,9 @@ class BlackBox(eqx.Module):
 
     def inputs(self, command: Float[Array, "t n"], initial: Float[Array, " t"]) -> Float[Array, "t n 2"]:
         """Return the scaled inputs, shape [T, N, 2]."""
-        height = (initial - self.initial_centre) / self.initial_scale
-        wide = jnp.broadcast_to(height[:, None], command.shape)
-        return jnp.stack([command / self.command_scale, wide], axis=-1).astype(SINGLE)
+        scaled_initial = (initial - self.initial_centre) / self.initial_scale
+        broadcast_initial = jnp.broadcast_to(scaled_initial[:, None], command.shape)
+        return jnp.stack([command / self.command_scale, broadcast_initial], axis=-1).astype(SINGLE)
 
     def free_run(self, command: Float[Array, "t n"], initial: Float[Array, " t"]) -> Float[Array, "t n"]:
         """Return travel simulated from commands and initial displacement, shape [T, N]."""
@@ -40,7 +40,7 @@ class BlackBox(eqx.Module):
 def speeds(network: Lstm, inputs: Float[Array, "t n i"]) -> Float[Array, "t n"]:
     """Return the network's output at every sample of every test, shape [T, N]."""
     rows = jnp.swapaxes(inputs, 0, 1)
-    return network.outputs(rows, jnp.ones(rows.shape[:2], bool)).T
+    return network.unroll(rows, jnp.ones(rows.shape[:2], bool)).T
 
 
 def accumulated(changes: Float[Array, "t n"]) -> Float[Array, "t n"]:

@@ -27,7 +27,7 @@ class Narx(eqx.Module):
         """The longest lag i of any factor, at least 1."""
         return int(np.abs(self.terms).max(initial=1))
 
-    def following(self, command: np.ndarray, travel: np.ndarray) -> np.ndarray:
+    def predict_next(self, command: np.ndarray, travel: np.ndarray) -> np.ndarray:
         """Return w(k) from u(k−1) … u(k−n) and w(k−1) … w(k−n), shape [n, N] each."""
         scaled = {0: np.ones(command.shape[1])}
         scaled |= {i: row / self.travel_scale for i, row in enumerate(travel, start=1)}
@@ -38,11 +38,11 @@ class Narx(eqx.Module):
 
     def one_step(self, command: np.ndarray, travel: np.ndarray) -> np.ndarray:
         """Return travel predicted from measured travel up to the sample before, from rest, shape [N]."""
-        known = _after_rest(travel / self.travel_scale, self.lag)
+        history = _prepend_zeros(travel / self.travel_scale, self.lag)
         first, count = self.lag, command.size
         predicted = sum(
-            gain * prod((known[first - i : first - i + count] for i in lags), start=np.ones(count))
-            for lags, gain in self._gains(_after_rest(command, first), count).items()
+            gain * prod((history[first - i : first - i + count] for i in lags), start=np.ones(count))
+            for lags, gain in self._gains(_prepend_zeros(command, first), count).items()
         )
         return self.travel_scale * (np.zeros(count) + predicted)
 
@@ -51,9 +51,9 @@ class Narx(eqx.Module):
 
         What diverges becomes infinite or not a number, without a warning.
         """
-        return self.resumed(_after_rest(command, self.lag), np.zeros(self.lag))
+        return self.simulate_from(_prepend_zeros(command, self.lag), np.zeros(self.lag))
 
-    def resumed(self, command: np.ndarray, past: np.ndarray) -> np.ndarray:
+    def simulate_from(self, command: np.ndarray, past: np.ndarray) -> np.ndarray:
         """Return travel simulated on from a measured past, shape [N]; see `free_run`.
 
         Args:
@@ -63,16 +63,16 @@ class Narx(eqx.Module):
         count = command.size - past.size
         gains = self._gains(command, count)
         products = tuple(gains)
-        known = (past / self.travel_scale).tolist()
+        history = (past / self.travel_scale).tolist()
         # Plain floats: for a few terms much faster than arrays, and they overflow in silence.
         for row in np.reshape(list(gains.values()), (len(products), count)).T.tolist():
             total = 0.0
             for gain, lags in zip(row, products, strict=True):
                 for i in lags:
-                    gain *= known[-i]
+                    gain *= history[-i]
                 total += gain
-            known.append(total)
-        return self.travel_scale * np.array(known[past.size :])
+            history.append(total)
+        return self.travel_scale * np.array(history[past.size :])
 
     def _gains(self, command: np.ndarray, count: int) -> dict[tuple[int, ...], np.ndarray]:
         """Return by which each product of past travels is multiplied in the last samples, shape [count].
@@ -88,5 +88,5 @@ class Narx(eqx.Module):
         return gains
 
 
-def _after_rest(samples: np.ndarray, count: int) -> np.ndarray:
+def _prepend_zeros(samples: np.ndarray, count: int) -> np.ndarray:
     return np.concatenate([np.zeros(count), samples])

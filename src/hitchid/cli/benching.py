@@ -20,7 +20,7 @@ class Protocol(Enum):
     CYCLE = "cycle"
 
 
-class Direction(Enum):
+class TestedDirections(Enum):
     """Which direction the virtual bench excites."""
 
     LIFTING = "lifting"
@@ -47,7 +47,9 @@ def bench(
         ),
     ] = None,
     protocol: Annotated[Protocol, typer.Option("--protocol", help="What is run.")] = Protocol.PRBS,
-    mode: Annotated[Direction, typer.Option("--mode", help="Which direction is excited.")] = Direction.BOTH,
+    mode: Annotated[
+        TestedDirections, typer.Option("--mode", help="Which direction is excited.")
+    ] = TestedDirections.BOTH,
     rig: Annotated[str, typer.Option("--rig", help="Parameter set: a name or a TOML file.")] = "nominal",
     log_format: Annotated[LogFormat, typer.Option("--format", help="Format of the logs.")] = LogFormat.CSV,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of every random draw.")] = 0,
@@ -56,19 +58,19 @@ def bench(
     """Run tests on the virtual test bench; write one log a test and campaign.toml."""
     from hitchid._support.storage import check_folder, check_inputs
 
-    check_folder(out, mark="campaign.toml", force=force)
+    check_folder(out, result_kind="campaign.toml", force=force)
     check_inputs(out, [Path(rig)] if rig.endswith(".toml") else [])
     prepare_jax()
-    from hitchid.data.record import MODES
+    from hitchid.data.record import DIRECTIONS
     from hitchid.experiments.virtual_campaign import REPEATS, TESTS, write_campaign
 
-    usual = REPEATS if protocol is Protocol.RAMP else TESTS["prbs"]
+    default_count = REPEATS if protocol is Protocol.RAMP else TESTS["prbs"]
 
     write_campaign(
         out,
         rig,
-        tests={protocol.value: usual if tests is None else tests},
-        modes=MODES if mode is Direction.BOTH else (mode.value,),
+        tests={protocol.value: default_count if tests is None else tests},
+        directions=DIRECTIONS if mode is TestedDirections.BOTH else (mode.value,),
         suffix=log_format.value,
         seed=seed,
         force=force,
@@ -90,7 +92,7 @@ def reproduce(
     from hitchid._support.storage import check_folder, check_inputs
     from hitchid.cli import terminal as display
 
-    check_folder(out, mark="study.md", force=force)
+    check_folder(out, result_kind="study.md", force=force)
     check_inputs(out, [Path(rig)] if rig.endswith(".toml") else [])
     prepare_jax()
     from hitchid.studies.sun2025 import Plan, quick_plan

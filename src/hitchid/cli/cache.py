@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from hitchid.estimation import Comparison
+    from hitchid.estimation import SearchComparison
 
-PROGRAMS = 10_000
+MAX_PROGRAMS = 10_000
 
 
 def prepare_jax() -> None:
@@ -16,32 +16,32 @@ def prepare_jax() -> None:
     import jax
 
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-        place = _cache() / "compiled"
-        _forget_oldest(place)
-        jax.config.update("jax_compilation_cache_dir", str(place))
+        compiled_folder = _cache_folder() / "compiled"
+        _evict_oldest(compiled_folder)
+        jax.config.update("jax_compilation_cache_dir", str(compiled_folder))
         # Small ones too: there are hundreds of them, and together they take longer than the large ones.
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
 
-def resumable(comparison: "Comparison | None") -> "Comparison | None":
+def with_search_cache(comparison: "SearchComparison | None") -> "SearchComparison | None":
     """Keep finished searches in the user's cache, so that a run that was stopped goes on from there."""
     from hitchid._support.checkpoints import Checkpoints
 
-    return comparison and replace(comparison, kept=Checkpoints(_cache() / "searches"))
+    return comparison and replace(comparison, checkpoints=Checkpoints(_cache_folder() / "searches"))
 
 
-def _forget_oldest(programs: Path) -> None:
+def _evict_oldest(programs: Path) -> None:
     """Keep the newer half of so many programs that their folder would grow without end (some 100 MB)."""
     try:
-        kept = list(os.scandir(programs)) if programs.is_dir() else []
-        if len(kept) > PROGRAMS:
-            kept.sort(key=lambda entry: entry.stat().st_mtime)
-            for entry in kept[: -PROGRAMS // 2]:
+        entries = list(os.scandir(programs)) if programs.is_dir() else []
+        if len(entries) > MAX_PROGRAMS:
+            entries.sort(key=lambda entry: entry.stat().st_mtime)
+            for entry in entries[: -MAX_PROGRAMS // 2]:
                 Path(entry).unlink(missing_ok=True)
     except OSError:
         return  # another process tidies up, or nothing may be removed: neither is worth a word
 
 
-def _cache() -> Path:
+def _cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hitchid"

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from hitchid.cli.cache import prepare_jax, resumable
+from hitchid.cli.cache import prepare_jax, with_search_cache
 from hitchid.cli.options import AsJson, Force, Logs, Quiet, Signals, Strict
 from hitchid.errors import InputError, OutputError
 
@@ -36,15 +36,15 @@ def identify(
 
     unfinished = out.absolute().with_name(f"{out.absolute().name}.unfinished")
     force = force or (resume and unfinished.is_dir())
-    check_folder(out, mark="model.json", force=force)
+    check_folder(out, result_kind="model.json", force=force)
     check_inputs(out, [*logs, config, signals])
-    from hitchid._support.checkpoints import has_failed, holds_pieces, mark_failed
+    from hitchid._support.checkpoints import has_failed, has_results, mark_failed
 
     if unfinished.exists() and not resume:
-        _clear(unfinished, force=force or has_failed(unfinished))
+        _make_way(unfinished, force=force or has_failed(unfinished))
     prepare_jax()
     from hitchid.audit import audit
-    from hitchid.estimation import Comparison
+    from hitchid.estimation import SearchComparison
     from hitchid.identification import Settings, read_settings
     from hitchid.identification import identify as run
     from hitchid.readers import read
@@ -52,7 +52,7 @@ def identify(
     settings: Settings = {} if config is None else read_settings(config)
     if seed is not None:
         settings["seed"] = seed
-    settings["comparison"] = resumable(settings.get("comparison", Comparison()))
+    settings["comparison"] = with_search_cache(settings.get("comparison", SearchComparison()))
     campaign = read(logs, signals=signals, strict=strict)
     display.show_left_out(campaign, quiet=quiet)
     display.show_audit(audit(campaign), quiet=quiet)
@@ -61,33 +61,33 @@ def identify(
         mark_failed(unfinished, failed=False)
     try:
         with display.progress(quiet=quiet) as report:
-            found = run(campaign, **settings, progress=report, checkpoints=unfinished)
-        found.save(out, force=force)
+            identification = run(campaign, **settings, progress=report, checkpoints=unfinished)
+        identification.save(out, force=force)
     except OutputError:
         # With room to write, --resume goes on from there; nothing is in the way of a run that begins anew.
-        if holds_pieces(unfinished):
+        if has_results(unfinished):
             mark_failed(unfinished, failed=True)
         else:
-            _forget(unfinished)
+            _remove_run(unfinished)
         raise
     except InputError:
         # With --resume the pieces may be those of another run, which is not this one's to remove.
-        if not (resume and holds_pieces(unfinished)):
-            _forget(unfinished)
+        if not (resume and has_results(unfinished)):
+            _remove_run(unfinished)
         elif failed_before:
             mark_failed(unfinished, failed=True)
         raise
     except Exception:
-        _forget(unfinished)
+        _remove_run(unfinished)
         raise
-    _forget(unfinished)
+    _remove_run(unfinished)
     if as_json:
-        typer.echo(json.dumps(found.describe(), indent=1))
+        typer.echo(json.dumps(identification.describe(), indent=1))
     elif not quiet:
-        display.show_identification(found, out)
+        display.show_identification(identification, out)
 
 
-def _forget(unfinished: Path) -> None:
+def _remove_run(unfinished: Path) -> None:
     """Remove a run that will not be gone on with."""
     from hitchid._support.checkpoints import is_run
 
@@ -95,7 +95,7 @@ def _forget(unfinished: Path) -> None:
         shutil.rmtree(unfinished, ignore_errors=True)
 
 
-def _clear(unfinished: Path, *, force: bool) -> None:
+def _make_way(unfinished: Path, *, force: bool) -> None:
     """Make way for a new run in place of one that was stopped."""
     from hitchid._support.checkpoints import is_run
 

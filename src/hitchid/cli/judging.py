@@ -34,7 +34,7 @@ def validate(
     from hitchid.cli import terminal as display
 
     inputs = [model, *logs, accept, signals]
-    check_folder(out, mark="metrics.json", force=force)
+    check_folder(out, result_kind="metrics.json", force=force)
     check_inputs(out, inputs)
     if junit is not None:
         if accept is None:
@@ -42,14 +42,14 @@ def validate(
         check_file(junit, force=force)
         check_inputs(junit, inputs)
     prepare_jax()
-    from hitchid._support.progress import Step
+    from hitchid._support.progress import ProgressUpdate
     from hitchid.model import load, load_trace
     from hitchid.readers import read
     from hitchid.report import check_pdf, validation_report, write_report
     from hitchid.validation import check_limits, junit_xml, read_limits
     from hitchid.validation import validate as run
 
-    check_pdf(asked=as_pdf)
+    check_pdf(requested=as_pdf)
     limits = None if accept is None else read_limits(accept)
     hitch, trace = load(model), load_trace(model)
     campaign = read(logs, signals=signals, strict=strict)
@@ -59,7 +59,7 @@ def validate(
     with display.progress(quiet=quiet) as report:
         result = run(hitch, campaign, progress=report)
         acceptance = None if limits is None else check_limits(result.metrics, limits)
-        report(Step("report", 0.98))
+        report(ProgressUpdate("report", 0.98))
         document = validation_report(
             result, hitch, campaign, trace=trace, acceptance=acceptance, command=command_line()
         )
@@ -94,24 +94,24 @@ def compare(
     from hitchid._support.storage import check_folder, check_inputs
     from hitchid.cli import terminal as display
 
-    check_folder(out, mark="comparison.json", force=force)
+    check_folder(out, result_kind="comparison.json", force=force)
     check_inputs(out, [first, second, *logs, signals])
     prepare_jax()
-    from hitchid._support.progress import Step
+    from hitchid._support.progress import ProgressUpdate
     from hitchid.model import load
     from hitchid.readers import read
     from hitchid.report import check_pdf, comparison_report, write_report
     from hitchid.validation import compare as run
 
-    check_pdf(asked=as_pdf)
+    check_pdf(requested=as_pdf)
     campaign = read(logs, signals=signals, strict=strict)
     display.show_left_out(campaign, quiet=quiet)
     with display.progress(quiet=quiet) as report:
-        compared = run(load(first), load(second), campaign, progress=report)
-        report(Step("report", 0.98))
-        document = comparison_report(compared, names=(str(first), str(second)), command=command_line())
-        write_report(out, document, compared.files(), as_pdf=as_pdf, mark="comparison.json", force=force)
+        comparison = run(load(first), load(second), campaign, progress=report)
+        report(ProgressUpdate("report", 0.98))
+        document = comparison_report(comparison, names=(str(first), str(second)), command=command_line())
+        write_report(out, document, comparison.files(), as_pdf=as_pdf, mark="comparison.json", force=force)
     if as_json:
-        typer.echo(json.dumps(compared.metrics, indent=1))
+        typer.echo(json.dumps(comparison.metrics, indent=1))
     elif not quiet:
-        display.show_comparison(compared, document, out)
+        display.show_comparison(comparison, document, out)

@@ -12,7 +12,7 @@ from hitchid.errors import InputError
 if TYPE_CHECKING:
     from hitchid.inspection.inspect_logs import Inspection
 
-DRAWN = 12
+MAX_DRAWN = 12
 PICTURES = (".png", ".svg", ".pdf")
 
 
@@ -37,7 +37,7 @@ def inspect(
     as_json: AsJson = False,
 ) -> None:
     """Show what logs hold, and audit them: what would spoil a model, where, and what to measure again."""
-    from hitchid.audit import Level
+    from hitchid.audit import Severity
     from hitchid.cli import terminal as display
     from hitchid.inspection.inspect_logs import inspect as look
 
@@ -52,17 +52,17 @@ def inspect(
     if model is not None:
         from hitchid.model import load
 
-        switches = load(model).switches
-    found = look(logs, signals=signals, switches=switches, strict=strict)
+        switches = load(model).command_thresholds
+    inspection = look(logs, signals=signals, command_thresholds=switches, strict=strict)
     if picture is not None:
-        _draw(found, picture, force=force)
+        _draw(inspection, picture, force=force)
     if as_json:
-        typer.echo(json.dumps(found.describe(), indent=1))
+        typer.echo(json.dumps(inspection.describe(), indent=1))
     else:
-        display.show_inspection(found)
-    if found.faults:
+        display.show_inspection(inspection)
+    if inspection.faults:
         raise typer.Exit(2)
-    if any(finding.level is Level.FAULT for finding in found.findings):
+    if any(finding.severity is Severity.FAULT for finding in inspection.findings):
         raise typer.Exit(1)
 
 
@@ -89,15 +89,24 @@ def _check_picture(path: Path, *, force: bool, inputs: list[Path | None]) -> Non
     check_inputs(path, inputs)
 
 
-def _draw(found: "Inspection", path: Path, *, force: bool) -> None:
-    if not found.looked_at:
+def _draw(inspection: "Inspection", path: Path, *, force: bool) -> None:
+    if not inspection.inspected:
         raise InputError("--draw: none of the logs can be used; there is nothing to draw")
     from hitchid.report.figures.timeline import Mark, draw
 
-    marks = [Mark(record, each.check, *span) for each in found.findings for record, *span in each.places]
-    stretches = {record.name: segments for record, segments in found.mixed}
-    telling = stretches.keys() | {mark.record for mark in marks}
-    told = [record for record in found.looked_at if record.name in telling] or found.looked_at
+    marks = [
+        Mark(record, finding.check, *span)
+        for finding in inspection.findings
+        for record, *span in finding.locations
+    ]
+    stretches = {record.name: segments for record, segments in inspection.mixed}
+    marked_names = stretches.keys() | {mark.record for mark in marks}
+    records = [
+        record for record in inspection.inspected if record.name in marked_names
+    ] or inspection.inspected
     draw(
-        [(record, stretches.get(record.name, ())) for record in told[:DRAWN]], path, marks=marks, force=force
+        [(record, stretches.get(record.name, ())) for record in records[:MAX_DRAWN]],
+        path,
+        marks=marks,
+        force=force,
     )

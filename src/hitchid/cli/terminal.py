@@ -25,14 +25,14 @@ if TYPE_CHECKING:
     from hitchid.validation import Acceptance, ModelComparison, Table, Validation
 
 COLUMNS = 80
-PLACES = 3
+MAX_SPANS = 3
 
 
-def show_inspection(found: "Inspection") -> None:
+def show_inspection(inspection: "Inspection") -> None:
     """Print what was found in logs."""
-    if found.records:
+    if inspection.records:
         table = _table("record", "kind", "samples", "step / s", "duration / s", "signals")
-        for record in found.records:
+        for record in inspection.records:
             signals = record["signals"]
             assert isinstance(signals, dict)  # noqa: S101
             ranges = [
@@ -48,97 +48,113 @@ def show_inspection(found: "Inspection") -> None:
                 f"{record['duration_s']:.4g}",
                 "\n".join(ranges),
             )
-        _out().print(table)
-    if found.mixed:
-        labels = [label for label in LABELS if any(label in _durations(each) for each in found.records)]
+        _console().print(table)
+    if inspection.mixed:
+        labels = [
+            label for label in LABELS if any(label in _durations(entry) for entry in inspection.records)
+        ]
         table = _table("mixed record", *(f"{label} / s" for label in labels), "stretches")
-        for record in found.records:
-            spent = _durations(record)
-            if spent:
-                cells = [f"{spent[label]:.4g}" if label in spent else "" for label in labels]
+        for record in inspection.records:
+            durations = _durations(record)
+            if durations:
+                cells = [f"{durations[label]:.4g}" if label in durations else "" for label in labels]
                 stretches = record["segments"]
                 assert isinstance(stretches, list)  # noqa: S101
                 table.add_row(str(record["name"]), *cells, str(len(stretches)))
-        _out().print(table)
-    if found.findings:
-        _out().print(_findings(found.findings))
-    elif found.records:
-        _say_in("The audit found nothing to mend.")
-    say("notice", found.notices)
-    say("warning", found.warnings)
-    say("fault", found.faults)
+        _console().print(table)
+    if inspection.findings:
+        _console().print(_findings(inspection.findings))
+    elif inspection.records:
+        _print_wrapped("The audit found nothing to mend.")
+    write_messages("notice", inspection.notices)
+    write_messages("warning", inspection.warnings)
+    write_messages("fault", inspection.faults)
 
 
 def show_left_out(campaign: "Campaign", *, quiet: bool = False) -> None:
     """Write to stderr which logs are left out and why, and how many; quietly, nothing."""
-    say("warning", () if quiet else campaign.warnings)
+    write_messages("warning", () if quiet else campaign.warnings)
 
 
 def show_audit(findings: Iterable["AuditFinding"], *, quiet: bool = False) -> None:
     """Write to stderr what an audit of the logs found that would spoil a model; quietly, faults alone."""
-    for each in findings:
-        if each.level.value in (("fault",) if quiet else ("fault", "warning")):
-            whose = f"{each.record}: " if each.record else ""
-            say(each.level.value, [f"{whose}{each.check}: {each.what}; {each.advice}"])
+    for finding in findings:
+        if finding.severity.value in (("fault",) if quiet else ("fault", "warning")):
+            prefix = f"{finding.record}: " if finding.record else ""
+            write_messages(
+                finding.severity.value, [f"{prefix}{finding.check}: {finding.what}; {finding.advice}"]
+            )
 
 
 def _findings(findings: Iterable["AuditFinding"]) -> RichTable:
     """Return what an audit found: how grave, where, what, and what to do."""
     table = _table("finding", "where", "what, and what to do")
-    for each in findings:
-        signal = each.signal.replace("_", " ")
-        whose = each.record or (f"{len(each.records)} logs" if each.records else "the campaign")
-        where = "\n".join([whose, signal, *_places(each)] if signal else [whose, *_places(each)])
-        table.add_row(f"{each.level.value}:\n{each.check}", where, f"{each.what}\n→ {each.advice}")
+    for finding in findings:
+        signal = finding.signal.replace("_", " ")
+        source = finding.record or (f"{len(finding.records)} logs" if finding.records else "the campaign")
+        location = "\n".join(
+            [source, signal, *_time_spans(finding)] if signal else [source, *_time_spans(finding)]
+        )
+        table.add_row(
+            f"{finding.severity.value}:\n{finding.check}", location, f"{finding.what}\n→ {finding.advice}"
+        )
         table.add_section()
     return table
 
 
-def _places(finding: "AuditFinding") -> list[str]:
+def _time_spans(finding: "AuditFinding") -> list[str]:
     if not finding.record:
         return []
-    more = len(finding.spans) - PLACES
-    told = [f"{start:.6g} … {stop:.6g} s" for start, stop in finding.spans[:PLACES]]
-    return [*told, f"and {more} more"] if more > 0 else told
+    more = len(finding.spans) - MAX_SPANS
+    spans = [f"{start:.6g} … {stop:.6g} s" for start, stop in finding.spans[:MAX_SPANS]]
+    return [*spans, f"and {more} more"] if more > 0 else spans
 
 
 def _durations(record: Mapping[str, object]) -> Mapping[str, float]:
-    spent = record.get("durations_s", {})
-    assert isinstance(spent, dict)  # noqa: S101
-    return spent
+    durations = record.get("durations_s", {})
+    assert isinstance(durations, dict)  # noqa: S101
+    return durations
 
 
-def show_identification(found: "Identification", out: Path) -> None:
+def show_identification(identification: "Identification", out: Path) -> None:
     """Print what was found of each direction, in 80 columns, and where the model lies."""
     from hitchid.uncertainty import characteristic_sentences
 
-    for mode, trace in found.channels.items():
-        _summary().print(_parameters(mode, found.model.units[f"{mode}_command"], trace))
-        displacement = found.model.units["displacement"]
-        chosen = [each.name for each in trace.candidates if each.chosen]
+    for direction, trace in identification.channels.items():
+        _narrow_console().print(
+            _parameters(direction, identification.model.units[f"{direction}_command"], trace)
+        )
+        displacement = identification.model.units["displacement"]
+        chosen = [candidate.name for candidate in trace.candidates if candidate.chosen]
         form = f"form taken of {len(trace.candidates)}: {chosen[0]}; " if chosen else ""
-        _say_in(f"{form}RMSE {trace.phase1.rmse:.4g} {displacement} over the identification tests, free run")
-        for each in characteristic_sentences(trace.characteristics, mode) if trace.characteristics else ():
-            _say_in(each, indent=2)
+        _print_wrapped(
+            f"{form}RMSE {trace.phase1.rmse:.4g} {displacement} over the identification tests, free run"
+        )
+        for text in (
+            characteristic_sentences(trace.characteristics, direction) if trace.characteristics else ()
+        ):
+            _print_wrapped(text, indent=2)
         if trace.seconds:
-            spent = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in trace.seconds.items())
-            _say_in(f"time: {spent}")
-        say(f"{mode}, notice", trace.notices)
-    _say_in(f"model: {out}")
+            times = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in trace.seconds.items())
+            _print_wrapped(f"time: {times}")
+        write_messages(f"{direction}, notice", trace.notices)
+    _print_wrapped(f"model: {out}")
 
 
-def _parameters(mode: str, unit: str, trace: "ChannelTrace") -> RichTable:
+def _parameters(direction: str, unit: str, trace: "ChannelTrace") -> RichTable:
     """Return the dead zone and every parameter; what is not determined is told by its verdict alone."""
-    from hitchid.uncertainty import stated
+    from hitchid.uncertainty import format_with_error
 
-    table = _table(mode, "value ± std error", "unit", "verdict", kind=box.SIMPLE_HEAD)
+    table = _table(direction, "value ± std error", "unit", "verdict", kind=box.SIMPLE_HEAD)
     zone = trace.dead_zone
-    value = stated(zone.value, zone.error.size or None)
+    value = format_with_error(zone.value, zone.error.standard_error or None)
     origin = f"from {zone.count} {zone.origin}" if zone.count else zone.origin
     table.add_row("dead zone", value, unit, origin)
-    for each in trace.phase1.estimates:
-        value = stated(each.value, each.error) if each.determined else ""
-        table.add_row(each.symbol or each.name.replace("_", " "), value, each.unit, each.verdict)
+    for estimate in trace.phase1.parameter_estimates:
+        value = format_with_error(estimate.value, estimate.error) if estimate.determined else ""
+        table.add_row(
+            estimate.symbol or estimate.name.replace("_", " "), value, estimate.unit, estimate.verdict
+        )
     return table
 
 
@@ -157,19 +173,19 @@ def show_advice(advice: "Advice", model: "Hitch") -> None:
         f"error of {name} / %",
     )
     table.add_row("another like those", "", "", "", "", "", f"{100 * advice.usual[advice.parameter]:.0f}")
-    for number, each in enumerate(advice.proposals, start=1):
+    for number, proposal in enumerate(advice.proposals, start=1):
         table.add_row(
             f"binary, {number}",
-            f"{each.low + zone * (each.low > 0):.4g}",
-            f"{each.high + zone:.4g}",
-            f"{each.clock_s:.3g}",
-            f"{each.duration_s:.4g}",
-            f"{each.travel:.4g}",
-            f"{100 * each.left[advice.parameter]:.0f}",
+            f"{proposal.low + zone * (proposal.low > 0):.4g}",
+            f"{proposal.high + zone:.4g}",
+            f"{proposal.clock_s:.3g}",
+            f"{proposal.duration_s:.4g}",
+            f"{proposal.travel:.4g}",
+            f"{100 * proposal.left[advice.parameter]:.0f}",
         )
-    _out().print(table)
+    _console().print(table)
     if advice.ramps:
-        say(
+        write_messages(
             "notice", [f"{name} waits for the dead zone: three more ramps would narrow it more than any test"]
         )
 
@@ -177,8 +193,8 @@ def show_advice(advice: "Advice", model: "Hitch") -> None:
 def show_study(study: "Study", out: Path) -> None:
     """Print the tables of the study, and what a reader should not miss."""
     _show_tables(study.tables)
-    say("notice", study.validation.notices)
-    _say_in(f"report: {out / 'report.html'}")
+    write_messages("notice", study.validation.notices)
+    _print_wrapped(f"report: {out / 'report.html'}")
 
 
 def show_validation(result: "Validation", document: "Document", out: Path) -> None:
@@ -187,36 +203,36 @@ def show_validation(result: "Validation", document: "Document", out: Path) -> No
 
     _show_verdict(document)
     unit = result.metrics["unit"]
-    for mode, channel in result.metrics["channels"].items():
-        table = _errors_table(f"{mode}, RMSE / {unit}")
-        everything = {
+    for direction, channel in result.metrics["channels"].items():
+        table = _errors_table(f"{direction}, RMSE / {unit}")
+        models = {
             **channel["baselines"],
             "benchmark": channel["benchmark"],
             "greybox": channel["greybox"],
         }
-        for name, figures in everything.items():
+        for name, figures in models.items():
             table.add_row(NAMES[name], *_errors(figures))
-        _summary().print(table)
+        _narrow_console().print(table)
     cycles = result.metrics["cycles"]
     if cycles["tests"]:
         table = _errors_table(f"cycles, RMSE / {unit}")
         for name in (name for name in NAMES if name in cycles):
             table.add_row(NAMES[name], *_errors(cycles[name]))
-        _summary().print(table)
-    say("notice", result.notices)
-    _say_in(f"report: {out / 'report.html'}")
+        _narrow_console().print(table)
+    write_messages("notice", result.notices)
+    _print_wrapped(f"report: {out / 'report.html'}")
 
 
-def show_comparison(compared: "ModelComparison", document: "Document", out: Path) -> None:
+def show_comparison(comparison: "ModelComparison", document: "Document", out: Path) -> None:
     """Print which model errs less, and both side by side, in 80 columns."""
     _show_verdict(document)
-    for part in compared.parts:
-        table = _errors_table(f"{part}, RMSE / {compared.unit}")
-        for name, figures in zip("AB", compared.figures(part), strict=True):
+    for subset in comparison.sections:
+        table = _errors_table(f"{subset}, RMSE / {comparison.unit}")
+        for name, figures in zip("AB", comparison.figures(subset), strict=True):
             table.add_row(f"model {name}", *_errors(figures["greybox"]))
-        _summary().print(table)
-    say("notice", compared.notices)
-    _say_in(f"report: {out / 'report.html'}")
+        _narrow_console().print(table)
+    write_messages("notice", comparison.notices)
+    _print_wrapped(f"report: {out / 'report.html'}")
 
 
 def show_acceptance(acceptance: "Acceptance", *, quiet: bool = False) -> None:
@@ -230,7 +246,7 @@ def show_acceptance(acceptance: "Acceptance", *, quiet: bool = False) -> None:
 
 def _show_verdict(document: "Document") -> None:
     for finding in document.verdict:
-        _say_in(f"{finding.level.value:8}{finding.sentence}", indent=8)
+        _print_wrapped(f"{finding.level.value:8}{finding.sentence}", indent=8)
 
 
 def _errors_table(title: str) -> RichTable:
@@ -244,11 +260,11 @@ def _errors(figures: Mapping[str, Any]) -> tuple[str, ...]:
     """Return RMSE one step ahead and in free run, fit and largest error in free run where there is one."""
     from hitchid.validation import error_cells
 
-    ahead, free = (figures.get(run) for run in ("one_step", "free_run"))
-    step = error_cells(ahead)[0] if ahead else ""
-    if not free:
+    one_step, free_run = (figures.get(run) for run in ("one_step", "free_run"))
+    step = error_cells(one_step)[0] if one_step else ""
+    if not free_run:
         return step, "", "", ""
-    rmse, _, _, fit, largest, _ = error_cells(free)
+    rmse, _, _, fit, largest, _ = error_cells(free_run)
     return step, rmse, fit, largest
 
 
@@ -261,7 +277,7 @@ def _show_tables(tables: Iterable["Table"]) -> None:
             table.add_column(name, justify="right" if right else "left")
         for row in content.rows:
             table.add_row(*row)
-        _out().print(table)
+        _console().print(table)
 
 
 def _table(*header: str, kind: box.Box = box.HEAVY_HEAD) -> RichTable:
@@ -271,20 +287,20 @@ def _table(*header: str, kind: box.Box = box.HEAVY_HEAD) -> RichTable:
     return table
 
 
-def _out() -> Console:
+def _console() -> Console:
     return Console(width=None if sys.stdout.isatty() else 120, markup=False, highlight=False)
 
 
-def _summary() -> Console:
+def _narrow_console() -> Console:
     return Console(width=COLUMNS, markup=False, highlight=False)
 
 
-def _say_in(text: str, indent: int = 0) -> None:
+def _print_wrapped(text: str, indent: int = 0) -> None:
     """Print a sentence on lines of 80 columns at most, all but the first indented."""
     sys.stdout.write(fill(text, COLUMNS, subsequent_indent=" " * indent, break_on_hyphens=False) + "\n")
 
 
-def say(kind: str, sentences: Iterable[str]) -> None:
+def write_messages(kind: str, sentences: Iterable[str]) -> None:
     """Write sentences to stderr, each after what kind it is."""
     for sentence in sentences:
         sys.stderr.write(f"{kind}: {sentence}\n")

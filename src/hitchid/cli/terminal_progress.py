@@ -11,21 +11,21 @@ from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemaini
 from rich.progress import Progress as Bar
 from rich.text import Text
 
-from hitchid._support.progress import Progress, Step, silent
+from hitchid._support.progress import ProgressCallback, ProgressUpdate, silent
 
 BLOCKS = "▁▂▃▄▅▆▇█"
 WIDTH, NAME = 36, 28
 
 
 @contextmanager
-def progress(*, quiet: bool = False) -> Iterator[Progress]:
+def progress(*, quiet: bool = False) -> Iterator[ProgressCallback]:
     """Give what shows progress on stderr: live on a terminal, a line a stage elsewhere, quietly nothing."""
     if quiet:
         yield silent
         return
     if not sys.stderr.isatty():
         lines = _Lines()
-        yield lines.tell
+        yield lines.report
         lines.end()
         return
     bar = Bar(BarColumn(24), TaskProgressColumn(), TimeRemainingColumn(), TextColumn("{task.description}"))
@@ -33,8 +33,8 @@ def progress(*, quiet: bool = False) -> Iterator[Progress]:
     curves = Curves()
     with Live(Group(bar, curves), console=Console(stderr=True), transient=True, refresh_per_second=8):
 
-        def show(step: Step) -> None:
-            curves.hear(step)
+        def show(step: ProgressUpdate) -> None:
+            curves.update(step)
             bar.update(task, description=curves.stages, completed=step.fraction)
 
         yield show
@@ -44,67 +44,69 @@ class Curves:
     """What the present stage of each strand makes smaller, drawn as it falls."""
 
     def __init__(self) -> None:
-        self._strands: dict[str, tuple[Step, dict[str, list[float]]]] = {}
+        self._tasks: dict[str, tuple[ProgressUpdate, dict[str, list[float]]]] = {}
 
-    def hear(self, step: Step) -> None:
+    def update(self, step: ProgressUpdate) -> None:
         """Take in a step; a new stage begins a new picture, and work on the whole ends the strands."""
-        together = {name: each for name, each in self._strands.items() if bool(name) == bool(step.strand)}
-        last, values = together.get(step.strand, (step, {}))
+        current_tasks = {name: entry for name, entry in self._tasks.items() if bool(name) == bool(step.task)}
+        last, values = current_tasks.get(step.task, (step, {}))
         values = values if last.stage == step.stage else {}
         for name, value in step.figures.items():
             values.setdefault(name, []).append(value)
-        self._strands = {**together, step.strand: (step, values)}
+        self._tasks = {**current_tasks, step.task: (step, values)}
 
     @property
     def stages(self) -> str:
         """The stages that are being done."""
-        return " | ".join(step.stage for step, _ in self._strands.values())
+        return " | ".join(step.stage for step, _ in self._tasks.values())
 
     def __rich__(self) -> Text:
         """Return the round of each strand and a line for each figure, in 80 columns."""
         lines = []
-        for step, values in self._strands.values():
-            told = [
-                f"{name[:NAME]:{NAME}} {series[-1]:<9.4g} {falling(series)}"
+        for step, values in self._tasks.values():
+            series_lines = [
+                f"{name[:NAME]:{NAME}} {series[-1]:<9.4g} {sparkline(series)}"
                 for name, series in values.items()
             ]
-            lines += [" ".join(filter(None, (step.strand, step.round))), *told] if told else []
+            lines += (
+                [" ".join(filter(None, (step.task, step.iteration))), *series_lines] if series_lines else []
+            )
         return Text("\n".join(lines), no_wrap=True)
 
 
-def falling(values: list[float]) -> str:
+def sparkline(values: list[float]) -> str:
     """Return values as blocks, the highest for the largest, by their logarithms where all are positive."""
-    told = [value for value in values if isfinite(value)]
-    if not told:
+    finite_values = [value for value in values if isfinite(value)]
+    if not finite_values:
         return ""
-    heights = [log(value) for value in told] if min(told) > 0 else told
-    few = [heights[round(place * (len(heights) - 1) / (WIDTH - 1))] for place in range(WIDTH)]
-    shown = few if len(heights) > WIDTH else heights
+    heights = [log(value) for value in finite_values] if min(finite_values) > 0 else finite_values
+    resampled = [heights[round(index * (len(heights) - 1) / (WIDTH - 1))] for index in range(WIDTH)]
+    shown = resampled if len(heights) > WIDTH else heights
     low, high = min(shown), max(shown)
     scale = (len(BLOCKS) - 1) / ((high - low) or 1.0)
-    return "".join(BLOCKS[round((each - low) * scale)] for each in shown)
+    return "".join(BLOCKS[round((height - low) * scale)] for height in shown)
 
 
 class _Lines:
     """A line for each stage as it begins, and one for where it ended if it made something smaller."""
 
     def __init__(self) -> None:
-        self._last: dict[str, Step] = {}
+        self._last: dict[str, ProgressUpdate] = {}
 
-    def tell(self, step: Step) -> None:
-        last = self._last.get(step.strand)
+    def report(self, step: ProgressUpdate) -> None:
+        last = self._last.get(step.task)
         if last is None or step.stage != last.stage:
-            self.end(*filter(None, [step.strand]))
+            self.end(*filter(None, [step.task]))
             sys.stderr.write(f"{step.fraction:4.0%}  {step.stage}\n")
             sys.stderr.flush()
-        self._last[step.strand] = step
+        self._last[step.task] = step
 
-    def end(self, *strands: str) -> None:
+    def end(self, *tasks: str) -> None:
         """Say where the last stages of strands ended; those of all where none is named."""
-        for strand in strands or tuple(self._last):
-            last = self._last.pop(strand, None)
+        for task in tasks or tuple(self._last):
+            last = self._last.pop(task, None)
             if last is not None and last.figures:
-                told = ", ".join(f"{name} {value:.4g}" for name, value in last.figures.items())
-                stage = f"{strand}, " if strand else ""
-                sys.stderr.write(f"      {stage}{last.round}: {told}\n")
+                figures_text = ", ".join(f"{name} {value:.4g}" for name, value in last.figures.items())
+                stage = f"{task}, " if task else ""
+                sys.stderr.write(f"      {stage}{last.iteration}: {figures_text}\n")
                 sys.stderr.flush()

@@ -51,7 +51,7 @@ def simulate(
     from hitchid.model import load
     from hitchid.model.simulate_log import simulate_log
 
-    outside = simulate_log(
+    notices = simulate_log(
         load(model),
         log,
         out,
@@ -60,7 +60,7 @@ def simulate(
         signals=signals,
         force=force,
     )
-    display.say("notice", outside)
+    display.write_messages("notice", notices)
 
 
 def design(
@@ -99,13 +99,19 @@ def design(
         check_file(out, force=force)
         check_inputs(out, [model])
     prepare_jax()
-    from hitchid.design.next_test import Limits, write_command
+    from hitchid.design.next_test import ExcitationLimits, write_command
     from hitchid.design.next_test import design as run
     from hitchid.model import load
 
     hitch = load(model)
-    mode = None if direction is None else direction.value
-    advice = run(hitch, mode, parameter=parameter, limits=Limits(highest, travel, longest), seed=seed)
+    direction_name = None if direction is None else direction.value
+    advice = run(
+        hitch,
+        direction_name,
+        parameter=parameter,
+        limits=ExcitationLimits(highest, travel, longest),
+        seed=seed,
+    )
     if out is not None:
         write_command(hitch, advice, out, force=force)
     if as_json:
@@ -133,7 +139,7 @@ def run(
     sys.stderr.write("ready\n")
     sys.stderr.flush()
     for line in sys.stdin:
-        sys.stdout.write(live.hear(line).line() + "\n")
+        sys.stdout.write(live.process(line).to_json() + "\n")
         sys.stdout.flush()
 
 

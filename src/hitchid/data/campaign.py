@@ -12,15 +12,15 @@ from statistics import median_low
 import numpy as np
 
 from hitchid._support import checks
-from hitchid.data.left_out import LeftOut, refuse, sentences, sift
-from hitchid.data.record import COMMAND, CYCLE, DISPLACEMENT, IDLE, KINDS, MODES, RAMP, Record
-from hitchid.data.test_kinds import detect_kind, full_scales, ramp_mode, strokes
+from hitchid.data.left_out import LeftOut, refuse, sentences, split_usable
+from hitchid.data.record import COMMAND, CYCLE, DIRECTIONS, DISPLACEMENT, IDLE, KINDS, RAMP, Record
+from hitchid.data.test_kinds import detect_kind, full_scales, ramp_direction, strokes
 from hitchid.data.units import UNITS
 from hitchid.errors import InputError, LogError, SettingsError
 
 HELD_OUT_FRACTION = 0.2
-STROKE_MARK = "#"
-LARGEST_RATE_RATIO = 100
+STROKE_SEPARATOR = "#"
+MAX_RATE_RATIO = 100
 
 
 @dataclass(frozen=True)
@@ -68,9 +68,9 @@ class Campaign:
             InputError: no records, equal names, a pattern that matches no test, or every test of a direction
                 is left out.
         """
-        records = checks.several(records, Record, "records", "records, each a hitchid.Record")
+        records = checks.tuple_of(records, Record, "records", "records, each a hitchid.Record")
         if test_patterns is not None:
-            test_patterns = checks.several(test_patterns, str, "test_patterns", "patterns on names")
+            test_patterns = checks.tuple_of(test_patterns, str, "test_patterns", "patterns on names")
         checks.instance(kinds or {}, Mapping, "kinds", "pattern on names to kind")
         if not records:
             raise InputError("a campaign needs at least one record, none came")
@@ -80,35 +80,39 @@ class Campaign:
         for name in names:
             if names.count(name) > 1:
                 raise InputError(f"two records are called '{name}'; names must differ")
-        ordered = sorted(records, key=lambda record: _natural(record.name))
-        like = _most_common(ordered)
-        usable, unlike = sift(_by_name(ordered), lambda record: _alike(record, like), strict=strict)
+        ordered = sorted(records, key=lambda record: _natural_sort_key(record.name))
+        reference = _most_common(ordered)
+        usable, mismatched = split_usable(
+            _with_names(ordered), lambda record: _to_reference_units(record, reference), strict=strict
+        )
         step_s = _common_step(usable)
-        on_clock, off_clock = sift(_by_name(usable), lambda record: _on_clock(record, step_s), strict=strict)
+        on_clock, off_clock = split_usable(
+            _with_names(usable), lambda record: _to_common_clock(record, step_s), strict=strict
+        )
         scales = full_scales(on_clock)
-        known = [replace(record, kind=_kind(record, scales, kinds or {})) for record in on_clock]
-        moving, still = sift(_by_name(known), _moving, strict=strict)
-        here = [*unlike, *off_clock, *still]
+        classified = [replace(record, kind=_kind(record, scales, kinds or {})) for record in on_clock]
+        moving, stationary = split_usable(_with_names(classified), _require_motion, strict=strict)
+        excluded = [*mismatched, *off_clock, *stationary]
         if not moving:
-            refuse(here, "tests")
-        _check_directions(moving, here, ordered)
-        everything = (*left_out, *here)
+            refuse(excluded, "tests")
+        _check_directions(moving, excluded, ordered)
+        all_left_out = (*left_out, *excluded)
         for pattern in test_patterns or ():
-            if not any(fnmatchcase(name, pattern) for name in (*names, *(each.name for each in left_out))):
+            if not any(fnmatchcase(name, pattern) for name in (*names, *(item.name for item in left_out))):
                 raise InputError(
                     f"split.test: the pattern '{pattern}' matches none of the {len(names)} tests"
                 )
         patterns = None if test_patterns is None else tuple(test_patterns)
-        return cls(tuple(moving), patterns, left_out=everything, strict=strict)
+        return cls(tuple(moving), patterns, left_out=all_left_out, strict=strict)
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """What is left out and why, how much of all, and whether that leaves nothing held out."""
-        said = sentences(self.left_out, len(self.left_out) + len(self.records), "logs")
+        messages = sentences(self.left_out, len(self.left_out) + len(self.records), "logs")
         patterns = self.test_patterns
-        if said and patterns is not None and not any(_matches(r, patterns) for r in self.records):
-            return (*said, "split.test matches only logs that are left out: no test is held out")
-        return said
+        if messages and patterns is not None and not any(_matches(r, patterns) for r in self.records):
+            return (*messages, "split.test matches only logs that are left out: no test is held out")
+        return messages
 
     @property
     def step_s(self) -> float:
@@ -123,47 +127,47 @@ class Campaign:
     @property
     def covariates(self) -> tuple[str, ...]:
         """Names of the further measured inputs that every record has."""
-        known = {DISPLACEMENT, *COMMAND.values()}
-        first, *rest = (set(record.signals) - known for record in self.records)
+        standard_roles = {DISPLACEMENT, *COMMAND.values()}
+        first, *rest = (set(record.signals) - standard_roles for record in self.records)
         return tuple(sorted(first.intersection(*rest)))
 
     @property
-    def modes(self) -> tuple[str, ...]:
+    def directions(self) -> tuple[str, ...]:
         """The modes that single-direction tests excite."""
-        return tuple(mode for mode in MODES if self.of_kind(mode))
+        return tuple(direction for direction in DIRECTIONS if self.of_kind(direction))
 
     @property
     def digest(self) -> str:
         """SHA-256 of all there is: names, kinds, clocks, units, every sample, what is held out."""
-        whole = hashlib.sha256(repr(self.test_patterns).encode(errors="surrogateescape"))
+        hasher = hashlib.sha256(repr(self.test_patterns).encode(errors="surrogateescape"))
         for record in self.records:
-            told = (record.name, record.kind, record.step_s, record.start_s, sorted(record.units.items()))
-            whole.update(repr(told).encode(errors="surrogateescape"))
+            metadata = (record.name, record.kind, record.step_s, record.start_s, sorted(record.units.items()))
+            hasher.update(repr(metadata).encode(errors="surrogateescape"))
             for role in sorted(record.signals):
-                whole.update(role.encode(errors="surrogateescape") + record.signals[role].tobytes())
-        return whole.hexdigest()
+                hasher.update(role.encode(errors="surrogateescape") + record.signals[role].tobytes())
+        return hasher.hexdigest()
 
     def of_kind(self, kind: str) -> tuple[Record, ...]:
         """Return the records of one kind."""
         return tuple(record for record in self.records if record.kind == kind)
 
-    def ramps(self, mode: str) -> tuple[Record, ...]:
-        """Return the slow ramps that excite `mode`."""
-        return tuple(record for record in self.of_kind(RAMP) if ramp_mode(record) == mode)
+    def ramps(self, direction: str) -> tuple[Record, ...]:
+        """Return the slow ramps that excite `direction`."""
+        return tuple(record for record in self.of_kind(RAMP) if ramp_direction(record) == direction)
 
-    def held_out(self, mode: str) -> tuple[Record, ...]:
+    def held_out(self, direction: str) -> tuple[Record, ...]:
         """Return the tests of a mode that no identification may see."""
-        tests = self.of_kind(mode)
+        tests = self.of_kind(direction)
         if self.test_patterns is not None:
             return tuple(record for record in tests if _matches(record, self.test_patterns))
         if len(tests) < 2:
             return ()
         return tests[-max(1, round(HELD_OUT_FRACTION * len(tests))) :]
 
-    def identification(self, mode: str) -> tuple[Record, ...]:
+    def identification(self, direction: str) -> tuple[Record, ...]:
         """Return the tests of a mode that are not held out."""
-        held_out = {record.name for record in self.held_out(mode)}
-        return tuple(record for record in self.of_kind(mode) if record.name not in held_out)
+        held_out = {record.name for record in self.held_out(direction)}
+        return tuple(record for record in self.of_kind(direction) if record.name not in held_out)
 
     def without(self, fingerprints: Collection[str]) -> "Campaign":
         """Return the campaign without the records that these are the fingerprints of; it may be empty."""
@@ -175,26 +179,28 @@ class Campaign:
         Strokes of a held-out cycle are held out; where no whole cycle is, the last 20 % of each mode's
         strokes are.
         """
-        zones = checks.keyed(dead_zones, MODES, "dead_zones")
-        dead_zones = {mode: checks.number(zone, f"dead_zones, {mode}") for mode, zone in zones.items()}
-        cut = []
+        zones = checks.mapping_of(dead_zones, DIRECTIONS, "dead_zones")
+        dead_zones = {
+            direction: checks.number(zone, f"dead_zones, {direction}") for direction, zone in zones.items()
+        }
+        cut_records = []
         for record in self.records:
             if record.kind != CYCLE:
-                cut.append(record)
+                cut_records.append(record)
                 continue
             for number, stroke in enumerate(strokes(record, dead_zones), start=1):
-                name = f"{record.name}{STROKE_MARK}{number:03d}"
-                cut.append(record.slice(stroke.start, stroke.stop, name=name, kind=stroke.mode))
+                name = f"{record.name}{STROKE_SEPARATOR}{number:03d}"
+                cut_records.append(record.slice(stroke.start, stroke.stop, name=name, kind=stroke.direction))
         held_out = self.held_out(CYCLE)
-        patterns = tuple(f"{escape(record.name)}{STROKE_MARK}*" for record in held_out) or None
-        return replace(self, records=tuple(cut), test_patterns=patterns)
+        patterns = tuple(f"{escape(record.name)}{STROKE_SEPARATOR}*" for record in held_out) or None
+        return replace(self, records=tuple(cut_records), test_patterns=patterns)
 
 
 def _matches(record: Record, patterns: Sequence[str]) -> bool:
     return any(fnmatchcase(record.name, pattern) for pattern in patterns)
 
 
-def _by_name(records: Iterable[Record]) -> list[tuple[str, Record]]:
+def _with_names(records: Iterable[Record]) -> list[tuple[str, Record]]:
     return [(record.name, record) for record in records]
 
 
@@ -211,22 +217,22 @@ def _most_common(records: Sequence[Record]) -> Record:
     return max(records, key=lambda record: counts[_dimensions(record)])
 
 
-def _alike(record: Record, first: Record) -> Record:
+def _to_reference_units(record: Record, reference: Record) -> Record:
     """Return a record in another's units."""
-    if record.modes != first.modes:
+    if record.directions != reference.directions:
         raise InputError(
-            f"record '{record.name}' has commands for {' and '.join(record.modes)}, "
-            f"'{first.name}' for {' and '.join(first.modes)}; one campaign needs one signal map"
+            f"record '{record.name}' has commands for {' and '.join(record.directions)}, "
+            f"'{reference.name}' for {' and '.join(reference.directions)}; one campaign needs one signal map"
         )
-    if record.units == first.units:
+    if record.units == reference.units:
         return record
     try:
-        return record.convert(first.units)
+        return record.convert(reference.units)
     except SettingsError as error:  # a unit that the log itself says, mostly
         raise InputError(str(error)) from error
 
 
-def _moving(record: Record) -> Record:
+def _require_motion(record: Record) -> Record:
     """Return a record unless its displacement stands although it is commanded to move."""
     if record.kind != IDLE and np.ptp(record.displacement) == 0:
         raise LogError(
@@ -240,20 +246,20 @@ def _moving(record: Record) -> Record:
 
 def _check_directions(records: Sequence[Record], left_out: Sequence[LeftOut], all_: Sequence[Record]) -> None:
     """Refuse a campaign of which all tests of one direction are left out: its model would lack it."""
-    causes = {each.name: each for each in left_out}
-    for mode in MODES:
-        lost = [
+    causes = {item.name: item for item in left_out}
+    for direction in DIRECTIONS:
+        excluded = [
             causes[record.name]
             for record in all_
-            if record.name in causes and detect_kind(record, full_scales([record])) == mode
+            if record.name in causes and detect_kind(record, full_scales([record])) == direction
         ]
-        if lost and not any(record.kind in (mode, CYCLE) for record in records):
-            refuse(lost, f"{mode} tests")
+        if excluded and not any(record.kind in (direction, CYCLE) for record in records):
+            refuse(excluded, f"{direction} tests")
 
 
-def _natural(name: str) -> list[tuple[int, str]]:
+def _natural_sort_key(name: str) -> list[tuple[int, str]]:
     """Return a sorting key that puts test-2 before test-10."""
-    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name)]
+    return [(int(token), "") if token.isdecimal() else (-1, token) for token in re.split(r"(\d+)", name)]
 
 
 def _common_step(records: Sequence[Record]) -> float:
@@ -261,14 +267,14 @@ def _common_step(records: Sequence[Record]) -> float:
     return float(f"{median_low(record.step_s for record in records):.4g}")
 
 
-def _on_clock(record: Record, step_s: float) -> Record:
+def _to_common_clock(record: Record, step_s: float) -> Record:
     """Adopt the common sampling time where the stamps cannot tell the difference, else resample."""
     drift = abs(record.step_s - step_s) * len(record)
-    if not 1 / LARGEST_RATE_RATIO <= record.step_s / step_s <= LARGEST_RATE_RATIO:
+    if not 1 / MAX_RATE_RATIO <= record.step_s / step_s <= MAX_RATE_RATIO:
         raise LogError(
             record.source or record.name,
             f"has a sampling time of {record.step_s:.4g} s, the logs one of {step_s:.4g} s in the median; "
-            f"required none that differs by more than a factor of {LARGEST_RATE_RATIO}",
+            f"required none that differs by more than a factor of {MAX_RATE_RATIO}",
         )
     return replace(record, step_s=step_s) if drift <= 0.05 * step_s else record.resample(step_s)
 

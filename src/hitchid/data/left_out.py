@@ -8,7 +8,7 @@ from hitchid.errors import InputError, LogError, SettingsError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-SHOWN = 10
+MAX_SHOWN = 10
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class LeftOut:
         return {"name": self.name, "reason": self.reason}
 
 
-def sift(
+def split_usable(
     items: Iterable[tuple[str, Item]], work: Callable[[Item], Result], *, strict: bool
 ) -> tuple[list[Result], list[LeftOut]]:
     """Return what work makes of each item, and which items it cannot use.
@@ -71,10 +71,10 @@ def sentences(left_out: Sequence[LeftOut], total: int, what: str) -> tuple[str, 
     if not left_out:
         return ()
     names: dict[str, list[str]] = {}
-    for each in left_out:
-        names.setdefault(each.reason, []).append(each.name)
-    said = [f"{', '.join(which)}: left out: {reason}" for reason, which in names.items()]
-    return (*said, f"{len(left_out)} of {total} {what} left out")
+    for item in left_out:
+        names.setdefault(item.reason, []).append(item.name)
+    messages = [f"{', '.join(affected)}: left out: {reason}" for reason, affected in names.items()]
+    return (*messages, f"{len(left_out)} of {total} {what} left out")
 
 
 def refuse(left_out: Sequence[LeftOut], what: str) -> NoReturn:
@@ -83,8 +83,8 @@ def refuse(left_out: Sequence[LeftOut], what: str) -> NoReturn:
     Raises:
         InputError: always; the first item's own error where all have the same.
     """
-    if len({each.reason for each in left_out}) == 1:
+    if len({item.reason for item in left_out}) == 1:
         raise left_out[0].error
-    causes = [f"{each.name}: {each.reason}" for each in left_out[:SHOWN]]
-    more = [f"and {len(left_out) - SHOWN} more"] if len(left_out) > SHOWN else []
+    causes = [f"{item.name}: {item.reason}" for item in left_out[:MAX_SHOWN]]
+    more = [f"and {len(left_out) - MAX_SHOWN} more"] if len(left_out) > MAX_SHOWN else []
     raise InputError(f"none of the {len(left_out)} {what} can be used: {'; '.join([*causes, *more])}")

@@ -9,14 +9,14 @@ from types import MappingProxyType
 import numpy as np
 
 from hitchid._support import checks
-from hitchid.data.resampling import EVEN, KEPT_DEVIATION, ClockQuality
+from hitchid.data.resampling import GRID_TOLERANCE, REGULAR_CLOCK, ClockQuality
 from hitchid.data.units import UNITS, check_unit, conversion_factor
 from hitchid.errors import InputError
 
 DISPLACEMENT = "displacement"
 LIFTING = "lifting"
 LOWERING = "lowering"
-MODES = (LIFTING, LOWERING)
+DIRECTIONS = (LIFTING, LOWERING)
 COMMAND = MappingProxyType({LIFTING: "lifting_command", LOWERING: "lowering_command"})
 
 RAMP = "ramp"
@@ -51,7 +51,7 @@ class Record:
     start_s: float = 0.0
     source: Path | None = None
     notices: tuple[str, ...] = field(default=())
-    clock: ClockQuality = EVEN
+    clock: ClockQuality = REGULAR_CLOCK
 
     def __post_init__(self) -> None:
         """Check what every later room relies on, and freeze the samples."""
@@ -59,7 +59,7 @@ class Record:
         checks.instance(self.signals, Mapping, f"record '{self.name}': signals", "role to samples")
         checks.instance(self.units, Mapping, f"record '{self.name}': units", "role to unit")
         checks.number(self.start_s, f"record '{self.name}': start_s")
-        checks.chosen(self.kind, KINDS, f"record '{self.name}': kind")
+        checks.one_of(self.kind, KINDS, f"record '{self.name}': kind")
         if DISPLACEMENT not in self.signals:
             raise InputError(
                 f"record '{self.name}': a displacement signal is required, came {sorted(self.signals)}"
@@ -72,15 +72,17 @@ class Record:
             )
         frozen = {}
         for role, samples in self.signals.items():
-            array = _frozen(samples, f"record '{self.name}': '{role}'")
+            array = _read_only(samples, f"record '{self.name}': '{role}'")
             if role not in self.units:
                 raise InputError(
                     f"record '{self.name}': '{role}' has no unit; required one of {', '.join(UNITS)}"
                 )
             check_unit(self.units[role], f"record '{self.name}': '{role}'")
-            wanted = np.shape(self.signals[DISPLACEMENT])[:1] or (1,)
-            if array.shape != wanted:
-                raise InputError(f"record '{self.name}': '{role}' has shape {array.shape}, required {wanted}")
+            expected_shape = np.shape(self.signals[DISPLACEMENT])[:1] or (1,)
+            if array.shape != expected_shape:
+                raise InputError(
+                    f"record '{self.name}': '{role}' has shape {array.shape}, required {expected_shape}"
+                )
             if not np.all(np.isfinite(array)):
                 row = int(np.flatnonzero(~np.isfinite(array))[0])
                 raise InputError(f"record '{self.name}': '{role}' is {array[row]} at sample {row}")
@@ -108,20 +110,20 @@ class Record:
         return self.units[DISPLACEMENT]
 
     @property
-    def modes(self) -> tuple[str, ...]:
+    def directions(self) -> tuple[str, ...]:
         """The modes this record has a command for."""
-        return tuple(mode for mode in MODES if COMMAND[mode] in self.signals)
+        return tuple(direction for direction in DIRECTIONS if COMMAND[direction] in self.signals)
 
-    def command(self, mode: str) -> np.ndarray:
+    def command(self, direction: str) -> np.ndarray:
         """Return the command of a mode, shape [N].
 
         Raises:
             InputError: the record has no such command.
         """
-        role = COMMAND[checks.chosen(mode, MODES, "direction")]
+        role = COMMAND[checks.one_of(direction, DIRECTIONS, "direction")]
         if role not in self.signals:
             raise InputError(
-                f"record '{self.name}': there is no {mode} command; signals: {', '.join(self.signals)}"
+                f"record '{self.name}': there is no {direction} command; signals: {', '.join(self.signals)}"
             )
         return self.signals[role]
 
@@ -143,12 +145,12 @@ class Record:
         the range in SI units: neither the file's name, nor the unit, nor which commands are mapped makes a
         test look new.
         """
-        moved = self.displacement - self.displacement[0]
-        reach = float(np.ptp(moved))
-        shape = moved / (reach or 1.0)
+        relative = self.displacement - self.displacement[0]
+        peak_to_peak = float(np.ptp(relative))
+        shape = relative / (peak_to_peak or 1.0)
         # The irrational offset keeps round decimals off the edges at which rounding would tip.
         steps = np.round(shape / FINGERPRINT_STEP + 1 / np.pi).astype(np.int64)
-        size = f"{reach * UNITS[self.unit].factor:.6e}"
+        size = f"{peak_to_peak * UNITS[self.unit].factor:.6e}"
         return hashlib.sha256(size.encode() + steps.tobytes()).hexdigest()
 
     def slice(self, start: int, stop: int, *, name: str | None = None, kind: str | None = None) -> "Record":
@@ -165,12 +167,12 @@ class Record:
         """Return the record on a clock of `step_s`; see `resampled`."""
         checks.number(step_s, "step_s", above=0.0)
         count = int(np.floor((len(self) - 1) * self.step_s / step_s * (1 + 1e-12))) + 1
-        wanted = step_s * np.arange(count)
-        had = self.step_s * np.arange(len(self))
+        new_times_s = step_s * np.arange(count)
+        old_times_s = self.step_s * np.arange(len(self))
         return replace(
             self,
             step_s=step_s,
-            signals=resampled(self.signals, had, wanted),
+            signals=resampled(self.signals, old_times_s, new_times_s),
             notices=(*self.notices, f"resampled from {self.step_s:.4g} s to {step_s:.4g} s"),
         )
 
@@ -193,21 +195,21 @@ class Record:
         )
 
 
-def _frozen(samples: np.ndarray, name: str) -> np.ndarray:
+def _read_only(samples: np.ndarray, name: str) -> np.ndarray:
     """Return samples that nobody can change: themselves where nobody can already, else a copy."""
-    whole = samples if getattr(samples, "base", None) is None else samples.base
-    if isinstance(whole, np.ndarray) and samples.dtype == np.float64 and not whole.flags.writeable:
+    base = samples if getattr(samples, "base", None) is None else samples.base
+    if isinstance(base, np.ndarray) and samples.dtype == np.float64 and not base.flags.writeable:
         return samples
     try:
         array = np.array(samples, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise checks.refusal(name, "numbers", samples) from error
+        raise checks.input_error(name, "numbers", samples) from error
     array.setflags(write=False)
     return array
 
 
 def resampled(
-    signals: Mapping[str, np.ndarray], had_s: np.ndarray, wanted_s: np.ndarray
+    signals: Mapping[str, np.ndarray], old_times_s: np.ndarray, new_times_s: np.ndarray
 ) -> dict[str, np.ndarray]:
     """Take signals from one time base to another.
 
@@ -216,15 +218,15 @@ def resampled(
 
     Args:
         signals: role to samples, each of shape [N].
-        had_s: time of the samples, s, shape [N], increasing.
-        wanted_s: time of the wanted samples, s, shape [M].
+        old_times_s: time of the samples, s, shape [N], increasing.
+        new_times_s: time of the wanted samples, s, shape [M].
 
     Returns:
         Role to samples, each of shape [M].
     """
-    slack = KEPT_DEVIATION * float(np.median(np.diff(had_s))) if had_s.size > 1 else 0.0
-    in_force = np.maximum(np.searchsorted(had_s, wanted_s + slack, side="right") - 1, 0)
+    slack = GRID_TOLERANCE * float(np.median(np.diff(old_times_s))) if old_times_s.size > 1 else 0.0
+    hold_rows = np.maximum(np.searchsorted(old_times_s, new_times_s + slack, side="right") - 1, 0)
     return {
-        role: samples[in_force] if role in COMMAND.values() else np.interp(wanted_s, had_s, samples)
+        role: samples[hold_rows] if role in COMMAND.values() else np.interp(new_times_s, old_times_s, samples)
         for role, samples in signals.items()
     }

@@ -9,14 +9,14 @@ import numpy as np
 from hitchid.errors import LogError
 
 LineOf = Callable[[int], int | None]
-KEPT_DEVIATION = 0.02
-GAP = 1.5
+GRID_TOLERANCE = 0.02
+GAP_FACTOR = 1.5
 SHORTEST_STEP_S = 1e-9
 # A hydraulic axis takes a fifth of a second to change its speed; two samples may get lost on any clock.
 SHORT_GAP_S, SHORT_GAP_STEPS = 0.2, 3
 # Beyond, an interpolated stretch would stand for an experiment of its own.
 LONGEST_BRIDGE_S, LONGEST_BRIDGE_STEPS = 1.0, 10
-SAME_COMMAND, SAME_MOTION, SPEED_ROWS = 0.1, 0.05, 5
+COMMAND_TOLERANCE, MOTION_TOLERANCE, SPEED_ROWS = 0.1, 0.05, 5
 
 
 @dataclass(frozen=True)
@@ -34,11 +34,11 @@ class ClockQuality:
     interpolated_share: float = 0.0
 
 
-EVEN = ClockQuality()
+REGULAR_CLOCK = ClockQuality()
 
 
 @dataclass(frozen=True)
-class Section:
+class LogSection:
     """Rows `start:stop` of a log that become one record.
 
     Attributes:
@@ -54,10 +54,10 @@ class Section:
     step_s: float
     resampled: bool
     notice: str
-    clock: ClockQuality = EVEN
+    clock: ClockQuality = REGULAR_CLOCK
 
 
-def first_of_each_stamp(time_s: np.ndarray, source: object, *, column: str, line_of: LineOf) -> np.ndarray:
+def unique_stamp_rows(time_s: np.ndarray, source: object, *, column: str, line_of: LineOf) -> np.ndarray:
     """Return the rows whose time is not that of the row before, indices of shape [M].
 
     Args:
@@ -98,7 +98,9 @@ def first_of_each_stamp(time_s: np.ndarray, source: object, *, column: str, line
     return rows
 
 
-def sections(time_s: np.ndarray, commands: Mapping[str, np.ndarray], position: np.ndarray) -> list[Section]:
+def sections(
+    time_s: np.ndarray, commands: Mapping[str, np.ndarray], position: np.ndarray
+) -> list[LogSection]:
     """Cut a time column into stretches that each become one record on a uniform grid.
 
     The sampling time is the median interval. Stamps within 2 % of a uniform grid are kept; any others are to
@@ -116,12 +118,12 @@ def sections(time_s: np.ndarray, commands: Mapping[str, np.ndarray], position: n
     if intervals.size == 0:
         return []
     median = float(np.median(intervals))
-    short = max(SHORT_GAP_S, (SHORT_GAP_STEPS + KEPT_DEVIATION) * median)
-    longest = max(LONGEST_BRIDGE_S, (LONGEST_BRIDGE_STEPS + KEPT_DEVIATION) * median)
-    gaps = np.flatnonzero(intervals > max(short, GAP * median))
-    quiet = _Quiet(time_s, commands, position)
-    cuts = [int(gap) + 1 for gap in gaps if intervals[gap] > longest or not quiet.across(int(gap))]
-    found = []
+    short = max(SHORT_GAP_S, (SHORT_GAP_STEPS + GRID_TOLERANCE) * median)
+    longest = max(LONGEST_BRIDGE_S, (LONGEST_BRIDGE_STEPS + GRID_TOLERANCE) * median)
+    gaps = np.flatnonzero(intervals > max(short, GAP_FACTOR * median))
+    bridging = _GapBridging(time_s, commands, position)
+    cuts = [int(gap) + 1 for gap in gaps if intervals[gap] > longest or not bridging.can_bridge(int(gap))]
+    log_sections = []
     for start, stop in pairwise([0, *cuts, time_s.size]):
         if stop - start < 2:
             continue
@@ -129,34 +131,34 @@ def sections(time_s: np.ndarray, commands: Mapping[str, np.ndarray], position: n
         if start > 0:
             gap = time_s[start] - time_s[start - 1]
             notice = f"split at {time_s[start]:g} s: a gap of {gap:.3g} s, {gap / median:.1f} sampling times"
-        found.append(_section(time_s, start, stop, notice, median))
-    return found
+        log_sections.append(_section(time_s, start, stop, notice, median))
+    return log_sections
 
 
-class _Quiet:
+class _GapBridging:
     """Whether a log says what happened in a gap: no command changed, and the axis stood or kept its speed."""
 
     def __init__(self, time_s: np.ndarray, commands: Mapping[str, np.ndarray], position: np.ndarray) -> None:
         self.time_s, self.position = time_s, position
-        self.commands = [(command, SAME_COMMAND * np.ptp(command)) for command in commands.values()]
-        self.tolerance = SAME_MOTION * np.ptp(position)
+        self.commands = [(command, COMMAND_TOLERANCE * np.ptp(command)) for command in commands.values()]
+        self.tolerance = MOTION_TOLERANCE * np.ptp(position)
 
-    def across(self, row: int) -> bool:
+    def can_bridge(self, row: int) -> bool:
         """Tell it of the gap behind a row."""
         if any(abs(command[row + 1] - command[row]) > tolerance for command, tolerance in self.commands):
             return False
         last = self.time_s.size - 1
-        before, after = max(0, row - SPEED_ROWS), min(last, row + 1 + SPEED_ROWS)
-        if before == row or after == row + 1:
+        first_row, last_row = max(0, row - SPEED_ROWS), min(last, row + 1 + SPEED_ROWS)
+        if first_row == row or last_row == row + 1:
             return False
-        moved = self.position[row + 1] - self.position[row]
+        travel = self.position[row + 1] - self.position[row]
         gap_s = self.time_s[row + 1] - self.time_s[row]
-        speeds = (self._speed(before, row), self._speed(row + 1, after))
-        return all(abs(moved - speed * gap_s) <= self.tolerance for speed in speeds)
+        speeds = (self._speed(first_row, row), self._speed(row + 1, last_row))
+        return all(abs(travel - speed * gap_s) <= self.tolerance for speed in speeds)
 
     def _speed(self, first: int, last: int) -> float:
-        gone = self.position[last] - self.position[first]
-        return float(gone / (self.time_s[last] - self.time_s[first]))
+        travel = self.position[last] - self.position[first]
+        return float(travel / (self.time_s[last] - self.time_s[first]))
 
 
 def uniform(stamps: np.ndarray, step_s: float) -> np.ndarray:
@@ -165,40 +167,40 @@ def uniform(stamps: np.ndarray, step_s: float) -> np.ndarray:
     return stamps[0] + step_s * np.arange(count)
 
 
-def _section(time_s: np.ndarray, start: int, stop: int, notice: str, median: float) -> Section:
+def _section(time_s: np.ndarray, start: int, stop: int, notice: str, median: float) -> LogSection:
     stamps = time_s[start:stop]
     intervals = np.diff(stamps)
-    places = np.concatenate([[0], np.cumsum(np.maximum(1, np.rint(intervals / median)))])
-    step = _nominal_step(stamps, int(places[-1]))
-    deviation = np.max(np.abs(stamps - stamps[0] - step * places)) / step
-    if deviation <= KEPT_DEVIATION and places[-1] == stamps.size - 1:
-        return Section(start, stop, step, resampled=False, notice=notice)
+    grid_indices = np.concatenate([[0], np.cumsum(np.maximum(1, np.rint(intervals / median)))])
+    step = _nominal_step(stamps, int(grid_indices[-1]))
+    deviation = np.max(np.abs(stamps - stamps[0] - step * grid_indices)) / step
+    if deviation <= GRID_TOLERANCE and grid_indices[-1] == stamps.size - 1:
+        return LogSection(start, stop, step, resampled=False, notice=notice)
     # Between stamps that lie on no grid, a step of two digits is as good, and the same for like logs.
-    step = step if deviation <= KEPT_DEVIATION else float(f"{median:.2g}")
+    step = step if deviation <= GRID_TOLERANCE else float(f"{median:.2g}")
     clock = _quality(stamps, step, median)
-    said = (
+    message = (
         f"resampled: the clock jitters by {clock.jitter:.1%} of {step:.4g} s"
-        f"{_gap_said(clock)}; {clock.interpolated_share:.1%} of the samples are interpolated"
+        f"{_gap_text(clock)}; {clock.interpolated_share:.1%} of the samples are interpolated"
     )
-    notice = "; ".join(filter(None, [notice, said]))
-    return Section(start, stop, step, resampled=True, notice=notice, clock=clock)
+    notice = "; ".join(filter(None, [notice, message]))
+    return LogSection(start, stop, step, resampled=True, notice=notice, clock=clock)
 
 
-def _gap_said(clock: ClockQuality) -> str:
+def _gap_text(clock: ClockQuality) -> str:
     return f", the longest gap is {clock.longest_gap_s:.3g} s" if clock.longest_gap_s else ""
 
 
 def _quality(stamps: np.ndarray, step: float, median: float) -> ClockQuality:
     intervals = np.diff(stamps)
-    whole = intervals[intervals <= GAP * median]
+    regular_intervals = intervals[intervals <= GAP_FACTOR * median]
     longest = float(np.max(intervals))
     instants = uniform(stamps, step)
-    after = np.clip(np.searchsorted(stamps, instants), 1, stamps.size - 1)
-    near = np.minimum(np.abs(instants - stamps[after]), np.abs(instants - stamps[after - 1]))
+    next_stamp = np.clip(np.searchsorted(stamps, instants), 1, stamps.size - 1)
+    distance = np.minimum(np.abs(instants - stamps[next_stamp]), np.abs(instants - stamps[next_stamp - 1]))
     return ClockQuality(
-        jitter=float(np.max(np.abs(whole - step), initial=0.0)) / step,
-        longest_gap_s=longest if longest > GAP * median else 0.0,
-        interpolated_share=float(np.mean(near > KEPT_DEVIATION * step)),
+        jitter=float(np.max(np.abs(regular_intervals - step), initial=0.0)) / step,
+        longest_gap_s=longest if longest > GAP_FACTOR * median else 0.0,
+        interpolated_share=float(np.mean(distance > GRID_TOLERANCE * step)),
     )
 
 
@@ -207,4 +209,4 @@ def _nominal_step(stamps: np.ndarray, steps: int) -> float:
     step = float(stamps[-1] - stamps[0]) / steps
     rounded = float(f"{step:.4g}")
     drift = abs(rounded - step) * steps
-    return rounded if drift <= KEPT_DEVIATION * step else step
+    return rounded if drift <= GRID_TOLERANCE * step else step

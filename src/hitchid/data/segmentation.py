@@ -8,16 +8,16 @@ import numpy as np
 from hitchid.data.record import LIFTING, LOWERING, Record
 from hitchid.data.test_kinds import ACTIVE_FRACTION, full_scales
 
-HOLD, SATURATED, END_STOP, BOTH = "hold", "saturated", "end stop", "both valves on"
-LABELS = (LIFTING, LOWERING, HOLD, SATURATED, END_STOP, BOTH)
+HOLD, SATURATED, END_STOP, BOTH_VALVES_ACTIVE = "hold", "saturated", "end stop", "both valves on"
+LABELS = (LIFTING, LOWERING, HOLD, SATURATED, END_STOP, BOTH_VALVES_ACTIVE)
 WINDOW_S = 0.3
-STANDING_FRACTION = 0.1
+STATIONARY_FRACTION = 0.1
 AT_END_FRACTION = 0.02
 CLIPPED_SAMPLES = 5
-LEVELS = 50
+MIN_COMMAND_VALUES = 50
 
 
-class Switch(NamedTuple):
+class CommandThreshold(NamedTuple):
     """How one direction hears its command.
 
     Attributes:
@@ -42,7 +42,7 @@ class Segment(NamedTuple):
 def segments(
     record: Record,
     scales: Mapping[str, float] | None = None,
-    switches: Mapping[str, Switch] | None = None,
+    command_thresholds: Mapping[str, CommandThreshold] | None = None,
 ) -> list[Segment]:
     """Divide a record into stretches of lift, hold, lower, saturated, end stop and both valves on.
 
@@ -58,27 +58,30 @@ def segments(
     Args:
         record: a test of any kind.
         scales: mode to largest command of all logs; by default of this one.
-        switches: mode to how it hears its command, where that is known.
+        command_thresholds: mode to how it hears its command, where that is known.
     """
-    full = dict(scales or full_scales([record]))
-    known = switches or {}
-    works = {mode: _works(record, mode, full[mode], known.get(mode)) for mode in record.modes}
+    scale_of = dict(scales or full_scales([record]))
+    thresholds = command_thresholds or {}
+    active = {
+        direction: _active_samples(record, direction, scale_of[direction], thresholds.get(direction))
+        for direction in record.directions
+    }
     label = np.full(len(record), LABELS.index(HOLD))
-    for mode, working in works.items():
-        label[working] = LABELS.index(mode)
-    moved = _moved(record)
-    for mode in works:
-        alone = label == LABELS.index(mode)
-        if not alone.any():
+    for direction, active_samples in active.items():
+        label[active_samples] = LABELS.index(direction)
+    travel = _local_travel(record)
+    for direction in active:
+        selected = label == LABELS.index(direction)
+        if not selected.any():
             continue
-        slow = alone & (moved < STANDING_FRACTION * np.median(moved[alone]))
-        standing = _lasting(slow, max(1, round(WINDOW_S / record.step_s)))
-        at_end = _at_end(record, upwards=_upwards(record, alone))
-        label[alone & _clipped(record, mode, full[mode])] = LABELS.index(SATURATED)
-        label[standing & ~at_end] = LABELS.index(HOLD)
-        label[standing & at_end] = LABELS.index(END_STOP)
-    if len(works) == 2:
-        label[works[LIFTING] & works[LOWERING]] = LABELS.index(BOTH)
+        slow = selected & (travel < STATIONARY_FRACTION * np.median(travel[selected]))
+        stationary = _sustained(slow, max(1, round(WINDOW_S / record.step_s)))
+        at_end = _at_end(record, upwards=_upwards(record, selected))
+        label[selected & _clipped(record, direction, scale_of[direction])] = LABELS.index(SATURATED)
+        label[stationary & ~at_end] = LABELS.index(HOLD)
+        label[stationary & at_end] = LABELS.index(END_STOP)
+    if len(active) == 2:
+        label[active[LIFTING] & active[LOWERING]] = LABELS.index(BOTH_VALVES_ACTIVE)
     edges = np.flatnonzero(np.diff(label)) + 1
     starts = [0, *edges.tolist()]
     return [
@@ -87,63 +90,69 @@ def segments(
     ]
 
 
-def durations_s(found: Sequence[Segment], step_s: float) -> dict[str, float]:
+def durations_s(found_segments: Sequence[Segment], step_s: float) -> dict[str, float]:
     """Return label to the time it takes in all, s, for the labels that occur."""
     return {
-        label: round(sum(each.stop - each.start for each in found if each.label == label) * step_s, 6)
+        label: round(
+            sum(segment.stop - segment.start for segment in found_segments if segment.label == label)
+            * step_s,
+            6,
+        )
         for label in LABELS
-        if any(each.label == label for each in found)
+        if any(segment.label == label for segment in found_segments)
     }
 
 
-def _works(record: Record, mode: str, full_scale: float, switch: Switch | None) -> np.ndarray:
+def _active_samples(
+    record: Record, direction: str, full_scale: float, command_threshold: CommandThreshold | None
+) -> np.ndarray:
     """Tell where a direction works, by its command with hysteresis and dead time, shape [N]."""
-    heard = switch or Switch(0.0)
-    on = max(heard.dead_zone, ACTIVE_FRACTION * full_scale)
-    off = max(on - heard.hysteresis, ACTIVE_FRACTION * full_scale)
-    command = np.abs(record.command(mode))
+    threshold = command_threshold or CommandThreshold(0.0)
+    on = max(threshold.dead_zone, ACTIVE_FRACTION * full_scale)
+    off = max(on - threshold.hysteresis, ACTIVE_FRACTION * full_scale)
+    command = np.abs(record.command(direction))
     # Between the two levels the state stands: the last sample outside them decides.
-    decided = np.where((command > on) | (command <= off), np.arange(command.size), -1)
-    last = np.maximum.accumulate(decided)
-    working = (last >= 0) & (command[np.maximum(last, 0)] > on)
-    late = min(round(heard.dead_time_s / record.step_s), working.size)
-    return np.concatenate([np.zeros(late, dtype=bool), working[: working.size - late]])
+    decisive = np.where((command > on) | (command <= off), np.arange(command.size), -1)
+    last = np.maximum.accumulate(decisive)
+    active = (last >= 0) & (command[np.maximum(last, 0)] > on)
+    delay_samples = min(round(threshold.dead_time_s / record.step_s), active.size)
+    return np.concatenate([np.zeros(delay_samples, dtype=bool), active[: active.size - delay_samples]])
 
 
-def _moved(record: Record) -> np.ndarray:
+def _local_travel(record: Record) -> np.ndarray:
     """Return how far the piston moves over 0.3 s around each sample, shape [N]."""
     half = max(1, round(0.5 * WINDOW_S / record.step_s))
-    place = np.arange(len(record))
-    before, after = np.maximum(place - half, 0), np.minimum(place + half, len(record) - 1)
-    moved = np.abs(record.displacement[after] - record.displacement[before])
-    return moved * 2 * half / np.maximum(after - before, 1)
+    samples = np.arange(len(record))
+    window_start, window_stop = np.maximum(samples - half, 0), np.minimum(samples + half, len(record) - 1)
+    travel = np.abs(record.displacement[window_stop] - record.displacement[window_start])
+    return travel * 2 * half / np.maximum(window_stop - window_start, 1)
 
 
-def _upwards(record: Record, alone: np.ndarray) -> bool:
+def _upwards(record: Record, selected: np.ndarray) -> bool:
     steps = np.diff(record.displacement, append=record.displacement[-1])
-    return float(steps[alone].sum()) >= 0
+    return float(steps[selected].sum()) >= 0
 
 
 def _at_end(record: Record, *, upwards: bool) -> np.ndarray:
     """Tell which samples lie within 2 % of the end of the record's travel, shape [N]."""
-    near = AT_END_FRACTION * float(np.ptp(record.displacement))
+    margin = AT_END_FRACTION * float(np.ptp(record.displacement))
     if upwards:
-        return record.displacement >= record.displacement.max() - near
-    return record.displacement <= record.displacement.min() + near
+        return record.displacement >= record.displacement.max() - margin
+    return record.displacement <= record.displacement.min() + margin
 
 
-def _clipped(record: Record, mode: str, full_scale: float) -> np.ndarray:
+def _clipped(record: Record, direction: str, full_scale: float) -> np.ndarray:
     """Tell where a command of many values stands at the largest of all logs, shape [N]."""
-    command = np.abs(record.command(mode))
-    top = command >= full_scale * (1 - 1e-9)
-    if np.unique(command).size < LEVELS:
+    command = np.abs(record.command(direction))
+    at_maximum = command >= full_scale * (1 - 1e-9)
+    if np.unique(command).size < MIN_COMMAND_VALUES:
         return np.zeros(command.size, dtype=bool)
-    return _lasting(top, CLIPPED_SAMPLES)
+    return _sustained(at_maximum, CLIPPED_SAMPLES)
 
 
-def _lasting(true: np.ndarray, samples: int) -> np.ndarray:
+def _sustained(condition: np.ndarray, samples: int) -> np.ndarray:
     """Tell where something is true for at least so many samples on end, shape [N]."""
-    if true.size < samples:
-        return np.zeros(true.size, dtype=bool)
-    long = np.convolve(true, np.ones(samples), "valid") == samples
-    return np.convolve(long, np.ones(samples)) > 0
+    if condition.size < samples:
+        return np.zeros(condition.size, dtype=bool)
+    full_windows = np.convolve(condition, np.ones(samples), "valid") == samples
+    return np.convolve(full_windows, np.ones(samples)) > 0

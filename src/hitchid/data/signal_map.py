@@ -13,8 +13,8 @@ from hitchid.data.units import UNITS, check_unit, unit_of_column
 from hitchid.errors import SettingsError
 
 CAMPAIGN_FILE = "campaign.toml"
-LONGEST, MOST_DOTS = 2**20, 100
-LONGEST_SHOWN, MOST_SPELLED = 200, 10**100
+MAX_LENGTH, MAX_DOTS = 2**20, 100
+MAX_SHOWN, MAX_PRINTED = 200, 10**100
 POSITIONS = ("length", "angle", "voltage", "ratio")
 COMMANDS = ("current", "voltage", "ratio", "pressure", "flow", "frequency")
 DIMENSIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
@@ -53,14 +53,14 @@ class Column(Strict):
 
     @model_validator(mode="before")
     @classmethod
-    def _from_name(cls, given: object) -> object:
-        if isinstance(given, str):
-            return {"column": given, "unit": unit_of_column(given)}
-        return given
+    def _from_name(cls, value: object) -> object:
+        if isinstance(value, str):
+            return {"column": value, "unit": unit_of_column(value)}
+        return value
 
     @field_validator("unit")
     @classmethod
-    def _known(cls, unit: str | None) -> str | None:
+    def _known_unit(cls, unit: str | None) -> str | None:
         try:
             return None if unit is None else check_unit(unit, "unit")
         except SettingsError as error:
@@ -91,21 +91,23 @@ class SignalMap(Strict):
 
     @field_validator("covariates", mode="before")
     @classmethod
-    def _by_name(cls, given: object) -> object:
+    def _by_name(cls, value: object) -> object:
         """Take names for columns in the unit that the log says, whatever the name ends in."""
-        if not isinstance(given, list | tuple):
-            return given
-        return tuple({"column": each} if isinstance(each, str) else each for each in given)
+        if not isinstance(value, list | tuple):
+            return value
+        return tuple(
+            {"column": covariate} if isinstance(covariate, str) else covariate for covariate in value
+        )
 
     @model_validator(mode="after")
-    def _commands(self) -> "SignalMap":
+    def _check_signals(self) -> "SignalMap":
         if self.command and (self.lifting_command or self.lowering_command):
             raise ValueError("required either command or lifting_command and lowering_command, not both")
         if not (self.command or self.lifting_command or self.lowering_command):
             raise ValueError("required at least one of command, lifting_command, lowering_command")
-        taken = DIMENSIONS.keys() & {covariate.column for covariate in self.covariates}
-        if taken:
-            raise ValueError(f"covariates: '{taken.pop()}' is the name of a signal; rename the column")
+        reserved = DIMENSIONS.keys() & {covariate.column for covariate in self.covariates}
+        if reserved:
+            raise ValueError(f"covariates: '{reserved.pop()}' is the name of a signal; rename the column")
         for role, dimensions in DIMENSIONS.items():
             column = getattr(self, role)
             if column is None or column.unit is None:
@@ -168,7 +170,7 @@ def parse_settings(path: Path, model: type[Settings]) -> Settings:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, ValueError) as error:  # no text, or a path no file can have
         raise SettingsError(f"{path}: cannot be read: {error}") from error
-    content = toml_of(text, path)
+    content = parse_toml(text, path)
     try:
         return model.model_validate(content)
     except ValidationError as error:
@@ -177,14 +179,16 @@ def parse_settings(path: Path, model: type[Settings]) -> Settings:
         raise SettingsError(f"{path}: {error}") from error
 
 
-def toml_of(text: str, source: object) -> dict[str, object]:
+def parse_toml(text: str, source: object) -> dict[str, object]:
     """Return what a text says in TOML.
 
     Raises:
         SettingsError: it is none, or beyond the measure of settings.
     """
     # Time and memory that tomllib takes grow with the square of the parts of a dotted key.
-    if len(text) > LONGEST or any(part.count(".") > MOST_DOTS for part in re.split(r"[\n=,]", text)):
+    if len(text) > MAX_LENGTH or any(
+        fragment.count(".") > MAX_DOTS for fragment in re.split(r"[\n=,]", text)
+    ):
         raise SettingsError(f"{source}: is longer than settings are, or a key in it is; refused")
     try:
         return tomllib.loads(text)
@@ -195,19 +199,21 @@ def toml_of(text: str, source: object) -> dict[str, object]:
 def describe(error: ValidationError) -> str:
     """Put the first complaint of a validation into one sentence that names the key."""
     first = error.errors()[0]
-    key = _shown(".".join(str(part) for part in first["loc"]) or "settings")
+    key = _truncated(".".join(str(key_part) for key_part in first["loc"]) or "settings")
     if first["type"] == "extra_forbidden":
         return f"key '{key}' is not known; check its spelling"
     message = first["msg"].removeprefix("Value error, ")
-    given = first.get("input")
-    came = f", came {_spelled(given)}" if isinstance(given, str | int | float | bool) else ""
-    return f"key '{key}': {message}{came}"
+    value = first.get("input")
+    received = f", came {_printed(value)}" if isinstance(value, str | int | float | bool) else ""
+    return f"key '{key}': {message}{received}"
 
 
-def _shown(text: str) -> str:
-    return text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}…"
+def _truncated(text: str) -> str:
+    return text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}…"
 
 
-def _spelled(given: str | int | float | bool) -> str:
+def _printed(value: str | int | float | bool) -> str:
     # Python spells no whole number of more than 4300 digits; TOML takes longer ones in hexadecimal.
-    return _shown(repr(given)) if not isinstance(given, int) or abs(given) < MOST_SPELLED else "a huge number"
+    return (
+        _truncated(repr(value)) if not isinstance(value, int) or abs(value) < MAX_PRINTED else "a huge number"
+    )

@@ -22,7 +22,7 @@ SHORTEST_STROKE_S = 0.5
 class Stroke:
     """Samples `start:stop` of a record during which one mode is in charge."""
 
-    mode: str
+    direction: str
     start: int
     stop: int
 
@@ -48,11 +48,11 @@ def full_scales(records: Iterable[Record]) -> dict[str, float]:
     largest: dict[str, float] = {}
     units: dict[str, str] = {}
     for record in records:
-        for mode in record.modes:
-            units[mode] = record.units[COMMAND[mode]]
-            top = float(np.max(np.abs(record.command(mode))))
-            largest[units[mode]] = max(largest.get(units[mode], 0.0), top)
-    return {mode: largest[unit] for mode, unit in units.items()}
+        for direction in record.directions:
+            units[direction] = record.units[COMMAND[direction]]
+            peak = float(np.max(np.abs(record.command(direction))))
+            largest[units[direction]] = max(largest.get(units[direction], 0.0), peak)
+    return {direction: largest[unit] for direction, unit in units.items()}
 
 
 def detect_kind(record: Record, scales: Mapping[str, float]) -> str:
@@ -60,18 +60,18 @@ def detect_kind(record: Record, scales: Mapping[str, float]) -> str:
 
     A command counts as active above 5 % of full scale; see `full_scales`.
     """
-    thresholds = {mode: ACTIVE_FRACTION * scales[mode] for mode in record.modes}
+    thresholds = {direction: ACTIVE_FRACTION * scales[direction] for direction in record.directions}
     active = [
-        mode
-        for mode in record.modes
-        if np.count_nonzero(np.abs(record.command(mode)) > thresholds[mode]) >= 3
+        direction
+        for direction in record.directions
+        if np.count_nonzero(np.abs(record.command(direction)) > thresholds[direction]) >= 3
     ]
     if not active:
         return IDLE
     if len(active) == 2:
         return CYCLE
-    (mode,) = active
-    return RAMP if _is_ramp(record.command(mode), record.step_s, thresholds[mode]) else mode
+    (direction,) = active
+    return RAMP if _is_ramp(record.command(direction), record.step_s, thresholds[direction]) else direction
 
 
 def _is_ramp(command: np.ndarray, step_s: float, threshold: float) -> bool:
@@ -82,12 +82,12 @@ def _is_ramp(command: np.ndarray, step_s: float, threshold: float) -> bool:
     return float(np.corrcoef(np.arange(rise.size), rise)[0, 1]) > RAMP_CORRELATION
 
 
-def ramp_mode(record: Record) -> str:
+def ramp_direction(record: Record) -> str:
     """Return the mode a ramp excites: the one with the larger command."""
-    return max(record.modes, key=lambda mode: float(np.max(np.abs(record.command(mode)))))
+    return max(record.directions, key=lambda direction: float(np.max(np.abs(record.command(direction)))))
 
 
-def directions(record: Record, dead_zones: Mapping[str, float]) -> np.ndarray:
+def direction_signs(record: Record, dead_zones: Mapping[str, float]) -> np.ndarray:
     """Tell sample by sample which mode's command is effective: +1 lifting, −1 lowering, 0 neither; shape [N].
 
     Where both are effective lowering counts, as in Sun et al. 2025, sec. 2.2.1: lifting demands that the
@@ -95,29 +95,29 @@ def directions(record: Record, dead_zones: Mapping[str, float]) -> np.ndarray:
     dead zone is smaller.
     """
     scales = full_scales([record])
-    direction = np.zeros(len(record), dtype=np.int64)
-    for mode, sign in ((LIFTING, 1), (LOWERING, -1)):
-        if mode in record.modes:
-            threshold = max(dead_zones.get(mode, 0.0), ACTIVE_FRACTION * scales[mode])
-            direction[np.abs(record.command(mode)) > threshold] = sign
-    return direction
+    signs = np.zeros(len(record), dtype=np.int64)
+    for direction, sign in ((LIFTING, 1), (LOWERING, -1)):
+        if direction in record.directions:
+            threshold = max(dead_zones.get(direction, 0.0), ACTIVE_FRACTION * scales[direction])
+            signs[np.abs(record.command(direction)) > threshold] = sign
+    return signs
 
 
-def mode_changes(record: Record, dead_zones: Mapping[str, float]) -> list[Stroke]:
+def split_by_direction(record: Record, dead_zones: Mapping[str, float]) -> list[Stroke]:
     """Divide a record, without rest, into stretches with one mode in charge.
 
     A mode stays in charge while neither command is effective, so that a hold belongs to the stroke before it;
     a hold at the very start belongs to the first stroke.
     """
-    direction = directions(record, dead_zones)
-    moving = np.flatnonzero(direction)
-    if moving.size == 0:
-        return [Stroke(record.modes[0], 0, len(record))]
-    turns = moving[1:][direction[moving[1:]] != direction[moving[:-1]]]
+    signs = direction_signs(record, dead_zones)
+    active_samples = np.flatnonzero(signs)
+    if active_samples.size == 0:
+        return [Stroke(record.directions[0], 0, len(record))]
+    turns = active_samples[1:][signs[active_samples[1:]] != signs[active_samples[:-1]]]
     edges = [0, *(int(turn) for turn in turns), len(record)]
-    firsts = [int(moving[0]), *(int(turn) for turn in turns)]
+    firsts = [int(active_samples[0]), *(int(turn) for turn in turns)]
     return [
-        Stroke(LIFTING if direction[first] > 0 else LOWERING, start, stop)
+        Stroke(LIFTING if signs[first] > 0 else LOWERING, start, stop)
         for first, start, stop in zip(firsts, edges[:-1], edges[1:], strict=True)
     ]
 
@@ -128,32 +128,32 @@ def strokes(record: Record, dead_zones: Mapping[str, float]) -> list[Stroke]:
     A stroke begins 0.1 s before its command becomes effective after at least 0.5 s without effect, or where
     the mode changes, and lasts until the next begins. Strokes shorter than 0.5 s are left out.
     """
-    direction = directions(record, dead_zones)
-    moving = np.flatnonzero(direction)
-    if moving.size == 0:
+    signs = direction_signs(record, dead_zones)
+    active_samples = np.flatnonzero(signs)
+    if active_samples.size == 0:
         return []
     rest = round(REST_S / record.step_s)
     lead, shortest = round(LEAD_IN_S / record.step_s), SHORTEST_STROKE_S / record.step_s
-    rested = np.diff(moving, prepend=-rest - 1) > rest
-    turned = np.diff(direction[moving], prepend=direction[moving[0]]) != 0
-    fresh = rested | turned
-    onsets = moving[fresh]
-    leads = np.where(rested[fresh], lead, 0)
-    starts = [max(0, int(onset) - int(ahead)) for onset, ahead in zip(onsets, leads, strict=True)]
-    found = []
+    after_rest = np.diff(active_samples, prepend=-rest - 1) > rest
+    after_reversal = np.diff(signs[active_samples], prepend=signs[active_samples[0]]) != 0
+    is_start = after_rest | after_reversal
+    onsets = active_samples[is_start]
+    lead_ins = np.where(after_rest[is_start], lead, 0)
+    starts = [max(0, int(onset) - int(lead_in)) for onset, lead_in in zip(onsets, lead_ins, strict=True)]
+    valid_strokes = []
     for onset, start, stop in zip(onsets, starts, [*starts[1:], len(record)], strict=True):
         if stop - start >= shortest:
-            found.append(Stroke(LIFTING if direction[onset] > 0 else LOWERING, start, stop))
-    return found
+            valid_strokes.append(Stroke(LIFTING if signs[onset] > 0 else LOWERING, start, stop))
+    return valid_strokes
 
 
-def end_stop_contact(record: Record, mode: str) -> int | None:
+def end_stop_contact(record: Record, direction: str) -> int | None:
     """Return the sample at which the piston comes to stand although its command goes on, or None.
 
     Contact: past half of the record's travel and up to the last strong command (one in the upper half), the
     displacement changes over 0.3 s by less than 10 % of what it changes in as long a time at its fastest.
     """
-    command = np.abs(record.command(mode))
+    command = np.abs(record.command(direction))
     active = command > ACTIVE_FRACTION * command.max()
     window = max(2, round(STALL_S / record.step_s))
     if not np.any(active):
@@ -163,9 +163,9 @@ def end_stop_contact(record: Record, mode: str) -> int | None:
     displacement = record.displacement[:stop]
     if stop <= 2 * window:
         return None
-    moved = np.abs(displacement[window:] - displacement[:-window])
-    fast = np.flatnonzero(moved >= STALL_SPEED_FRACTION * moved.max())
-    contact = int(fast[-1]) + 1
+    travel = np.abs(displacement[window:] - displacement[:-window])
+    moving_samples = np.flatnonzero(travel >= STALL_SPEED_FRACTION * travel.max())
+    contact = int(moving_samples[-1]) + 1
     past_half = abs(displacement[contact] - displacement[0]) > 0.5 * float(np.ptp(displacement))
     commanded = float(np.mean(strong[contact:stop])) > STALL_COMMAND_FRACTION
     return contact if past_half and commanded and stop - contact > window else None

@@ -55,7 +55,7 @@ UNITS: dict[str, _Unit] = {
     "K": _Unit("absolute temperature", 1.0),
 }
 # A column may end so for another reason: cylinder 1, lowest value, height.
-NOT_IN_NAMES = ("1", "min", "h", "d")
+NOT_COLUMN_SUFFIXES = ("1", "min", "h", "d")
 
 SPELLINGS = {
     "%": "percent",
@@ -125,7 +125,7 @@ SPELLINGS = {
 }
 
 
-def known_unit(spelling: str) -> str | None:
+def parse_unit(spelling: str) -> str | None:
     """Return the unit that a file means by a spelling, such as `%` or `Volts`; None where it is not known."""
     bare = spelling.strip().strip("[]()").strip()
     if bare in UNITS:
@@ -143,7 +143,7 @@ def check_unit(unit: str, where: str) -> str:
 def unit_of_column(column: str) -> str | None:
     """Return the unit a column name ends in (`stroke_mm` gives `mm`), or None."""
     _, separator, suffix = column.rpartition("_")
-    return suffix if separator and suffix in UNITS and suffix not in NOT_IN_NAMES else None
+    return suffix if separator and suffix in UNITS and suffix not in NOT_COLUMN_SUFFIXES else None
 
 
 def conversion_factor(unit: str, target: str, where: str) -> float:

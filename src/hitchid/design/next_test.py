@@ -21,22 +21,22 @@ from hitchid.errors import InputError
 from hitchid.experiments.excitation import prbs, precompensated
 from hitchid.model import Channel, Hitch
 from hitchid.readers import write_table
-from hitchid.structures import DEAD_TIME, SHAPE, Batch, Benchmark, padded_length
+from hitchid.structures import DEAD_TIME, NONLINEARITY_PARAMETERS, Batch, PhysicalModel, padded_length
 from hitchid.uncertainty import Information
 
-TRIED = 256
-LOWEST, LEAST_HIGH = 0.8, 0.3
+CANDIDATES = 256
+MAX_LOW_RATIO, MIN_HIGH_RATIO = 0.8, 0.3
 CLOCK_S = (0.05, 3.0)
 LENGTHS = (0.5, 1.0, 2.0)
-ROOM = 1.02
-BEST = 5
-HALF = 0.5
+TRAVEL_MARGIN = 1.02
+MAX_PROPOSALS = 5
+DEAD_ZONE_SHARE = 0.5
 ROUNDING = 1e-9
 COLUMNS = MappingProxyType({LIFTING: "current_up_A", LOWERING: "current_down_A"})
 
 
 @dataclass(frozen=True)
-class Limits:
+class ExcitationLimits:
     """What a test may do; None takes what the identification tests did.
 
     Attributes:
@@ -50,7 +50,7 @@ class Limits:
     longest_s: float | None = None
 
 
-WITHIN = Limits()
+DEFAULT_LIMITS = ExcitationLimits()
 
 
 @dataclass(frozen=True)
@@ -97,10 +97,10 @@ class Advice:
 @double_precision
 def design(
     model: Hitch,
-    mode: str | None = None,
+    direction: str | None = None,
     *,
     parameter: str | None = None,
-    limits: Limits = WITHIN,
+    limits: ExcitationLimits = DEFAULT_LIMITS,
     seed: int = 0,
 ) -> Advice:
     """Propose the next test: of many binary tests within limits, those that narrow a parameter most.
@@ -110,7 +110,7 @@ def design(
 
     Args:
         model: an identified hitch.
-        mode: direction; by default the one with the least determined parameter.
+        direction: direction; by default the one with the least determined parameter.
         parameter: what is to be narrowed; by default the least determined that does not lie at a bound.
         limits: highest command, farthest travel, longest duration.
         seed: of the candidates and their sequences.
@@ -119,33 +119,41 @@ def design(
         InputError: the model knows nothing of a direction or parameter, or no test stays within the limits.
     """
     checks.instance(model, Hitch, "model", "a model as hitchid.load returns it")
-    checks.instance(limits, Limits, "limits", "Limits")
+    checks.instance(limits, ExcitationLimits, "limits", "Limits")
     for name, value in vars(limits).items():
         if value is not None:
             checks.number(value, f"limits, {name}")
-    checks.whole(seed, "seed")
-    mode, parameter, information = _chosen(model, mode, parameter)
-    channel, number = model.channels[mode], information.names.index(parameter)
-    now, usual = information.widths(), information.widths_with_another()
+    checks.integer(seed, "seed")
+    direction, parameter, information = _select_target(model, direction, parameter)
+    channel, number = model.channels[direction], information.names.index(parameter)
+    current_errors, errors_with_repeat = (
+        information.standard_errors(),
+        information.standard_errors_with_repeat(),
+    )
     proposals = [
-        replace(proposal, left=_named(information, information.widths_with(jacobian) / now))
-        for proposal, jacobian in _tried(channel, information, limits, model.step_s, seed)
+        replace(
+            proposal,
+            left=_by_parameter(information, information.standard_errors_with(jacobian) / current_errors),
+        )
+        for proposal, jacobian in _candidates(channel, information, limits, model.step_s, seed)
     ]
     if not proposals:
-        raise InputError(f"{mode}: none of {TRIED} tests stays within the limits; required wider ones")
+        raise InputError(
+            f"{direction}: none of {CANDIDATES} tests stays within the limits; required wider ones"
+        )
     proposals.sort(key=lambda proposal: proposal.left[parameter])
     return Advice(
-        mode=mode,
+        mode=direction,
         parameter=parameter,
-        proposals=tuple(proposals[:BEST]),
-        usual=_named(information, usual / now),
-        ramps=bool(information.fixed[number][number] > HALF * now[number] ** 2),
+        proposals=tuple(proposals[:MAX_PROPOSALS]),
+        usual=_by_parameter(information, errors_with_repeat / current_errors),
+        ramps=bool(information.fixed[number][number] > DEAD_ZONE_SHARE * current_errors[number] ** 2),
     )
 
 
-def command_of(model: Hitch, mode: str, proposal: Proposal) -> np.ndarray:
+def command_of(model: Hitch, direction: str, proposal: Proposal) -> np.ndarray:
     """Return the command of a proposal as it is to be logged, in the model's unit, shape [N]."""
-    zone = model.channels[mode].dead_zone
+    zone = model.channels[direction].dead_zone
     return precompensated(_signal(proposal, model.step_s), zone)
 
 
@@ -157,42 +165,44 @@ def write_command(model: Hitch, advice: Advice, path: Path, *, force: bool = Fal
     """
     command = command_of(model, advice.mode, advice.proposals[0])
     columns = {"time_s": model.step_s * np.arange(command.size)}
-    for mode in model.channels:
-        unit = model.units[COMMAND[mode]]
-        name = COLUMNS[mode] if unit == "A" else f"{COMMAND[mode]}_{unit}"
-        columns[name] = command if mode == advice.mode else np.zeros_like(command)
-    write_file(path, lambda beside: write_table(beside, columns), force=force)
+    for direction in model.channels:
+        unit = model.units[COMMAND[direction]]
+        name = COLUMNS[direction] if unit == "A" else f"{COMMAND[direction]}_{unit}"
+        columns[name] = command if direction == advice.mode else np.zeros_like(command)
+    write_file(path, lambda temporary_path: write_table(temporary_path, columns), force=force)
 
 
-def _chosen(model: Hitch, mode: str | None, parameter: str | None) -> tuple[str, str, Information]:
+def _select_target(
+    model: Hitch, direction: str | None, parameter: str | None
+) -> tuple[str, str, Information]:
     """Return the direction and the parameter that are least determined of those asked for."""
-    vague = {
-        (each, estimate.name): (estimate.vagueness, known.information)
-        for each, known in model.uncertainty.items()
-        if known.information is not None
-        for estimate in known.benchmark.parameters
-        if estimate.name in known.information.names
+    interval_widths = {
+        (channel_name, estimate.name): (estimate.log_interval_width, uncertainty.information)
+        for channel_name, uncertainty in model.uncertainty.items()
+        if uncertainty.information is not None
+        for estimate in uncertainty.benchmark.parameters
+        if estimate.name in uncertainty.information.names
     }
-    asked = [key for key in vague if mode in (None, key[0]) and parameter in (None, key[1])]
-    if not asked:
-        wanted = " ".join(word for word in (mode, parameter) if word) or "anything"
-        held = ", ".join(" ".join(key) for key in vague) or "nothing"
-        raise InputError(f"design: required what a test could narrow, {held}; came {wanted}")
-    best = max(asked, key=lambda key: vague[key][0])
-    return *best, vague[best][1]
+    matching = [key for key in interval_widths if direction in (None, key[0]) and parameter in (None, key[1])]
+    if not matching:
+        request = " ".join(word for word in (direction, parameter) if word) or "anything"
+        available = ", ".join(" ".join(key) for key in interval_widths) or "nothing"
+        raise InputError(f"design: required what a test could narrow, {available}; came {request}")
+    best = max(matching, key=lambda key: interval_widths[key][0])
+    return *best, interval_widths[best][1]
 
 
-def _named(information: Information, values: np.ndarray) -> dict[str, float]:
+def _by_parameter(information: Information, values: np.ndarray) -> dict[str, float]:
     return dict(zip(information.names, map(float, values), strict=True))
 
 
-def _tried(
-    channel: Channel, information: Information, limits: Limits, step_s: float, seed: int
+def _candidates(
+    channel: Channel, information: Information, limits: ExcitationLimits, step_s: float, seed: int
 ) -> Iterator[tuple[Proposal, np.ndarray]]:
     """Yield candidates that stay within the limits, and the derivatives of their travel, shape [N, D]."""
     assert channel.envelope is not None  # noqa: S101 - every identified channel has one
-    covered = channel.envelope
-    highest = float(covered.command.highest)
+    operating_range = channel.envelope
+    highest = float(operating_range.command.highest)
     if limits.highest is not None:
         highest = limits.highest - channel.dead_zone
     if not highest > 0:
@@ -200,14 +210,14 @@ def _tried(
             f"highest command: required above the dead zone of {channel.dead_zone:.4g}, "
             f"came {limits.highest:.4g}"
         )
-    range_ = float(covered.displacement.highest - covered.displacement.lowest)
-    room = ROOM * range_ if limits.travel is None else limits.travel
-    usual_s = information.samples * step_s
-    longest_s = max(LENGTHS) * usual_s if limits.longest_s is None else limits.longest_s
-    samples = sorted({floor(min(share * usual_s, longest_s) / step_s + ROUNDING) for share in LENGTHS})
-    lengths = [step_s * max(each, 1) for each in samples]
-    drawn = qmc.Sobol(3, rng=np.random.default_rng(seed)).random(TRIED)
-    for part, duration_s in zip(np.array_split(drawn, len(lengths)), lengths, strict=True):
+    stroke_range = float(operating_range.displacement.highest - operating_range.displacement.lowest)
+    max_travel = TRAVEL_MARGIN * stroke_range if limits.travel is None else limits.travel
+    typical_s = information.samples * step_s
+    longest_s = max(LENGTHS) * typical_s if limits.longest_s is None else limits.longest_s
+    samples = sorted({floor(min(share * typical_s, longest_s) / step_s + ROUNDING) for share in LENGTHS})
+    lengths = [step_s * max(sample_count, 1) for sample_count in samples]
+    points = qmc.Sobol(3, rng=np.random.default_rng(seed)).random(CANDIDATES)
+    for chunk, duration_s in zip(np.array_split(points, len(lengths)), lengths, strict=True):
         proposals = [
             Proposal(
                 low=float(low * high * highest),
@@ -218,15 +228,19 @@ def _tried(
                 travel=0.0,
                 left={},
             )
-            for low, high, clock in part * [LOWEST, 1 - LEAST_HIGH, 1.0] + [0.0, LEAST_HIGH, 0.0]
+            for low, high, clock in chunk * [MAX_LOW_RATIO, 1 - MIN_HIGH_RATIO, 1.0]
+            + [0.0, MIN_HIGH_RATIO, 0.0]
         ]
-        commands = np.stack([_signal(each, step_s) for each in proposals])
+        commands = np.stack([_signal(candidate, step_s) for candidate in proposals])
         travel, jacobian = _derivatives(channel, information, _batch(channel, commands, step_s))
-        for proposal, gone, slopes in zip(proposals, travel, jacobian, strict=True):
-            way = float(np.abs(gone[: commands.shape[1]]).max())
-            if 0 < way <= room:
-                moved = gone[: commands.shape[1]]
-                yield replace(proposal, travel=way), information.heard(moved, slopes[: moved.size])
+        for proposal, test_travel, slopes in zip(proposals, travel, jacobian, strict=True):
+            farthest = float(np.abs(test_travel[: commands.shape[1]]).max())
+            if 0 < farthest <= max_travel:
+                unpadded_travel = test_travel[: commands.shape[1]]
+                yield (
+                    replace(proposal, travel=farthest),
+                    information.profile_out_gain(unpadded_travel, slopes[: unpadded_travel.size]),
+                )
 
 
 def _signal(proposal: Proposal, step_s: float) -> np.ndarray:
@@ -245,20 +259,20 @@ def _batch(channel: Channel, commands: Float[np.ndarray, "t n"], step_s: float) 
     """Return tests that are yet to be run, from where such tests start."""
     assert channel.envelope is not None  # noqa: S101 - every identified channel has one
     ends = channel.envelope.displacement
-    start = ends.lowest if channel.direction > 0 else ends.highest
+    start = ends.lowest if channel.sign > 0 else ends.highest
     tests, samples = commands.shape
-    wide = np.pad(commands, ((0, 0), (0, padded_length(samples) - samples)))
+    padded = np.pad(commands, ((0, 0), (0, padded_length(samples) - samples)))
     return Batch(
-        command=jnp.asarray(wide),
-        logged=jnp.asarray(precompensated(wide, channel.dead_zone)),
+        command=jnp.asarray(padded),
+        raw_command=jnp.asarray(precompensated(padded, channel.dead_zone)),
         dead_zone=jnp.full(tests, channel.dead_zone),
-        displacement=jnp.full(wide.shape, start),
-        valid=jnp.ones(wide.shape, dtype=bool),
-        counted=jnp.ones(wide.shape, dtype=bool),
+        displacement=jnp.full(padded.shape, start),
+        valid=jnp.ones(padded.shape, dtype=bool),
+        loss_mask=jnp.ones(padded.shape, dtype=bool),
         initial=jnp.full(tests, start),
-        load=jnp.full(tests, 0.5 * (channel.envelope.load.lowest + channel.envelope.load.highest)),
+        covariate=jnp.full(tests, 0.5 * (channel.envelope.load.lowest + channel.envelope.load.highest)),
         step_s=step_s,
-        direction=channel.direction,
+        sign=channel.sign,
     )
 
 
@@ -266,21 +280,27 @@ def _derivatives(
     channel: Channel, information: Information, batch: Batch
 ) -> tuple[np.ndarray, Float[np.ndarray, "t n d"]]:
     """Return travel, and its derivatives by the parameters' places between their bounds."""
-    benchmark = channel.benchmark
-    names = [*(p.name for p in benchmark.structure.parameters), DEAD_TIME.name, *(p.name for p in SHAPE)]
-    along = np.zeros((len(information.names), benchmark.row.size))
-    for row, name, slope in zip(along, information.names, information.slopes, strict=True):
+    physical_model = channel.benchmark
+    names = [
+        *(p.name for p in physical_model.structure.parameters),
+        DEAD_TIME.name,
+        *(p.name for p in NONLINEARITY_PARAMETERS),
+    ]
+    tangents = np.zeros((len(information.names), physical_model.parameter_vector.size))
+    for row, name, slope in zip(tangents, information.names, information.slopes, strict=True):
         row[names.index(name)] = slope
-    travel, slopes = _pushed(benchmark, batch, jnp.asarray(along))
+    travel, slopes = _travel_derivatives(physical_model, batch, jnp.asarray(tangents))
     return np.asarray(travel), np.moveaxis(np.asarray(slopes), 0, -1)
 
 
 @eqx.filter_jit
-def _pushed(
-    benchmark: Benchmark, batch: Batch, along: Float[Array, "d r"]
+def _travel_derivatives(
+    physical_model: PhysicalModel, batch: Batch, tangents: Float[Array, "d r"]
 ) -> tuple[Float[Array, "t n"], Float[Array, "d t n"]]:
     def travel(row: Array) -> Array:
-        return benchmark.of_row(row).travel(batch)
+        return physical_model.with_parameter_vector(row).travel(batch)
 
-    slopes = jax.lax.map(lambda each: jax.jvp(travel, (benchmark.row,), (each,))[1], along)
-    return travel(benchmark.row), slopes
+    slopes = jax.lax.map(
+        lambda tangent: jax.jvp(travel, (physical_model.parameter_vector,), (tangent,))[1], tangents
+    )
+    return travel(physical_model.parameter_vector), slopes

@@ -42,9 +42,9 @@ class Bounds(eqx.Module):
 
     def position(self, values: np.ndarray) -> np.ndarray:
         """Return where between their bounds values lie, at a bound those beyond it."""
-        return np.clip(self.place(values), 0.0, 1.0)
+        return np.clip(self.unclipped_position(values), 0.0, 1.0)
 
-    def place(self, values: np.ndarray) -> np.ndarray:
+    def unclipped_position(self, values: np.ndarray) -> np.ndarray:
         """Return the position of values, outside the unit cube where they lie beyond a bound."""
         bounds = zip(np.asarray(self.lower), np.asarray(self.upper), np.asarray(self.linear), strict=True)
         return np.array(

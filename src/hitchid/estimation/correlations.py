@@ -8,8 +8,8 @@ from jaxtyping import Array, Float
 
 from hitchid.structures import Batch
 
-LONGEST = 4096
-PER_TEST = 256
+MAX_SAMPLES = 4096
+MAX_SAMPLES_PER_TEST = 256
 
 
 class Correlations(eqx.Module):
@@ -25,15 +25,15 @@ class Correlations(eqx.Module):
 
     Attributes:
         gain: κ, shape [].
-        missed: ⟨e²⟩, shape [].
-        cross: c, shape [N].
-        auto: R, shape [N, N].
+        error_power: ⟨e²⟩, shape [].
+        cross_correlation: c, shape [N].
+        auto_correlation: R, shape [N, N].
     """
 
     gain: Float[Array, ""]
-    missed: Float[Array, ""]
-    cross: Float[Array, " n"]
-    auto: Float[Array, "n n"]
+    error_power: Float[Array, ""]
+    cross_correlation: Float[Array, " n"]
+    auto_correlation: Float[Array, "n n"]
 
     @classmethod
     def of(cls, batch: Batch) -> "Correlations":
@@ -42,23 +42,26 @@ class Correlations(eqx.Module):
         Args:
             batch: tests whose samples count up to some sample each; see `collectable`.
         """
-        counts = np.asarray(batch.counted).sum(axis=1)
-        told = np.flatnonzero(counts)
-        command, travel = np.asarray(batch.command)[told], np.asarray(batch.travel)[told]
-        weight = np.sqrt(1 / (told.size * counts[told, None]))
-        command, travel = weight * command, weight * np.where(np.asarray(batch.counted)[told], travel, 0.0)
-        reached = np.cumsum(np.pad(command, ((0, 0), (1, 0)))[:, :-1], axis=1)
-        reached = np.where(np.asarray(batch.counted)[told], reached, 0.0)
-        gain = float(np.sum(reached * travel) / np.sum(reached**2))
-        error = travel - gain * reached
+        counts = np.asarray(batch.loss_mask).sum(axis=1)
+        test_indices = np.flatnonzero(counts)
+        command, travel = np.asarray(batch.command)[test_indices], np.asarray(batch.travel)[test_indices]
+        weight = np.sqrt(1 / (test_indices.size * counts[test_indices, None]))
+        command, travel = (
+            weight * command,
+            weight * np.where(np.asarray(batch.loss_mask)[test_indices], travel, 0.0),
+        )
+        command_sum = np.cumsum(np.pad(command, ((0, 0), (1, 0)))[:, :-1], axis=1)
+        command_sum = np.where(np.asarray(batch.loss_mask)[test_indices], command_sum, 0.0)
+        gain = float(np.sum(command_sum * travel) / np.sum(command_sum**2))
+        error = travel - gain * command_sum
         # Tests end together, what counts of them: Rⱼₖ = Rⱼ₊₁,ₖ₊₁ + the product at the last sample.
-        late = _ending_together(command, counts[told])
+        aligned = _aligned_at_end(command, counts[test_indices])
         return cls(
             gain=jnp.asarray(gain),
-            missed=jnp.asarray(np.sum(error**2)),
-            cross=jnp.asarray(_correlated(error, command)),
+            error_power=jnp.asarray(np.sum(error**2)),
+            cross_correlation=jnp.asarray(_cross_correlation(error, command)),
             # By JAX: threads of NumPy's library would wait, busily, on the cores that the search needs.
-            auto=jnp.asarray(_summed_along_diagonals(np.array(_products(jnp.asarray(late))))),
+            auto_correlation=jnp.asarray(_diagonal_cumsum(np.array(_gram_matrix(jnp.asarray(aligned))))),
         )
 
     def mean_square(self, response: Float[Array, "p n"]) -> Float[Array, " p"]:
@@ -67,43 +70,46 @@ class Correlations(eqx.Module):
         Args:
             response: h, their travel after a command of one for one sample, shape [P, N].
         """
-        apart = (response - self.gain).at[:, 0].set(0.0)
+        difference = (response - self.gain).at[:, 0].set(0.0)
         return jnp.maximum(
-            self.missed - 2 * apart @ self.cross + jnp.sum((apart @ self.auto) * apart, axis=1), 0.0
+            self.error_power
+            - 2 * difference @ self.cross_correlation
+            + jnp.sum((difference @ self.auto_correlation) * difference, axis=1),
+            0.0,
         )
 
 
-def collectable(batch: Batch) -> bool:
+def correlations_applicable(batch: Batch) -> bool:
     """Tell whether correlations are defined for tests and cheaper than simulating them.
 
     The samples that count must be the first ones of each test. R has N² numbers: for a few long tests
     simulating them costs less.
     """
-    counted = np.asarray(batch.counted)
-    tests, samples = counted.shape
-    first_ones = bool(np.all(counted[:, :-1] >= counted[:, 1:]))
-    return first_ones and samples <= min(LONGEST, PER_TEST * tests)
+    loss_mask = np.asarray(batch.loss_mask)
+    tests, samples = loss_mask.shape
+    mask_is_prefix = bool(np.all(loss_mask[:, :-1] >= loss_mask[:, 1:]))
+    return mask_is_prefix and samples <= min(MAX_SAMPLES, MAX_SAMPLES_PER_TEST * tests)
 
 
 @jax.jit
-def _products(rows: Float[Array, "t n"]) -> Float[Array, "n n"]:
+def _gram_matrix(rows: Float[Array, "t n"]) -> Float[Array, "n n"]:
     return rows.T @ rows
 
 
-def _correlated(ones: np.ndarray, others: np.ndarray) -> np.ndarray:
+def _cross_correlation(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Return Σ a(n) b(n − j) over all tests, for every j ≥ 0."""
-    samples = ones.shape[1]
-    one, other = (np.fft.rfft(rows, 2 * samples) for rows in (ones, others))
-    return np.fft.irfft(np.sum(one * other.conj(), axis=0))[:samples]
+    samples = first.shape[1]
+    first_spectrum, second_spectrum = (np.fft.rfft(rows, 2 * samples) for rows in (first, second))
+    return np.fft.irfft(np.sum(first_spectrum * second_spectrum.conj(), axis=0))[:samples]
 
 
-def _ending_together(rows: np.ndarray, counts: np.ndarray) -> np.ndarray:
+def _aligned_at_end(rows: np.ndarray, counts: np.ndarray) -> np.ndarray:
     """Return rows backwards from the last sample that counts, zero beyond their first."""
-    back = counts[:, None] - 1 - np.arange(rows.shape[1])
-    return np.where(back >= 0, np.take_along_axis(rows, np.maximum(back, 0), axis=1), 0.0)
+    source_index = counts[:, None] - 1 - np.arange(rows.shape[1])
+    return np.where(source_index >= 0, np.take_along_axis(rows, np.maximum(source_index, 0), axis=1), 0.0)
 
 
-def _summed_along_diagonals(matrix: np.ndarray) -> np.ndarray:
+def _diagonal_cumsum(matrix: np.ndarray) -> np.ndarray:
     """Return Σₘ M(j+m, k+m) at every j, k."""
     for row in range(len(matrix) - 2, -1, -1):
         matrix[row, :-1] += matrix[row + 1, 1:]

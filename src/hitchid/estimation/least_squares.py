@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-12, 1e12
-ACCEPTED = 1e-4
-FARTHEST, NEARER, CLOSE = 0.1, 0.9, 1e-3
-FINEST = 1e-300
+INITIAL_DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-3, 1e-12, 1e12
+MIN_GAIN_RATIO = 1e-4
+MAX_STEP, BOUND_FRACTION, BOUND_TOLERANCE = 0.1, 0.9, 1e-3
+MIN_SCALE = 1e-300
 
 
 class NormalEquations(NamedTuple):
@@ -33,7 +33,7 @@ class NormalEquations(NamedTuple):
             np.isfinite(self.cost) and np.isfinite(self.gradient).all() and np.isfinite(self.curvature).all()
         )
 
-    def over(self, columns: np.ndarray) -> "NormalEquations":
+    def subset(self, columns: np.ndarray) -> "NormalEquations":
         """Return those of some of the parameters, by their numbers."""
         return NormalEquations(self.cost, self.gradient[columns], self.curvature[np.ix_(columns, columns)])
 
@@ -87,57 +87,59 @@ def minimise(
     Source: Marquardt 1963, J. SIAM 11, 431; Moré 1978, Lecture Notes in Mathematics 630, 105 (scaling).
     """
     position = np.clip(np.asarray(start, float), 0.0, 1.0)
-    here = equations(position)
-    if not here.finite:
+    current = equations(position)
+    if not current.finite:
         return None
-    damping, growth, steps = DAMPING, 2.0, 1
-    scale = np.maximum(np.diag(here.curvature), FINEST)
+    damping, growth, steps = INITIAL_DAMPING, 2.0, 1
+    scale = np.maximum(np.diag(current.curvature), MIN_SCALE)
     reason = StopReason.LIMIT
     while steps < limit:
-        step = _step(here, position, damping * scale)
-        fall = -float(2 * here.gradient @ step + step @ here.curvature @ step)
+        step = _step(current, position, damping * scale)
+        predicted_decrease = -float(2 * current.gradient @ step + step @ current.curvature @ step)
         if np.all(np.abs(step) <= tolerance * (tolerance + np.abs(position))):
             reason = StopReason.CONVERGED
             break
-        there = equations(position + step)
+        trial = equations(position + step)
         steps += 1
-        gained = here.cost - there.cost if there.finite else -np.inf
-        if fall > 0 and gained > ACCEPTED * fall:
-            settled = max(gained, fall) <= tolerance * here.cost
-            position, here = position + step, there
-            scale = np.maximum(scale, np.diag(here.curvature))
-            damping = max(damping * max(1 / 3, 1 - (2 * gained / fall - 1) ** 3), LEAST_DAMPING)
+        actual_decrease = current.cost - trial.cost if trial.finite else -np.inf
+        if predicted_decrease > 0 and actual_decrease > MIN_GAIN_RATIO * predicted_decrease:
+            converged = max(actual_decrease, predicted_decrease) <= tolerance * current.cost
+            position, current = position + step, trial
+            scale = np.maximum(scale, np.diag(current.curvature))
+            damping = max(
+                damping * max(1 / 3, 1 - (2 * actual_decrease / predicted_decrease - 1) ** 3), MIN_DAMPING
+            )
             growth = 2.0
         else:
-            settled = there.finite and abs(fall) <= tolerance * here.cost
+            converged = trial.finite and abs(predicted_decrease) <= tolerance * current.cost
             damping, growth = damping * growth, 2 * growth
-            if damping > MOST_DAMPING:
-                reason = StopReason.CONVERGED if there.finite else StopReason.NOT_FINITE
+            if damping > MAX_DAMPING:
+                reason = StopReason.CONVERGED if trial.finite else StopReason.NOT_FINITE
                 break
-        if settled:
+        if converged:
             reason = StopReason.CONVERGED
             break
-    return Minimum(position, here, steps, reason)
+    return Minimum(position, current, steps, reason)
 
 
-def _step(here: NormalEquations, position: np.ndarray, damping: np.ndarray) -> Float[np.ndarray, " d"]:
+def _step(current: NormalEquations, position: np.ndarray, damping: np.ndarray) -> Float[np.ndarray, " d"]:
     """Return the damped step, which ends within the cube.
 
     It goes no farther than a tenth of the cube, and nine tenths of the way to a bound until it is close: what
     meets a bound early stays there while the others go the wrong way. The others are solved anew without it.
     """
     step = np.zeros_like(position)
-    held = ((position <= 0) & (here.gradient > 0)) | ((position >= 1) & (here.gradient < 0))
-    damped = here.curvature + np.diag(damping)
-    lowest = np.where(position <= CLOSE, -position, -NEARER * position)
-    highest = np.where(1 - position <= CLOSE, 1 - position, NEARER * (1 - position))
-    while not held.all():
-        free = ~held
-        pull = here.gradient[free] + here.curvature[np.ix_(free, held)] @ step[held]
-        step[free] = -np.linalg.lstsq(damped[np.ix_(free, free)], pull, rcond=None)[0]
-        beyond = free & ((step < lowest) | (step > highest))
-        if not beyond.any():
+    fixed = ((position <= 0) & (current.gradient > 0)) | ((position >= 1) & (current.gradient < 0))
+    damped = current.curvature + np.diag(damping)
+    lowest = np.where(position <= BOUND_TOLERANCE, -position, -BOUND_FRACTION * position)
+    highest = np.where(1 - position <= BOUND_TOLERANCE, 1 - position, BOUND_FRACTION * (1 - position))
+    while not fixed.all():
+        free = ~fixed
+        reduced_gradient = current.gradient[free] + current.curvature[np.ix_(free, fixed)] @ step[fixed]
+        step[free] = -np.linalg.lstsq(damped[np.ix_(free, free)], reduced_gradient, rcond=None)[0]
+        violating = free & ((step < lowest) | (step > highest))
+        if not violating.any():
             break
-        held |= beyond
+        fixed |= violating
         step = np.clip(step, lowest, highest)
-    return step * min(1.0, FARTHEST / max(float(np.abs(step).max()), FARTHEST))
+    return step * min(1.0, MAX_STEP / max(float(np.abs(step).max()), MAX_STEP))

@@ -11,17 +11,17 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.optimize import differential_evolution
 
-from hitchid._support.progress import Heard
+from hitchid._support.progress import IterationCallback
 from hitchid.errors import FitError, InputError
 from hitchid.estimation import whale
 from hitchid.estimation.least_squares import NormalEquations, StopReason, minimise
-from hitchid.estimation.whale import Objective
+from hitchid.estimation.whale import FitnessFunction
 
-EVALUATIONS, TOLD = 3000, 5
+EVALUATIONS, REPORT_INTERVAL = 3000, 5
 
 
 @dataclass(frozen=True)
-class Problem:
+class SearchProblem:
     """What is minimised: the root mean square of residuals over the unit cube.
 
     Attributes:
@@ -33,13 +33,13 @@ class Problem:
     """
 
     dimensions: int
-    fitness: Objective
+    fitness: FitnessFunction
     samples: int
     normal_equations: Callable[[np.ndarray], NormalEquations]
 
 
 @dataclass(frozen=True)
-class Found:
+class SearchResult:
     """What a search found.
 
     Attributes:
@@ -67,13 +67,15 @@ class Search(abc.ABC):
     name: str
 
     @abc.abstractmethod
-    def minimise(self, problem: Problem, seed: int, heard: Heard | None = None) -> Found:
+    def minimise(
+        self, problem: SearchProblem, seed: int, callback: IterationCallback | None = None
+    ) -> SearchResult:
         """Search the unit cube.
 
         Args:
             problem: what is minimised.
             seed: every random draw comes from it.
-            heard: told the best error after a round, or after some.
+            callback: told the best error after a round, or after some.
 
         Raises:
             FitError: no position gave a finite error.
@@ -86,35 +88,43 @@ class Whale(Search):
     """Whale optimisation, the search of Sun et al. 2025, sec. 2.4.2.
 
     Attributes:
-        swarm: settings of the swarm.
+        config: settings of the swarm.
     """
 
-    swarm: whale.Swarm = field(default_factory=lambda: whale.Swarm(evaluations=EVALUATIONS))
+    config: whale.WhaleConfig = field(default_factory=lambda: whale.WhaleConfig(evaluations=EVALUATIONS))
     name: str = field(default="whale", init=False)
 
-    def minimise(self, problem: Problem, seed: int, heard: Heard | None = None) -> Found:
+    def minimise(
+        self, problem: SearchProblem, seed: int, callback: IterationCallback | None = None
+    ) -> SearchResult:
         """Search with a swarm of whales, in one compiled program."""
         key = jax.random.key(seed)
-        carry = _begin(problem.dimensions, self.swarm, key)
-        ends = self.swarm.generations
-        for until in range(TOLD if heard else ends, ends + TOLD, TOLD):
-            carry = _proceed(problem.fitness, carry, self.swarm, key, jnp.asarray(min(until, ends)))
-            if heard is not None:
-                heard(int(carry[0].generation), float(carry[0].best_fitness))
-            if until >= ends or bool(whale.settled(carry[0], self.swarm)):
+        carry = _begin(problem.dimensions, self.config, key)
+        last_generation = self.config.generations
+        for until in range(
+            REPORT_INTERVAL if callback else last_generation,
+            last_generation + REPORT_INTERVAL,
+            REPORT_INTERVAL,
+        ):
+            carry = _run_until(
+                problem.fitness, carry, self.config, key, jnp.asarray(min(until, last_generation))
+            )
+            if callback is not None:
+                callback(int(carry[0].generation), float(carry[0].best_fitness))
+            if until >= last_generation or bool(whale.stagnated(carry[0], self.config)):
                 break
-        outcome = whale.outcome(carry, self.swarm)
+        outcome = whale.outcome(carry, self.config)
         generations = int(outcome.generations)
-        reason = whale.Reason.ITERATIONS
-        if bool(outcome.settled):
-            reason = whale.Reason.STAGNATION
-        elif self.swarm.generations < self.swarm.iterations:
-            reason = whale.Reason.BUDGET
+        reason = whale.SearchStopReason.ITERATIONS
+        if bool(outcome.stagnated):
+            reason = whale.SearchStopReason.STAGNATION
+        elif self.config.generations < self.config.iterations:
+            reason = whale.SearchStopReason.BUDGET
         return _checked(
-            Found(
+            SearchResult(
                 best=np.asarray(outcome.best),
                 best_fitness=float(outcome.best_fitness),
-                evaluations=generations * self.swarm.population,
+                evaluations=generations * self.config.population,
                 failures=int(np.sum(outcome.trace.failures)),
                 reason=reason.value,
                 fitness_trace=np.asarray(outcome.trace.best_fitness)[:generations],
@@ -136,7 +146,9 @@ class DifferentialEvolution(Search):
     population: int = 10
     name: str = field(default="differential-evolution", init=False)
 
-    def minimise(self, problem: Problem, seed: int, heard: Heard | None = None) -> Found:
+    def minimise(
+        self, problem: SearchProblem, seed: int, callback: IterationCallback | None = None
+    ) -> SearchResult:
         """Search by differential evolution, a generation at a time."""
         best: list[np.ndarray] = []
         trace: list[float] = []
@@ -153,8 +165,8 @@ class DifferentialEvolution(Search):
             improved = not trace or fitness[leader] < trace[-1]
             best.append(population[leader] if improved else best[-1])
             trace.append(float(fitness[leader]) if improved else trace[-1])
-            if heard is not None:
-                heard(len(trace), trace[-1])
+            if callback is not None:
+                callback(len(trace), trace[-1])
             return fitness
 
         members = self.population * problem.dimensions
@@ -176,12 +188,12 @@ class DifferentialEvolution(Search):
             rng=np.random.default_rng(seed),
         )
         return _checked(
-            Found(
+            SearchResult(
                 best=best[-1],
                 best_fitness=trace[-1],
                 evaluations=simulated,
                 failures=failures,
-                reason=whale.Reason.BUDGET.value,
+                reason=whale.SearchStopReason.BUDGET.value,
                 fitness_trace=np.array(trace),
                 best_trace=np.array(best),
             )
@@ -201,7 +213,9 @@ class MultiStart(Search):
     starts: int | None = None
     name: str = field(default="multi-start", init=False)
 
-    def minimise(self, problem: Problem, seed: int, heard: Heard | None = None) -> Found:
+    def minimise(
+        self, problem: SearchProblem, seed: int, callback: IterationCallback | None = None
+    ) -> SearchResult:
         """Run least squares from one start after the other until the budget is spent."""
         from scipy.stats import qmc  # not at the top: a quarter of a second
 
@@ -213,7 +227,7 @@ class MultiStart(Search):
             start = points.random(1)[0]
             per_round = 1 + problem.dimensions
             try:
-                local = polish(problem, start, limit=max(1, (self.evaluations - spent - 1) // per_round))
+                local = refine(problem, start, limit=max(1, (self.evaluations - spent - 1) // per_round))
             except FitError:
                 failures += 1
                 spent += per_round
@@ -222,12 +236,12 @@ class MultiStart(Search):
             improved = not trace or local.fitness < trace[-1]
             best.append(local.position if improved else best[-1])
             trace.append(local.fitness if improved else trace[-1])
-            if heard is not None:
-                heard(len(trace), trace[-1])
-        whole = self.starts is not None and len(trace) == self.starts
-        reason = whale.Reason.ITERATIONS if whole else whale.Reason.BUDGET
+            if callback is not None:
+                callback(len(trace), trace[-1])
+        all_starts_run = self.starts is not None and len(trace) == self.starts
+        reason = whale.SearchStopReason.ITERATIONS if all_starts_run else whale.SearchStopReason.BUDGET
         return _checked(
-            Found(
+            SearchResult(
                 best=best[-1] if best else np.zeros(problem.dimensions),
                 best_fitness=trace[-1] if trace else np.inf,
                 evaluations=spent,
@@ -240,7 +254,7 @@ class MultiStart(Search):
 
 
 @dataclass(frozen=True)
-class Polished:
+class LeastSquaresResult:
     """Where least squares ended.
 
     Attributes:
@@ -256,7 +270,9 @@ class Polished:
     reason: StopReason
 
 
-def polish(problem: Problem, start: np.ndarray, *, limit: int = 200, tolerance: float = 1e-14) -> Polished:
+def refine(
+    problem: SearchProblem, start: np.ndarray, *, limit: int = 200, tolerance: float = 1e-14
+) -> LeastSquaresResult:
     """Descend from a position to the bottom of its valley by bounded nonlinear least squares; see `minimise`.
 
     Args:
@@ -268,46 +284,48 @@ def polish(problem: Problem, start: np.ndarray, *, limit: int = 200, tolerance: 
     Raises:
         FitError: the residuals at the start or their derivative are not finite.
     """
-    found = minimise(problem.normal_equations, start, limit=limit, tolerance=tolerance)
-    if found is None:
+    minimum = minimise(problem.normal_equations, start, limit=limit, tolerance=tolerance)
+    if minimum is None:
         raise FitError("the simulation failed at the start of the least squares; narrow the bounds")
-    return Polished(
-        position=found.position,
-        fitness=float(np.sqrt(found.equations.cost / problem.samples)),
-        evaluations=found.steps * (1 + problem.dimensions),
-        reason=found.reason,
+    return LeastSquaresResult(
+        position=minimum.position,
+        fitness=float(np.sqrt(minimum.equations.cost / problem.samples)),
+        evaluations=minimum.steps * (1 + problem.dimensions),
+        reason=minimum.reason,
     )
 
 
-def best_polished(
-    problem: Problem, starts: Iterable[np.ndarray], *, limit: int, tolerance: float
-) -> Polished:
+def best_refined(
+    problem: SearchProblem, starts: Iterable[np.ndarray], *, limit: int, tolerance: float
+) -> LeastSquaresResult:
     """Return the best of several least squares; a start that cannot be simulated counts for nothing.
 
     Raises:
         FitError: none of the starts can be simulated.
     """
-    found, failure = [], FitError("least squares: required at least one start, came none")
+    results, failure = [], FitError("least squares: required at least one start, came none")
     for start in starts:
         try:
-            found.append(polish(problem, start, limit=limit, tolerance=tolerance))
+            results.append(refine(problem, start, limit=limit, tolerance=tolerance))
         except FitError as error:
             failure = error
-    if not found:
+    if not results:
         raise failure
-    return min(found, key=lambda polished: polished.fitness)
+    return min(results, key=lambda result: result.fitness)
 
 
 _begin = eqx.filter_jit(whale.begin)
-_proceed = eqx.filter_jit(whale.proceed)
+_run_until = eqx.filter_jit(whale.run_until)
 
 
 @eqx.filter_jit
-def _evaluate(fitness: Objective, population: Float[Array, "p d"]) -> Float[Array, " p"]:
+def _evaluate(fitness: FitnessFunction, population: Float[Array, "p d"]) -> Float[Array, " p"]:
     return fitness(population)
 
 
-def _checked(found: Found) -> Found:
-    if not np.isfinite(found.best_fitness):
-        raise FitError(f"{whale.Reason.FAILED.value} ({found.evaluations} evaluations, all failed)")
-    return found
+def _checked(result: SearchResult) -> SearchResult:
+    if not np.isfinite(result.best_fitness):
+        raise FitError(
+            f"{whale.SearchStopReason.FAILED.value} ({result.evaluations} evaluations, all failed)"
+        )
+    return result

@@ -15,10 +15,10 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from hitchid.errors import InputError
 
-Objective = Callable[[Float[Array, "p d"]], Float[Array, " p"]]
+FitnessFunction = Callable[[Float[Array, "p d"]], Float[Array, " p"]]
 
 
-class Reason(Enum):
+class SearchStopReason(Enum):
     """Why a search stopped, with what to try."""
 
     ITERATIONS = "all iterations were run; more of them may still improve the fit"
@@ -28,7 +28,7 @@ class Reason(Enum):
 
 
 @dataclass(frozen=True)
-class Swarm:
+class WhaleConfig:
     """Settings of the swarm.
 
     Attributes:
@@ -71,7 +71,7 @@ class Swarm:
         return min(self.iterations, self.evaluations // self.population)
 
 
-class State(eqx.Module):
+class WhaleState(eqx.Module):
     """The swarm between two generations.
 
     Attributes:
@@ -89,7 +89,7 @@ class State(eqx.Module):
     improved: Int[Array, ""]
 
 
-class Trace(eqx.Module):
+class WhaleTrace(eqx.Module):
     """The whole search, one row a generation; rows past `generations` are unused and hold +inf.
 
     Attributes:
@@ -105,28 +105,28 @@ class Trace(eqx.Module):
     failures: Int[Array, " g"]
 
 
-class Outcome(eqx.Module):
+class WhaleResult(eqx.Module):
     """What a search found.
 
     Attributes:
         best: best position in the unit cube, shape [D].
         best_fitness: its fitness, shape [].
         generations: generations evaluated, shape [].
-        settled: whether stagnation ended the search, shape [].
+        stagnated: whether stagnation ended the search, shape [].
         trace: the whole search.
     """
 
     best: Float[Array, " d"]
     best_fitness: Float[Array, ""]
     generations: Int[Array, ""]
-    settled: Array
-    trace: Trace
+    stagnated: Array
+    trace: WhaleTrace
 
 
-def init(key: PRNGKeyArray, dimensions: int, swarm: Swarm) -> State:
+def init(key: PRNGKeyArray, dimensions: int, config: WhaleConfig) -> WhaleState:
     """Return a swarm spread evenly at random over the unit cube."""
-    population = jax.random.uniform(key, (swarm.population, dimensions))
-    return State(
+    population = jax.random.uniform(key, (config.population, dimensions))
+    return WhaleState(
         population=population,
         best=population[0],
         best_fitness=jnp.asarray(jnp.inf, population.dtype),
@@ -135,7 +135,7 @@ def init(key: PRNGKeyArray, dimensions: int, swarm: Swarm) -> State:
     )
 
 
-def ask(key: PRNGKeyArray, state: State, swarm: Swarm) -> Float[Array, "p d"]:
+def ask(key: PRNGKeyArray, state: WhaleState, config: WhaleConfig) -> Float[Array, "p d"]:
     """Return where the whales move next; the first generation stays where it was put.
 
     X' = X* − A |C X* − X| where |A| < 1, X' = X_r − A |C X_r − X| with a random member r elsewhere, and with
@@ -143,115 +143,121 @@ def ask(key: PRNGKeyArray, state: State, swarm: Swarm) -> Float[Array, "p d"]:
     Mirjalili & Lewis 2016, eq. 2.1-2.8. Whales are stopped at the walls of the cube.
     """
     whales, dimensions = state.population.shape
-    drawn = (whales, dimensions if swarm.per_dimension else 1)
+    draw_shape = (whales, dimensions if config.per_dimension else 1)
     key_a, key_c, key_p, key_l, key_member = jax.random.split(key, 5)
-    shrink = 2.0 * (1.0 - state.generation / max(1, swarm.generations))
-    a = shrink * (2.0 * jax.random.uniform(key_a, drawn) - 1.0)
-    c = 2.0 * jax.random.uniform(key_c, drawn)
-    spirals = jax.random.uniform(key_p, drawn) >= 0.5
-    along = jax.random.uniform(key_l, drawn, minval=-1.0, maxval=1.0)
-    member = state.population[jax.random.randint(key_member, (whales,), 0, whales)]
+    shrink = 2.0 * (1.0 - state.generation / max(1, config.generations))
+    a = shrink * (2.0 * jax.random.uniform(key_a, draw_shape) - 1.0)
+    c = 2.0 * jax.random.uniform(key_c, draw_shape)
+    spirals = jax.random.uniform(key_p, draw_shape) >= 0.5
+    spiral_parameter = jax.random.uniform(key_l, draw_shape, minval=-1.0, maxval=1.0)
+    random_member = state.population[jax.random.randint(key_member, (whales,), 0, whales)]
 
-    target = jnp.where(jnp.abs(a) < 1.0, state.best, member)
+    target = jnp.where(jnp.abs(a) < 1.0, state.best, random_member)
     encircling = target - a * jnp.abs(c * target - state.population)
-    reach = jnp.exp(swarm.spiral * along) * jnp.cos(2.0 * jnp.pi * along)
-    spiralling = jnp.abs(state.best - state.population) * reach + state.best
-    moved = jnp.clip(jnp.where(spirals, spiralling, encircling), 0.0, 1.0)
-    return jnp.where(state.generation == 0, state.population, moved)
+    spiral_factor = jnp.exp(config.spiral * spiral_parameter) * jnp.cos(2.0 * jnp.pi * spiral_parameter)
+    spiralling = jnp.abs(state.best - state.population) * spiral_factor + state.best
+    moved_population = jnp.clip(jnp.where(spirals, spiralling, encircling), 0.0, 1.0)
+    return jnp.where(state.generation == 0, state.population, moved_population)
 
 
-def tell(state: State, population: Float[Array, "p d"], fitness: Float[Array, " p"], swarm: Swarm) -> State:
+def tell(
+    state: WhaleState, population: Float[Array, "p d"], fitness: Float[Array, " p"], config: WhaleConfig
+) -> WhaleState:
     """Take in the fitness of a generation; what is not finite counts as +inf and is never best."""
     finite = jnp.where(jnp.isfinite(fitness), fitness, jnp.inf)
     leader = jnp.argmin(finite)
     better = finite[leader] < state.best_fitness
     gain = jnp.where(jnp.isfinite(state.best_fitness), state.best_fitness - finite[leader], jnp.inf)
-    enough = better & (gain > swarm.tolerance * jnp.abs(finite[leader]))
-    return State(
+    significant = better & (gain > config.tolerance * jnp.abs(finite[leader]))
+    return WhaleState(
         population=population,
         best=jnp.where(better, population[leader], state.best),
         best_fitness=jnp.where(better, finite[leader], state.best_fitness),
         generation=state.generation + 1,
-        improved=jnp.where(enough | (state.generation == 0), state.generation, state.improved),
+        improved=jnp.where(significant | (state.generation == 0), state.generation, state.improved),
     )
 
 
-def minimise(objective: Objective, dimensions: int, swarm: Swarm, key: PRNGKeyArray) -> Outcome:
+def minimise(
+    objective: FitnessFunction, dimensions: int, config: WhaleConfig, key: PRNGKeyArray
+) -> WhaleResult:
     """Minimise an objective over the unit cube; pure, so it may be compiled and mapped.
 
     Args:
         objective: from positions of shape [P, D] to fitness of shape [P]; NaN marks a failed simulation.
         dimensions: D.
-        swarm: settings.
+        config: settings.
         key: every random draw comes from it.
     """
-    return outcome(proceed(objective, begin(dimensions, swarm, key), swarm, key, swarm.generations), swarm)
+    return outcome(
+        run_until(objective, begin(dimensions, config, key), config, key, config.generations), config
+    )
 
 
-def begin(dimensions: int, swarm: Swarm, key: PRNGKeyArray) -> tuple[State, Trace]:
+def begin(dimensions: int, config: WhaleConfig, key: PRNGKeyArray) -> tuple[WhaleState, WhaleTrace]:
     """Return a swarm before its first generation, and an empty trace.
 
     Args:
         dimensions: D.
-        swarm, key: as for `minimise`.
+        config, key: as for `minimise`.
     """
-    generations = swarm.generations
-    state = init(jax.random.split(key)[0], dimensions, swarm)
-    empty = Trace(
+    generations = config.generations
+    state = init(jax.random.split(key)[0], dimensions, config)
+    empty = WhaleTrace(
         best_fitness=jnp.full((generations,), jnp.inf),
         best=jnp.zeros((generations, dimensions)),
-        fitness=jnp.full((generations, swarm.population), jnp.inf),
+        fitness=jnp.full((generations, config.population), jnp.inf),
         failures=jnp.zeros((generations,), jnp.int32),
     )
     return state, empty
 
 
-def outcome(carry: tuple[State, Trace], swarm: Swarm) -> Outcome:
+def outcome(carry: tuple[WhaleState, WhaleTrace], config: WhaleConfig) -> WhaleResult:
     """Return what a swarm has found so far.
 
     Args:
         carry: of `begin` or `proceed`.
-        swarm: as for `minimise`.
+        config: as for `minimise`.
     """
     state, trace = carry
-    return Outcome(state.best, state.best_fitness, state.generation, settled(state, swarm), trace)
+    return WhaleResult(state.best, state.best_fitness, state.generation, stagnated(state, config), trace)
 
 
-def settled(state: State, swarm: Swarm) -> Array:
+def stagnated(state: WhaleState, config: WhaleConfig) -> Array:
     """Tell whether a swarm has not improved by more than its tolerance for as long as it may, shape []."""
-    if swarm.stagnation is None:
+    if config.stagnation is None:
         return jnp.asarray(False)
-    return state.generation - 1 - state.improved >= swarm.stagnation
+    return state.generation - 1 - state.improved >= config.stagnation
 
 
-def proceed(
-    objective: Objective,
-    carry: tuple[State, Trace],
-    swarm: Swarm,
+def run_until(
+    objective: FitnessFunction,
+    carry: tuple[WhaleState, WhaleTrace],
+    config: WhaleConfig,
     key: PRNGKeyArray,
     until: Int[Array, ""] | int,
-) -> tuple[State, Trace]:
+) -> tuple[WhaleState, WhaleTrace]:
     """Let a swarm move on until it has gone through so many generations or settles.
 
     Args:
-        objective, swarm, key: as for `minimise`.
+        objective, config, key: as for `minimise`.
         carry: of `begin` or an earlier call; where the calls part the search changes nothing.
         until: generations in all.
     """
     key = jax.random.split(key)[1]
 
-    def going(carry: tuple[State, Trace]) -> Array:
+    def unfinished(carry: tuple[WhaleState, WhaleTrace]) -> Array:
         state, _ = carry
-        return (state.generation < until) & ~settled(state, swarm)
+        return (state.generation < until) & ~stagnated(state, config)
 
-    def generation(carry: tuple[State, Trace]) -> tuple[State, Trace]:
+    def generation(carry: tuple[WhaleState, WhaleTrace]) -> tuple[WhaleState, WhaleTrace]:
         state, trace = carry
         row = state.generation
-        population = ask(jax.random.fold_in(key, row), state, swarm)
+        population = ask(jax.random.fold_in(key, row), state, config)
         fitness = objective(population)
-        state = tell(state, population, fitness, swarm)
+        state = tell(state, population, fitness, config)
         failed = ~jnp.isfinite(fitness)
-        trace = Trace(
+        trace = WhaleTrace(
             best_fitness=trace.best_fitness.at[row].set(state.best_fitness),
             best=trace.best.at[row].set(state.best),
             fitness=trace.fitness.at[row].set(jnp.where(failed, jnp.inf, fitness)),
@@ -259,4 +265,4 @@ def proceed(
         )
         return state, trace
 
-    return jax.lax.while_loop(going, generation, carry)
+    return jax.lax.while_loop(unfinished, generation, carry)

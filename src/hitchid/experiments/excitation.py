@@ -76,14 +76,14 @@ def prbs(
     """
     if not 0 <= low < high:
         raise InputError(f"prbs: required 0 ≤ low < high, came {low:g} and {high:g}")
-    count, hold = _count(duration_s, step_s), max(1, round(clock_s / step_s))
+    count, hold_samples = _count(duration_s, step_s), max(1, round(clock_s / step_s))
     rest = round(rest_s / step_s)
-    clocks = -(-(count - rest) // hold)
+    clocks = -(-(count - rest) // hold_samples)
     bits = max(4, int(np.ceil(np.log2(clocks + 1))))
     state = np.random.default_rng(seed).integers(0, 2, bits)
     state[0] |= not state.any()
     sequence = max_len_seq(bits, state=state, length=clocks)[0]
-    levels = np.repeat(np.where(sequence > 0, high, low), hold)
+    levels = np.repeat(np.where(sequence > 0, high, low), hold_samples)
     command = np.concatenate([np.zeros(rest), levels])[:count]
     description = {"signal": "prbs", "low": low, "high": high, "clock_s": clock_s, "bits": bits, "seed": seed}
     return Excitation(command, step_s, description)
@@ -128,7 +128,7 @@ def duty_cycle(
     levels: tuple[tuple[float, float], tuple[float, float]],
     speeds: tuple[float, float],
     start: float,
-    room: tuple[float, float],
+    displacement_range: tuple[float, float],
     duration_s: float,
     seed: int,
     step_s: float = 0.01,
@@ -142,7 +142,7 @@ def duty_cycle(
         levels: lowest and highest effective command, lifting and lowering.
         speeds: speed per effective command, lifting and lowering, displacement per second and command.
         start: initial displacement.
-        room: lowest and highest displacement to stay between.
+        displacement_range: lowest and highest displacement to stay between.
         duration_s: length, s.
         seed: draws directions, levels and times.
         step_s: sampling time, s.
@@ -153,17 +153,19 @@ def duty_cycle(
     rng = np.random.default_rng(seed)
     count = _count(duration_s, step_s)
     commands = np.zeros((2, count))
-    height, at = start, round(0.5 / step_s)
-    while at < count:
-        up = bool(rng.random() < (room[1] - height) / (room[1] - room[0]))
+    height, sample = start, round(0.5 / step_s)
+    while sample < count:
+        up = bool(
+            rng.random() < (displacement_range[1] - height) / (displacement_range[1] - displacement_range[0])
+        )
         level = rng.uniform(*levels[0 if up else 1])
         speed = level * speeds[0 if up else 1]
-        left = (room[1] - height) if up else (height - room[0])
-        held_s = min(rng.uniform(1.0, 3.0), max(left, 0.0) / speed)
-        stop = at + round(held_s / step_s)
-        commands[0 if up else 1, at:stop] = level
-        height += (1 if up else -1) * speed * held_s
-        at = stop + round(rng.uniform(0.2, 1.5) / step_s)
+        available = (displacement_range[1] - height) if up else (height - displacement_range[0])
+        hold_s = min(rng.uniform(1.0, 3.0), max(available, 0.0) / speed)
+        stop = sample + round(hold_s / step_s)
+        commands[0 if up else 1, sample:stop] = level
+        height += (1 if up else -1) * speed * hold_s
+        sample = stop + round(rng.uniform(0.2, 1.5) / step_s)
     description = {"signal": "duty cycle", "seed": seed}
     return Excitation(commands[0], step_s, description), Excitation(commands[1], step_s, description)
 

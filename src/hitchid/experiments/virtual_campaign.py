@@ -11,14 +11,14 @@ import jax
 import numpy as np
 
 from hitchid._support import checks
-from hitchid._support.parallel import abreast
+from hitchid._support.parallel import parallel
 from hitchid._support.storage import write_folder
-from hitchid.data.record import COMMAND, DISPLACEMENT, LIFTING, LOWERING, MODES, RAMP, Record
+from hitchid.data.record import COMMAND, DIRECTIONS, DISPLACEMENT, LIFTING, LOWERING, RAMP, Record
 from hitchid.errors import InputError
 from hitchid.experiments import excitation
 from hitchid.identification.deadzone import from_ramps
 from hitchid.readers import write_table
-from hitchid.rig import Rig, limits, load_rig, measure, simulate
+from hitchid.rig import Rig, load_rig, measure, rig_limits, simulate
 
 Protocol = Literal["prbs", "ramp", "cycle"]
 REPEATS = 3
@@ -44,7 +44,7 @@ displacement = "displacement_mm"
 
 
 @dataclass(frozen=True)
-class Static:
+class StaticResult:
     """What the static test of one direction found.
 
     Attributes:
@@ -72,7 +72,7 @@ class Log:
 
 
 def run(
-    rig: Rig, tests: Mapping[Protocol, int] = TESTS, modes: Sequence[str] = MODES, *, seed: int = 0
+    rig: Rig, tests: Mapping[Protocol, int] = TESTS, directions: Sequence[str] = DIRECTIONS, *, seed: int = 0
 ) -> list[Log]:
     """Run tests on a rig and return their logs.
 
@@ -83,27 +83,32 @@ def run(
     Args:
         rig: the virtual bench.
         tests: protocol to number: ramps and `prbs` tests of each direction, cycles.
-        modes: directions to excite; cycles excite both.
+        directions: directions to excite; cycles excite both.
         seed: every random draw comes from it.
     """
-    for protocol, count in checks.keyed(tests, get_args(Protocol), "tests").items():
-        if checks.whole(count, f"tests, {protocol}", least=1) > MOST_TESTS:
+    for protocol, count in checks.mapping_of(tests, get_args(Protocol), "tests").items():
+        if checks.integer(count, f"tests, {protocol}", minimum=1) > MOST_TESTS:
             raise InputError(f"tests, {protocol}: required at most {MOST_TESTS}, came {count}")
-    for mode in checks.several(modes, str, "modes", "directions"):
-        checks.chosen(mode, MODES, "direction")
-    checks.whole(seed, "seed")
-    excited = MODES if "cycle" in tests else modes
-    ramps = {mode: _ramps(rig, mode, tests.get("ramp", REPEATS), seed) for mode in excited}
-    static = {mode: _static(logs, mode) for mode, logs in ramps.items()}
-    due = {}
+    for direction in checks.tuple_of(directions, str, "modes", "directions"):
+        checks.one_of(direction, DIRECTIONS, "direction")
+    checks.integer(seed, "seed")
+    excited = DIRECTIONS if "cycle" in tests else directions
+    ramps = {direction: _ramps(rig, direction, tests.get("ramp", REPEATS), seed) for direction in excited}
+    static = {direction: _evaluate_ramps(logs, direction) for direction, logs in ramps.items()}
+    jobs = {}
     if "prbs" in tests:
-        due = {mode: partial(_dynamic, rig, mode, static[mode], tests["prbs"], seed) for mode in modes}
+        jobs = {
+            direction: partial(_dynamic, rig, direction, static[direction], tests["prbs"], seed)
+            for direction in directions
+        }
     if "cycle" in tests:
-        due["cycle"] = partial(_cycles, rig, static, tests["cycle"], seed)
+        jobs["cycle"] = partial(_cycles, rig, static, tests["cycle"], seed)
     # Cycles beside the first direction: the second one then finds its program compiled.
-    done = abreast(lambda name: due[name](), sorted(due, key=[*modes[:1], "cycle", *modes[1:]].index))
-    static_logs = [ramps[mode] for mode in modes] if "ramp" in tests else []
-    return [log for logs in (*static_logs, *(done[name] for name in due)) for log in logs]
+    results = parallel(
+        lambda name: jobs[name](), sorted(jobs, key=[*directions[:1], "cycle", *directions[1:]].index)
+    )
+    static_logs = [ramps[direction] for direction in directions] if "ramp" in tests else []
+    return [log for logs in (*static_logs, *(results[name] for name in jobs)) for log in logs]
 
 
 def write_campaign(
@@ -111,7 +116,7 @@ def write_campaign(
     rig: str | Path = "nominal",
     *,
     tests: Mapping[Protocol, int] = TESTS,
-    modes: Sequence[str] = MODES,
+    directions: Sequence[str] = DIRECTIONS,
     suffix: Literal["csv", "csv.gz", "mf4", "parquet", "tdms"] = "csv",
     seed: int = 0,
     force: bool = False,
@@ -121,7 +126,7 @@ def write_campaign(
     Args:
         out: folder to write.
         rig: name or file of a parameter set.
-        tests, modes, seed: see `run`.
+        tests, directions, seed: see `run`.
         suffix: format of the logs.
         force: replace an older campaign.
 
@@ -130,69 +135,67 @@ def write_campaign(
         InputError: a number of tests is not from 1 to 10 000.
         SettingsError: the rig's parameters cannot be used.
     """
-    place = checks.path(out, "out")
+    folder = checks.path(out, "out")
     logs = run(
-        load_rig(checks.instance(rig, (str, Path), "rig", "a name or a path")), tests, modes, seed=seed
+        load_rig(checks.instance(rig, (str, Path), "rig", "a name or a path")), tests, directions, seed=seed
     )
 
-    def fill(place: Path) -> None:
-        (place / TRUTH).mkdir()
+    def fill(folder: Path) -> None:
+        (folder / TRUTH).mkdir()
         for log in logs:
-            write_table(place / f"{log.name}.{suffix}", log.columns)
+            write_table(folder / f"{log.name}.{suffix}", log.columns)
             truth = {"time_s": log.columns["time_s"], "displacement_true_mm": log.truth}
-            write_table(place / TRUTH / f"{log.name}.{suffix}", truth)
-        (place / "campaign.toml").write_text(COLUMNS, encoding="utf-8")
+            write_table(folder / TRUTH / f"{log.name}.{suffix}", truth)
+        (folder / "campaign.toml").write_text(COLUMNS, encoding="utf-8")
 
-    write_folder(place, fill, mark="campaign.toml", force=force)
+    write_folder(folder, fill, result_kind="campaign.toml", force=force)
 
 
-def _ramps(rig: Rig, mode: str, repeats: int, seed: int) -> list[Log]:
+def _ramps(rig: Rig, direction: str, repeats: int, seed: int) -> list[Log]:
     """Return slow ramps that end at the current at which the piston has gone 20 mm, as an operator would."""
-    top, start = _saturation(rig, mode), _start(rig, mode)
+    top, start = _saturation(rig, direction), _start(rig, direction)
     command = excitation.ramp(top=top, duration_s=RAMP_S).command
     # As many at once as the ramps that follow, so that one compiled program serves both.
-    currents = np.stack([_both(mode, command)] * repeats)
+    currents = np.stack([_two_channel_command(direction, command)] * repeats)
     motion = simulate(rig, currents, initial_displacement_m=start)
-    gone = np.abs(np.asarray(motion.displacement_m)[0] - start)
-    if gone.max() >= RAMP_TRAVEL_M:
-        top = float(command[np.argmax(gone >= RAMP_TRAVEL_M)])
+    travel_m = np.abs(np.asarray(motion.displacement_m)[0] - start)
+    if travel_m.max() >= RAMP_TRAVEL_M:
+        top = float(command[np.argmax(travel_m >= RAMP_TRAVEL_M)])
     command = excitation.ramp(top=top, duration_s=RAMP_S).command
-    names = [f"ramp-{mode}-{number:02d}" for number in range(1, repeats + 1)]
-    return _logs(rig, names, [_both(mode, command)] * repeats, [start] * repeats, seed)
+    names = [f"ramp-{direction}-{number:02d}" for number in range(1, repeats + 1)]
+    return _logs(rig, names, [_two_channel_command(direction, command)] * repeats, [start] * repeats, seed)
 
 
-def _static(ramps: Sequence[Log], mode: str) -> Static:
+def _evaluate_ramps(ramps: Sequence[Log], direction: str) -> StaticResult:
     records = [_record(log) for log in ramps]
-    direction = 1 if mode == LIFTING else -1
-    zone = from_ramps(records, mode, direction).value
+    sign = 1 if direction == LIFTING else -1
+    zone = from_ramps(records, direction, sign).value
     tail = slice(-round(RAMP_TAIL_S / records[0].step_s), None)
-    speeds = [
-        direction * np.polyfit(record.time_s[tail], record.displacement[tail], 1)[0] for record in records
-    ]
-    effective = np.mean([record.command(mode)[tail].mean() - zone for record in records])
-    return Static(zone, float(np.mean(speeds) / effective))
+    speeds = [sign * np.polyfit(record.time_s[tail], record.displacement[tail], 1)[0] for record in records]
+    effective = np.mean([record.command(direction)[tail].mean() - zone for record in records])
+    return StaticResult(zone, float(np.mean(speeds) / effective))
 
 
-def _highest(rig: Rig, mode: str, static: Static, travel_mm: float) -> float:
+def _highest_command(rig: Rig, direction: str, static: StaticResult, travel_mm: float) -> float:
     """Return the largest effective current within pump flow, valve range and travel of one test, A."""
-    known = limits(rig)
-    within = [
-        _saturation(rig, mode) - static.dead_zone,
+    limits = rig_limits(rig)
+    bounds = [
+        _saturation(rig, direction) - static.dead_zone,
         travel_mm / (static.speed_per_command * DYNAMIC_S),
     ]
-    if mode == LIFTING:
-        within.append(FLOW_FRACTION * 1e3 * known.lifting_speed_m_s / static.speed_per_command)
-    return min(within)
+    if direction == LIFTING:
+        bounds.append(FLOW_FRACTION * 1e3 * limits.lifting_speed_m_s / static.speed_per_command)
+    return min(bounds)
 
 
-def _saturation(rig: Rig, mode: str) -> float:
-    known = limits(rig)
-    return known.lifting_saturation_a if mode == LIFTING else known.lowering_saturation_a
+def _saturation(rig: Rig, direction: str) -> float:
+    limits = rig_limits(rig)
+    return limits.lifting_saturation_a if direction == LIFTING else limits.lowering_saturation_a
 
 
-def _dynamic(rig: Rig, mode: str, static: Static, tests: int, seed: int) -> list[Log]:
-    highest = _highest(rig, mode, static, STROKE_FRACTION * 1e3 * limits(rig).stroke_m)
-    rng = np.random.default_rng([seed, MODES.index(mode)])
+def _dynamic(rig: Rig, direction: str, static: StaticResult, tests: int, seed: int) -> list[Log]:
+    highest = _highest_command(rig, direction, static, STROKE_FRACTION * 1e3 * rig_limits(rig).stroke_m)
+    rng = np.random.default_rng([seed, DIRECTIONS.index(direction)])
     commands = []
     for _ in range(tests):
         signal = excitation.prbs(
@@ -202,16 +205,20 @@ def _dynamic(rig: Rig, mode: str, static: Static, tests: int, seed: int) -> list
             duration_s=DYNAMIC_S,
             seed=int(rng.integers(2**31)),
         )
-        commands.append(_both(mode, excitation.precompensated(signal.command, static.dead_zone)))
-    names = [f"{mode}-{number:02d}" for number in range(1, tests + 1)]
-    return _logs(rig, names, commands, [_start(rig, mode)] * tests, seed + 1)
+        commands.append(
+            _two_channel_command(direction, excitation.precompensated(signal.command, static.dead_zone))
+        )
+    names = [f"{direction}-{number:02d}" for number in range(1, tests + 1)]
+    return _logs(rig, names, commands, [_start(rig, direction)] * tests, seed + 1)
 
 
-def _cycles(rig: Rig, static: Mapping[str, Static], tests: int, seed: int) -> list[Log]:
-    stroke_mm = 1e3 * limits(rig).stroke_m
-    highest = {mode: _highest(rig, mode, static[mode], stroke_mm) for mode in MODES}
-    ranges = {mode: (LOW[1] * most, HIGH[1] * most) for mode, most in highest.items()}
-    rng = np.random.default_rng([seed, len(MODES)])
+def _cycles(rig: Rig, static: Mapping[str, StaticResult], tests: int, seed: int) -> list[Log]:
+    stroke_mm = 1e3 * rig_limits(rig).stroke_m
+    highest = {
+        direction: _highest_command(rig, direction, static[direction], stroke_mm) for direction in DIRECTIONS
+    }
+    ranges = {direction: (LOW[1] * maximum, HIGH[1] * maximum) for direction, maximum in highest.items()}
+    rng = np.random.default_rng([seed, len(DIRECTIONS)])
     commands, starts = [], []
     for _ in range(tests):
         start = rng.uniform(0.3, 0.7) * stroke_mm
@@ -219,27 +226,27 @@ def _cycles(rig: Rig, static: Mapping[str, Static], tests: int, seed: int) -> li
             levels=(ranges[LIFTING], ranges[LOWERING]),
             speeds=(static[LIFTING].speed_per_command, static[LOWERING].speed_per_command),
             start=start,
-            room=(0.15 * stroke_mm, 0.85 * stroke_mm),
+            displacement_range=(0.15 * stroke_mm, 0.85 * stroke_mm),
             duration_s=CYCLE_S,
             seed=int(rng.integers(2**31)),
         )
         columns = [
-            excitation.precompensated(signal.command, static[mode].dead_zone)
-            for mode, signal in zip(MODES, pair, strict=True)
+            excitation.precompensated(signal.command, static[direction].dead_zone)
+            for direction, signal in zip(DIRECTIONS, pair, strict=True)
         ]
         commands.append(np.column_stack(columns))
         starts.append(1e-3 * start)
     return _logs(rig, [f"cycle-{number:02d}" for number in range(1, tests + 1)], commands, starts, seed + 2)
 
 
-def _start(rig: Rig, mode: str) -> float:
+def _start(rig: Rig, direction: str) -> float:
     """Return the displacement a direction starts from, m: the bottom for lifting, the top for lowering."""
-    return 0.0 if mode == LIFTING else limits(rig).stroke_m
+    return 0.0 if direction == LIFTING else rig_limits(rig).stroke_m
 
 
-def _both(mode: str, command: np.ndarray) -> np.ndarray:
-    off = np.zeros_like(command)
-    return np.column_stack([command, off] if mode == LIFTING else [off, command])
+def _two_channel_command(direction: str, command: np.ndarray) -> np.ndarray:
+    zeros = np.zeros_like(command)
+    return np.column_stack([command, zeros] if direction == LIFTING else [zeros, command])
 
 
 def _logs(
@@ -258,8 +265,8 @@ def _logs(
 def _record(log: Log) -> Record:
     signals = {
         DISPLACEMENT: log.columns["displacement_mm"],
-        COMMAND[MODES[0]]: log.columns["current_up_A"],
-        COMMAND[MODES[1]]: log.columns["current_down_A"],
+        COMMAND[DIRECTIONS[0]]: log.columns["current_up_A"],
+        COMMAND[DIRECTIONS[1]]: log.columns["current_down_A"],
     }
     units = {role: "mm" if role == DISPLACEMENT else "A" for role in signals}
     step_s = float(np.median(np.diff(log.columns["time_s"])))

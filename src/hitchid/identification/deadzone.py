@@ -10,18 +10,18 @@ from scipy.signal import lfilter
 from hitchid.data.record import Record
 from hitchid.data.test_kinds import ACTIVE_FRACTION, effective_command
 from hitchid.errors import LogError
-from hitchid.uncertainty import KNOWN, DeadZoneError, Quantity, quantity
-from hitchid.uncertainty.dead_zone_error import student
+from hitchid.uncertainty import NO_ERROR, DeadZoneError, Quantity, make_quantity
+from hitchid.uncertainty.dead_zone_error import t_quantile
 
 CANDIDATES = 400
-FLAT = 1e-3
+FLAT_TOLERANCE = 1e-3
 ROUNDING = 1e-6
-MOVED = 0.2
-UNKNOWN = 0.5
-FEWEST, GROUPS = 6, 24
-SAMPLES, LARGEST = 2048, 1_000_000
+MIN_RESIDUAL_REDUCTION = 0.2
+UNKNOWN_SPREAD = 0.5
+MIN_GROUPS, MAX_GROUPS = 6, 24
+SAMPLES, MAX_ELEMENTS = 2048, 1_000_000
 # Lags of hydraulics on clocks up to 0.1 s, s; on a slower clock they are as many samples longer.
-LAGS_S, FAST_S = (0.03, 0.1, 0.3, 1.0), 0.1
+LAGS_S, FAST_STEP_S = (0.03, 0.1, 0.3, 1.0), 0.1
 
 
 @dataclass(frozen=True)
@@ -34,36 +34,37 @@ class DeadZone:
             in the command's unit; None where it is not known.
         count: ramps or tests it was found from.
         origin: `ramps`, `tests`, `given` or `none` (not determined by the data, taken as zero).
-        late: by how much the ramps' commands go on rising before the plant answers, in the command's unit.
+        delay_rise: by how much the ramps' commands go on rising before the plant answers, in the command's
+            unit.
     """
 
     value: float
     spread: float | None
     count: int
     origin: str
-    late: float = 0.0
+    delay_rise: float = 0.0
 
     @property
     def error(self) -> DeadZoneError:
         """How well it is known: the error of the mean over ramps and their delay, or the jackknife's."""
-        if self.spread is None and not self.late:
-            return KNOWN
+        if self.spread is None and not self.delay_rise:
+            return NO_ERROR
         spread = self.spread or 0.0
         mean = spread / np.sqrt(self.count) if self.origin == "ramps" else spread
-        return DeadZoneError(float(np.hypot(mean, self.late)), self.count)
+        return DeadZoneError(float(np.hypot(mean, self.delay_rise)), self.count)
 
-    def stated(self, unit: str) -> Quantity:
+    def to_quantity(self, unit: str) -> Quantity:
         """Return it with its 95 % interval, which is open where no error is known."""
         if self.origin == "given":
-            return quantity("dead zone", unit, self.value, (self.value, self.value), 0.0)
-        if not self.error.size and self.spread is None:
-            return quantity("dead zone", unit, self.value, (None, None), 0.0)
-        reach = student(float(self.error.degrees)) * self.error.size
-        interval = max(0.0, self.value - reach), self.value + reach
-        return quantity("dead zone", unit, self.value, interval, 0.0)
+            return make_quantity("dead zone", unit, self.value, (self.value, self.value), 0.0)
+        if not self.error.standard_error and self.spread is None:
+            return make_quantity("dead zone", unit, self.value, (None, None), 0.0)
+        half_width = t_quantile(float(self.error.degrees_of_freedom)) * self.error.standard_error
+        interval = max(0.0, self.value - half_width), self.value + half_width
+        return make_quantity("dead zone", unit, self.value, interval, 0.0)
 
 
-def from_ramps(ramps: Sequence[Record], mode: str, direction: int) -> DeadZone:
+def from_ramps(ramps: Sequence[Record], direction: str, sign: int) -> DeadZone:
     """Return mean and spread of the command at which each slow ramp sets the piston in motion.
 
     Sun et al. 2025, sec. 2.3.1: one ramp from zero, repeated three times.
@@ -71,17 +72,17 @@ def from_ramps(ramps: Sequence[Record], mode: str, direction: int) -> DeadZone:
     Raises:
         LogError: a ramp ends before the piston moves.
     """
-    return of_onsets([ramp_onset(record, mode, direction) for record in ramps])
+    return from_onsets([ramp_onset(record, direction, sign) for record in ramps])
 
 
-def of_onsets(onsets: Sequence[float], late: float = 0.0) -> DeadZone:
+def from_onsets(onsets: Sequence[float], delay_rise: float = 0.0) -> DeadZone:
     """Return mean and spread of the commands at which ramps set the piston in motion."""
     values = np.array(onsets)
     spread = float(values.std(ddof=1)) if values.size > 1 else None
-    return DeadZone(float(values.mean()), spread, values.size, "ramps", late)
+    return DeadZone(float(values.mean()), spread, values.size, "ramps", delay_rise)
 
 
-def ramp_onset(record: Record, mode: str, direction: int) -> float:
+def ramp_onset(record: Record, direction: str, sign: int) -> float:
     """Return the command d that best explains a ramp as drift, then motion.
 
     x(t) = x₀ + c t + Σ bₙ wⁿ, n = 2, 2.5, 3, w = max(u(t) − d, 0), b ≥ 0. Leakage lets the piston creep
@@ -91,11 +92,11 @@ def ramp_onset(record: Record, mode: str, direction: int) -> float:
     Raises:
         LogError: the ramp ends before the piston moves.
     """
-    command = record.command(mode)
-    slope, offset, stop = _line(record, mode)
+    command = record.command(direction)
+    slope, offset, stop = _fit_ramp_line(record, direction)
     time_s = record.step_s * np.arange(stop)
     ramp = slope * time_s + offset
-    travel = direction * (record.displacement[:stop] - record.displacement[0])
+    travel = sign * (record.displacement[:stop] - record.displacement[0])
 
     drift, _ = np.linalg.qr(np.column_stack([np.ones(stop), time_s]))
 
@@ -105,28 +106,28 @@ def ramp_onset(record: Record, mode: str, direction: int) -> float:
     target = without_drift(travel)
     candidates = np.linspace(ramp.max() * ACTIVE_FRACTION, ramp.max(), CANDIDATES, endpoint=False)
 
-    def misfit(dead_zone: float) -> float:
-        beyond = np.maximum(ramp - dead_zone, 0.0) / ramp.max()
-        return float(nnls(without_drift(np.column_stack([beyond**2, beyond**2.5, beyond**3])), target)[1])
+    def residual_norm(dead_zone: float) -> float:
+        excess = np.maximum(ramp - dead_zone, 0.0) / ramp.max()
+        return float(nnls(without_drift(np.column_stack([excess**2, excess**2.5, excess**3])), target)[1])
 
-    misfits = np.array([misfit(candidate) for candidate in candidates])
-    if misfits.min() >= (1 - MOVED) * float(np.linalg.norm(target)):
+    residual_norms = np.array([residual_norm(candidate) for candidate in candidates])
+    if residual_norms.min() >= (1 - MIN_RESIDUAL_REDUCTION) * float(np.linalg.norm(target)):
         raise LogError(
             record.source or record.name,
-            f"the ramp reaches {command.max():.4g} {record.units[f'{mode}_command']} and the piston does not "
+            f"the ramp reaches {command.max():.4g} {record.units[f'{direction}_command']} and the piston does not "
             "move; required a ramp that goes on until it does",
         )
-    return _vertex(candidates, misfits**2)
+    return _parabola_minimum(candidates, residual_norms**2)
 
 
-def ramp_rate(record: Record, mode: str) -> float:
+def ramp_rate(record: Record, direction: str) -> float:
     """Return how fast the command of a ramp rises, in its unit per second."""
-    return _line(record, mode)[0]
+    return _fit_ramp_line(record, direction)[0]
 
 
-def _line(record: Record, mode: str) -> tuple[float, float, int]:
+def _fit_ramp_line(record: Record, direction: str) -> tuple[float, float, int]:
     """Return slope and offset of the line that a ramp's command follows, and where the ramp ends."""
-    command = record.command(mode)
+    command = record.command(direction)
     stop = int(np.argmax(command)) + 1
     active = np.flatnonzero(command[:stop] > ACTIVE_FRACTION * command.max())
     slope, offset = np.polyfit(record.step_s * active, command[active], 1)
@@ -172,22 +173,26 @@ def from_tests(tests: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], step_
     """
     largest = max(float(np.abs(command).max()) for command, _, _ in tests)
     candidates = np.linspace(0.0, 0.95 * largest, CANDIDATES)
-    stretches = -(-FEWEST // len(tests))
+    stretches = -(-MIN_GROUPS // len(tests))
     normal = np.concatenate([_normal_equations(*test, candidates, step_s, stretches) for test in tests])
-    whole = normal.sum(axis=0)
-    misfits, energy = _misfits(whole), float(whole[0, -1, -1])
-    if misfits.max() - misfits.min() <= FLAT * max(misfits.max(), ROUNDING * energy):
-        return DeadZone(0.0, UNKNOWN * largest, len(tests), "none")
-    best = _vertex(candidates, misfits)
-    groups = np.array_split(normal, min(GROUPS, len(normal)))
-    left_out = np.array([_vertex(candidates, _misfits(whole - group.sum(axis=0))) for group in groups])
+    total = normal.sum(axis=0)
+    residual_sums, energy = _residual_sums(total), float(total[0, -1, -1])
+    if residual_sums.max() - residual_sums.min() <= FLAT_TOLERANCE * max(
+        residual_sums.max(), ROUNDING * energy
+    ):
+        return DeadZone(0.0, UNKNOWN_SPREAD * largest, len(tests), "none")
+    best = _parabola_minimum(candidates, residual_sums)
+    groups = np.array_split(normal, min(MAX_GROUPS, len(normal)))
+    left_out = np.array(
+        [_parabola_minimum(candidates, _residual_sums(total - group.sum(axis=0))) for group in groups]
+    )
     error = np.sqrt((len(groups) - 1) / len(groups) * np.sum((left_out - left_out.mean()) ** 2))
     if not error:
-        error = _reach_without_jackknife(candidates, np.stack([group.sum(axis=0) for group in groups]))
+        error = _half_width_without_jackknife(candidates, np.stack([group.sum(axis=0) for group in groups]))
     return DeadZone(best, float(error), len(tests), "tests")
 
 
-def _reach_without_jackknife(candidates: np.ndarray, groups: np.ndarray) -> float:
+def _half_width_without_jackknife(candidates: np.ndarray, groups: np.ndarray) -> float:
     """Return how far from the best a dead zone may lie before groups are fitted worse by a standard error.
 
     Args:
@@ -200,9 +205,9 @@ def _reach_without_jackknife(candidates: np.ndarray, groups: np.ndarray) -> floa
         weights = np.append(gains, -1.0)
         squares.append(np.einsum("i,gij,j->g", weights, groups[:, number], weights))
     lowest = int(np.argmin(np.sum(squares, axis=1)))
-    worse = np.array(squares) - squares[lowest]
-    spread = worse.std(axis=1, ddof=1) / np.sqrt(len(groups))
-    allowed = candidates[worse.mean(axis=1) <= spread]
+    increase = np.array(squares) - squares[lowest]
+    spread = increase.std(axis=1, ddof=1) / np.sqrt(len(groups))
+    allowed = candidates[increase.mean(axis=1) <= spread]
     # One candidate farther: the border lies between them.
     return float(np.max(np.abs(allowed - candidates[lowest])) + candidates[1] - candidates[0])
 
@@ -210,34 +215,34 @@ def _reach_without_jackknife(candidates: np.ndarray, groups: np.ndarray) -> floa
 def _normal_equations(
     command: np.ndarray,
     travel: np.ndarray,
-    counted: np.ndarray,
+    loss_mask: np.ndarray,
     dead_zones: np.ndarray,
     step_s: float,
     stretches: int,
 ) -> np.ndarray:
     """Return Σ of products of [∫u₁ … ∫u₅, w] over stretches of a test, by dead zone, shape [S, C, 6, 6]."""
-    samples = np.flatnonzero(counted)[:: -(-counted.size // SAMPLES)]
-    together = max(1, LARGEST // command.size)
+    samples = np.flatnonzero(loss_mask)[:: -(-loss_mask.size // SAMPLES)]
+    chunk_size = max(1, MAX_ELEMENTS // command.size)
     blocks = [
-        _rows(command, travel, dead_zones[first : first + together], step_s)[:, :, samples]
-        for first in range(0, dead_zones.size, together)
+        _rows(command, travel, dead_zones[start : start + chunk_size], step_s)[:, :, samples]
+        for start in range(0, dead_zones.size, chunk_size)
     ]
     rows = np.concatenate(blocks)
-    return np.stack([part @ part.transpose(0, 2, 1) for part in np.array_split(rows, stretches, axis=2)])
+    return np.stack([chunk @ chunk.transpose(0, 2, 1) for chunk in np.array_split(rows, stretches, axis=2)])
 
 
 def _rows(command: np.ndarray, travel: np.ndarray, dead_zones: np.ndarray, step_s: float) -> np.ndarray:
     """Return [∫u₁ … ∫u₅, w] at every sample, by dead zone, shape [C, 6, N]."""
     effective = effective_command(command[None, :], dead_zones[:, None])
-    covered = step_s * (np.cumsum(effective, axis=1) - effective)
-    columns = [covered]
+    integral = step_s * (np.cumsum(effective, axis=1) - effective)
+    columns = [integral]
     for lag in _lags_s(step_s):
         pole = np.exp(-step_s / lag)
-        columns.append(np.asarray(lfilter([1 - pole], [1, -pole], covered)))
-    return np.stack([*columns, np.broadcast_to(travel, covered.shape)], axis=1)
+        columns.append(np.asarray(lfilter([1 - pole], [1, -pole], integral)))
+    return np.stack([*columns, np.broadcast_to(travel, integral.shape)], axis=1)
 
 
-def _misfits(products: np.ndarray) -> np.ndarray:
+def _residual_sums(products: np.ndarray) -> np.ndarray:
     """Return the residual sum of squares for each candidate's products, shape [C]."""
     return np.array([_gains(product)[1] ** 2 for product in products])
 
@@ -252,15 +257,15 @@ def _gains(product: np.ndarray) -> tuple[np.ndarray, float]:
 
 def _lags_s(step_s: float) -> list[float]:
     """Return the lags by which an integrator's speed may follow, s."""
-    return [lag * max(1.0, step_s / FAST_S) for lag in LAGS_S]
+    return [lag * max(1.0, step_s / FAST_STEP_S) for lag in LAGS_S]
 
 
-def _vertex(candidates: np.ndarray, misfits: np.ndarray) -> float:
+def _parabola_minimum(candidates: np.ndarray, residual_sums: np.ndarray) -> float:
     """Return the minimum between candidates by a parabola through the three lowest neighbours."""
-    lowest = int(np.argmin(misfits))
+    lowest = int(np.argmin(residual_sums))
     if lowest in (0, candidates.size - 1):
         return float(candidates[lowest])
-    left, middle, right = misfits[lowest - 1 : lowest + 2]
-    bend = left - 2 * middle + right
-    shift = 0.5 * (left - right) / bend if bend > 0 else 0.0
+    left, middle, right = residual_sums[lowest - 1 : lowest + 2]
+    curvature = left - 2 * middle + right
+    shift = 0.5 * (left - right) / curvature if curvature > 0 else 0.0
     return float(candidates[lowest] + shift * (candidates[1] - candidates[0]))

@@ -10,26 +10,33 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key, PRNGKeyArray
 
-from hitchid._support.checkpoints import NOWHERE, Checkpoints
-from hitchid._support.progress import ROUNDS, Heard, Progress, Step, part, rounds
+from hitchid._support.checkpoints import DISABLED, Checkpoints
+from hitchid._support.progress import (
+    TYPICAL_ITERATIONS,
+    IterationCallback,
+    ProgressCallback,
+    ProgressUpdate,
+    iteration_progress,
+    subtask_progress,
+)
 from hitchid.baselines.black_box import BlackBox
-from hitchid.data.record import MODES
-from hitchid.estimation import Comparison, Misfit, Search, Trail, search_trails
+from hitchid.data.record import DIRECTIONS
+from hitchid.estimation import Objective, Search, SearchComparison, SearchHistory, compare_searches
+from hitchid.identification.band_calibration import calibrate_bands
 from hitchid.identification.baselines import fit_arx, fit_black_box
-from hitchid.identification.calibration import calibrate
 from hitchid.identification.deadzone import DeadZone
-from hitchid.identification.descent import DescentTrace
-from hitchid.identification.levelling import with_gain
+from hitchid.identification.gain_calibration import with_gain
 from hitchid.identification.narx import fit_narx
 from hitchid.identification.optional import attempt
 from hitchid.identification.phase1 import Phase1, identify_benchmark
-from hitchid.identification.phase2 import Training, train_compensator
-from hitchid.identification.preparation import Prepared
-from hitchid.identification.rollouts import Gate, train_on_rollouts
-from hitchid.identification.selection import Automatic, Candidate, choose_form
+from hitchid.identification.phase2 import CompensatorConfig, train_compensator
+from hitchid.identification.preparation import ChannelData
+from hitchid.identification.rollouts import HoldoutTest, train_on_rollouts
+from hitchid.identification.selection import AutoStructure, Candidate, choose_spec
+from hitchid.identification.training import TrainingHistory
 from hitchid.model import Channel
-from hitchid.networks.operating_range import Envelope, Range
-from hitchid.structures import Batch, Form
+from hitchid.networks.operating_range import OperatingRange, SignalRange
+from hitchid.structures import Batch, ModelSpec
 from hitchid.uncertainty import Characteristics, Estimates, Information, Uncertainty, characteristics
 
 
@@ -41,7 +48,7 @@ class ChannelTrace:
         dead_zone: the dead zone and where it came from.
         phase1: benchmark, parameters, search.
         phase2: losses of the training of the compensator for predictions; None where none was trained.
-        gate: what decided on the compensator for free run; None where none was trained.
+        holdout_test: what decided on the compensator for free run; None where none was trained.
         notices: what the user should know of the data and of the choices made for them.
         candidates: the forms that were compared, where the form was chosen automatically.
         seconds: what was fitted to the time it took, s.
@@ -51,8 +58,8 @@ class ChannelTrace:
 
     dead_zone: DeadZone
     phase1: Phase1
-    phase2: DescentTrace | None = None
-    gate: Gate | None = None
+    phase2: TrainingHistory | None = None
+    holdout_test: HoldoutTest | None = None
     notices: tuple[str, ...] = ()
     candidates: tuple[Candidate, ...] = ()
     seconds: Mapping[str, float] = field(default_factory=dict)
@@ -61,164 +68,195 @@ class ChannelTrace:
 
 
 @dataclass(frozen=True)
-class Asked:
+class ChannelConfig:
     """What is asked of one direction.
 
     Attributes:
-        form: of its benchmark, or how it is chosen.
-        paper: the paper's form, for the paper's method beside it.
+        spec: of its benchmark, or how it is chosen.
+        paper_spec: the paper's form, for the paper's method beside it.
         search: of phase 1.
         training: of phase 2; None for the benchmark alone.
         seed: every random draw comes from it.
         units: `x` and `u` to the units of displacement and command.
         comparison: how searches are compared; None compares none.
-        kept: where what is found is kept and found again.
+        checkpoints: where what is found is kept and found again.
     """
 
-    form: Form | Automatic
-    paper: Form
+    spec: ModelSpec | AutoStructure
+    paper_spec: ModelSpec
     search: Search
-    training: Training | None
+    training: CompensatorConfig | None
     seed: int
     units: Mapping[str, str]
-    comparison: Comparison | None = None
-    kept: Checkpoints = NOWHERE
+    comparison: SearchComparison | None = None
+    checkpoints: Checkpoints = DISABLED
 
     @property
-    def searched(self) -> Form:
+    def search_spec(self) -> ModelSpec:
         """The form that searches are compared on: what is asked for, or what a choice starts from."""
-        return self.form.plain if isinstance(self.form, Automatic) else self.form
+        return self.spec.baseline_spec if isinstance(self.spec, AutoStructure) else self.spec
 
 
-def find_benchmark(tests: Prepared, asked: Asked, progress: Progress) -> tuple[Channel, ChannelTrace]:
+def find_benchmark(
+    data: ChannelData, config: ChannelConfig, progress: ProgressCallback
+) -> tuple[Channel, ChannelTrace]:
     """Carry out phase 1 for one direction.
 
     Args:
-        tests: its tests.
-        asked: what is asked for.
+        data: its tests.
+        config: what is asked for.
         progress: called with what is being done and the fraction that is done.
 
     Raises:
         FitError: nothing moves, or no parameters give a finite error.
     """
     seconds: dict[str, float] = {}
-    progress(Step(f"phase 1, {asked.search.name}", 0.02))
+    progress(ProgressUpdate(f"phase 1, {config.search.name}", 0.02))
     with _timed(seconds, "benchmark"):
-        phase1, candidates = _benchmark(tests, asked, part(progress, 0.02, 0.98))
-    tests = tests.behind(_revised(tests.dead_zone, candidates))
-    channel = replace(_uncompensated(tests, phase1), envelope=envelope_of(tests.everything))
+        phase1, candidates = _fit_benchmark(data, config, subtask_progress(progress, 0.02, 0.98))
+    data = data.with_dead_zone(_revised_dead_zone(data.dead_zone, candidates))
+    channel = replace(_benchmark_channel(data, phase1), envelope=operating_range_of(data.all_tests))
     with _timed(seconds, "speed map"):
-        known, said = _characteristics(tests.dead_zone, phase1, asked.units)
+        operating_characteristics, characteristics_notices = _characteristics(
+            data.dead_zone, phase1, config.units
+        )
     trace = ChannelTrace(
-        dead_zone=tests.dead_zone,
+        dead_zone=data.dead_zone,
         phase1=phase1,
-        notices=(*tests.notices, *_vague(phase1), *said),
+        notices=(*data.notices, *_undetermined_notices(phase1), *characteristics_notices),
         candidates=candidates,
         seconds=seconds,
-        characteristics=known,
+        characteristics=operating_characteristics,
     )
     return channel, trace
 
 
-def levelled(channel: Channel, trace: ChannelTrace, factor: float) -> tuple[Channel, ChannelTrace]:
+def with_calibrated_gain(
+    channel: Channel, trace: ChannelTrace, factor: float
+) -> tuple[Channel, ChannelTrace]:
     """Return a channel with a factor on its gain, and its trace with it."""
     channel = with_gain(channel, factor)
-    known = trace.phase1.known.scaled(factor)
-    phase1 = replace(trace.phase1, benchmark=channel.benchmark, known=known)
-    said = f"gain times {factor:.4f}, so that whole mixed logs agree best in free run"
-    told = trace.characteristics and trace.characteristics.scaled(factor)
-    return channel, replace(trace, phase1=phase1, notices=(*trace.notices, said), characteristics=told)
+    assessment = trace.phase1.assessment.scaled(factor)
+    phase1 = replace(trace.phase1, benchmark=channel.benchmark, assessment=assessment)
+    notice = f"gain times {factor:.4f}, so that whole mixed logs agree best in free run"
+    scaled_characteristics = trace.characteristics and trace.characteristics.scaled(factor)
+    return channel, replace(
+        trace, phase1=phase1, notices=(*trace.notices, notice), characteristics=scaled_characteristics
+    )
 
 
 def find_compensators(
-    channel: Channel, trace: ChannelTrace, tests: Prepared, asked: Asked, progress: Progress
+    channel: Channel,
+    trace: ChannelTrace,
+    data: ChannelData,
+    config: ChannelConfig,
+    progress: ProgressCallback,
 ) -> tuple[Channel, ChannelTrace]:
     """Carry out phase 2 for one direction, and fit the baselines.
 
     Args:
         channel, trace: of phase 1.
-        tests, asked, progress: as for `find_benchmark`.
+        data, config, progress: as for `find_benchmark`.
     """
-    seconds, first, tests = dict(trace.seconds), tests, tests.behind(trace.dead_zone)
-    if asked.training is None:
-        return channel, _with_uncertainty(channel, trace, tests, asked, None, seconds)
-    keys = jax.random.split(jax.random.fold_in(jax.random.key(asked.seed), MODES.index(tests.mode)), 4)
+    seconds, initial_data, data = dict(trace.seconds), data, data.with_dead_zone(trace.dead_zone)
+    if config.training is None:
+        return channel, _with_uncertainty(channel, trace, data, config, None, seconds)
+    keys = jax.random.split(
+        jax.random.fold_in(jax.random.key(config.seed), DIRECTIONS.index(data.direction)), 4
+    )
     with _timed(seconds, "compensator"):
-        channel, losses = _compensated(
+        channel, training_history = _with_compensator(
             channel,
-            tests,
-            asked.training,
+            data,
+            config.training,
             keys[0],
-            _epochs(progress, "phase 2", 0.2, 0.3),
-            asked.kept.part("compensator"),
+            _epoch_callback(progress, "phase 2", 0.2, 0.3),
+            config.checkpoints.child("compensator"),
         )
-    trace = replace(trace, phase2=losses)
-    if asked.training.rollouts is not None:
-        progress(Step("free runs", 0.5))
+    trace = replace(trace, phase2=training_history)
+    if config.training.rollouts is not None:
+        progress(ProgressUpdate("free runs", 0.5))
         with _timed(seconds, "compensator for free run"):
-            travel = channel.benchmark.travel(tests.everything)
+            travel = channel.benchmark.travel(data.all_tests)
             assert channel.envelope is not None  # noqa: S101 - given above
-            speed, gate = train_on_rollouts(
-                tests.everything, travel, channel.envelope, asked.training.rollouts, keys[1], asked.kept
+            speed_compensator, holdout_test = train_on_rollouts(
+                data.all_tests,
+                travel,
+                channel.envelope,
+                config.training.rollouts,
+                keys[1],
+                config.checkpoints,
             )
-        channel = replace(channel, speed_compensator=speed)
-        trace = replace(trace, gate=gate, notices=(*trace.notices, gate.sentence))
+        channel = replace(channel, speed_compensator=speed_compensator)
+        trace = replace(trace, holdout_test=holdout_test, notices=(*trace.notices, holdout_test.sentence))
     notices: list[str] = []
-    paper = None
-    if asked.training.baselines:
-        channel, paper = _with_baselines(channel, tests, first, asked, keys[2:], progress, seconds, notices)
+    paper_assessment = None
+    if config.training.baselines:
+        channel, paper_assessment = _with_baselines(
+            channel, data, initial_data, config, keys[2:], progress, seconds, notices
+        )
     trace = replace(trace, notices=(*trace.notices, *notices))
-    return channel, _with_uncertainty(channel, trace, tests, asked, paper, seconds)
+    return channel, _with_uncertainty(channel, trace, data, config, paper_assessment, seconds)
 
 
 def _with_uncertainty(
     channel: Channel,
     trace: ChannelTrace,
-    tests: Prepared,
-    asked: Asked,
-    paper: Estimates | None,
+    data: ChannelData,
+    config: ChannelConfig,
+    paper_assessment: Estimates | None,
     seconds: dict[str, float],
 ) -> ChannelTrace:
     notices: list[str] = []
-    trails: tuple[Trail, ...] = ()
-    comparison = asked.comparison
+    histories: tuple[SearchHistory, ...] = ()
+    comparison = config.comparison
     if comparison is not None:
         with _timed(seconds, "searches compared"):
-            misfit = Misfit.of(tests.everything, asked.searched)
-            found = attempt(
-                "comparison of searches", lambda: search_trails(misfit, comparison, asked.seed), notices
+            objective = Objective.of(data.all_tests, config.search_spec)
+            compared = attempt(
+                "comparison of searches",
+                lambda: compare_searches(objective, comparison, config.seed),
+                notices,
             )
-            trails = found or ()
+            histories = compared or ()
     with _timed(seconds, "bands"):
         bands = attempt(
             "bands around predictions",
-            lambda: calibrate(channel, trace.phase1, tests.everything, tests.validation),
+            lambda: calibrate_bands(channel, trace.phase1, data.all_tests, data.validation),
             notices,
         )
-    searched = tuple(parameter.name for parameter in asked.searched.parameters) if trails else ()
+    parameter_names = (
+        tuple(parameter.name for parameter in config.search_spec.parameters) if histories else ()
+    )
     fit = trace.phase1.fit
     information = attempt(
         "information for the design of tests",
-        lambda: Information.of(fit.misfit, fit.position, trace.phase1.moved),
+        lambda: Information.of(fit.objective, fit.position, trace.phase1.influence),
         notices,
     )
-    known = Uncertainty(
-        trace.phase1.known, paper, bands, trails, searched, information, trace.characteristics
+    uncertainty = Uncertainty(
+        trace.phase1.assessment,
+        paper_assessment,
+        bands,
+        histories,
+        parameter_names,
+        information,
+        trace.characteristics,
     )
-    return replace(trace, uncertainty=known, seconds=seconds, notices=(*trace.notices, *notices))
+    return replace(trace, uncertainty=uncertainty, seconds=seconds, notices=(*trace.notices, *notices))
 
 
-def envelope_of(batch: Batch) -> Envelope:
+def operating_range_of(batch: Batch) -> OperatingRange:
     """Return the ranges that tests cover, over the samples that count."""
-    counted = np.asarray(batch.counted)
+    loss_mask = np.asarray(batch.loss_mask)
 
-    def spanned(values: np.ndarray) -> Range:
-        return Range(jnp.asarray(float(values.min())), jnp.asarray(float(values.max())))
+    def range_of(values: np.ndarray) -> SignalRange:
+        return SignalRange(jnp.asarray(float(values.min())), jnp.asarray(float(values.max())))
 
-    return Envelope(
-        command=spanned(np.abs(np.asarray(batch.command))[counted]),
-        displacement=spanned(np.asarray(batch.displacement)[counted]),
-        load=spanned(np.asarray(batch.load)),
+    return OperatingRange(
+        command=range_of(np.abs(np.asarray(batch.command))[loss_mask]),
+        displacement=range_of(np.asarray(batch.displacement)[loss_mask]),
+        load=range_of(np.asarray(batch.covariate)),
     )
 
 
@@ -227,164 +265,172 @@ def _characteristics(
 ) -> tuple[Characteristics | None, list[str]]:
     """Return the operating characteristics; a notice takes their place where they cannot be computed."""
     notices: list[str] = []
-    moved = phase1.moved
-    if not moved.free.any():
+    influence = phase1.influence
+    if not influence.free.any():
         return None, notices
-    found = attempt(
+    result = attempt(
         "speed map, delay and response time",
         lambda: characteristics(
-            phase1.fit.misfit,
+            phase1.fit.objective,
             phase1.fit.position,
-            moved,
-            dead_zone=dead_zone.stated(units["u"]),
-            error=dead_zone.error,
+            influence,
+            dead_zone=dead_zone.to_quantity(units["u"]),
+            dead_zone_error=dead_zone.error,
             units=units,
         ),
         notices,
     )
-    return found, notices
+    return result, notices
 
 
-def _vague(phase1: Phase1) -> list[str]:
+def _undetermined_notices(phase1: Phase1) -> list[str]:
     """Return what the tests say of each parameter that they do not determine."""
     return [
         f"{estimate.name.replace('_', ' ')}: {estimate.verdict}"
-        for estimate in phase1.estimates
+        for estimate in phase1.parameter_estimates
         if not estimate.determined
     ]
 
 
-def _uncompensated(tests: Prepared, phase1: Phase1) -> Channel:
+def _benchmark_channel(data: ChannelData, phase1: Phase1) -> Channel:
     return Channel(
-        mode=tests.mode,
-        direction=tests.direction,
-        dead_zone=tests.dead_zone.value,
-        end_stop=tests.end_stop,
+        direction=data.direction,
+        sign=data.sign,
+        dead_zone=data.dead_zone.value,
+        end_stop=data.end_stop,
         benchmark=phase1.benchmark,
     )
 
 
-def _benchmark(tests: Prepared, asked: Asked, progress: Progress) -> tuple[Phase1, tuple[Candidate, ...]]:
-    batch, ramped = tests.everything, tests.dead_zone.origin == "ramps"
-    if isinstance(asked.form, Automatic):
-        return choose_form(
+def _fit_benchmark(
+    data: ChannelData, config: ChannelConfig, progress: ProgressCallback
+) -> tuple[Phase1, tuple[Candidate, ...]]:
+    batch, from_ramps = data.all_tests, data.dead_zone.origin == "ramps"
+    if isinstance(config.spec, AutoStructure):
+        return choose_spec(
             batch,
-            asked.form,
-            asked.search,
-            asked.seed,
-            units=asked.units,
-            opening_known=ramped,
-            revised=tests.dead_zone.origin == "tests" and tests.dead_zone.value > 0,
-            dead_zone=tests.dead_zone.error,
+            config.spec,
+            config.search,
+            config.seed,
+            units=config.units,
+            opening_known=from_ramps,
+            revised=data.dead_zone.origin == "tests" and data.dead_zone.value > 0,
+            dead_zone=data.dead_zone.error,
             progress=progress,
-            kept=asked.kept,
+            checkpoints=config.checkpoints,
         )
-    error = f"RMSE / {asked.units['x']}"
-    hear = rounds(progress, f"phase 1, {asked.search.name}", 0.0, 0.9, error)
-    return _identified(tests, asked, asked.form, asked.kept, hear), ()
+    error = f"RMSE / {config.units['x']}"
+    callback = iteration_progress(progress, f"phase 1, {config.search.name}", 0.0, 0.9, error)
+    return _identify_spec(data, config, config.spec, config.checkpoints, callback), ()
 
 
-def _revised(dead_zone: DeadZone, candidates: Iterable[Candidate]) -> DeadZone:
+def _revised_dead_zone(dead_zone: DeadZone, candidates: Iterable[Candidate]) -> DeadZone:
     """Return the dead zone behind which the form taken was fitted; how far it moved is part of its error."""
-    taken = next((each for each in candidates if each.chosen), None)
-    if taken is None or taken.dead_zone == dead_zone.value:
+    selected = next((candidate for candidate in candidates if candidate.chosen), None)
+    if selected is None or selected.dead_zone == dead_zone.value:
         return dead_zone
-    moved = abs(taken.dead_zone - dead_zone.value)
-    return replace(dead_zone, value=taken.dead_zone, spread=max(dead_zone.spread or 0.0, moved))
+    shift = abs(selected.dead_zone - dead_zone.value)
+    return replace(dead_zone, value=selected.dead_zone, spread=max(dead_zone.spread or 0.0, shift))
 
 
-def _identified(
-    tests: Prepared, asked: Asked, form: Form, kept: Checkpoints, heard: Heard | None = None
+def _identify_spec(
+    data: ChannelData,
+    config: ChannelConfig,
+    spec: ModelSpec,
+    checkpoints: Checkpoints,
+    callback: IterationCallback | None = None,
 ) -> Phase1:
     return identify_benchmark(
-        tests.everything,
-        form,
-        asked.search,
-        asked.seed,
-        units=asked.units,
-        dead_zone=tests.dead_zone.error,
-        heard=heard,
-        kept=kept,
+        data.all_tests,
+        spec,
+        config.search,
+        config.seed,
+        units=config.units,
+        dead_zone=data.dead_zone.error,
+        callback=callback,
+        checkpoints=checkpoints,
     )
 
 
-def _compensated(
+def _with_compensator(
     channel: Channel,
-    tests: Prepared,
-    training: Training,
+    data: ChannelData,
+    training: CompensatorConfig,
     key: PRNGKeyArray,
     progress: Callable,
-    kept: Checkpoints,
-) -> tuple[Channel, DescentTrace]:
-    compensator, losses = train_compensator(
-        (tests.training, channel.simulate_benchmark(tests.training)),
-        (tests.validation, channel.simulate_benchmark(tests.validation)),
+    checkpoints: Checkpoints,
+) -> tuple[Channel, TrainingHistory]:
+    compensator, training_history = train_compensator(
+        (data.training, channel.simulate_benchmark(data.training)),
+        (data.validation, channel.simulate_benchmark(data.validation)),
         training,
         key,
         progress,
-        kept,
+        checkpoints,
     )
-    return replace(channel, compensator=compensator), losses
+    return replace(channel, compensator=compensator), training_history
 
 
 def _with_baselines(
     channel: Channel,
-    tests: Prepared,
-    first: Prepared,
-    asked: Asked,
+    data: ChannelData,
+    initial_data: ChannelData,
+    config: ChannelConfig,
     keys: Key[Array, " k"],
-    progress: Progress,
+    progress: ProgressCallback,
     seconds: dict[str, float],
     notices: list[str],
 ) -> tuple[Channel, Estimates | None]:
-    training = asked.training
+    training = config.training
     assert training is not None  # noqa: S101 - baselines are fitted beside a compensator
 
     def black_box() -> BlackBox:
         return fit_black_box(
-            tests.training,
-            tests.validation,
+            data.training,
+            data.validation,
             hidden=training.hidden,
-            descent=training.descent,
+            adam=training.adam,
             key=keys[0],
-            progress=_epochs(progress, "black-box baseline", 0.6, 0.2),
-            kept=asked.kept.part("black box"),
+            progress=_epoch_callback(progress, "black-box baseline", 0.6, 0.2),
+            checkpoints=config.checkpoints.child("black box"),
         )
 
-    def of_the_paper() -> tuple[Channel, Phase1]:
-        kept = asked.kept.part("paper")
+    def fit_paper_method() -> tuple[Channel, Phase1]:
+        checkpoints = config.checkpoints.child("paper")
         # Its valve is linear: it keeps the dead zone that was found with a linear valve.
-        phase1 = _identified(first, asked, asked.paper, kept)
-        alone = _uncompensated(first, phase1)
-        report_epoch = _epochs(progress, "paper's method", 0.8, 0.2)
-        return _compensated(alone, first, training, keys[1], report_epoch, kept)[0], phase1
+        phase1 = _identify_spec(initial_data, config, config.paper_spec, checkpoints)
+        benchmark_channel = _benchmark_channel(initial_data, phase1)
+        report_epoch = _epoch_callback(progress, "paper's method", 0.8, 0.2)
+        return _with_compensator(
+            benchmark_channel, initial_data, training, keys[1], report_epoch, checkpoints
+        )[0], phase1
 
     with _timed(seconds, "ARX"):
-        arx = attempt("ARX", lambda: fit_arx(tests.training, tests.validation), notices)
+        arx = attempt("ARX", lambda: fit_arx(data.training, data.validation), notices)
     with _timed(seconds, "NARX"):
-        narx = attempt("NARX", lambda: fit_narx(tests.training, tests.validation), notices)
+        narx = attempt("NARX", lambda: fit_narx(data.training, data.validation), notices)
     with _timed(seconds, "black-box LSTM"):
         lstm = attempt("black-box LSTM", black_box, notices)
     channel = replace(channel, arx=arx, narx=narx, black_box=lstm)
-    if asked.form == asked.paper:
+    if config.spec == config.paper_spec:
         return channel, None
     with _timed(seconds, "paper's method"):
-        found = attempt("the paper's method", of_the_paper, notices)
-    if found is None:
+        paper_result = attempt("the paper's method", fit_paper_method, notices)
+    if paper_result is None:
         return channel, None
-    paper, phase1 = found
-    return replace(channel, paper=paper), phase1.known
+    paper, phase1 = paper_result
+    return replace(channel, paper=paper), phase1.assessment
 
 
-def _epochs(
-    progress: Progress, stage: str, start: float, width: float
+def _epoch_callback(
+    progress: ProgressCallback, stage: str, start: float, width: float
 ) -> Callable[[int, float, float], None]:
     """Return what shows an epoch; a training stops early, so its length is not known before."""
 
-    def show(number: int, trained: float, held: float) -> None:
-        done = start + width * number / (number + ROUNDS)
-        figures = {"training loss": trained, "validation loss": held}
-        progress(Step(stage, done, f"epoch {number}", figures))
+    def show(number: int, training_loss: float, validation_loss: float) -> None:
+        done = start + width * number / (number + TYPICAL_ITERATIONS)
+        figures = {"training loss": training_loss, "validation loss": validation_loss}
+        progress(ProgressUpdate(stage, done, f"epoch {number}", figures))
 
     return show
 

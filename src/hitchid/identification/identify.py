@@ -4,51 +4,51 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 
-from hitchid._support.checks import path, several
+from hitchid._support.checks import path, tuple_of
 from hitchid._support.precision import double_precision
-from hitchid._support.progress import Progress, silent
+from hitchid._support.progress import ProgressCallback, silent
 from hitchid.data.campaign import Campaign
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import HitchError
-from hitchid.estimation import Comparison, Search, Whale
-from hitchid.identification.arguments import CAMPAIGN, campaign_of, question_of
-from hitchid.identification.carrying_out import carried_out
-from hitchid.identification.case import Identification
-from hitchid.identification.phase2 import Training
-from hitchid.identification.selection import Automatic
-from hitchid.structures import Form, structure_named
+from hitchid.estimation import Search, SearchComparison, Whale
+from hitchid.identification.arguments import CAMPAIGN, check_campaign, identification_config
+from hitchid.identification.campaign_job import Identification
+from hitchid.identification.phase2 import CompensatorConfig
+from hitchid.identification.pipeline import run_pipeline
+from hitchid.identification.selection import AutoStructure
+from hitchid.structures import ModelSpec, structure_named
 
-PAPER_FORMS: Mapping[str, Form] = MappingProxyType(
+PAPER_SPECS: Mapping[str, ModelSpec] = MappingProxyType(
     {
-        LIFTING: Form(structure_named("integrator-second-order")),
-        LOWERING: Form(structure_named("first-order-lag")),
+        LIFTING: ModelSpec(structure_named("integrator-second-order")),
+        LOWERING: ModelSpec(structure_named("first-order-lag")),
     }
 )
 # Where nothing else is asked for, the choice starts from what holds its place without a command.
-CHOSEN: Mapping[str, Automatic] = MappingProxyType(
+DEFAULT_STRUCTURES: Mapping[str, AutoStructure] = MappingProxyType(
     {
-        LIFTING: Automatic(PAPER_FORMS[LIFTING]),
-        LOWERING: Automatic(Form(structure_named("integrator-first-order"))),
+        LIFTING: AutoStructure(PAPER_SPECS[LIFTING]),
+        LOWERING: AutoStructure(ModelSpec(structure_named("integrator-first-order"))),
     }
 )
 WHALE = Whale()
-COMPARISON = Comparison()
-TRAINING = Training()
-NONE_KNOWN: Mapping[str, float] = MappingProxyType({})
+COMPARISON = SearchComparison()
+TRAINING = CompensatorConfig()
+NO_DEAD_ZONES: Mapping[str, float] = MappingProxyType({})
 
 
 @double_precision
 def identify(
     campaign: Campaign,
     *,
-    structure: Mapping[str, Form | Automatic | str] = CHOSEN,
+    structure: Mapping[str, ModelSpec | AutoStructure | str] = DEFAULT_STRUCTURES,
     search: Search = WHALE,
-    training: Training | None = TRAINING,
-    dead_zones: Mapping[str, float] = NONE_KNOWN,
+    training: CompensatorConfig | None = TRAINING,
+    dead_zones: Mapping[str, float] = NO_DEAD_ZONES,
     drift: bool = False,
-    comparison: Comparison | None = COMPARISON,
+    comparison: SearchComparison | None = COMPARISON,
     seed: int = 0,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
     checkpoints: str | Path | None = None,
 ) -> Identification:
     """Identify a grey-box model from the tests of a campaign that are not held out.
@@ -59,9 +59,9 @@ def identify(
 
     Args:
         campaign: tests; ramps, where there are any, give the dead zones.
-        structure: mode to the form of its benchmark or the name of a structure, or `Automatic` to have it
+        structure: mode to the form of its benchmark or the name of a structure, or `AutoStructure` to have it
             chosen by free run on operating points held out in turn, as it is for a mode left out;
-            `PAPER_FORMS` are the paper's.
+            `PAPER_SPECS` are the paper's.
         search: the global search of phase 1: `Whale`, `DifferentialEvolution` or `MultiStart`.
         training: settings of phase 2; None identifies benchmarks alone.
         dead_zones: mode to dead zone, in the command's unit, where it is known.
@@ -77,9 +77,9 @@ def identify(
             argument does not fit.
         FitError: the identification could not be carried out on these data.
     """
-    question = question_of(
-        CHOSEN,
-        PAPER_FORMS,
+    config = identification_config(
+        DEFAULT_STRUCTURES,
+        PAPER_SPECS,
         structure=structure,
         search=search,
         training=training,
@@ -88,25 +88,25 @@ def identify(
         comparison=comparison,
         seed=seed,
     )
-    kept = None if checkpoints is None else path(checkpoints, "checkpoints")
-    (found,) = carried_out([campaign_of(campaign)], question, progress or silent, kept)
-    if isinstance(found, HitchError):
-        raise found
-    return found
+    folder = None if checkpoints is None else path(checkpoints, "checkpoints")
+    (result,) = run_pipeline([check_campaign(campaign)], config, progress or silent, folder)
+    if isinstance(result, HitchError):
+        raise result
+    return result
 
 
 @double_precision
 def identify_many(
     campaigns: Sequence[Campaign],
     *,
-    structure: Mapping[str, Form | Automatic | str] = CHOSEN,
+    structure: Mapping[str, ModelSpec | AutoStructure | str] = DEFAULT_STRUCTURES,
     search: Search = WHALE,
-    training: Training | None = TRAINING,
-    dead_zones: Mapping[str, float] = NONE_KNOWN,
+    training: CompensatorConfig | None = TRAINING,
+    dead_zones: Mapping[str, float] = NO_DEAD_ZONES,
     drift: bool = False,
-    comparison: Comparison | None = None,
+    comparison: SearchComparison | None = None,
     seed: int = 0,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
 ) -> tuple[Identification | HitchError, ...]:
     """Identify a model from each of many campaigns, such as those of a fleet, in one process.
 
@@ -122,9 +122,9 @@ def identify_many(
         In the order of the campaigns what was found, or the error with which a campaign ended; the others are
         not touched by it.
     """
-    question = question_of(
-        CHOSEN,
-        PAPER_FORMS,
+    config = identification_config(
+        DEFAULT_STRUCTURES,
+        PAPER_SPECS,
         structure=structure,
         search=search,
         training=training,
@@ -133,5 +133,5 @@ def identify_many(
         comparison=comparison,
         seed=seed,
     )
-    given = several(campaigns, Campaign, "campaigns", f"several, each {CAMPAIGN}")
-    return carried_out(given, question, progress or silent)
+    checked_campaigns = tuple_of(campaigns, Campaign, "campaigns", f"several, each {CAMPAIGN}")
+    return run_pipeline(checked_campaigns, config, progress or silent)

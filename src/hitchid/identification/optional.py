@@ -8,11 +8,11 @@ from hitchid.errors import OutputError
 Result = TypeVar("Result")
 
 
-def attempt(part: str, compute: Callable[[], Result], notices: list[str]) -> Result | None:
+def attempt(description: str, compute: Callable[[], Result], notices: list[str]) -> Result | None:
     """Compute a part of a result that the model can do without.
 
     Args:
-        part: what it is, for the notice.
+        description: what it is, for the notice.
         compute: computes it.
         notices: gets a sentence where the part fails.
 
@@ -28,5 +28,5 @@ def attempt(part: str, compute: Callable[[], Result], notices: list[str]) -> Res
         raise
     except Exception as error:
         cause = str(error) or "no message"
-        notices.append(f"{part} left out: it could not be computed ({type(error).__name__}: {cause})")
+        notices.append(f"{description} left out: it could not be computed ({type(error).__name__}: {cause})")
         return None

@@ -6,17 +6,17 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 
-from hitchid._support.checkpoints import NOWHERE, Checkpoints
-from hitchid._support.progress import Heard
-from hitchid.estimation import Found, Misfit, Search, best_polished, polish, searchable
+from hitchid._support.checkpoints import DISABLED, Checkpoints
+from hitchid._support.progress import IterationCallback
+from hitchid.estimation import Objective, Search, SearchResult, best_refined, refine, search_problem
 from hitchid.identification.optional import attempt
-from hitchid.structures import Batch, Benchmark, Form
+from hitchid.structures import Batch, ModelSpec, PhysicalModel
 from hitchid.structures.nonlinear import NonlinearStructure
-from hitchid.uncertainty import KNOWN, DeadZoneError, Estimate, Estimates, Moves, assess, unassessed
+from hitchid.uncertainty import NO_ERROR, DeadZoneError, Estimate, Estimates, Influence, assess, unassessed
 
-LEVELLINGS = 3
-SEARCHED, COARSE = 8192, 2048
-ROUGH, ROUGH_STEPS, STEPS = 1e-9, 60, 60
+GAIN_ITERATIONS = 3
+SEARCH_SAMPLES, COARSE_SAMPLES = 8192, 2048
+ROUGH_TOLERANCE, ROUGH_STEPS, STEPS = 1e-9, 60, 60
 
 
 @dataclass(frozen=True)
@@ -24,19 +24,19 @@ class Fit:
     """The best parameters of a form, and how they were found.
 
     Attributes:
-        misfit: the tests and the form.
+        objective: the tests and the form.
         position: the parameters, in the unit cube, shape [D].
-        found: the search and its trace.
+        search_result: the search and its trace.
     """
 
-    misfit: Misfit
+    objective: Objective
     position: np.ndarray
-    found: Found
+    search_result: SearchResult
 
     @property
     def values(self) -> np.ndarray:
         """The parameters, shape [D]."""
-        return self.misfit.values(self.position)
+        return self.objective.values(self.position)
 
 
 @dataclass(frozen=True)
@@ -46,60 +46,60 @@ class Phase1:
     Attributes:
         benchmark: structure with values.
         fit: the parameters, and the search for them.
-        known: what the tests say of each, and of what follows from them.
-        moved: by how much each test moves each of them.
+        assessment: what the tests say of each, and of what follows from them.
+        influence: by how much each test moves each of them.
         rmse: root mean square error over the identification tests, free run, in the displacement's unit.
         search_rmse: the same before the polish.
     """
 
-    benchmark: Benchmark
+    benchmark: PhysicalModel
     fit: Fit
-    known: Estimates
-    moved: Moves
+    assessment: Estimates
+    influence: Influence
     rmse: float
     search_rmse: float
 
     @property
-    def estimates(self) -> tuple[Estimate, ...]:
+    def parameter_estimates(self) -> tuple[Estimate, ...]:
         """Each parameter."""
-        return self.known.parameters
+        return self.assessment.parameters
 
 
 def identify_benchmark(
     batch: Batch,
-    form: Form,
+    spec: ModelSpec,
     search: Search,
     seed: int,
     *,
     units: Mapping[str, str],
     start: np.ndarray | None = None,
-    dead_zone: DeadZoneError = KNOWN,
-    heard: Heard | None = None,
-    kept: Checkpoints = NOWHERE,
+    dead_zone: DeadZoneError = NO_ERROR,
+    callback: IterationCallback | None = None,
+    checkpoints: Checkpoints = DISABLED,
 ) -> Phase1:
     """Find the parameters that minimise the free-run error over all tests, and say how well they are known.
 
     Args:
-        batch, form, search, seed, start, heard, kept: see `find_parameters`.
+        batch, spec, search, seed, start, callback, checkpoints: see `find_parameters`.
         units: `x` and `u` to the units of displacement and command.
         dead_zone: how well it is known.
 
     Raises:
         FitError: nothing moves, or no parameters give a finite error.
     """
-    fit = find_parameters(batch, form, search, seed, start=start, heard=heard, kept=kept)
-    return assessed(fit, units=units, dead_zone=dead_zone, seed=seed)
+    fit = find_parameters(batch, spec, search, seed, start=start, callback=callback, checkpoints=checkpoints)
+    return assess_fit(fit, units=units, dead_zone=dead_zone, seed=seed)
 
 
 def find_parameters(
     batch: Batch,
-    form: Form,
+    spec: ModelSpec,
     search: Search,
     seed: int,
     *,
     start: np.ndarray | None = None,
-    heard: Heard | None = None,
-    kept: Checkpoints = NOWHERE,
+    callback: IterationCallback | None = None,
+    checkpoints: Checkpoints = DISABLED,
 ) -> Fit:
     """Find the parameters that minimise the free-run error over all tests.
 
@@ -109,72 +109,82 @@ def find_parameters(
 
     Args:
         batch: identification tests.
-        form: structure, dead time, bounds.
+        spec: structure, dead time, bounds.
         search: global search; least squares follows it whatever it is.
         seed: every random draw comes from it.
         start: values of the form's parameters from which least squares starts too, shape [D].
-        heard: told how the search goes.
-        kept: where what was found is kept and found again.
+        callback: told how the search goes.
+        checkpoints: where what was found is kept and found again.
 
     Raises:
         FitError: nothing moves, or no parameters give a finite error.
     """
-    misfit = Misfit.of(batch, form)
-    searched = searchable(misfit.over(batch.thinned(SEARCHED)))
-    found = kept.piece("search", Found, lambda: search.minimise(searched, seed, heard))
-    starts = [found.best, *_restarts(form, seed), *([] if start is None else [misfit.position(start)])]
-    position = kept.arrays("least squares", lambda: {"position": _descended(misfit, starts)})["position"]
-    return Fit(misfit, position, found)
+    objective = Objective.of(batch, spec)
+    problem = search_problem(objective.with_data(batch.decimate(SEARCH_SAMPLES)))
+    search_result = checkpoints.cached(
+        "search", SearchResult, lambda: search.minimise(problem, seed, callback)
+    )
+    starts = [
+        search_result.best,
+        *_local_starts(spec, seed),
+        *([] if start is None else [objective.position(start)]),
+    ]
+    position = checkpoints.cached_arrays(
+        "least squares", lambda: {"position": _refine_from_starts(objective, starts)}
+    )["position"]
+    return Fit(objective, position, search_result)
 
 
-def _descended(misfit: Misfit, starts: Sequence[np.ndarray]) -> np.ndarray:
+def _refine_from_starts(objective: Objective, starts: Sequence[np.ndarray]) -> np.ndarray:
     """Return where least squares ends from the best of several starts, the first of them the search's."""
-    coarse = misfit.over(misfit.batch.thinned(COARSE)).problem()
-    rough = best_polished(coarse, starts, limit=ROUGH_STEPS, tolerance=ROUGH)
-    problem = misfit.problem()
-    best = polish(problem, rough.position, limit=STEPS)
+    coarse = objective.with_data(objective.batch.decimate(COARSE_SAMPLES)).problem()
+    rough_result = best_refined(coarse, starts, limit=ROUGH_STEPS, tolerance=ROUGH_TOLERANCE)
+    problem = objective.problem()
+    best = refine(problem, rough_result.position, limit=STEPS)
     # The rough descent is over thinned samples: over all of them the end of the search may be better.
-    before = misfit.error(starts[0])
-    return _levelled(misfit, best.position if best.fitness <= before else starts[0])
+    search_error = objective.error(starts[0])
+    return _with_calibrated_gain(objective, best.position if best.fitness <= search_error else starts[0])
 
 
-def assessed(fit: Fit, *, units: Mapping[str, str], dead_zone: DeadZoneError, seed: int) -> Phase1:
+def assess_fit(fit: Fit, *, units: Mapping[str, str], dead_zone: DeadZoneError, seed: int) -> Phase1:
     """Return a fit as a benchmark, with what the tests say of its parameters; see `assess`.
 
     Where that cannot be computed every interval is open, and the verdict says why.
     """
     failures: list[str] = []
-    found = attempt(
+    result = attempt(
         "intervals of the parameters",
-        lambda: assess(fit.misfit, fit.position, units=units, dead_zone=dead_zone, seed=seed),
+        lambda: assess(fit.objective, fit.position, units=units, dead_zone=dead_zone, seed=seed),
         failures,
     )
-    known, moved = found or unassessed(fit.misfit, fit.position, units=units, cause=" ".join(failures))
+    assessment, influence = result or unassessed(
+        fit.objective, fit.position, units=units, cause=" ".join(failures)
+    )
     return Phase1(
-        benchmark=fit.misfit.form.benchmark(jnp.asarray(fit.values), fit.misfit.scales),
+        benchmark=fit.objective.spec.physical_model(jnp.asarray(fit.values), fit.objective.scales),
         fit=fit,
-        known=known,
-        moved=moved,
-        rmse=fit.misfit.pooled().error(fit.position),
-        search_rmse=fit.misfit.pooled().error(fit.found.best),
+        assessment=assessment,
+        influence=influence,
+        rmse=fit.objective.pooled().error(fit.position),
+        search_rmse=fit.objective.pooled().error(fit.search_result.best),
     )
 
 
-def _levelled(misfit: Misfit, position: np.ndarray) -> np.ndarray:
+def _with_calibrated_gain(objective: Objective, position: np.ndarray) -> np.ndarray:
     """Return a position with the gain that fits all tests together, where each had a factor of its own."""
-    if not misfit.apart:
+    if not objective.per_test_gain:
         return position
-    measured = jnp.where(misfit.batch.counted, misfit.batch.travel, 0.0)
-    values = misfit.values(position).copy()
-    for _ in range(LEVELLINGS):
-        travel = misfit.form.benchmark(jnp.asarray(values), misfit.scales).travel(misfit.batch)
-        travel = jnp.where(misfit.batch.counted, travel, 0.0)
+    measured = jnp.where(objective.batch.loss_mask, objective.batch.travel, 0.0)
+    values = objective.values(position).copy()
+    for _ in range(GAIN_ITERATIONS):
+        travel = objective.spec.physical_model(jnp.asarray(values), objective.scales).travel(objective.batch)
+        travel = jnp.where(objective.batch.loss_mask, travel, 0.0)
         values[0] *= float(jnp.sum(travel * measured) / jnp.sum(travel**2))
-    return misfit.position(values)
+    return objective.position(values)
 
 
-def _restarts(form: Form, seed: int) -> list[np.ndarray]:
+def _local_starts(spec: ModelSpec, seed: int) -> list[np.ndarray]:
     """Return further positions to start least squares from, for a structure with more than one valley."""
-    if not isinstance(form.structure, NonlinearStructure):
+    if not isinstance(spec.structure, NonlinearStructure):
         return []
-    return list(np.random.default_rng(seed).random((form.structure.restarts, len(form.parameters))))
+    return list(np.random.default_rng(seed).random((spec.structure.local_starts, len(spec.parameters))))

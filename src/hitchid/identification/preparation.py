@@ -6,15 +6,15 @@ from dataclasses import dataclass, replace
 import jax.numpy as jnp
 import numpy as np
 
-from hitchid.data.campaign import STROKE_MARK, Campaign
-from hitchid.data.left_out import LeftOut, refuse, sentences, sift
-from hitchid.data.record import CYCLE, LIFTING, MODES, Record
-from hitchid.data.test_kinds import ACTIVE_FRACTION, end_stop_contact, mode_changes
+from hitchid.data.campaign import STROKE_SEPARATOR, Campaign
+from hitchid.data.left_out import LeftOut, refuse, sentences, split_usable
+from hitchid.data.record import CYCLE, DIRECTIONS, LIFTING, Record
+from hitchid.data.test_kinds import ACTIVE_FRACTION, end_stop_contact, split_by_direction
 from hitchid.errors import InputError, LogError
 from hitchid.identification.deadzone import (
     DeadZone,
+    from_onsets,
     from_tests,
-    of_onsets,
     ramp_onset,
     ramp_rate,
     response_delay,
@@ -24,52 +24,52 @@ from hitchid.structures import Batch, before_end_stop
 VALIDATION_EVERY = 4
 VALIDATION_FRACTION = 0.25
 STOP_AGREEMENT = 0.02
-STRETCHED, SETTLING_S = 2.0, 2.0
-Travelled = tuple[np.ndarray, np.ndarray, np.ndarray]
+MAX_LENGTH_RATIO, SETTLING_S = 2.0, 2.0
+TestSignals = tuple[np.ndarray, np.ndarray, np.ndarray]
 FEWEST_SAMPLES = 3
 
 
 @dataclass(frozen=True)
-class Prepared:
+class ChannelData:
     """The identification tests of one direction.
 
     Attributes:
-        mode: the direction.
-        direction: +1 where the displacement grows with the command, −1 where it falls.
+        direction: the direction.
+        sign: +1 where the displacement grows with the command, −1 where it falls.
         end_stop: displacement the piston did not pass, None where no test met an end stop.
         dead_zone: dead zone of the command.
-        everything: all identification tests, for phase 1.
+        all_tests: all identification tests, for phase 1.
         training, validation: those that train and those that stop the training, for phase 2.
         validation_names: names of the latter.
         notices: what the user should know.
         left_out: tests and ramps that cannot be used.
     """
 
-    mode: str
-    direction: int
+    direction: str
+    sign: int
     end_stop: float | None
     dead_zone: DeadZone
-    everything: Batch
+    all_tests: Batch
     training: Batch
     validation: Batch
     validation_names: tuple[str, ...]
     notices: tuple[str, ...]
     left_out: tuple[LeftOut, ...] = ()
 
-    def behind(self, dead_zone: DeadZone) -> "Prepared":
+    def with_dead_zone(self, dead_zone: DeadZone) -> "ChannelData":
         """Return the tests behind another dead zone."""
         if dead_zone == self.dead_zone:
             return self
-        batches = (self.everything, self.training, self.validation)
-        everything, training, validation = (batch.with_dead_zone(dead_zone.value) for batch in batches)
+        batches = (self.all_tests, self.training, self.validation)
+        all_tests, training, validation = (batch.with_dead_zone(dead_zone.value) for batch in batches)
         return replace(
-            self, dead_zone=dead_zone, everything=everything, training=training, validation=validation
+            self, dead_zone=dead_zone, all_tests=all_tests, training=training, validation=validation
         )
 
 
 def prepare(
-    campaign: Campaign, mode: str, dead_zone: DeadZone | None, *, load: str | None = None
-) -> Prepared:
+    campaign: Campaign, direction: str, dead_zone: DeadZone | None, *, covariate: str | None = None
+) -> ChannelData:
     """Prepare the identification tests of one direction.
 
     Left out are tests that lack the second input or are all at the end stop, and ramps that end before the
@@ -77,69 +77,73 @@ def prepare(
 
     Args:
         campaign: tests, of one direction each.
-        mode: the direction.
+        direction: the direction.
         dead_zone: where it is known already; otherwise found from ramps, or else from the tests.
-        load: name of a second measured input.
+        covariate: name of a second measured input.
 
     Raises:
         InputError: every test of the direction is held out or left out.
     """
-    records = campaign.identification(mode)
+    records = campaign.identification(direction)
     if not records:
         raise InputError(
-            f"all {len(campaign.of_kind(mode))} {mode} tests are held out; none is left to identify from"
+            f"all {len(campaign.of_kind(direction))} {direction} tests are held out; none is left to identify from"
         )
     strict, total = campaign.strict, len(records)
-    records, lacking = sift(_by_name(records), lambda record: record.require(load), strict=strict)
-    if not records:
-        refuse(lacking, f"{mode} tests")
-    direction = _direction(records, mode)
-    end_stop, contacts = _end_stop(records, mode, direction)
-    records, stopped = sift(
-        _by_name(records), lambda record: _before_stop(record, direction, end_stop), strict=strict
+    records, without_covariate = split_usable(
+        _by_name(records), lambda record: record.require(covariate), strict=strict
     )
     if not records:
-        refuse([*lacking, *stopped], f"{mode} tests")
-    left_out = [*lacking, *stopped]
-    records = _without_long_rests(records, mode)
+        refuse(without_covariate, f"{direction} tests")
+    sign = _direction(records, direction)
+    end_stop, contacts = _end_stop(records, direction, sign)
+    records, at_end_stop = split_usable(
+        _by_name(records), lambda record: _check_before_end_stop(record, sign, end_stop), strict=strict
+    )
+    if not records:
+        refuse([*without_covariate, *at_end_stop], f"{direction} tests")
+    left_out = [*without_covariate, *at_end_stop]
+    records = _without_long_rests(records, direction)
     # Strokes of one log share its notices; `log#003` is a stroke of `log`.
     notices = list(
-        dict.fromkeys(f"{r.name.partition(STROKE_MARK)[0]}: {said}" for r in records for said in r.notices)
+        dict.fromkeys(
+            f"{r.name.partition(STROKE_SEPARATOR)[0]}: {notice}" for r in records for notice in r.notices
+        )
     )
-    notices += sentences(left_out, total, f"{mode} tests")
-    if direction != _usual(mode):
+    notices += sentences(left_out, total, f"{direction} tests")
+    if sign != _expected_sign(direction):
         notices.append(
-            f"the displacement {'grows' if direction > 0 else 'falls'} in {mode}: taken as measured"
+            f"the displacement {'grows' if sign > 0 else 'falls'} in {direction}: taken as measured"
         )
     if end_stop is not None:
         notices.append(
-            f"end stop at {end_stop:.4g} {records[0].unit}, met in {contacts} of {total - len(lacking)} "
+            f"end stop at {end_stop:.4g} {records[0].unit}, met in {contacts} of {total - len(without_covariate)} "
             "tests; samples at it are left out"
         )
-    travelled = [_travelled(record, mode, direction, end_stop) for record in records]
+    signals = [_test_signals(record, direction, sign, end_stop) for record in records]
     if dead_zone is None:
-        dead_zone, unmoved = _of_ramps(campaign, mode, direction, travelled)
-        notices += sentences(unmoved, len(campaign.ramps(mode)), f"{mode} ramps")
-        left_out += unmoved
+        dead_zone, unmoved_ramps = _dead_zone_from_ramps(campaign, direction, sign, signals)
+        notices += sentences(unmoved_ramps, len(campaign.ramps(direction)), f"{direction} ramps")
+        left_out += unmoved_ramps
     if dead_zone is None:
-        dead_zone = from_tests(travelled, campaign.step_s)
+        dead_zone = from_tests(signals, campaign.step_s)
     if dead_zone.origin == "none":
         notices.append("the dead zone cannot be told from one level of command: taken as zero")
-    everything = Batch.of(
-        records, mode, dead_zone=dead_zone.value, direction=direction, end_stop=end_stop, load=load
+    all_tests = Batch.of(
+        records, direction, dead_zone=dead_zone.value, sign=sign, end_stop=end_stop, covariate=covariate
     )
-    training, validation, chosen = _divide(everything, len(records))
+    training, validation, validation_rows = _split_validation(all_tests, len(records))
     if len(records) == 1:
         notices.append("one test only: its last quarter stops the training, so validation is not by test")
-    return Prepared(
-        mode=mode,
+    return ChannelData(
         direction=direction,
+        sign=sign,
         end_stop=end_stop,
         dead_zone=dead_zone,
-        everything=everything,
+        all_tests=all_tests,
         training=training,
         validation=validation,
-        validation_names=tuple(records[row].name for row in chosen),
+        validation_names=tuple(records[row].name for row in validation_rows),
         notices=tuple(notices),
         left_out=tuple(left_out),
     )
@@ -151,41 +155,43 @@ def mixed_dead_zones(campaign: Campaign) -> dict[str, DeadZone]:
     Every stretch with a command of one direction counts as a test. Held-out cycles are not looked at.
     """
     cycles = campaign.identification(CYCLE)
-    found = {}
-    for mode in MODES:
-        of_ramps, _ = _of_ramps(campaign, mode, _usual(mode), [])
-        if of_ramps is not None:
-            found[mode] = of_ramps
+    dead_zones = {}
+    for direction in DIRECTIONS:
+        dead_zone, _ = _dead_zone_from_ramps(campaign, direction, _expected_sign(direction), [])
+        if dead_zone is not None:
+            dead_zones[direction] = dead_zone
             continue
         stretches = [
             record.slice(stroke.start, stroke.stop)
             for record in cycles
-            for stroke in mode_changes(record, {})
-            if stroke.mode == mode and mode in record.modes and stroke.stop - stroke.start > 1
+            for stroke in split_by_direction(record, {})
+            if stroke.direction == direction
+            and direction in record.directions
+            and stroke.stop - stroke.start > 1
         ]
         if stretches:
-            direction = _direction(stretches, mode)
-            found[mode] = from_tests(
-                [_travelled(r, mode, direction, None) for r in stretches], campaign.step_s
+            sign = _direction(stretches, direction)
+            dead_zones[direction] = from_tests(
+                [_test_signals(stretch, direction, sign, None) for stretch in stretches], campaign.step_s
             )
-    return found
+    return dead_zones
 
 
-def _without_long_rests(records: Sequence[Record], mode: str) -> list[Record]:
+def _without_long_rests(records: Sequence[Record], direction: str) -> list[Record]:
     """Return strokes cut from mixed logs with none much longer for the rest at its end.
 
     All tests of a direction are computed at the length of the longest. Where a stroke is more than twice as
     long as the median one, what it rests beyond that is cut off, but not the first 2 s after its command.
     """
-    longest = STRETCHED * float(np.median([len(record) for record in records]))
+    longest = MAX_LENGTH_RATIO * float(np.median([len(record) for record in records]))
 
     def cut(record: Record) -> Record:
-        if STROKE_MARK not in record.name or len(record) <= longest:
+        if STROKE_SEPARATOR not in record.name or len(record) <= longest:
             return record
-        command = np.abs(record.command(mode))
+        command = np.abs(record.command(direction))
         active = np.flatnonzero(command > ACTIVE_FRACTION * command.max())
-        moving = int(active[-1]) + 1 if active.size else 0
-        return record.slice(0, max(round(longest), moving + round(SETTLING_S / record.step_s)))
+        active_end = int(active[-1]) + 1 if active.size else 0
+        return record.slice(0, max(round(longest), active_end + round(SETTLING_S / record.step_s)))
 
     return [cut(record) for record in records]
 
@@ -194,14 +200,14 @@ def _by_name(records: Sequence[Record]) -> list[tuple[str, Record]]:
     return [(record.name, record) for record in records]
 
 
-def _before_stop(record: Record, direction: int, end_stop: float | None) -> Record:
+def _check_before_end_stop(record: Record, sign: int, end_stop: float | None) -> Record:
     """Return a record unless all of it is at the end stop."""
     if len(record) < FEWEST_SAMPLES:
         raise LogError(
             record.source or record.name,
             f"the stroke has {len(record)} samples; required {FEWEST_SAMPLES} or more",
         )
-    if np.count_nonzero(before_end_stop(record.displacement, direction, end_stop)) < FEWEST_SAMPLES:
+    if np.count_nonzero(before_end_stop(record.displacement, sign, end_stop)) < FEWEST_SAMPLES:
         raise LogError(
             record.source or record.name,
             f"the piston is at its end stop of {end_stop:.4g} {record.unit} from the start; "
@@ -210,69 +216,75 @@ def _before_stop(record: Record, direction: int, end_stop: float | None) -> Reco
     return record
 
 
-def _of_ramps(
-    campaign: Campaign, mode: str, direction: int, travelled: Sequence[Travelled]
+def _dead_zone_from_ramps(
+    campaign: Campaign, direction: str, sign: int, signals: Sequence[TestSignals]
 ) -> tuple[DeadZone | None, list[LeftOut]]:
     """Return the dead zone from the ramps that move the piston, None without any, and the other ramps.
 
     A ramp shows motion late by the plant's delay, in which its command rises on: the tests tell that delay.
     """
-    ramps, unmoved = sift(
-        _by_name(campaign.ramps(mode)),
-        lambda ramp: (ramp_onset(ramp, mode, direction), ramp_rate(ramp, mode)),
+    ramps, unmoved_ramps = split_usable(
+        _by_name(campaign.ramps(direction)),
+        lambda ramp: (ramp_onset(ramp, direction, sign), ramp_rate(ramp, direction)),
         strict=campaign.strict,
     )
     if not ramps:
-        return None, unmoved
+        return None, unmoved_ramps
     onsets, rates = zip(*ramps, strict=True)
-    delay_s = response_delay(travelled, float(np.mean(onsets)), campaign.step_s) if travelled else 0.0
-    return of_onsets(onsets, delay_s * float(np.mean(rates))), unmoved
+    delay_s = response_delay(signals, float(np.mean(onsets)), campaign.step_s) if signals else 0.0
+    return from_onsets(onsets, delay_s * float(np.mean(rates))), unmoved_ramps
 
 
-def _usual(mode: str) -> int:
-    return 1 if mode == LIFTING else -1
+def _expected_sign(direction: str) -> int:
+    return 1 if direction == LIFTING else -1
 
 
-def _travelled(record: Record, mode: str, direction: int, end_stop: float | None) -> Travelled:
+def _test_signals(record: Record, direction: str, sign: int, end_stop: float | None) -> TestSignals:
     """Return command, travel, and which samples come before the end stop is met."""
-    travel = direction * (record.displacement - record.displacement[0])
-    return record.command(mode), travel, before_end_stop(record.displacement, direction, end_stop)
+    travel = sign * (record.displacement - record.displacement[0])
+    return record.command(direction), travel, before_end_stop(record.displacement, sign, end_stop)
 
 
-def _direction(records: Sequence[Record], mode: str) -> int:
+def _direction(records: Sequence[Record], direction: str) -> int:
     """Return the sign with which displacement follows the integral of the command."""
-    together = sum(
-        float(np.dot(record.displacement - record.displacement[0], np.cumsum(record.command(mode))))
+    correlation = sum(
+        float(np.dot(record.displacement - record.displacement[0], np.cumsum(record.command(direction))))
         for record in records
     )
-    return 1 if together >= 0 else -1
+    return 1 if correlation >= 0 else -1
 
 
-def _end_stop(records: Sequence[Record], mode: str, direction: int) -> tuple[float | None, int]:
+def _end_stop(records: Sequence[Record], direction: str, sign: int) -> tuple[float | None, int]:
     """Return the displacement at which tests come to stand under command, and in how many they do.
 
     An end stop is one place, and the farthest: at least two tests must stand within 2 % of the range of all
     displacements of their median, and none may go farther beyond it.
     """
-    contacts = [(record, end_stop_contact(record, mode)) for record in records]
-    levels = np.array([np.median(record.displacement[at:]) for record, at in contacts if at is not None])
+    contacts = [(record, end_stop_contact(record, direction)) for record in records]
+    levels = np.array(
+        [
+            np.median(record.displacement[contact_start:])
+            for record, contact_start in contacts
+            if contact_start is not None
+        ]
+    )
     if levels.size < 2:
         return None, 0
-    farthest = max(float(np.max(direction * record.displacement)) for record in records)
-    nearest = min(float(np.min(direction * record.displacement)) for record in records)
-    near = STOP_AGREEMENT * (farthest - nearest)
+    farthest = max(float(np.max(sign * record.displacement)) for record in records)
+    nearest = min(float(np.min(sign * record.displacement)) for record in records)
+    tolerance = STOP_AGREEMENT * (farthest - nearest)
     level = float(np.median(levels))
-    agreeing = int(np.sum(np.abs(levels - level) <= near))
-    at_the_end = farthest - direction * level <= near
-    return (level, agreeing) if agreeing >= 2 and at_the_end else (None, 0)
+    agreeing = int(np.sum(np.abs(levels - level) <= tolerance))
+    is_farthest = farthest - sign * level <= tolerance
+    return (level, agreeing) if agreeing >= 2 and is_farthest else (None, 0)
 
 
-def _divide(batch: Batch, tests: int) -> tuple[Batch, Batch, list[int]]:
+def _split_validation(batch: Batch, tests: int) -> tuple[Batch, Batch, list[int]]:
     """Return training and validation tests: every fourth, of few the last, of one its last quarter."""
     if tests == 1:
-        ends = jnp.cumsum(batch.counted, axis=1)
-        early = ends <= (1 - VALIDATION_FRACTION) * ends[:, -1:]
-        return batch.counting(early), batch.counting(~early), [0]
-    chosen = list(range(VALIDATION_EVERY - 1, tests, VALIDATION_EVERY)) or [tests - 1]
-    rest = [row for row in range(tests) if row not in chosen]
-    return batch.take(rest), batch.take(chosen), chosen
+        cumulative_count = jnp.cumsum(batch.loss_mask, axis=1)
+        is_training = cumulative_count <= (1 - VALIDATION_FRACTION) * cumulative_count[:, -1:]
+        return batch.masked(is_training), batch.masked(~is_training), [0]
+    validation_rows = list(range(VALIDATION_EVERY - 1, tests, VALIDATION_EVERY)) or [tests - 1]
+    training_rows = [row for row in range(tests) if row not in validation_rows]
+    return batch.take(training_rows), batch.take(validation_rows), validation_rows

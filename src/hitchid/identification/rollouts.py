@@ -9,18 +9,18 @@ import numpy as np
 import optax
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
-from hitchid._support.checkpoints import NOWHERE, Arrays, Checkpoints
+from hitchid._support.checkpoints import DISABLED, Arrays, Checkpoints
 from hitchid._support.metrics import proven_better
 from hitchid.identification.weights import weights_of, with_weights
 from hitchid.networks.lstm import Lstm
-from hitchid.networks.operating_range import Envelope
-from hitchid.networks.speed_compensator import INPUTS, Drive, SpeedCompensator, driven_by
+from hitchid.networks.operating_range import OperatingRange
+from hitchid.networks.speed_compensator import INPUTS, BlockInputs, SpeedCompensator, compute_block_inputs
 from hitchid.structures import Batch
 
 MEMBERS = 4
 FEWEST_TESTS = 3
 CURRICULUM = (32, 128)
-BLOCKS = 512
+MAX_BLOCKS = 512
 
 
 @dataclass(frozen=True)
@@ -39,18 +39,18 @@ class Rollouts:
 
 
 @dataclass(frozen=True)
-class Gate:
+class HoldoutTest:
     """Whether the compensator for free run ships, and why.
 
     Attributes:
-        open: whether it does.
+        accepted: whether it does.
         benchmark, compensated: free-run RMSE of each test while it was held out, in the displacement's unit,
             shape [T]; empty where there were too few tests to hold any out.
         best_epochs: of each member, the epoch whose weights were kept; 0 is the untrained network.
         training, validation: loss of each member relative to the benchmark's, shape [E, M].
     """
 
-    open: bool
+    accepted: bool
     benchmark: np.ndarray
     compensated: np.ndarray
     best_epochs: tuple[int, ...] = ()
@@ -62,21 +62,23 @@ class Gate:
         """Why, in words."""
         if not self.benchmark.size:
             return f"no compensator in free run: fewer than {FEWEST_TESTS} tests, too few to hold any out"
-        before, after = (float(np.sqrt(np.mean(e**2))) for e in (self.benchmark, self.compensated))
+        benchmark_rmse, compensated_rmse = (
+            float(np.sqrt(np.mean(errors**2))) for errors in (self.benchmark, self.compensated)
+        )
         better = int(np.sum(self.compensated < self.benchmark))
-        figures = f"{before:.4g} → {after:.4g} on tests held out in turn"
-        kept = "a compensator" if self.open else "no compensator"
-        return f"{kept} in free run: {figures}, better on {better} of {self.benchmark.size}"
+        figures = f"{benchmark_rmse:.4g} → {compensated_rmse:.4g} on tests held out in turn"
+        outcome = "a compensator" if self.accepted else "no compensator"
+        return f"{outcome} in free run: {figures}, better on {better} of {self.benchmark.size}"
 
 
 def train_on_rollouts(
     batch: Batch,
     benchmark: Float[Array, "t n"],
-    envelope: Envelope,
+    operating_range: OperatingRange,
     settings: Rollouts,
     key: PRNGKeyArray,
-    kept: Checkpoints = NOWHERE,
-) -> tuple[SpeedCompensator | None, Gate]:
+    checkpoints: Checkpoints = DISABLED,
+) -> tuple[SpeedCompensator | None, HoldoutTest]:
     """Train an ensemble on free runs and let it ship only if it is better on tests it has not seen.
 
     Tests are dealt to M folds. Member i is trained on all but two of them: one stops its training, the other
@@ -87,121 +89,137 @@ def train_on_rollouts(
     Args:
         batch: identification tests.
         benchmark: travel the benchmark gives for them, shape [T, N].
-        envelope: what they cover.
+        operating_range: what they cover.
         settings: size and optimiser.
         key: initial weights.
-        kept: where the weights and the losses are kept and found again.
+        checkpoints: where the weights and the losses are kept and found again.
 
     Returns:
         The compensator, None where the gate stays shut, and the gate.
     """
     tests = batch.command.shape[0]
     if tests < FEWEST_TESTS:
-        return None, Gate(False, np.zeros(0), np.zeros(0))
-    every = -(-batch.command.shape[1] // BLOCKS)
-    drive = driven_by(benchmark, batch.command, batch.initial, batch.load, every)
-    measured, counted = batch.travel[:, ::every].T, batch.counted[:, ::every].T
+        return None, HoldoutTest(False, np.zeros(0), np.zeros(0))
+    block_size = -(-batch.command.shape[1] // MAX_BLOCKS)
+    block_inputs = compute_block_inputs(benchmark, batch.command, batch.initial, batch.covariate, block_size)
+    measured, loss_mask = batch.travel[:, ::block_size].T, batch.loss_mask[:, ::block_size].T
     members = min(MEMBERS, tests)
     keys = jax.random.split(key, members)
-    fresh = [Lstm.fresh(each, INPUTS, settings.hidden) for each in keys]
-    networks = jax.tree.map(lambda *leaves: jnp.stack(leaves), *fresh)
+    initial_networks = [Lstm.init(member_key, INPUTS, settings.hidden) for member_key in keys]
+    networks = jax.tree.map(lambda *leaves: jnp.stack(leaves), *initial_networks)
     compensator = SpeedCompensator(
         networks=networks,
         command=jnp.asarray(float(jnp.abs(batch.command).max()) or 1.0),
-        moved=jnp.asarray(float(jnp.std(drive.moved)) or 1.0),
-        envelope=envelope,
-        direction=batch.direction,
-        every=every,
+        moved=jnp.asarray(float(jnp.std(block_inputs.travel_increment)) or 1.0),
+        envelope=operating_range,
+        sign=batch.sign,
+        block_size=block_size,
     )
     fold = np.arange(tests) % members
-    judged = np.stack([fold == member for member in range(members)])
-    stopping = np.roll(judged, -1, axis=0)
-    roles = jnp.asarray(np.stack([~judged & ~stopping, stopping, judged]))
+    is_test = np.stack([fold == member for member in range(members)])
+    is_validation = np.roll(is_test, -1, axis=0)
+    roles = jnp.asarray(np.stack([~is_test & ~is_validation, is_validation, is_test]))
 
     def work() -> Arrays:
-        trained, best_epochs, losses, errors = _train(compensator, drive, measured, counted, roles, settings)
-        told = {"best_epochs": best_epochs, "losses": losses, "errors": errors}
-        return {**weights_of(trained), **{name: np.asarray(array) for name, array in told.items()}}
+        trained, best_epochs, losses, errors = _train(
+            compensator, block_inputs, measured, loss_mask, roles, settings
+        )
+        outputs = {"best_epochs": best_epochs, "losses": losses, "errors": errors}
+        return {**weights_of(trained), **{name: np.asarray(array) for name, array in outputs.items()}}
 
-    found = kept.arrays("free runs", work)
-    losses = found["losses"]
-    after = np.array([float(found["errors"][fold[test], test]) for test in range(tests)])
-    misses = jnp.where(counted, jnp.cumsum(drive.moved, axis=0) - drive.moved - measured, 0.0)
-    before = np.sqrt(np.asarray(jnp.sum(misses**2, axis=0) / jnp.maximum(jnp.sum(counted, axis=0), 1)))
-    gate = Gate(
-        open=proven_better(after, before),
-        benchmark=before,
-        compensated=after,
-        best_epochs=tuple(int(epoch) for epoch in found["best_epochs"]),
+    arrays = checkpoints.cached_arrays("free runs", work)
+    losses = arrays["losses"]
+    compensated_rmse = np.array([float(arrays["errors"][fold[test], test]) for test in range(tests)])
+    residuals = jnp.where(
+        loss_mask,
+        jnp.cumsum(block_inputs.travel_increment, axis=0) - block_inputs.travel_increment - measured,
+        0.0,
+    )
+    benchmark_rmse = np.sqrt(
+        np.asarray(jnp.sum(residuals**2, axis=0) / jnp.maximum(jnp.sum(loss_mask, axis=0), 1))
+    )
+    holdout_test = HoldoutTest(
+        accepted=proven_better(compensated_rmse, benchmark_rmse),
+        benchmark=benchmark_rmse,
+        compensated=compensated_rmse,
+        best_epochs=tuple(int(epoch) for epoch in arrays["best_epochs"]),
         training=losses[:, 0],
         validation=losses[:, 1],
     )
-    if not gate.open:
-        return None, gate
-    return eqx.tree_at(lambda c: c.networks, compensator, with_weights(networks, found)), gate
+    if not holdout_test.accepted:
+        return None, holdout_test
+    return eqx.tree_at(lambda tree: tree.networks, compensator, with_weights(networks, arrays)), holdout_test
 
 
 @eqx.filter_jit
 def _train(
     compensator: SpeedCompensator,
-    drive: Drive,
+    block_inputs: BlockInputs,
     measured: Float[Array, "b t"],
-    counted: Bool[Array, "b t"],
+    loss_mask: Bool[Array, "b t"],
     roles: Bool[Array, "3 m t"],
     settings: Rollouts,
 ) -> tuple[Lstm, Array, Array, Array]:
     """Return each member's best weights, their epochs, losses [E, 2, M], and test errors by member [M, T]."""
-    counts = jnp.maximum(jnp.sum(counted, axis=0), 1)
-    alone = jnp.where(counted, jnp.cumsum(drive.moved, axis=0) - drive.moved - measured, 0.0)
-    size = jnp.mean(jnp.sum(alone**2, axis=0) / counts)
+    counts = jnp.maximum(jnp.sum(loss_mask, axis=0), 1)
+    benchmark_error = jnp.where(
+        loss_mask,
+        jnp.cumsum(block_inputs.travel_increment, axis=0) - block_inputs.travel_increment - measured,
+        0.0,
+    )
+    benchmark_mse = jnp.mean(jnp.sum(benchmark_error**2, axis=0) / counts)
 
-    def by_test(weights: Lstm, anchored_every: Array) -> Float[Array, " t"]:
+    def by_test(weights: Lstm, anchor_interval: Array) -> Float[Array, " t"]:
         """Return the mean square error of each test for one member."""
         single = jax.tree.map(lambda leaf: leaf[None], eqx.combine(weights, fixed))
         travel, _ = compensator.rollout(
-            single, drive, measured=measured, anchored_every=anchored_every, joined=True
+            single, block_inputs, measured=measured, anchor_interval=anchor_interval, fused=True
         )
-        return jnp.sum(jnp.where(counted, travel - measured, 0.0) ** 2, axis=0) / counts
+        return jnp.sum(jnp.where(loss_mask, travel - measured, 0.0) ** 2, axis=0) / counts
 
-    def loss(weights: Lstm, role: Array, anchored_every: Array) -> tuple[Array, Array]:
-        squares = by_test(weights, anchored_every) / size
-        mean = jnp.stack([jnp.sum(squares * part) / jnp.maximum(jnp.sum(part), 1) for part in role[:2]])
+    def loss(weights: Lstm, role: Array, anchor_interval: Array) -> tuple[Array, Array]:
+        squares = by_test(weights, anchor_interval) / benchmark_mse
+        mean = jnp.stack([jnp.sum(squares * mask) / jnp.maximum(jnp.sum(mask), 1) for mask in role[:2]])
         return mean[0], mean
 
     weights, fixed = eqx.partition(compensator.networks, eqx.is_inexact_array)
     schedule = optax.cosine_decay_schedule(settings.learning_rate, settings.epochs, alpha=0.1)
     optimiser = optax.chain(optax.clip_by_global_norm(1.0), optax.adam(schedule))
-    fifth, blocks = settings.epochs // 5, drive.command.shape[0]
-    numbers = jnp.arange(settings.epochs)
-    stage = jnp.minimum(numbers // max(fifth, 1), len(CURRICULUM))
-    anchors = jnp.asarray([*CURRICULUM, blocks])[stage]
-    slopes = jax.vmap(jax.grad(loss, has_aux=True), in_axes=(0, 1, None))
+    stage_epochs, blocks = settings.epochs // 5, block_inputs.command.shape[0]
+    epoch_numbers = jnp.arange(settings.epochs)
+    stage = jnp.minimum(epoch_numbers // max(stage_epochs, 1), len(CURRICULUM))
+    anchor_intervals = jnp.asarray([*CURRICULUM, blocks])[stage]
+    gradients = jax.vmap(jax.grad(loss, has_aux=True), in_axes=(0, 1, None))
 
-    def epoch(carry: tuple, given: tuple[Array, Array]) -> tuple[tuple, Array]:
-        weights, state, best, least, best_epoch = carry
-        number, anchored_every = given
-        slope, mean = slopes(weights, roles, anchored_every)
-        whole = anchored_every == blocks
-        improved = whole & (mean[:, 1] < least)
-        least = jnp.where(improved, mean[:, 1], least)
+    def epoch(carry: tuple, element: tuple[Array, Array]) -> tuple[tuple, Array]:
+        weights, state, best, best_loss, best_epoch = carry
+        number, anchor_interval = element
+        gradient, mean = gradients(weights, roles, anchor_interval)
+        is_full_rollout = anchor_interval == blocks
+        improved = is_full_rollout & (mean[:, 1] < best_loss)
+        best_loss = jnp.where(improved, mean[:, 1], best_loss)
         best_epoch = jnp.where(improved, number, best_epoch)
         best = jax.tree.map(
             lambda new, old: jnp.where(improved.reshape(-1, *(1 for _ in new.shape[1:])), new, old),
             weights,
             best,
         )
-        change, state = jax.vmap(optimiser.update)(slope, state, weights)
-        return (optax.apply_updates(weights, change), state, best, least, best_epoch), mean.T
+        change, state = jax.vmap(optimiser.update)(gradient, state, weights)
+        return (optax.apply_updates(weights, change), state, best, best_loss, best_epoch), mean.T
 
     members = roles.shape[1]
-    untrained = jax.vmap(lambda weights, role: loss(weights, role, jnp.asarray(blocks))[1][1], in_axes=(0, 1))
-    start = (
+    initial_losses = jax.vmap(
+        lambda weights, role: loss(weights, role, jnp.asarray(blocks))[1][1], in_axes=(0, 1)
+    )
+    initial_carry = (
         weights,
         jax.vmap(optimiser.init)(weights),
         weights,
-        untrained(weights, roles),
-        jnp.zeros(members, numbers.dtype),
+        initial_losses(weights, roles),
+        jnp.zeros(members, epoch_numbers.dtype),
     )
-    (_, _, best, _, best_epoch), losses = jax.lax.scan(epoch, start, (numbers, anchors))
+    (_, _, best, _, best_epoch), losses = jax.lax.scan(
+        epoch, initial_carry, (epoch_numbers, anchor_intervals)
+    )
     errors = jnp.sqrt(jax.vmap(by_test, in_axes=(0, None))(best, jnp.asarray(blocks)))
     return eqx.combine(best, fixed), best_epoch, jnp.sqrt(losses), errors

@@ -8,26 +8,32 @@ from itertools import pairwise
 import jax.numpy as jnp
 import numpy as np
 
-from hitchid._support.checkpoints import NOWHERE, Checkpoints
+from hitchid._support.checkpoints import DISABLED, Checkpoints
 from hitchid._support.metrics import proven_better
-from hitchid._support.progress import Heard, Progress, Step, rounds, silent
+from hitchid._support.progress import (
+    IterationCallback,
+    ProgressCallback,
+    ProgressUpdate,
+    iteration_progress,
+    silent,
+)
 from hitchid.errors import FitError
-from hitchid.estimation import Misfit, Search, free_speeds, polish_some
-from hitchid.identification.phase1 import Phase1, assessed, find_parameters
-from hitchid.structures import Batch, Form, structure_named
-from hitchid.structures.shape import CURVE, SPOOL
-from hitchid.uncertainty import KNOWN, DeadZoneError
+from hitchid.estimation import Objective, Search, allows_per_test_gain, refine_subset
+from hitchid.identification.phase1 import Phase1, assess_fit, find_parameters
+from hitchid.structures import Batch, ModelSpec, structure_named
+from hitchid.structures.static_nonlinearity import SPOOL_DYNAMICS, VALVE_CURVE
+from hitchid.uncertainty import NO_ERROR, DeadZoneError
 
 FOLDS = 4
-SAME_LEVEL = 0.01
+LEVEL_TOLERANCE = 0.01
 STEPS = 40
-REFITTED = 4
+REFIT_STEPS = 4
 SAMPLES = 2048
-RAMPED = (-0.1, 0.1)
-FEWEST_APART = 6
+RAMP_OPENING_BOUNDS = (-0.1, 0.1)
+MIN_GAIN_TESTS = 6
 # Shares of a dead zone that is tried again with a valve curve; the first decides whether the others are.
-SMALLER = (0.5, 0.25, 0.75, 0.0)
-NEUTRAL = {
+DEAD_ZONE_SHARES = (0.5, 0.25, 0.75, 0.0)
+NEUTRAL_POSITIONS = {
     "opening": 0.4,
     "exponent": 0.5,
     "saturation": 1.0,
@@ -35,26 +41,29 @@ NEUTRAL = {
     "spool_lag": 0.0,
     "dead_time": 0.0,
 }
-FIRST = ({"natural_frequency": 0.4, "damping_ratio": 0.45}, {"natural_frequency": 0.7, "damping_ratio": 0.7})
-CURVES = (
+SECOND_ORDER_STARTS = (
+    {"natural_frequency": 0.4, "damping_ratio": 0.45},
+    {"natural_frequency": 0.7, "damping_ratio": 0.7},
+)
+CURVE_STARTS = (
     {"opening": 0.4, "exponent": 0.5, "saturation": 0.4},
     {"opening": 0.25, "exponent": 0.75, "saturation": 0.3},
     {"opening": 0.5, "exponent": 0.6, "saturation": 0.3},
 )
-WIDTHS = (0.05, 0.1, 0.2)
+HYSTERESIS_STARTS = (0.05, 0.1, 0.2)
 
 
 @dataclass(frozen=True)
-class Automatic:
+class AutoStructure:
     """In place of a form: the form is chosen, from a plain transfer function up.
 
     Attributes:
-        plain: the form a choice starts from and must beat.
-        load: name of the second measured input that may be used; None for the campaign's first, if any.
+        baseline_spec: the form a choice starts from and must beat.
+        covariate: name of the second measured input that may be used; None for the campaign's first, if any.
     """
 
-    plain: Form
-    load: str | None = None
+    baseline_spec: ModelSpec
+    covariate: str | None = None
 
 
 @dataclass(frozen=True)
@@ -63,20 +72,20 @@ class Candidate:
 
     Attributes:
         name: what it has that the ones before have not.
-        form: the form.
+        spec: the form.
         rmse: free run over all identification tests, each weighing the same.
         dead_zone: that it was fitted behind, in the command's unit.
         held_out: the same of each test whose operating point was held out in turn, shape [H].
-        apart: likewise, apart from a factor on each test's speed, shape [H].
+        held_out_per_test_gain: likewise, apart from a factor on each test's speed, shape [H].
         chosen: whether it is the one that was taken.
     """
 
     name: str
-    form: Form
+    spec: ModelSpec
     rmse: float
     dead_zone: float
     held_out: np.ndarray
-    apart: np.ndarray
+    held_out_per_test_gain: np.ndarray
     chosen: bool = False
 
     @property
@@ -85,18 +94,18 @@ class Candidate:
         return float(np.sqrt(np.mean(self.held_out**2)))
 
 
-def choose_form(
+def choose_spec(
     batch: Batch,
-    asked: Automatic,
+    auto_structure: AutoStructure,
     search: Search,
     seed: int,
     *,
     units: Mapping[str, str],
     opening_known: bool = False,
     revised: bool = False,
-    dead_zone: DeadZoneError = KNOWN,
-    progress: Progress = silent,
-    kept: Checkpoints = NOWHERE,
+    dead_zone: DeadZoneError = NO_ERROR,
+    progress: ProgressCallback = silent,
+    checkpoints: Checkpoints = DISABLED,
 ) -> tuple[Phase1, tuple[Candidate, ...]]:
     """Identify the form that predicts operating points it was not fitted to best in free run.
 
@@ -105,12 +114,12 @@ def choose_form(
     its least squares from the optimum of the one before, its new curves from a few shapes. A larger form
     takes the place of a smaller one where held-out tests prove it better; a gain that grows along the stroke,
     where six or more of them do apart from a factor on the speed of each test, for a load that nobody
-    measures differs from test to test and weighs more than the gain; see `free_speeds`. The one taken is
-    identified as any other, by global search and least squares.
+    measures differs from test to test and weighs more than the gain; see `allows_per_test_gain`. The one
+    taken is identified as any other, by global search and least squares.
 
     Args:
         batch: identification tests.
-        asked: the plain form, and a second input.
+        auto_structure: the plain form, and a second input.
         search: of the plain form and of the one chosen.
         seed: every random draw comes from it.
         units: see `identify_benchmark`.
@@ -119,211 +128,256 @@ def choose_form(
         revised: whether the dead zone may be found anew with a valve curve; see `_with_smaller_dead_zone`.
         dead_zone: how well it is known.
         progress: called with what is being done and the fraction that is done.
-        kept: where what was found is kept and found again.
+        checkpoints: where what was found is kept and found again.
 
     Raises:
         FitError: nothing moves, or no parameters give a finite error.
     """
 
-    def hearing(form: str, start: float) -> Heard:
-        return rounds(progress, f"phase 1, {search.name}, {form}", start, 0.3, f"RMSE / {units['x']}")
+    def make_callback(spec_name: str, start: float) -> IterationCallback:
+        return iteration_progress(
+            progress, f"phase 1, {search.name}, {spec_name}", start, 0.3, f"RMSE / {units['x']}"
+        )
 
-    hear = hearing("transfer function", 0.0)
-    plain = find_parameters(batch, asked.plain, search, seed, heard=hear, kept=kept.part("plain"))
-    folds = _folds(batch, alone=asked.load is not None)
+    callback = make_callback("transfer function", 0.0)
+    baseline_fit = find_parameters(
+        batch,
+        auto_structure.baseline_spec,
+        search,
+        seed,
+        callback=callback,
+        checkpoints=checkpoints.child("plain"),
+    )
+    folds = _folds(batch, separate_tests=auto_structure.covariate is not None)
     if not folds:
-        return assessed(plain, units=units, dead_zone=dead_zone, seed=seed), ()
-    coarse = batch.thinned(SAMPLES)
-    misfit = Misfit.of(coarse, asked.plain)
-    every = range(plain.position.size)
-    judged = kept.piece("form", _Judged, lambda: _judged(misfit, every, plain.position, folds))
-    tried = [judged.candidate("transfer function", asked.plain, misfit)]
-    widest = replace(
-        asked.plain,
+        return assess_fit(baseline_fit, units=units, dead_zone=dead_zone, seed=seed), ()
+    coarse = batch.decimate(SAMPLES)
+    objective = Objective.of(coarse, auto_structure.baseline_spec)
+    all_indices = range(baseline_fit.position.size)
+    evaluation = checkpoints.cached(
+        "form", _Evaluation, lambda: _evaluate(objective, all_indices, baseline_fit.position, folds)
+    )
+    candidates = [evaluation.candidate("transfer function", auto_structure.baseline_spec, objective)]
+    largest_spec = replace(
+        auto_structure.baseline_spec,
         structure=structure_named("integrator-second-order"),
         dead_time=True,
-        bounds={"opening": RAMPED} if opening_known else {},
-        curve=True,
-        spool=True,
-        position=True,
-        load=asked.load,
+        bounds={"opening": RAMP_OPENING_BOUNDS} if opening_known else {},
+        valve_curve=True,
+        spool_dynamics=True,
+        stroke_gain_quadratic=True,
+        load=auto_structure.covariate,
     )
-    misfit = Misfit.of(coarse, widest)
-    names = [parameter.name for parameter in widest.parameters]
-    positions = np.array([NEUTRAL.get(name, 0.5) for name in names])
-    values = misfit.values(positions).copy()
-    values[names.index("gain")] = plain.values[0]
-    positions = misfit.position(values)
-    found: list[np.ndarray] = [np.array([])]
-    for name, form in _larger(widest):
-        free = [names.index(parameter.name) for parameter in form.parameters]
-        misfit = replace(misfit, apart=free_speeds(coarse, form))
-        fresh = _starts(form, [] if len(tried) == 1 else list(tried[-1].form.parameters))
-        starts = [_with(positions, names, start) for start in ({}, *fresh)]
+    objective = Objective.of(coarse, largest_spec)
+    names = [parameter.name for parameter in largest_spec.parameters]
+    positions = np.array([NEUTRAL_POSITIONS.get(name, 0.5) for name in names])
+    values = objective.values(positions).copy()
+    values[names.index("gain")] = baseline_fit.values[0]
+    positions = objective.position(values)
+    optima: list[np.ndarray] = [np.array([])]
+    for name, spec in _nested_specs(largest_spec):
+        free = [names.index(parameter.name) for parameter in spec.parameters]
+        objective = replace(objective, per_test_gain=allows_per_test_gain(coarse, spec))
+        new_starts = _starts(spec, [] if len(candidates) == 1 else list(candidates[-1].spec.parameters))
+        starts = [_with_positions(positions, names, start) for start in ({}, *new_starts)]
         try:
-            judged = kept.piece(f"form {name}", _Judged, partial(_fitted, misfit, free, starts, folds))
+            evaluation = checkpoints.cached(
+                f"form {name}", _Evaluation, partial(_fit_and_evaluate, objective, free, starts, folds)
+            )
         except FitError:
             continue  # a larger form that cannot be fitted is none to choose
-        positions = judged.positions
-        if form.curve and not tried[-1].form.curve and revised:
-            misfit, judged = _with_smaller_dead_zone(misfit, judged, free, folds, kept)
-            positions = judged.positions
-        tried.append(judged.candidate(name, form, misfit))
-        told = {f"RMSE on levels held out / {units['x']}": tried[-1].held_out_rmse}
-        progress(Step("phase 1, structures", 0.3 + 0.05 * len(tried), name, told))
-        found.append(misfit.values(positions)[free])
+        positions = evaluation.positions
+        if spec.valve_curve and not candidates[-1].spec.valve_curve and revised:
+            objective, evaluation = _with_smaller_dead_zone(objective, evaluation, free, folds, checkpoints)
+            positions = evaluation.positions
+        candidates.append(evaluation.candidate(name, spec, objective))
+        figures = {f"RMSE on levels held out / {units['x']}": candidates[-1].held_out_rmse}
+        progress(ProgressUpdate("phase 1, structures", 0.3 + 0.05 * len(candidates), name, figures))
+        optima.append(objective.values(positions)[free])
     chosen = 0
-    for number, candidate in enumerate(tried):
-        before = tried[chosen]
-        proven = (
-            candidate.apart.size >= FEWEST_APART and proven_better(candidate.apart, before.apart)
-            if free_speeds(coarse, candidate.form)
-            else proven_better(candidate.held_out, before.held_out)
+    for number, candidate in enumerate(candidates):
+        incumbent = candidates[chosen]
+        is_better = (
+            candidate.held_out_per_test_gain.size >= MIN_GAIN_TESTS
+            and proven_better(candidate.held_out_per_test_gain, incumbent.held_out_per_test_gain)
+            if allows_per_test_gain(coarse, candidate.spec)
+            else proven_better(candidate.held_out, incumbent.held_out)
         )
-        chosen = number if proven else chosen
-    tried[chosen] = replace(tried[chosen], chosen=True)
+        chosen = number if is_better else chosen
+    candidates[chosen] = replace(candidates[chosen], chosen=True)
     if chosen == 0:
-        return assessed(plain, units=units, dead_zone=dead_zone, seed=seed), tuple(tried)
-    hear = hearing(tried[chosen].name, 0.7)
-    taken = tried[chosen]
-    behind = batch if taken.dead_zone == tried[0].dead_zone else batch.with_dead_zone(taken.dead_zone)
-    fit = find_parameters(
-        behind, taken.form, search, seed, start=found[chosen], heard=hear, kept=kept.part("chosen")
+        return assess_fit(baseline_fit, units=units, dead_zone=dead_zone, seed=seed), tuple(candidates)
+    callback = make_callback(candidates[chosen].name, 0.7)
+    selected = candidates[chosen]
+    selected_batch = (
+        batch if selected.dead_zone == candidates[0].dead_zone else batch.with_dead_zone(selected.dead_zone)
     )
-    return assessed(fit, units=units, dead_zone=dead_zone, seed=seed), tuple(tried)
+    fit = find_parameters(
+        selected_batch,
+        selected.spec,
+        search,
+        seed,
+        start=optima[chosen],
+        callback=callback,
+        checkpoints=checkpoints.child("chosen"),
+    )
+    return assess_fit(fit, units=units, dead_zone=dead_zone, seed=seed), tuple(candidates)
 
 
 @dataclass(frozen=True)
-class _Judged:
+class _Evaluation:
     """A form's best positions, shape [D], and what `Candidate` tells of it."""
 
     positions: np.ndarray
     rmse: float
     held_out: np.ndarray
-    apart: np.ndarray
+    held_out_per_test_gain: np.ndarray
 
-    def candidate(self, name: str, form: Form, misfit: Misfit) -> Candidate:
-        dead_zone = float(misfit.batch.dead_zone[0])
-        return Candidate(name, form, self.rmse, dead_zone, self.held_out, self.apart)
+    def candidate(self, name: str, spec: ModelSpec, objective: Objective) -> Candidate:
+        dead_zone = float(objective.batch.dead_zone[0])
+        return Candidate(name, spec, self.rmse, dead_zone, self.held_out, self.held_out_per_test_gain)
 
 
-def _larger(widest: Form) -> list[tuple[str, Form]]:
+def _nested_specs(largest_spec: ModelSpec) -> list[tuple[str, ModelSpec]]:
     """Return names and forms from a dead time up to everything."""
-    late = replace(widest, bounds={}, curve=False, spool=False, position=False, load=None)
-    curved = replace(late, bounds=widest.bounds, curve=True)
-    played = replace(curved, spool=True)
-    sloped = replace(played, slope=True)
-    placed = replace(played, position=True)
-    forms = [
-        ("second order, dead time", late),
-        ("with valve curve", curved),
-        ("with lag and hysteresis of the spool", played),
-        ("with gain growing along the stroke", sloped),
-        ("with any gain along the stroke", placed),
-        (f"with {widest.load}", widest),
+    delayed = replace(
+        largest_spec,
+        bounds={},
+        valve_curve=False,
+        spool_dynamics=False,
+        stroke_gain_quadratic=False,
+        load=None,
+    )
+    with_curve = replace(delayed, bounds=largest_spec.bounds, valve_curve=True)
+    with_spool = replace(with_curve, spool_dynamics=True)
+    with_slope = replace(with_spool, stroke_gain_linear=True)
+    with_position = replace(with_spool, stroke_gain_quadratic=True)
+    named_specs = [
+        ("second order, dead time", delayed),
+        ("with valve curve", with_curve),
+        ("with lag and hysteresis of the spool", with_spool),
+        ("with gain growing along the stroke", with_slope),
+        ("with any gain along the stroke", with_position),
+        (f"with {largest_spec.covariate}", largest_spec),
     ]
-    return forms[:1] + [larger for before, larger in pairwise(forms) if larger[1] != before[1]]
+    return named_specs[:1] + [
+        current for previous, current in pairwise(named_specs) if current[1] != previous[1]
+    ]
 
 
-def _starts(form: Form, before: Sequence) -> Sequence[Mapping[str, float]]:
+def _starts(spec: ModelSpec, previous_parameters: Sequence) -> Sequence[Mapping[str, float]]:
     """Return where to start what a form has and the one before it has not: name to place in the cube."""
-    names = {parameter.name for parameter in before}
+    names = {parameter.name for parameter in previous_parameters}
     if not names:
-        return [{**first, "dead_time": 0.6} for first in FIRST]
-    if form.curve and CURVE[0].name not in names:
-        return CURVES
-    if form.spool and SPOOL[0].name not in names:
+        return [{**first, "dead_time": 0.6} for first in SECOND_ORDER_STARTS]
+    if spec.valve_curve and VALVE_CURVE[0].name not in names:
+        return CURVE_STARTS
+    if spec.spool_dynamics and SPOOL_DYNAMICS[0].name not in names:
         return [
-            {"hysteresis": width, "spool_lag": 0.5, **curve} for width in WIDTHS for curve in ({}, CURVES[0])
+            {"hysteresis": width, "spool_lag": 0.5, **curve}
+            for width in HYSTERESIS_STARTS
+            for curve in ({}, CURVE_STARTS[0])
         ]
     return ({},)
 
 
-def _with(positions: np.ndarray, names: Sequence[str], start: Mapping[str, float]) -> np.ndarray:
-    moved = positions.copy()
-    for name, place in start.items():
-        moved[names.index(name)] = place
-    return moved
+def _with_positions(positions: np.ndarray, names: Sequence[str], start: Mapping[str, float]) -> np.ndarray:
+    changed = positions.copy()
+    for name, value in start.items():
+        changed[names.index(name)] = value
+    return changed
 
 
-def _fitted(
-    misfit: Misfit, free: Sequence[int], starts: Sequence[np.ndarray], folds: Sequence[np.ndarray]
-) -> _Judged:
+def _fit_and_evaluate(
+    objective: Objective, free: Sequence[int], starts: Sequence[np.ndarray], folds: Sequence[np.ndarray]
+) -> _Evaluation:
     """Fit the free parameters from several starts, and judge the best."""
-    best = polish_some(misfit, free, starts, STEPS)
+    best = refine_subset(objective, free, starts, STEPS)
     positions = starts[0].copy()
     positions[list(free)] = best.position
-    return _judged(misfit, free, positions, folds)
+    return _evaluate(objective, free, positions, folds)
 
 
 def _with_smaller_dead_zone(
-    misfit: Misfit, judged: _Judged, free: Sequence[int], folds: Sequence[np.ndarray], kept: Checkpoints
-) -> tuple[Misfit, _Judged]:
+    objective: Objective,
+    evaluation: _Evaluation,
+    free: Sequence[int],
+    folds: Sequence[np.ndarray],
+    checkpoints: Checkpoints,
+) -> tuple[Objective, _Evaluation]:
     """Return a form with a valve curve behind a smaller dead zone where held-out tests prove that better.
 
     A dead zone found from tests is that of a valve that is linear beyond it: one that opens slowly seems to
     open late. Its curve makes up for a dead zone that is too small, not for one that is too large: where half
     of it is no better, nothing else is tried.
     """
-    names = [parameter.name for parameter in misfit.form.parameters]
-    found, best = float(misfit.batch.dead_zone[0]), (misfit, judged)
-    for share in SMALLER:
-        other = Misfit.of(misfit.batch.with_dead_zone(share * found), misfit.form)
-        start = other.position(misfit.values(judged.positions))
-        starts = [start, *(_with(start, names, curve) for curve in CURVES)]
+    names = [parameter.name for parameter in objective.spec.parameters]
+    initial_dead_zone, best = float(objective.batch.dead_zone[0]), (objective, evaluation)
+    for share in DEAD_ZONE_SHARES:
+        other_objective = Objective.of(
+            objective.batch.with_dead_zone(share * initial_dead_zone), objective.spec
+        )
+        start = other_objective.position(objective.values(evaluation.positions))
+        starts = [start, *(_with_positions(start, names, curve) for curve in CURVE_STARTS)]
         try:
-            fitted = kept.piece(
-                f"form behind {share:g}", _Judged, partial(_fitted, other, free, starts, folds)
+            other_evaluation = checkpoints.cached(
+                f"form behind {share:g}",
+                _Evaluation,
+                partial(_fit_and_evaluate, other_objective, free, starts, folds),
             )
         except FitError:
             continue
-        if proven_better(fitted.held_out, best[1].held_out):
-            best = other, fitted
-        elif best[0] is misfit:
+        if proven_better(other_evaluation.held_out, best[1].held_out):
+            best = other_objective, other_evaluation
+        elif best[0] is objective:
             break
     return best
 
 
-def _judged(
-    misfit: Misfit, free: Sequence[int], positions: np.ndarray, folds: Sequence[np.ndarray]
-) -> _Judged:
+def _evaluate(
+    objective: Objective, free: Sequence[int], positions: np.ndarray, folds: Sequence[np.ndarray]
+) -> _Evaluation:
     """Judge a form by tests held out in turn.
 
     The others refit it from its best position by three damped steps: those reach what the tests determine.
     What they hardly determine keeps the value that all tests gave it, where a full descent would take it
     anywhere; so the figure is a little too good for large forms.
     """
-    pooled, apart = misfit.pooled(), replace(misfit, apart=True)
-    whole = pooled.error(positions)
-    held_out, held_apart = [], []
-    for held in folds:
-        kept = _over(misfit, ~held)
-        moved = positions.copy()
-        moved[list(free)] = polish_some(kept, free, [positions], REFITTED).position
-        held_out += list(pooled.by_test(moved)[held])
-        held_apart += list(apart.by_test(moved)[held])
-    return _Judged(positions, whole, np.array(held_out), np.array(held_apart))
+    pooled, per_test_gain = objective.pooled(), replace(objective, per_test_gain=True)
+    rmse = pooled.error(positions)
+    held_out, held_out_per_test_gain = [], []
+    for held_tests in folds:
+        training_objective = _with_tests(objective, ~held_tests)
+        refitted = positions.copy()
+        refitted[list(free)] = refine_subset(training_objective, free, [positions], REFIT_STEPS).position
+        held_out += list(pooled.rmse_by_test(refitted)[held_tests])
+        held_out_per_test_gain += list(per_test_gain.rmse_by_test(refitted)[held_tests])
+    return _Evaluation(positions, rmse, np.array(held_out), np.array(held_out_per_test_gain))
 
 
-def _over(misfit: Misfit, tests: np.ndarray) -> Misfit:
+def _with_tests(objective: Objective, tests: np.ndarray) -> Objective:
     """Return the misfit over some of its tests; shapes stay, so that no program is compiled anew."""
-    batch = misfit.batch.counting(jnp.asarray(np.broadcast_to(tests[:, None], misfit.batch.counted.shape)))
-    return misfit.over(batch)
+    batch = objective.batch.masked(
+        jnp.asarray(np.broadcast_to(tests[:, None], objective.batch.loss_mask.shape))
+    )
+    return objective.with_data(batch)
 
 
-def _folds(batch: Batch, *, alone: bool) -> list[np.ndarray]:
+def _folds(batch: Batch, *, separate_tests: bool) -> list[np.ndarray]:
     """Return which tests are held out together, boolean arrays of shape [T].
 
     Every fourth operating point between the lowest and the highest level, so that a fold's neighbours stay
     in. Tests of one level are one operating point; with a second input every test is one of its own.
     """
-    command, counted = np.abs(np.asarray(batch.command)), np.asarray(batch.counted)
-    active = counted & (command > 0)
-    levels = np.array([row[on].mean() if on.any() else 0.0 for row, on in zip(command, active, strict=True)])
+    command, loss_mask = np.abs(np.asarray(batch.command)), np.asarray(batch.loss_mask)
+    active = loss_mask & (command > 0)
+    levels = np.array(
+        [row[mask].mean() if mask.any() else 0.0 for row, mask in zip(command, active, strict=True)]
+    )
     order = np.argsort(levels)
-    apart = alone | (np.diff(levels[order]) > SAME_LEVEL * float(np.ptp(levels)))
-    group = np.concatenate([[0], np.cumsum(apart)])
-    inside = (group > 0) & (group < group[-1])
-    number = np.full(levels.size, -1)
-    number[order] = np.where(inside, (group - 1) % FOLDS, -1)
-    return [number == each for each in range(min(FOLDS, int(group[-1]) - 1))]
+    is_new_level = separate_tests | (np.diff(levels[order]) > LEVEL_TOLERANCE * float(np.ptp(levels)))
+    level_index = np.concatenate([[0], np.cumsum(is_new_level)])
+    is_interior = (level_index > 0) & (level_index < level_index[-1])
+    fold = np.full(levels.size, -1)
+    fold[order] = np.where(is_interior, (level_index - 1) % FOLDS, -1)
+    return [fold == index for index in range(min(FOLDS, int(level_index[-1]) - 1))]

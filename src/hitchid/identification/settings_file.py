@@ -7,17 +7,17 @@ from typing import Annotated, Literal, TypedDict
 
 from pydantic import Field
 
-from hitchid.data.record import MODES
+from hitchid.data.record import DIRECTIONS
 from hitchid.data.signal_map import Strict, parse_settings
 from hitchid.errors import InputError, SettingsError
-from hitchid.estimation import Comparison, DifferentialEvolution, MultiStart, Search, Whale, whale
+from hitchid.estimation import DifferentialEvolution, MultiStart, Search, SearchComparison, Whale, whale
 from hitchid.estimation.search import EVALUATIONS
-from hitchid.identification.descent import Descent
-from hitchid.identification.identify import CHOSEN
-from hitchid.identification.phase2 import Training
+from hitchid.identification.identify import DEFAULT_STRUCTURES
+from hitchid.identification.phase2 import CompensatorConfig
 from hitchid.identification.rollouts import Rollouts
-from hitchid.identification.selection import Automatic
-from hitchid.structures import Form, structure_named
+from hitchid.identification.selection import AutoStructure
+from hitchid.identification.training import AdamConfig
+from hitchid.structures import ModelSpec, structure_named
 
 AUTOMATIC = "automatic"
 LARGEST_SEED = 2**32 - 1
@@ -27,12 +27,12 @@ Count = Annotated[int, Field(ge=1, le=10**9)]
 class Settings(TypedDict, total=False):
     """Arguments of `identify`."""
 
-    structure: Mapping[str, Form | Automatic]
+    structure: Mapping[str, ModelSpec | AutoStructure]
     search: Search
-    training: Training | None
+    training: CompensatorConfig | None
     dead_zones: Mapping[str, float]
     drift: bool
-    comparison: Comparison | None
+    comparison: SearchComparison | None
     seed: int
 
 
@@ -67,9 +67,9 @@ class SearchSection(Strict):
         if self.method == "differential-evolution":
             members = self.population or DifferentialEvolution.population
             return DifferentialEvolution(evaluations=self.evaluations, population=members)
-        population = self.population or whale.Swarm.population
+        population = self.population or whale.WhaleConfig.population
         return Whale(
-            whale.Swarm(
+            whale.WhaleConfig(
                 population=population,
                 iterations=max(1, self.evaluations // population),
                 evaluations=self.evaluations,
@@ -83,22 +83,22 @@ class TrainingSection(Strict):
     """`[training]`."""
 
     compensator: bool = True
-    hidden: int = Field(default=Training.hidden, ge=1, le=1000)
-    window: int = Field(default=Training.window, ge=2, le=10**9)
-    epochs: Count = Descent.epochs
-    patience: Count = Descent.patience
-    batch: Count = Descent.batch
-    learning_rate: float = Field(default=Descent.learning_rate, gt=0, le=1)
+    hidden: int = Field(default=CompensatorConfig.hidden, ge=1, le=1000)
+    window: int = Field(default=CompensatorConfig.window, ge=2, le=10**9)
+    epochs: Count = AdamConfig.epochs
+    patience: Count = AdamConfig.patience
+    batch: Count = AdamConfig.batch
+    learning_rate: float = Field(default=AdamConfig.learning_rate, gt=0, le=1)
     free_run: bool = True
     baselines: bool = True
 
-    def training(self) -> Training | None:
+    def training(self) -> CompensatorConfig | None:
         """Return the training asked for, None for benchmarks alone."""
         if not self.compensator:
             return None
-        descent = Descent(self.epochs, self.patience, self.batch, self.learning_rate)
+        adam = AdamConfig(self.epochs, self.patience, self.batch, self.learning_rate)
         rollouts = Rollouts() if self.free_run else None
-        return Training(self.hidden, self.window, descent, rollouts, self.baselines)
+        return CompensatorConfig(self.hidden, self.window, adam, rollouts, self.baselines)
 
 
 class IdentifyFile(Strict):
@@ -117,14 +117,18 @@ class IdentifyFile(Strict):
         Raises:
             InputError: there is no structure of a name, or bounds or budget do not fit.
         """
-        sections: Mapping[str, ChannelSection] = {mode: getattr(self, mode) for mode in MODES}
+        sections: Mapping[str, ChannelSection] = {
+            direction: getattr(self, direction) for direction in DIRECTIONS
+        }
         return {
-            "structure": {mode: _form(mode, section) for mode, section in sections.items()},
+            "structure": {direction: _spec(direction, section) for direction, section in sections.items()},
             "search": self.search.search(),
             "training": self.training.training(),
-            "dead_zones": {mode: s.dead_zone for mode, s in sections.items() if s.dead_zone is not None},
+            "dead_zones": {
+                direction: s.dead_zone for direction, s in sections.items() if s.dead_zone is not None
+            },
             "drift": self.drift,
-            "comparison": Comparison() if self.search.compare else None,
+            "comparison": SearchComparison() if self.search.compare else None,
             "seed": self.seed,
         }
 
@@ -143,22 +147,29 @@ def read_settings(path: Path) -> Settings:
         raise SettingsError(f"{path}: {error}") from error
 
 
-def _form(mode: str, section: ChannelSection) -> Form | Automatic:
+def _spec(direction: str, section: ChannelSection) -> ModelSpec | AutoStructure:
     if section.structure == AUTOMATIC:
-        decided = {"dead_time", "curve", "spool", "slope", "position", "bounds"} & section.model_fields_set
-        if decided:
+        decided_fields = {
+            "dead_time",
+            "curve",
+            "spool",
+            "slope",
+            "position",
+            "bounds",
+        } & section.model_fields_set
+        if decided_fields:
             raise InputError(
-                f"{mode}: structure '{AUTOMATIC}' decides on {' and '.join(sorted(decided))} itself; "
+                f"{direction}: structure '{AUTOMATIC}' decides on {' and '.join(sorted(decided_fields))} itself; "
                 "required the name of a structure beside it"
             )
-        return replace(CHOSEN[mode], load=section.load)
-    return Form(
+        return replace(DEFAULT_STRUCTURES[direction], covariate=section.load)
+    return ModelSpec(
         structure_named(section.structure),
         section.dead_time,
         section.bounds,
-        curve=section.curve,
-        spool=section.spool,
-        slope=section.slope,
-        position=section.position,
-        load=section.load,
+        valve_curve=section.curve,
+        spool_dynamics=section.spool,
+        stroke_gain_linear=section.slope,
+        stroke_gain_quadratic=section.position,
+        covariate=section.load,
     )

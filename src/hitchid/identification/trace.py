@@ -13,8 +13,8 @@ def describe_channel(trace: ChannelTrace) -> dict:
 
     What is not finite (the standard error of an undetermined parameter) is null.
     """
-    dead_zone, phase1, phase2, gate = trace.dead_zone, trace.phase1, trace.phase2, trace.gate
-    found = phase1.fit.found
+    dead_zone, phase1, phase2, holdout_test = trace.dead_zone, trace.phase1, trace.phase2, trace.holdout_test
+    search_result = phase1.fit.search_result
     return {
         "dead_zone": {
             "value": dead_zone.value,
@@ -24,17 +24,19 @@ def describe_channel(trace: ChannelTrace) -> dict:
         },
         "characteristics": None if trace.characteristics is None else asdict(trace.characteristics),
         "phase1": {
-            "uncertainty": asdict(phase1.known),
+            "uncertainty": asdict(phase1.assessment),
             "rmse": phase1.rmse,
             "rmse_before_polish": phase1.search_rmse,
-            "evaluations": found.evaluations,
-            "failures": found.failures,
-            "reason": found.reason,
-            "fitness": [_finite(value) for value in found.fitness_trace],
+            "evaluations": search_result.evaluations,
+            "failures": search_result.failures,
+            "reason": search_result.reason,
+            "fitness": [_finite(value) for value in search_result.fitness_trace],
             "values": np.column_stack(
                 [
-                    estimate.at(column)
-                    for estimate, column in zip(phase1.estimates, found.best_trace.T, strict=True)
+                    estimate.value_at(column)
+                    for estimate, column in zip(
+                        phase1.parameter_estimates, search_result.best_trace.T, strict=True
+                    )
                 ]
             ).tolist(),
         },
@@ -44,22 +46,22 @@ def describe_channel(trace: ChannelTrace) -> dict:
             "training_loss": [_finite(value) for value in phase2.training],
             "validation_loss": [_finite(value) for value in phase2.validation],
             "best_epoch": phase2.best_epoch,
-            "reason": phase2.ending.value,
+            "reason": phase2.stop_reason.value,
         },
         "gate": None
-        if gate is None
+        if holdout_test is None
         else {
-            "open": gate.open,
-            "benchmark": gate.benchmark.tolist(),
-            "compensated": gate.compensated.tolist(),
-            "best_epochs": list(gate.best_epochs),
-            "training_loss": [[_finite(value) for value in row] for row in gate.training],
-            "validation_loss": [[_finite(value) for value in row] for row in gate.validation],
+            "open": holdout_test.accepted,
+            "benchmark": holdout_test.benchmark.tolist(),
+            "compensated": holdout_test.compensated.tolist(),
+            "best_epochs": list(holdout_test.best_epochs),
+            "training_loss": [[_finite(value) for value in row] for row in holdout_test.training],
+            "validation_loss": [[_finite(value) for value in row] for row in holdout_test.validation],
         },
         "candidates": [
             {
                 "name": candidate.name,
-                "parameters": len(candidate.form.parameters),
+                "parameters": len(candidate.spec.parameters),
                 "rmse": candidate.rmse,
                 "held_out_rmse": candidate.held_out_rmse,
                 "held_out_tests": candidate.held_out.tolist(),

@@ -20,7 +20,7 @@ def weights_of(network: object) -> Arrays:
 
 def with_weights(network: Network, arrays: Arrays) -> Network:
     """Return a network with its arrays replaced by those of `weights_of` one like it."""
-    mine, rest = eqx.partition(network, eqx.is_array)
-    leaves, structure = jax.tree.flatten(mine)
-    given = [jnp.asarray(arrays[f"weights {number}"]) for number in range(len(leaves))]
-    return eqx.combine(jax.tree.unflatten(structure, given), rest)
+    weights, static = eqx.partition(network, eqx.is_array)
+    leaves, structure = jax.tree.flatten(weights)
+    new_leaves = [jnp.asarray(arrays[f"weights {number}"]) for number in range(len(leaves))]
+    return eqx.combine(jax.tree.unflatten(structure, new_leaves), static)

@@ -2,5 +2,5 @@
 
 from hitchid.inspection.inspect_logs import Inspection as Inspection
 from hitchid.inspection.inspect_logs import inspect as inspect
-from hitchid.inspection.inspect_logs import look_over as look_over
+from hitchid.inspection.inspect_logs import inspect_campaign as inspect_campaign
 from hitchid.inspection.propose import propose as propose

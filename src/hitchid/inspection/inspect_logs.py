@@ -9,13 +9,13 @@ import numpy as np
 from hitchid.audit import AuditFinding, audit, quality
 from hitchid.data.campaign import Campaign
 from hitchid.data.left_out import LeftOut, sentences
-from hitchid.data.record import CYCLE, MODES, Record
-from hitchid.data.segmentation import Segment, Switch, durations_s, segments
+from hitchid.data.record import CYCLE, DIRECTIONS, Record
+from hitchid.data.segmentation import CommandThreshold, Segment, durations_s, segments
 from hitchid.data.test_kinds import full_scales
 from hitchid.errors import HitchError
 from hitchid.readers import assemble, find_logs, read_logs, settings_of
 
-Hearing = Callable[[Mapping[str, str]], Mapping[str, Switch]]
+ThresholdLookup = Callable[[Mapping[str, str]], Mapping[str, CommandThreshold]]
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Inspection:
         faults: why logs cannot be used at all, each naming file, line, column.
         findings: what in the logs would spoil a model, where, and what to do about it.
         mixed: the mixed records with their stretches.
-        looked_at: every record.
+        inspected: every record.
         left_out: logs that cannot be used beside those that can.
     """
 
@@ -39,7 +39,7 @@ class Inspection:
     faults: tuple[str, ...]
     findings: tuple[AuditFinding, ...] = ()
     mixed: tuple[tuple[Record, tuple[Segment, ...]], ...] = ()
-    looked_at: tuple[Record, ...] = ()
+    inspected: tuple[Record, ...] = ()
     left_out: tuple[LeftOut, ...] = ()
 
     @property
@@ -53,7 +53,7 @@ class Inspection:
             "records": list(self.records),
             "notices": list(self.notices),
             "faults": list(self.faults),
-            "left_out": [each.describe() for each in self.left_out],
+            "left_out": [item.describe() for item in self.left_out],
             "findings": [finding.describe() for finding in self.findings],
         }
 
@@ -62,7 +62,7 @@ def inspect(
     logs: str | Path | Iterable[str | Path],
     *,
     signals: str | Path | None = None,
-    switches: Hearing | None = None,
+    command_thresholds: ThresholdLookup | None = None,
     strict: bool = False,
 ) -> Inspection:
     """Look at logs one by one, going on past those that cannot be used; changes nothing.
@@ -70,7 +70,7 @@ def inspect(
     Args:
         logs: files and folders.
         signals: a file like `campaign.toml`; without it each folder's own counts.
-        switches: from the logs' units to how each mode hears its command, where a model tells.
+        command_thresholds: from the logs' units to how each mode hears its command, where a model tells.
         strict: whether a log that cannot be used is a fault.
 
     Raises:
@@ -80,7 +80,7 @@ def inspect(
     paths = find_logs(logs)
     settings = settings_of(paths, signals)
     records, unread = read_logs(paths, settings)
-    faults = tuple(str(each.error) for each in unread)
+    faults = tuple(str(item.error) for item in unread)
     if not records:
         return Inspection((), (), faults)
     try:
@@ -88,53 +88,54 @@ def inspect(
     except HitchError as error:
         entries = tuple({**_entry(record, False), "kind": "not told"} for record in records)
         return Inspection(entries, (), (*faults, str(error)))
-    found = look_over(campaign, switches)
-    return replace(found, faults=faults, left_out=()) if strict else found
+    inspection = inspect_campaign(campaign, command_thresholds)
+    return replace(inspection, faults=faults, left_out=()) if strict else inspection
 
 
-def look_over(campaign: Campaign, switches: Hearing | None = None) -> Inspection:
+def inspect_campaign(campaign: Campaign, command_thresholds: ThresholdLookup | None = None) -> Inspection:
     """Look at logs that have been read.
 
     Args:
         campaign: the tests.
-        switches: as for `inspect`.
+        command_thresholds: as for `inspect`.
 
     Raises:
         SettingsError: the model's commands are of another dimension than the logs'.
     """
-    held_out = {record.name for mode in MODES for record in campaign.held_out(mode)}
+    held_out = {record.name for direction in DIRECTIONS for record in campaign.held_out(direction)}
     scales = full_scales(campaign.records)
-    known = None if switches is None else switches(campaign.units)
+    thresholds = None if command_thresholds is None else command_thresholds(campaign.units)
     mixed = {
-        record.name: (record, tuple(segments(record, scales, known))) for record in campaign.of_kind(CYCLE)
+        record.name: (record, tuple(segments(record, scales, thresholds)))
+        for record in campaign.of_kind(CYCLE)
     }
     return Inspection(
         records=tuple(
-            _entry(record, record.name in held_out) | _stretches(*mixed.get(record.name, (record, ())))
+            _entry(record, record.name in held_out) | _segment_entries(*mixed.get(record.name, (record, ())))
             for record in campaign.records
         ),
-        notices=tuple(f"{record.name}: {said}" for record in campaign.records for said in record.notices),
+        notices=tuple(f"{record.name}: {notice}" for record in campaign.records for notice in record.notices),
         faults=(),
         findings=audit(campaign),
         mixed=tuple(mixed.values()),
-        looked_at=campaign.records,
+        inspected=campaign.records,
         left_out=campaign.left_out,
     )
 
 
-def _stretches(record: Record, found: Sequence[Segment]) -> dict[str, object]:
-    if not found:
+def _segment_entries(record: Record, found_segments: Sequence[Segment]) -> dict[str, object]:
+    if not found_segments:
         return {}
     start, step = record.start_s, record.step_s
     return {
-        "durations_s": durations_s(found, step),
+        "durations_s": durations_s(found_segments, step),
         "segments": [
             {
-                "label": each.label,
-                "start_s": round(start + each.start * step, 6),
-                "stop_s": round(start + each.stop * step, 6),
+                "label": segment.label,
+                "start_s": round(start + segment.start * step, 6),
+                "stop_s": round(start + segment.stop * step, 6),
             }
-            for each in found
+            for segment in found_segments
         ],
     }
 

@@ -10,7 +10,7 @@ from hitchid.readers import Content
 WINDOW_S = 0.2
 WINDOW_SAMPLES = 3
 LAGS = (0, 1)
-MOST_CHANNELS = 80
+MAX_CHANNELS = 80
 
 
 @dataclass(frozen=True)
@@ -34,11 +34,11 @@ class Windows:
         """
         rate, best = self.rates[displacement], 0.0
         for lag in LAGS:
-            now = self.follows[1:] if lag else slice(None)
-            cause, effect = command[: command.size - lag][now], rate[lag:][now]
+            consecutive = self.follows[1:] if lag else slice(None)
+            cause, effect = command[: command.size - lag][consecutive], rate[lag:][consecutive]
             if cause.size > 2 and np.ptp(cause) > 0 and np.ptp(effect) > 0:
-                found = float(np.corrcoef(cause, effect)[0, 1])
-                best = found if abs(found) > abs(best) else best
+                correlation = float(np.corrcoef(cause, effect)[0, 1])
+                best = correlation if abs(correlation) > abs(best) else best
         return best
 
 
@@ -49,7 +49,7 @@ def windows(logs: Sequence[tuple[Content, Mapping[str, np.ndarray]]], names: Seq
         logs: content, and channel to the time of its samples, s, shape [N].
         names: the channels to look at; of very many the first.
     """
-    names = names[:MOST_CHANNELS]
+    names = names[:MAX_CHANNELS]
     means: dict[str, list[np.ndarray]] = {name: [] for name in names}
     rates: dict[str, list[np.ndarray]] = {name: [] for name in names}
     follows: list[np.ndarray] = []
@@ -72,7 +72,7 @@ def windows(logs: Sequence[tuple[Content, Mapping[str, np.ndarray]]], names: Seq
     if not follows:
         return Windows({}, {}, np.zeros(0, dtype=bool))
     return Windows(
-        {name: np.concatenate(parts) for name, parts in means.items()},
-        {name: np.concatenate(parts) for name, parts in rates.items()},
+        {name: np.concatenate(arrays) for name, arrays in means.items()},
+        {name: np.concatenate(arrays) for name, arrays in rates.items()},
         np.concatenate(follows),
     )

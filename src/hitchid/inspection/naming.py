@@ -3,7 +3,7 @@
 import re
 
 from hitchid.data.signal_map import DIMENSIONS
-from hitchid.data.units import UNITS, known_unit, unit_of_column
+from hitchid.data.units import UNITS, parse_unit, unit_of_column
 
 
 def _list(text: str) -> frozenset[str]:
@@ -30,16 +30,16 @@ SERVO_NEUTRAL = (6.5, 8.5)
 
 def words(name: str) -> frozenset[str]:
     """Return the words of a column's name, in lower case: `Boom_UpH_Cyl_P` has boom, up, h, cyl, p."""
-    return frozenset(each.lower() for each in re.findall(r"[A-Z]?[a-zµ°%]+|[A-Z]+(?![a-z])", name))
+    return frozenset(word.lower() for word in re.findall(r"[A-Z]?[a-zµ°%]+|[A-Z]+(?![a-z])", name))
 
 
-def said_unit(name: str, unit: str | None) -> tuple[str | None, str]:
+def stated_unit(name: str, unit: str | None) -> tuple[str | None, str]:
     """Return the unit that the file or the column's name says, None without any, and which of them does."""
-    if known := known_unit(unit or ""):
-        return known, "unit from the file"
+    if file_unit := parse_unit(unit or ""):
+        return file_unit, "unit from the file"
     last = re.split(r"[^A-Za-z%°µ]+", name.strip(")] "))[-1]
-    found = unit_of_column(name) or (known_unit(last) if len(last) > 1 and last != name else None)
-    return found, "unit from its name"
+    name_unit = unit_of_column(name) or (parse_unit(last) if len(last) > 1 and last != name else None)
+    return name_unit, "unit from its name"
 
 
 def unit_of(
@@ -54,15 +54,17 @@ def unit_of(
         largest: largest reading, whatever its sign.
         zero: reading at which a command rests; a servo's 1.5 ms in 20 ms are 7.5 percent.
     """
-    known, source = said_unit(name, unit)
-    if known is not None and UNITS[known].dimension in DIMENSIONS[role]:
-        return known, source
-    has = words(name)
+    stated, source = stated_unit(name, unit)
+    if stated is not None and UNITS[stated].dimension in DIMENSIONS[role]:
+        return stated, source
+    name_words = words(name)
     if role == "displacement":
-        guess = "deg" if has & ANGLE else "V" if "position" in has and largest <= ANALOG_V else "mm"
-    elif has & RATIO:
+        guess = (
+            "deg" if name_words & ANGLE else "V" if "position" in name_words and largest <= ANALOG_V else "mm"
+        )
+    elif name_words & RATIO:
         guess = "percent" if largest > 1.05 else "1"
-    elif has & CURRENT:
+    elif name_words & CURRENT:
         guess = "A" if largest <= 5 else "mA"
     elif zero is not None and SERVO_NEUTRAL[0] < zero < SERVO_NEUTRAL[1]:
         guess = "percent"

@@ -8,20 +8,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hitchid.audit import Run, rest_level
-from hitchid.data.left_out import refuse, sift
+from hitchid.audit import CommandResponse, rest_level
+from hitchid.data.left_out import refuse, split_usable
 from hitchid.data.test_kinds import ACTIVE_FRACTION
 from hitchid.data.units import UNITS
 from hitchid.errors import InputError
 from hitchid.inspection import naming
 from hitchid.inspection.motion import Windows, windows
-from hitchid.readers import Content, ReaderProcess, Wanted, find_logs, read_content, settings_of
+from hitchid.readers import ChannelSelection, Content, ReaderProcess, find_logs, read_content, settings_of
 
-MOST_LOGS, SHOWN = 24, 6
-RISING = 0.99
-SMOOTHEST = 0.05
-LEAST_OF_PAIR, PAIR_GAIN = 0.05, 0.02
-ALIKE = 0.02
+MAX_LOGS, MAX_SHOWN = 24, 6
+INCREASING_FRACTION = 0.99
+MAX_STEP_RATIO = 0.05
+MIN_PAIR_CORRELATION, MIN_PAIR_GAIN = 0.05, 0.02
+SCORE_MARGIN = 0.02
 STEPS_S = (("s", 0.5), ("ms", 500.0), ("us", 5e5))
 
 
@@ -55,26 +55,28 @@ def propose(logs: str | Path | Iterable[str | Path]) -> str:
         InputError: there are no logs, none can be read, or no two columns move together.
     """
     paths = find_logs(logs)
-    paths = [paths[at] for at in np.unique(np.linspace(0, len(paths) - 1, MOST_LOGS).astype(int))]
+    paths = [paths[index] for index in np.unique(np.linspace(0, len(paths) - 1, MAX_LOGS).astype(int))]
     settings = settings_of(paths)
     with ReaderProcess() as process:
-        contents, unread = sift(
+        contents, unread = split_usable(
             [(path.name, path) for path in paths],
             lambda path: read_content(
-                path, Wanted("", None, tuple(map(Path, settings[path.parent].can.databases))), process
+                path,
+                ChannelSelection("", None, tuple(map(Path, settings[path.parent].can.databases))),
+                process,
             ),
             strict=False,
         )
     if not contents:
         refuse(unread, "logs")
     # Where logs differ in their columns, those that most have: the others are no part of the same campaign.
-    usual = max(contents, key=lambda each: sum(each.channels.keys() == c.channels.keys() for c in contents))
-    contents = [each for each in contents if each.channels.keys() == usual.channels.keys()]
+    reference = max(contents, key=lambda log: sum(log.channels.keys() == c.channels.keys() for c in contents))
+    contents = [log for log in contents if log.channels.keys() == reference.channels.keys()]
     time = _time(contents)
     timed = [(content, _times(content, time)) for content in contents]
-    names = [name for name in usual.channels if name != time.name and _usable(name, contents)]
-    found = windows(timed, names) if names else Windows({}, {}, np.zeros(0, dtype=bool))
-    guesses = sorted(_guesses(found, names, contents), reverse=True)
+    names = [name for name in reference.channels if name != time.name and _usable(name, contents)]
+    log_windows = windows(timed, names) if names else Windows({}, {}, np.zeros(0, dtype=bool))
+    guesses = sorted(_guesses(log_windows, names, contents), reverse=True)
     if not guesses:
         raise InputError(
             f"no two columns move together as command and displacement do; found {', '.join(names) or 'none'}"
@@ -88,25 +90,27 @@ def _time(contents: Sequence[Content]) -> _Time:
     first = contents[0].channels
     if all(channel.clock_s is not None for channel in first.values()):
         return _Time(None, "s", "")
-    rising = [name for name in first if all(_rises(content.channels[name].values) for content in contents)]
-    rising.sort(key=lambda name: not naming.words(name) & naming.TIME)
-    if not rising:
+    increasing = [
+        name for name in first if all(_is_increasing(content.channels[name].values) for content in contents)
+    ]
+    increasing.sort(key=lambda name: not naming.words(name) & naming.TIME)
+    if not increasing:
         raise InputError(
             f"{contents[0].source}: no column increases as a time does; found {', '.join(first)}"
         )
-    name = rising[0]
+    name = increasing[0]
     step = float(np.median(np.diff(first[name].values)))
-    unit, reason = naming.said_unit(name, first[name].unit)
+    unit, reason = naming.stated_unit(name, first[name].unit)
     if unit is None or UNITS[unit].dimension != "time":
-        unit = next((unit for unit, below in STEPS_S if step < below), "ns")
+        unit = next((unit for unit, limit in STEPS_S if step < limit), "ns")
         reason = "unit guessed from the step: check it"
     return _Time(name, unit, f"increases in every log, by {step:.4g} {unit} in the median; {reason}")
 
 
-def _rises(values: np.ndarray) -> bool:
+def _is_increasing(values: np.ndarray) -> bool:
     if values.size < 2 or not np.all(np.isfinite(values)) or not values[-1] > values[0]:
         return False
-    return float(np.mean(np.diff(values) > 0)) >= RISING
+    return float(np.mean(np.diff(values) > 0)) >= INCREASING_FRACTION
 
 
 def _times(content: Content, time: _Time) -> Mapping[str, np.ndarray]:
@@ -123,40 +127,40 @@ def _usable(name: str, contents: Sequence[Content]) -> bool:
     return all(a.size > 1 and np.all(np.isfinite(a)) for a in arrays) and any(np.ptp(a) > 0 for a in arrays)
 
 
-def _guesses(found: Windows, names: Sequence[str], contents: Sequence[Content]) -> Iterator[_Guess]:
+def _guesses(log_windows: Windows, names: Sequence[str], contents: Sequence[Content]) -> Iterator[_Guess]:
     """Return every displacement with every command, or pair of one-sided commands, that may move it."""
-    lowest = {name: min(float(c.channels[name].values.min()) for c in contents) for name in found.means}
-    for y in (name for name in found.means if _smooth(name, contents)):
-        single = {c: found.correlation(found.means[c], y) for c in found.means if c != y}
+    lowest = {name: min(float(c.channels[name].values.min()) for c in contents) for name in log_windows.means}
+    for y in (name for name in log_windows.means if _smooth(name, contents)):
+        single = {c: log_windows.correlation(log_windows.means[c], y) for c in log_windows.means if c != y}
         for c, correlation in single.items():
             yield _Guess(_score(correlation, (c,), y, contents), correlation, (c,), y)
-        one_sided = [c for c, r in single.items() if lowest[c] >= 0 and abs(r) > LEAST_OF_PAIR]
+        one_sided = [c for c, r in single.items() if lowest[c] >= 0 and abs(r) > MIN_PAIR_CORRELATION]
         for plus, minus in permutations(one_sided, 2):
             if not single[plus] > 0 > single[minus]:
                 continue
-            correlation = found.correlation(found.means[plus] - found.means[minus], y)
-            if correlation > max(single[plus], -single[minus]) + PAIR_GAIN:
+            correlation = log_windows.correlation(log_windows.means[plus] - log_windows.means[minus], y)
+            if correlation > max(single[plus], -single[minus]) + MIN_PAIR_GAIN:
                 yield _Guess(_score(correlation, (plus, minus), y, contents), correlation, (plus, minus), y)
 
 
 def _smooth(name: str, contents: Sequence[Content]) -> bool:
     """Tell whether a channel goes from sample to sample in steps small beside its range, as a piston does."""
     arrays = [content.channels[name].values for content in contents]
-    reach = max(float(a.max()) for a in arrays) - min(float(a.min()) for a in arrays)
-    return sum(float(np.abs(np.diff(a)).mean()) for a in arrays) < SMOOTHEST * len(arrays) * reach
+    value_range = max(float(a.max()) for a in arrays) - min(float(a.min()) for a in arrays)
+    return sum(float(np.abs(np.diff(a)).mean()) for a in arrays) < MAX_STEP_RATIO * len(arrays) * value_range
 
 
 def _score(correlation: float, commands: tuple[str, ...], y: str, contents: Sequence[Content]) -> float:
     """Return the strength of a correlation with what the names add to it."""
     of_y, of_commands = naming.words(y), [naming.words(c) for c in commands]
-    unit, _ = naming.said_unit(y, contents[0].channels[y].unit)
+    unit, _ = naming.stated_unit(y, contents[0].channels[y].unit)
     position = bool(of_y & naming.POSITION) or (unit and UNITS[unit].dimension in ("length", "angle"))
     return (
         abs(correlation)
-        + 0.1 * all(has & naming.COMMAND for has in of_commands)
+        + 0.1 * all(name_words & naming.COMMAND for name_words in of_commands)
         + 0.1 * bool(position)
-        + 0.15 * any(has & naming.AXIS for has in (of_y, *of_commands))
-        - 0.2 * any(has & naming.NO_COMMAND for has in (of_y, *of_commands))
+        + 0.15 * any(name_words & naming.AXIS for name_words in (of_y, *of_commands))
+        - 0.2 * any(name_words & naming.NO_COMMAND for name_words in (of_y, *of_commands))
         - 0.2 * bool(of_y & naming.COMMAND or of_y & naming.PRESSURE)
         + 0.001 * (correlation > 0)
     )
@@ -176,20 +180,20 @@ def _lines(
         yield f"time = {_column(time.name, time.unit)}"
     else:
         yield "# the file keeps a clock for every channel: no time is needed"
-    zero = _zero(best, timed)
+    zero = _rest_reading(best, timed)
     for role, name in _roles(best, zero, _range(best.commands[0], contents)):
         low, high = _range(name, contents)
-        said = contents[0].channels[name].unit
-        unit, source = naming.unit_of(role, name, said, max(abs(low), abs(high)), zero)
-        further = ""
+        stated = contents[0].channels[name].unit
+        unit, source = naming.unit_of(role, name, stated, max(abs(low), abs(high)), zero)
+        options = ""
         if role == "command" and zero is not None:
-            further += f", zero = {zero:.6g}"
+            options += f", zero = {zero:.6g}"
             yield f"# it rests at {zero:.6g} and moves the displacement both ways around it: its zero"
         if role == "command" and best.correlation < 0:
-            further += ", scale = -1"
+            options += ", scale = -1"
             yield "# the displacement falls while it is above its zero: its sign is turned"
-        yield f"# {low:.5g} to {high:.5g}, {_why(role, best)}; {source}"
-        yield f"{role} = {_column(name, unit, further)}"
+        yield f"# {low:.5g} to {high:.5g}, {_reason(role, best)}; {source}"
+        yield f"{role} = {_column(name, unit, options)}"
     low, high = _range(best.displacement, contents)
     unit, source = naming.unit_of(
         "displacement",
@@ -207,7 +211,7 @@ def _lines(
     yield ""
 
 
-def _roles(best: _Guess, zero: float | None, reach: tuple[float, float]) -> list[tuple[str, str]]:
+def _roles(best: _Guess, zero: float | None, limits: tuple[float, float]) -> list[tuple[str, str]]:
     """Return role and column of each command; a single one is signed if its range about its zero is."""
     if len(best.commands) == 2:
         lifting, lowering = best.commands
@@ -215,23 +219,23 @@ def _roles(best: _Guess, zero: float | None, reach: tuple[float, float]) -> list
             lifting, lowering = lowering, lifting
         return [("lifting_command", lifting), ("lowering_command", lowering)]
     (name,) = best.commands
-    if zero is not None or reach[0] < 0 < reach[1]:
+    if zero is not None or limits[0] < 0 < limits[1]:
         return [("command", name)]
-    has = naming.words(name)
-    named_up, named_down = bool(has & naming.UP), bool(has & naming.DOWN)
+    name_words = naming.words(name)
+    named_up, named_down = bool(name_words & naming.UP), bool(name_words & naming.DOWN)
     lifts = named_up if named_up != named_down else best.correlation > 0
     return [("lifting_command" if lifts else "lowering_command", name)]
 
 
-def _why(role: str, best: _Guess) -> str:
+def _reason(role: str, best: _Guess) -> str:
     if role == "command":
         return f"one signed column that moves {best.displacement} both ways"
-    way = "up" if role == "lifting_command" else "down"
+    direction = "up" if role == "lifting_command" else "down"
     other = "with the other command" if len(best.commands) == 2 else "alone"
-    return f"one-sided, {other} it moves {best.displacement}; {way} by its name or the motion"
+    return f"one-sided, {other} it moves {best.displacement}; {direction} by its name or the motion"
 
 
-def _zero(best: _Guess, timed: Sequence[tuple[Content, Mapping[str, np.ndarray]]]) -> float | None:
+def _rest_reading(best: _Guess, timed: Sequence[tuple[Content, Mapping[str, np.ndarray]]]) -> float | None:
     """Return the reading at which a signed command rests, where it is not zero."""
     if len(best.commands) != 1:
         return None
@@ -240,8 +244,8 @@ def _zero(best: _Guess, timed: Sequence[tuple[Content, Mapping[str, np.ndarray]]
     runs = []
     for content, times in timed:
         values, clock = content.channels[command].values, times[command]
-        moved = np.interp(clock, times[displacement], content.channels[displacement].values)
-        runs.append(Run(values, moved, float(np.median(np.diff(clock)))))
+        displacement_samples = np.interp(clock, times[displacement], content.channels[displacement].values)
+        runs.append(CommandResponse(values, displacement_samples, float(np.median(np.diff(clock)))))
     level = rest_level(runs)
     return level if level is not None and abs(level) > ACTIVE_FRACTION * largest else None
 
@@ -249,26 +253,28 @@ def _zero(best: _Guess, timed: Sequence[tuple[Content, Mapping[str, np.ndarray]]
 def _covariates(best: _Guess, contents: Sequence[Content], names: Sequence[str]) -> Iterator[str]:
     """Return a line on the pressure that most probably tells the load, and what else there is."""
     first = contents[0].channels
-    units = {name: naming.said_unit(name, first[name].unit)[0] for name in names}
-    like = [
+    units = {name: naming.stated_unit(name, first[name].unit)[0] for name in names}
+    pressures = [
         name
         for name in names
         if name not in (*best.commands, best.displacement)
         and (naming.words(name) & naming.PRESSURE or UNITS[units[name] or "1"].dimension == "pressure")
     ]
-    like.sort(key=lambda name: (not naming.words(name) & naming.LOADED_SIDE, -np.ptp(_range(name, contents))))
-    if like:
-        also = f"; also there: {', '.join(like[1:SHOWN])}" if like[1:] else ""
+    pressures.sort(
+        key=lambda name: (not naming.words(name) & naming.LOADED_SIDE, -np.ptp(_range(name, contents)))
+    )
+    if pressures:
+        also = f"; also there: {', '.join(pressures[1:MAX_SHOWN])}" if pressures[1:] else ""
         yield f"# a pressure by its name, which may tell the load{also}"
-        yield f"covariates = [{json.dumps(like[0], ensure_ascii=False)}]"
+        yield f"covariates = [{json.dumps(pressures[0], ensure_ascii=False)}]"
 
 
 def _others(guesses: Sequence[_Guess]) -> Iterator[str]:
     """Return a comment on guesses that are nearly as good."""
     best = guesses[0]
-    close = [each for each in guesses[1:4] if each.score > best.score - ALIKE]
-    for each in close:
-        yield f"# nearly as good: {' and '.join(each.commands)} with {each.displacement}"
+    alternatives = [guess for guess in guesses[1:4] if guess.score > best.score - SCORE_MARGIN]
+    for guess in alternatives:
+        yield f"# nearly as good: {' and '.join(guess.commands)} with {guess.displacement}"
 
 
 def _range(name: str, contents: Sequence[Content]) -> tuple[float, float]:

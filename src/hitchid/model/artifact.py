@@ -15,7 +15,7 @@ from safetensors.numpy import save as save_tensors
 
 from hitchid._support import checks
 from hitchid._support.precision import double_precision
-from hitchid._support.storage import canonical_json, digest, own, write_folder
+from hitchid._support.storage import canonical_json, digest, inside_folder, write_folder
 from hitchid.baselines.autoregression import Arx
 from hitchid.baselines.black_box import BlackBox
 from hitchid.baselines.narx import Narx
@@ -23,13 +23,19 @@ from hitchid.errors import InputError, ModelFolderError
 from hitchid.model.channel import Channel
 from hitchid.model.hitch import Hitch
 from hitchid.model.limits import TravelLimits
-from hitchid.model.migration import SCHEMA, STEPS, migrated, readable
+from hitchid.model.migration import MIGRATIONS, SCHEMA, is_readable, migrate
 from hitchid.model.provenance import Provenance, TwoModes
 from hitchid.networks.error_compensator import FEATURES, Compensator
 from hitchid.networks.lstm import Lstm
-from hitchid.networks.operating_range import Envelope, Range
+from hitchid.networks.operating_range import OperatingRange, SignalRange
 from hitchid.networks.speed_compensator import INPUTS, SpeedCompensator
-from hitchid.structures import SHAPE, Benchmark, Scales, Shape, structure_named
+from hitchid.structures import (
+    NONLINEARITY_PARAMETERS,
+    PhysicalModel,
+    Scales,
+    StaticNonlinearity,
+    structure_named,
+)
 from hitchid.uncertainty import Uncertainty
 
 MODEL_FILE = "model.json"
@@ -58,12 +64,12 @@ def save(
     content["files"] = {WEIGHTS_FILE: digest(weights), TRACE_FILE: digest(traces)}
     content["digest"] = digest(canonical_json(content))
 
-    def write(place: Path) -> None:
-        (place / WEIGHTS_FILE).write_bytes(weights)
-        (place / TRACE_FILE).write_bytes(traces)
-        (place / MODEL_FILE).write_bytes(canonical_json(content))
+    def write(target: Path) -> None:
+        (target / WEIGHTS_FILE).write_bytes(weights)
+        (target / TRACE_FILE).write_bytes(traces)
+        (target / MODEL_FILE).write_bytes(canonical_json(content))
 
-    write_folder(checks.path(folder, "folder"), write, mark=MODEL_FILE, force=force)
+    write_folder(checks.path(folder, "folder"), write, result_kind=MODEL_FILE, force=force)
 
 
 @double_precision
@@ -73,15 +79,15 @@ def load(folder: str | Path) -> Hitch:
     Raises:
         ModelFolderError: the folder or a file is missing, was cut short or edited, or is of a newer schema.
     """
-    place = checks.path(folder, "folder")
-    content = _read_description(place)
-    weights = _read_checked(place / WEIGHTS_FILE, content)
-    _read_checked(place / TRACE_FILE, content)
+    path = checks.path(folder, "folder")
+    content = _read_description(path)
+    weights = _read_checked(path / WEIGHTS_FILE, content)
+    _read_checked(path / TRACE_FILE, content)
     try:
         tensors = load_tensors(weights)
         return _hitch(content, tensors)
     except Exception as error:  # whoever edits a description can put its digest right, too
-        raise ModelFolderError(f"{place}: cannot be understood: {error!r}") from error
+        raise ModelFolderError(f"{path}: cannot be understood: {error!r}") from error
 
 
 def load_trace(folder: str | Path) -> dict:
@@ -90,12 +96,12 @@ def load_trace(folder: str | Path) -> dict:
     Raises:
         ModelFolderError: as `load`.
     """
-    place = checks.path(folder, "folder")
-    data = _read_checked(place / TRACE_FILE, _read_description(place))
+    path = checks.path(folder, "folder")
+    data = _read_checked(path / TRACE_FILE, _read_description(path))
     try:
         return json.loads(data)
     except (ValueError, RecursionError) as error:
-        raise ModelFolderError(f"{place / TRACE_FILE}: cannot be understood: {error!r}") from error
+        raise ModelFolderError(f"{path / TRACE_FILE}: cannot be understood: {error!r}") from error
 
 
 def _description(hitch: Hitch) -> dict:
@@ -107,11 +113,13 @@ def _description(hitch: Hitch) -> dict:
         "units": dict(hitch.units),
         "drift": hitch.drift,
         "two_modes": None if hitch.two_modes is None else asdict(hitch.two_modes),
-        "uncertainty": {mode: each.describe() for mode, each in hitch.uncertainty.items()},
-        "channels": {mode: _describe_channel(channel) for mode, channel in hitch.channels.items()},
+        "uncertainty": {
+            direction: uncertainty.describe() for direction, uncertainty in hitch.uncertainty.items()
+        },
+        "channels": {direction: _describe_channel(channel) for direction, channel in hitch.channels.items()},
         "split": {
-            part: {mode: list(names) for mode, names in getattr(provenance, part).items()}
-            for part in ("identification", "validation", "held_out")
+            subset: {direction: list(names) for direction, names in getattr(provenance, subset).items()}
+            for subset in ("identification", "validation", "held_out")
         },
         "seen": sorted(provenance.seen),
         "cut_at": dict(provenance.cut_at),
@@ -124,19 +132,22 @@ def _description(hitch: Hitch) -> dict:
 def _describe_channel(channel: Channel) -> dict:
     benchmark = channel.benchmark
     described: dict = {
-        "direction": channel.direction,
+        "direction": channel.sign,
         "dead_zone": channel.dead_zone,
         "end_stop": channel.end_stop,
         "limits": None if channel.limits is None else channel.limits._asdict(),
         "structure": benchmark.structure.name,
         "values": [float(value) for value in benchmark.values],
         "dead_time_s": float(benchmark.dead_time_s),
-        "load": benchmark.load,
+        "load": benchmark.covariate,
         "shape": None
-        if benchmark.shape is None
+        if benchmark.nonlinearity is None
         else {
-            "values": [float(value) for value in benchmark.shape.values],
-            "scales": {f.name: float(getattr(benchmark.shape.scales, f.name)) for f in fields(Scales)},
+            "values": [float(value) for value in benchmark.nonlinearity.values],
+            "scales": {
+                field.name: float(getattr(benchmark.nonlinearity.scales, field.name))
+                for field in fields(Scales)
+            },
         },
         "compensator": None,
     }
@@ -149,7 +160,7 @@ def _describe_channel(channel: Channel) -> dict:
     speed = channel.speed_compensator
     if speed is not None:
         members, hidden = speed.networks.cell.weight_hh.shape[0], speed.networks.cell.hidden_size
-        described["speed_compensator"] = {"members": members, "hidden": hidden, "every": speed.every}
+        described["speed_compensator"] = {"members": members, "hidden": hidden, "every": speed.block_size}
     if channel.envelope is not None:
         described["envelope"] = {}
     if channel.black_box is not None:
@@ -169,26 +180,29 @@ _TRAINED = ("compensator", "speed_compensator", "envelope", "black_box", "arx", 
 def _tensors(hitch: Hitch) -> dict[str, np.ndarray]:
     """Return every array of the trained parts under `mode/part/path`, of the paper's under `mode/paper/…`."""
     tensors = {}
-    for mode, channel in hitch.channels.items():
-        owners = {mode: channel} | ({} if channel.paper is None else {f"{mode}/paper": channel.paper})
-        for owner, each in owners.items():
-            for part in _TRAINED:
-                for path, leaf in jax.tree_util.tree_leaves_with_path(getattr(each, part)):
-                    tensors[_tensor_name(owner, part, path)] = np.array(leaf, order="C")
+    for direction, channel in hitch.channels.items():
+        owners = {direction: channel} | (
+            {} if channel.paper is None else {f"{direction}/paper": channel.paper}
+        )
+        for owner, owner_channel in owners.items():
+            for component in _TRAINED:
+                for path, leaf in jax.tree_util.tree_leaves_with_path(getattr(owner_channel, component)):
+                    tensors[_tensor_name(owner, component, path)] = np.array(leaf, order="C")
     return tensors
 
 
-def _tensor_name(owner: str, part: str, path: tuple) -> str:
-    return f"{owner}/{part}/{jax.tree_util.keystr(path, simple=True, separator='/')}"
+def _tensor_name(owner: str, component: str, path: tuple) -> str:
+    return f"{owner}/{component}/{jax.tree_util.keystr(path, simple=True, separator='/')}"
 
 
 def _hitch(content: dict, tensors: dict[str, np.ndarray]) -> Hitch:
     channels = {
-        mode: _channel(mode, described, tensors, mode) for mode, described in content["channels"].items()
+        direction: _channel(direction, described, tensors, direction)
+        for direction, described in content["channels"].items()
     }
     split = {
-        part: {mode: tuple(names) for mode, names in content["split"][part].items()}
-        for part in ("identification", "validation", "held_out")
+        subset: {direction: tuple(names) for direction, names in content["split"][subset].items()}
+        for subset in ("identification", "validation", "held_out")
     }
     provenance = Provenance(
         **split,
@@ -199,22 +213,22 @@ def _hitch(content: dict, tensors: dict[str, np.ndarray]) -> Hitch:
         versions=content["versions"],
         digest=content["digest"],
     )
-    compared = content["two_modes"]
+    two_modes = content["two_modes"]
     return Hitch(
         channels,
         content["step_s"],
         content["units"],
         provenance,
         content["drift"],
-        None if compared is None else TwoModes(**compared),
-        {mode: Uncertainty.of(each) for mode, each in content["uncertainty"].items()},
+        None if two_modes is None else TwoModes(**two_modes),
+        {direction: Uncertainty.of(uncertainty) for direction, uncertainty in content["uncertainty"].items()},
     )
 
 
-def _channel(mode: str, described: dict, tensors: dict[str, np.ndarray], owner: str) -> Channel:
-    def filled(part: str, skeleton):
+def _channel(direction: str, described: dict, tensors: dict[str, np.ndarray], owner: str) -> Channel:
+    def fill_arrays(component: str, skeleton):
         def leaf(path: tuple, like) -> object:
-            name = _tensor_name(owner, part, path)
+            name = _tensor_name(owner, component, path)
             stored = tensors[name]
             if stored.shape != like.shape or stored.dtype != like.dtype:
                 raise ValueError(f"{name} has shape {stored.shape} and type {stored.dtype}")
@@ -226,11 +240,11 @@ def _channel(mode: str, described: dict, tensors: dict[str, np.ndarray], owner: 
     if len(described["values"]) != len(structure.parameters):
         raise ValueError(f"{structure.name} has {len(structure.parameters)} parameters")
     channel = Channel(
-        mode=mode,
-        direction=int(described["direction"]),
+        direction=direction,
+        sign=int(described["direction"]),
         dead_zone=float(described["dead_zone"]),
         end_stop=described["end_stop"],
-        benchmark=Benchmark(
+        benchmark=PhysicalModel(
             structure,
             jnp.asarray(described["values"]),
             jnp.asarray(float(described["dead_time_s"])),
@@ -239,38 +253,42 @@ def _channel(mode: str, described: dict, tensors: dict[str, np.ndarray], owner: 
         ),
         limits=_limits(described.get("limits")),
     )
-    parts: dict = {}
+    components: dict = {}
     if described["compensator"] is not None:
-        asked = described["compensator"]
-        if asked["features"] != list(FEATURES):
+        compensator_settings = described["compensator"]
+        if compensator_settings["features"] != list(FEATURES):
             raise ValueError("the compensator's features are not those of this version")
-        _check_room(tensors, asked["hidden"] ** 2)
-        parts["compensator"] = filled("compensator", _blank_compensator(asked["hidden"], asked["window"]))
+        _check_size(tensors, compensator_settings["hidden"] ** 2)
+        components["compensator"] = fill_arrays(
+            "compensator", _empty_compensator(compensator_settings["hidden"], compensator_settings["window"])
+        )
     if "speed_compensator" in described:
-        asked = described["speed_compensator"]
-        _check_room(tensors, asked["members"] * asked["hidden"] ** 2)
-        blank = _blank_speed_compensator(direction=channel.direction, **asked)
-        parts["speed_compensator"] = filled("speed_compensator", blank)
+        compensator_settings = described["speed_compensator"]
+        _check_size(tensors, compensator_settings["members"] * compensator_settings["hidden"] ** 2)
+        template = _empty_speed_compensator(sign=channel.sign, **compensator_settings)
+        components["speed_compensator"] = fill_arrays("speed_compensator", template)
     if "envelope" in described:
-        parts["envelope"] = filled("envelope", _blank_envelope())
+        components["envelope"] = fill_arrays("envelope", _empty_operating_range())
     if "paper" in described:
-        parts["paper"] = _channel(mode, described["paper"], tensors, f"{owner}/paper")
+        components["paper"] = _channel(direction, described["paper"], tensors, f"{owner}/paper")
     if "black_box" in described:
         hidden = described["black_box"]["hidden"]
-        _check_room(tensors, hidden**2)
-        parts["black_box"] = filled("black_box", _blank_black_box(hidden))
+        _check_size(tensors, hidden**2)
+        components["black_box"] = fill_arrays("black_box", _empty_black_box(hidden))
     if "arx" in described:
         order = described["arx"]["order"]
-        _check_room(tensors, order)
-        parts["arx"] = filled("arx", Arx(np.zeros(order), np.zeros(order)))
+        _check_size(tensors, order)
+        components["arx"] = fill_arrays("arx", Arx(np.zeros(order), np.zeros(order)))
     if "narx" in described:
-        _check_room(tensors, math.prod(described["narx"]["terms"]))
+        _check_size(tensors, math.prod(described["narx"]["terms"]))
         terms = np.zeros(described["narx"]["terms"], dtype=np.int64)
-        parts["narx"] = filled("narx", Narx(terms, np.zeros(len(terms)), np.zeros(()), np.zeros(())))
+        components["narx"] = fill_arrays(
+            "narx", Narx(terms, np.zeros(len(terms)), np.zeros(()), np.zeros(()))
+        )
     return eqx.tree_at(
-        lambda c: [getattr(c, part) for part in parts],
+        lambda tree: [getattr(tree, component) for component in components],
         channel,
-        list(parts.values()),
+        list(components.values()),
         is_leaf=lambda leaf: leaf is None,
     )
 
@@ -279,25 +297,25 @@ def _limits(described: dict | None) -> TravelLimits | None:
     return None if described is None else TravelLimits(**described)
 
 
-def _check_room(tensors: Mapping[str, np.ndarray], count: int) -> None:
+def _check_size(tensors: Mapping[str, np.ndarray], count: int) -> None:
     """Refuse a size that all weights together do not have, before room is made for it."""
     if count > sum(stored.size for stored in tensors.values()):
         raise ValueError(f"the description has more weights than {WEIGHTS_FILE}")
 
 
-def _shape(described: dict | None) -> Shape | None:
+def _shape(described: dict | None) -> StaticNonlinearity | None:
     if described is None:
         return None
-    if len(described["values"]) != len(SHAPE):
-        raise ValueError(f"the curves have {len(SHAPE)} parameters")
+    if len(described["values"]) != len(NONLINEARITY_PARAMETERS):
+        raise ValueError(f"the curves have {len(NONLINEARITY_PARAMETERS)} parameters")
     scales = Scales(**{name: jnp.asarray(float(value)) for name, value in described["scales"].items()})
-    return Shape(jnp.asarray(described["values"]), scales)
+    return StaticNonlinearity(jnp.asarray(described["values"]), scales)
 
 
-def _blank_compensator(hidden: int, window: int) -> Compensator:
+def _empty_compensator(hidden: int, window: int) -> Compensator:
     count = len(FEATURES)
     return Compensator(
-        Lstm.fresh(jax.random.key(0), count, hidden),
+        Lstm.init(jax.random.key(0), count, hidden),
         jnp.zeros(count),
         jnp.ones(count),
         jnp.ones(()),
@@ -305,18 +323,18 @@ def _blank_compensator(hidden: int, window: int) -> Compensator:
     )
 
 
-def _blank_speed_compensator(*, members: int, hidden: int, every: int, direction: int) -> SpeedCompensator:
-    fresh = Lstm.fresh(jax.random.key(0), INPUTS, hidden)
-    networks = jax.tree.map(lambda leaf: jnp.zeros((members, *leaf.shape), leaf.dtype), fresh)
-    return SpeedCompensator(networks, jnp.ones(()), jnp.ones(()), _blank_envelope(), direction, every)
+def _empty_speed_compensator(*, members: int, hidden: int, every: int, sign: int) -> SpeedCompensator:
+    network = Lstm.init(jax.random.key(0), INPUTS, hidden)
+    networks = jax.tree.map(lambda leaf: jnp.zeros((members, *leaf.shape), leaf.dtype), network)
+    return SpeedCompensator(networks, jnp.ones(()), jnp.ones(()), _empty_operating_range(), sign, every)
 
 
-def _blank_envelope() -> Envelope:
-    return Envelope(*(Range(jnp.ones(()), jnp.ones(())) for _ in range(3)))
+def _empty_operating_range() -> OperatingRange:
+    return OperatingRange(*(SignalRange(jnp.ones(()), jnp.ones(())) for _ in range(3)))
 
 
-def _blank_black_box(hidden: int) -> BlackBox:
-    return BlackBox(Lstm.fresh(jax.random.key(0), 2, hidden), *(jnp.ones(()) for _ in range(4)))
+def _empty_black_box(hidden: int) -> BlackBox:
+    return BlackBox(Lstm.init(jax.random.key(0), 2, hidden), *(jnp.ones(()) for _ in range(4)))
 
 
 def _read_description(folder: Path) -> dict:
@@ -329,9 +347,9 @@ def _read_description(folder: Path) -> dict:
         raise ModelFolderError(f"{path}: was cut short or edited: {type(error).__name__}") from error
     if not isinstance(content, dict) or content.get("kind") != "hitchid model":
         raise ModelFolderError(f"{path}: is not the description of a hitchid model")
-    if not readable(content.get("schema")):
+    if not is_readable(content.get("schema")):
         raise ModelFolderError(
-            f"{path}: has schema {content.get('schema')!r}, required {min(STEPS)} to {SCHEMA}; "
+            f"{path}: has schema {content.get('schema')!r}, required {min(MIGRATIONS)} to {SCHEMA}; "
             "was it written by another version of hitchid? Identify again"
         )
     claimed = content.pop("digest", "")
@@ -339,12 +357,12 @@ def _read_description(folder: Path) -> dict:
         raise ModelFolderError(f"{path}: was edited: its digest does not match; identify again")
     if not isinstance(content.get("files"), dict):
         raise ModelFolderError(f"{path}: cannot be understood: it lists no files")
-    return migrated({**content, "digest": claimed})
+    return migrate({**content, "digest": claimed})
 
 
 def _read(path: Path, required: str) -> bytes:
     try:
-        if own(path).exists() and not path.is_file():  # a pipe would be waited for
+        if inside_folder(path).exists() and not path.is_file():  # a pipe would be waited for
             raise ModelFolderError(f"{path}: cannot be read: it is no file; required {required}")
         return path.read_bytes()
     except OSError as error:

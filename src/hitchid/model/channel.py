@@ -15,10 +15,10 @@ from hitchid.baselines.black_box import BlackBox
 from hitchid.baselines.narx import Narx
 from hitchid.data.record import Record
 from hitchid.model.limits import TravelLimits
-from hitchid.networks.error_compensator import Compensator, Sample, free_run, predicted_errors
-from hitchid.networks.operating_range import Envelope
-from hitchid.networks.speed_compensator import SpeedCompensator, compensated
-from hitchid.structures import Batch, Benchmark
+from hitchid.networks.error_compensator import Compensator, Sample, free_run, predict_errors
+from hitchid.networks.operating_range import OperatingRange
+from hitchid.networks.speed_compensator import SpeedCompensator, simulate_compensated
+from hitchid.structures import Batch, PhysicalModel
 
 RECORDS = 'records as hitchid.read("logs").records holds them'
 
@@ -27,8 +27,8 @@ class Channel(eqx.Module):
     """A grey box for one direction: a benchmark, a compensator for predictions and one for free run.
 
     Attributes:
-        mode: whose command it hears.
-        direction: +1 where the displacement grows with the command, −1 where it falls.
+        direction: whose command it hears.
+        sign: +1 where the displacement grows with the command, −1 where it falls.
         dead_zone: dead zone of the command, in its unit.
         end_stop: displacement the piston cannot pass, in the displacement's unit; None where none was met.
         limits: between what displacements a free run is held; None in models that know none.
@@ -41,14 +41,14 @@ class Channel(eqx.Module):
             and a compensator that in free run hears itself; None where this channel is that.
     """
 
-    mode: str = eqx.field(static=True)
-    direction: int = eqx.field(static=True)
+    direction: str = eqx.field(static=True)
+    sign: int = eqx.field(static=True)
     dead_zone: float = eqx.field(static=True)
     end_stop: float | None = eqx.field(static=True)
-    benchmark: Benchmark
+    benchmark: PhysicalModel
     compensator: Compensator | None = None
     speed_compensator: SpeedCompensator | None = None
-    envelope: Envelope | None = None
+    envelope: OperatingRange | None = None
     arx: Arx | None = None
     narx: Narx | None = None
     black_box: BlackBox | None = None
@@ -59,32 +59,36 @@ class Channel(eqx.Module):
     def batch(self, records: Sequence[Record], initial: Sequence[float] | None = None) -> Batch:
         """Lay records side by side as this channel hears them; see `Batch.of`."""
         return Batch.of(
-            checks.several(records, Record, "records", RECORDS),
-            self.mode,
+            checks.tuple_of(records, Record, "records", RECORDS),
+            self.direction,
             dead_zone=self.dead_zone,
-            direction=self.direction,
+            sign=self.sign,
             end_stop=self.end_stop,
             initial=initial,
-            load=self.benchmark.load,
+            covariate=self.benchmark.covariate,
         )
 
     @double_precision
     def simulate_benchmark(self, batch: Batch) -> Float[Array, "t n"]:
         """Return the benchmark's free run from commands and initial displacement, shape [T, N]."""
-        return self._displaced(batch, self.benchmark.travel(batch))
+        return self._to_displacement(batch, self.benchmark.travel(batch))
 
     @double_precision
     def simulate(self, batch: Batch) -> Float[Array, "t n"]:
         """Return the grey box's free run from commands and initial displacement, shape [T, N]."""
         if self.speed_compensator is None:
             return self.simulate_benchmark(batch)
-        travel = compensated(
-            self.speed_compensator, self.benchmark.travel(batch), batch.command, batch.initial, batch.load
+        travel = simulate_compensated(
+            self.speed_compensator,
+            self.benchmark.travel(batch),
+            batch.command,
+            batch.initial,
+            batch.covariate,
         )
-        return self._displaced(batch, travel)
+        return self._to_displacement(batch, travel)
 
     @double_precision
-    def echo(self, batch: Batch) -> Float[Array, "t n"]:
+    def simulate_closed_loop(self, batch: Batch) -> Float[Array, "t n"]:
         """Return the free run of the compensator for predictions, which hears itself, shape [T, N].
 
         This is what the method of Sun et al. 2025 gives where nothing is measured.
@@ -97,7 +101,7 @@ class Channel(eqx.Module):
         return benchmark + errors.T
 
     @double_precision
-    def outside(self, batch: Batch, displacement: Float[Array, "t n"]) -> Mapping[str, np.ndarray]:
+    def out_of_range(self, batch: Batch, displacement: Float[Array, "t n"]) -> Mapping[str, np.ndarray]:
         """Tell where a simulation leaves what the identification tests covered.
 
         Args:
@@ -109,19 +113,23 @@ class Channel(eqx.Module):
         """
         if self.envelope is None:
             return {}
-        heard = {"command": jnp.abs(batch.command), "displacement": displacement, "load": batch.load[:, None]}
+        signals = {
+            "command": jnp.abs(batch.command),
+            "displacement": displacement,
+            "load": batch.covariate[:, None],
+        }
         return {
             name: np.asarray((getattr(self.envelope, name).trust(values) < 1) & batch.valid)
-            for name, values in heard.items()
+            for name, values in signals.items()
         }
 
-    def _displaced(self, batch: Batch, travel: Float[Array, "t n"]) -> Float[Array, "t n"]:
+    def _to_displacement(self, batch: Batch, travel: Float[Array, "t n"]) -> Float[Array, "t n"]:
         """Return the displacement that belongs to a travel, no farther than the end stop and the limits."""
         if self.end_stop is not None:
-            room = jnp.maximum(self.direction * (self.end_stop - batch.initial), 0.0)
-            travel = jnp.minimum(travel, room[:, None])
-        displacement = batch.displaced(travel)
-        return displacement if self.limits is None else self.limits.hold(displacement, batch.initial[:, None])
+            max_travel = jnp.maximum(self.sign * (self.end_stop - batch.initial), 0.0)
+            travel = jnp.minimum(travel, max_travel[:, None])
+        displacement = batch.to_displacement(travel)
+        return displacement if self.limits is None else self.limits.clip(displacement, batch.initial[:, None])
 
     @double_precision
     def predict(self, batch: Batch, horizons: tuple[int, ...]) -> Float[Array, "h t n"]:
@@ -141,14 +149,14 @@ class Channel(eqx.Module):
         tests = Sample(time_s, batch.command, benchmark, batch.displacement)
         trust = jnp.ones_like(benchmark)
         if self.envelope is not None:
-            trust = self.envelope.trust(jnp.abs(batch.command), benchmark, batch.load[:, None])
-        return benchmark + predicted_errors(self.compensator, tests, trust, horizons, batch.step_s)
+            trust = self.envelope.trust(jnp.abs(batch.command), benchmark, batch.covariate[:, None])
+        return benchmark + predict_errors(self.compensator, tests, trust, horizons, batch.step_s)
 
 
 def _clock(batch: Batch) -> Float[Array, " n"]:
     return batch.step_s * jnp.arange(batch.command.shape[1])
 
 
-def unpadded(rows: Float[np.ndarray, "t n"], records: Sequence[Record]) -> list[np.ndarray]:
+def remove_padding(rows: Float[np.ndarray, "t n"], records: Sequence[Record]) -> list[np.ndarray]:
     """Return each test's row without its padding."""
     return [row[: len(record)] for row, record in zip(rows, records, strict=True)]

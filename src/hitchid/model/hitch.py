@@ -15,18 +15,26 @@ from scipy.special import ndtri
 
 from hitchid._support import checks
 from hitchid._support.precision import double_precision
-from hitchid.data.record import COMMAND, DISPLACEMENT, MODES, Record
-from hitchid.data.segmentation import Switch
+from hitchid.data.record import COMMAND, DIRECTIONS, DISPLACEMENT, Record
+from hitchid.data.segmentation import CommandThreshold
 from hitchid.data.test_kinds import ACTIVE_FRACTION, effective_command, full_scales
 from hitchid.data.units import conversion_factor
 from hitchid.errors import InputError
 from hitchid.model.channel import Channel
+from hitchid.model.dynamics import MAX_MAGNITUDE, HitchDynamics, HitchState
+from hitchid.model.ensemble import perturbed_channel
 from hitchid.model.limits import TravelLimits
 from hitchid.model.packing import Packed, Packing
-from hitchid.model.possible import possible
 from hitchid.model.provenance import Provenance, TwoModes
-from hitchid.model.runs import FreeRun, Rest, ahead_of, from_origins, padded, stepped, stepped_abreast
-from hitchid.model.stepping import LARGEST, Motion, State
+from hitchid.model.runs import (
+    FreeRun,
+    InitialCondition,
+    align_predictions,
+    pad_with_nan,
+    predict_from_origins,
+    simulate_ensemble,
+    simulate_free_run,
+)
 from hitchid.structures import Batch, mean_before_motion
 from hitchid.uncertainty import Bands, Uncertainty
 
@@ -62,7 +70,9 @@ class Hitch:
 
     def __post_init__(self) -> None:
         """Freeze the mappings, channels in the order of the modes."""
-        ordered = {mode: self.channels[mode] for mode in MODES if mode in self.channels}
+        ordered = {
+            direction: self.channels[direction] for direction in DIRECTIONS if direction in self.channels
+        }
         object.__setattr__(self, "channels", MappingProxyType(ordered))
         object.__setattr__(self, "units", MappingProxyType(dict(self.units)))
 
@@ -78,25 +88,25 @@ class Hitch:
         Raises:
             InputError, SettingsError: as `simulate`.
         """
-        own = self.adopt(record)
-        displacement, charge = self.free_run(own)
-        found = []
-        for number, (mode, channel) in enumerate(self.channels.items()):
-            driven = charge == number
-            batch = channel.batch([own], [float(displacement[0])])
-            rows = channel.outside(batch, jnp.asarray(_widened(displacement, batch))[None])
-            for name, outside in rows.items():
-                samples = int(np.sum(outside[0, : len(own)] & driven))
+        model_record = self.to_model_units(record)
+        displacement, active_channel = self.free_run(model_record)
+        warnings = []
+        for number, (direction, channel) in enumerate(self.channels.items()):
+            in_charge = active_channel == number
+            batch = channel.batch([model_record], [float(displacement[0])])
+            rows = channel.out_of_range(batch, jnp.asarray(_padded_to_batch(displacement, batch))[None])
+            for name, is_outside in rows.items():
+                samples = int(np.sum(is_outside[0, : len(model_record)] & in_charge))
                 if samples:
-                    found.append(
-                        f"{mode}: the {name} leaves what the tests covered, {self.covered(mode, name)}, in "
-                        f"{samples} of {len(own)} samples"
+                    warnings.append(
+                        f"{direction}: the {name} leaves what the tests covered, {self.describe_range(direction, name)}, in "
+                        f"{samples} of {len(model_record)} samples"
                     )
-        return (*found, *self._at_limits(displacement))
+        return (*warnings, *self._at_limits(displacement))
 
     def _at_limits(self, displacement: np.ndarray) -> list[str]:
         """Tell in words where a free run is held at a limit of the plant that is no mechanical stop."""
-        samples = 0 if self.limits is None else int(np.sum(self.limits.reached(displacement)))
+        samples = 0 if self.limits is None else int(np.sum(self.limits.at_soft_limit(displacement)))
         if not samples or self.limits is None:
             return []
         unit = self.units[DISPLACEMENT]
@@ -107,27 +117,27 @@ class Hitch:
         """Between what displacements a free run is held; None in models that know no limits."""
         return next((channel.limits for channel in self.channels.values()), None)
 
-    def covered(self, mode: str, name: str) -> str:
+    def describe_range(self, direction: str, name: str) -> str:
         """Return in words from where to where the tests of a mode went.
 
         Args:
-            mode: of a channel that knows it.
+            direction: of a channel that knows it.
             name: `command`, `displacement` or `load`.
         """
-        channel = self.channels[mode]
-        load = channel.benchmark.load or ""
-        role = {"command": COMMAND[mode], "displacement": DISPLACEMENT, "load": load}[name]
-        covered = getattr(channel.envelope, name)
-        beyond = " beyond the dead zone" if name == "command" else ""
-        ends = f"{float(covered.lowest):.4g} to {float(covered.highest):.4g}"
-        return f"{ends} {self.units.get(role, '')}{beyond}"
+        channel = self.channels[direction]
+        load = channel.benchmark.covariate or ""
+        role = {"command": COMMAND[direction], "displacement": DISPLACEMENT, "load": load}[name]
+        signal_range = getattr(channel.envelope, name)
+        suffix = " beyond the dead zone" if name == "command" else ""
+        ends = f"{float(signal_range.lowest):.4g} to {float(signal_range.highest):.4g}"
+        return f"{ends} {self.units.get(role, '')}{suffix}"
 
     @property
     def dead_zones(self) -> dict[str, float]:
         """Mode to dead zone, in the command's unit."""
-        return {mode: channel.dead_zone for mode, channel in self.channels.items()}
+        return {direction: channel.dead_zone for direction, channel in self.channels.items()}
 
-    def switches(self, units: Mapping[str, str]) -> dict[str, Switch]:
+    def command_thresholds(self, units: Mapping[str, str]) -> dict[str, CommandThreshold]:
         """Return mode to how it hears its command: dead zone, hysteresis, dead time.
 
         Args:
@@ -137,15 +147,17 @@ class Hitch:
             SettingsError: a unit is of another dimension than the model's.
         """
         checks.instance(units, Mapping, "units", "role to unit")
-        found = {}
-        for mode, channel in self.channels.items():
+        thresholds = {}
+        for direction, channel in self.channels.items():
             benchmark = channel.benchmark
-            share = benchmark.named_values().get("hysteresis", 0.0)
-            zone = channel.dead_zone * self._command_factor(mode, units)
-            found[mode] = Switch(zone, share * zone, float(benchmark.dead_time_s))
-        return found
+            hysteresis = benchmark.named_values().get("hysteresis", 0.0)
+            dead_zone = channel.dead_zone * self._command_factor(direction, units)
+            thresholds[direction] = CommandThreshold(
+                dead_zone, hysteresis * dead_zone, float(benchmark.dead_time_s)
+            )
+        return thresholds
 
-    def cut_at(self, units: Mapping[str, str]) -> dict[str, float]:
+    def segmentation_dead_zones(self, units: Mapping[str, str]) -> dict[str, float]:
         """Return mode to the dead zone with which mixed cycles are cut into strokes.
 
         Args:
@@ -155,16 +167,19 @@ class Hitch:
             SettingsError: a unit is of another dimension than the model's.
         """
         checks.instance(units, Mapping, "units", "role to unit")
-        zones = self.provenance.cut_at or self.dead_zones
-        return {mode: zone * self._command_factor(mode, units) for mode, zone in zones.items()}
+        dead_zones = self.provenance.cut_at or self.dead_zones
+        return {
+            direction: dead_zone * self._command_factor(direction, units)
+            for direction, dead_zone in dead_zones.items()
+        }
 
-    def _command_factor(self, mode: str, units: Mapping[str, str]) -> float:
-        role = COMMAND[mode]
-        known = role in self.units and role in units
-        return conversion_factor(self.units[role], units[role], role) if known else 1.0
+    def _command_factor(self, direction: str, units: Mapping[str, str]) -> float:
+        role = COMMAND[direction]
+        convertible = role in self.units and role in units
+        return conversion_factor(self.units[role], units[role], role) if convertible else 1.0
 
     @double_precision
-    def initial(self, displacement: float, load: float = 0.0) -> Packed:
+    def init_state(self, displacement: float, load: float = 0.0) -> Packed:
         """Return the state of a hitch that stands, its valves shut.
 
         Args:
@@ -177,9 +192,9 @@ class Hitch:
         numbers = []
         for name, value in (("displacement", displacement), ("load", load)):
             numbers.append(checks.number(value, name))
-            if not abs(numbers[-1]) < LARGEST:
-                raise InputError(f"{name}: required a number within ±{LARGEST:g}, came {value}")
-        return self._standing(*numbers)
+            if not abs(numbers[-1]) < MAX_MAGNITUDE:
+                raise InputError(f"{name}: required a number within ±{MAX_MAGNITUDE:g}, came {value}")
+        return self._jitted_init_state(*numbers)
 
     def step(
         self, state: Packed, commands: ArrayLike | Sequence[ArrayLike], measured: ArrayLike | None = None
@@ -204,9 +219,11 @@ class Hitch:
         """
         with jax.enable_x64(True):
             self._check_state(state)
-            return self._step(state, self._given(commands, np.nan if measured is None else measured))
+            return self._jitted_step(
+                state, self._join_inputs(commands, np.nan if measured is None else measured)
+            )
 
-    def situation(self, state: Packed) -> State:
+    def unpack_state(self, state: Packed) -> HitchState:
         """Return what a state says: displacement, channel in charge, what is missing.
 
         Raises:
@@ -214,7 +231,7 @@ class Hitch:
         """
         with jax.enable_x64(True):
             self._check_state(state)
-            return self._unpacked(state)
+            return self._jitted_unpack(state)
 
     @double_precision
     def simulate(self, record: Record, *, compensated: bool = True) -> np.ndarray:
@@ -233,8 +250,10 @@ class Hitch:
             InputError: a command is effective that the model has no channel for.
             SettingsError: a unit is of another dimension than the model's.
         """
-        own = self.adopt(record)
-        return self._given_back(self.free_run(own, compensated=compensated).displacement, own, record)
+        model_record = self.to_model_units(record)
+        return self._to_record_units(
+            self.free_run(model_record, compensated=compensated).displacement, model_record, record
+        )
 
     def predict(self, record: Record, *, horizon: int = 1) -> np.ndarray:
         """Return each sample predicted from the displacement measured `horizon` samples before and earlier.
@@ -255,27 +274,32 @@ class Hitch:
         return self.predictions(record, (horizon,))[0]
 
     @double_precision
-    def predictions(self, record: Record, horizons: Sequence[int], *, every: int = 1) -> np.ndarray:
+    def predictions(self, record: Record, horizons: Sequence[int], *, stride: int = 1) -> np.ndarray:
         """Return `predict` for several horizons at once, shape [H, N].
 
         Args:
             record, horizons: as `predict` takes them.
-            every: predict from one sample in so many; what is not predicted is NaN.
+            stride: predict from one sample in so many; what is not predicted is NaN.
         """
-        horizons = [checks.whole(each, "horizon", least=1) for each in horizons]
+        horizons = [checks.integer(horizon, "horizon", minimum=1) for horizon in horizons]
         if not horizons:
             raise InputError("horizons: required at least one number of samples, none came")
-        checks.whole(every, "every", least=1)
-        own = self.adopt(record)
-        farthest = min(max(horizons), len(own))
-        commands = padded(_commands(own), farthest)
-        measured = padded(own.displacement, farthest)
-        rest = self._rest(own)
-        ahead = np.asarray(ahead_of(self._motion, jnp.array(rest), commands, measured, farthest, every))
+        checks.integer(stride, "stride", minimum=1)
+        model_record = self.to_model_units(record)
+        max_horizon = min(max(horizons), len(model_record))
+        commands = pad_with_nan(_commands(model_record), max_horizon)
+        measured = pad_with_nan(model_record.displacement, max_horizon)
+        initial = self._initial_condition(model_record)
+        predictions_ahead = np.asarray(
+            predict_from_origins(self._dynamics, jnp.array(initial), commands, measured, max_horizon, stride)
+        )
         rows = [
-            from_origins(ahead, rest.displacement, min(each, farthest), len(own), every) for each in horizons
+            align_predictions(
+                predictions_ahead, initial.displacement, min(horizon, max_horizon), len(model_record), stride
+            )
+            for horizon in horizons
         ]
-        return np.stack([self._given_back(row, own, record) for row in rows])
+        return np.stack([self._to_record_units(row, model_record, record) for row in rows])
 
     @double_precision
     def free_run(self, record: Record, *, compensated: bool = True) -> FreeRun:
@@ -285,13 +309,17 @@ class Hitch:
             record: on the model's clock and in its units; see `adopt`.
             compensated: False leaves the compensators out.
         """
-        rest = self._rest(record)
-        commands = padded(_commands(record), 1)
-        displacement, charge = stepped(self._free_motion(compensated=compensated), jnp.array(rest), commands)
+        initial = self._initial_condition(record)
+        commands = pad_with_nan(_commands(record), 1)
+        displacement, active_channel = simulate_free_run(
+            self._free_run_dynamics(compensated=compensated), jnp.array(initial), commands
+        )
         count = len(record) - 1
         return FreeRun(
-            _after(rest, np.asarray(displacement)[:count]),
-            np.concatenate([np.asarray(charge)[:count], np.asarray(charge)[count - 1 : count]]),
+            _with_first_sample(initial, np.asarray(displacement)[:count]),
+            np.concatenate(
+                [np.asarray(active_channel)[:count], np.asarray(active_channel)[count - 1 : count]]
+            ),
         )
 
     @double_precision
@@ -311,25 +339,27 @@ class Hitch:
             SettingsError: a unit is of another dimension than the model's.
         """
         checks.number(coverage, "coverage")
-        known = self._bands
-        lacking = [mode for mode in self.channels if mode not in known]
-        if lacking:
+        bands = self._bands
+        missing = [direction for direction in self.channels if direction not in bands]
+        if missing:
             raise InputError(
-                f"the model has no bands for {' and '.join(lacking)}; required at least three tests to "
+                f"the model has no bands for {' and '.join(missing)}; required at least three tests to "
                 "identify it from"
             )
-        own = self.adopt(record)
-        run = self.free_run(own)
+        model_record = self.to_model_units(record)
+        run = self.free_run(model_record)
         if horizon is None:
-            middle = self._given_back(run.displacement, own, record)
-            half = self._free_run_half(own, run, known, coverage)
+            centre = self._to_record_units(run.displacement, model_record, record)
+            half_width = self._free_run_half_width(model_record, run, bands, coverage)
         else:
-            checks.whole(horizon, "horizon", least=1)
-            each = [known[mode].half_width(coverage, horizon) for mode in self.channels]
-            middle = self.predict(record, horizon=horizon)
-            half = np.where(run.charge < 0, max(each), np.array(each)[run.charge])
-        half = self._given_back(half, own, record)
-        return Band(middle - half, middle + half)
+            checks.integer(horizon, "horizon", minimum=1)
+            half_widths = [bands[direction].half_width(coverage, horizon) for direction in self.channels]
+            centre = self.predict(record, horizon=horizon)
+            half_width = np.where(
+                run.active_channel < 0, max(half_widths), np.array(half_widths)[run.active_channel]
+            )
+        half_width = self._to_record_units(half_width, model_record, record)
+        return Band(centre - half_width, centre + half_width)
 
     @property
     def has_bands(self) -> bool:
@@ -338,25 +368,35 @@ class Hitch:
 
     @property
     def _bands(self) -> dict[str, Bands]:
-        held = {mode: known.bands for mode, known in self.uncertainty.items() if mode in self.channels}
-        return {mode: bands for mode, bands in held.items() if bands is not None}
+        all_bands = {
+            direction: uncertainty.bands
+            for direction, uncertainty in self.uncertainty.items()
+            if direction in self.channels
+        }
+        return {direction: bands for direction, bands in all_bands.items() if bands is not None}
 
-    def _free_run_half(
-        self, own: Record, run: FreeRun, bands: Mapping[str, Bands], coverage: float
+    def _free_run_half_width(
+        self, model_record: Record, run: FreeRun, bands: Mapping[str, Bands], coverage: float
     ) -> Float[np.ndarray, " n"]:
-        floor = [ndtri(0.5 + coverage / 2) * each.noise for each in bands.values()]
-        others, factors = [], []
-        for mode, channel in self.channels.items():
-            for each in bands[mode].alternatives:
-                other = replace(self, channels={**self.channels, mode: possible(channel, each)})
-                others.append(other._free_motion())
-                factors.append(bands[mode].multiplier(coverage) * each.weight)
-        rest = self._rest(own)
-        runs = stepped_abreast(others, jnp.array(rest), padded(_commands(own), 1))[:, : len(own) - 1]
-        apart = np.stack([_after(rest, row) for row in runs]) - run.displacement
-        return np.sqrt(float(max(floor)) ** 2 + np.sum((np.array(factors)[:, None] * apart) ** 2, axis=0))
+        floor = [ndtri(0.5 + coverage / 2) * channel_bands.noise for channel_bands in bands.values()]
+        perturbed_dynamics, factors = [], []
+        for direction, channel in self.channels.items():
+            for member in bands[direction].alternatives:
+                perturbed = replace(
+                    self, channels={**self.channels, direction: perturbed_channel(channel, member)}
+                )
+                perturbed_dynamics.append(perturbed._free_run_dynamics())
+                factors.append(bands[direction].multiplier(coverage) * member.weight)
+        initial = self._initial_condition(model_record)
+        runs = simulate_ensemble(
+            perturbed_dynamics, jnp.array(initial), pad_with_nan(_commands(model_record), 1)
+        )[:, : len(model_record) - 1]
+        deviations = np.stack([_with_first_sample(initial, row) for row in runs]) - run.displacement
+        return np.sqrt(
+            float(max(floor)) ** 2 + np.sum((np.array(factors)[:, None] * deviations) ** 2, axis=0)
+        )
 
-    def adopt(self, record: Record) -> Record:
+    def to_model_units(self, record: Record) -> Record:
         """Return a record on the model's clock and in the model's units.
 
         Raises:
@@ -364,103 +404,119 @@ class Hitch:
             SettingsError: a unit is of another dimension than the model's.
         """
         checks.instance(record, Record, "record", 'one of hitchid.read("logs").records')
-        if not any(mode in record.modes for mode in self.channels):
+        if not any(direction in record.directions for direction in self.channels):
             raise InputError(
-                f"record '{record.name}' has commands for {' and '.join(record.modes)}; "
+                f"record '{record.name}' has commands for {' and '.join(record.directions)}; "
                 f"the model has channels for {' and '.join(self.channels)}"
             )
-        told = record.convert({role: unit for role, unit in self.units.items() if role in record.signals})
-        on_clock = told if _same_clock(told.step_s, self.step_s, len(told)) else told.resample(self.step_s)
+        converted = record.convert(
+            {role: unit for role, unit in self.units.items() if role in record.signals}
+        )
+        resampled = (
+            converted
+            if _same_clock(converted.step_s, self.step_s, len(converted))
+            else converted.resample(self.step_s)
+        )
         scales = full_scales([record])
-        for mode in record.modes:
-            active = np.abs(record.command(mode)) > ACTIVE_FRACTION * scales[mode]
-            if mode not in self.channels and np.any(active):
+        for direction in record.directions:
+            active = np.abs(record.command(direction)) > ACTIVE_FRACTION * scales[direction]
+            if direction not in self.channels and np.any(active):
                 raise InputError(
-                    f"record '{record.name}': its {mode} command is not zero; the model has no {mode} channel"
+                    f"record '{record.name}': its {direction} command is not zero; the model has no {direction} channel"
                 )
-        return on_clock
+        return resampled
 
     @cached_property
-    def _motion(self) -> Motion:
-        return Motion.of(tuple(self.channels.values()), self.step_s, self.drift)
+    def _dynamics(self) -> HitchDynamics:
+        return HitchDynamics.of(tuple(self.channels.values()), self.step_s, self.drift)
 
-    def _free_motion(self, *, compensated: bool = True) -> Motion:
+    def _free_run_dynamics(self, *, compensated: bool = True) -> HitchDynamics:
         """Return the motion without what predicts from measurements, or without any compensator."""
-        alone = {"compensator": None} if compensated else {"compensator": None, "speed_compensator": None}
-        channels = [replace(channel, **alone) for channel in self.channels.values()]
-        return Motion.of(channels, self.step_s, self.drift)
+        removed = {"compensator": None} if compensated else {"compensator": None, "speed_compensator": None}
+        channels = [replace(channel, **removed) for channel in self.channels.values()]
+        return HitchDynamics.of(channels, self.step_s, self.drift)
 
     def _check_state(self, state: Packed) -> None:
         """Refuse what is no state of this model; shapes alone are looked at, so that it may be traced."""
         required = "a state of this model, from `initial` or `step`"
         checks.instance(state, Packed, "state", required)
         if tuple(map(np.shape, state)) != self._state_shapes:
-            raise checks.refusal("state", required, tuple(map(np.shape, state)))
+            raise checks.input_error("state", required, tuple(map(np.shape, state)))
 
     @cached_property
     def _packing(self) -> Packing:
-        return Packing(jax.eval_shape(self._motion.standing))
+        return Packing(jax.eval_shape(self._dynamics.standing_state))
 
     @cached_property
-    def _standing(self) -> Callable[[float, float], Packed]:
-        motion, packing = self._motion, self._packing
-        return jax.jit(lambda displacement, load: packing.pack(motion.initial(displacement, load)))
+    def _jitted_init_state(self) -> Callable[[float, float], Packed]:
+        dynamics, packing = self._dynamics, self._packing
+        return jax.jit(lambda displacement, load: packing.pack(dynamics.init_state(displacement, load)))
 
     @cached_property
-    def _unpacked(self) -> Callable[[Packed], State]:
+    def _jitted_unpack(self) -> Callable[[Packed], HitchState]:
         return jax.jit(self._packing.unpack)
 
     @cached_property
-    def _step(self) -> Callable[..., tuple[Packed, Array]]:
-        return self._packing.step(self._motion)
+    def _jitted_step(self) -> Callable[..., tuple[Packed, Array]]:
+        return self._packing.step(self._dynamics)
 
     @cached_property
     def _state_shapes(self) -> tuple[tuple[int, ...], ...]:
-        return tuple(part.shape for part in jax.eval_shape(self._standing, 0.0, 0.0))
+        return tuple(array.shape for array in jax.eval_shape(self._jitted_init_state, 0.0, 0.0))
 
-    def _given(self, commands: ArrayLike | Sequence[ArrayLike], measured: ArrayLike) -> Array | np.ndarray:
+    def _join_inputs(
+        self, commands: ArrayLike | Sequence[ArrayLike], measured: ArrayLike
+    ) -> Array | np.ndarray:
         """Return lifting and lowering command and measured displacement in one array, shape [3]."""
-        parts = commands if isinstance(commands, Sequence) else (commands,)
-        xp = jnp if any(isinstance(each, jax.Array) for each in (*parts, measured)) else np
+        values = commands if isinstance(commands, Sequence) else (commands,)
+        xp = jnp if any(isinstance(value, jax.Array) for value in (*values, measured)) else np
         try:
-            both, now = xp.asarray(commands), xp.asarray(measured)
+            command_array, measured_array = xp.asarray(commands), xp.asarray(measured)
         except (TypeError, ValueError) as error:
-            raise checks.refusal("commands, measured", "numbers", (commands, measured)) from error
-        if {both.dtype.kind, now.dtype.kind} - set("iuf"):
-            raise checks.refusal("commands, measured", "numbers", (commands, measured))
-        if both.shape == (1,) and len(self.channels) == 1:
-            (mode,) = self.channels
-            both = xp.zeros(len(MODES)) + both * np.array([each == mode for each in MODES])
-        if both.shape != (len(MODES),):
-            raise InputError(f"commands: required lifting and lowering, shape (2,), came shape {both.shape}")
-        if now.shape != ():
-            raise InputError(f"measured: required one displacement, shape (), came shape {now.shape}")
-        return xp.append(both, now).astype(np.float64)
+            raise checks.input_error("commands, measured", "numbers", (commands, measured)) from error
+        if {command_array.dtype.kind, measured_array.dtype.kind} - set("iuf"):
+            raise checks.input_error("commands, measured", "numbers", (commands, measured))
+        if command_array.shape == (1,) and len(self.channels) == 1:
+            (direction,) = self.channels
+            command_array = xp.zeros(len(DIRECTIONS)) + command_array * np.array(
+                [name == direction for name in DIRECTIONS]
+            )
+        if command_array.shape != (len(DIRECTIONS),):
+            raise InputError(
+                f"commands: required lifting and lowering, shape (2,), came shape {command_array.shape}"
+            )
+        if measured_array.shape != ():
+            raise InputError(
+                f"measured: required one displacement, shape (), came shape {measured_array.shape}"
+            )
+        return xp.append(command_array, measured_array).astype(np.float64)
 
-    def _rest(self, record: Record) -> Rest:
+    def _initial_condition(self, record: Record) -> InitialCondition:
         """Return where a hitch stands before a record: the means before any command becomes effective."""
         effective = np.zeros(len(record))
-        for mode, channel in self.channels.items():
-            if mode in record.modes:
-                effective += np.abs(effective_command(record.command(mode), channel.dead_zone))
-        load = next((c.benchmark.load for c in self.channels.values() if c.benchmark.load), None)
+        for direction, channel in self.channels.items():
+            if direction in record.directions:
+                effective += np.abs(effective_command(record.command(direction), channel.dead_zone))
+        load = next((c.benchmark.covariate for c in self.channels.values() if c.benchmark.covariate), None)
         record.require(load)
-        return Rest(
+        return InitialCondition(
             mean_before_motion(record.displacement, effective),
             0.0 if load is None else mean_before_motion(record.signals[load], effective),
         )
 
-    def _given_back(self, displacement: np.ndarray, own: Record, record: Record) -> np.ndarray:
+    def _to_record_units(self, displacement: np.ndarray, model_record: Record, record: Record) -> np.ndarray:
         """Return a displacement on the model's clock and in its unit on the record's, in the record's."""
-        unit = conversion_factor(self.units[DISPLACEMENT], record.unit, record.name)
-        if own.step_s != record.step_s:
-            displacement = np.interp(record.time_s, own.time_s, displacement)
-        return displacement * unit
+        factor = conversion_factor(self.units[DISPLACEMENT], record.unit, record.name)
+        if model_record.step_s != record.step_s:
+            displacement = np.interp(record.time_s, model_record.time_s, displacement)
+        return displacement * factor
 
 
-def _after(rest: Rest, displacement: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n1"]:
+def _with_first_sample(
+    initial: InitialCondition, displacement: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, " n1"]:
     """Return a free run from its first sample on."""
-    return np.concatenate([[rest.displacement], displacement])
+    return np.concatenate([[initial.displacement], displacement])
 
 
 def _same_clock(step_s: float, wanted_s: float, samples: int) -> bool:
@@ -469,9 +525,12 @@ def _same_clock(step_s: float, wanted_s: float, samples: int) -> bool:
 
 def _commands(record: Record) -> Float[np.ndarray, "n 2"]:
     """Return lifting and lowering command, zero where there is none, shape [N, 2]."""
-    none = np.zeros(len(record))
-    return np.stack([record.command(mode) if mode in record.modes else none for mode in MODES], axis=1)
+    zeros = np.zeros(len(record))
+    return np.stack(
+        [record.command(direction) if direction in record.directions else zeros for direction in DIRECTIONS],
+        axis=1,
+    )
 
 
-def _widened(samples: np.ndarray, batch: Batch) -> np.ndarray:
+def _padded_to_batch(samples: np.ndarray, batch: Batch) -> np.ndarray:
     return np.pad(samples, (0, batch.command.shape[1] - samples.size), mode="edge")

@@ -35,7 +35,9 @@ class TravelLimits(NamedTuple):
             records: the logs of the identification.
             end_stops: direction (+1, −1) to the displacement at which it met a stop, where it did.
         """
-        ranges = [(float(np.min(r.displacement)), float(np.max(r.displacement))) for r in records]
+        ranges = [
+            (float(np.min(record.displacement)), float(np.max(record.displacement))) for record in records
+        ]
         lowest, highest = min(low for low, _ in ranges), max(high for _, high in ranges)
         margin = MARGIN * (highest - lowest)
         return cls(
@@ -45,22 +47,22 @@ class TravelLimits(NamedTuple):
             1 in end_stops,
         )
 
-    def hold(self, displacement: Float[Array, "*b"], start: Float[Array, "*#b"]) -> Float[Array, "*b"]:
+    def clip(self, displacement: Float[Array, "*b"], start: Float[Array, "*#b"]) -> Float[Array, "*b"]:
         """Return displacements within the limits, or within the start of a run that begins beyond them."""
         return jnp.clip(displacement, jnp.minimum(self.lower, start), jnp.maximum(self.upper, start))
 
-    def inside(self, displacement: Float[Array, "*b"], start: Float[Array, "*#b"]) -> Bool[Array, "*b"]:
+    def is_inside(self, displacement: Float[Array, "*b"], start: Float[Array, "*#b"]) -> Bool[Array, "*b"]:
         """Tell where displacements are not held, of a run that begins at `start`."""
         return (displacement > jnp.minimum(self.lower, start)) & (
             displacement < jnp.maximum(self.upper, start)
         )
 
-    def reached(self, displacement: Float[np.ndarray, "*b"]) -> np.ndarray:
+    def at_soft_limit(self, displacement: Float[np.ndarray, "*b"]) -> np.ndarray:
         """Tell where displacements are at a limit that is no stop, or beyond it; shape as given."""
         # Conversion to another unit and back rounds.
-        slack = ROUNDING * (self.upper - self.lower)
-        low = displacement <= self.lower + slack
-        high = displacement >= self.upper - slack
+        tolerance = ROUNDING * (self.upper - self.lower)
+        low = displacement <= self.lower + tolerance
+        high = displacement >= self.upper - tolerance
         return (low & (not self.lower_stop)) | (high & (not self.upper_stop))
 
     def sentence(self, unit: str) -> str:

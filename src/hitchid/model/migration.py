@@ -18,20 +18,20 @@ def _with_uncertainty(content: Description) -> Description:
     return {**content, "uncertainty": {}}
 
 
-STEPS: Mapping[int, Callable[[Description], Description]] = MappingProxyType(
+MIGRATIONS: Mapping[int, Callable[[Description], Description]] = MappingProxyType(
     {3: _with_hold, 4: _with_uncertainty}
 )
 """From a schema to the next: what an older model did not know is told as not known."""
 
 
-def readable(schema: object) -> bool:
+def is_readable(schema: object) -> bool:
     """Tell whether a description of a schema is one of this version or can be brought to it."""
-    return type(schema) is int and (schema == SCHEMA or schema in STEPS)
+    return type(schema) is int and (schema == SCHEMA or schema in MIGRATIONS)
 
 
-def migrated(content: Description) -> Description:
+def migrate(content: Description) -> Description:
     """Return a description in the schema of this version, step by step from its own."""
-    while content["schema"] in STEPS:
+    while content["schema"] in MIGRATIONS:
         schema = content["schema"]
-        content = {**STEPS[schema](content), "schema": schema + 1}
+        content = {**MIGRATIONS[schema](content), "schema": schema + 1}
     return content

@@ -9,7 +9,7 @@ from jax.flatten_util import ravel_pytree
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Float32, PyTree
 
-from hitchid.model.stepping import Motion, State
+from hitchid.model.dynamics import HitchDynamics, HitchState
 
 
 class Packed(NamedTuple):
@@ -31,42 +31,44 @@ class Packing:
         like: a state of that hitch.
     """
 
-    def __init__(self, like: State) -> None:
+    def __init__(self, like: HitchState) -> None:
         self._unravel = _unravel(like._replace(hidden=None))
 
-    def pack(self, state: State) -> Packed:
+    def pack(self, state: HitchState) -> Packed:
         """Lay a state's arrays end to end."""
         return Packed(ravel_pytree(state._replace(hidden=None))[0], state.hidden)
 
-    def unpack(self, packed: Packed) -> State:
+    def unpack(self, packed: Packed) -> HitchState:
         """Return the state again."""
         return self._unravel(packed.numbers)._replace(hidden=packed.hidden)
 
-    def step(self, motion: Motion) -> Callable[[Packed, ArrayLike], tuple[Packed, Array]]:
+    def step(self, dynamics: HitchDynamics) -> Callable[[Packed, ArrayLike], tuple[Packed, Array]]:
         """Return the compiled step of a motion, from packed state to packed state and displacement.
 
         It is two programs: one that holds small arrays and a network's weights together is run by several
         threads, whose handing over takes several times as long as the work. What is given is lifting and
         lowering command and measured displacement, shape [3].
         """
-        questions = _unravel(
-            jax.eval_shape(lambda: motion.move(motion.standing(), jnp.zeros(2), jnp.zeros(()))[1])
+        unravel_input = _unravel(
+            jax.eval_shape(
+                lambda: dynamics.advance_physics(dynamics.standing_state(), jnp.zeros(2), jnp.zeros(()))[1]
+            )
         )
 
         @jax.jit
-        def moved(numbers: Array, given: Array) -> tuple[Array, Array]:
-            state = self.unpack(Packed(numbers, motion.blank()))
-            after, question = motion.move(state, given[:2], given[2])
-            return self.pack(after).numbers, ravel_pytree(question)[0]
+        def run_physics(numbers: Array, inputs: Array) -> tuple[Array, Array]:
+            state = self.unpack(Packed(numbers, dynamics.zero_lstm_state()))
+            next_state, network_input = dynamics.advance_physics(state, inputs[:2], inputs[2])
+            return self.pack(next_state).numbers, ravel_pytree(network_input)[0]
 
         @jax.jit
-        def answered(numbers: Array, hidden: Array, question: Array) -> tuple[Array, Array, Array]:
-            hidden, error, displacement = motion.answer(hidden, questions(question))
+        def run_network(numbers: Array, hidden: Array, network_input: Array) -> tuple[Array, Array, Array]:
+            hidden, error, displacement = dynamics.advance_network(hidden, unravel_input(network_input))
             return numbers.at[:2].set(jnp.stack([displacement, error])), hidden, displacement
 
-        def step(state: Packed, given: ArrayLike) -> tuple[Packed, Array]:
-            numbers, question = moved(state.numbers, given)
-            numbers, hidden, displacement = answered(numbers, state.hidden, question)
+        def step(state: Packed, inputs: ArrayLike) -> tuple[Packed, Array]:
+            numbers, network_input = run_physics(state.numbers, inputs)
+            numbers, hidden, displacement = run_network(numbers, state.hidden, network_input)
             return Packed(numbers, hidden), displacement
 
         return step

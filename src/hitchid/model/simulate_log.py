@@ -11,7 +11,7 @@ from hitchid.data.units import UNITS
 from hitchid.model import Hitch
 from hitchid.readers import ReaderProcess, assemble, read_table, records_of, settings_of
 from hitchid.readers.formats.csv import SUFFIXES, read_rows, write_rows
-from hitchid.readers.table import Table
+from hitchid.readers.table import LogTable
 
 
 def simulate_log(
@@ -57,15 +57,15 @@ def simulate_log(
     header, rows = _as_text(log, table, signal_map)
     time_s = table.time_s
     kinds = ("predicted",) if coverage is None else ("predicted", "lower", "upper")
-    columns, beyond = np.full((len(kinds), time_s.size), np.nan), []
+    columns, warnings = np.full((len(kinds), time_s.size), np.nan), []
     for record in campaign.records:
         values = [model.simulate(record) if horizon is None else model.predict(record, horizon=horizon)]
         if coverage is not None:
             values += model.band(record, coverage=coverage, horizon=horizon)
-        beyond += [] if horizon is not None else model.extrapolation(record)
+        warnings += [] if horizon is not None else model.extrapolation(record)
         edge = record.step_s / 2
         inside = (time_s > record.time_s[0] - edge) & (time_s < record.time_s[-1] + edge)
-        columns[:, inside] = [np.interp(time_s[inside], record.time_s, each) for each in values]
+        columns[:, inside] = [np.interp(time_s[inside], record.time_s, series) for series in values]
     names = [added_name(signal_map.displacement.column, kind) for kind in kinds]
     cells = [["" if np.isnan(value) else f"{value:.9g}" for value in row] for row in columns.T.tolist()]
     write_file(
@@ -75,10 +75,10 @@ def simulate_log(
         ),
         force=force,
     )
-    return tuple(beyond)
+    return tuple(warnings)
 
 
-def _as_text(log: Path, table: Table, signals: SignalMap) -> tuple[list[str], list[list[str]]]:
+def _as_text(log: Path, table: LogTable, signals: SignalMap) -> tuple[list[str], list[list[str]]]:
     """Return header and rows of a log as text."""
     if log.name.lower().endswith(SUFFIXES):
         return read_rows(log)

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Float32, Int
 
-from hitchid.networks.lstm import SINGLE, Hidden, Lstm
+from hitchid.networks.lstm import SINGLE, Lstm, LstmState
 
 FEATURES = (
     "time",
@@ -43,56 +43,58 @@ class Sample(NamedTuple):
     displacement: Float[Array, "*b"]
 
 
-class Memory(NamedTuple):
+class FeatureHistory(NamedTuple):
     """What the features need of the past, each of shape [...].
 
     Attributes:
-        last: the previous sample.
+        last_sample: the previous sample.
         error: e(i−1); error_before: e(i−2); error_sum: Ts Σ e up to i−1.
     """
 
-    last: Sample
+    last_sample: Sample
     error: Float[Array, "*b"]
     error_before: Float[Array, "*b"]
     error_sum: Float[Array, "*b"]
 
     @classmethod
-    def at_rest(cls, first: Sample) -> "Memory":
+    def at_rest(cls, first: Sample) -> "FeatureHistory":
         """Return the memory before the first sample of a test: nothing has moved, no error was made."""
-        none = jnp.zeros_like(first.displacement)
-        return cls(first, none, none, none)
+        zeros = jnp.zeros_like(first.displacement)
+        return cls(first, zeros, zeros, zeros)
 
 
-def observe(memory: Memory, sample: Sample, step_s: float) -> tuple[Memory, Float[Array, "*b 10"]]:
+def compute_features(
+    history: FeatureHistory, sample: Sample, step_s: float
+) -> tuple[FeatureHistory, Float[Array, "*b 10"]]:
     """Take in one sample and return the ten features of Sun et al. 2025, sec. 2.2.3, at it.
 
     x(i) = t, u, Δu, y_tf, Δy_tf, y, Δy/Ts, e(i−1), e(i−1) − e(i−2), Ts Σ e up to i, with e = y − y_tf.
     """
     error = sample.displacement - sample.benchmark
-    total = memory.error_sum + step_s * error
+    error_sum = history.error_sum + step_s * error
     features = jnp.stack(
         [
             sample.time_s,
             sample.command,
-            sample.command - memory.last.command,
+            sample.command - history.last_sample.command,
             sample.benchmark,
-            sample.benchmark - memory.last.benchmark,
+            sample.benchmark - history.last_sample.benchmark,
             sample.displacement,
-            (sample.displacement - memory.last.displacement) / step_s,
-            memory.error,
-            memory.error - memory.error_before,
-            total,
+            (sample.displacement - history.last_sample.displacement) / step_s,
+            history.error,
+            history.error - history.error_before,
+            error_sum,
         ],
         axis=-1,
     )
-    return Memory(sample, error, memory.error, total), features
+    return FeatureHistory(sample, error, history.error, error_sum), features
 
 
 class Compensator(eqx.Module):
     """LSTM compensator with its scaling inside.
 
     ê(k) = e(k−1) + σ · (w · h(k) + b), where h(k) is the output of an LSTM that has read the scaled features
-    up to x(k−1) of Sun et al. 2025, sec. 2.2.3, no fewer than L and no more than 2 L; see `Listening`.
+    up to x(k−1) of Sun et al. 2025, sec. 2.2.3, no fewer than L and no more than 2 L; see `CompensatorState`.
 
     Attributes:
         network: LSTM and output layer.
@@ -111,59 +113,63 @@ class Compensator(eqx.Module):
         """Return features in units of their spread over the training tests."""
         return ((features - self.centre) / self.spread).astype(SINGLE)
 
-    def begin(self, first: Sample) -> "Listening":
+    def init_state(self, first: Sample) -> "CompensatorState":
         """Return what is carried before the first sample of a test, of any shape [b]."""
-        blank = self.network.blank((*first.command.shape, 2))
-        return Listening(Attention.at_rest(first), blank)
+        lstm_state = self.network.zero_state((*first.command.shape, 2))
+        return CompensatorState(FeatureState.at_rest(first), lstm_state)
 
-    def listen(
-        self, listening: "Listening", sample: Sample, step_s: float
-    ) -> tuple["Listening", Float[Array, "*b"]]:
+    def step(
+        self, state: "CompensatorState", sample: Sample, step_s: float
+    ) -> tuple["CompensatorState", Float[Array, "*b"]]:
         """Take in one sample of each of b tests.
 
         Returns:
             What is carried on, and the step σ (w · h + b) that the error takes to the next sample, in the
             displacement's unit, shape [b].
         """
-        attention, scaled = self.hear(listening.attention, sample, step_s)
-        hidden, step = self.answer(listening.hidden, attention.place, scaled)
-        return Listening(attention, hidden), step
+        feature_state, scaled_features = self.update_features(state.feature_state, sample, step_s)
+        hidden, increment = self.predict_increment(
+            state.hidden, feature_state.index_in_window, scaled_features
+        )
+        return CompensatorState(feature_state, hidden), increment
 
-    def hear(
-        self, attention: "Attention", sample: Sample, step_s: float
-    ) -> tuple["Attention", Float32[Array, "*b 10"]]:
+    def update_features(
+        self, feature_state: "FeatureState", sample: Sample, step_s: float
+    ) -> tuple["FeatureState", Float32[Array, "*b 10"]]:
         """Take in one sample: what the features need of the past, and the scaled features."""
-        memory, features = observe(attention.memory, sample, step_s)
-        return Attention(memory, (attention.place + 1) % self.window), self.scale(features)
+        history, features = compute_features(feature_state.history, sample, step_s)
+        return FeatureState(history, (feature_state.index_in_window + 1) % self.window), self.scale(features)
 
-    def answer(
-        self, hidden: Hidden, place: Int[Array, ""], scaled: Float32[Array, "*b 10"]
-    ) -> tuple[Hidden, Float[Array, "*b"]]:
+    def predict_increment(
+        self, hidden: LstmState, index_in_window: Int[Array, ""], scaled_features: Float32[Array, "*b 10"]
+    ) -> tuple[LstmState, Float[Array, "*b"]]:
         """Let the network read scaled features; return its state and the step the error takes."""
-        hidden = jax.tree.map(lambda pair: jnp.where(place == 0, _handed_over(pair), pair), hidden)
-        hidden = self.network.read(hidden, scaled[..., None, :])
+        hidden = jax.tree.map(
+            lambda pair: jnp.where(index_in_window == 0, _rotate_windows(pair), pair), hidden
+        )
+        hidden = self.network.step(hidden, scaled_features[..., None, :])
         output = self.network.output(jax.tree.map(lambda pair: pair[..., 0, :], hidden))
         return hidden, self.error_step * output.astype(self.error_step.dtype)
 
 
-class Attention(NamedTuple):
+class FeatureState(NamedTuple):
     """The numbers a compensator carries from sample to sample.
 
     Attributes:
-        memory: what the features need of the past.
-        place: samples read, modulo L.
+        history: what the features need of the past.
+        index_in_window: samples read, modulo L.
     """
 
-    memory: Memory
-    place: Int[Array, ""]
+    history: FeatureHistory
+    index_in_window: Int[Array, ""]
 
     @classmethod
-    def at_rest(cls, first: Sample) -> "Attention":
+    def at_rest(cls, first: Sample) -> "FeatureState":
         """Return what is carried before the first sample of a test."""
-        return cls(Memory.at_rest(first), jnp.zeros((), jnp.int32))
+        return cls(FeatureHistory.at_rest(first), jnp.zeros((), jnp.int32))
 
 
-class Listening(NamedTuple):
+class CompensatorState(NamedTuple):
     """What a compensator carries from sample to sample.
 
     Two states of the LSTM: one answers, the other has begun to read up to L samples later. Every L samples
@@ -171,19 +177,19 @@ class Listening(NamedTuple):
     are near the start), as in training.
 
     Attributes:
-        attention: numbers.
+        feature_state: numbers.
         hidden: the LSTM that answers and the one that follows, shape [..., 2, H].
     """
 
-    attention: Attention
-    hidden: Hidden
+    feature_state: FeatureState
+    hidden: LstmState
 
 
-def _handed_over(pair: Float[Array, "*b 2 h"]) -> Float[Array, "*b 2 h"]:
+def _rotate_windows(pair: Float[Array, "*b 2 h"]) -> Float[Array, "*b 2 h"]:
     return jnp.stack([pair[..., 1, :], jnp.zeros_like(pair[..., 1, :])], axis=-2)
 
 
-def measured_features(samples: Sample, step_s: float) -> tuple[Memory, Float[Array, "n *t 10"]]:
+def measured_features(samples: Sample, step_s: float) -> tuple[FeatureHistory, Float[Array, "n *t 10"]]:
     """Return memory and features at every sample of measured tests.
 
     Args:
@@ -194,13 +200,15 @@ def measured_features(samples: Sample, step_s: float) -> tuple[Memory, Float[Arr
         The memory after each sample, in arrays of that shape, and the features, shape [N, …, 10].
     """
 
-    def advance(memory: Memory, sample: Sample) -> tuple[Memory, tuple[Memory, Array]]:
-        memory, features = observe(memory, sample, step_s)
-        return memory, (memory, features)
+    def advance(
+        history: FeatureHistory, sample: Sample
+    ) -> tuple[FeatureHistory, tuple[FeatureHistory, Array]]:
+        history, features = compute_features(history, sample, step_s)
+        return history, (history, features)
 
     first = jax.tree.map(lambda array: array[0], samples)
-    _, stacked = jax.lax.scan(advance, Memory.at_rest(first), samples)
-    return stacked
+    _, histories_and_features = jax.lax.scan(advance, FeatureHistory.at_rest(first), samples)
+    return histories_and_features
 
 
 @eqx.filter_jit
@@ -214,21 +222,21 @@ def free_run(
         time_s, command, benchmark: time since start, effective command, benchmark output, shape [N, T].
         step_s: sampling time, s.
     """
-    known = Sample(time_s, command, benchmark, benchmark)
-    first = jax.tree.map(lambda array: array[0], known)
+    samples = Sample(time_s, command, benchmark, benchmark)
+    first = jax.tree.map(lambda array: array[0], samples)
 
-    def advance(carry: tuple[Listening, Array], sample: Sample) -> tuple[tuple, Array]:
-        listening, error = carry
-        own = sample._replace(displacement=sample.benchmark + error)
-        listening, step = compensator.listen(listening, own, step_s)
-        return (listening, error + step), error
+    def advance(carry: tuple[CompensatorState, Array], sample: Sample) -> tuple[tuple, Array]:
+        state, error = carry
+        simulated_sample = sample._replace(displacement=sample.benchmark + error)
+        state, increment = compensator.step(state, simulated_sample, step_s)
+        return (state, error + increment), error
 
-    _, errors = jax.lax.scan(advance, (compensator.begin(first), jnp.zeros_like(command[0])), known)
+    _, errors = jax.lax.scan(advance, (compensator.init_state(first), jnp.zeros_like(command[0])), samples)
     return errors
 
 
 @eqx.filter_jit
-def predicted_errors(
+def predict_errors(
     compensator: Compensator | None,
     tests: Sample,
     trust: Float[Array, "t n"],
@@ -248,25 +256,29 @@ def predicted_errors(
         step_s: sampling time, s.
     """
 
-    def of_test(given: tuple[Sample, Array]) -> Float[Array, "h n"]:
-        test, trusted = given
+    def errors_of_test(test_and_trust: tuple[Sample, Array]) -> Float[Array, "h n"]:
+        test, test_trust = test_and_trust
         error = test.displacement - test.benchmark
         if compensator is None:
-            ahead = jnp.broadcast_to(error, (max(horizons), error.size))
+            errors_ahead = jnp.broadcast_to(error, (max(horizons), error.size))
         else:
-            ahead = rolled_out(compensator, test, trusted, max(horizons), step_s)
+            errors_ahead = multi_step_errors(compensator, test, test_trust, max(horizons), step_s)
         # ahead[h − 1, i] is for sample i + h; the origin of the first samples is sample 0.
-        sample = jnp.arange(error.size)
+        sample_index = jnp.arange(error.size)
         rows = []
         for horizon in horizons:
-            steps = jnp.minimum(sample, horizon)
-            rows.append(jnp.where(sample > 0, ahead[jnp.maximum(steps - 1, 0), sample - steps], 0.0))
+            steps = jnp.minimum(sample_index, horizon)
+            rows.append(
+                jnp.where(
+                    sample_index > 0, errors_ahead[jnp.maximum(steps - 1, 0), sample_index - steps], 0.0
+                )
+            )
         return jnp.stack(rows)
 
-    return jnp.moveaxis(jax.lax.map(of_test, (tests, trust)), 1, 0)
+    return jnp.moveaxis(jax.lax.map(errors_of_test, (tests, trust)), 1, 0)
 
 
-def rolled_out(
+def multi_step_errors(
     compensator: Compensator, test: Sample, trust: Float[Array, " n"], horizon: int, step_s: float
 ) -> Float[Array, "h n"]:
     """Return ê(i+h) for h = 1 … horizon from every origin i of one measured test.
@@ -282,23 +294,25 @@ def rolled_out(
     """
     count = trust.shape[0]
 
-    def measured(listening: Listening, sample: Sample) -> tuple[Listening, tuple[Listening, Array]]:
-        listening, step = compensator.listen(listening, sample, step_s)
-        return listening, (listening, step)
+    def advance_measured(
+        state: CompensatorState, sample: Sample
+    ) -> tuple[CompensatorState, tuple[CompensatorState, Array]]:
+        state, increment = compensator.step(state, sample, step_s)
+        return state, (state, increment)
 
     first = jax.tree.map(lambda array: array[0], test)
-    _, (origins, steps) = jax.lax.scan(measured, compensator.begin(first), test)
+    _, (origin_states, increments) = jax.lax.scan(advance_measured, compensator.init_state(first), test)
 
-    def from_origin(listening: Listening, error: Array, origin: Array) -> Float[Array, " h"]:
-        def advance(carry: tuple[Listening, Array], ahead: Array) -> tuple[tuple, Array]:
-            listening, error = carry
-            index = jnp.minimum(origin + ahead, count - 1)
-            known = jax.tree.map(lambda array: array[index], test)
-            own = known._replace(displacement=known.benchmark + error)
-            listening, step = compensator.listen(listening, own, step_s)
-            return (listening, error + trust[index] * step), error
+    def from_origin(state: CompensatorState, error: Array, origin: Array) -> Float[Array, " h"]:
+        def advance(carry: tuple[CompensatorState, Array], steps_ahead: Array) -> tuple[tuple, Array]:
+            state, error = carry
+            index = jnp.minimum(origin + steps_ahead, count - 1)
+            measured_sample = jax.tree.map(lambda array: array[index], test)
+            simulated_sample = measured_sample._replace(displacement=measured_sample.benchmark + error)
+            state, increment = compensator.step(state, simulated_sample, step_s)
+            return (state, error + trust[index] * increment), error
 
-        return jax.lax.scan(advance, (listening, error), jnp.arange(1, horizon + 1))[1]
+        return jax.lax.scan(advance, (state, error), jnp.arange(1, horizon + 1))[1]
 
-    errors = test.displacement - test.benchmark + trust * steps
-    return jax.vmap(from_origin, out_axes=1)(origins, errors, jnp.arange(count))
+    errors = test.displacement - test.benchmark + trust * increments
+    return jax.vmap(from_origin, out_axes=1)(origin_states, errors, jnp.arange(count))

@@ -11,11 +11,11 @@ from jaxtyping import Array, Bool, Float32, PRNGKeyArray
 SINGLE = jnp.float32
 
 
-class Hidden(NamedTuple):
+class LstmState(NamedTuple):
     """The LSTM's state, each of shape [..., H]."""
 
-    output: Float32[Array, "*b h"]
-    cell: Float32[Array, "*b h"]
+    h: Float32[Array, "*b h"]
+    c: Float32[Array, "*b h"]
 
 
 class Lstm(eqx.Module):
@@ -25,171 +25,179 @@ class Lstm(eqx.Module):
     head: eqx.nn.Linear
 
     @classmethod
-    def fresh(cls, key: PRNGKeyArray, inputs: int, hidden: int) -> "Lstm":
+    def init(cls, key: PRNGKeyArray, inputs: int, hidden: int) -> "Lstm":
         """Return a network whose cell is drawn from ±1/√H and whose output is zero."""
         # Drawn on the host: a compiler takes longer over the generator than over the network.
         rng = np.random.default_rng(np.asarray(jax.random.key_data(key)))
         bound = 1 / np.sqrt(hidden)
 
-        def drawn(array: jax.ShapeDtypeStruct) -> Array:
+        def random_weights(array: jax.ShapeDtypeStruct) -> Array:
             return jnp.asarray(rng.uniform(-bound, bound, array.shape), SINGLE)
 
-        def zero(array: jax.ShapeDtypeStruct) -> Array:
+        def zero_weights(array: jax.ShapeDtypeStruct) -> Array:
             return jnp.asarray(np.zeros(array.shape), SINGLE)
 
         cell = eqx.filter_eval_shape(eqx.nn.LSTMCell, inputs, hidden, dtype=SINGLE, key=key)
         head = eqx.filter_eval_shape(eqx.nn.Linear, hidden, 1, dtype=SINGLE, key=key)
-        return cls(jax.tree.map(drawn, cell), jax.tree.map(zero, head))
+        return cls(jax.tree.map(random_weights, cell), jax.tree.map(zero_weights, head))
 
-    def blank(self, shape: tuple[int, ...]) -> Hidden:
+    def zero_state(self, shape: tuple[int, ...]) -> LstmState:
         """Return the LSTM's state before it has read anything."""
         zeros = jnp.zeros((*shape, self.cell.hidden_size), SINGLE)
-        return Hidden(zeros, zeros)
+        return LstmState(zeros, zeros)
 
-    def read(self, hidden: Hidden, inputs: Float32[Array, "*b i"], *, joined: bool = False) -> Hidden:
+    def step(self, hidden: LstmState, inputs: Float32[Array, "*b i"], *, fused: bool = False) -> LstmState:
         """Let the LSTM read one input vector for each sequence of any shape [b].
 
         Args:
             hidden: its state.
             inputs: what is read.
-            joined: whether one product serves inputs and state: its derivative takes a third less time, but
+            fused: whether one product serves inputs and state: its derivative takes a third less time, but
                 how it rounds depends on the program around it more than how two do.
         """
         cell = self.cell
         # Products of whole matrices: mapped over sequences the cell's own would be many small ones.
-        if joined:
-            rows = jnp.concatenate([inputs, hidden.output], axis=-1)
-            heard = rows @ jnp.concatenate([cell.weight_ih, cell.weight_hh], axis=1).T
+        if fused:
+            inputs_and_h = jnp.concatenate([inputs, hidden.h], axis=-1)
+            gates = inputs_and_h @ jnp.concatenate([cell.weight_ih, cell.weight_hh], axis=1).T
         else:
-            heard = inputs @ cell.weight_ih.T + hidden.output @ cell.weight_hh.T
-        heard = heard + cast(Array, cell.bias)
-        entry, kept, fresh, exit_ = jnp.split(heard, 4, axis=-1)
-        memory = jax.nn.sigmoid(kept) * hidden.cell + jax.nn.sigmoid(entry) * jnp.tanh(fresh)
-        return Hidden(jax.nn.sigmoid(exit_) * jnp.tanh(memory), memory)
+            gates = inputs @ cell.weight_ih.T + hidden.h @ cell.weight_hh.T
+        gates = gates + cast(Array, cell.bias)
+        i, f, g, o = jnp.split(gates, 4, axis=-1)
+        c = jax.nn.sigmoid(f) * hidden.c + jax.nn.sigmoid(i) * jnp.tanh(g)
+        return LstmState(jax.nn.sigmoid(o) * jnp.tanh(c), c)
 
-    def output(self, hidden: Hidden) -> Float32[Array, "*b"]:
+    def output(self, hidden: LstmState) -> Float32[Array, "*b"]:
         """Return the network's output for each sequence."""
-        return self._said(hidden.output)
+        return self._linear_output(hidden.h)
 
-    def outputs(self, inputs: Float32[Array, "n b i"], exist: Bool[Array, "n b"]) -> Float32[Array, "n b"]:
+    def unroll(self, inputs: Float32[Array, "n b i"], valid: Bool[Array, "n b"]) -> Float32[Array, "n b"]:
         """Return the network's output after each of N inputs to B sequences, from a blank state.
 
         What `read` and `output` give input by input, in less time, its derivative too. An input that does not
         exist leaves the state as it was.
         """
-        weights = Weights(self.cell.weight_ih, self.cell.weight_hh, cast(Array, self.cell.bias))
-        return self._said(_heard(weights, inputs, exist))
+        weights = LstmWeights(self.cell.weight_ih, self.cell.weight_hh, cast(Array, self.cell.bias))
+        return self._linear_output(_unrolled_outputs(weights, inputs, valid))
 
-    def _said(self, heard: Float32[Array, "*b h"]) -> Float32[Array, "*b"]:
-        return heard @ self.head.weight[0] + cast(Array, self.head.bias)[0]
+    def _linear_output(self, h: Float32[Array, "*b h"]) -> Float32[Array, "*b"]:
+        return h @ self.head.weight[0] + cast(Array, self.head.bias)[0]
 
 
-class Weights(NamedTuple):
+class LstmWeights(NamedTuple):
     """What the gates are made of: W_ih, shape [4 H, I], W_hh, shape [4 H, H], and b, shape [4 H]."""
 
-    inputs: Float32[Array, "g i"]
-    fed_back: Float32[Array, "g h"]
+    weight_ih: Float32[Array, "g i"]
+    weight_hh: Float32[Array, "g h"]
     bias: Float32[Array, " g"]
 
 
-class Reading(NamedTuple):
+class VjpResiduals(NamedTuple):
     """What is kept of a reading for its derivative.
 
     Attributes:
         gates: tanh of entry/2, kept/2, fresh and exit/2, shape [N, B, 4 H].
-        after: the state after each input, shape [N, B, H].
+        states: the state after each input, shape [N, B, H].
     """
 
     gates: Float32[Array, "n b g"]
-    after: Hidden
+    states: LstmState
 
 
 @jax.custom_vjp
-def _heard(weights: Weights, inputs: Array, exist: Array) -> Float32[Array, "n b h"]:
+def _unrolled_outputs(weights: LstmWeights, inputs: Array, valid: Array) -> Float32[Array, "n b h"]:
     """Return the LSTM's output after each input.
 
     All that needs no state is computed for all inputs at once, before the loop over them or after it, in the
     derivative as well. There the loop gives the derivatives by the gates, and those by the weights are one
     product over all inputs, which JAX's own derivative of the loop would add up input by input.
     """
-    return _read(weights, inputs, exist).after.output
+    return _unroll(weights, inputs, valid).states.h
 
 
-def _read(weights: Weights, inputs: Array, exist: Array) -> Reading:
-    halves = _halves(weights)
-    driven = inputs @ (weights.inputs.T * halves) + weights.bias * halves
-    fed_back = weights.fed_back.T * halves
+def _unroll(weights: LstmWeights, inputs: Array, valid: Array) -> VjpResiduals:
+    halves = _gate_scales(weights)
+    input_terms = inputs @ (weights.weight_ih.T * halves) + weights.bias * halves
+    recurrent_weights = weights.weight_hh.T * halves
 
-    def advance(before: Hidden, given: tuple[Array, Array]) -> tuple[Hidden, Reading]:
-        driven, exists = given
+    def advance(previous: LstmState, inputs_at_sample: tuple[Array, Array]) -> tuple[LstmState, VjpResiduals]:
+        input_term, is_valid = inputs_at_sample
         # σ(x) = ½ + ½ tanh(x/2): one function for all four.
-        gates = jnp.tanh(driven + before.output @ fed_back)
-        entry, kept, fresh, exit_ = jnp.split(gates, 4, axis=-1)
-        cell = 0.5 * ((1 + kept) * before.cell + (1 + entry) * fresh)
-        cell = jnp.where(exists, cell, before.cell)
-        output = jnp.where(exists, 0.5 * (1 + exit_) * jnp.tanh(cell), before.output)
-        after = Hidden(output, cell)
-        return after, Reading(gates, after)
+        gates = jnp.tanh(input_term + previous.h @ recurrent_weights)
+        i, f, g, o = jnp.split(gates, 4, axis=-1)
+        c = 0.5 * ((1 + f) * previous.c + (1 + i) * g)
+        c = jnp.where(is_valid, c, previous.c)
+        h = jnp.where(is_valid, 0.5 * (1 + o) * jnp.tanh(c), previous.h)
+        state = LstmState(h, c)
+        return state, VjpResiduals(gates, state)
 
-    zeros = jnp.zeros((inputs.shape[1], weights.fed_back.shape[1]), SINGLE)
-    return jax.lax.scan(advance, Hidden(zeros, zeros), (driven, exist[..., None]))[1]
-
-
-def _reading(weights: Weights, inputs: Array, exist: Array) -> tuple[Array, tuple]:
-    reading = _read(weights, inputs, exist)
-    return reading.after.output, (weights, inputs, exist, reading)
+    zeros = jnp.zeros((inputs.shape[1], weights.weight_hh.shape[1]), SINGLE)
+    return jax.lax.scan(advance, LstmState(zeros, zeros), (input_terms, valid[..., None]))[1]
 
 
-def _slopes(kept: tuple, slope: Float32[Array, "n b h"]) -> tuple[Weights, Array, None]:
+def _unroll_forward(weights: LstmWeights, inputs: Array, valid: Array) -> tuple[Array, tuple]:
+    residuals = _unroll(weights, inputs, valid)
+    return residuals.states.h, (weights, inputs, valid, residuals)
+
+
+def _unroll_backward(
+    saved: tuple, output_gradient: Float32[Array, "n b h"]
+) -> tuple[LstmWeights, Array, None]:
     """Return the derivatives by weights and inputs from those by the outputs."""
-    weights, inputs, exist, reading = kept
-    before = jax.tree.map(lambda after: jnp.pad(after, ((1, 0), (0, 0), (0, 0)))[:-1], reading.after)
-    by_gates = _slopes_of_gates(weights, exist[..., None], reading, before.cell, slope)
-    each = by_gates.reshape(-1, by_gates.shape[-1])
+    weights, inputs, valid, residuals = saved
+    previous = jax.tree.map(lambda state: jnp.pad(state, ((1, 0), (0, 0), (0, 0)))[:-1], residuals.states)
+    gate_gradients = _gate_gradients(weights, valid[..., None], residuals, previous.c, output_gradient)
+    gradient_rows = gate_gradients.reshape(-1, gate_gradients.shape[-1])
 
-    def summed(factor: Array) -> Array:
+    def weight_gradient(factor: Array) -> Array:
         # In this order the product is of rows as they lie in memory.
-        return (factor.reshape(len(each), -1).T @ each).T
+        return (factor.reshape(len(gradient_rows), -1).T @ gradient_rows).T
 
-    by_weights = Weights(summed(inputs), summed(before.output), jnp.sum(each, axis=0))
-    return by_weights, by_gates @ weights.inputs, None
+    weight_gradients = LstmWeights(
+        weight_gradient(inputs), weight_gradient(previous.output), jnp.sum(gradient_rows, axis=0)
+    )
+    return weight_gradients, gate_gradients @ weights.inputs, None
 
 
-def _slopes_of_gates(
-    weights: Weights, exist: Array, reading: Reading, cell: Array, slope: Array
+def _gate_gradients(
+    weights: LstmWeights, valid: Array, residuals: VjpResiduals, previous_c: Array, output_gradient: Array
 ) -> Float32[Array, "n b g"]:
     """Return the derivatives by W_ih x + W_hh h + b, shape [N, B, 4 H].
 
     Args:
         weights: of the network.
-        exist: which inputs do, shape [N, B, 1].
-        reading: what was read.
-        cell: before each input, shape [N, B, H].
-        slope: derivative by the outputs, shape [N, B, H].
+        valid: which inputs do, shape [N, B, 1].
+        residuals: what was read.
+        previous_c: before each input, shape [N, B, H].
+        output_gradient: derivative by the outputs, shape [N, B, H].
     """
-    entry, keeping, fresh, exit_ = jnp.split(reading.gates, 4, axis=-1)
-    seen = jnp.tanh(reading.after.cell)
-    others = jnp.concatenate([fresh, cell, 0.5 * (1 + entry), seen], axis=-1)
-    by_parts = jnp.where(exist, _halves(weights) ** 2 * (1 - reading.gates**2) * others, 0)
-    to_cell = jnp.where(exist, 0.5 * (1 + exit_) * (1 - seen**2), 0)
-    kept = jnp.where(exist, 0.5 * (1 + keeping), 1)
-    passed = jnp.where(exist, 0, 1).astype(SINGLE)
+    i, f, g, o = jnp.split(residuals.gates, 4, axis=-1)
+    tanh_c = jnp.tanh(residuals.states.c)
+    factors = jnp.concatenate([g, previous_c, 0.5 * (1 + i), tanh_c], axis=-1)
+    gate_derivatives = jnp.where(valid, _gate_scales(weights) ** 2 * (1 - residuals.gates**2) * factors, 0)
+    h_to_c = jnp.where(valid, 0.5 * (1 + o) * (1 - tanh_c**2), 0)
+    forget_gate = jnp.where(valid, 0.5 * (1 + f), 1)
+    pass_through = jnp.where(valid, 0, 1).astype(SINGLE)
 
-    def retreat(after: Hidden, given: tuple[Array, ...]) -> tuple[Hidden, Array]:
-        slope, by_parts, to_cell, kept, passed = given
-        output = after.output + slope
-        cell = after.cell + output * to_cell
-        by_gates = by_parts * jnp.concatenate([cell, cell, cell, output], axis=-1)
-        return Hidden(passed * output + by_gates @ weights.fed_back, cell * kept), by_gates
+    def step_back(next_gradient: LstmState, saved_at_sample: tuple[Array, ...]) -> tuple[LstmState, Array]:
+        output_gradient, gate_derivatives, h_to_c, forget_gate, pass_through = saved_at_sample
+        h_gradient = next_gradient.h + output_gradient
+        c_gradient = next_gradient.c + h_gradient * h_to_c
+        gate_gradients = gate_derivatives * jnp.concatenate(
+            [c_gradient, c_gradient, c_gradient, h_gradient], axis=-1
+        )
+        return LstmState(
+            pass_through * h_gradient + gate_gradients @ weights.weight_hh, c_gradient * forget_gate
+        ), gate_gradients
 
-    zeros = jnp.zeros_like(slope[0])
-    given = (slope, by_parts, to_cell, kept, passed)
-    return jax.lax.scan(retreat, Hidden(zeros, zeros), given, reverse=True)[1]
+    zeros = jnp.zeros_like(output_gradient[0])
+    saved_arrays = (output_gradient, gate_derivatives, h_to_c, forget_gate, pass_through)
+    return jax.lax.scan(step_back, LstmState(zeros, zeros), saved_arrays, reverse=True)[1]
 
 
-def _halves(weights: Weights) -> Float32[Array, " g"]:
+def _gate_scales(weights: LstmWeights) -> Float32[Array, " g"]:
     """Return 1 for the gate `fresh`, ½ for the others."""
-    return jnp.asarray(np.repeat([0.5, 0.5, 1.0, 0.5], weights.fed_back.shape[1]), SINGLE)
+    return jnp.asarray(np.repeat([0.5, 0.5, 1.0, 0.5], weights.weight_hh.shape[1]), SINGLE)
 
 
-_heard.defvjp(_reading, _slopes)
+_unrolled_outputs.defvjp(_unroll_forward, _unroll_backward)

@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 MARGIN = 0.1
 
 
-class Range(eqx.Module):
+class SignalRange(eqx.Module):
     """From the lowest to the highest value that the tests reached, each of shape []."""
 
     lowest: Float[Array, ""]
@@ -16,12 +16,12 @@ class Range(eqx.Module):
     @eqx.filter_jit
     def trust(self, values: Float[Array, "*b"]) -> Float[Array, "*b"]:
         """Return 1 within the range, falling to 0 over a tenth of its width beyond."""
-        beyond = jnp.maximum(self.lowest - values, values - self.highest)
+        distance = jnp.maximum(self.lowest - values, values - self.highest)
         width = self.highest - self.lowest
-        return 1 - jnp.clip(beyond / jnp.where(width > 0, MARGIN * width, 1.0), 0.0, 1.0)
+        return 1 - jnp.clip(distance / jnp.where(width > 0, MARGIN * width, 1.0), 0.0, 1.0)
 
 
-class Envelope(eqx.Module):
+class OperatingRange(eqx.Module):
     """The ranges a model was identified in.
 
     Attributes:
@@ -30,9 +30,9 @@ class Envelope(eqx.Module):
         load: second input, a range without width where there is none.
     """
 
-    command: Range
-    displacement: Range
-    load: Range
+    command: SignalRange
+    displacement: SignalRange
+    load: SignalRange
 
     def trust(
         self, command: Float[Array, "*#b"], displacement: Float[Array, "*#b"], load: Float[Array, "*#b"]

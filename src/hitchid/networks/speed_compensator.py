@@ -11,27 +11,27 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from hitchid.networks.lstm import SINGLE, Hidden, Lstm
-from hitchid.networks.operating_range import Envelope
+from hitchid.networks.lstm import SINGLE, Lstm, LstmState
+from hitchid.networks.operating_range import OperatingRange
 
 AUTHORITY = 0.5
 INPUTS = 4
 
 
-class Drive(NamedTuple):
+class BlockInputs(NamedTuple):
     """What a free run hears, block by block; B blocks of several samples each, T tests.
 
     Attributes:
         command: effective command, mean over the block before, shape [B, T].
-        before: travel of the benchmark over the block before, shape [B, T].
-        moved: travel of the benchmark over the block, shape [B, T].
+        previous_increment: travel of the benchmark over the block before, shape [B, T].
+        travel_increment: travel of the benchmark over the block, shape [B, T].
         initial: displacement before motion, shape [T].
         load: second input, shape [T].
     """
 
     command: Float[Array, "b t"]
-    before: Float[Array, "b t"]
-    moved: Float[Array, "b t"]
+    previous_increment: Float[Array, "b t"]
+    travel_increment: Float[Array, "b t"]
     initial: Float[Array, " t"]
     load: Float[Array, " t"]
 
@@ -48,121 +48,142 @@ class SpeedCompensator(eqx.Module):
         networks: M networks, every array with a leading axis M.
         command, moved: scales of command and of the benchmark's travel in a block, shape [].
         envelope: the ranges of the tests.
-        direction: +1 where displacement grows with travel, −1 where it falls.
-        every: samples in a block.
+        sign: +1 where displacement grows with travel, −1 where it falls.
+        block_size: samples in a block.
     """
 
     networks: Lstm
     command: Float[Array, ""]
     moved: Float[Array, ""]
-    envelope: Envelope
-    direction: int = eqx.field(static=True)
-    every: int = eqx.field(static=True)
+    envelope: OperatingRange
+    sign: int = eqx.field(static=True)
+    block_size: int = eqx.field(static=True)
 
     def features(
-        self, command: Float[Array, " t"], moved: Float[Array, " t"], place: Float[Array, " t"], load: Array
+        self,
+        command: Float[Array, " t"],
+        previous_increment: Float[Array, " t"],
+        displacement: Float[Array, " t"],
+        load: Array,
     ) -> Float[Array, "t 4"]:
         """Return what the networks read, in single precision, shape [T, 4]."""
         ranges = (self.envelope.displacement, self.envelope.load)
         scaled = [
-            2 * (value - each.lowest) / jnp.where(each.highest > each.lowest, each.highest - each.lowest, 1.0)
+            2
+            * (value - signal_range.lowest)
+            / jnp.where(
+                signal_range.highest > signal_range.lowest, signal_range.highest - signal_range.lowest, 1.0
+            )
             - 1
-            for value, each in zip((place, load), ranges, strict=True)
+            for value, signal_range in zip((displacement, load), ranges, strict=True)
         ]
-        return jnp.stack([command / self.command, moved / self.moved, *scaled], axis=-1).astype(SINGLE)
+        return jnp.stack([command / self.command, previous_increment / self.moved, *scaled], axis=-1).astype(
+            SINGLE
+        )
 
-    def hear(
+    def step(
         self,
         networks: Lstm,
-        hidden: Hidden,
+        hidden: LstmState,
         command: Array,
-        before: Array,
-        place: Array,
+        previous_increment: Array,
+        displacement: Array,
         load: Array,
         *,
-        joined: bool = False,
-    ) -> tuple[Hidden, Float[Array, " t"]]:
+        fused: bool = False,
+    ) -> tuple[LstmState, Float[Array, " t"]]:
         """Return the networks' state and the factor on the benchmark's speed in the block that begins.
 
         Args:
             networks: M networks; their mean counts.
             hidden: their state, shape [M, T, H].
-            command, before: effective command and travel of the benchmark in the block before, shape [T].
-            place, load: displacement and second input, shape [T].
-            joined: see `Lstm.read`.
+            command, previous_increment: effective command and travel of the benchmark in the block before,
+                shape [T].
+            displacement, load: displacement and second input, shape [T].
+            fused: see `Lstm.read`.
         """
-        inputs = self.features(command, before, place, load)
-        read = partial(Lstm.read, joined=joined)
-        hidden = jax.vmap(read, in_axes=(0, 0, None))(networks, hidden, inputs)
-        share = jnp.mean(jnp.tanh(jax.vmap(Lstm.output)(networks, hidden)), axis=0)
-        trust = self.envelope.trust(jnp.abs(command), place, load)
-        return hidden, 1 + AUTHORITY * trust * share.astype(trust.dtype)
+        inputs = self.features(command, previous_increment, displacement, load)
+        lstm_step = partial(Lstm.step, fused=fused)
+        hidden = jax.vmap(lstm_step, in_axes=(0, 0, None))(networks, hidden, inputs)
+        mean_output = jnp.mean(jnp.tanh(jax.vmap(Lstm.output)(networks, hidden)), axis=0)
+        trust = self.envelope.trust(jnp.abs(command), displacement, load)
+        return hidden, 1 + AUTHORITY * trust * mean_output.astype(trust.dtype)
 
     def rollout(
         self,
         networks: Lstm,
-        drive: Drive,
+        block_inputs: BlockInputs,
         *,
         measured: Float[Array, "b t"] | None = None,
-        anchored_every: Int[Array, ""] | int = 1,
-        joined: bool = False,
+        anchor_interval: Int[Array, ""] | int = 1,
+        fused: bool = False,
     ) -> tuple[Float[Array, "b t"], Float[Array, "b t"]]:
         """Return travel at the start of each block and the factor on the benchmark's speed in it.
 
         Args:
             networks: M networks; their mean counts.
-            drive: what is heard.
+            block_inputs: what is heard.
             measured: measured travel at the start of each block, to start anew from; None for free run.
-            anchored_every: blocks between two such starts.
-            joined: see `Lstm.read`.
+            anchor_interval: blocks between two such starts.
+            fused: see `Lstm.read`.
         """
-        blocks, tests = drive.command.shape
+        blocks, tests = block_inputs.command.shape
         members = networks.head.weight.shape[0]
-        given = jnp.zeros_like(drive.command) if measured is None else measured
+        anchors = jnp.zeros_like(block_inputs.command) if measured is None else measured
 
         def advance(
-            carry: tuple[Hidden, Array], block: tuple
-        ) -> tuple[tuple[Hidden, Array], tuple[Array, Array]]:
+            carry: tuple[LstmState, Array], block: tuple
+        ) -> tuple[tuple[LstmState, Array], tuple[Array, Array]]:
             hidden, travel = carry
-            number, command, before, moved, known = block
+            index, command, previous_increment, travel_increment, anchor = block
             if measured is not None:
-                travel = jnp.where(number % anchored_every == 0, known, travel)
-            place = drive.initial + self.direction * travel
-            hidden, factor = self.hear(networks, hidden, command, before, place, drive.load, joined=joined)
-            return (hidden, travel + factor * moved), (travel, factor)
+                travel = jnp.where(index % anchor_interval == 0, anchor, travel)
+            displacement = block_inputs.initial + self.sign * travel
+            hidden, factor = self.step(
+                networks, hidden, command, previous_increment, displacement, block_inputs.load, fused=fused
+            )
+            return (hidden, travel + factor * travel_increment), (travel, factor)
 
-        start = (networks.blank((members, tests)), jnp.zeros_like(drive.initial))
-        inputs = (jnp.arange(blocks), drive.command, drive.before, drive.moved, given)
+        start = (networks.zero_state((members, tests)), jnp.zeros_like(block_inputs.initial))
+        inputs = (
+            jnp.arange(blocks),
+            block_inputs.command,
+            block_inputs.previous_increment,
+            block_inputs.travel_increment,
+            anchors,
+        )
         return jax.lax.scan(advance, start, inputs)[1]
 
 
-def driven_by(
+def compute_block_inputs(
     benchmark: Float[Array, "t n"],
     command: Float[Array, "t n"],
     initial: Float[Array, " t"],
     load: Float[Array, " t"],
-    every: int,
-) -> Drive:
+    block_size: int,
+) -> BlockInputs:
     """Gather what a free run hears, block by block.
 
     Args:
         benchmark: travel of the benchmark, shape [T, N].
         command: effective command, shape [T, N].
         initial, load: shape [T].
-        every: samples in a block.
+        block_size: samples in a block.
     """
     tests, count = benchmark.shape
-    blocks = -(-count // every)
-    wide = ((0, 0), (0, blocks * every - count))
-    held = jnp.pad(benchmark, wide, mode="edge")[:, ::every]
-    moved = jnp.diff(held, axis=1, append=benchmark[:, -1:])
-    means = jnp.pad(command, wide, mode="edge").reshape(tests, blocks, every).mean(axis=2)
-    command_before, before = (jnp.pad(each, ((0, 0), (1, 0)))[:, :-1].T for each in (means, moved))
-    return Drive(command_before, before, moved.T, initial, load)
+    blocks = -(-count // block_size)
+    padding = ((0, 0), (0, blocks * block_size - count))
+    block_travel = jnp.pad(benchmark, padding, mode="edge")[:, ::block_size]
+    travel_increment = jnp.diff(block_travel, axis=1, append=benchmark[:, -1:])
+    mean_command = jnp.pad(command, padding, mode="edge").reshape(tests, blocks, block_size).mean(axis=2)
+    previous_command, previous_increment = (
+        jnp.pad(values, ((0, 0), (1, 0)))[:, :-1].T for values in (mean_command, travel_increment)
+    )
+    return BlockInputs(previous_command, previous_increment, travel_increment.T, initial, load)
 
 
 @eqx.filter_jit
-def compensated(
+def simulate_compensated(
     compensator: SpeedCompensator,
     benchmark: Float[Array, "t n"],
     command: Float[Array, "t n"],
@@ -177,9 +198,9 @@ def compensated(
         command: effective command, shape [T, N].
         initial, load: displacement and second input before motion, shape [T].
     """
-    every, count = compensator.every, benchmark.shape[1]
-    drive = driven_by(benchmark, command, initial, load, every)
-    travel, factor = compensator.rollout(compensator.networks, drive)
-    block = jnp.arange(count) // every
-    since = benchmark - benchmark[:, block * every]
-    return travel.T[:, block] + factor.T[:, block] * since
+    block_size, count = compensator.block_size, benchmark.shape[1]
+    block_inputs = compute_block_inputs(benchmark, command, initial, load, block_size)
+    travel, factor = compensator.rollout(compensator.networks, block_inputs)
+    block = jnp.arange(count) // block_size
+    increment = benchmark - benchmark[:, block * block_size]
+    return travel.T[:, block] + factor.T[:, block] * increment

@@ -8,23 +8,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hitchid.data.record import COMMAND, DISPLACEMENT, MODES
+from hitchid.data.record import COMMAND, DIRECTIONS, DISPLACEMENT
 from hitchid.data.test_kinds import effective_command
 from hitchid.model import Channel, Hitch, Packed
 
 TIME = "time_s"
-KNOWN = (TIME, *COMMAND.values(), DISPLACEMENT)
-LONGEST_GAP = 1000
-SET_BACK = 10_000
-RECENT = 100
+FIELDS = (TIME, *COMMAND.values(), DISPLACEMENT)
+MAX_GAP_SAMPLES = 1000
+CLOCK_SET_BACK_SAMPLES = 10_000
+HISTORY_LENGTH = 100
 STANDING = "standing"
 DIGITS = 9
-LARGEST = 1e9
+MAX_MAGNITUDE = 1e9
 
 Sample = Mapping[str, float]
 
 
-class Answer(NamedTuple):
+class Output(NamedTuple):
     """What a model says to one sample.
 
     Attributes:
@@ -39,7 +39,7 @@ class Answer(NamedTuple):
     mode: str
     flags: tuple[str, ...]
 
-    def line(self) -> str:
+    def to_json(self) -> str:
         """Return the answer as one line of JSON."""
         return json.dumps(self._asdict())
 
@@ -65,133 +65,138 @@ class Live:
         self._model = model
         self._load = load
         self._displacement = initial
-        self._state = None if initial is None else model.initial(initial, load)
+        self._state = None if initial is None else model.init_state(initial, load)
         self._origin_s: float | None = None
         self._latest_s = -math.inf
         self._steps = 0
-        self._recent: deque[tuple[Packed | None, Sample]] = deque(maxlen=RECENT)
+        self._history: deque[tuple[Packed | None, Sample]] = deque(maxlen=HISTORY_LENGTH)
         self._measured = False
-        self._covered = {mode: _ranges(channel) for mode, channel in model.channels.items()}
-        state, _ = model.step(model.initial(0.0, load), np.zeros(len(MODES)), math.nan)
-        model.situation(state)
+        self._ranges = {direction: _ranges(channel) for direction, channel in model.channels.items()}
+        state, _ = model.step(model.init_state(0.0, load), np.zeros(len(DIRECTIONS)), math.nan)
+        model.unpack_state(state)
 
-    def hear(self, line: str) -> Answer:
+    def process(self, line: str) -> Output:
         """Take in one line of JSON and answer it."""
-        sample, flags = _read(line)
+        sample, flags = _parse(line)
         stamp = sample.get(TIME, math.nan)
         stamped = math.isfinite(stamp)
-        time_s = stamp if stamped else self._due_s
+        time_s = stamp if stamped else self._next_sample_s
         if self._origin_s is None or (stamped and self._latest_s == -math.inf):
-            self._restart(time_s)
-        behind = _whole((time_s - self._due_s) / self._model.step_s)
-        if behind < -SET_BACK:
+            self._set_clock(time_s)
+        offset = _round_samples((time_s - self._next_sample_s) / self._model.step_s)
+        if offset < -CLOCK_SET_BACK_SAMPLES:
             flags.append(f"the clock was set back from {self._latest_s:g} s: starting anew")
-            self._forget(time_s)
-            behind = 0
-        elif behind < 0 and (stamp <= self._latest_s or -behind > len(self._recent)):
-            return self._answer([*flags, f"out of order: {stamp:g} s came after {self._latest_s:g} s"])
-        elif behind > 0:
-            flags.append(f"late: {behind} samples are missing before {time_s:g} s")
-            self._make_up(behind, time_s)
-        earlier = self._take_back(-behind) if behind < 0 else {}
-        if TIME in earlier:
-            flags.append(f"early: {time_s:g} s takes the place of {earlier[TIME]:g} s, nearest to one time")
+            self._reset(time_s)
+            offset = 0
+        elif offset < 0 and (stamp <= self._latest_s or -offset > len(self._history)):
+            return self._output([*flags, f"out of order: {stamp:g} s came after {self._latest_s:g} s"])
+        elif offset > 0:
+            flags.append(f"late: {offset} samples are missing before {time_s:g} s")
+            self._fill_gap(offset, time_s)
+        replaced = self._undo_steps(-offset) if offset < 0 else {}
+        if TIME in replaced:
+            flags.append(f"early: {time_s:g} s takes the place of {replaced[TIME]:g} s, nearest to one time")
         if stamped:
             self._latest_s = stamp
-        whole = {**earlier, **sample}
-        self._step(whole)
+        merged = {**replaced, **sample}
+        self._step(merged)
         if self._state is not None:
-            flags += self._said(self._state, whole)
-        return self._answer(flags)
+            flags += self._input_flags(self._state, merged)
+        return self._output(flags)
 
     @property
-    def _due_s(self) -> float:
+    def _next_sample_s(self) -> float:
         """Time of the next sample on the model's clock, s."""
         return (self._origin_s or 0.0) + self._steps * self._model.step_s
 
-    def _restart(self, time_s: float) -> None:
+    def _set_clock(self, time_s: float) -> None:
         """Set the model's clock."""
         self._origin_s, self._steps, self._latest_s = time_s, 0, -math.inf
-        self._recent.clear()
+        self._history.clear()
 
-    def _forget(self, time_s: float) -> None:
+    def _reset(self, time_s: float) -> None:
         """Set the model's clock, and wait for a displacement to start from."""
-        self._restart(time_s)
+        self._set_clock(time_s)
         self._state = self._displacement = None
 
-    def _make_up(self, samples: int, time_s: float) -> None:
+    def _fill_gap(self, samples: int, time_s: float) -> None:
         """Coast over samples that never came; after too many nothing is known any more."""
-        if samples > LONGEST_GAP:
-            self._forget(time_s)
+        if samples > MAX_GAP_SAMPLES:
+            self._reset(time_s)
             return
         for _ in range(samples):
             self._step({})
 
-    def _take_back(self, samples: int) -> Sample:
+    def _undo_steps(self, samples: int) -> Sample:
         """Undo the latest steps; return what the first of them was made with."""
         sample: Sample = {}
-        for _ in range(min(samples, len(self._recent))):
-            self._state, sample = self._recent.pop()
+        for _ in range(min(samples, len(self._history))):
+            self._state, sample = self._history.pop()
         self._steps -= samples
         return sample
 
     def _step(self, sample: Sample) -> None:
         measured = sample.get(DISPLACEMENT, math.nan)
-        self._recent.append((self._state, sample))
+        self._history.append((self._state, sample))
         self._steps += 1
         if self._state is None and math.isfinite(measured):
-            self._state = self._model.initial(measured, self._load)
+            self._state = self._model.init_state(measured, self._load)
         if self._state is not None:
-            commands = np.array([sample.get(COMMAND[mode], math.nan) for mode in MODES])
+            commands = np.array([sample.get(COMMAND[direction], math.nan) for direction in DIRECTIONS])
             self._state, displacement = self._model.step(self._state, commands, measured)
             self._displacement = float(displacement)
             self._measured |= math.isfinite(measured)
 
-    def _said(self, state: Packed, sample: Sample) -> list[str]:
-        heard = [COMMAND[mode] for mode in self._model.channels]
-        lost = [role for role in heard if not math.isfinite(sample.get(role, math.nan))]
-        flags = [f"{role} is missing: the last one stands" for role in lost]
+    def _input_flags(self, state: Packed, sample: Sample) -> list[str]:
+        roles = [COMMAND[direction] for direction in self._model.channels]
+        missing = [role for role in roles if not math.isfinite(sample.get(role, math.nan))]
+        flags = [f"{role} is missing: the last one stands" for role in missing]
         if self._measured and not math.isfinite(sample.get(DISPLACEMENT, math.nan)):
             flags.append("coasting: no displacement was measured")
-        situation = self._model.situation(state)
-        if bool(situation.both):
+        hitch_state = self._model.unpack_state(state)
+        if bool(hitch_state.both_valves_active):
             flags.append("both valves are on: lowering counts")
-        return flags + self._out_of_range(sample, int(situation.mode))
+        return flags + self._out_of_range(sample, int(hitch_state.mode))
 
-    def _out_of_range(self, sample: Sample, charge: int) -> list[str]:
+    def _out_of_range(self, sample: Sample, active_channel: int) -> list[str]:
         """Tell what of a sample leaves the tests; a displacement, those of each channel that may move it."""
-        model, found = self._model, []
-        for mode, channel in model.channels.items():
-            command = abs(effective_command(np.array([sample.get(COMMAND[mode], 0.0)]), channel.dead_zone)[0])
-            lowest, highest = self._covered[mode]["command"]
+        model, outside = self._model, []
+        for direction, channel in model.channels.items():
+            command = abs(
+                effective_command(np.array([sample.get(COMMAND[direction], 0.0)]), channel.dead_zone)[0]
+            )
+            lowest, highest = self._ranges[direction]["command"]
             if command > highest or 0 < command < lowest:
-                found.append((COMMAND[mode], model.covered(mode, "command")))
-        modes = tuple(model.channels)
-        possible = modes if charge < 0 else modes[charge : charge + 1]
+                outside.append((COMMAND[direction], model.describe_range(direction, "command")))
+        directions = tuple(model.channels)
+        possible_modes = directions if active_channel < 0 else directions[active_channel : active_channel + 1]
         measured = sample.get(DISPLACEMENT, math.nan)
-        ends = [self._covered[mode][DISPLACEMENT] for mode in possible]
-        if math.isfinite(measured) and all(not low <= measured <= high for low, high in ends):
-            found.append((DISPLACEMENT, model.covered(possible[0], DISPLACEMENT)))
-        return [f"outside: {role} {sample[role]:g}; the tests covered {covered}" for role, covered in found]
+        ranges = [self._ranges[direction][DISPLACEMENT] for direction in possible_modes]
+        if math.isfinite(measured) and all(not low <= measured <= high for low, high in ranges):
+            outside.append((DISPLACEMENT, model.describe_range(possible_modes[0], DISPLACEMENT)))
+        return [f"outside: {role} {sample[role]:g}; the tests covered {covered}" for role, covered in outside]
 
-    def _answer(self, flags: list[str]) -> Answer:
-        time_s = round(self._due_s, DIGITS)
+    def _output(self, flags: list[str]) -> Output:
+        time_s = round(self._next_sample_s, DIGITS)
         if self._state is None:
-            return Answer(time_s, None, STANDING, (*flags, "waiting for a displacement to start from"))
-        charge = int(self._model.situation(self._state).mode)
-        mode = STANDING if charge < 0 else tuple(self._model.channels)[charge]
-        return Answer(time_s, self._displacement, mode, tuple(flags))
+            return Output(time_s, None, STANDING, (*flags, "waiting for a displacement to start from"))
+        active_channel = int(self._model.unpack_state(self._state).mode)
+        direction = STANDING if active_channel < 0 else tuple(self._model.channels)[active_channel]
+        return Output(time_s, self._displacement, direction, tuple(flags))
 
 
 def _ranges(channel: Channel) -> dict[str, tuple[float, float]]:
     """Return from where to where commands beyond the dead zone, and displacements, went in the tests."""
     if channel.envelope is None:
         return dict.fromkeys(("command", DISPLACEMENT), (-math.inf, math.inf))
-    covered = {"command": channel.envelope.command, DISPLACEMENT: channel.envelope.displacement}
-    return {name: (float(ends.lowest), float(ends.highest)) for name, ends in covered.items()}
+    signal_ranges = {"command": channel.envelope.command, DISPLACEMENT: channel.envelope.displacement}
+    return {
+        name: (float(signal_range.lowest), float(signal_range.highest))
+        for name, signal_range in signal_ranges.items()
+    }
 
 
-def _read(line: str) -> tuple[dict[str, float], list[str]]:
+def _parse(line: str) -> tuple[dict[str, float], list[str]]:
     """Return the numbers of one line, and what is odd about it."""
     try:
         content = json.loads(line)
@@ -199,13 +204,13 @@ def _read(line: str) -> tuple[dict[str, float], list[str]]:
         return {}, ["not understood: the line is no JSON"]
     if not isinstance(content, dict):
         return {}, ['not understood: required an object like {"time_s": 0.01, "lifting_command": 0.5}']
-    flags = [f"not known: '{name}'; known are {', '.join(KNOWN)}" for name in content if name not in KNOWN]
+    flags = [f"not known: '{name}'; known are {', '.join(FIELDS)}" for name in content if name not in FIELDS]
     sample = {}
-    for name in KNOWN:
+    for name in FIELDS:
         value = content.get(name)
         if isinstance(value, int | float) and not isinstance(value, bool):
             number = _finite(value)
-            sample[name] = number if name == TIME or abs(number) < LARGEST else math.nan
+            sample[name] = number if name == TIME or abs(number) < MAX_MAGNITUDE else math.nan
         elif value is not None:
             flags.append(f"not a number: {name}")
     return sample, flags
@@ -218,6 +223,6 @@ def _finite(value: int | float) -> float:
         return math.inf
 
 
-def _whole(samples: float) -> int:
+def _round_samples(samples: float) -> int:
     """Return a number of samples; beyond all measure, one that is too many."""
     return round(min(max(samples, -1e15), 1e15))

@@ -1,7 +1,7 @@
 """From files to a campaign: `read` finds the logs, their signal map and their format."""
 
+from hitchid.readers.content import ChannelSelection as ChannelSelection
 from hitchid.readers.content import Content as Content
-from hitchid.readers.content import Wanted as Wanted
 from hitchid.readers.folders import find_logs as find_logs
 from hitchid.readers.folders import settings_of as settings_of
 from hitchid.readers.formats import format_of as format_of

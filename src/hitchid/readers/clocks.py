@@ -6,17 +6,17 @@ from pathlib import Path
 import numpy as np
 
 from hitchid.data.record import COMMAND, LIFTING, resampled
-from hitchid.data.resampling import GAP, first_of_each_stamp
+from hitchid.data.resampling import GAP_FACTOR, unique_stamp_rows
 from hitchid.errors import LogError
-from hitchid.readers.content import Channel
+from hitchid.readers.content import LogChannel
 
-SIGNED = "command"
-HELD = (SIGNED, *COMMAND.values())
-SAME_S = 1e-9
+SIGNED_COMMAND = "command"
+HOLD_ROLES = (SIGNED_COMMAND, *COMMAND.values())
+CLOCK_TOLERANCE_S = 1e-9
 
 
-def on_one_clock(
-    source: Path, time: Channel | None, channels: Mapping[str, Channel], names: Mapping[str, str]
+def resample_to_common_clock(
+    source: Path, time: LogChannel | None, channels: Mapping[str, LogChannel], names: Mapping[str, str]
 ) -> tuple[np.ndarray, dict[str, np.ndarray], list[str]]:
     """Return time stamps, s, and every channel's samples at them, and what was done.
 
@@ -44,40 +44,46 @@ def on_one_clock(
                 )
             _check_agrees(source, time.values, channel, names[role])
         return time.values, {role: channel.values for role, channel in channels.items()}, []
-    channels = {role: _clocked(source, channel, names[role]) for role, channel in channels.items()}
+    channels = {
+        role: _with_increasing_clock(source, channel, names[role]) for role, channel in channels.items()
+    }
     clocks = {role: channel.clock_s for role, channel in channels.items() if channel.clock_s is not None}
     steps = {role: float(np.median(np.diff(clock))) for role, clock in clocks.items()}
     slowest = max(steps, key=lambda role: steps[role])
     target = clocks[slowest]
-    others = {role for role, clock in clocks.items() if not np.array_equal(clock, target)}
-    if not others:
+    other_roles = {role for role, clock in clocks.items() if not np.array_equal(clock, target)}
+    if not other_roles:
         return target, {role: channel.values for role, channel in channels.items()}, []
-    kept = np.ones(target.size, dtype=bool)
-    for role in others:
-        kept &= _covered(target, clocks[role], steps[slowest], beyond=role in HELD)
-    if not kept.any():
+    mask = np.ones(target.size, dtype=bool)
+    for role in other_roles:
+        mask &= _is_covered(target, clocks[role], steps[slowest], extend_ends=role in HOLD_ROLES)
+    if not mask.any():
         raise LogError(source, "the channels have no stretch of time in common")
-    at = target[kept]
+    common_time_s = target[mask]
     sampled = {
-        role: _sampled(role, channel.values, clocks[role], at) if role in others else channel.values[kept]
+        role: _resample(role, channel.values, clocks[role], common_time_s)
+        if role in other_roles
+        else channel.values[mask]
         for role, channel in channels.items()
     }
-    told = ", ".join(f"{names[role]} {steps[role]:.4g} s" for role in channels)
-    return at, sampled, [f"merged on the clock of {names[slowest]}: {told}"]
+    steps_text = ", ".join(f"{names[role]} {steps[role]:.4g} s" for role in channels)
+    return common_time_s, sampled, [f"merged on the clock of {names[slowest]}: {steps_text}"]
 
 
-def _check_agrees(source: Path, time_s: np.ndarray, channel: Channel, name: str) -> None:
+def _check_agrees(source: Path, time_s: np.ndarray, channel: LogChannel, name: str) -> None:
     """Refuse a time for a channel whose own clock runs otherwise: one of the two is not of this channel."""
     clock = channel.clock_s
     if clock is None or clock.size < 2:
         return
-    lasting, said = float(clock[-1] - clock[0]), float(time_s[-1] - time_s[0])
-    if not abs(lasting - said) <= abs(said) / (clock.size - 1):
-        problem = f"lasts {lasting:g} s by its own clock, {said:g} s by the time that is named"
+    clock_duration_s, time_duration_s = float(clock[-1] - clock[0]), float(time_s[-1] - time_s[0])
+    if not abs(clock_duration_s - time_duration_s) <= abs(time_duration_s) / (clock.size - 1):
+        problem = (
+            f"lasts {clock_duration_s:g} s by its own clock, {time_duration_s:g} s by the time that is named"
+        )
         raise LogError(source, f"{problem}; required one that is its own", column=name)
 
 
-def _clocked(source: Path, channel: Channel, name: str) -> Channel:
+def _with_increasing_clock(source: Path, channel: LogChannel, name: str) -> LogChannel:
     """Return a channel whose clock increases from sample to sample."""
     clock = channel.clock_s
     if clock is None:
@@ -85,21 +91,23 @@ def _clocked(source: Path, channel: Channel, name: str) -> Channel:
         raise LogError(source, problem, column=name)
     if clock.size < 2:
         raise LogError(source, f"has {clock.size} samples, required at least 2", column=name)
-    rows = first_of_each_stamp(clock, source, column=name, line_of=lambda _: None)
+    rows = unique_stamp_rows(clock, source, column=name, line_of=lambda _: None)
     if rows.size == clock.size:
         return channel
     return channel._replace(values=channel.values[rows], clock_s=clock[rows])
 
 
-def _sampled(role: str, samples: np.ndarray, had_s: np.ndarray, wanted_s: np.ndarray) -> np.ndarray:
-    known = COMMAND[LIFTING] if role == SIGNED else role
-    return resampled({known: samples}, had_s, wanted_s)[known]
+def _resample(
+    role: str, samples: np.ndarray, source_time_s: np.ndarray, target_time_s: np.ndarray
+) -> np.ndarray:
+    resampling_role = COMMAND[LIFTING] if role == SIGNED_COMMAND else role
+    return resampled({resampling_role: samples}, source_time_s, target_time_s)[resampling_role]
 
 
-def _covered(target: np.ndarray, clock: np.ndarray, step_s: float, *, beyond: bool) -> np.ndarray:
-    """Tell when a channel has samples around, or up to half a step `beyond` its ends, shape [N]."""
-    slack = step_s / 2 if beyond else SAME_S
+def _is_covered(target: np.ndarray, clock: np.ndarray, step_s: float, *, extend_ends: bool) -> np.ndarray:
+    """Tell when a channel has samples around, or up to half a step `extend_ends` its ends, shape [N]."""
+    slack = step_s / 2 if extend_ends else CLOCK_TOLERANCE_S
     after = np.clip(np.searchsorted(clock, target), 1, clock.size - 1)
-    near = np.minimum(np.abs(target - clock[after]), np.abs(target - clock[after - 1]))
-    whole = (clock[after] - clock[after - 1] <= GAP * step_s) | (near <= SAME_S)
-    return whole & (target >= clock[0] - slack) & (target <= clock[-1] + slack)
+    nearest_s = np.minimum(np.abs(target - clock[after]), np.abs(target - clock[after - 1]))
+    without_gap = (clock[after] - clock[after - 1] <= GAP_FACTOR * step_s) | (nearest_s <= CLOCK_TOLERANCE_S)
+    return without_gap & (target >= clock[0] - slack) & (target <= clock[-1] + slack)

@@ -9,12 +9,12 @@ import numpy as np
 
 from hitchid.errors import LogError
 
-SHOWN = 30
-LARGEST_RATIO, UNSUSPICIOUS = 200, 2**28
-OR_ELSE = "required it, or another named in campaign.toml"
+MAX_LISTED = 30
+MAX_UNPACK_RATIO, ALWAYS_ALLOWED_BYTES = 200, 2**28
+CHANNEL_HINT = "required it, or another named in campaign.toml"
 
 
-class Wanted(NamedTuple):
+class ChannelSelection(NamedTuple):
     """What is asked of a log.
 
     Attributes:
@@ -28,7 +28,7 @@ class Wanted(NamedTuple):
     databases: tuple[Path, ...] = ()
 
 
-class Channel(NamedTuple):
+class LogChannel(NamedTuple):
     """One channel as it stands in the file.
 
     Attributes:
@@ -43,9 +43,9 @@ class Channel(NamedTuple):
     clock_s: np.ndarray | None = None
 
 
-def largest(path: Path) -> int:
+def max_unpacked_bytes(path: Path) -> int:
     """Return to how many bytes a file may unpack without being taken for a trap."""
-    return max(UNSUSPICIOUS, LARGEST_RATIO * path.stat().st_size)
+    return max(ALWAYS_ALLOWED_BYTES, MAX_UNPACK_RATIO * path.stat().st_size)
 
 
 def _no_lines(_: int) -> int | None:
@@ -64,12 +64,14 @@ class Content:
     """
 
     source: Path
-    channels: Mapping[str, Channel]
+    channels: Mapping[str, LogChannel]
     notices: tuple[str, ...] = ()
     line_of: Callable[[int], int | None] = _no_lines
 
 
-def chosen(source: Path, names: Sequence[str], wanted: Wanted, *, clocked: bool = False) -> dict[str, str]:
+def match_channels(
+    source: Path, names: Sequence[str], selection: ChannelSelection, *, has_clocks: bool = False
+) -> dict[str, str]:
     """Return the name each channel is asked by to its full name in the file.
 
     A full name is made of the groups it is in and its own, `group/channel`; what comes after the last stroke
@@ -78,45 +80,51 @@ def chosen(source: Path, names: Sequence[str], wanted: Wanted, *, clocked: bool 
     Args:
         source: the file.
         names: full names of the channels that hold numbers.
-        wanted: what is asked for.
-        clocked: whether the file keeps a clock for each channel, so that the time may be missing, or be
+        selection: what is asked for.
+        has_clocks: whether the file keeps a clock for each channel, so that the time may be missing, or be
             several: one in each group.
 
     Raises:
         LogError: a channel is not there, or several are meant.
     """
-    if wanted.signals is None:
+    if selection.signals is None:
         return {name: name for name in names}
-    found = {}
-    for asked in dict.fromkeys((wanted.time, *wanted.signals)):
-        meant = [asked] if asked in names else [name for name in names if name.rpartition("/")[2] == asked]
-        needed = asked != wanted.time or not clocked
-        if len(meant) > 1 and needed:
-            raise LogError(source, f"several channels are meant: {listed(meant)}", column=asked)
-        if len(meant) == 1:
-            found[asked] = meant[0]
-        elif needed:
+    matches = {}
+    for requested in dict.fromkeys((selection.time, *selection.signals)):
+        candidates = (
+            [requested]
+            if requested in names
+            else [name for name in names if name.rpartition("/")[2] == requested]
+        )
+        is_required = requested != selection.time or not has_clocks
+        if len(candidates) > 1 and is_required:
+            raise LogError(
+                source, f"several channels are meant: {format_names(candidates)}", column=requested
+            )
+        if len(candidates) == 1:
+            matches[requested] = candidates[0]
+        elif is_required:
             raise LogError(
                 source,
-                f"there is no such channel; {OR_ELSE}; found {listed(names)}",
-                column=asked,
+                f"there is no such channel; {CHANNEL_HINT}; found {format_names(names)}",
+                column=requested,
             )
-    _check_one_group(source, found, wanted.time)
-    return found
+    _check_one_group(source, matches, selection.time)
+    return matches
 
 
-def _check_one_group(source: Path, found: Mapping[str, str], time: str) -> None:
+def _check_one_group(source: Path, matches: Mapping[str, str], time: str) -> None:
     """Refuse the time of one group for the channels of another, unless it is asked for by its full name."""
-    group = found.get(time, "").rpartition("/")[0]
-    if not group or found[time] == time:
+    group = matches.get(time, "").rpartition("/")[0]
+    if not group or matches[time] == time:
         return
-    for name in found.values():
+    for name in matches.values():
         if not name.startswith(f"{group}/"):
-            problem = f"lies in another group than '{name}'; required its full name, '{found[time]}'"
+            problem = f"lies in another group than '{name}'; required its full name, '{matches[time]}'"
             raise LogError(source, problem, column=time)
 
 
-def listed(names: Sequence[str]) -> str:
+def format_names(names: Sequence[str]) -> str:
     """Return names as a message lists them, of many the first thirty."""
-    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-    return (", ".join(names[:SHOWN]) or "none with numbers") + more
+    more = f" and {len(names) - MAX_LISTED} more" if len(names) > MAX_LISTED else ""
+    return (", ".join(names[:MAX_LISTED]) or "none with numbers") + more

@@ -3,12 +3,12 @@
 from collections.abc import Iterable
 from pathlib import Path
 
-from hitchid._support.storage import own
+from hitchid._support.storage import inside_folder
 from hitchid.data.signal_map import CAMPAIGN_FILE, CampaignFile, read_campaign_file
 from hitchid.errors import InputError
-from hitchid.readers.formats import endings, format_of, known_format
+from hitchid.readers.formats import format_of, known_format, known_suffixes
 
-DATABASE = ".dbc"
+DATABASE_SUFFIX = ".dbc"
 
 
 def find_logs(logs: str | Path | Iterable[str | Path]) -> list[Path]:
@@ -20,25 +20,29 @@ def find_logs(logs: str | Path | Iterable[str | Path]) -> list[Path]:
         InputError: a path does not exist, no file's format is known, a folder holds no log, or a link out
             of it.
     """
-    given = [logs] if isinstance(logs, str | Path) else list(logs)
-    found: dict[Path, None] = {}
-    for path in map(Path, given):
+    inputs = [logs] if isinstance(logs, str | Path) else list(logs)
+    paths: dict[Path, None] = {}
+    for path in map(Path, inputs):
         if _is_folder(path):
-            inside = [
-                own(child) for child in sorted(path.iterdir()) if child.is_file() and known_format(child)
+            folder_logs = [
+                inside_folder(child)
+                for child in sorted(path.iterdir())
+                if child.is_file() and known_format(child)
             ]
-            if not inside:
-                raise InputError(f"{path}: no log in this folder; required files ending in {endings()}")
-            found.update(dict.fromkeys(inside))
+            if not folder_logs:
+                raise InputError(
+                    f"{path}: no log in this folder; required files ending in {known_suffixes()}"
+                )
+            paths.update(dict.fromkeys(folder_logs))
         elif path.is_file():
-            found[path] = None
+            paths[path] = None
         else:
             raise InputError(f"{path}: there is no such file or folder")
-    if not found:
+    if not paths:
         raise InputError("no logs were named; required files or folders")
-    if not any(map(known_format, found)):
-        format_of(next(iter(found)))
-    return list(found)
+    if not any(map(known_format, paths)):
+        format_of(next(iter(paths)))
+    return list(paths)
 
 
 def settings_of(paths: Iterable[Path], signals: str | Path | None = None) -> dict[Path, CampaignFile]:
@@ -50,18 +54,18 @@ def settings_of(paths: Iterable[Path], signals: str | Path | None = None) -> dic
         InputError: a folder's settings or databases are a link out of it.
         SettingsError: a settings file cannot be used.
     """
-    given = (
+    shared_settings = (
         None if signals is None else _with_databases(read_campaign_file(Path(signals)), Path(signals).parent)
     )
 
-    def of(folder: Path) -> CampaignFile:
-        beside = folder / CAMPAIGN_FILE
-        settings = given or CampaignFile()
-        if given is None and beside.is_file():
-            settings = _with_databases(read_campaign_file(own(beside)), folder)
+    def for_folder(folder: Path) -> CampaignFile:
+        settings_path = folder / CAMPAIGN_FILE
+        settings = shared_settings or CampaignFile()
+        if shared_settings is None and settings_path.is_file():
+            settings = _with_databases(read_campaign_file(inside_folder(settings_path)), folder)
         return settings if settings.can.databases else _with_databases(settings, folder, _databases(folder))
 
-    return {folder: of(folder) for folder in dict.fromkeys(path.parent for path in paths)}
+    return {folder: for_folder(folder) for folder in dict.fromkeys(path.parent for path in paths)}
 
 
 def _is_folder(path: Path) -> bool:
@@ -77,7 +81,7 @@ def _databases(folder: Path) -> tuple[str, ...]:
     return tuple(
         child.name
         for child in sorted(folder.iterdir())
-        if child.suffix.lower() == DATABASE and child.is_file()
+        if child.suffix.lower() == DATABASE_SUFFIX and child.is_file()
     )
 
 
@@ -85,6 +89,6 @@ def _with_databases(
     settings: CampaignFile, folder: Path, names: tuple[str, ...] | None = None
 ) -> CampaignFile:
     """Return the settings with their databases where they lie."""
-    listed = settings.can.databases if names is None else names
-    paths = tuple(str(own(folder / name)) for name in listed)
+    database_names = settings.can.databases if names is None else names
+    paths = tuple(str(inside_folder(folder / name)) for name in database_names)
     return settings.model_copy(update={"can": settings.can.model_copy(update={"databases": paths})})

@@ -17,9 +17,9 @@ from typing import IO
 import numpy as np
 
 from hitchid.errors import LogError
-from hitchid.readers.content import Channel, Content, Wanted
+from hitchid.readers.content import ChannelSelection, Content, LogChannel
 
-BEGUN = b"begun\n"
+READY = b"begun\n"
 LONGEST_START_S, LONGEST_S, BYTES_PER_S = 120.0, 8.0, 2e6
 LONGEST_DATABASES_S, DATABASE_BYTES_PER_S = 60.0, 1e5
 
@@ -41,22 +41,24 @@ class ReaderProcess:
         """End it."""
         self._end()
 
-    def read(self, path: Path, wanted: Wanted) -> Content:
+    def read(self, path: Path, selection: ChannelSelection) -> Content:
         """Read the wanted channels of a log.
 
         Raises:
             LogError: it cannot be read, or reading it takes too long or too much memory.
         """
         try:
-            limit_s = LONGEST_S + path.stat().st_size / BYTES_PER_S + _spent_on(wanted.databases)
+            limit_s = (
+                LONGEST_S + path.stat().st_size / BYTES_PER_S + _database_time_limit_s(selection.databases)
+            )
         except OSError as error:
             raise LogError(path, f"cannot be read: {error.strerror}") from error
         if self._child is None:
-            self._child = _started()
-        request = {"path": str(path), "time": wanted.time, "signals": wanted.signals}
-        request["databases"] = [str(database) for database in wanted.databases]
+            self._child = _start_child()
+        request = {"path": str(path), "time": selection.time, "signals": selection.signals}
+        request["databases"] = [str(database) for database in selection.databases]
         try:
-            return _answer(self._child, path, json.dumps(request).encode() + b"\n", limit_s)
+            return _request_content(self._child, path, json.dumps(request).encode() + b"\n", limit_s)
         except LogError:  # an answer like any other: the process goes on
             raise
         except TimeoutError:
@@ -76,13 +78,13 @@ class ReaderProcess:
             self._child = None
 
 
-def _spent_on(databases: Sequence[Path]) -> float:
+def _database_time_limit_s(databases: Sequence[Path]) -> float:
     """Return the longest time that reading databases may take, s: one of 50 000 signals takes ten."""
-    size = sum(each.stat().st_size for each in databases if each.is_file())
+    size = sum(database.stat().st_size for database in databases if database.is_file())
     return min(size / DATABASE_BYTES_PER_S, LONGEST_DATABASES_S)
 
 
-def _started() -> "subprocess.Popen[bytes]":
+def _start_child() -> "subprocess.Popen[bytes]":
     paths = os.pathsep.join(path for path in sys.path if path)
     return subprocess.Popen(
         [sys.executable, "-m", "hitchid.readers.child"],
@@ -93,53 +95,55 @@ def _started() -> "subprocess.Popen[bytes]":
     )
 
 
-def _answer(child: "subprocess.Popen[bytes]", path: Path, request: bytes, limit_s: float) -> Content:
-    asking, answers = child.stdin, child.stdout
-    assert asking is not None  # noqa: S101 - both are pipes
-    assert answers is not None  # noqa: S101
-    with _within(child, LONGEST_START_S):
-        asking.write(request)
-        asking.flush()
-        if answers.readline() != BEGUN:
+def _request_content(child: "subprocess.Popen[bytes]", path: Path, request: bytes, limit_s: float) -> Content:
+    stdin, stdout = child.stdin, child.stdout
+    assert stdin is not None  # noqa: S101 - both are pipes
+    assert stdout is not None  # noqa: S101
+    with _time_limit(child, LONGEST_START_S):
+        stdin.write(request)
+        stdin.flush()
+        if stdout.readline() != READY:
             raise EOFError
-    with _within(child, limit_s):
-        line = answers.readline()
+    with _time_limit(child, limit_s):
+        line = stdout.readline()
         if not line.endswith(b"\n"):
             raise EOFError
-        answer = json.loads(line)
-        if "problem" in answer:
-            raise LogError(path, answer["problem"], line=answer.get("line"), column=answer.get("column"))
-        clocks = [_samples(answers, size) for size in answer["clocks"]]
+        response = json.loads(line)
+        if "problem" in response:
+            raise LogError(
+                path, response["problem"], line=response.get("line"), column=response.get("column")
+            )
+        clocks = [_read_samples(stdout, size) for size in response["clocks"]]
         channels = {
-            name: Channel(_samples(answers, size), unit, None if clock is None else clocks[clock])
-            for name, unit, size, clock in answer["channels"]
+            name: LogChannel(_read_samples(stdout, size), unit, None if clock is None else clocks[clock])
+            for name, unit, size, clock in response["channels"]
         }
-    return Content(path, channels, tuple(answer["notices"]))
+    return Content(path, channels, tuple(response["notices"]))
 
 
-def _samples(answers: IO[bytes], size: int) -> np.ndarray:
+def _read_samples(stdout: IO[bytes], size: int) -> np.ndarray:
     samples = np.empty(size)
     view = samples.data.cast("B")
     while view:
-        came = answers.readinto(view)  # pyright: ignore[reportAttributeAccessIssue]
-        if not came:
+        received = stdout.readinto(view)  # pyright: ignore[reportAttributeAccessIssue]
+        if not received:
             raise EOFError
-        view = view[came:]
+        view = view[received:]
     samples.setflags(write=False)
     return samples
 
 
 @contextmanager
-def _within(child: "subprocess.Popen[bytes]", limit_s: float) -> Iterator[None]:
+def _time_limit(child: "subprocess.Popen[bytes]", limit_s: float) -> Iterator[None]:
     """Kill the child where what follows takes longer.
 
     Raises:
         TimeoutError: it did.
     """
-    late = threading.Event()
+    timed_out = threading.Event()
 
     def end() -> None:
-        late.set()
+        timed_out.set()
         child.kill()
 
     timer = threading.Timer(limit_s, end)
@@ -147,7 +151,7 @@ def _within(child: "subprocess.Popen[bytes]", limit_s: float) -> Iterator[None]:
     try:
         yield
     except (EOFError, BrokenPipeError):
-        if late.is_set():
+        if timed_out.is_set():
             raise TimeoutError from None
         raise
     finally:

@@ -10,18 +10,18 @@ import numpy as np
 
 from hitchid._support import checks
 from hitchid.data.campaign import Campaign
-from hitchid.data.left_out import LeftOut, refuse, sift
+from hitchid.data.left_out import LeftOut, refuse, split_usable
 from hitchid.data.record import COMMAND, DISPLACEMENT, Record, resampled
-from hitchid.data.resampling import Section, first_of_each_stamp, sections, uniform
+from hitchid.data.resampling import LogSection, sections, uniform, unique_stamp_rows
 from hitchid.data.signal_map import CampaignFile, SignalMap
 from hitchid.errors import LogError
-from hitchid.readers.content import Content, Wanted
+from hitchid.readers.content import ChannelSelection, Content
 from hitchid.readers.folders import find_logs, settings_of
 from hitchid.readers.formats import format_of, known_format, record_name
 from hitchid.readers.process import ReaderProcess
-from hitchid.readers.table import Table, table_of
+from hitchid.readers.table import LogTable, table_of
 
-SHORTEST = 20
+MIN_SAMPLES = 20
 LOGS = "files and folders of logs"
 
 
@@ -47,8 +47,8 @@ def read(
         SettingsError: a settings file cannot be used.
         InputError: there are no logs, or none of a direction can be used.
     """
-    given = logs if isinstance(logs, str | Path) else checks.several(logs, (str, Path), "logs", LOGS)
-    paths = find_logs(given)
+    inputs = logs if isinstance(logs, str | Path) else checks.tuple_of(logs, (str, Path), "logs", LOGS)
+    paths = find_logs(inputs)
     settings = settings_of(paths, None if signals is None else checks.path(signals, "signals"))
     records, left_out = read_logs(paths, settings, strict=strict)
     if not records:
@@ -66,12 +66,12 @@ def read_logs(
     """
     names = [record_name(path) if known_format(path) else path.name for path in paths]
     with ReaderProcess() as process:
-        found, left_out = sift(
+        records_by_log, left_out = split_usable(
             zip(names, paths, strict=True),
             lambda path: read_log(path, settings[path.parent], process),
             strict=strict,
         )
-    return [record for records in found for record in records], left_out
+    return [record for records in records_by_log for record in records], left_out
 
 
 def assemble(
@@ -92,27 +92,29 @@ def assemble(
     Raises:
         InputError, LogError: as `Campaign.of`.
     """
-    named = _distinct(records)
+    distinct_records = _with_distinct_names(records)
     held_out, kinds, matched = [], {}, set()
-    for record, own in zip(records, named, strict=True):
-        said = settings[record.source.parent] if record.source is not None else CampaignFile()
-        for pattern in said.split.test if said.split else ():
+    for record, distinct_record in zip(records, distinct_records, strict=True):
+        folder_settings = settings[record.source.parent] if record.source is not None else CampaignFile()
+        for pattern in folder_settings.split.test if folder_settings.split else ():
             if fnmatchcase(record.name, pattern):
-                held_out.append(escape(own.name))
+                held_out.append(escape(distinct_record.name))
                 matched.add(pattern)
-        for pattern, kind in said.tests.items():
+        for pattern, kind in folder_settings.tests.items():
             if fnmatchcase(record.name, pattern):
-                kinds.setdefault(escape(own.name), kind)
-    splits = [each.split for each in settings.values() if each.split]
+                kinds.setdefault(escape(distinct_record.name), kind)
+    splits = [settings_file.split for settings_file in settings.values() if settings_file.split]
     campaign = Campaign.of(
-        named,
+        distinct_records,
         test_patterns=held_out if splits else None,
         kinds=kinds,
         left_out=left_out,
         strict=strict,
     )
     patterns = {pattern for split in splits for pattern in split.test} - matched
-    unmatched = {p for p in patterns if not any(fnmatchcase(each.name, p) for each in left_out)}
+    unmatched = {
+        p for p in patterns if not any(fnmatchcase(left_out_log.name, p) for left_out_log in left_out)
+    }
     return replace(campaign, unmatched=tuple(sorted(unmatched)))
 
 
@@ -130,75 +132,77 @@ def read_log(path: Path, settings: CampaignFile, process: ReaderProcess) -> list
     return records_of(read_table(path, settings, process), settings.signals)
 
 
-def read_table(path: Path, settings: CampaignFile, process: ReaderProcess) -> Table:
+def read_table(path: Path, settings: CampaignFile, process: ReaderProcess) -> LogTable:
     """Read the signals of one log as they stand in it, on one clock; see `read_log`."""
-    wanted = Wanted(
-        settings.signals.time.column, _wanted(settings.signals), tuple(map(Path, settings.can.databases))
+    selection = ChannelSelection(
+        settings.signals.time.column,
+        _signal_columns(settings.signals),
+        tuple(map(Path, settings.can.databases)),
     )
-    return table_of(read_content(path, wanted, process), settings.signals)
+    return table_of(read_content(path, selection, process), settings.signals)
 
 
-def read_content(path: Path, wanted: Wanted, process: ReaderProcess) -> Content:
+def read_content(path: Path, selection: ChannelSelection, process: ReaderProcess) -> Content:
     """Read the wanted channels of a log as they stand in it; see `read_log`."""
-    known = format_of(path)
-    return process.read(path, wanted) if known.libraries else known.read(path, wanted)
+    log_format = format_of(path)
+    return process.read(path, selection) if log_format.libraries else log_format.read(path, selection)
 
 
-def records_of(table: Table, signals: SignalMap) -> list[Record]:
+def records_of(table: LogTable, signals: SignalMap) -> list[Record]:
     """Return a record for each stretch of a log without a gap.
 
     Raises:
         LogError: the clock cannot be used, or no stretch is long enough.
     """
     path, column = table.source, signals.time.column
-    rows = first_of_each_stamp(table.time_s, path, column=column, line_of=table.line_of)
+    rows = unique_stamp_rows(table.time_s, path, column=column, line_of=table.line_of)
     repeated = table.time_s.size - rows.size
-    table = _rows(table, rows) if repeated else table
+    table = _select_rows(table, rows) if repeated else table
     time_s = table.time_s
     commands = {role: values for role, values in table.signals.items() if role in COMMAND.values()}
-    parts = sections(time_s, commands, table.signals[DISPLACEMENT])
-    usable = [part for part in parts if part.stop - part.start >= SHORTEST]
+    all_sections = sections(time_s, commands, table.signals[DISPLACEMENT])
+    usable = [section for section in all_sections if section.stop - section.start >= MIN_SAMPLES]
     if not usable:
-        longest = max((part.stop - part.start for part in parts), default=time_s.size)
-        raise LogError(path, f"the log has {longest} samples in a row, required at least {SHORTEST}")
+        longest = max((section.stop - section.start for section in all_sections), default=time_s.size)
+        raise LogError(path, f"the log has {longest} samples in a row, required at least {MIN_SAMPLES}")
     name = record_name(path)
     records = [
-        _record(name if len(usable) == 1 else f"{name}@{number}", table, part)
-        for number, part in enumerate(usable, start=1)
+        _record(name if len(usable) == 1 else f"{name}@{number}", table, section)
+        for number, section in enumerate(usable, start=1)
     ]
-    said = list(table.notices)
+    notices = list(table.notices)
     if repeated:
-        said.append(f"{repeated} rows are left out: their time is that of the row before")
-    left_out = time_s.size - sum(part.stop - part.start for part in usable)
+        notices.append(f"{repeated} rows are left out: their time is that of the row before")
+    left_out = time_s.size - sum(section.stop - section.start for section in usable)
     if left_out:
-        said.append(f"{left_out} of {time_s.size} samples are left out: fewer than {SHORTEST} in a row")
-    records[0] = replace(records[0], notices=(*records[0].notices, *said))
+        notices.append(f"{left_out} of {time_s.size} samples are left out: fewer than {MIN_SAMPLES} in a row")
+    records[0] = replace(records[0], notices=(*records[0].notices, *notices))
     return records
 
 
-def _rows(table: Table, rows: np.ndarray) -> Table:
+def _select_rows(table: LogTable, rows: np.ndarray) -> LogTable:
     samples = {role: values[rows] for role, values in table.signals.items()}
     return replace(table, time_s=table.time_s[rows], signals=samples)
 
 
-def _record(name: str, table: Table, part: Section) -> Record:
-    stamps = table.time_s[part.start : part.stop]
-    samples = {role: values[part.start : part.stop] for role, values in table.signals.items()}
-    if part.resampled:
-        samples = resampled(samples, stamps, uniform(stamps, part.step_s))
+def _record(name: str, table: LogTable, section: LogSection) -> Record:
+    stamps = table.time_s[section.start : section.stop]
+    samples = {role: values[section.start : section.stop] for role, values in table.signals.items()}
+    if section.resampled:
+        samples = resampled(samples, stamps, uniform(stamps, section.step_s))
     return Record(
         name=name,
-        step_s=part.step_s,
+        step_s=section.step_s,
         signals=samples,
         units=table.units,
         start_s=float(stamps[0]),
         source=table.source,
-        notices=(part.notice,) if part.notice else (),
-        clock=part.clock,
+        notices=(section.notice,) if section.notice else (),
+        clock=section.clock,
     )
 
 
-def _wanted(signals: SignalMap) -> tuple[str, ...]:
+def _signal_columns(signals: SignalMap) -> tuple[str, ...]:
     mapped = (
         signals.displacement,
         signals.command,
@@ -208,7 +212,7 @@ def _wanted(signals: SignalMap) -> tuple[str, ...]:
     return tuple(dict.fromkeys(c.column for c in (*mapped, *signals.covariates) if c is not None))
 
 
-def _distinct(records: Sequence[Record]) -> Sequence[Record]:
+def _with_distinct_names(records: Sequence[Record]) -> Sequence[Record]:
     """Put the folder's name before records that share a name."""
     names = [record.name for record in records]
     if len(set(names)) == len(names):

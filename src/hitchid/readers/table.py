@@ -9,16 +9,16 @@ import numpy as np
 
 from hitchid.data.record import COMMAND, DISPLACEMENT, LIFTING, LOWERING
 from hitchid.data.signal_map import DEFAULT_SIGNALS, DIMENSIONS, Column, SignalMap
-from hitchid.data.units import UNITS, known_unit, unit_of_column
+from hitchid.data.units import UNITS, parse_unit, unit_of_column
 from hitchid.errors import LogError
-from hitchid.readers.clocks import SIGNED, on_one_clock
-from hitchid.readers.content import Channel, Content
+from hitchid.readers.clocks import SIGNED_COMMAND, resample_to_common_clock
+from hitchid.readers.content import Content, LogChannel
 
 TIME = "time"
 
 
 @dataclass(frozen=True)
-class Table:
+class LogTable:
     """The signals of one log.
 
     Attributes:
@@ -40,7 +40,7 @@ class Table:
     line_of: Callable[[int], int | None]
 
 
-def table_of(content: Content, signals: SignalMap) -> Table:
+def table_of(content: Content, signals: SignalMap) -> LogTable:
     """Return what a reader handed over as signals: in one unit each, on one clock.
 
     What the file says of a unit counts: a signal map in another unit of the same dimension has the numbers
@@ -51,99 +51,107 @@ def table_of(content: Content, signals: SignalMap) -> Table:
         LogError: a unit is missing or contradicted, a channel holds what is no number, or the clocks do not
             fit together.
     """
-    mapped = _mapped(signals, content)
-    if TIME not in mapped and signals.time.column != DEFAULT_SIGNALS.time.column:
+    columns = _columns_by_role(signals, content)
+    if TIME not in columns and signals.time.column != DEFAULT_SIGNALS.time.column:
         problem = "there is no such channel; the file keeps clocks of its own, so leave the time out"
         raise LogError(content.source, problem, column=signals.time.column)
     converted, notices = {}, list(content.notices)
-    for role, column in mapped.items():
-        converted[role], said = _converted(content, role, column)
-        notices += said
+    for role, column in columns.items():
+        converted[role], unit_notices = _convert_unit(content, role, column)
+        notices += unit_notices
     time = converted.pop(TIME, None)
-    names = {role: column.column for role, column in mapped.items() if role != TIME}
-    time_s, sampled, merged = on_one_clock(content.source, time, converted, names)
-    return Table(
+    names = {role: column.column for role, column in columns.items() if role != TIME}
+    time_s, sampled, clock_notices = resample_to_common_clock(content.source, time, converted, names)
+    return LogTable(
         source=content.source,
         time_s=time_s,
-        signals=_by_mode(sampled),
-        units=_by_mode({role: channel.unit or "1" for role, channel in converted.items()}),
+        signals=_split_signed_command(sampled),
+        units=_split_signed_command({role: channel.unit or "1" for role, channel in converted.items()}),
         columns={names[role]: values for role, values in sampled.items()},
-        notices=(*notices, *merged),
+        notices=(*notices, *clock_notices),
         line_of=content.line_of,
     )
 
 
-def _mapped(signals: SignalMap, content: Content) -> dict[str, Column]:
+def _columns_by_role(signals: SignalMap, content: Content) -> dict[str, Column]:
     """Return role to column, the time only where the log has such a channel."""
     covariates = {column.column: column for column in signals.covariates}
-    given = {
+    all_columns = {
         TIME: signals.time if signals.time.column in content.channels else None,
         COMMAND[LIFTING]: signals.lifting_command,
         COMMAND[LOWERING]: signals.lowering_command,
-        SIGNED: signals.command,
+        SIGNED_COMMAND: signals.command,
         DISPLACEMENT: signals.displacement,
     }
-    return {**{role: column for role, column in given.items() if column is not None}, **covariates}
+    return {**{role: column for role, column in all_columns.items() if column is not None}, **covariates}
 
 
-def _converted(content: Content, role: str, column: Column) -> tuple[Channel, list[str]]:
+def _convert_unit(content: Content, role: str, column: Column) -> tuple[LogChannel, list[str]]:
     """Return a channel in the unit it is asked in, (reading − zero) · scale, and what was done to it."""
     name, source = column.column, content.source
     channel = content.channels[name]
     _check_finite(content, name)
-    said = known_unit(channel.unit or "")
-    asked = column.unit or said or unit_of_column(name) or (None if role in DIMENSIONS else "1")
-    if asked is None:
+    file_unit = parse_unit(channel.unit or "")
+    declared_unit = column.unit or file_unit or unit_of_column(name) or (None if role in DIMENSIONS else "1")
+    if declared_unit is None:
         raise LogError(
             source,
             "neither its name nor the file says its unit; "
             f'required {{ column = "{name}", unit = "…" }} in campaign.toml',
             column=name,
         )
-    _check_dimension(source, role, name, asked)
-    unit = "s" if role == TIME else asked
+    _check_dimension(source, role, name, declared_unit)
+    unit = "s" if role == TIME else declared_unit
     if column.scale is not None:
         # The scale says what a reading is worth, whatever unit the file gives it.
-        factor = column.scale * UNITS[asked].factor / UNITS[unit].factor
-        notices = [] if said in (None, asked) else [f"{name}: scaled to {asked}; the file's unit is {said}"]
+        factor = column.scale * UNITS[declared_unit].factor / UNITS[unit].factor
+        notices = (
+            []
+            if file_unit in (None, declared_unit)
+            else [f"{name}: scaled to {declared_unit}; the file's unit is {file_unit}"]
+        )
         return channel._replace(values=(channel.values - column.zero) * factor, unit=unit), notices
-    _check_agrees(source, name, asked, said)
+    _check_agrees(source, name, declared_unit, file_unit)
     notices = []
-    if channel.unit and said is None:
-        notices.append(f"{name}: the unit '{channel.unit}' in the file is not known; read as {asked}")
-    elif said not in (None, asked):
-        notices.append(f"{name}: converted from {said}, as the file says, to {asked}")
-    elif said is None and unit_of_column(name) not in (None, asked):
-        notices.append(f"{name}: read as {asked}, as the signal map says, although its name ends otherwise")
-    had = said or asked
-    factor = 1.0 if had == unit else UNITS[had].factor / UNITS[unit].factor
+    if channel.unit and file_unit is None:
+        notices.append(f"{name}: the unit '{channel.unit}' in the file is not known; read as {declared_unit}")
+    elif file_unit not in (None, declared_unit):
+        notices.append(f"{name}: converted from {file_unit}, as the file says, to {declared_unit}")
+    elif file_unit is None and unit_of_column(name) not in (None, declared_unit):
+        notices.append(
+            f"{name}: read as {declared_unit}, as the signal map says, although its name ends otherwise"
+        )
+    source_unit = file_unit or declared_unit
+    factor = 1.0 if source_unit == unit else UNITS[source_unit].factor / UNITS[unit].factor
     values = channel.values - column.zero if column.zero else channel.values
     values = values if factor == 1.0 else values * factor
     return channel._replace(values=values, unit=unit), notices
 
 
-def _check_dimension(source: Path, role: str, name: str, asked: str) -> None:
-    dimension, dimensions = UNITS[asked].dimension, DIMENSIONS.get(role)
+def _check_dimension(source: Path, role: str, name: str, declared_unit: str) -> None:
+    dimension, dimensions = UNITS[declared_unit].dimension, DIMENSIONS.get(role)
     if dimensions and dimension not in dimensions:
         raise LogError(
             source,
-            f"'{asked}' is a unit of {dimension}, required one of {', '.join(dimensions)} for {role}",
+            f"'{declared_unit}' is a unit of {dimension}, required one of {', '.join(dimensions)} for {role}",
             column=name,
         )
 
 
-def _check_agrees(source: Path, name: str, asked: str, said: str | None) -> None:
+def _check_agrees(source: Path, name: str, declared_unit: str, file_unit: str | None) -> None:
     """Refuse a unit that the file says in its name and beside it, or as the map, in two ways."""
-    if said is None:
+    if file_unit is None:
         return
-    dimension = UNITS[asked].dimension
-    named = unit_of_column(name)
-    if named not in (None, said) and UNITS[named].dimension == dimension:
-        problem = f"the name says '{named}', the file '{said}'; required one of them to be put right"
+    dimension = UNITS[declared_unit].dimension
+    name_unit = unit_of_column(name)
+    if name_unit not in (None, file_unit) and UNITS[name_unit].dimension == dimension:
+        problem = f"the name says '{name_unit}', the file '{file_unit}'; required one of them to be put right"
         raise LogError(source, problem, column=name)
-    if UNITS[said].dimension != dimension:
+    if UNITS[file_unit].dimension != dimension:
         raise LogError(
-            source, f"the file says '{said}', the signal map '{asked}': no units of one kind", column=name
+            source,
+            f"the file says '{file_unit}', the signal map '{declared_unit}': no units of one kind",
+            column=name,
         )
 
 
@@ -160,13 +168,13 @@ def _check_finite(content: Content, name: str) -> None:
         )
 
 
-def _by_mode(given: Mapping[str, Any]) -> dict[str, Any]:
+def _split_signed_command(by_role: Mapping[str, Any]) -> dict[str, Any]:
     """Return roles with a signed command taken apart: lifting above zero, lowering below; units likewise."""
-    first = {DISPLACEMENT: given[DISPLACEMENT]}
-    roles = first | {role: value for role, value in given.items() if role != SIGNED}
-    if SIGNED not in given:
+    displacement = {DISPLACEMENT: by_role[DISPLACEMENT]}
+    roles = displacement | {role: value for role, value in by_role.items() if role != SIGNED_COMMAND}
+    if SIGNED_COMMAND not in by_role:
         return roles
-    signed = given[SIGNED]
+    signed = by_role[SIGNED_COMMAND]
     if isinstance(signed, str):
         return {**roles, COMMAND[LIFTING]: signed, COMMAND[LOWERING]: signed}
     return {**roles, COMMAND[LIFTING]: np.maximum(signed, 0.0), COMMAND[LOWERING]: np.maximum(-signed, 0.0)}

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from hitchid.validation import Table
 
 
-class Level(Enum):
+class Rating(Enum):
     """How a finding is meant; the value is the word that goes with its sign."""
 
     GOOD = "good"
@@ -21,7 +21,7 @@ class Level(Enum):
 class Finding(NamedTuple):
     """One thing a reader should know."""
 
-    level: Level
+    level: Rating
     sentence: str
 
 
@@ -68,12 +68,12 @@ Block = Text | Findings | Pictures | Table
 
 
 @dataclass(frozen=True)
-class Section:
+class ReportSection:
     """Blocks under a heading, and sections below it."""
 
     title: str
     blocks: tuple[Block, ...] = ()
-    sections: tuple["Section", ...] = ()
+    sections: tuple["ReportSection", ...] = ()
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class Document:
     subtitle: str
     verdict: tuple[Finding, ...]
     notices: tuple[str, ...]
-    sections: tuple[Section, ...]
+    sections: tuple[ReportSection, ...]
 
     @property
     def pictures(self) -> Iterator[Picture]:
@@ -106,9 +106,9 @@ def sentence(notice: str) -> str:
     return f"{notice[:1].upper()}{notice[1:]}."
 
 
-def _pictures(section: Section) -> Iterator[Picture]:
+def _pictures(section: ReportSection) -> Iterator[Picture]:
     for block in section.blocks:
         if isinstance(block, Pictures):
             yield from block.items
-    for below in section.sections:
-        yield from _pictures(below)
+    for subsection in section.sections:
+        yield from _pictures(subsection)

@@ -11,81 +11,81 @@ from pathlib import Path
 import matplotlib as mpl
 
 from hitchid.errors import InputError
-from hitchid.report.document import Block, Document, Finding, Findings, Pictures, Section, Text
+from hitchid.report.document import Block, Document, Finding, Findings, Pictures, ReportSection, Text
 from hitchid.report.page import SIGNS
 from hitchid.validation import numeric
 
 TEMPLATE = "report.typ"
 
 
-def check_pdf(*, asked: bool) -> None:
+def check_pdf(*, requested: bool) -> None:
     """Complain early where a PDF is asked for and cannot be made.
 
     Raises:
         InputError: typst is not installed.
     """
-    if asked and find_spec("typst") is None:
+    if requested and find_spec("typst") is None:
         raise InputError("typst is not installed; required: pip install 'hitchid[pdf]'")
 
 
-def pdf(document: Document, drawn: Mapping[str, str]) -> bytes:
+def pdf(document: Document, svgs: Mapping[str, str]) -> bytes:
     """Return a report as PDF, the same each time.
 
     Args:
         document: the report.
-        drawn: name of each picture to its SVG file.
+        svgs: name of each picture to its SVG file.
 
     Raises:
         InputError: typst is not installed.
     """
-    check_pdf(asked=True)
+    check_pdf(requested=True)
     import typst
 
-    with tempfile.TemporaryDirectory() as kept:
-        place = Path(kept)
-        (place / "figures").mkdir()
-        for name, content in drawn.items():
-            (place / "figures" / f"{name}.svg").write_bytes(content.encode("utf-8", errors="replace"))
-        told = json.dumps(_described(document), ensure_ascii=False)
-        (place / "report.json").write_bytes(told.encode("utf-8", errors="replace"))
+    with tempfile.TemporaryDirectory() as temporary_folder:
+        folder = Path(temporary_folder)
+        (folder / "figures").mkdir()
+        for name, content in svgs.items():
+            (folder / "figures" / f"{name}.svg").write_bytes(content.encode("utf-8", errors="replace"))
+        report_json = json.dumps(_document_dict(document), ensure_ascii=False)
+        (folder / "report.json").write_bytes(report_json.encode("utf-8", errors="replace"))
         with as_file(files("hitchid.report") / "templates" / TEMPLATE) as template:
-            shutil.copy(template, place)
+            shutil.copy(template, folder)
         fonts = Path(mpl.get_data_path()) / "fonts" / "ttf"
-        made = typst.compile(place / TEMPLATE, font_paths=[fonts], ignore_system_fonts=True, timestamp=0)
-    if not isinstance(made, bytes):
+        output = typst.compile(folder / TEMPLATE, font_paths=[fonts], ignore_system_fonts=True, timestamp=0)
+    if not isinstance(output, bytes):
         raise TypeError("one file was expected of typst")
-    return made
+    return output
 
 
-def _described(document: Document) -> dict:
+def _document_dict(document: Document) -> dict:
     return {
         "title": document.title,
         "subtitle": document.subtitle,
-        "verdict": [_finding(each) for each in document.verdict],
+        "verdict": [_finding(finding) for finding in document.verdict],
         "notices": list(document.notices),
-        "sections": [_section(each) for each in document.sections],
+        "sections": [_section(section) for section in document.sections],
     }
 
 
-def _section(content: Section) -> dict:
+def _section(content: ReportSection) -> dict:
     return {
         "title": content.title,
-        "blocks": [_block(each) for each in content.blocks],
-        "sections": [_section(each) for each in content.sections],
+        "blocks": [_block(block) for block in content.blocks],
+        "sections": [_section(section) for section in content.sections],
     }
 
 
 def _block(block: Block) -> dict:
     match block:
-        case Text(said):
-            return {"kind": "text", "said": said}
+        case Text(text):
+            return {"kind": "text", "said": text}
         case Findings(items):
-            return {"kind": "findings", "items": [_finding(each) for each in items]}
+            return {"kind": "findings", "items": [_finding(finding) for finding in items]}
         case Pictures(items):
-            kept = ("name", "caption", "alt", "wide")
+            picture_keys = ("name", "caption", "alt", "wide")
             return {
                 "kind": "pictures",
-                "items": [{key: getattr(each, key) for key in kept} for each in items],
+                "items": [{key: getattr(picture, key) for key in picture_keys} for picture in items],
             }
         case table:
             title = f"{table.title[:1].upper()}{table.title[1:]}"

@@ -7,11 +7,11 @@ from hitchid.data.campaign import Campaign
 from hitchid.data.record import DISPLACEMENT
 from hitchid.model import Hitch
 from hitchid.report import sections
-from hitchid.report.document import Document, Section, sentence
-from hitchid.report.sections import Direction
+from hitchid.report.document import Document, ReportSection, sentence
+from hitchid.report.sections import DirectionContext
 from hitchid.validation import CYCLES, Acceptance, Validation
 
-PARTS = (
+DIRECTION_SECTIONS = (
     sections.accuracy,
     sections.errors,
     sections.trust,
@@ -39,7 +39,7 @@ def validation_report(
         acceptance: which limits hold; None where none were set.
         command: that wrote the report.
     """
-    counts = [_count(part, len(tests.names)) for part, tests in result.predictions.items()]
+    counts = [_count(subset, len(tests.names)) for subset, tests in result.predictions.items()]
     return Document(
         title="Validation of a hitch model",
         subtitle=f"{', '.join(counts)}; {DISPLACEMENT} in {result.metrics['unit']}",
@@ -47,7 +47,7 @@ def validation_report(
         notices=tuple(map(sentence, result.notices)),
         sections=(
             *([] if acceptance is None else [sections.limits(acceptance)]),
-            *direction_sections(result, model, campaign, trace or {}, PARTS),
+            *direction_sections(result, model, campaign, trace or {}, DIRECTION_SECTIONS),
             sections.logs(campaign, model),
             sections.origin(model, command),
         ),
@@ -59,36 +59,43 @@ def direction_sections(
     model: Hitch,
     campaign: Campaign,
     trace: Mapping[str, Any],
-    parts: Sequence[Callable[[Direction], Section]],
-) -> list[Section]:
+    section_builders: Sequence[Callable[[DirectionContext], ReportSection]],
+) -> list[ReportSection]:
     """Return a section for each direction that was validated, and one for mixed cycles.
 
     Args:
         result, model, campaign, trace: as for `validation_report`.
-        parts: of the section of a direction.
+        section_builders: of the section of a direction.
     """
     unit = result.metrics["unit"]
-    cut = campaign if campaign.modes else campaign.segmented(model.cut_at(campaign.units))
-    found = []
-    for mode, metrics in result.metrics["channels"].items():
-        known = Direction(
-            mode=mode,
+    segmented = (
+        campaign if campaign.directions else campaign.segmented(model.segmentation_dead_zones(campaign.units))
+    )
+    result_sections = []
+    for direction, metrics in result.metrics["channels"].items():
+        context = DirectionContext(
+            direction=direction,
             metrics=metrics,
-            predictions=result.predictions[mode],
-            trace=trace.get(mode, {}),
+            predictions=result.predictions[direction],
+            trace=trace.get(direction, {}),
             model=model,
-            tests=cut.of_kind(mode),
-            ramps=cut.ramps(mode),
+            tests=segmented.of_kind(direction),
+            ramps=segmented.ramps(direction),
             unit=unit,
         )
-        below = [part(known) for part in parts]
-        found.append(Section(mode.capitalize(), sections=tuple(each for each in below if each.blocks)))
+        subsections = [build_section(context) for build_section in section_builders]
+        result_sections.append(
+            ReportSection(
+                direction.capitalize(),
+                sections=tuple(subsection for subsection in subsections if subsection.blocks),
+            )
+        )
     if CYCLES in result.predictions:
         tests = result.predictions[CYCLES]
-        found.append(sections.cycles(result.metrics[CYCLES], tests, model.step_s, unit))
-    return found
+        result_sections.append(sections.cycles(result.metrics[CYCLES], tests, model.step_s, unit))
+    return result_sections
 
 
-def _count(part: str, count: int) -> str:
-    what = "cycle" if part == CYCLES else f"{part} test"
-    return f"{count} unseen {what}{'s' if count != 1 else ''}"
+def _count(subset: str, count: int) -> str:
+    noun = "cycle" if subset == CYCLES else f"{subset} test"
+    return f"{count} unseen {noun}{'s' if count != 1 else ''}"

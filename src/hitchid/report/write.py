@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from hitchid._support.storage import put, write_folder
+from hitchid._support.storage import write_files, write_folder
 from hitchid.report.document import Document
 from hitchid.report.page import html
 from hitchid.report.pdf import pdf
@@ -38,27 +38,27 @@ def write_report(
         InputError: a PDF is asked for and typst is not installed.
     """
 
-    def write(place: Path) -> None:
-        put(place, files)
-        put_report(document, place, as_pdf=as_pdf)
+    def write(target: Path) -> None:
+        write_files(target, files)
+        write_report_files(document, target, as_pdf=as_pdf)
 
-    write_folder(folder, write, mark=mark, force=force)
+    write_folder(folder, write, result_kind=mark, force=force)
 
 
-def put_report(document: Document, folder: Path, *, as_pdf: bool = False) -> None:
+def write_report_files(document: Document, folder: Path, *, as_pdf: bool = False) -> None:
     """Write `report.html`, `figures/*.svg` and, where asked for, `report.pdf` into a folder being filled.
 
     Raises:
         InputError: a PDF is asked for and typst is not installed.
     """
-    drawn = {picture.name: svg(picture.figure) for picture in document.pictures}
+    svgs = {picture.name: svg(picture.figure) for picture in document.pictures}
     (folder / FIGURES).mkdir()
-    put(folder / FIGURES, {f"{name}.svg": _encoded(content) for name, content in drawn.items()})
-    put(folder, {REPORT_FILE: _encoded(html(document, drawn))})
+    write_files(folder / FIGURES, {f"{name}.svg": _utf8(content) for name, content in svgs.items()})
+    write_files(folder, {REPORT_FILE: _utf8(html(document, svgs))})
     if as_pdf:
-        (folder / PDF_FILE).write_bytes(pdf(document, drawn))
+        (folder / PDF_FILE).write_bytes(pdf(document, svgs))
 
 
-def _encoded(text: str) -> bytes:
+def _utf8(text: str) -> bytes:
     """Return text as UTF-8; the name of a log may hold what is no character."""
     return text.encode("utf-8", errors="replace")

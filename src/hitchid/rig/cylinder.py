@@ -29,11 +29,11 @@ class Friction(eqx.Module):
     bristle_damping: Scalar = quantity("N·s/m", 0.0, 1e7)
     viscous: Scalar = quantity("N·s/m", 0.0, 1e7)
 
-    def level(self, speed: Values) -> tuple[Values, Values, Values]:
+    def stribeck(self, speed: Values) -> tuple[Values, Values, Values]:
         """Return E(v), g(v) in N and dg/dv in N·s/m."""
-        fade = jnp.exp(-((speed / self.stribeck_speed) ** 2))
-        excess = (self.static - self.coulomb) * fade
-        return fade, self.coulomb + excess, -2 * speed / self.stribeck_speed**2 * excess
+        stribeck_factor = jnp.exp(-((speed / self.stribeck_speed) ** 2))
+        excess = (self.static - self.coulomb) * stribeck_factor
+        return stribeck_factor, self.coulomb + excess, -2 * speed / self.stribeck_speed**2 * excess
 
 
 class Cylinder(eqx.Module):
@@ -67,7 +67,7 @@ class Cylinder(eqx.Module):
         return jnp.pi / 4 * self.bore**2
 
     @property
-    def yielding(self) -> Values:
+    def compliance(self) -> Values:
         """Widening of the hose, m³/Pa."""
         return self.hose_volume / self.hose_bulk_modulus
 
@@ -77,11 +77,13 @@ class Cylinder(eqx.Module):
 
     def stop_force(self, displacement: Values, speed: Values) -> tuple[Values, Values, Values]:
         """Return the end stops' force on the piston, N, and its derivatives by displacement and speed."""
-        above = jnp.maximum(displacement - self.stroke, 0.0)
-        below = jnp.maximum(-displacement, 0.0)
+        upper_penetration = jnp.maximum(displacement - self.stroke, 0.0)
+        lower_penetration = jnp.maximum(-displacement, 0.0)
         upper = jnp.maximum(1 + self.stop_damping * speed, 0.0)
         lower = jnp.maximum(1 - self.stop_damping * speed, 0.0)
-        force = self.stop_stiffness * (below * lower - above * upper)
-        touching = jnp.where(above > 0, upper, 0.0) + jnp.where(below > 0, lower, 0.0)
-        damping = self.stop_damping * (jnp.where(upper > 0, above, 0.0) + jnp.where(lower > 0, below, 0.0))
-        return force, -self.stop_stiffness * touching, -self.stop_stiffness * damping
+        force = self.stop_stiffness * (lower_penetration * lower - upper_penetration * upper)
+        contact = jnp.where(upper_penetration > 0, upper, 0.0) + jnp.where(lower_penetration > 0, lower, 0.0)
+        damping = self.stop_damping * (
+            jnp.where(upper > 0, upper_penetration, 0.0) + jnp.where(lower > 0, lower_penetration, 0.0)
+        )
+        return force, -self.stop_stiffness * contact, -self.stop_stiffness * damping

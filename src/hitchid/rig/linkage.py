@@ -120,27 +120,27 @@ class Linkage(eqx.Module):
         """
         a, c, length = self.cylinder_arm, self.cylinder_base, self.retracted_length + displacement
         cosine = self.cylinder_cosine(displacement)
-        turned = length / (a * c * jnp.sqrt(1 - cosine**2))
+        arm_rate = length / (a * c * jnp.sqrt(1 - cosine**2))
         psi = jnp.arccos(cosine) - self.arm_offset
         phi = self.link_angle(psi)
         along, up = self._diagonal(psi)
         chi = jnp.arctan2(up - self.rod_joint * jnp.sin(phi), along - self.rod_joint * jnp.cos(phi))
         ratio = self.lift_arm * jnp.sin(psi - chi) / (self.rod_joint * jnp.sin(phi - chi))
-        return turned, turned * ratio, turned * ratio * self.lower_link * jnp.cos(phi)
+        return arm_rate, arm_rate * ratio, arm_rate * ratio * self.lower_link * jnp.cos(phi)
 
     def reduced(self, displacement: Values) -> tuple[Values, Values, Values]:
         """Return weight, N, equivalent mass, kg, and lever dh/dx, all at the piston.
 
         m_eq = m_p + J (dψ/dx)² + (m_i + m_l/3) L₃² (dφ/dx)², W = (m_i + m_l/2) g dh/dx.
         """
-        turned, swung, lever = self.rates(displacement)
-        mass = self.moving_mass + self.arm_inertia * turned**2
-        mass = mass + (self.implement_mass + self.link_mass / 3) * (self.lower_link * swung) ** 2
+        arm_rate, link_rate, lever = self.rates(displacement)
+        mass = self.moving_mass + self.arm_inertia * arm_rate**2
+        mass = mass + (self.implement_mass + self.link_mass / 3) * (self.lower_link * link_rate) ** 2
         return (self.implement_mass + self.link_mass / 2) * GRAVITY * lever, mass, lever
 
     def load(self, displacement: Values) -> Load:
         """Return weight, mass and lever at the piston with their slopes, by automatic differentiation."""
-        one = jnp.ones_like(displacement)
-        values, slopes = jax.jvp(self.reduced, (displacement,), (one,))
+        tangent = jnp.ones_like(displacement)
+        values, slopes = jax.jvp(self.reduced, (displacement,), (tangent,))
         (weight, mass, lever), (weight_slope, mass_slope, lever_slope) = values, slopes
         return Load(weight, weight_slope, mass, mass_slope, lever, lever_slope)

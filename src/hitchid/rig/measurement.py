@@ -8,9 +8,9 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from hitchid._support.precision import double_precision
 from hitchid.errors import InputError, SettingsError
-from hitchid.rig.bench import Rig
-from hitchid.rig.sensors import Curve
-from hitchid.rig.simulation import SAMPLE_S, Motion
+from hitchid.rig.sensors import CalibrationCurve
+from hitchid.rig.simulation import SAMPLE_S, RigMotion
+from hitchid.rig.test_bench import Rig
 
 LARGEST_JITTER = 0.1
 COLUMNS = ("time_s", "current_up_A", "current_down_A", "displacement_mm")
@@ -19,7 +19,7 @@ COLUMNS = ("time_s", "current_up_A", "current_down_A", "displacement_mm")
 @double_precision
 def measure(
     rig: Rig,
-    motion: Motion,
+    motion: RigMotion,
     currents: Float[Array, "..."] | Float[np.ndarray, "..."],
     key: PRNGKeyArray,
     *,
@@ -50,8 +50,8 @@ def measure(
         raise SettingsError(f"jitter: came {jitter:g}, required 0 to {LARGEST_JITTER:g}")
     # Drawn on the host: a compiler takes longer over the generator than over all the rest.
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)))
-    drawn = jnp.asarray(rng.standard_normal((4, *shape)))
-    columns = _measure(rig, motion.displacement_m, jnp.asarray(currents, jnp.float64), drawn, jitter)
+    noise = jnp.asarray(rng.standard_normal((4, *shape)))
+    columns = _measure(rig, motion.displacement_m, jnp.asarray(currents, jnp.float64), noise, jitter)
     return {name: np.asarray(columns[name]) for name in COLUMNS}  # jit sorts the keys
 
 
@@ -60,54 +60,56 @@ def _measure(
     rig: Rig,
     displacement: Float[Array, "t n"],
     currents: Float[Array, "t n 2"],
-    drawn: Float[Array, "4 t n"],
+    noise_samples: Float[Array, "4 t n"],
     jitter: float,
 ) -> dict[str, Array]:
     sensors, shape = rig.sensors, displacement.shape
-    clock, of_angle, of_lifting, of_lowering = drawn
+    clock_noise, angle_noise, lifting_noise, lowering_noise = noise_samples
     nominal = jnp.broadcast_to(SAMPLE_S * jnp.arange(shape[1]), shape)
-    shaken = jnp.clip(jitter * clock, -4 * jitter, 4 * jitter)
-    time = (nominal + SAMPLE_S * shaken).at[:, 0].set(0.0)
+    clock_jitter = jnp.clip(jitter * clock_noise, -4 * jitter, 4 * jitter)
+    time = (nominal + SAMPLE_S * clock_jitter).at[:, 0].set(0.0)
     corner = sensors.filter_frequency * SAMPLE_S
-    angle = _lagged(rig.linkage.sensor_angle(displacement), corner)
+    angle = _first_order_filter(rig.linkage.sensor_angle(displacement), corner)
     angle = jax.vmap(jnp.interp)(time, nominal, angle)
 
-    def read(value: Array, full: Array, curve: Curve, spread: Array, noise: Array) -> Array:
+    def read(value: Array, full: Array, curve: CalibrationCurve, spread: Array, noise: Array) -> Array:
         reading = value / full
         error = curve.error(reading) + spread * noise
-        return full * sensors.quantised(reading + error)
+        return full * sensors.quantise(reading + error)
 
-    angle = read(angle, sensors.angle_range, sensors.angle_curve, sensors.angle_noise, of_angle)
-    held = _settled(currents, corner)
+    angle = read(angle, sensors.angle_range, sensors.angle_curve, sensors.angle_noise, angle_noise)
+    filtered_currents = _filter_held_input(currents, corner)
     full, spread = sensors.current_range, sensors.current_noise
     return {
         "time_s": time,
-        "current_up_A": read(held[..., 0], full, sensors.lifting_curve, spread, of_lifting),
-        "current_down_A": read(held[..., 1], full, sensors.lowering_curve, spread, of_lowering),
+        "current_up_A": read(filtered_currents[..., 0], full, sensors.lifting_curve, spread, lifting_noise),
+        "current_down_A": read(
+            filtered_currents[..., 1], full, sensors.lowering_curve, spread, lowering_noise
+        ),
         "displacement_mm": 1e3 * rig.linkage.displacement(angle),
     }
 
 
-def _lagged(signal: Float[Array, "t n"], corner: Array) -> Float[Array, "t n"]:
+def _first_order_filter(signal: Float[Array, "t n"], corner: Array) -> Float[Array, "t n"]:
     """Return a signal behind a first-order filter, exact where it runs straight from sample to sample."""
     decay = jnp.exp(-corner)
-    share = 1 - (1 - decay) / corner
+    ramp_gain = 1 - (1 - decay) / corner
 
-    def step(last: tuple[Array, Array], now: Array) -> tuple[tuple[Array, Array], Array]:
-        output, before = last
-        output = decay * output + (1 - decay - share) * before + share * now
-        return (output, now), output
+    def step(carry: tuple[Array, Array], sample: Array) -> tuple[tuple[Array, Array], Array]:
+        output, previous = carry
+        output = decay * output + (1 - decay - ramp_gain) * previous + ramp_gain * sample
+        return (output, sample), output
 
     first = signal[:, 0]
     return jax.lax.scan(step, (first, first), signal.T)[1].T
 
 
-def _settled(signal: Float[Array, "t n 2"], corner: Array) -> Float[Array, "t n 2"]:
+def _filter_held_input(signal: Float[Array, "t n 2"], corner: Array) -> Float[Array, "t n 2"]:
     """Return a signal that is held between samples as a first-order filter shows it at each hold's end."""
     decay = jnp.exp(-corner)
 
-    def step(output: Array, now: Array) -> tuple[Array, Array]:
-        output = now + (output - now) * decay
+    def step(output: Array, sample: Array) -> tuple[Array, Array]:
+        output = sample + (output - sample) * decay
         return output, output
 
     return jnp.moveaxis(jax.lax.scan(step, jnp.zeros_like(signal[:, 0]), jnp.moveaxis(signal, 1, 0))[1], 0, 1)

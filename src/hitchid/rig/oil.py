@@ -43,17 +43,19 @@ class Oil(eqx.Module):
         oil = (1 - self.air_fraction) * (1 - (pressure - TANK_PRESSURE_PA) / self.bulk_modulus)
         return oil + self.air_fraction * TANK_PRESSURE_PA / pressure
 
-    def amount(self, pressure: Values, volume: Values, yielding: Values) -> Values:
+    def amount(self, pressure: Values, volume: Values, compliance: Values) -> Values:
         """Return what a volume, m³, with walls that yield, m³/Pa, holds: M = (V + h (p − p₀))/σ(p)."""
-        return (volume + yielding * (pressure - TANK_PRESSURE_PA)) / self.specific_volume(pressure)
+        return (volume + compliance * (pressure - TANK_PRESSURE_PA)) / self.specific_volume(pressure)
 
-    def capacity(self, pressure: Values, amount: Values, yielding: Values) -> Values:
+    def capacity(self, pressure: Values, amount: Values, compliance: Values) -> Values:
         """Return ∂M/∂p at constant volume, m³/Pa; V over the effective bulk modulus."""
         softness = (1 - self.air_fraction) / self.bulk_modulus
         softness = softness + self.air_fraction * TANK_PRESSURE_PA / pressure**2
-        return (yielding + amount * softness) / self.specific_volume(pressure)
+        return (compliance + amount * softness) / self.specific_volume(pressure)
 
-    def pressure(self, amount: Values, volume: Values, yielding: Values, gas: Values | float = 0.0) -> Values:
+    def pressure(
+        self, amount: Values, volume: Values, compliance: Values, gas: Values | float = 0.0
+    ) -> Values:
         """Return the pressure at which an amount fills a volume; the inverse of `amount`, always positive.
 
         M σ(p) = V + h (p − p₀) − G/p is a quadratic in p; its positive root.
@@ -61,12 +63,16 @@ class Oil(eqx.Module):
         Args:
             amount: M, m³ at tank pressure.
             volume: V, m³.
-            yielding: h, m³/Pa.
+            compliance: h, m³/Pa.
             gas: pressure times volume of the gas in an accumulator, G, Pa·m³, its volume counted in V.
         """
-        dense = 1 - self.air_fraction
-        a = amount * dense / self.bulk_modulus + yielding
-        b = amount * dense * (1 + TANK_PRESSURE_PA / self.bulk_modulus) - volume + yielding * TANK_PRESSURE_PA
+        liquid_fraction = 1 - self.air_fraction
+        a = amount * liquid_fraction / self.bulk_modulus + compliance
+        b = (
+            amount * liquid_fraction * (1 + TANK_PRESSURE_PA / self.bulk_modulus)
+            - volume
+            + compliance * TANK_PRESSURE_PA
+        )
         c = amount * self.air_fraction * TANK_PRESSURE_PA + gas
         root = jnp.sqrt(b * b + 4 * a * c)
         return jnp.where(b > 0, (root + jnp.abs(b)) / (2 * a), 2 * c / (root + jnp.abs(b)))
@@ -76,7 +82,9 @@ class Oil(eqx.Module):
         return jnp.exp(-self.viscosity_slope * (temperature - self.reference_temperature))
 
 
-def turbulent(conductance: Values, drop: Values, laminar_drop: Values | float = 2e4) -> tuple[Values, Values]:
+def orifice_flow(
+    conductance: Values, drop: Values, laminar_drop: Values | float = 2e4
+) -> tuple[Values, Values]:
     """Return the flow through an orifice, m³/s, and its derivative by the pressure drop, m³/(s·Pa).
 
     Q = g Δp/(Δp² + Δp_l²)^¼, which is g √Δp but linear within Δp_l, so that it can be differentiated at zero.

@@ -10,21 +10,21 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
 from hitchid._support.precision import double_precision
-from hitchid.data.signal_map import describe, toml_of
+from hitchid.data.signal_map import describe, parse_toml
 from hitchid.errors import SettingsError
-from hitchid.rig.bench import Rig
 from hitchid.rig.cylinder import Cylinder, Friction
 from hitchid.rig.linkage import Linkage
 from hitchid.rig.oil import Oil
-from hitchid.rig.quantities import Range, admitted
-from hitchid.rig.sensors import Curve, Sensors
+from hitchid.rig.quantities import QuantityRange, to_base_unit
+from hitchid.rig.sensors import CalibrationCurve, Sensors
 from hitchid.rig.supply import Supply
+from hitchid.rig.test_bench import Rig
 from hitchid.rig.valves import LiftingValve, LoweringValve, Spool
 
 CHECKED_POSITIONS = 201
 SETS = resources.files("hitchid.rig") / "parameters"
 
-PARTS: dict[str, tuple[type[eqx.Module], ...]] = {
+COMPONENTS: dict[str, tuple[type[eqx.Module], ...]] = {
     "oil": (Oil,),
     "supply": (Supply,),
     "lifting_valve": (Spool, LiftingValve),
@@ -47,11 +47,11 @@ class Entry(BaseModel):
     source: str = Field(min_length=1)
 
 
-def _quantities(table: str) -> dict[str, Range]:
+def _quantities(table: str) -> dict[str, QuantityRange]:
     return {
         field.name: field.metadata["range"]
-        for part in PARTS[table]
-        for field in dataclasses.fields(part)
+        for component in COMPONENTS[table]
+        for field in dataclasses.fields(component)
         if "range" in field.metadata
     }
 
@@ -64,7 +64,7 @@ def _model(name: str, fields: dict[str, type[BaseModel]]) -> type[BaseModel]:
 
 
 RigFile = _model(
-    "RigFile", {table: _model(table, dict.fromkeys(_quantities(table), Entry)) for table in PARTS}
+    "RigFile", {table: _model(table, dict.fromkeys(_quantities(table), Entry)) for table in COMPONENTS}
 )
 
 
@@ -93,7 +93,7 @@ def load_rig(name_or_path: str | Path) -> Rig:
             text = Path(name_or_path).read_text(encoding="utf-8")
     except (OSError, ValueError) as error:  # no text, or a path no file can have
         raise SettingsError(f"{name}: cannot be read: {error}") from error
-    tables = toml_of(text, name)
+    tables = parse_toml(text, name)
     try:
         return build_rig(tables)
     except SettingsError as error:
@@ -109,11 +109,11 @@ def build_rig(tables: dict[str, object]) -> Rig:
     values = {
         table: {
             key: jnp.asarray(
-                admitted(entry["value"], entry["unit"], ranges[key], f"key '{table}.{key}'"), jnp.float64
+                to_base_unit(entry["value"], entry["unit"], ranges[key], f"key '{table}.{key}'"), jnp.float64
             )
             for key, entry in parsed[table].items()
         }
-        for table, ranges in ((table, _quantities(table)) for table in PARTS)
+        for table, ranges in ((table, _quantities(table)) for table in COMPONENTS)
     }
     rig = Rig(
         oil=Oil(**values["oil"]),
@@ -138,7 +138,7 @@ def _with_spool(values: dict) -> dict:
 
 def _sensors(values: dict) -> Sensors:
     rng = np.random.default_rng(int(values["calibration_seed"]))
-    angle, lifting, lowering = (Curve.drawn(rng, float(values["curve_error"])) for _ in range(3))
+    angle, lifting, lowering = (CalibrationCurve.random(rng, float(values["curve_error"])) for _ in range(3))
     return Sensors(angle_curve=angle, lifting_curve=lifting, lowering_curve=lowering, **values)
 
 
@@ -187,12 +187,12 @@ def _check_linkage(rig: Rig) -> None:
 
 
 def _require(
-    held: np.ndarray, positions: object, key: str, what: str, values: np.ndarray, wanted: str
+    satisfied: np.ndarray, positions: object, key: str, condition: str, values: np.ndarray, required: str
 ) -> None:
-    if not np.all(held):
-        row = int(np.flatnonzero(~held)[0])
-        at = float(np.asarray(positions)[row])
+    if not np.all(satisfied):
+        row = int(np.flatnonzero(~satisfied)[0])
+        position = float(np.asarray(positions)[row])
         raise SettingsError(
-            f"key 'linkage.{key}': {what} only if its measure lies in {wanted}; came {values[row]:g} at "
-            f"{at:g} m of the stroke"
+            f"key 'linkage.{key}': {condition} only if its measure lies in {required}; came {values[row]:g} at "
+            f"{position:g} m of the stroke"
         )

@@ -11,13 +11,13 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from hitchid.rig.bench import Rig, hold_pressure
 from hitchid.rig.linkage import Load
 from hitchid.rig.oil import TANK_PRESSURE_PA, Values
+from hitchid.rig.test_bench import Rig, hold_pressure
 from hitchid.rig.valves import SpoolState, SpoolStep
 
 
-class Oils(NamedTuple):
+class OilVolumes(NamedTuple):
     """Volumes at tank pressure that have flowed since the start, m³."""
 
     pumped: Values
@@ -25,10 +25,10 @@ class Oils(NamedTuple):
     lifted: Values
     lowered: Values
     leaked: Values
-    secured: Values
+    safety_relieved: Values
 
 
-class State(NamedTuple):
+class RigState(NamedTuple):
     """The bench at one instant: SI units, absolute pressures.
 
     `bristle` is the deflection z of the LuGre model; `supply_oil` and `cylinder_oil` are what was there at
@@ -43,12 +43,12 @@ class State(NamedTuple):
     displacement: Values
     speed: Values
     bristle: Values
-    oils: Oils
+    oils: OilVolumes
     supply_oil: Values
     cylinder_oil: Values
 
 
-class Inputs(NamedTuple):
+class RigInputs(NamedTuple):
     """What is held during a step: currents, A, and the load at the implement, N, downward."""
 
     lifting: Values
@@ -56,7 +56,7 @@ class Inputs(NamedTuple):
     load_force: Values
 
 
-class Steps(NamedTuple):
+class StepFactors(NamedTuple):
     """What depends on the step's length alone."""
 
     dt: Values
@@ -65,17 +65,17 @@ class Steps(NamedTuple):
     compensator: Values
 
 
-def steps_of(rig: Rig, dt: Values) -> Steps:
+def step_factors(rig: Rig, dt: Values) -> StepFactors:
     """Return the exact factors of the linear parts for a step, s."""
-    return Steps(
+    return StepFactors(
         dt,
-        rig.lifting_valve.spool.discretised(dt),
-        rig.lowering_valve.spool.discretised(dt),
+        rig.lifting_valve.spool.discretise(dt),
+        rig.lowering_valve.spool.discretise(dt),
         jnp.exp(-dt / rig.lifting_valve.compensator_lag),
     )
 
 
-def at_rest(rig: Rig, displacement: Values, load_force: Values) -> State:
+def at_rest(rig: Rig, displacement: Values, load_force: Values) -> RigState:
     """Return the bench holding its load at a displacement, valves closed, pump on relief.
 
     It was lifted there, so friction is still deflected against lifting: (p − p₀) A = W + F_load dh/dx + F_c.
@@ -84,7 +84,7 @@ def at_rest(rig: Rig, displacement: Values, load_force: Values) -> State:
     friction = rig.cylinder.friction
     pressure = hold_pressure(rig, displacement, load_force) + friction.coulomb / rig.cylinder.area
     supply_pressure = rig.supply.idle_pressure()
-    return State(
+    return RigState(
         lifting=rig.lifting_valve.spool.rest(),
         lowering=rig.lowering_valve.spool.rest(),
         compensator=zero,
@@ -93,26 +93,32 @@ def at_rest(rig: Rig, displacement: Values, load_force: Values) -> State:
         displacement=displacement,
         speed=zero,
         bristle=friction.coulomb / friction.bristle_stiffness,
-        oils=Oils(zero, zero, zero, zero, zero, zero),
+        oils=OilVolumes(zero, zero, zero, zero, zero, zero),
         supply_oil=rig.supply.amount(rig.oil, supply_pressure),
-        cylinder_oil=rig.oil.amount(pressure, rig.cylinder.volume(displacement), rig.cylinder.yielding),
+        cylinder_oil=rig.oil.amount(pressure, rig.cylinder.volume(displacement), rig.cylinder.compliance),
     )
 
 
-def supply_amount(state: State) -> Values:
+def supply_amount(state: RigState) -> Values:
     """Return the oil in the supply line now, m³ at tank pressure."""
     return state.supply_oil + state.oils.pumped - state.oils.relieved - state.oils.lifted
 
 
-def cylinder_amount(state: State) -> Values:
+def cylinder_amount(state: RigState) -> Values:
     """Return the oil in chamber and hose now, m³ at tank pressure."""
     oils = state.oils
-    return state.cylinder_oil + oils.lifted - oils.lowered - oils.leaked - oils.secured
+    return state.cylinder_oil + oils.lifted - oils.lowered - oils.leaked - oils.safety_relieved
 
 
 def advance(
-    rig: Rig, load: Load, origin: Values, state: State, inputs: Inputs, ripple: Values, steps: Steps
-) -> State:
+    rig: Rig,
+    load: Load,
+    origin: Values,
+    state: RigState,
+    inputs: RigInputs,
+    ripple: Values,
+    steps: StepFactors,
+) -> RigState:
     """Advance the bench by one step.
 
     Continuity: C_s ṗ_s = Q_pump − Q_relief − Q_lift, C_c ṗ = Q_lift − Q_lower − Q_leak − Q_safety − A ẋ/σ(p).
@@ -136,74 +142,81 @@ def advance(
     lift_area = lift_valve.spool.area(0.5 * (state.lifting.position + lifting.position))
     lower_area = lower_valve.spool.area(0.5 * (state.lowering.position + lowering.position))
     drop = supply_pressure - pressure
-    balanced = lift_valve.balanced(lift_area, state.compensator, drop - lift_valve.check_pressure)
+    balanced = lift_valve.balanced_opening(lift_area, state.compensator, drop - lift_valve.check_pressure)
     compensator = balanced + (state.compensator - balanced) * steps.compensator
-    middle = 0.5 * (state.compensator + compensator)
+    mean_compensator = 0.5 * (state.compensator + compensator)
 
-    pump, pump_slope = rig.supply.delivered(supply_pressure, ripple)
-    relief, relief_slope = rig.supply.relieved(supply_pressure)
-    lift, lift_slope = lift_valve.flow(lift_area, middle, drop, oil.density)
+    pump, pump_slope = rig.supply.pump_delivery(supply_pressure, ripple)
+    relief, relief_slope = rig.supply.relief_flow(supply_pressure)
+    lift, lift_slope = lift_valve.flow(lift_area, mean_compensator, drop, oil.density)
     lower, lower_slope = lower_valve.flow(lower_area, pressure, oil.density)
-    safety, safety_slope = lower_valve.safety(pressure)
+    safety, safety_slope = lower_valve.safety_flow(pressure)
     leak = cylinder.leakage * (pressure - TANK_PRESSURE_PA)
 
     supply_capacity = rig.supply.capacity(oil, supply_pressure, supply_amount(state))
-    capacity = oil.capacity(pressure, cylinder_amount(state), cylinder.yielding)
-    swept = cylinder.area / oil.specific_volume(pressure)
+    capacity = oil.capacity(pressure, cylinder_amount(state), cylinder.compliance)
+    effective_area = cylinder.area / oil.specific_volume(pressure)
 
-    fade, level, level_slope = friction.level(speed)
-    bristle_damping = friction.bristle_damping * fade
-    rate = friction.bristle_stiffness * jnp.abs(speed) / level
-    rate_slope = friction.bristle_stiffness * jnp.sign(speed) / level - rate * level_slope / level
+    stribeck_factor, stribeck_level, stribeck_slope = friction.stribeck(speed)
+    bristle_damping = friction.bristle_damping * stribeck_factor
+    rate = friction.bristle_stiffness * jnp.abs(speed) / stribeck_level
+    rate_slope = (
+        friction.bristle_stiffness * jnp.sign(speed) / stribeck_level - rate * stribeck_slope / stribeck_level
+    )
     bristle_speed = speed - rate * state.bristle
     bristle_gain = 1 - rate_slope * state.bristle
-    rub = friction.bristle_stiffness * state.bristle + bristle_damping * bristle_speed
-    rub = rub + friction.viscous * speed
+    friction_force = friction.bristle_stiffness * state.bristle + bristle_damping * bristle_speed
+    friction_force = friction_force + friction.viscous * speed
 
-    away = state.displacement - origin
+    offset = state.displacement - origin
     stop, stop_slope, stop_damping = cylinder.stop_force(state.displacement, speed)
-    carried = load.weight + load.weight_slope * away
-    carried = carried + (load.lever + load.lever_slope * away) * inputs.load_force
-    carried_slope = load.weight_slope + load.lever_slope * inputs.load_force
-    mass = load.mass + load.mass_slope * away
-    force = (pressure - TANK_PRESSURE_PA) * cylinder.area - carried - rub + stop
+    carried_force = load.weight + load.weight_slope * offset
+    carried_force = carried_force + (load.lever + load.lever_slope * offset) * inputs.load_force
+    carried_force_slope = load.weight_slope + load.lever_slope * inputs.load_force
+    mass = load.mass + load.mass_slope * offset
+    force = (pressure - TANK_PRESSURE_PA) * cylinder.area - carried_force - friction_force + stop
     force = force - 0.5 * load.mass_slope * speed**2
 
     # Unknown increments Δ of p_s, p, v, x, z over the step; eliminated in the order z, x, p_s, p, v.
     half = 0.5 * dt
-    soft = 1 / (1 + half * rate)
-    bristle_fixed, bristle_by_speed = dt * bristle_speed * soft, half * bristle_gain * soft
-    stiffness = carried_slope - stop_slope
+    implicit_factor = 1 / (1 + half * rate)
+    bristle_fixed, bristle_by_speed = (
+        dt * bristle_speed * implicit_factor,
+        half * bristle_gain * implicit_factor,
+    )
+    stiffness = carried_force_slope - stop_slope
     bristle_force = friction.bristle_stiffness - bristle_damping * rate
     drag = friction.viscous + bristle_damping * bristle_gain - stop_damping + load.mass_slope * speed
     drag = drag + bristle_force * bristle_by_speed + stiffness * half
     force_fixed = dt * (force - 0.5 * stiffness * dt * speed - 0.5 * bristle_force * bristle_fixed)
 
-    supply_own = supply_capacity + half * (relief_slope + lift_slope - pump_slope)
-    supply_fixed = dt * (pump - relief - lift) / supply_own
-    supply_by_pressure = half * lift_slope / supply_own
-    own = capacity + half * (lift_slope + lower_slope + cylinder.leakage + safety_slope)
-    own = own - half * lift_slope * supply_by_pressure
-    net = dt * (lift - lower - leak - safety - swept * speed) + half * lift_slope * supply_fixed
-    by_speed = -half * swept / own
-    fixed = net / own
-
-    speed_change = (force_fixed + half * cylinder.area * fixed) / (
-        mass + half * drag - half * cylinder.area * by_speed
+    supply_denominator = supply_capacity + half * (relief_slope + lift_slope - pump_slope)
+    supply_fixed = dt * (pump - relief - lift) / supply_denominator
+    supply_by_pressure = half * lift_slope / supply_denominator
+    pressure_denominator = capacity + half * (lift_slope + lower_slope + cylinder.leakage + safety_slope)
+    pressure_denominator = pressure_denominator - half * lift_slope * supply_by_pressure
+    pressure_rhs = (
+        dt * (lift - lower - leak - safety - effective_area * speed) + half * lift_slope * supply_fixed
     )
-    change = fixed + by_speed * speed_change
-    supply_change = supply_fixed + supply_by_pressure * change
+    pressure_by_speed = -half * effective_area / pressure_denominator
+    pressure_fixed = pressure_rhs / pressure_denominator
+
+    speed_change = (force_fixed + half * cylinder.area * pressure_fixed) / (
+        mass + half * drag - half * cylinder.area * pressure_by_speed
+    )
+    pressure_change = pressure_fixed + pressure_by_speed * speed_change
+    supply_change = supply_fixed + supply_by_pressure * pressure_change
     bristle_change = bristle_fixed + bristle_by_speed * speed_change
 
-    oils = Oils(
+    oils = OilVolumes(
         state.oils.pumped + dt * (pump + 0.5 * pump_slope * supply_change),
         state.oils.relieved + dt * (relief + 0.5 * relief_slope * supply_change),
-        state.oils.lifted + dt * (lift + 0.5 * lift_slope * (supply_change - change)),
-        state.oils.lowered + dt * (lower + 0.5 * lower_slope * change),
-        state.oils.leaked + dt * (leak + 0.5 * cylinder.leakage * change),
-        state.oils.secured + dt * (safety + 0.5 * safety_slope * change),
+        state.oils.lifted + dt * (lift + 0.5 * lift_slope * (supply_change - pressure_change)),
+        state.oils.lowered + dt * (lower + 0.5 * lower_slope * pressure_change),
+        state.oils.leaked + dt * (leak + 0.5 * cylinder.leakage * pressure_change),
+        state.oils.safety_relieved + dt * (safety + 0.5 * safety_slope * pressure_change),
     )
-    booked = State(
+    updated = RigState(
         lifting=lifting,
         lowering=lowering,
         compensator=compensator,
@@ -216,8 +229,8 @@ def advance(
         supply_oil=state.supply_oil,
         cylinder_oil=state.cylinder_oil,
     )
-    volume = cylinder.volume(booked.displacement)
-    return booked._replace(
-        supply_pressure=rig.supply.pressure(oil, supply_amount(booked)),
-        pressure=oil.pressure(cylinder_amount(booked), volume, cylinder.yielding),
+    volume = cylinder.volume(updated.displacement)
+    return updated._replace(
+        supply_pressure=rig.supply.pressure(oil, supply_amount(updated)),
+        pressure=oil.pressure(cylinder_amount(updated), volume, cylinder.compliance),
     )

@@ -44,7 +44,7 @@ FACTORS: dict[str, tuple[str, float]] = {
 """Unit to the unit it is kept in and the factor between them."""
 
 
-class Range(NamedTuple):
+class QuantityRange(NamedTuple):
     """Unit a quantity is kept in, and the closed interval it must lie in, in that unit."""
 
     unit: str
@@ -54,21 +54,23 @@ class Range(NamedTuple):
 
 def quantity(unit: str, low: float, high: float) -> Any:
     """Declare a field of a part: kept in `unit`, between `low` and `high`, a scalar once inside jit."""
-    return eqx.field(metadata={"range": Range(unit, low, high)})
+    return eqx.field(metadata={"range": QuantityRange(unit, low, high)})
 
 
-def admitted(value: float, unit: str, wanted: Range, where: str) -> float:
+def to_base_unit(value: float, unit: str, expected: QuantityRange, context: str) -> float:
     """Return a value in the unit it is kept in.
 
     Raises:
         SettingsError: the unit is unknown or of another dimension, or the value is out of range.
     """
-    known = [name for name, (base, _) in FACTORS.items() if base == wanted.unit]
-    if unit not in known:
-        raise SettingsError(f"{where}: came {value:g} {unit}, required a unit among {', '.join(known)}")
-    kept = value * FACTORS[unit][1]
-    if not wanted.low <= kept <= wanted.high:
+    allowed_units = [name for name, (base, _) in FACTORS.items() if base == expected.unit]
+    if unit not in allowed_units:
         raise SettingsError(
-            f"{where}: came {value:g} {unit}, required {wanted.low:g} to {wanted.high:g} {wanted.unit}"
+            f"{context}: came {value:g} {unit}, required a unit among {', '.join(allowed_units)}"
         )
-    return kept
+    converted = value * FACTORS[unit][1]
+    if not expected.low <= converted <= expected.high:
+        raise SettingsError(
+            f"{context}: came {value:g} {unit}, required {expected.low:g} to {expected.high:g} {expected.unit}"
+        )
+    return converted

@@ -11,7 +11,7 @@ from hitchid.rig.quantities import quantity
 HARMONICS = np.array([0.5, 1.0, 1.5])
 
 
-class Curve(eqx.Module):
+class CalibrationCurve(eqx.Module):
     """Calibration error e(r) = Σ a_k sin(2π f_k r + φ_k), error and reading r over full scale.
 
     Attributes:
@@ -23,7 +23,7 @@ class Curve(eqx.Module):
     phases: Float[Array, " k"]
 
     @classmethod
-    def drawn(cls, rng: np.random.Generator, largest: float) -> "Curve":
+    def random(cls, rng: np.random.Generator, largest: float) -> "CalibrationCurve":
         """Draw a curve whose error nowhere exceeds `largest` of full scale."""
         weights = rng.uniform(0.3, 1.0, HARMONICS.size)
         amplitudes = largest * weights / weights.sum()
@@ -49,9 +49,9 @@ class Sensors(eqx.Module):
         calibration_seed: from which the curves are drawn.
     """
 
-    angle_curve: Curve
-    lifting_curve: Curve
-    lowering_curve: Curve
+    angle_curve: CalibrationCurve
+    lifting_curve: CalibrationCurve
+    lowering_curve: CalibrationCurve
     angle_range: Scalar = quantity("rad", 0.1, 6.3)
     current_range: Scalar = quantity("A", 0.1, 100.0)
     curve_error: Scalar = quantity("1", 0.0, 0.05)
@@ -61,7 +61,7 @@ class Sensors(eqx.Module):
     converter_bits: Scalar = quantity("1", 4.0, 32.0)
     calibration_seed: Scalar = quantity("1", 0.0, 1e9)
 
-    def quantised(self, reading: Array) -> Array:
+    def quantise(self, reading: Array) -> Array:
         """Return readings over full scale as the converter gives them, clipped to its range."""
         count = 2.0**self.converter_bits
         return jnp.clip(jnp.round(reading * count), 0, count - 1) / count

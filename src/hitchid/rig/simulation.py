@@ -11,24 +11,24 @@ from jaxtyping import Array, Float
 
 from hitchid._support.precision import double_precision
 from hitchid.errors import InputError, SettingsError
-from hitchid.rig.bench import Rig, adjusted
 from hitchid.rig.oil import Scalar
 from hitchid.rig.plant import (
-    Inputs,
-    Oils,
-    State,
+    OilVolumes,
+    RigInputs,
+    RigState,
     advance,
     at_rest,
     cylinder_amount,
-    steps_of,
+    step_factors,
     supply_amount,
 )
+from hitchid.rig.test_bench import Rig, at_temperature
 
 SAMPLE_S = 0.01
 SUBSTEPS = 8
 
 
-class Motion(eqx.Module):
+class RigMotion(eqx.Module):
     """What the bench truly did, sampled every 10 ms; each sample stands before its row of currents acts.
 
     All arrays have the shape [T, N]; pressures are absolute, volumes are of oil at tank pressure.
@@ -40,7 +40,8 @@ class Motion(eqx.Module):
         lifting_spool, lowering_spool: spool positions over their travel.
         compensator_m2: opening of the pressure compensator.
         lifting_flow_m3_s, lowering_flow_m3_s: mean flows over the 10 ms before the sample.
-        pumped_m3, relieved_m3, lifted_m3, lowered_m3, leaked_m3, secured_m3: what has flowed since the start
+        pumped_m3, relieved_m3, lifted_m3, lowered_m3, leaked_m3, safety_relieved_m3: what has flowed since
+            the start
             from the pump, over the relief valve, to the cylinder, back to tank through the lowering valve,
             past the piston, and over the safety valve.
         supply_oil_m3, cylinder_oil_m3: what is in the supply line and its accumulator, in chamber and hose.
@@ -61,7 +62,7 @@ class Motion(eqx.Module):
     lifted_m3: Float[Array, "t n"]
     lowered_m3: Float[Array, "t n"]
     leaked_m3: Float[Array, "t n"]
-    secured_m3: Float[Array, "t n"]
+    safety_relieved_m3: Float[Array, "t n"]
     supply_oil_m3: Float[Array, "t n"]
     cylinder_oil_m3: Float[Array, "t n"]
 
@@ -75,7 +76,7 @@ def simulate(
     load_force_n: object = None,
     oil_temperature_c: object = None,
     substeps: int = SUBSTEPS,
-) -> Motion:
+) -> RigMotion:
     """Simulate tests that start at rest, the valves closed and the load held.
 
     Args:
@@ -98,30 +99,30 @@ def simulate(
         raise SettingsError(f"substeps: came {substeps}, required at least 1")
     tests, samples, _ = shape
     temperature = rig.oil.temperature if oil_temperature_c is None else oil_temperature_c
-    given = {
+    inputs = {
         "currents": jnp.asarray(currents, jnp.float64),
-        "initial_displacement_m": _spread("initial_displacement_m", initial_displacement_m, (tests,)),
-        "load_force_n": _spread(
+        "initial_displacement_m": _broadcast("initial_displacement_m", initial_displacement_m, (tests,)),
+        "load_force_n": _broadcast(
             "load_force_n", 0.0 if load_force_n is None else load_force_n, (tests, samples)
         ),
-        "oil_temperature_c": _spread("oil_temperature_c", temperature, (tests,)),
+        "oil_temperature_c": _broadcast("oil_temperature_c", temperature, (tests,)),
     }
-    for name, array in given.items():
+    for name, array in inputs.items():
         _check(name, array, -np.inf, np.inf)
-    _check("currents", given["currents"], 0.0, np.inf)
-    _check("initial_displacement_m", given["initial_displacement_m"], 0.0, rig.cylinder.stroke)
+    _check("currents", inputs["currents"], 0.0, np.inf)
+    _check("initial_displacement_m", inputs["initial_displacement_m"], 0.0, rig.cylinder.stroke)
     return _simulate(
         rig,
-        given["currents"],
-        given["initial_displacement_m"],
-        given["load_force_n"],
-        given["oil_temperature_c"],
+        inputs["currents"],
+        inputs["initial_displacement_m"],
+        inputs["load_force_n"],
+        inputs["oil_temperature_c"],
         substeps,
     )
 
 
-def _spread(name: str, given: object, shape: tuple[int, ...]) -> Array:
-    array = jnp.asarray(given, jnp.float64)
+def _broadcast(name: str, value: object, shape: tuple[int, ...]) -> Array:
+    array = jnp.asarray(value, jnp.float64)
     try:
         return jnp.broadcast_to(array, shape)
     except ValueError as error:
@@ -147,8 +148,8 @@ def _simulate(
     load_force: Float[Array, "t n"],
     temperature: Float[Array, " t"],
     substeps: int,
-) -> Motion:
-    states = jax.vmap(partial(_test, rig, substeps))(currents, initial, load_force, temperature)
+) -> RigMotion:
+    states = jax.vmap(partial(_simulate_test, rig, substeps))(currents, initial, load_force, temperature)
     return _motion(states)
 
 
@@ -156,40 +157,40 @@ def _mean_flow(volume: Float[Array, "t n"]) -> Float[Array, "t n"]:
     return jnp.diff(volume, axis=1, prepend=volume[:, :1]) / SAMPLE_S
 
 
-def _test(
+def _simulate_test(
     rig: Rig,
     substeps: int,
     currents: Float[Array, "n 2"],
     initial: Scalar,
     load_force: Float[Array, " n"],
     temperature: Scalar,
-) -> State:
-    rig = adjusted(rig, temperature)
-    steps = steps_of(rig, jnp.asarray(SAMPLE_S / substeps))
-    turned = rig.supply.ripple_frequency * steps.dt
-    swing = rig.supply.ripple * jnp.sinc(turned / (2 * jnp.pi))
+) -> RigState:
+    rig = at_temperature(rig, temperature)
+    steps = step_factors(rig, jnp.asarray(SAMPLE_S / substeps))
+    ripple_phase_step = rig.supply.ripple_frequency * steps.dt
+    ripple_amplitude = rig.supply.ripple * jnp.sinc(ripple_phase_step / (2 * jnp.pi))
 
-    def sample(state: State, row: tuple[Array, Array, Array]) -> tuple[State, State]:
+    def sample(state: RigState, row: tuple[Array, Array, Array]) -> tuple[RigState, RigState]:
         current, force, number = row
         load, origin = rig.linkage.load(state.displacement), state.displacement
-        inputs = Inputs(current[0], current[1], force)
+        inputs = RigInputs(current[0], current[1], force)
         start = rig.supply.ripple_frequency * SAMPLE_S * number
 
-        def substep(index: Array, now: State) -> State:
-            ripple = 1 + swing * jnp.sin(start + (index + 0.5) * turned)
-            return advance(rig, load, origin, now, inputs, ripple, steps)
+        def substep(index: Array, inner_state: RigState) -> RigState:
+            ripple = 1 + ripple_amplitude * jnp.sin(start + (index + 0.5) * ripple_phase_step)
+            return advance(rig, load, origin, inner_state, inputs, ripple, steps)
 
         return jax.lax.fori_loop(0, substeps, substep, state), state
 
-    first = at_rest(rig, initial, load_force[0])
+    initial_state = at_rest(rig, initial, load_force[0])
     numbers = jnp.arange(load_force.shape[0], dtype=jnp.float64)
-    _, states = jax.lax.scan(sample, first, (currents, load_force, numbers))
+    _, states = jax.lax.scan(sample, initial_state, (currents, load_force, numbers))
     return states
 
 
-def _motion(states: State) -> Motion:
-    oils: Oils = states.oils
-    return Motion(
+def _motion(states: RigState) -> RigMotion:
+    oils: OilVolumes = states.oils
+    return RigMotion(
         displacement_m=states.displacement,
         speed_m_s=states.speed,
         supply_pressure_pa=states.supply_pressure,
@@ -205,7 +206,7 @@ def _motion(states: State) -> Motion:
         lifted_m3=oils.lifted,
         lowered_m3=oils.lowered,
         leaked_m3=oils.leaked,
-        secured_m3=oils.secured,
+        safety_relieved_m3=oils.safety_relieved,
         supply_oil_m3=supply_amount(states),
         cylinder_oil_m3=cylinder_amount(states),
     )

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from hitchid._support.precision import double_precision
-from hitchid.rig.bench import Rig, adjusted, hold_pressure
 from hitchid.rig.oil import TANK_PRESSURE_PA, Scalar
+from hitchid.rig.test_bench import Rig, at_temperature, hold_pressure
 
 
 class OperatingPoint(NamedTuple):
@@ -37,7 +37,7 @@ class SmallSignal(NamedTuple):
     speed: float
 
 
-class Steady(NamedTuple):
+class SteadyState(NamedTuple):
     """Pressure, Pa, speed, m/s, and oil flow, m³/s, of steady motion; k_q k_v, m³/(s·A); k_c, m³/(s·Pa)."""
 
     pressure: Scalar
@@ -62,7 +62,7 @@ def small_signal(rig: Rig, operating_point: OperatingPoint) -> SmallSignal:
     and compensator are no part of it. Flows are counted at tank pressure, hence A/σ(p) for A in continuity.
     The steady speed is v = (Q − C_p (p − p₀))/(A + k C/A).
     """
-    return SmallSignal(*map(float, _lifting(rig, _in_arrays(rig, operating_point))))
+    return SmallSignal(*map(float, _lifting(rig, _as_arrays(rig, operating_point))))
 
 
 @double_precision
@@ -77,71 +77,77 @@ def lowering_small_signal(rig: Rig, operating_point: OperatingPoint) -> SmallSig
     v = (Q + C_p (p − p₀))/(A + k C/A). Two slow terms are left out: k (C_p + k_c), by which speed falls with
     the load's pressure, and v C dk/dx, by which it rises again as the hose gives off less oil.
     """
-    return SmallSignal(*map(float, _lowering(rig, _in_arrays(rig, operating_point))))
+    return SmallSignal(*map(float, _lowering(rig, _as_arrays(rig, operating_point))))
 
 
-def _in_arrays(rig: Rig, point: OperatingPoint) -> OperatingPoint:
+def _as_arrays(rig: Rig, point: OperatingPoint) -> OperatingPoint:
     """Return a point in arrays, its temperature told, so that one compiled program serves all points."""
-    given = point.oil_temperature_c
-    told = point._replace(oil_temperature_c=rig.oil.temperature if given is None else given)
-    return OperatingPoint(*(jnp.asarray(each, jnp.float64) for each in told))
+    temperature = point.oil_temperature_c
+    complete_point = point._replace(
+        oil_temperature_c=rig.oil.temperature if temperature is None else temperature
+    )
+    return OperatingPoint(*(jnp.asarray(value, jnp.float64) for value in complete_point))
 
 
 @eqx.filter_jit
 def _lifting(rig: Rig, point: OperatingPoint) -> Array:
-    warm = adjusted(rig, jnp.asarray(point.oil_temperature_c))
-    return _chain(warm, point, _steady_lifting(warm, point), leaks=-1.0)
+    adjusted_rig = at_temperature(rig, jnp.asarray(point.oil_temperature_c))
+    return _chain(adjusted_rig, point, _steady_lifting(adjusted_rig, point), leakage_sign=-1.0)
 
 
 @eqx.filter_jit
 def _lowering(rig: Rig, point: OperatingPoint) -> Array:
-    warm = adjusted(rig, jnp.asarray(point.oil_temperature_c))
-    return _chain(warm, point, _steady_lowering(warm, point), leaks=1.0)
+    adjusted_rig = at_temperature(rig, jnp.asarray(point.oil_temperature_c))
+    return _chain(adjusted_rig, point, _steady_lowering(adjusted_rig, point), leakage_sign=1.0)
 
 
-def _chain(rig: Rig, point: OperatingPoint, steady: Steady, leaks: float) -> Array:
+def _chain(rig: Rig, point: OperatingPoint, steady: SteadyState, leakage_sign: float) -> Array:
     """Return the numbers of a `SmallSignal`, shape [4]."""
     displacement = jnp.asarray(point.displacement_m)
     load = rig.linkage.load(displacement)
     mass, stiffness = load.mass, load.weight_slope + point.load_force_n * load.lever_slope
 
     cylinder, area = rig.cylinder, rig.cylinder.area
-    swept = area / rig.oil.specific_volume(steady.pressure)
-    amount = rig.oil.amount(steady.pressure, cylinder.volume(displacement), cylinder.yielding)
-    capacity = rig.oil.capacity(steady.pressure, amount, cylinder.yielding)
+    effective_area = area / rig.oil.specific_volume(steady.pressure)
+    amount = rig.oil.amount(steady.pressure, cylinder.volume(displacement), cylinder.compliance)
+    capacity = rig.oil.capacity(steady.pressure, amount, cylinder.compliance)
     losses = cylinder.leakage + steady.flow_pressure
-    damping = cylinder.friction.viscous + cylinder.friction.level(steady.speed)[2]
+    damping = cylinder.friction.viscous + cylinder.friction.stribeck(steady.speed)[2]
 
-    taken = swept + stiffness * capacity / area
-    speed = (steady.flow + leaks * cylinder.leakage * (steady.pressure - TANK_PRESSURE_PA)) / taken
-    divisor = taken + damping * losses / area
+    stiffened_area = effective_area + stiffness * capacity / area
+    speed = (
+        steady.flow + leakage_sign * cylinder.leakage * (steady.pressure - TANK_PRESSURE_PA)
+    ) / stiffened_area
+    divisor = stiffened_area + damping * losses / area
     omega = jnp.sqrt(area * divisor / (mass * capacity))
     lag = (damping * capacity + mass * losses) / area / divisor
     return jnp.stack([1e3 * steady.flow_gain / divisor, omega, 0.5 * lag * omega, 1e3 * speed])
 
 
-def _steady_lowering(rig: Rig, point: OperatingPoint) -> Steady:
+def _steady_lowering(rig: Rig, point: OperatingPoint) -> SteadyState:
     valve, cylinder, density = rig.lowering_valve, rig.cylinder, rig.oil.density
     current, load_force = jnp.asarray(point.current_a), jnp.asarray(point.load_force_n)
-    held = hold_pressure(rig, jnp.asarray(point.displacement_m), load_force)
+    frictionless_pressure = hold_pressure(rig, jnp.asarray(point.displacement_m), load_force)
 
     def flow_at(coil: Scalar, pressure: Scalar) -> tuple[Scalar, Scalar]:
         return valve.flow(valve.spool.area(coil / valve.spool.saturation), pressure, density)
 
-    def balanced(_round: Array, last: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
-        pressure, _ = last
+    def fixed_point_step(_round: Array, carry: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
+        pressure, _ = carry
         speed = flow_at(current, pressure)[0] * rig.oil.specific_volume(pressure) / cylinder.area
-        rub = cylinder.friction.level(speed)[1] + cylinder.friction.viscous * speed
-        return held - rub / cylinder.area, speed
+        friction_force = cylinder.friction.stribeck(speed)[1] + cylinder.friction.viscous * speed
+        return frictionless_pressure - friction_force / cylinder.area, speed
 
     # Friction carries part of the weight: a contraction.
-    pressure, speed = jax.lax.fori_loop(0, 20, balanced, (held, jnp.zeros_like(held)))
+    pressure, speed = jax.lax.fori_loop(
+        0, 20, fixed_point_step, (frictionless_pressure, jnp.zeros_like(frictionless_pressure))
+    )
     flow, flow_pressure = flow_at(current, pressure)
     flow_gain = jax.grad(lambda coil: flow_at(coil, pressure)[0])(current)
-    return Steady(pressure, speed, flow, flow_gain, flow_pressure)
+    return SteadyState(pressure, speed, flow, flow_gain, flow_pressure)
 
 
-def _steady_lifting(rig: Rig, point: OperatingPoint) -> Steady:
+def _steady_lifting(rig: Rig, point: OperatingPoint) -> SteadyState:
     valve, cylinder, displacement = rig.lifting_valve, rig.cylinder, jnp.asarray(point.displacement_m)
     spool = valve.spool
     overlap = spool.dead_zone / spool.saturation
@@ -153,22 +159,25 @@ def _steady_lifting(rig: Rig, point: OperatingPoint) -> Steady:
     area_slope = spool.full_area * travel / jnp.sqrt(travel**2 + notch**2)
     area_slope = area_slope / (jnp.sqrt(1 + notch**2) - notch) / (spool.saturation * (1 - overlap))
 
-    held, idle = hold_pressure(rig, displacement, jnp.asarray(point.load_force_n)), rig.supply.idle_pressure()
+    frictionless_pressure, idle = (
+        hold_pressure(rig, displacement, jnp.asarray(point.load_force_n)),
+        rig.supply.idle_pressure(),
+    )
 
-    def balanced(_round: Array, last: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
-        pressure, supply_pressure, opening = last[:3]
+    def fixed_point_step(_round: Array, carry: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
+        pressure, supply_pressure, opening = carry[:3]
         drop = supply_pressure - pressure - valve.check_pressure
-        opening = valve.balanced(area, opening, drop)
+        opening = valve.balanced_opening(area, opening, drop)
         flow, _ = valve.flow(area, opening, drop + valve.check_pressure, rig.oil.density)
         supply_pressure = idle - flow / (rig.supply.relief_gain + rig.supply.pump_flow * rig.supply.pump_slip)
         speed = flow * rig.oil.specific_volume(pressure) / cylinder.area
-        rub = cylinder.friction.level(speed)[1] + cylinder.friction.viscous * speed
-        return held + rub / cylinder.area, supply_pressure, opening, flow, speed
+        friction_force = cylinder.friction.stribeck(speed)[1] + cylinder.friction.viscous * speed
+        return frictionless_pressure + friction_force / cylinder.area, supply_pressure, opening, flow, speed
 
     # Friction raises the pressure, lifting lowers the supply's: a contraction.
     none = jnp.zeros_like(area)
     pressure, supply_pressure, opening, flow, speed = jax.lax.fori_loop(
-        0, 50, balanced, (held, idle, none, none, none)
+        0, 50, fixed_point_step, (frictionless_pressure, idle, none, none, none)
     )
     # In balance Q = C_d a √(2 Δp_m/ρ) with Δp_m = Δp₀ (1 + d (1 − a_k/a_K)), a_k = a √(Δp_m/(Δp − Δp_m)).
     metering = valve.metering_drop(opening)
@@ -178,4 +187,4 @@ def _steady_lifting(rig: Rig, point: OperatingPoint) -> Steady:
     by_load = stiff * opening / (2 * rest) / (1 + stiff * by_metering)
     by_area = -stiff * (opening / area) / (1 + stiff * by_metering)
     flow_gain = flow / area + flow / (2 * metering) * by_area
-    return Steady(pressure, speed, flow, flow_gain * area_slope, flow / (2 * metering) * by_load)
+    return SteadyState(pressure, speed, flow, flow_gain * area_slope, flow / (2 * metering) * by_load)

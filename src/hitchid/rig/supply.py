@@ -37,7 +37,7 @@ class Supply(eqx.Module):
     accumulator_precharge: Scalar = quantity("Pa", 1e5, 5e7)
 
     @property
-    def yielding(self) -> Values:
+    def compliance(self) -> Values:
         """Widening of the line, m³/Pa."""
         return self.line_volume / self.line_bulk_modulus
 
@@ -46,12 +46,12 @@ class Supply(eqx.Module):
         """Angular frequency of the flow ripple, rad/s."""
         return self.shaft_speed * self.displacements
 
-    def delivered(self, pressure: Values, ripple: Values) -> tuple[Values, Values]:
+    def pump_delivery(self, pressure: Values, ripple: Values) -> tuple[Values, Values]:
         """Return the pump's flow, m³/s, and its derivative by pressure; `ripple` is 1 on average."""
         slope = -self.pump_flow * self.pump_slip * ripple
         return self.pump_flow * ripple + slope * (pressure - TANK_PRESSURE_PA), slope
 
-    def relieved(self, pressure: Values) -> tuple[Values, Values]:
+    def relief_flow(self, pressure: Values) -> tuple[Values, Values]:
         """Return the relief valve's flow, m³/s, and its derivative by pressure."""
         over = pressure - TANK_PRESSURE_PA - self.relief_pressure
         return self.relief_gain * jnp.maximum(over, 0.0), jnp.where(over > 0, self.relief_gain, 0.0)
@@ -68,19 +68,21 @@ class Supply(eqx.Module):
     def amount(self, oil: Oil, pressure: Values) -> Values:
         """Return the oil held at a pressure, m³ at tank pressure; the gas is compressed isothermally."""
         precharge = self.accumulator_precharge + TANK_PRESSURE_PA
-        taken = self.accumulator_volume * jnp.maximum(1 - precharge / pressure, 0.0)
-        return oil.amount(pressure, self.line_volume + taken, self.yielding)
+        accumulator_oil = self.accumulator_volume * jnp.maximum(1 - precharge / pressure, 0.0)
+        return oil.amount(pressure, self.line_volume + accumulator_oil, self.compliance)
 
     def pressure(self, oil: Oil, amount: Values) -> Values:
         """Return the pressure at which an amount is held, Pa; the inverse of `amount`."""
-        alone = oil.pressure(amount, self.line_volume, self.yielding)
+        line_pressure = oil.pressure(amount, self.line_volume, self.compliance)
         volume = self.line_volume + self.accumulator_volume
-        charged = oil.pressure(amount, volume, self.yielding, self._gas())
-        return jnp.where(alone > self.accumulator_precharge + TANK_PRESSURE_PA, charged, alone)
+        charged_pressure = oil.pressure(amount, volume, self.compliance, self._gas())
+        return jnp.where(
+            line_pressure > self.accumulator_precharge + TANK_PRESSURE_PA, charged_pressure, line_pressure
+        )
 
     def capacity(self, oil: Oil, pressure: Values, amount: Values) -> Values:
         """Return ∂M/∂p, m³/Pa."""
         gas = jnp.where(
             pressure > self.accumulator_precharge + TANK_PRESSURE_PA, self._gas() / pressure**2, 0.0
         )
-        return oil.capacity(pressure, amount, self.yielding + gas)
+        return oil.capacity(pressure, amount, self.compliance + gas)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 
-from hitchid.rig.oil import TANK_PRESSURE_PA, Scalar, Values, turbulent
+from hitchid.rig.oil import TANK_PRESSURE_PA, Scalar, Values, orifice_flow
 from hitchid.rig.quantities import quantity
 
 TINY_AREA = 1e-12
@@ -15,7 +15,7 @@ class SpoolState(NamedTuple):
     """Lagged current, A; current behind the hysteresis, A; spool position over its travel; its speed, 1/s."""
 
     force: Values
-    held: Values
+    play_output: Values
     position: Values
     speed: Values
 
@@ -60,7 +60,7 @@ class Spool(eqx.Module):
         zero = jnp.zeros_like(self.dead_zone)
         return SpoolState(zero, zero, zero, zero)
 
-    def discretised(self, step_s: Values | float) -> SpoolStep:
+    def discretise(self, step_s: Values | float) -> SpoolStep:
         """Return the exact step: exp(A dt) by its closed form with μ = ωn √(ζ² − 1), real or imaginary."""
         omega, damped = self.natural_frequency, self.damping_ratio * self.natural_frequency
         mu = omega * jnp.sqrt(jnp.asarray(self.damping_ratio**2 - 1 + 1e-12, dtype=jnp.complex128))
@@ -82,12 +82,12 @@ class Spool(eqx.Module):
         and half way to it for the spool.
         """
         force = current + (state.force - current) * step.decay
-        held = jnp.clip(state.held, force - self.hysteresis, force + self.hysteresis)
-        target = jnp.clip(0.5 * (state.held + held) / self.saturation, 0.0, 1.0)
-        away = state.position - target
-        position = target + step.pp * away + step.pv * state.speed
-        speed = step.vp * away + step.vv * state.speed
-        return SpoolState(force, held, position, speed)
+        play_output = jnp.clip(state.play_output, force - self.hysteresis, force + self.hysteresis)
+        target = jnp.clip(0.5 * (state.play_output + play_output) / self.saturation, 0.0, 1.0)
+        offset = state.position - target
+        position = target + step.pp * offset + step.pv * state.speed
+        speed = step.vp * offset + step.vv * state.speed
+        return SpoolState(force, play_output, position, speed)
 
     def area(self, position: Values) -> Values:
         """Return the opening, m²: a₁ (√(y² + y₀²) − y₀)/(√(1 + y₀²) − y₀), y the travel past the overlap."""
@@ -120,7 +120,7 @@ class LiftingValve(eqx.Module):
         """Return the drop the spring demands, Pa: Δp₀ (1 + d (1 − a_k/a_k,max))."""
         return self.offset_pressure * (1 + self.droop * (1 - compensator / self.compensator_area))
 
-    def balanced(self, area: Values, compensator: Values, drop: Values) -> Values:
+    def balanced_opening(self, area: Values, compensator: Values, drop: Values) -> Values:
         """Return the compensator's opening in balance, m².
 
         Two orifices in series share the whole drop as the inverse squares of their areas, so the metering one
@@ -132,8 +132,8 @@ class LiftingValve(eqx.Module):
 
     def flow(self, area: Values, compensator: Values, drop: Values, density: Values) -> tuple[Values, Values]:
         """Return flow, m³/s, and its derivative by the drop from supply to cylinder; never backward."""
-        conductance = series(area, compensator) * self.spool.discharge * jnp.sqrt(2 / density)
-        return turbulent(conductance, jnp.maximum(drop - self.check_pressure, 0.0))
+        conductance = series_area(area, compensator) * self.spool.discharge * jnp.sqrt(2 / density)
+        return orifice_flow(conductance, jnp.maximum(drop - self.check_pressure, 0.0))
 
 
 class LoweringValve(eqx.Module):
@@ -153,15 +153,15 @@ class LoweringValve(eqx.Module):
 
     def flow(self, area: Values, pressure: Values, density: Values) -> tuple[Values, Values]:
         """Return flow to tank, m³/s, and its derivative by pressure; Q = C_d a √(2 (p − p₀)/ρ)."""
-        conductance = series(area, self.damper_area) * self.spool.discharge * jnp.sqrt(2 / density)
-        return turbulent(conductance, pressure - TANK_PRESSURE_PA)
+        conductance = series_area(area, self.damper_area) * self.spool.discharge * jnp.sqrt(2 / density)
+        return orifice_flow(conductance, pressure - TANK_PRESSURE_PA)
 
-    def safety(self, pressure: Values) -> tuple[Values, Values]:
+    def safety_flow(self, pressure: Values) -> tuple[Values, Values]:
         """Return the safety valve's flow, m³/s, and its derivative by pressure."""
         over = pressure - TANK_PRESSURE_PA - self.safety_pressure
         return self.safety_gain * jnp.maximum(over, 0.0), jnp.where(over > 0, self.safety_gain, 0.0)
 
 
-def series(first: Values, second: Values) -> Values:
+def series_area(first: Values, second: Values) -> Values:
     """Return the area of one orifice that stands for two in series: a₁ a₂/√(a₁² + a₂²)."""
     return first * second / jnp.sqrt(first**2 + second**2 + TINY_AREA**2)

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float
 from hitchid.data.record import Record
 from hitchid.data.test_kinds import effective_command
 
-SHORTEST, FEWEST = 256, 4
+MIN_PADDED_LENGTH, MIN_PADDED_TESTS = 256, 4
 REST_SAMPLES = 50
 STOP_FRACTION = 0.01
 
@@ -21,39 +21,39 @@ class Batch(eqx.Module):
 
     Attributes:
         command: effective command, shape [T, N].
-        logged: the command as logged, shape [T, N].
+        raw_command: the command as logged, shape [T, N].
         dead_zone: dead zone of the command, in its unit, shape [T].
         displacement: measured displacement, shape [T, N].
         valid: which samples exist, shape [T, N].
-        counted: which samples errors are taken over (those before an end stop is met), shape [T, N].
+        loss_mask: which samples errors are taken over (those before an end stop is met), shape [T, N].
         initial: displacement before motion, shape [T].
         load: second measured input before motion, zero where there is none, shape [T].
         step_s: sampling time, s.
-        direction: +1 where the displacement grows with the command, −1 where it falls.
+        sign: +1 where the displacement grows with the command, −1 where it falls.
     """
 
     command: Float[Array, "t n"]
-    logged: Float[Array, "t n"]
+    raw_command: Float[Array, "t n"]
     dead_zone: Float[Array, " t"]
     displacement: Float[Array, "t n"]
     valid: Bool[Array, "t n"]
-    counted: Bool[Array, "t n"]
+    loss_mask: Bool[Array, "t n"]
     initial: Float[Array, " t"]
-    load: Float[Array, " t"]
+    covariate: Float[Array, " t"]
     step_s: float
-    direction: int
+    sign: int
 
     @classmethod
     def of(
         cls,
         records: Sequence[Record],
-        mode: str,
+        direction: str,
         *,
         dead_zone: float,
-        direction: int,
+        sign: int,
         end_stop: float | None = None,
         initial: Sequence[float] | None = None,
-        load: str | None = None,
+        covariate: str | None = None,
     ) -> "Batch":
         """Lay records side by side, padded so that like shapes compile once.
 
@@ -61,9 +61,9 @@ class Batch(eqx.Module):
 
         Args:
             records: tests of one clock.
-            mode: whose command counts.
+            direction: whose command counts.
             dead_zone: dead zone of that command, in its unit.
-            direction: +1 where the displacement grows with the command, −1 where it falls.
+            sign: +1 where the displacement grows with the command, −1 where it falls.
             end_stop: displacement at which the piston meets its end stop, None where it never did.
             initial: displacement before motion; by default found by `mean_before_motion`.
             load: name of the second measured input, of which the mean before motion counts; None for none.
@@ -72,16 +72,16 @@ class Batch(eqx.Module):
             InputError: a record lacks the second input.
         """
         for record in records:
-            record.require(load)
-        commands = [effective_command(record.command(mode), dead_zone) for record in records]
+            record.require(covariate)
+        commands = [effective_command(record.command(direction), dead_zone) for record in records]
         displacements = [record.displacement for record in records]
         if initial is None:
             initial = [mean_before_motion(x, u) for x, u in zip(displacements, commands, strict=True)]
-        loads = [
-            0.0 if load is None else mean_before_motion(record.signals[load], command)
+        covariates = [
+            0.0 if covariate is None else mean_before_motion(record.signals[covariate], command)
             for record, command in zip(records, commands, strict=True)
         ]
-        counted = [before_end_stop(x, direction, end_stop) for x in displacements]
+        loss_masks = [before_end_stop(x, sign, end_stop) for x in displacements]
         width = padded_length(max(map(len, records)))
 
         def stack(rows: Sequence[np.ndarray], dtype: type) -> Array:
@@ -92,42 +92,44 @@ class Batch(eqx.Module):
 
         return cls(
             command=stack(commands, np.float64),
-            logged=stack([record.command(mode) for record in records], np.float64),
+            raw_command=stack([record.command(direction) for record in records], np.float64),
             dead_zone=jnp.full(len(records), dead_zone, dtype=np.float64),
             displacement=stack(displacements, np.float64),
             valid=stack([np.ones(len(record), dtype=bool) for record in records], np.bool_),
-            counted=stack(counted, np.bool_),
+            loss_mask=stack(loss_masks, np.bool_),
             initial=jnp.asarray(np.asarray(initial, dtype=np.float64)),
-            load=jnp.asarray(loads, dtype=np.float64),
+            covariate=jnp.asarray(covariates, dtype=np.float64),
             step_s=records[0].step_s,
-            direction=direction,
+            sign=sign,
         )
 
     @property
     def travel(self) -> Float[Array, "t n"]:
         """Displacement away from the start, positive the way the command drives, shape [T, N]."""
-        return self.direction * (self.displacement - self.initial[:, None])
+        return self.sign * (self.displacement - self.initial[:, None])
 
-    def displaced(self, travel: Float[Array, "t n"]) -> Float[Array, "t n"]:
+    def to_displacement(self, travel: Float[Array, "t n"]) -> Float[Array, "t n"]:
         """Return the displacement that belongs to a travel; the inverse of `travel`."""
-        return self.initial[:, None] + self.direction * travel
+        return self.initial[:, None] + self.sign * travel
 
-    def behind(self, dead_zone: Float[Array, " t"]) -> "Batch":
+    def with_dead_zones(self, dead_zone: Float[Array, " t"]) -> "Batch":
         """Return the tests behind another dead zone, in the command's unit."""
-        beyond = jnp.maximum(jnp.abs(self.logged) - dead_zone[:, None], 0.0)
+        excess = jnp.maximum(jnp.abs(self.raw_command) - dead_zone[:, None], 0.0)
         return eqx.tree_at(
-            lambda batch: (batch.command, batch.dead_zone), self, (jnp.sign(self.logged) * beyond, dead_zone)
+            lambda batch: (batch.command, batch.dead_zone),
+            self,
+            (jnp.sign(self.raw_command) * excess, dead_zone),
         )
 
     def with_dead_zone(self, dead_zone: float) -> "Batch":
         """Return the tests behind another dead zone, the same for all, in the command's unit."""
-        return self.behind(jnp.full_like(self.dead_zone, dead_zone))
+        return self.with_dead_zones(jnp.full_like(self.dead_zone, dead_zone))
 
-    def counting(self, counted: Bool[Array, "t n"]) -> "Batch":
+    def masked(self, loss_mask: Bool[Array, "t n"]) -> "Batch":
         """Return the tests with errors taken over fewer samples."""
-        return eqx.tree_at(lambda batch: batch.counted, self, self.counted & counted)
+        return eqx.tree_at(lambda batch: batch.loss_mask, self, self.loss_mask & loss_mask)
 
-    def thinned(self, samples: int) -> "Batch":
+    def decimate(self, samples: int) -> "Batch":
         """Return the tests on a coarser clock, with no more than so many samples each.
 
         A command is the mean over its new, longer interval, so that its integral stays.
@@ -147,46 +149,49 @@ class Batch(eqx.Module):
 
         return Batch(
             command=mean(self.command),
-            logged=mean(self.logged),
+            raw_command=mean(self.raw_command),
             dead_zone=self.dead_zone,
             displacement=self.displacement[:, ::step],
             valid=self.valid[:, ::step],
-            counted=self.counted[:, ::step],
+            loss_mask=self.loss_mask[:, ::step],
             initial=self.initial,
-            load=self.load,
+            covariate=self.covariate,
             step_s=step * self.step_s,
-            direction=self.direction,
+            sign=self.sign,
         )
 
-    def filled_up(self) -> "Batch":
+    def pad_batch(self) -> "Batch":
         """Return the tests with others behind them that count nowhere, so that like numbers compile once.
 
         The number of tests becomes four, eight, twelve, sixteen, and so on as lengths do.
         """
         tests = self.command.shape[0]
-        lacking = _bucket(tests, FEWEST) - tests
-        if not lacking:
+        padding_tests = _bucket(tests, MIN_PADDED_TESTS) - tests
+        if not padding_tests:
             return self
-        filled = self.take([*range(tests), *[tests - 1] * lacking])
-        return filled.counting(jnp.arange(filled.command.shape[0])[:, None] < tests)
+        padded = self.take([*range(tests), *[tests - 1] * padding_tests])
+        return padded.masked(jnp.arange(padded.command.shape[0])[:, None] < tests)
 
     def take(self, indices: Sequence[int]) -> "Batch":
         """Return some of the tests."""
         rows = np.asarray(indices, dtype=np.int64)
-        tests, clock = eqx.partition(self, eqx.is_array)
-        return eqx.combine(jax.tree.map(lambda array: jnp.asarray(np.asarray(array)[rows]), tests), clock)
+        tests, static_fields = eqx.partition(self, eqx.is_array)
+        return eqx.combine(
+            jax.tree.map(lambda array: jnp.asarray(np.asarray(array)[rows]), tests), static_fields
+        )
 
 
 def padded_length(samples: int) -> int:
     """Return the length that so many samples are padded to, so that like shapes compile once."""
-    return _bucket(samples, SHORTEST)
+    return _bucket(samples, MIN_PADDED_LENGTH)
 
 
-def _bucket(count: int, least: int) -> int:
-    """Return the least number not below a count of those that are `least` doubled, or that and its half."""
-    size = least
+def _bucket(count: int, smallest: int) -> int:
+    """Return the least number not below a count of those that are `smallest` doubled, or that and its
+    half."""
+    size = smallest
     while size < count:
-        if size > least and count <= size + size // 2:
+        if size > smallest and count <= size + size // 2:
             return size + size // 2
         size *= 2
     return size
@@ -201,16 +206,20 @@ def mean_before_motion(samples: np.ndarray, effective: np.ndarray) -> float:
         samples: a measured signal, shape [N].
         effective: effective command, shape [N].
     """
-    moving = np.flatnonzero(effective)
-    at_rest = int(moving[0]) + 1 if moving.size else samples.size
+    active_samples = np.flatnonzero(effective)
+    at_rest = int(active_samples[0]) + 1 if active_samples.size else samples.size
     return float(np.mean(samples[: min(at_rest, REST_SAMPLES)]))
 
 
-def before_end_stop(displacement: np.ndarray, direction: int, end_stop: float | None) -> np.ndarray:
+def before_end_stop(displacement: np.ndarray, sign: int, end_stop: float | None) -> np.ndarray:
     """Tell which samples come before the piston is within 1 % of its way to the end stop, shape [N]."""
-    counted = np.ones(displacement.size, dtype=bool)
+    loss_mask = np.ones(displacement.size, dtype=bool)
     if end_stop is not None:
-        left = direction * (end_stop - displacement)
-        at_stop = np.flatnonzero(left <= STOP_FRACTION * left[0]) if left[0] > 0 else np.array([0])
-        counted[at_stop[0] if at_stop.size else displacement.size :] = False
-    return counted
+        remaining_travel = sign * (end_stop - displacement)
+        at_stop = (
+            np.flatnonzero(remaining_travel <= STOP_FRACTION * remaining_travel[0])
+            if remaining_travel[0] > 0
+            else np.array([0])
+        )
+        loss_mask[at_stop[0] if at_stop.size else displacement.size :] = False
+    return loss_mask

@@ -40,21 +40,21 @@ class CascadedTanks(NonlinearStructure):
         Parameter("brim", "{x}", 0.95, 1.05, scale=Scale.HIGHEST, linear=True),
     )
     substeps: ClassVar[int] = 2
-    restarts: ClassVar[int] = 8
+    local_starts: ClassVar[int] = 8
 
-    def start(self, values: Float[Array, " p"], displacement: Float[Array, " t"]) -> Float[Array, "n t"]:
+    def init_state(self, values: Float[Array, " p"], displacement: Float[Array, " t"]) -> Float[Array, "n t"]:
         """Return the lower level, in the displacement's unit, and the upper one before the first sample."""
         return jnp.stack([displacement, values[6] * jnp.ones_like(displacement)])
 
-    def rate(
+    def vector_field(
         self, values: Float[Array, " p"], state: Float[Array, "n t"], command: Float[Array, " t"]
     ) -> Float[Array, "n t"]:
         """Return the rate of the lower level, in the displacement's unit, and of the upper one."""
         inflow, upper_outflow, transfer, lower_outflow, leak, spill, _, brim = values
         upper, lower = jnp.maximum(state[1], EMPTY), jnp.maximum(state[0] / brim, EMPTY)
-        leaving = upper_outflow * jnp.sqrt(upper)
+        outflow = upper_outflow * jnp.sqrt(upper)
         full = jax.nn.sigmoid((upper - 1) / UPPER_BRIM)
-        over = full * jnp.maximum(inflow * command - leaving, 0.0)
-        net = transfer * jnp.sqrt(upper) + spill * over - lower_outflow * jnp.sqrt(lower) - leak * lower
-        held = jax.nn.sigmoid((lower - 1) / LOWER_BRIM) * jnp.maximum(net, 0.0)
-        return jnp.stack([brim * (net - held), inflow * command - leaving - over])
+        overflow = full * jnp.maximum(inflow * command - outflow, 0.0)
+        net = transfer * jnp.sqrt(upper) + spill * overflow - lower_outflow * jnp.sqrt(lower) - leak * lower
+        blocked_rise = jax.nn.sigmoid((lower - 1) / LOWER_BRIM) * jnp.maximum(net, 0.0)
+        return jnp.stack([brim * (net - blocked_rise), inflow * command - outflow - overflow])

@@ -10,23 +10,23 @@ from jaxtyping import Array, Float, Int
 from hitchid.structures.structure import LinearStructure
 
 Scalar = Float[Array, ""] | float
-TERMS = 18
-MOST_HALVINGS = 32
+SERIES_TERMS = 18
+MAX_HALVINGS = 32
 
 
-class Discrete(NamedTuple):
+class DiscreteStateSpace(NamedTuple):
     """x[k+1] = Φ x[k] + Γ₀ u[k−m] + Γ₁ u[k−m−1], y[k] = x₁[k].
 
     Attributes:
         transition: Φ, shape [n, n].
-        now, before: Γ₀ and Γ₁, shape [n].
-        whole: m, the whole samples of the dead time.
+        gamma0, gamma1: Γ₀ and Γ₁, shape [n].
+        delay_samples: m, the whole samples of the dead time.
     """
 
     transition: Float[Array, "n n"]
-    now: Float[Array, " n"]
-    before: Float[Array, " n"]
-    whole: Int[Array, ""]
+    gamma0: Float[Array, " n"]
+    gamma1: Float[Array, " n"]
+    delay_samples: Int[Array, ""]
 
 
 def zero_order_hold(
@@ -41,11 +41,11 @@ def zero_order_hold(
     size = jax.lax.stop_gradient(jnp.max(jnp.abs(b)))
     scale = jnp.where(size > 0, size, 1.0)
     block = jnp.zeros((n + 1, n + 1), b.dtype).at[:n, :n].set(a).at[:n, n].set(b / scale)
-    whole = exponential(block * duration_s)
-    return whole[:n, :n], scale * whole[:n, n]
+    block_exponential = matrix_exponential(block * duration_s)
+    return block_exponential[:n, :n], scale * block_exponential[:n, n]
 
 
-def exponential(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
+def matrix_exponential(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
     """Return exp(M) = (exp(M/2ˢ))^(2ˢ), the inner one by its series, with ‖M/2ˢ‖₁ ≤ ½.
 
     Eighteen terms leave less than ½¹⁹/19! ≈ 2e-23. Fixed loops of products: a Padé approximant's linear solve
@@ -54,20 +54,20 @@ def exponential(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
     Args:
         matrix: M with ‖M‖₁ ≤ 2³¹, shape [n, n].
     """
-    size = jax.lax.stop_gradient(jnp.max(jnp.sum(jnp.abs(matrix), axis=0)))
-    _, exponent = jnp.frexp(size)
-    halvings = jnp.clip(exponent + 1, 0, MOST_HALVINGS)
-    inner = jnp.ldexp(matrix, -halvings)
-    one = jnp.eye(matrix.shape[0], dtype=matrix.dtype)
+    norm = jax.lax.stop_gradient(jnp.max(jnp.sum(jnp.abs(matrix), axis=0)))
+    _, exponent = jnp.frexp(norm)
+    halvings = jnp.clip(exponent + 1, 0, MAX_HALVINGS)
+    scaled_matrix = jnp.ldexp(matrix, -halvings)
+    identity = jnp.eye(matrix.shape[0], dtype=matrix.dtype)
 
     def term(index: Array, total: Array) -> Array:
-        return one + _product(inner, total) / (TERMS - index)
+        return identity + _product(scaled_matrix, total) / (SERIES_TERMS - index)
 
     def square(index: Array, power: Array) -> Array:
         return jnp.where(index < halvings, _product(power, power), power)
 
-    series = jax.lax.fori_loop(0, TERMS, term, one)
-    return jax.lax.fori_loop(0, MOST_HALVINGS, square, series)
+    series = jax.lax.fori_loop(0, SERIES_TERMS, term, identity)
+    return jax.lax.fori_loop(0, MAX_HALVINGS, square, series)
 
 
 def _product(left: Float[Array, "n n"], right: Float[Array, "n n"]) -> Float[Array, "n n"]:
@@ -77,7 +77,7 @@ def _product(left: Float[Array, "n n"], right: Float[Array, "n n"]) -> Float[Arr
 
 def discretise(
     structure: LinearStructure, values: Float[Array, " p"], dead_time_s: Scalar, step_s: Scalar
-) -> Discrete:
+) -> DiscreteStateSpace:
     """Discretise a structure exactly for a command held between samples and delayed by any dead time.
 
     With the dead time (m + f) h, 0 ≤ f < 1, the interval [k h, (k+1) h) sees u[k−m−1] for its first f h and
@@ -90,17 +90,24 @@ def discretise(
         step_s: sampling time h, s.
     """
     a, b = structure.state_space(values)
-    samples = jnp.asarray(dead_time_s) / step_s
+    dead_time_samples = jnp.asarray(dead_time_s) / step_s
     # A dead time of n samples computed as (n h)/h may fall short of n by rounding.
-    whole = jnp.floor(samples + 1e-9)
-    fraction = jnp.clip(samples - whole, 0.0, 1.0)
-    parts = jnp.stack([fraction, 1 - fraction]) * step_s
-    (early, late), (before, now) = jax.vmap(lambda part: zero_order_hold(a, b, part))(parts)
-    return Discrete(late @ early, now, late @ before, whole.astype(jnp.int32))
+    delay_samples = jnp.floor(dead_time_samples + 1e-9)
+    fraction = jnp.clip(dead_time_samples - delay_samples, 0.0, 1.0)
+    durations = jnp.stack([fraction, 1 - fraction]) * step_s
+    (delayed_transition, current_transition), (delayed_gamma, gamma0) = jax.vmap(
+        lambda duration: zero_order_hold(a, b, duration)
+    )(durations)
+    return DiscreteStateSpace(
+        current_transition @ delayed_transition,
+        gamma0,
+        current_transition @ delayed_gamma,
+        delay_samples.astype(jnp.int32),
+    )
 
 
 @jax.jit
-def driven(model: Discrete, command: Float[Array, "t n"]) -> Float[Array, "t n"]:
+def simulate_linear(model: DiscreteStateSpace, command: Float[Array, "t n"]) -> Float[Array, "t n"]:
     """Return y of a discrete model from rest, its command zero before the first sample.
 
     Args:
@@ -110,20 +117,22 @@ def driven(model: Discrete, command: Float[Array, "t n"]) -> Float[Array, "t n"]
     tests, count = command.shape
     padded = jnp.pad(command, ((0, 0), (count, 0)))
 
-    def late(samples: Array) -> Float[Array, "n t"]:
+    def delayed_command(samples: Array) -> Float[Array, "n t"]:
         return jax.lax.dynamic_slice_in_dim(padded, count - samples, count, axis=1).T
 
     def advance(state: Float[Array, "m t"], commands: tuple[Array, Array]) -> tuple[Array, Array]:
-        now, before = commands
+        current, previous = commands
         # Sums over few states, not a matrix product: the whole step is one loop over the tests.
-        onward = jnp.sum(model.transition[:, :, None] * state[None, :, :], axis=1)
-        return onward + model.now[:, None] * now + model.before[:, None] * before, state[0]
+        next_state = jnp.sum(model.transition[:, :, None] * state[None, :, :], axis=1)
+        return next_state + model.gamma0[:, None] * current + model.gamma1[:, None] * previous, state[0]
 
-    rest = jnp.zeros((model.now.shape[0], tests), command.dtype)
-    return jax.lax.scan(advance, rest, (late(model.whole), late(model.whole + 1)))[1].T
+    zero_state = jnp.zeros((model.gamma0.shape[0], tests), command.dtype)
+    return jax.lax.scan(
+        advance, zero_state, (delayed_command(model.delay_samples), delayed_command(model.delay_samples + 1))
+    )[1].T
 
 
-def pulse_response(model: Discrete, samples: int) -> Float[Array, " n"]:
+def pulse_response(model: DiscreteStateSpace, samples: int) -> Float[Array, " n"]:
     """Return y of a discrete model whose command is one for one sample: y(0) = 0, y(1), …
 
     Some √N powers of Φ and as many of Φ^√N give all: C Φ^(a m + b) Γ = (C Φ^(a m)) (Φ^b Γ), m = √N.
@@ -133,10 +142,12 @@ def pulse_response(model: Discrete, samples: int) -> Float[Array, " n"]:
         samples: N.
     """
     width = int(np.ceil(np.sqrt(samples)))
-    one = jnp.eye(model.now.size, dtype=model.now.dtype)
-    far, near = jax.lax.scan(lambda power, _: (model.transition @ power, power), one, length=width)
-    rows = jax.lax.scan(lambda row, _: (row @ far, row), one[0], length=width)[1]
-    now, before = ((rows @ (near @ gamma).T).reshape(-1) for gamma in (model.now, model.before))
-    prompt = jnp.pad(now, (1, 1)) + jnp.pad(before, (2, 0))
-    padded = jnp.pad(prompt[:samples], (samples, 0))
-    return jax.lax.dynamic_slice_in_dim(padded, samples - model.whole, samples)
+    identity = jnp.eye(model.gamma0.size, dtype=model.gamma0.dtype)
+    stride_power, powers = jax.lax.scan(
+        lambda power, _: (model.transition @ power, power), identity, length=width
+    )
+    rows = jax.lax.scan(lambda row, _: (row @ stride_power, row), identity[0], length=width)[1]
+    response0, response1 = ((rows @ (powers @ gamma).T).reshape(-1) for gamma in (model.gamma0, model.gamma1))
+    undelayed = jnp.pad(response0, (1, 1)) + jnp.pad(response1, (2, 0))
+    padded = jnp.pad(undelayed[:samples], (samples, 0))
+    return jax.lax.dynamic_slice_in_dim(padded, samples - model.delay_samples, samples)

@@ -23,7 +23,7 @@ class FirstOrderLag(LinearStructure):
         GAIN._replace(symbol="K/τ"),
         Parameter("time_constant", "s", 0.05, 1000.0, symbol="τ"),
     )
-    instead: ClassVar[Mapping[str, str]] = MappingProxyType({"time_constant": "gain"})
+    fallback_quantity: ClassVar[Mapping[str, str]] = MappingProxyType({"time_constant": "gain"})
 
     def state_space(self, values: Float[Array, " p"]) -> tuple[Float[Array, "n n"], Float[Array, " n"]]:
         """Return A and B; the state is the displacement."""

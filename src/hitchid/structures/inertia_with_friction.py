@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 from hitchid.structures.nonlinear import NonlinearStructure
 from hitchid.structures.structure import Parameter, Scale
 
-TURN = 0.01
+SIGN_SMOOTHING = 0.01
 STRIBECK = 0.2
 
 
@@ -37,21 +37,21 @@ class InertiaWithFriction(NonlinearStructure):
         Parameter("initial_speed", "{x}/s", -0.1, 0.1, scale=Scale.TRAVEL, linear=True),
     )
     substeps: ClassVar[int] = 1
-    restarts: ClassVar[int] = 3
+    local_starts: ClassVar[int] = 3
 
-    def start(self, values: Float[Array, " p"], displacement: Float[Array, " t"]) -> Float[Array, "n t"]:
+    def init_state(self, values: Float[Array, " p"], displacement: Float[Array, " t"]) -> Float[Array, "n t"]:
         """Return displacement, speed and offset before the first sample."""
         one = jnp.ones_like(displacement)
         return jnp.stack([displacement, values[7] * one, values[3] * one])
 
-    def rate(
+    def vector_field(
         self, values: Float[Array, " p"], state: Float[Array, "n t"], command: Float[Array, " t"]
     ) -> Float[Array, "n t"]:
         """Return speed, acceleration and drift."""
         gain, viscous, coulomb, _, asymmetry, static, drift, _ = values
         _, speed, offset = state
-        equal = gain * coulomb / viscous
-        sign = jnp.tanh(speed / (TURN * equal))
-        dry = sign * (coulomb + static * jnp.exp(-((speed / (STRIBECK * equal)) ** 2)))
+        equal_friction_speed = gain * coulomb / viscous
+        sign = jnp.tanh(speed / (SIGN_SMOOTHING * equal_friction_speed))
+        dry = sign * (coulomb + static * jnp.exp(-((speed / (STRIBECK * equal_friction_speed)) ** 2)))
         acceleration = gain * (command - offset - dry) - (viscous + asymmetry * sign) * speed
         return jnp.stack([speed, acceleration, drift * jnp.ones_like(speed)])

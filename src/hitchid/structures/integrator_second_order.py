@@ -28,7 +28,9 @@ class IntegratorSecondOrder(LinearStructure):
         Parameter("natural_frequency", "rad/s", 0.5, 1000.0, symbol="ωh"),
         Parameter("damping_ratio", "1", 0.05, 50.0, symbol="ξh"),
     )
-    instead: ClassVar[Mapping[str, str]] = MappingProxyType({"natural_frequency": LAG, "damping_ratio": LAG})
+    fallback_quantity: ClassVar[Mapping[str, str]] = MappingProxyType(
+        {"natural_frequency": LAG, "damping_ratio": LAG}
+    )
 
     def state_space(self, values: Float[Array, " p"]) -> tuple[Float[Array, "n n"], Float[Array, " n"]]:
         """Return A and B; the states are displacement, speed, and acceleration over ωh."""
@@ -52,9 +54,9 @@ class IntegratorSecondOrder(LinearStructure):
         """
         (alpha1,), (beta1, beta2, _, _) = self.transfer_function(values)
         _, omega, damping = values
-        flat = 1 - 2 * damping**2
+        c = 1 - 2 * damping**2
         # c + √(c² + 1), where c is far below zero without losing its digits.
-        square = flat + hypot(flat, 1) if flat > 0 else 1 / (hypot(flat, 1) - flat)
+        square = c + hypot(c, 1) if c > 0 else 1 / (hypot(c, 1) - c)
         return {
             LAG: (beta2, "s"),
             "bandwidth": (omega * sqrt(square) / (2 * pi), "Hz"),

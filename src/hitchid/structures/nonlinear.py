@@ -16,25 +16,25 @@ class NonlinearStructure(Structure):
 
     Attributes:
         substeps: steps of integration in one sample.
-        restarts: random starts its least squares needs beside the search, where a fit has many valleys.
+        local_starts: random starts its least squares needs beside the search, where a fit has many valleys.
     """
 
     substeps: ClassVar[int]
-    restarts: ClassVar[int]
+    local_starts: ClassVar[int]
 
     @abc.abstractmethod
-    def start(self, values: Float[Array, " p"], displacement: Float[Array, " t"]) -> Float[Array, "n t"]:
+    def init_state(self, values: Float[Array, " p"], displacement: Float[Array, " t"]) -> Float[Array, "n t"]:
         """Return the state before the first sample of each of T tests, shape [n, T]."""
 
     @abc.abstractmethod
-    def rate(
+    def vector_field(
         self, values: Float[Array, " p"], state: Float[Array, "n t"], command: Float[Array, " t"]
     ) -> Float[Array, "n t"]:
         """Return the state's rate of change, shape [n, T]."""
 
 
 @eqx.filter_jit
-def simulated(
+def simulate_nonlinear(
     structure: NonlinearStructure,
     values: Float[Array, " p"],
     command: Float[Array, "t n"],
@@ -54,12 +54,12 @@ def simulated(
     """
 
     def advance(state: Array, u: Array) -> tuple[Array, Array]:
-        return advanced(structure, values, state, u, step_s), state[0]
+        return rk4_step(structure, values, state, u, step_s), state[0]
 
-    return jax.lax.scan(advance, structure.start(values, displacement), command.T)[1].T
+    return jax.lax.scan(advance, structure.init_state(values, displacement), command.T)[1].T
 
 
-def advanced(
+def rk4_step(
     structure: NonlinearStructure,
     values: Float[Array, " p"],
     state: Float[Array, "n t"],
@@ -69,12 +69,12 @@ def advanced(
     """Return the state one sample later, the command held; see `simulated`."""
     width = step_s / structure.substeps
 
-    def step(_: Array, held: tuple[Array, Array]) -> tuple[Array, Array]:
-        state, u = held
-        first = structure.rate(values, state, u)
-        second = structure.rate(values, state + 0.5 * width * first, u)
-        third = structure.rate(values, state + 0.5 * width * second, u)
-        fourth = structure.rate(values, state + width * third, u)
+    def step(_: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        state, u = carry
+        first = structure.vector_field(values, state, u)
+        second = structure.vector_field(values, state + 0.5 * width * first, u)
+        third = structure.vector_field(values, state + 0.5 * width * second, u)
+        fourth = structure.vector_field(values, state + width * third, u)
         return state + width / 6 * (first + 2 * (second + third) + fourth), u
 
     return jax.lax.fori_loop(0, structure.substeps, step, (state, command))[0]

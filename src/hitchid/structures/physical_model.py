@@ -11,9 +11,9 @@ from hitchid._support.checks import number
 from hitchid._support.precision import double_precision
 from hitchid.errors import InputError
 from hitchid.structures.batch import Batch
-from hitchid.structures.discretise import Discrete, Scalar, discretise, driven
-from hitchid.structures.nonlinear import NonlinearStructure, simulated
-from hitchid.structures.shape import SHAPE, Shape
+from hitchid.structures.discretise import DiscreteStateSpace, Scalar, discretise, simulate_linear
+from hitchid.structures.nonlinear import NonlinearStructure, simulate_nonlinear
+from hitchid.structures.static_nonlinearity import NONLINEARITY_PARAMETERS, StaticNonlinearity
 from hitchid.structures.structure import DEAD_TIME, LinearStructure, Structure
 
 if TYPE_CHECKING:
@@ -21,34 +21,37 @@ if TYPE_CHECKING:
     from scipy import signal
 
 
-class Benchmark(eqx.Module):
+class PhysicalModel(eqx.Module):
     """A benchmark model of one direction.
 
     Attributes:
         structure: its form.
         values: its parameters, shape [p], in the order of `structure.parameters`.
         dead_time_s: dead time, s, shape [].
-        shape: curves of valve, stroke and load around the linear model; None for the linear model alone.
+        nonlinearity: curves of valve, stroke and load around the linear model; None for the linear model
+            alone.
         load: name of the second measured input; None where there is none.
     """
 
     structure: Structure
     values: Float[Array, " p"]
     dead_time_s: Float[Array, ""]
-    shape: Shape | None = None
-    load: str | None = eqx.field(default=None, static=True)
+    nonlinearity: StaticNonlinearity | None = None
+    covariate: str | None = eqx.field(default=None, static=True)
 
     @double_precision
     def travel(self, batch: Batch) -> Float[Array, "t n"]:
         """Simulate tests from commands, initial displacement and any second input: travel, shape [T, N]."""
         if isinstance(self.structure, NonlinearStructure):
-            displacement = simulated(self.structure, self.values, batch.logged, batch.initial, batch.step_s)
-            return batch.direction * (displacement - batch.initial[:, None])
-        if self.shape is None:
+            displacement = simulate_nonlinear(
+                self.structure, self.values, batch.raw_command, batch.initial, batch.step_s
+            )
+            return batch.sign * (displacement - batch.initial[:, None])
+        if self.nonlinearity is None:
             return self.response(batch.command, batch.step_s)
-        flow = _flow(self.shape, batch.logged, batch.dead_zone, batch.load, batch.step_s)
+        flow = _flow(self.nonlinearity, batch.raw_command, batch.dead_zone, batch.covariate, batch.step_s)
         linear = self.response(flow, batch.step_s)
-        return _shaped(self.shape, linear, batch.load, batch.initial, batch.direction)
+        return _apply_nonlinearity(self.nonlinearity, linear, batch.covariate, batch.initial, batch.sign)
 
     @double_precision
     def response(self, command: Float[Array, "t n"], step_s: Scalar) -> Float[Array, "t n"]:
@@ -63,10 +66,10 @@ class Benchmark(eqx.Module):
         Returns:
             Displacement away from the start, shape [T, N], in the unit of gain × command × s.
         """
-        return driven(self.discretised(step_s), command)
+        return simulate_linear(self.discretised(step_s), command)
 
     @double_precision
-    def discretised(self, step_s: Scalar) -> Discrete:
+    def discretised(self, step_s: Scalar) -> DiscreteStateSpace:
         """Return the exact discrete model for a command held between samples.
 
         Raises:
@@ -77,23 +80,30 @@ class Benchmark(eqx.Module):
     def named_values(self) -> dict[str, float]:
         """Return parameter name to value, with `dead_time` where there is one."""
         named = {p.name: float(v) for p, v in zip(self.structure.parameters, self.values, strict=True)}
-        if self.shape is not None:
-            named |= {p.name: float(v) for p, v in zip(SHAPE, self.shape.values, strict=True)}
+        if self.nonlinearity is not None:
+            named |= {
+                p.name: float(v)
+                for p, v in zip(NONLINEARITY_PARAMETERS, self.nonlinearity.values, strict=True)
+            }
         return {**named, DEAD_TIME.name: float(self.dead_time_s)} if float(self.dead_time_s) else named
 
     @property
     @double_precision
-    def row(self) -> Float[Array, " r"]:
+    def parameter_vector(self) -> Float[Array, " r"]:
         """Every number of it in one row: the structure's, dead time, and curves where there are any."""
-        curves = () if self.shape is None else (self.shape.values,)
+        curves = () if self.nonlinearity is None else (self.nonlinearity.values,)
         return jnp.concatenate([self.values, self.dead_time_s[None], *curves])
 
     @double_precision
-    def of_row(self, row: Float[Array, " r"]) -> "Benchmark":
-        """Return the benchmark of the same form with other numbers; see `row`."""
+    def with_parameter_vector(self, vector: Float[Array, " r"]) -> "PhysicalModel":
+        """Return the benchmark of the same form with other numbers; see `vector`."""
         count = self.values.size
-        found = eqx.tree_at(lambda b: (b.values, b.dead_time_s), self, (row[:count], row[count]))
-        return found if self.shape is None else eqx.tree_at(lambda b: b.shape.values, found, row[count + 1 :])
+        model = eqx.tree_at(lambda b: (b.values, b.dead_time_s), self, (vector[:count], vector[count]))
+        return (
+            model
+            if self.nonlinearity is None
+            else eqx.tree_at(lambda b: b.nonlinearity.values, model, vector[count + 1 :])
+        )
 
     @double_precision
     def to_scipy(self, step_s: float | None = None) -> "signal.TransferFunction":
@@ -140,7 +150,7 @@ class Benchmark(eqx.Module):
 
     def _transfer_function(self, step_s: float | None) -> tuple[np.ndarray, np.ndarray]:
         structure = self.linear
-        if self.shape is not None:
+        if self.nonlinearity is not None:
             raise InputError(
                 "a benchmark with curves of valve or stroke has no transfer function; "
                 "required one identified without them"
@@ -158,47 +168,47 @@ class Benchmark(eqx.Module):
         from scipy import signal
 
         model = self.discretised(step_s)
-        n = model.now.shape[0]
-        transition, pick = np.asarray(model.transition), np.eye(1, n)
-        parts = [
-            signal.ss2tf(transition, np.asarray(gamma)[:, None], pick, np.zeros((1, 1)))
-            for gamma in (model.now, model.before)
+        n = model.gamma0.shape[0]
+        transition, output_matrix = np.asarray(model.transition), np.eye(1, n)
+        fractions = [
+            signal.ss2tf(transition, np.asarray(gamma)[:, None], output_matrix, np.zeros((1, 1)))
+            for gamma in (model.gamma0, model.gamma1)
         ]
         # z⁻ᵐ (N₀ + z⁻¹ N₁)/D as one fraction of polynomials: multiply both by z^(m+1).
-        (now,), denominator = parts[0]
-        (before,) = parts[1][0]
-        numerator = np.polyadd(np.append(now, 0.0), before)
-        shift = np.zeros(int(model.whole) + 2)
+        (numerator0,), denominator = fractions[0]
+        (numerator1,) = fractions[1][0]
+        numerator = np.polyadd(np.append(numerator0, 0.0), numerator1)
+        shift = np.zeros(int(model.delay_samples) + 2)
         shift[0] = 1.0
         if not float(self.dead_time_s):
-            return np.trim_zeros(now, "f"), np.asarray(denominator)
+            return np.trim_zeros(numerator0, "f"), np.asarray(denominator)
         return np.trim_zeros(numerator, "f"), np.polymul(denominator, shift)
 
 
 @eqx.filter_jit
 def _flow(
-    shape: Shape,
-    logged: Float[Array, "t n"],
+    nonlinearity: StaticNonlinearity,
+    raw_command: Float[Array, "t n"],
     dead_zone: Float[Array, " t"],
-    load: Float[Array, " t"],
+    covariate: Float[Array, " t"],
     step_s: Scalar,
 ) -> Float[Array, "t n"]:
-    return shape.flow(shape.effective(logged, dead_zone, step_s), load[:, None])
+    return nonlinearity.flow(nonlinearity.effective(raw_command, dead_zone, step_s), covariate[:, None])
 
 
 @eqx.filter_jit
-def _shaped(
-    shape: Shape,
+def _apply_nonlinearity(
+    nonlinearity: StaticNonlinearity,
     linear: Float[Array, "t n"],
     load: Float[Array, " t"],
     initial: Float[Array, " t"],
     sign: int | Int[Array, ""],
 ) -> Float[Array, "t n"]:
-    return shape.travel(linear, load, initial, sign)
+    return nonlinearity.travel(linear, load, initial, sign)
 
 
 @eqx.filter_jit
 def _discretised(
     structure: LinearStructure, values: Float[Array, " p"], dead_time_s: Float[Array, ""], step_s: Scalar
-) -> Discrete:
+) -> DiscreteStateSpace:
     return discretise(structure, values, dead_time_s, step_s)

@@ -31,7 +31,7 @@ class Parameter(NamedTuple):
         scale: what they are factors on.
         linear: whether it is searched between its bounds as it is, not by its logarithm.
         symbol: how formulas call it; its name where there is none.
-        asks: what a test that determines it must have, where its unit does not say.
+        excitation_hint: what a test that determines it must have, where its unit does not say.
     """
 
     name: str
@@ -41,7 +41,7 @@ class Parameter(NamedTuple):
     scale: Scale = Scale.NONE
     linear: bool = False
     symbol: str = ""
-    asks: str = ""
+    excitation_hint: str = ""
 
 
 DEAD_TIME = Parameter("dead_time", "s", 1e-4, 1.0, symbol="dead time")
@@ -53,13 +53,13 @@ class Structure(eqx.Module):
     Attributes:
         name, formula: how settings and reports call it.
         parameters: what can be identified.
-        instead: parameter to what of the others or of the derived is determined where it is not.
+        fallback_quantity: parameter to what of the others or of the derived is determined where it is not.
     """
 
     name: ClassVar[str]
     formula: ClassVar[str]
     parameters: ClassVar[tuple[Parameter, ...]]
-    instead: ClassVar[Mapping[str, str]] = MappingProxyType({})
+    fallback_quantity: ClassVar[Mapping[str, str]] = MappingProxyType({})
 
     def derived(self, values: tuple[float, ...]) -> dict[str, tuple[float, str]]:
         """Return quantities computed from the parameters: name to value and unit template."""
@@ -72,7 +72,7 @@ class LinearStructure(Structure):
     Every parameter is positive. Output is the first state; the second, where there is one, is its rate.
     """
 
-    def moving(self, values: Float[Array, " p"], speed: Float[Array, ""]) -> Float[Array, " n"]:
+    def state_at_speed(self, values: Float[Array, " p"], speed: Float[Array, ""]) -> Float[Array, " n"]:
         """Return the state at travel zero and a given speed; without a second state speed is none of it."""
         count = self.state_space(values)[1].shape[0]
         return jnp.zeros(count, values.dtype).at[1:2].set(speed)

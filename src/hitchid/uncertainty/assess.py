@@ -5,26 +5,26 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hitchid.estimation import Misfit
+from hitchid.estimation import Objective
 from hitchid.structures import Parameter
-from hitchid.uncertainty.dead_zone_error import KNOWN, DeadZoneError
+from hitchid.uncertainty.dead_zone_error import NO_ERROR, DeadZoneError
 from hitchid.uncertainty.derived import derived, sensitivities
-from hitchid.uncertainty.estimate import NARROW, Estimate, Estimates, Interval, Quantity
-from hitchid.uncertainty.moves import Moves, moves
-from hitchid.uncertainty.profile import Profile, beyond, profile
-from hitchid.uncertainty.words import verdict
+from hitchid.uncertainty.estimate import MAX_INTERVAL_RATIO, Estimate, Estimates, Interval, Quantity
+from hitchid.uncertainty.formatting import verdict
+from hitchid.uncertainty.influence import Influence, compute_influence
+from hitchid.uncertainty.profile import Profile, open_ends, profile
 
 AT_BOUND = 1e-3
-HALF = 0.5
-TIGHT, LITTLE = 1.4, 0.2
-TAILS = (2.5, 97.5)
-PROFILED = 2048
+MAX_LINEAR_SHARE = 0.5
+TIGHT_RATIO, TIGHT_SHARE = 1.4, 0.2
+PERCENTILES = (2.5, 97.5)
+PROFILE_SAMPLES = 2048
 # Share of the largest derivative: below it an error of a thousandth of the travel is wider than the bounds.
-INSENSITIVE = 1e-5
+MIN_RELATIVE_DERIVATIVE = 1e-5
 
 
 @dataclass(frozen=True)
-class _Found:
+class _ParameterResult:
     """What was found of one parameter.
 
     Attributes:
@@ -47,32 +47,34 @@ class _Found:
     profile: Profile | None = None
 
     @classmethod
-    def of(cls, misfit: Misfit, position: np.ndarray, number: int) -> "_Found":
+    def of(cls, objective: Objective, position: np.ndarray, number: int) -> "_ParameterResult":
         """Start with an estimate's bounds."""
-        place = float(position[number])
+        coordinate = float(position[number])
         return cls(
             number=number,
-            parameter=misfit.form.parameters[number],
-            lower=float(misfit.bounds.lower[number]),
-            upper=float(misfit.bounds.upper[number]),
-            linear=bool(misfit.bounds.linear[number]),
-            bound="lower" if place < AT_BOUND else "upper" if place > 1 - AT_BOUND else "",
+            parameter=objective.spec.parameters[number],
+            lower=float(objective.bounds.lower[number]),
+            upper=float(objective.bounds.upper[number]),
+            linear=bool(objective.bounds.linear[number]),
+            bound="lower" if coordinate < AT_BOUND else "upper" if coordinate > 1 - AT_BOUND else "",
         )
 
-    def value(self, place: float) -> float:
+    def value(self, coordinate: float) -> float:
         """Return the value at a place between the bounds."""
         if self.linear:
-            return self.lower + place * (self.upper - self.lower)
-        return self.lower * (self.upper / self.lower) ** place
+            return self.lower + coordinate * (self.upper - self.lower)
+        return self.lower * (self.upper / self.lower) ** coordinate
 
-    def between(self, lower: float | None, upper: float | None) -> Interval:
+    def to_interval(self, lower: float | None, upper: float | None) -> Interval:
         """Return the values of two places; an end beyond the bounds is open."""
         return (
             None if lower is None or not lower >= 0 else self.value(lower),
             None if upper is None or not upper <= 1 else self.value(upper),
         )
 
-    def narrow(self, interval: Interval, factor: float = NARROW, share: float = HALF) -> bool:
+    def is_narrow(
+        self, interval: Interval, factor: float = MAX_INTERVAL_RATIO, share: float = MAX_LINEAR_SHARE
+    ) -> bool:
         """Tell whether an interval is within a factor, or around zero within a share of the room."""
         lower, upper = interval
         if lower is None or upper is None:
@@ -82,17 +84,17 @@ class _Found:
     @property
     def determined(self) -> bool:
         """Whether the interval is closed and narrow, and the estimate not at a bound."""
-        return not self.bound and self.narrow(self.interval)
+        return not self.bound and self.is_narrow(self.interval)
 
 
 def assess(
-    misfit: Misfit,
+    objective: Objective,
     position: np.ndarray,
     *,
     units: Mapping[str, str],
-    dead_zone: DeadZoneError = KNOWN,
+    dead_zone: DeadZoneError = NO_ERROR,
     seed: int = 0,
-) -> tuple[Estimates, Moves]:
+) -> tuple[Estimates, Influence]:
     """Say how well the tests determine each parameter of a form.
 
     Intervals are those of Gauss and Newton, between the bounds in the coordinates of the search (logarithms
@@ -101,7 +103,7 @@ def assess(
     is closed and no wider than a factor of three, or half the room between its bounds where that holds zero.
 
     Args:
-        misfit: identification tests and form.
+        objective: identification tests and form.
         position: the best position in the unit cube, shape [D].
         units: `x` and `u` to the units of displacement and command.
         dead_zone: how well it is known.
@@ -110,40 +112,40 @@ def assess(
     Returns:
         What is known, and by how much each test moves each estimate.
     """
-    found = [_Found.of(misfit, position, number) for number in range(position.size)]
-    inside = np.array([not each.bound for each in found])
+    results = [_ParameterResult.of(objective, position, number) for number in range(position.size)]
+    inside = np.array([not result.bound for result in results])
     position = np.where(inside, position, np.round(position))
-    seen = np.sqrt(np.einsum("tdd->d", misfit.equations_by_test(position).curvatures))
-    found = [
-        replace(each, insensitive=bool(own < INSENSITIVE * seen.max()))
-        for each, own in zip(found, seen, strict=True)
+    derivative_norms = np.sqrt(np.einsum("tdd->d", objective.equations_by_test(position).curvatures))
+    results = [
+        replace(result, insensitive=bool(norm < MIN_RELATIVE_DERIVATIVE * derivative_norms.max()))
+        for result, norm in zip(results, derivative_norms, strict=True)
     ]
-    free = np.array([not (each.bound or each.insensitive) for each in found])
-    moved = moves(misfit, position, free, dead_zone, seed=seed)
-    found = [_with_interval(each, misfit, position, moved, dead_zone) for each in found]
-    profiles = [each.profile for each in found if each.profile is not None]
-    found = [replace(each, interval=_opened(each, profiles)) for each in found]
-    quantities = derived(misfit, position, moved, profiles, units)
-    known = Estimates(
-        parameters=_estimates(found, misfit, position, moved, quantities, units),
+    free = np.array([not (result.bound or result.insensitive) for result in results])
+    influence = compute_influence(objective, position, free, dead_zone, seed=seed)
+    results = [_with_interval(result, objective, position, influence, dead_zone) for result in results]
+    profiles = [result.profile for result in results if result.profile is not None]
+    results = [replace(result, interval=_with_open_ends(result, profiles)) for result in results]
+    quantities = derived(objective, position, influence, profiles, units)
+    estimates = Estimates(
+        parameters=_estimates(results, objective, position, influence, quantities, units),
         derived=quantities,
-        correlation=_correlation(moved),
-        tests=_tests(misfit),
-        rows=len(moved.by_test),
+        correlation=_correlation(influence),
+        tests=_count_tests(objective),
+        rows=len(influence.by_test),
     )
-    return known, moved._replace(profiles=tuple(profiles))
+    return estimates, influence._replace(profiles=tuple(profiles))
 
 
 def unassessed(
-    misfit: Misfit, position: np.ndarray, *, units: Mapping[str, str], cause: str
-) -> tuple[Estimates, Moves]:
+    objective: Objective, position: np.ndarray, *, units: Mapping[str, str], cause: str
+) -> tuple[Estimates, Influence]:
     """Return estimates of which nothing but the value is known.
 
     Args:
-        misfit, position, units: as for `assess`.
+        objective, position, units: as for `assess`.
         cause: why, the verdict of every parameter.
     """
-    values = misfit.values(position)
+    values = objective.values(position)
     estimates = tuple(
         Estimate(
             name=parameter.name,
@@ -154,44 +156,52 @@ def unassessed(
             interval=(None, None),
             method="none",
             bootstrap=None,
-            lower=float(misfit.bounds.lower[number]),
-            upper=float(misfit.bounds.upper[number]),
-            linear=bool(misfit.bounds.linear[number]),
+            lower=float(objective.bounds.lower[number]),
+            upper=float(objective.bounds.upper[number]),
+            linear=bool(objective.bounds.linear[number]),
             determined=False,
             verdict=cause,
             sensitivity=0.0,
         )
-        for number, parameter in enumerate(misfit.form.parameters)
+        for number, parameter in enumerate(objective.spec.parameters)
     )
-    tests = _tests(misfit)
-    nothing = tuple((0.0,) * position.size for _ in estimates)
-    return Estimates(estimates, (), nothing, tests, tests), Moves.none(tests, position.size)
+    tests = _count_tests(objective)
+    no_correlation = tuple((0.0,) * position.size for _ in estimates)
+    return Estimates(estimates, (), no_correlation, tests, tests), Influence.zeros(tests, position.size)
 
 
 def _with_interval(
-    found: _Found, misfit: Misfit, position: np.ndarray, moved: Moves, dead_zone: DeadZoneError
-) -> _Found:
+    result: _ParameterResult,
+    objective: Objective,
+    position: np.ndarray,
+    influence: Influence,
+    dead_zone: DeadZoneError,
+) -> _ParameterResult:
     """Return it with the interval of Gauss and Newton, or a profile's where that is wide or meets a bound.
 
     Of few tests the rows are stretches, which are not independent: the interval then holds the bootstrap's.
     """
-    place = float(position[found.number])
+    coordinate = float(position[result.number])
     bootstrap = None
-    if not (found.bound or found.insensitive):
-        along = np.eye(position.size)[found.number]
-        reach = moved.reach(along, float(moved.degrees[found.number]))
-        interval = found.between(place - reach, place + reach)
-        bootstrap = _redrawn(found, position, moved) if len(moved.by_test) > _tests(misfit) else None
-        interval = _holding(interval, bootstrap)
-        if found.narrow(interval, TIGHT, LITTLE):
-            return replace(found, interval=interval)
-    coarse = misfit.over(misfit.batch.thinned(PROFILED))
-    curve = profile(coarse, position, found.number, dead_zone)
-    interval = _holding(found.between(curve.lower, curve.upper), bootstrap)
-    return replace(found, interval=interval, profile=curve)
+    if not (result.bound or result.insensitive):
+        unit_vector = np.eye(position.size)[result.number]
+        half_width = influence.half_width(unit_vector, float(influence.degrees_of_freedom[result.number]))
+        interval = result.to_interval(coordinate - half_width, coordinate + half_width)
+        bootstrap = (
+            _bootstrap_interval(result, position, influence)
+            if len(influence.by_test) > _count_tests(objective)
+            else None
+        )
+        interval = _interval_union(interval, bootstrap)
+        if result.is_narrow(interval, TIGHT_RATIO, TIGHT_SHARE):
+            return replace(result, interval=interval)
+    coarse_objective = objective.with_data(objective.batch.decimate(PROFILE_SAMPLES))
+    curve = profile(coarse_objective, position, result.number, dead_zone)
+    interval = _interval_union(result.to_interval(curve.lower, curve.upper), bootstrap)
+    return replace(result, interval=interval, profile=curve)
 
 
-def _holding(interval: Interval, other: Interval | None) -> Interval:
+def _interval_union(interval: Interval, other: Interval | None) -> Interval:
     """Return an interval that holds both; an open end stays so."""
     if other is None:
         return interval
@@ -202,48 +212,58 @@ def _holding(interval: Interval, other: Interval | None) -> Interval:
     )
 
 
-def _redrawn(found: _Found, position: np.ndarray, moved: Moves) -> Interval:
+def _bootstrap_interval(result: _ParameterResult, position: np.ndarray, influence: Influence) -> Interval:
     """Return the 95 % interval from tests drawn anew."""
-    tails = position[found.number] + np.percentile(moved.redrawn[:, found.number], TAILS)
-    return found.between(*map(float, np.clip(tails, 0.0, 1.0)))
+    tails = position[result.number] + np.percentile(influence.bootstrap[:, result.number], PERCENTILES)
+    return result.to_interval(*map(float, np.clip(tails, 0.0, 1.0)))
 
 
-def _tests(misfit: Misfit) -> int:
-    return int(np.sum(np.asarray(misfit.batch.counted).any(axis=1)))
+def _count_tests(objective: Objective) -> int:
+    return int(np.sum(np.asarray(objective.batch.loss_mask).any(axis=1)))
 
 
-def _opened(found: _Found, profiles: Sequence[Profile]) -> Interval:
+def _with_open_ends(result: _ParameterResult, profiles: Sequence[Profile]) -> Interval:
     """Return an interval without the ends beyond which a parameter goes with another that is left free."""
 
-    room = found.upper - found.lower if found.linear else float(np.log(found.upper / found.lower))
+    search_range = (
+        result.upper - result.lower if result.linear else float(np.log(result.upper / result.lower))
+    )
 
-    def told(place: np.ndarray) -> float:
-        return room * float(place[found.number])
+    def scaled_coordinate(point: np.ndarray) -> float:
+        return search_range * float(point[result.number])
 
-    falls, rises = beyond((each for each in profiles if each.number != found.number), told)
-    lower, upper = found.interval
-    return None if falls else lower, None if rises else upper
+    open_below, open_above = open_ends(
+        (curve for curve in profiles if curve.number != result.number), scaled_coordinate
+    )
+    lower, upper = result.interval
+    return None if open_below else lower, None if open_above else upper
 
 
 def _estimates(
-    found: Sequence[_Found],
-    misfit: Misfit,
+    results: Sequence[_ParameterResult],
+    objective: Objective,
     position: np.ndarray,
-    moved: Moves,
+    influence: Influence,
     quantities: Iterable[Quantity],
     units: Mapping[str, str],
 ) -> tuple[Estimate, ...]:
     """Return the estimates, each with its verdict."""
-    told = {quantity.name: quantity.name for quantity in quantities if quantity.determined}
-    told |= {each.parameter.name: each.parameter.symbol for each in found if each.determined}
-    instead = misfit.form.structure.instead
-    changes = sensitivities(misfit, position)
-    values, slopes = misfit.values(position), misfit.slopes(position)
+    determined_quantities = {quantity.name: quantity.name for quantity in quantities if quantity.determined}
+    determined_quantities |= {
+        result.parameter.name: result.parameter.symbol for result in results if result.determined
+    }
+    fallback_quantities = objective.spec.structure.fallback_quantity
+    changes = sensitivities(objective, position)
+    values, slopes = objective.values(position), objective.slopes(position)
     estimates = []
-    for each in found:
-        number, parameter = each.number, each.parameter
+    for result in results:
+        number, parameter = result.number, result.parameter
         unit = parameter.unit.format(**units)
-        standing_in = "" if each.narrow(each.interval) else told.get(instead.get(parameter.name, ""), "")
+        fallback_quantity = (
+            ""
+            if result.is_narrow(result.interval)
+            else determined_quantities.get(fallback_quantities.get(parameter.name, ""), "")
+        )
         estimates.append(
             Estimate(
                 name=parameter.name,
@@ -251,42 +271,44 @@ def _estimates(
                 unit=unit,
                 value=float(values[number]),
                 error=None
-                if each.bound or each.insensitive
-                else float(slopes[number] * moved.errors[number]),
-                interval=each.interval,
-                method="Gauss-Newton" if each.profile is None else "profile",
-                bootstrap=None if each.bound or each.insensitive else _redrawn(each, position, moved),
-                lower=each.lower,
-                upper=each.upper,
-                linear=each.linear,
-                determined=each.determined,
+                if result.bound or result.insensitive
+                else float(slopes[number] * influence.errors[number]),
+                interval=result.interval,
+                method="Gauss-Newton" if result.profile is None else "profile",
+                bootstrap=None
+                if result.bound or result.insensitive
+                else _bootstrap_interval(result, position, influence),
+                lower=result.lower,
+                upper=result.upper,
+                linear=result.linear,
+                determined=result.determined,
                 verdict=verdict(
                     parameter,
                     unit,
-                    each.interval,
-                    determined=each.determined,
-                    bound=each.bound,
-                    instead=standing_in,
-                    step_s=misfit.batch.step_s,
+                    result.interval,
+                    determined=result.determined,
+                    bound=result.bound,
+                    fallback_quantity=fallback_quantity,
+                    step_s=objective.batch.step_s,
                 ),
                 sensitivity=changes[number],
-                profile=_curve(each),
+                profile=_profile_points(result),
             )
         )
     return tuple(estimates)
 
 
-def _curve(found: _Found) -> tuple[tuple[float, float], ...]:
+def _profile_points(result: _ParameterResult) -> tuple[tuple[float, float], ...]:
     """Return the profile as pairs of value and RMSE."""
-    if found.profile is None:
+    if result.profile is None:
         return ()
-    places = found.profile.positions[:, found.number]
+    coordinates = result.profile.positions[:, result.number]
     return tuple(
-        (found.value(float(place)), float(fitness))
-        for place, fitness in zip(places, found.profile.fitness, strict=True)
+        (result.value(float(coordinate)), float(fitness))
+        for coordinate, fitness in zip(coordinates, result.profile.fitness, strict=True)
     )
 
 
-def _correlation(moved: Moves) -> tuple[tuple[float, ...], ...]:
-    scale = np.where(moved.errors > 0, moved.errors, 1.0)
-    return tuple(tuple(map(float, row)) for row in moved.covariance / np.outer(scale, scale))
+def _correlation(influence: Influence) -> tuple[tuple[float, ...], ...]:
+    scale = np.where(influence.errors > 0, influence.errors, 1.0)
+    return tuple(tuple(map(float, row)) for row in influence.covariance / np.outer(scale, scale))

@@ -10,12 +10,12 @@ from hitchid.errors import InputError
 
 LEVELS = (0.5, 0.8, 0.9, 0.95)
 GRID = np.linspace(0.0, 1.0, 401)
-HALVINGS = 12
+BISECTION_STEPS = 12
 SMALLEST = 1e-12
 
 
 @dataclass(frozen=True)
-class Alternative:
+class EnsembleMember:
     """A channel that might as well be the true one, for the next test.
 
     Attributes:
@@ -46,7 +46,7 @@ class Bands:
         tests: held-out tests they were found from, for free run and for looking ahead.
     """
 
-    alternatives: tuple[Alternative, ...]
+    alternatives: tuple[EnsembleMember, ...]
     noise: float
     levels: tuple[float, ...]
     free_run: tuple[float, ...]
@@ -60,7 +60,7 @@ class Bands:
         Raises:
             InputError: the share lies beyond the levels.
         """
-        return float(np.interp(self._within(coverage), self.levels, self.free_run))
+        return float(np.interp(self._checked_coverage(coverage), self.levels, self.free_run))
 
     def free_run_half_width(self, coverage: float, spread: np.ndarray) -> np.ndarray:
         """Return half widths in free run, in the displacement's unit.
@@ -78,10 +78,10 @@ class Bands:
         Raises:
             InputError: the share lies beyond the levels.
         """
-        at = [np.interp(self._within(coverage), self.levels, row) for row in self.ahead]
-        return float(np.interp(np.log(horizon), np.log(self.horizons), at))
+        by_level = [np.interp(self._checked_coverage(coverage), self.levels, row) for row in self.ahead]
+        return float(np.interp(np.log(horizon), np.log(self.horizons), by_level))
 
-    def _within(self, coverage: float) -> float:
+    def _checked_coverage(self, coverage: float) -> float:
         if not self.levels[0] <= coverage <= self.levels[-1]:
             raise InputError(
                 f"coverage: required between {self.levels[0]:g} and {self.levels[-1]:g}, came {coverage:g}"
@@ -89,7 +89,7 @@ class Bands:
         return coverage
 
 
-def free_run_scores(
+def nonconformity_scores(
     errors: Sequence[np.ndarray], spreads: Sequence[np.ndarray], noise: float, level: float
 ) -> list[np.ndarray]:
     """Return the q that each sample needs to lie in its band.
@@ -107,7 +107,7 @@ def free_run_scores(
     ]
 
 
-def calibrated(scores: Sequence[np.ndarray], level: float) -> float:
+def conformal_quantile(scores: Sequence[np.ndarray], level: float) -> float:
     """Return the score below which a share of the samples of a test not seen lies, on average over tests.
 
     Samples of one test stand and fall together, so the quantile over all samples covers fewer than it says.
@@ -123,23 +123,23 @@ def calibrated(scores: Sequence[np.ndarray], level: float) -> float:
     rows = np.stack([np.quantile(row, GRID) for row in scores])
     if len(rows) == 1:
         return float(rows.max())
-    others = [np.sort(np.delete(rows, held, axis=0), axis=None) for held in range(len(rows))]
+    others = [np.sort(np.delete(rows, test_index, axis=0), axis=None) for test_index in range(len(rows))]
     shares = np.linspace(0.0, 1.0, others[0].size)
 
     def limits(probability: float) -> list[float]:
-        return [float(np.interp(probability, shares, each)) for each in others]
+        return [float(np.interp(probability, shares, quantiles)) for quantiles in others]
 
-    def covered(probability: float) -> float:
+    def mean_coverage(probability: float) -> float:
         pairs = zip(rows, limits(probability), strict=True)
         return float(np.mean([np.interp(limit, row, GRID, left=0.0, right=1.0) for row, limit in pairs]))
 
-    if covered(1.0) < level:
+    if mean_coverage(1.0) < level:
         return float(rows.max())
     low, high = level, 1.0
-    for _ in range(HALVINGS):
+    for _ in range(BISECTION_STEPS):
         middle = 0.5 * (low + high)
-        low, high = (low, middle) if covered(middle) >= level else (middle, high)
-    return float(np.mean(limits(low if covered(low) >= level else high)))
+        low, high = (low, middle) if mean_coverage(middle) >= level else (middle, high)
+    return float(np.mean(limits(low if mean_coverage(low) >= level else high)))
 
 
 def sensor_noise(errors: Sequence[np.ndarray]) -> float:
@@ -151,5 +151,5 @@ def sensor_noise(errors: Sequence[np.ndarray]) -> float:
     Args:
         errors: measured less predicted, one array of shape [N_i] for each test.
     """
-    found = [np.sqrt(np.mean(np.diff(error, 3) ** 2) / 20) for error in errors if error.size > 3]
-    return float(np.median(found)) if found else 0.0
+    deviations = [np.sqrt(np.mean(np.diff(error, 3) ** 2) / 20) for error in errors if error.size > 3]
+    return float(np.median(deviations)) if deviations else 0.0

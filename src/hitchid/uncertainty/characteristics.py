@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass, replace
 
-from hitchid.uncertainty.estimate import NARROW, Interval, Quantity
+from hitchid.uncertainty.estimate import MAX_INTERVAL_RATIO, Interval, Quantity
 
-CLOSE, SLOW = 0.25, 0.05
-SAMPLES = 2
+SPEED_TOLERANCE, FASTEST_SPEED_TOLERANCE = 0.25, 0.05
+TIME_RESOLUTION_SAMPLES = 2
 
 
 @dataclass(frozen=True)
@@ -33,15 +33,17 @@ class SpeedPoint:
     ) -> "SpeedPoint":
         """Judge by its interval whether a speed is determined; `fastest` is the fastest of the map."""
         lower, upper = interval
-        near = max(CLOSE * speed, SLOW * fastest)
-        close = lower is not None and upper is not None and max(speed - lower, upper - speed) <= near
-        return cls(command, load, speed, interval, close)
+        tolerance = max(SPEED_TOLERANCE * speed, FASTEST_SPEED_TOLERANCE * fastest)
+        determined = (
+            lower is not None and upper is not None and max(speed - lower, upper - speed) <= tolerance
+        )
+        return cls(command, load, speed, interval, determined)
 
     def scaled(self, factor: float) -> "SpeedPoint":
         """Return it with a factor on the gain."""
         lower, upper = self.interval
-        ends = None if lower is None else factor * lower, None if upper is None else factor * upper
-        return replace(self, speed=factor * self.speed, interval=ends)
+        scaled_interval = None if lower is None else factor * lower, None if upper is None else factor * upper
+        return replace(self, speed=factor * self.speed, interval=scaled_interval)
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,7 @@ class Characteristics:
         return replace(self, speed_map=tuple(point.scaled(factor) for point in self.speed_map))
 
 
-def quantity(name: str, unit: str, value: float, interval: Interval, resolution: float) -> Quantity:
+def make_quantity(name: str, unit: str, value: float, interval: Interval, resolution: float) -> Quantity:
     """Return a quantity, determined where its interval is closed and within a factor of three, or fine.
 
     Args:
@@ -99,6 +101,8 @@ def quantity(name: str, unit: str, value: float, interval: Interval, resolution:
     """
     lower, upper = interval
     narrow = (
-        lower is not None and upper is not None and (upper <= NARROW * lower or upper - lower <= resolution)
+        lower is not None
+        and upper is not None
+        and (upper <= MAX_INTERVAL_RATIO * lower or upper - lower <= resolution)
     )
     return Quantity(name, unit, value, interval, narrow)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import stdtrit
 
-from hitchid.estimation import Misfit
+from hitchid.estimation import Objective
 
 CONFIDENCE = 0.95
 
@@ -14,38 +14,40 @@ class DeadZoneError(NamedTuple):
     """How well the dead zone is known that parameters were found behind.
 
     Attributes:
-        size: standard error, in the command's unit; 0 where it is given.
+        standard_error: standard error, in the command's unit; 0 where it is given.
         tests: ramps or tests it was found from.
     """
 
-    size: float = 0.0
+    standard_error: float = 0.0
     tests: int = 0
 
-    def beside(self, misfit: Misfit) -> Misfit:
+    def shifted_by_one_sigma(self, objective: Objective) -> Objective:
         """Return the misfit with the dead zone one standard error farther."""
-        return misfit.over(misfit.batch.behind(misfit.batch.dead_zone + self.size))
+        return objective.with_data(
+            objective.batch.with_dead_zones(objective.batch.dead_zone + self.standard_error)
+        )
 
     @property
-    def degrees(self) -> int:
+    def degrees_of_freedom(self) -> int:
         """Degrees of freedom of the standard error."""
         return max(self.tests - 1, 1)
 
 
-KNOWN = DeadZoneError()
+NO_ERROR = DeadZoneError()
 
 
-def degrees_together(variances: np.ndarray, degrees: np.ndarray) -> np.ndarray:
+def welch_satterthwaite(variances: np.ndarray, degrees: np.ndarray) -> np.ndarray:
     """Return the degrees of freedom of sums of variances, (Σ v)²/Σ v²/ν (Welch 1947, Biometrika 34, 28).
 
     Args:
         variances: shape [V, ...].
         degrees: of each, of a shape that goes with it.
     """
-    doubt = np.sum(variances**2 / degrees, axis=0)
-    degrees = np.sum(variances, axis=0) ** 2 / np.maximum(doubt, np.finfo(float).tiny)
+    denominator = np.sum(variances**2 / degrees, axis=0)
+    degrees = np.sum(variances, axis=0) ** 2 / np.maximum(denominator, np.finfo(float).tiny)
     return np.asarray(np.maximum(degrees, 1.0))
 
 
-def student(degrees: float) -> float:
+def t_quantile(degrees: float) -> float:
     """Return how many standard errors lie on either side of 95 % of Student's t."""
     return float(stdtrit(degrees, 0.5 + CONFIDENCE / 2))

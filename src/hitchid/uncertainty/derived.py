@@ -5,20 +5,20 @@ from math import exp, log
 
 import numpy as np
 
-from hitchid.estimation import Misfit
-from hitchid.uncertainty.estimate import NARROW, Quantity
-from hitchid.uncertainty.moves import Moves
-from hitchid.uncertainty.profile import Profile, beyond
+from hitchid.estimation import Objective
+from hitchid.uncertainty.estimate import MAX_INTERVAL_RATIO, Quantity
+from hitchid.uncertainty.influence import Influence
+from hitchid.uncertainty.profile import Profile, open_ends
 
-PERTURBATION = 0.01
-STEP = 1e-4
-LEAST = 1e-300
+RELATIVE_PERTURBATION = 0.01
+GRADIENT_STEP = 1e-4
+TINY = 1e-300
 
 
 def derived(
-    misfit: Misfit,
+    objective: Objective,
     position: np.ndarray,
-    moved: Moves,
+    influence: Influence,
     profiles: Sequence[Profile],
     units: Mapping[str, str],
 ) -> tuple[Quantity, ...]:
@@ -28,54 +28,72 @@ def derived(
     profile allows; where a profile has no end and takes the quantity with it, the interval has none.
 
     Args:
-        misfit: tests and form.
+        objective: tests and form.
         position: the estimates, shape [D].
-        moved: how far they would move with other tests.
+        influence: how far they would move with other tests.
         profiles: of those that are not determined.
         units: `x` and `u` to the units of displacement and command.
     """
-    dead_zone = float(misfit.batch.dead_zone[0])
+    dead_zone = float(objective.batch.dead_zone[0])
 
-    def at(place: np.ndarray) -> dict[str, tuple[float, str]]:
-        return misfit.form.derived(misfit.values(place), dead_zone)
+    def quantities_at(point: np.ndarray) -> dict[str, tuple[float, str]]:
+        return objective.spec.derived(objective.values(point), dead_zone)
 
-    best = at(position)
-    around = [(at(position + step), at(position - step)) for step in STEP * np.eye(position.size)]
-    allowed = [at(place) for each in profiles for place in each.positions[each.allowed]]
+    best = quantities_at(position)
+    perturbed = [
+        (quantities_at(position + step), quantities_at(position - step))
+        for step in GRADIENT_STEP * np.eye(position.size)
+    ]
+    allowed = [quantities_at(point) for profile in profiles for point in profile.positions[profile.allowed]]
     # A combination is no surer than the least sure of what goes into it; one at a bound moves nothing.
-    degrees = float(np.min(moved.degrees[moved.degrees > 1], initial=len(moved.by_test) - 1))
+    degrees = float(
+        np.min(
+            influence.degrees_of_freedom[influence.degrees_of_freedom > 1], initial=len(influence.by_test) - 1
+        )
+    )
     quantities = []
     for name, (value, unit) in best.items():
-        along = [(_log(ahead[name][0]) - _log(behind[name][0])) / (2 * STEP) for ahead, behind in around]
-        reach = moved.reach(np.array(along), degrees)
-        found = [_log(value) - reach, _log(value) + reach, *(_log(each[name][0]) for each in allowed)]
-        falls, rises = beyond(profiles, lambda place, name=name: _log(at(place)[name][0]))
-        lower = None if falls else _exp(min(found))
-        upper = None if rises else _exp(max(found))
-        narrow = lower is not None and upper is not None and upper <= NARROW * lower
+        gradient = [
+            (_log(above[name][0]) - _log(below[name][0])) / (2 * GRADIENT_STEP) for above, below in perturbed
+        ]
+        half_width = influence.half_width(np.array(gradient), degrees)
+        candidates = [
+            _log(value) - half_width,
+            _log(value) + half_width,
+            *(_log(quantity_values[name][0]) for quantity_values in allowed),
+        ]
+        open_below, open_above = open_ends(
+            profiles, lambda point, name=name: _log(quantities_at(point)[name][0])
+        )
+        lower = None if open_below else _exp(min(candidates))
+        upper = None if open_above else _exp(max(candidates))
+        narrow = lower is not None and upper is not None and upper <= MAX_INTERVAL_RATIO * lower
         quantities.append(Quantity(name, unit.format(**units), value, (lower, upper), narrow))
     return tuple(quantities)
 
 
 def _log(value: float) -> float:
-    return log(max(value, LEAST))
+    return log(max(value, TINY))
 
 
 def _exp(logarithm: float) -> float | None:
     """Return the number that has a logarithm; None, an open end, where no number of double precision has."""
-    return exp(logarithm) if abs(logarithm) < -log(LEAST) else None
+    return exp(logarithm) if abs(logarithm) < -log(TINY) else None
 
 
-def sensitivities(misfit: Misfit, position: np.ndarray) -> tuple[float, ...]:
+def sensitivities(objective: Objective, position: np.ndarray) -> tuple[float, ...]:
     """Return the mean relative change of the RMSE for ±1 % of each parameter (Sun et al. 2025, sec. 3.1.1).
 
     Args:
-        misfit: tests and form.
+        objective: tests and form.
         position: the estimates, shape [D].
     """
-    values, pooled = misfit.values(position), misfit.pooled()
+    values, pooled = objective.values(position), objective.pooled()
     best, changes = pooled.error(position), []
-    for factors in np.eye(position.size) * PERTURBATION:
-        around = [pooled.error(misfit.bounds.place(values * (1 + sign * factors))) for sign in (1, -1)]
-        changes.append(float(np.mean(np.abs(np.array(around) - best) / best)))
+    for factors in np.eye(position.size) * RELATIVE_PERTURBATION:
+        perturbed_errors = [
+            pooled.error(objective.bounds.unclipped_position(values * (1 + sign * factors)))
+            for sign in (1, -1)
+        ]
+        changes.append(float(np.mean(np.abs(np.array(perturbed_errors) - best) / best)))
     return tuple(changes)

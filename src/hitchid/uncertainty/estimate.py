@@ -6,7 +6,7 @@ from math import inf, log
 import numpy as np
 
 Interval = tuple[float | None, float | None]
-NARROW = 3.0
+MAX_INTERVAL_RATIO = 3.0
 
 
 @dataclass(frozen=True)
@@ -46,14 +46,14 @@ class Estimate:
     profile: tuple[tuple[float, float], ...] = ()
 
     @property
-    def vagueness(self) -> float:
+    def log_interval_width(self) -> float:
         """How wide the interval is: log of its ends' ratio, around zero four times its share of the room."""
         lower, upper = self.interval
         if lower is None or upper is None:
             return inf
         return 4 * (upper - lower) / (self.upper - self.lower) if self.linear else log(upper / lower)
 
-    def at(self, position: np.ndarray) -> np.ndarray:
+    def value_at(self, position: np.ndarray) -> np.ndarray:
         """Return the values at positions between the bounds, 0 the lower and 1 the upper one."""
         if self.linear:
             return self.lower + position * (self.upper - self.lower)
@@ -77,9 +77,9 @@ class Quantity:
     interval: Interval
     determined: bool
 
-    def times(self, factor: float) -> "Quantity":
+    def scaled(self, factor: float) -> "Quantity":
         """Return it in another scale."""
-        return replace(self, value=factor * self.value, interval=_times(self.interval, factor))
+        return replace(self, value=factor * self.value, interval=_scale_interval(self.interval, factor))
 
 
 @dataclass(frozen=True)
@@ -104,17 +104,17 @@ class Estimates:
         """Return it with a factor on the gain, which comes first; what follows from it is left out."""
         gain = self.parameters[0]
 
-        moved = replace(
+        scaled_gain = replace(
             gain,
             value=factor * gain.value,
             error=None if gain.error is None else factor * gain.error,
-            interval=_times(gain.interval, factor),
-            bootstrap=gain.bootstrap and _times(gain.bootstrap, factor),
+            interval=_scale_interval(gain.interval, factor),
+            bootstrap=gain.bootstrap and _scale_interval(gain.bootstrap, factor),
             profile=tuple((factor * value, fitness) for value, fitness in gain.profile),
         )
-        return replace(self, parameters=(moved, *self.parameters[1:]), derived=())
+        return replace(self, parameters=(scaled_gain, *self.parameters[1:]), derived=())
 
 
-def _times(interval: Interval, factor: float) -> Interval:
+def _scale_interval(interval: Interval, factor: float) -> Interval:
     lower, upper = interval
     return None if lower is None else factor * lower, None if upper is None else factor * upper

@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import toeplitz
 
-from hitchid.estimation import Misfit
-from hitchid.estimation.misfit import TIED
-from hitchid.uncertainty.moves import Moves
+from hitchid.estimation import Objective
+from hitchid.estimation.objective import GAIN_RIDGE
+from hitchid.uncertainty.influence import Influence
 
 LAGS = 100
 
@@ -41,49 +41,49 @@ class Information:
     samples: float
 
     @classmethod
-    def of(cls, misfit: Misfit, position: np.ndarray, moved: Moves) -> "Information":
+    def of(cls, objective: Objective, position: np.ndarray, influence: Influence) -> "Information":
         """Gather what tests say at the best position.
 
         Args:
-            misfit: identification tests and form.
+            objective: identification tests and form.
             position: the estimates, shape [D].
-            moved: by how much each test moves each estimate.
+            influence: by how much each test moves each estimate.
         """
-        errors, test = misfit.errors(position)
-        free = np.flatnonzero(np.any(moved.by_test != 0, axis=0))
-        curvature = misfit.equations_by_test(position).curvatures.sum(axis=0)[np.ix_(free, free)]
-        covariance = (moved.by_test.T @ moved.by_test)[np.ix_(free, free)]
+        errors, test = objective.errors(position)
+        free = np.flatnonzero(np.any(influence.by_test != 0, axis=0))
+        curvature = objective.equations_by_test(position).curvatures.sum(axis=0)[np.ix_(free, free)]
+        covariance = (influence.by_test.T @ influence.by_test)[np.ix_(free, free)]
         counts = np.bincount(test)
-        every = max(1, int(counts.max()) // LAGS)
-        fixed = np.outer(moved.by_dead_zone[free], moved.by_dead_zone[free])
+        block_size = max(1, int(counts.max()) // LAGS)
+        dead_zone_covariance = np.outer(influence.by_dead_zone[free], influence.by_dead_zone[free])
         return cls(
-            names=tuple(misfit.form.parameters[number].name for number in free),
-            slopes=tuple(map(float, misfit.slopes(position)[free])),
+            names=tuple(objective.spec.parameters[number].name for number in free),
+            slopes=tuple(map(float, objective.slopes(position)[free])),
             curvature=_rows(curvature),
             scatter=_rows(curvature @ covariance @ curvature),
-            fixed=_rows(fixed),
-            autocovariance=_autocovariance(errors, test, every),
-            every=every,
-            apart=misfit.apart,
+            fixed=_rows(dead_zone_covariance),
+            autocovariance=_autocovariance(errors, test, block_size),
+            every=block_size,
+            apart=objective.per_test_gain,
             tests=int(np.count_nonzero(counts)),
             samples=float(counts[counts > 0].mean()),
         )
 
-    def widths(self) -> Float[np.ndarray, " d"]:
+    def standard_errors(self) -> Float[np.ndarray, " d"]:
         """Return the standard errors now, by place between bounds."""
-        return self._widths(np.array(self.curvature), np.array(self.scatter))
+        return self._standard_errors(np.array(self.curvature), np.array(self.scatter))
 
-    def widths_with_another(self) -> Float[np.ndarray, " d"]:
+    def standard_errors_with_repeat(self) -> Float[np.ndarray, " d"]:
         """Return what one more test like those there were is expected to leave."""
-        more = 1 + 1 / self.tests
-        return self._widths(more * np.array(self.curvature), more * np.array(self.scatter))
+        factor = 1 + 1 / self.tests
+        return self._standard_errors(factor * np.array(self.curvature), factor * np.array(self.scatter))
 
-    def heard(
+    def profile_out_gain(
         self, travel: Float[np.ndarray, " n"], jacobian: Float[np.ndarray, "n d"]
     ) -> Float[np.ndarray, "n d"]:
         """Return a test's derivatives as the fit hears them: without what its own speed would take up.
 
-        J − ŷ (ŷᵀJ)/((1 + ρ) ŷᵀŷ), to first order where the test is fitted well; see `Misfit.residuals`.
+        J − ŷ (ŷᵀJ)/((1 + ρ) ŷᵀŷ), to first order where the test is fitted well; see `Objective.residuals`.
 
         Args:
             travel: ŷ, of the model.
@@ -91,9 +91,9 @@ class Information:
         """
         if not self.apart:
             return jacobian
-        return jacobian - np.outer(travel, travel @ jacobian / ((1 + TIED) * (travel @ travel)))
+        return jacobian - np.outer(travel, travel @ jacobian / ((1 + GAIN_RIDGE) * (travel @ travel)))
 
-    def widths_with(self, jacobian: Float[np.ndarray, "n d"]) -> Float[np.ndarray, " d"]:
+    def standard_errors_with(self, jacobian: Float[np.ndarray, "n d"]) -> Float[np.ndarray, " d"]:
         """Return the standard errors that one more test is expected to leave, by place between bounds.
 
         V' = H'⁻¹ (Σ gₜ gₜᵀ + Jᵀ C J) H'⁻¹, H' = H + Jᵀ J, with C the errors' covariance as in the tests.
@@ -108,21 +108,21 @@ class Information:
         means = padded.reshape(blocks, self.every, -1).sum(axis=1)
         covariance = toeplitz(np.resize(np.append(self.autocovariance, np.zeros(blocks)), blocks))
         share = self.samples / samples
-        return self._widths(
+        return self._standard_errors(
             np.array(self.curvature) + share * jacobian.T @ jacobian,
             np.array(self.scatter) + share**2 * means.T @ covariance @ means,
         )
 
-    def _widths(self, curvature: np.ndarray, scatter: np.ndarray) -> np.ndarray:
+    def _standard_errors(self, curvature: np.ndarray, score_covariance: np.ndarray) -> np.ndarray:
         inverse = np.linalg.pinv(curvature, hermitian=True)
-        return np.sqrt(np.diag(inverse @ scatter @ inverse + np.array(self.fixed)))
+        return np.sqrt(np.diag(inverse @ score_covariance @ inverse + np.array(self.fixed)))
 
 
-def _autocovariance(errors: np.ndarray, test: np.ndarray, every: int) -> tuple[float, ...]:
+def _autocovariance(errors: np.ndarray, test: np.ndarray, block_size: int) -> tuple[float, ...]:
     """Return the mean of eₖ eₖ₊ₗ over tests, a lag every so many samples; biased, so a covariance."""
     rows = np.split(errors, np.flatnonzero(np.diff(test)) + 1)
-    whole = [row[: len(row) // every * every] for row in rows if len(row) >= every]
-    blocks = [row.reshape(-1, every).mean(axis=1) for row in whole]
+    trimmed = [row[: len(row) // block_size * block_size] for row in rows if len(row) >= block_size]
+    blocks = [row.reshape(-1, block_size).mean(axis=1) for row in trimmed]
     longest = max(len(row) for row in blocks)
     sums = np.zeros(longest)
     for row in blocks:

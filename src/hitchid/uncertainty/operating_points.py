@@ -6,11 +6,11 @@ from jaxtyping import Float
 from hitchid.structures import Batch
 from hitchid.uncertainty.characteristics import MeasuredSpeed
 
-SAME = 0.01
-WIDEST, MOST, RARE, MOSTLY = 3, 9, 0.02, 0.8
-QUANTILES, GRID = (0.05, 0.95), 7
-SETTLED, FEWEST, LONGEST = 3.0, 5, 100
-AROUND = 0.5
+LEVEL_TOLERANCE = 0.01
+MAX_LEVEL_WIDTH, MAX_LEVELS, MIN_LEVEL_SHARE, MIN_STEADY_SHARE = 3, 9, 0.02, 0.8
+QUANTILES, GRID_LEVELS = (0.05, 0.95), 7
+SETTLING_RESPONSE_TIMES, MIN_SAMPLES, MAX_STRETCHES = 3.0, 5, 100
+MIDDLE_SHARE = 0.5
 
 
 def operating_levels(batch: Batch, opening: float) -> Float[np.ndarray, " l"]:
@@ -23,23 +23,27 @@ def operating_levels(batch: Batch, opening: float) -> Float[np.ndarray, " l"]:
         batch: identification tests.
         opening: command at which flow begins.
     """
-    logged = np.abs(np.asarray(batch.logged))[np.asarray(batch.counted)]
-    beyond = np.sort(logged[logged > opening])
-    if not beyond.size:
-        return beyond
-    bins = np.round(beyond / (SAME * beyond[-1])).astype(int)
-    groups = np.split(beyond, np.flatnonzero(np.diff(bins) > 1) + 1)
-    steady = [group for group in groups if group.size >= RARE * beyond.size]
-    narrow = all(np.ptp(group) <= WIDEST * SAME * beyond[-1] for group in steady)
-    if narrow and len(steady) <= MOST and sum(map(len, steady)) >= MOSTLY * beyond.size:
+    logged = np.abs(np.asarray(batch.raw_command))[np.asarray(batch.loss_mask)]
+    active_commands = np.sort(logged[logged > opening])
+    if not active_commands.size:
+        return active_commands
+    bins = np.round(active_commands / (LEVEL_TOLERANCE * active_commands[-1])).astype(int)
+    groups = np.split(active_commands, np.flatnonzero(np.diff(bins) > 1) + 1)
+    steady = [group for group in groups if group.size >= MIN_LEVEL_SHARE * active_commands.size]
+    narrow = all(np.ptp(group) <= MAX_LEVEL_WIDTH * LEVEL_TOLERANCE * active_commands[-1] for group in steady)
+    if (
+        narrow
+        and len(steady) <= MAX_LEVELS
+        and sum(map(len, steady)) >= MIN_STEADY_SHARE * active_commands.size
+    ):
         return np.array([np.median(group) for group in steady])
-    slowest, fastest = np.quantile(beyond, QUANTILES)
-    return np.linspace(slowest, fastest, GRID)
+    slowest, fastest = np.quantile(active_commands, QUANTILES)
+    return np.linspace(slowest, fastest, GRID_LEVELS)
 
 
 def operating_loads(batch: Batch, *, measured: bool) -> Float[np.ndarray, " k"]:
     """Return mean load and mean ± standard deviation within what occurred, ascending, shape [K]; or zero."""
-    load = np.asarray(batch.load)
+    load = np.asarray(batch.covariate)
     if not measured:
         return np.zeros(1)
     mean, deviation = load.mean(), load.std()
@@ -47,7 +51,7 @@ def operating_loads(batch: Batch, *, measured: bool) -> Float[np.ndarray, " k"]:
 
 
 def measured_speeds(
-    batch: Batch, opening: float, response_time: float, *, loaded: bool
+    batch: Batch, opening: float, response_time: float, *, has_load: bool
 ) -> tuple[MeasuredSpeed, ...]:
     """Return mean speeds around mid stroke while commands stood, the hundred longest, by command.
 
@@ -58,24 +62,32 @@ def measured_speeds(
         batch: identification tests.
         opening: command at which flow begins.
         response_time: of the speed, s.
-        loaded: whether the tests have a measured load.
+        has_load: whether the tests have a measured load.
     """
-    counted, displacement = np.asarray(batch.counted), np.asarray(batch.displacement)
-    logged = np.abs(np.asarray(batch.logged))
-    travel = np.sign(np.asarray(batch.logged)) * np.asarray(batch.travel)
-    low, high = displacement[counted].min(), displacement[counted].max()
-    middle = np.abs(displacement - 0.5 * (low + high)) <= AROUND * 0.5 * (high - low)
-    wait = int(np.ceil(SETTLED * response_time / batch.step_s)) + 1
-    found: list[tuple[int, MeasuredSpeed]] = []
-    for row, load in enumerate(np.asarray(batch.load)):
-        changed = np.abs(np.diff(logged[row])) > SAME * logged.max()
+    loss_mask, displacement = np.asarray(batch.loss_mask), np.asarray(batch.displacement)
+    logged = np.abs(np.asarray(batch.raw_command))
+    travel = np.sign(np.asarray(batch.raw_command)) * np.asarray(batch.travel)
+    low, high = displacement[loss_mask].min(), displacement[loss_mask].max()
+    middle = np.abs(displacement - 0.5 * (low + high)) <= MIDDLE_SHARE * 0.5 * (high - low)
+    settling_samples = int(np.ceil(SETTLING_RESPONSE_TIMES * response_time / batch.step_s)) + 1
+    sized_speeds: list[tuple[int, MeasuredSpeed]] = []
+    for row, load in enumerate(np.asarray(batch.covariate)):
+        changed = np.abs(np.diff(logged[row])) > LEVEL_TOLERANCE * logged.max()
         for stretch in np.split(np.arange(logged.shape[1]), np.flatnonzero(changed) + 1):
-            inside = stretch[wait:]
-            inside = inside[(counted & middle)[row, inside]]
+            steady_samples = stretch[settling_samples:]
+            steady_samples = steady_samples[(loss_mask & middle)[row, steady_samples]]
             command = float(np.median(logged[row, stretch]))
-            if inside.size < FEWEST or command <= opening or np.ptp(logged[row, inside]) > 2 * SAME * command:
+            if (
+                steady_samples.size < MIN_SAMPLES
+                or command <= opening
+                or np.ptp(logged[row, steady_samples]) > 2 * LEVEL_TOLERANCE * command
+            ):
                 continue
-            speed = np.polyfit(batch.step_s * (inside - inside[0]), travel[row, inside], 1)[0]
-            found.append((inside.size, MeasuredSpeed(command, float(load) if loaded else None, float(speed))))
-    longest = sorted(found, key=lambda each: -each[0])[:LONGEST]
-    return tuple(sorted((speed for _, speed in longest), key=lambda each: each.command))
+            speed = np.polyfit(
+                batch.step_s * (steady_samples - steady_samples[0]), travel[row, steady_samples], 1
+            )[0]
+            sized_speeds.append(
+                (steady_samples.size, MeasuredSpeed(command, float(load) if has_load else None, float(speed)))
+            )
+    longest = sorted(sized_speeds, key=lambda entry: -entry[0])[:MAX_STRETCHES]
+    return tuple(sorted((speed for _, speed in longest), key=lambda entry: entry.command))

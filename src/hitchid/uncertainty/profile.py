@@ -6,17 +6,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hitchid.estimation import Misfit, polish_some
-from hitchid.uncertainty.dead_zone_error import KNOWN, DeadZoneError, degrees_together, student
+from hitchid.estimation import Objective, refine_subset
+from hitchid.uncertainty.dead_zone_error import NO_ERROR, DeadZoneError, t_quantile, welch_satterthwaite
 from hitchid.uncertainty.scores import Scores
 
-FIRST = 0.02
-HALVINGS = 4
-STEPS, TOLERANCE = 5, 1e-4
-FEWEST = 4
-STEP, GOES, FASTEST = 1e-4, 0.1, 10.0
+FIRST_STEP = 0.02
+BISECTION_STEPS = 4
+REFIT_STEPS, TOLERANCE = 5, 1e-4
+MIN_TESTS = 4
+STEP, MIN_PACE, MAX_PACE = 1e-4, 0.1, 10.0
 # A share of the squared misses that no number of samples makes significant: slopes below are rounding.
-LEAST_FALL = 1e-9
+MIN_RELATIVE_DECREASE = 1e-9
 
 
 class Profile(NamedTuple):
@@ -29,8 +29,9 @@ class Profile(NamedTuple):
         positions: where it was held, ascending, with all others fitted, shape [K, D].
         fitness: root mean square of the misses there, shape [K].
         allowed: whether the tests allow it, ends of the interval included, shape [K].
-        along: how the others follow it, shape [K, D].
-        room: between the bounds, as a difference of logarithms where the search runs in these, else 1.
+        tangents: how the others follow it, shape [K, D].
+        search_range: between the bounds, as a difference of logarithms where the search runs in these, else
+            1.
     """
 
     number: int
@@ -39,10 +40,10 @@ class Profile(NamedTuple):
     positions: np.ndarray
     fitness: np.ndarray
     allowed: np.ndarray
-    along: np.ndarray
-    room: float
+    tangents: np.ndarray
+    search_range: float
 
-    def beyond(self, told: Callable[[np.ndarray], float]) -> tuple[bool, bool]:
+    def open_ends(self, quantity: Callable[[np.ndarray], float]) -> tuple[bool, bool]:
         """Tell whether something falls, and whether it rises, where the tests leave this parameter free.
 
         At an end that is a bound of the search alone the parameter might as well go farther; what goes with
@@ -50,19 +51,21 @@ class Profile(NamedTuple):
         ten times its pace hardly moves the model, and counts with that.
 
         Args:
-            told: from a position, shape [D], to a number, or to its logarithm where that is positive.
+            quantity: from a position, shape [D], to a number, or to its logarithm where that is positive.
         """
         ends = [(0, -STEP)] * (self.lower is None) + [(-1, STEP)] * (self.upper is None)
-        falls = rises = False
+        open_below = open_above = False
         for number, step in ends:
             end = self.positions[number]
-            outward = step * np.clip(self.along[number], -FASTEST, FASTEST)
-            pace = (told(end + outward) - told(end - outward)) / (2 * STEP * self.room)
-            falls, rises = falls or pace < -GOES, rises or pace > GOES
-        return falls, rises
+            outward = step * np.clip(self.tangents[number], -MAX_PACE, MAX_PACE)
+            pace = (quantity(end + outward) - quantity(end - outward)) / (2 * STEP * self.search_range)
+            open_below, open_above = open_below or pace < -MIN_PACE, open_above or pace > MIN_PACE
+        return open_below, open_above
 
 
-def profile(misfit: Misfit, position: np.ndarray, number: int, dead_zone: DeadZoneError = KNOWN) -> Profile:
+def profile(
+    objective: Objective, position: np.ndarray, number: int, dead_zone: DeadZoneError = NO_ERROR
+) -> Profile:
     """Find what values of one parameter the tests do not contradict.
 
     A value is contradicted where, all others fitted, the tests agree that another would be better: where the
@@ -73,119 +76,135 @@ def profile(misfit: Misfit, position: np.ndarray, number: int, dead_zone: DeadZo
     tests as what is drawn.
 
     Args:
-        misfit: the tests.
+        objective: the tests.
         position: the best position, shape [D].
         number: which parameter.
         dead_zone: how well it is known; its error moves all tests together.
     """
-    others = [each for each in range(position.size) if each != number]
-    held: list[_Held] = []
-    around = [misfit] if dead_zone.size == 0 else [misfit, dead_zone.beside(misfit)]
-    best_errors = [each.by_test(position) for each in around]
+    others = [index for index in range(position.size) if index != number]
+    points: list[_ProfilePoint] = []
+    objectives = (
+        [objective]
+        if dead_zone.standard_error == 0
+        else [objective, dead_zone.shifted_by_one_sigma(objective)]
+    )
+    best_errors = [term.rmse_by_test(position) for term in objectives]
 
-    def hold(place: float, start: np.ndarray) -> _Held:
-        moved = start.copy()
-        moved[number] = place
-        if others and place != position[number]:
-            moved[others] = polish_some(misfit, others, [moved], STEPS, TOLERANCE).position
-        held.append(_Held.at(around, moved, number, dead_zone, best_errors))
-        return held[-1]
+    def fit_at(coordinate: float, start: np.ndarray) -> _ProfilePoint:
+        fitted_position = start.copy()
+        fitted_position[number] = coordinate
+        if others and coordinate != position[number]:
+            fitted_position[others] = refine_subset(
+                objective, others, [fitted_position], REFIT_STEPS, TOLERANCE
+            ).position
+        points.append(_ProfilePoint.evaluate(objectives, fitted_position, number, dead_zone, best_errors))
+        return points[-1]
 
-    def between(inside: float, outside: float, start: np.ndarray) -> float:
-        for _ in range(HALVINGS):
+    def bisect(inside: float, outside: float, start: np.ndarray) -> float:
+        for _ in range(BISECTION_STEPS):
             middle = 0.5 * (inside + outside)
-            found = hold(middle, start)
+            point = fit_at(middle, start)
             inside, outside, start = (
-                (inside, middle, found.position) if found.excess > 1 else (middle, outside, found.position)
+                (inside, middle, point.position) if point.excess > 1 else (middle, outside, point.position)
             )
         return outside
 
-    def end(bound: float) -> float | None:
+    def interval_end(bound: float) -> float | None:
         """Return the last place toward a bound that is not contradicted; None where the bound is not."""
-        inside, start, width = float(position[number]), position, FIRST
+        inside, start, width = float(position[number]), position, FIRST_STEP
         sign = np.sign(bound - inside)
         while inside != bound:
-            place = float(np.clip(inside + sign * width, 0.0, 1.0))
-            found = hold(place, start)
-            if found.excess > 1:
-                return between(inside, place, found.position)
-            inside, start, width = place, found.position, 2 * width
+            coordinate = float(np.clip(inside + sign * width, 0.0, 1.0))
+            point = fit_at(coordinate, start)
+            if point.excess > 1:
+                return bisect(inside, coordinate, point.position)
+            inside, start, width = coordinate, point.position, 2 * width
         return None
 
-    best = replace(hold(float(position[number]), position), excess=0.0)
-    lower, upper = end(0.0), end(1.0)
-    if misfit.form.parameters[number].name in misfit.form.bounds:
+    best = replace(fit_at(float(position[number]), position), excess=0.0)
+    lower, upper = interval_end(0.0), interval_end(1.0)
+    if objective.spec.parameters[number].name in objective.spec.bounds:
         lower, upper = lower or 0.0, 1.0 if upper is None else upper
-    bounds = float(misfit.bounds.lower[number]), float(misfit.bounds.upper[number])
-    ordered = sorted([best, *held[1:]], key=lambda each: float(each.position[number]))
+    bounds = float(objective.bounds.lower[number]), float(objective.bounds.upper[number])
+    ordered = sorted([best, *points[1:]], key=lambda point: float(point.position[number]))
     return Profile(
         number=number,
         lower=lower,
         upper=upper,
-        positions=np.stack([each.position for each in ordered]),
-        fitness=np.array([each.fitness for each in ordered]),
-        allowed=np.array([each.excess <= 1 or each.position[number] in (lower, upper) for each in ordered]),
-        along=np.stack([each.along for each in ordered]),
-        room=1.0 if bool(misfit.bounds.linear[number]) else float(np.log(bounds[1] / bounds[0])),
+        positions=np.stack([point.position for point in ordered]),
+        fitness=np.array([point.fitness for point in ordered]),
+        allowed=np.array(
+            [point.excess <= 1 or point.position[number] in (lower, upper) for point in ordered]
+        ),
+        tangents=np.stack([point.tangent for point in ordered]),
+        search_range=1.0 if bool(objective.bounds.linear[number]) else float(np.log(bounds[1] / bounds[0])),
     )
 
 
 @dataclass(frozen=True)
-class _Held:
+class _ProfilePoint:
     """One parameter held at a value: where the others end, by how much tests contradict it, 1 the limit."""
 
     position: np.ndarray
     fitness: float
     excess: float
-    along: np.ndarray
+    tangent: np.ndarray
 
     @classmethod
-    def at(
+    def evaluate(
         cls,
-        around: Sequence[Misfit],
+        objectives: Sequence[Objective],
         position: np.ndarray,
         number: int,
         dead_zone: DeadZoneError,
         best_errors: Sequence[np.ndarray],
-    ) -> "_Held":
-        """Hold a parameter at a position; `around` is the misfit, and that beside the dead zone."""
-        scores, *beside = [Scores.of(misfit, position) for misfit in around]
-        along = scores.along(number)
-        slopes = scores.slopes @ along
-        shift = sum((float((other.slopes @ along).sum() - slopes.sum()) for other in beside), 0.0)
-        left = slopes.size - position.size
-        errors, *others = [misfit.by_test(position) for misfit in around]
+    ) -> "_ProfilePoint":
+        """Hold a parameter at a position; `objectives` is the misfit, and that beside the dead zone."""
+        scores, *shifted_scores = [Scores.of(objective, position) for objective in objectives]
+        tangent = scores.profile_tangent(number)
+        slopes = scores.slopes @ tangent
+        shift = sum((float((other.slopes @ tangent).sum() - slopes.sum()) for other in shifted_scores), 0.0)
+        degrees = slopes.size - position.size
+        errors, *shifted_errors = [objective.rmse_by_test(position) for objective in objectives]
         excess = 0.0
-        if slopes.sum() ** 2 > LEAST_FALL * (along @ scores.curvature @ along) * around[0].cost(position):
-            excess = _contradicted(abs(float(slopes.mean())), slopes, shift / slopes.size, left, dead_zone)
-        worse, *moved = [own - best for own, best in zip((errors, *others), best_errors, strict=True)]
-        if worse.size >= FEWEST:
-            mean = float(worse.mean())
-            shift = sum((float(other.mean()) - mean for other in moved), 0.0)
-            excess = max(excess, _contradicted(mean, worse, shift, worse.size - 1, dead_zone))
+        if slopes.sum() ** 2 > MIN_RELATIVE_DECREASE * (tangent @ scores.curvature @ tangent) * objectives[
+            0
+        ].cost(position):
+            excess = _relative_excess(
+                abs(float(slopes.mean())), slopes, shift / slopes.size, degrees, dead_zone
+            )
+        increase, *shifted_increases = [
+            fit_errors - best for fit_errors, best in zip((errors, *shifted_errors), best_errors, strict=True)
+        ]
+        if increase.size >= MIN_TESTS:
+            mean = float(increase.mean())
+            shift = sum((float(other.mean()) - mean for other in shifted_increases), 0.0)
+            excess = max(excess, _relative_excess(mean, increase, shift, increase.size - 1, dead_zone))
         fitness = float(np.sqrt(np.mean(errors[errors > 0] ** 2)))
-        return cls(position, fitness, excess, along)
+        return cls(position, fitness, excess, tangent)
 
 
-def _contradicted(
-    mean: float, drawn: np.ndarray, shift: float, degrees: int, dead_zone: DeadZoneError
+def _relative_excess(
+    mean: float, by_test: np.ndarray, shift: float, degrees: int, dead_zone: DeadZoneError
 ) -> float:
     """Return how far a mean over tests lies from zero, 1 where Student's t has its limit at 95 %.
 
     Args:
         mean: of what the tests say.
-        drawn: what each of them says.
+        by_test: what each of them says.
         shift: what a standard error of the dead zone adds to the mean.
         degrees: of freedom of the tests' spread.
         dead_zone: how well it is known.
     """
-    variances = np.array([drawn.var(ddof=1) / drawn.size, shift**2])
-    known = degrees_together(variances, np.array([max(degrees, 1), dead_zone.degrees]))
-    spread = student(float(known)) * float(np.sqrt(variances.sum()))
-    return mean / spread if spread > 0 else 0.0
+    variances = np.array([by_test.var(ddof=1) / by_test.size, shift**2])
+    combined_degrees = welch_satterthwaite(
+        variances, np.array([max(degrees, 1), dead_zone.degrees_of_freedom])
+    )
+    limit = t_quantile(float(combined_degrees)) * float(np.sqrt(variances.sum()))
+    return mean / limit if limit > 0 else 0.0
 
 
-def beyond(profiles: Iterable[Profile], told: Callable[[np.ndarray], float]) -> tuple[bool, bool]:
+def open_ends(profiles: Iterable[Profile], quantity: Callable[[np.ndarray], float]) -> tuple[bool, bool]:
     """Tell whether something falls, and whether it rises, beyond ends of profiles; see `Profile.beyond`."""
-    found = [each.beyond(told) for each in profiles]
-    return any(falls for falls, _ in found), any(rises for _, rises in found)
+    ends = [curve.open_ends(quantity) for curve in profiles]
+    return any(open_below for open_below, _ in ends), any(open_above for _, open_above in ends)

@@ -5,10 +5,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from hitchid.estimation import Misfit
+from hitchid.estimation import Objective
 
-FEWEST = 4
-LEAST = 0.05
+MIN_SURPLUS_TESTS = 4
+MIN_EIGENVALUE = 0.05
 
 
 class Scores(NamedTuple):
@@ -25,17 +25,17 @@ class Scores(NamedTuple):
     curvatures: Float[np.ndarray, "t d d"]
 
     @classmethod
-    def of(cls, misfit: Misfit, position: np.ndarray) -> "Scores":
+    def of(cls, objective: Objective, position: np.ndarray) -> "Scores":
         """Take slopes and curvatures of a misfit at a position in the unit cube."""
-        moving = np.asarray(misfit.batch.counted).any(axis=1)
-        if np.count_nonzero(moving) >= position.size + FEWEST:
-            found = misfit.equations_by_test(position).take(np.flatnonzero(moving))
-            return cls(found.slopes, found.curvatures)
-        pieces = -(-(position.size + FEWEST) // int(np.count_nonzero(moving)))
-        found = misfit.equations_by_stretch(position, pieces)
-        return cls(found.slopes, found.curvatures)
+        has_data = np.asarray(objective.batch.loss_mask).any(axis=1)
+        if np.count_nonzero(has_data) >= position.size + MIN_SURPLUS_TESTS:
+            equations = objective.equations_by_test(position).take(np.flatnonzero(has_data))
+            return cls(equations.gradients, equations.curvatures)
+        stretches_per_test = -(-(position.size + MIN_SURPLUS_TESTS) // int(np.count_nonzero(has_data)))
+        equations = objective.equations_by_segment(position, stretches_per_test)
+        return cls(equations.gradients, equations.curvatures)
 
-    def over(self, free: np.ndarray) -> "Scores":
+    def select_parameters(self, free: np.ndarray) -> "Scores":
         """Return those of some of the parameters.
 
         Args:
@@ -48,12 +48,14 @@ class Scores(NamedTuple):
         """The sum over tests."""
         return self.curvatures.sum(axis=0)
 
-    def along(self, number: int) -> Float[np.ndarray, " d"]:
+    def profile_tangent(self, number: int) -> Float[np.ndarray, " d"]:
         """Return how all parameters go where one goes by 1 and the others follow, −Hₒₒ⁻¹ Hₒᵢ, shape [D]."""
         others = np.arange(self.slopes.shape[1]) != number
-        whole, along = self.curvature, np.ones(self.slopes.shape[1])
-        along[others] = -np.linalg.pinv(whole[np.ix_(others, others)], hermitian=True) @ whole[others, number]
-        return along
+        curvature, tangent = self.curvature, np.ones(self.slopes.shape[1])
+        tangent[others] = (
+            -np.linalg.pinv(curvature[np.ix_(others, others)], hermitian=True) @ curvature[others, number]
+        )
+        return tangent
 
     def influence(self) -> Float[np.ndarray, "t d"]:
         """Return by how much each test moves the estimate, shape [T, D]: their squares sum to its variance.
@@ -62,10 +64,12 @@ class Scores(NamedTuple):
         estimate its own way (Bell & McCaffrey 2002, Survey Methodology 28, 169, CR2). Residuals of one test
         may be correlated in any way; tests are independent of each other.
         """
-        inverse, freed = self._freed()
-        return -np.einsum("tij,tj->ti", freed, self.slopes) @ inverse
+        inverse, corrections = self._leverage_corrections()
+        return -np.einsum("tij,tj->ti", corrections, self.slopes) @ inverse
 
-    def degrees(self, combinations: Float[np.ndarray, "d q"] | None = None) -> Float[np.ndarray, " q"]:
+    def degrees_of_freedom(
+        self, combinations: Float[np.ndarray, "d q"] | None = None
+    ) -> Float[np.ndarray, " q"]:
         """Return the degrees of freedom of standard errors, shape [Q], at least one.
 
         (tr Ω)²/‖Ω‖² with Ωₜₛ = |pₜ|² [t = s] − qₜᵀ H⁻¹ qₛ, qₜ = Fₜ Hₜ H⁻¹ c, |pₜ|² = cᵀ H⁻¹ Fₜ qₜ, c the
@@ -74,25 +78,27 @@ class Scores(NamedTuple):
         Args:
             combinations: weights c of the parameters, shape [D, Q]; by default each parameter alone.
         """
-        inverse, freed = self._freed()
-        along = inverse if combinations is None else inverse @ combinations
-        pulled = np.einsum("tij,tjk,kd->tid", freed, self.curvatures, along)
-        sizes = np.einsum("id,tij,tjd->td", along, freed, pulled)
-        together = np.einsum("tid,ij,sjd->dts", pulled, inverse, pulled)
-        own = np.einsum("td,ts->dts", np.maximum(sizes, 0.0), np.eye(len(sizes)))
-        spread = own - together
-        trace = np.einsum("dtt->d", spread)
-        return np.maximum(trace**2 / np.maximum(np.sum(spread**2, axis=(1, 2)), 1e-300), 1.0)
+        inverse, corrections = self._leverage_corrections()
+        projections = inverse if combinations is None else inverse @ combinations
+        corrected = np.einsum("tij,tjk,kd->tid", corrections, self.curvatures, projections)
+        sizes = np.einsum("id,tij,tjd->td", projections, corrections, corrected)
+        cross_terms = np.einsum("tid,ij,sjd->dts", corrected, inverse, corrected)
+        diagonal_terms = np.einsum("td,ts->dts", np.maximum(sizes, 0.0), np.eye(len(sizes)))
+        omega = diagonal_terms - cross_terms
+        trace = np.einsum("dtt->d", omega)
+        return np.maximum(trace**2 / np.maximum(np.sum(omega**2, axis=(1, 2)), 1e-300), 1.0)
 
-    def _freed(self) -> tuple[Float[np.ndarray, "d d"], Float[np.ndarray, "t d d"]]:
+    def _leverage_corrections(self) -> tuple[Float[np.ndarray, "d d"], Float[np.ndarray, "t d d"]]:
         """Return H⁻¹ and each test's Fₜ."""
         inverse = np.linalg.pinv(self.curvature, hermitian=True)
-        one = np.eye(len(inverse))
-        return inverse, np.stack([_power(one - own @ inverse) for own in self.curvatures])
+        identity = np.eye(len(inverse))
+        return inverse, np.stack(
+            [_inverse_square_root(identity - curvature @ inverse) for curvature in self.curvatures]
+        )
 
 
-def _power(matrix: np.ndarray) -> np.ndarray:
+def _inverse_square_root(matrix: np.ndarray) -> np.ndarray:
     """Return the inverse square root of I − P, whose eigenvalues lie between 0 and 1."""
     values, vectors = np.linalg.eig(matrix)
-    roots = 1 / np.sqrt(np.clip(np.real(values), LEAST, 1.0))
+    roots = 1 / np.sqrt(np.clip(np.real(values), MIN_EIGENVALUE, 1.0))
     return np.real((vectors * roots) @ np.linalg.pinv(vectors))

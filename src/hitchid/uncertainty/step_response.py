@@ -4,28 +4,30 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hitchid.structures import SHAPE, Benchmark, Shape, discretise
-from hitchid.structures.discretise import driven
+from hitchid.structures import NONLINEARITY_PARAMETERS, PhysicalModel, StaticNonlinearity, discretise
+from hitchid.structures.discretise import simulate_linear
 from hitchid.structures.structure import LinearStructure
 
 Scalar = Float[Array, ""] | float
 CELLS, TIME_CONSTANTS, SHORTEST_S = 1000, 8.0, 1e-9
-BEGUN, REACHED = 0.05, 1 - float(np.exp(-1))
-ALMOST = 0.999
+DELAY_FRACTION, RESPONSE_FRACTION = 0.05, 1 - float(np.exp(-1))
+MAX_OPENING_RATIO = 0.999
 
 
-def opening_command(benchmark: Benchmark, load: Scalar, dead_zone: Scalar) -> Float[Array, ""]:
+def opening_command(physical_model: PhysicalModel, load: Scalar, dead_zone: Scalar) -> Float[Array, ""]:
     """Return the command at which flow begins, d₀ + U max(d + s c, 0), in the command's unit."""
-    if benchmark.shape is None:
+    if physical_model.nonlinearity is None:
         return jnp.asarray(dead_zone)
-    shape = benchmark.shape
-    opening, shift = _named(shape, "opening"), _named(shape, "load_shift")
-    loaded = jnp.clip((load - shape.scales.load_centre) / shape.scales.load_spread, -3.0, 3.0)
-    return dead_zone + shape.scales.command * jnp.maximum(opening + shift * loaded, 0.0)
+    nonlinearity = physical_model.nonlinearity
+    opening, shift = _parameter_value(nonlinearity, "opening"), _parameter_value(nonlinearity, "load_shift")
+    normalised_load = jnp.clip(
+        (load - nonlinearity.scales.load_centre) / nonlinearity.scales.load_spread, -3.0, 3.0
+    )
+    return dead_zone + nonlinearity.scales.command * jnp.maximum(opening + shift * normalised_load, 0.0)
 
 
 def steady_speed(
-    benchmark: Benchmark,
+    physical_model: PhysicalModel,
     levels: Float[Array, " q"],
     loads: Float[Array, " q"],
     dead_zone: Scalar,
@@ -35,11 +37,15 @@ def steady_speed(
 
     A first-order lag settles at a place, not at a speed: its speed is that with which it sets off.
     """
-    beyond = jnp.maximum(levels - dead_zone, 0.0)
-    if benchmark.shape is None:
-        return benchmark.values[0] * beyond
-    flow = benchmark.shape.flow(beyond, loads)
-    return benchmark.values[0] * flow * benchmark.shape.gain(jnp.full_like(loads, displacement), loads)
+    effective_command = jnp.maximum(levels - dead_zone, 0.0)
+    if physical_model.nonlinearity is None:
+        return physical_model.values[0] * effective_command
+    flow = physical_model.nonlinearity.flow(effective_command, loads)
+    return (
+        physical_model.values[0]
+        * flow
+        * physical_model.nonlinearity.gain(jnp.full_like(loads, displacement), loads)
+    )
 
 
 def speed_lag(structure: LinearStructure, values: np.ndarray) -> float:
@@ -47,50 +53,59 @@ def speed_lag(structure: LinearStructure, values: np.ndarray) -> float:
 
     Without an integrator the command moves the speed at once.
     """
-    *slower, one, last = structure.transfer_function(tuple(map(float, values)))[1]
-    if last != 0:
+    *higher_coefficients, linear_coefficient, constant_coefficient = structure.transfer_function(
+        tuple(map(float, values))
+    )[1]
+    if constant_coefficient != 0:
         return 0.0
-    return float(sum(abs(a / one) ** (1 / power) for power, a in enumerate(slower[::-1], start=1)))
+    return float(
+        sum(
+            abs(a / linear_coefficient) ** (1 / power)
+            for power, a in enumerate(higher_coefficients[::-1], start=1)
+        )
+    )
 
 
 def step_times(
-    benchmark: Benchmark, level: Scalar, load: Scalar, dead_zone: Scalar, lag_s: Scalar
+    physical_model: PhysicalModel, level: Scalar, load: Scalar, dead_zone: Scalar, lag_s: Scalar
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """Return when after a step of the command the speed reaches 5 % and 63.2 % of its final value, s.
 
     The form is simulated from rest on a clock that its lags set, without its gain along the stroke; the dead
     time is added. Both are zero for a form that has neither lag nor dead time. `lag_s` is `speed_lag`.
     """
-    shape, structure = benchmark.shape, benchmark.linear
+    nonlinearity, structure = physical_model.nonlinearity, physical_model.linear
     lag = jnp.asarray(lag_s)
-    if shape is not None:
+    if nonlinearity is not None:
         # A lagging spool reaches the opening only after a while: c (1 − exp(−t/τ)) = d.
-        open_at = jnp.clip(opening_command(benchmark, load, dead_zone) / level, 0.0, ALMOST)
-        lag = lag + _named(shape, "spool_lag") * (1 - jnp.log1p(-open_at))
+        open_at = jnp.clip(opening_command(physical_model, load, dead_zone) / level, 0.0, MAX_OPENING_RATIO)
+        lag = lag + _parameter_value(nonlinearity, "spool_lag") * (1 - jnp.log1p(-open_at))
     step_s = jnp.maximum(TIME_CONSTANTS * lag, SHORTEST_S) / CELLS
-    command, zone = jnp.full((1, CELLS), level), jnp.full(1, dead_zone)
+    command, dead_zones = jnp.full((1, CELLS), level), jnp.full(1, dead_zone)
     flow = jnp.maximum(command - dead_zone, 0.0)
     final = flow[0, -1]
-    if shape is not None:
-        final = shape.flow(final, jnp.asarray(load))
-        flow = shape.flow(shape.effective(command, zone, step_s), jnp.full((1, 1), load))
-    travel = driven(discretise(structure, benchmark.values, 0.0, step_s), flow)[0]
-    share = jnp.diff(travel) / (step_s * benchmark.values[0] * final)
-    rising = jnp.concatenate([jnp.zeros(1), share])
+    if nonlinearity is not None:
+        final = nonlinearity.flow(final, jnp.asarray(load))
+        flow = nonlinearity.flow(nonlinearity.effective(command, dead_zones, step_s), jnp.full((1, 1), load))
+    travel = simulate_linear(discretise(structure, physical_model.values, 0.0, step_s), flow)[0]
+    relative_speed = jnp.diff(travel) / (step_s * physical_model.values[0] * final)
+    step_response = jnp.concatenate([jnp.zeros(1), relative_speed])
     # Differences of travel are mean speeds of cells, which belong to their middles.
     time_s = jnp.concatenate([jnp.zeros(1), (jnp.arange(CELLS - 1) + 0.5) * step_s])
-    begun, reached = (_crossing(time_s, rising, part) for part in (BEGUN, REACHED))
-    return benchmark.dead_time_s + begun, benchmark.dead_time_s + reached
+    delay_s, response_time_s = (
+        _crossing(time_s, step_response, fraction) for fraction in (DELAY_FRACTION, RESPONSE_FRACTION)
+    )
+    return physical_model.dead_time_s + delay_s, physical_model.dead_time_s + response_time_s
 
 
-def _crossing(time_s: Float[Array, " n"], rising: Float[Array, " n"], part: float) -> Float[Array, ""]:
+def _crossing(time_s: Float[Array, " n"], curve: Float[Array, " n"], level: float) -> Float[Array, ""]:
     """Return when a curve from zero first reaches a part, between samples; infinite where it does not."""
-    there = rising >= part
-    at = jnp.maximum(jnp.argmax(there), 1)
-    slope = (part - rising[at - 1]) / (rising[at] - rising[at - 1])
-    moment = time_s[at - 1] + slope * (time_s[at] - time_s[at - 1])
-    return jnp.where(jnp.any(there), moment, jnp.inf)
+    reached = curve >= level
+    index = jnp.maximum(jnp.argmax(reached), 1)
+    slope = (level - curve[index - 1]) / (curve[index] - curve[index - 1])
+    crossing_time = time_s[index - 1] + slope * (time_s[index] - time_s[index - 1])
+    return jnp.where(jnp.any(reached), crossing_time, jnp.inf)
 
 
-def _named(shape: Shape, name: str) -> Float[Array, ""]:
-    return shape.values[[parameter.name for parameter in SHAPE].index(name)]
+def _parameter_value(nonlinearity: StaticNonlinearity, name: str) -> Float[Array, ""]:
+    return nonlinearity.values[[parameter.name for parameter in NONLINEARITY_PARAMETERS].index(name)]

@@ -4,7 +4,7 @@ from dataclasses import asdict, dataclass
 
 from pydantic import TypeAdapter
 
-from hitchid.estimation import Trail
+from hitchid.estimation import SearchHistory
 from hitchid.uncertainty.bands import Bands
 from hitchid.uncertainty.characteristics import Characteristics
 from hitchid.uncertainty.estimate import Estimates
@@ -31,7 +31,7 @@ class Uncertainty:
     benchmark: Estimates
     paper: Estimates | None = None
     bands: Bands | None = None
-    searches: tuple[Trail, ...] = ()
+    searches: tuple[SearchHistory, ...] = ()
     searched: tuple[str, ...] = ()
     information: Information | None = None
     characteristics: Characteristics | None = None
@@ -41,13 +41,13 @@ class Uncertainty:
         return asdict(self)
 
     @classmethod
-    def of(cls, described: dict) -> "Uncertainty":
+    def of(cls, description: dict) -> "Uncertainty":
         """Return what was described.
 
         Raises:
             ValueError: the description is not one of this version.
         """
-        return _ADAPTER.validate_python(described)
+        return _ADAPTER.validate_python(description)
 
 
 _ADAPTER = TypeAdapter(Uncertainty)

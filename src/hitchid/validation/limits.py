@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import Field, field_validator, model_validator
 
 from hitchid._support.metrics import HORIZONS
-from hitchid.data.record import MODES
+from hitchid.data.record import DIRECTIONS
 from hitchid.data.signal_map import Strict, parse_settings
 from hitchid.data.units import UNITS, conversion_factor
 from hitchid.errors import SettingsError
@@ -17,23 +17,23 @@ CYCLES = "cycles"
 BASELINES = tuple(name for name in NAMES if name != "greybox")
 
 # TOML knows numbers from text: strict keeps rmse = "0.5" from being read as a number.
-Most = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
+PositiveError = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
 Percent = Annotated[float, Field(strict=True, gt=0, le=100, allow_inf_nan=False)]
 Share = Annotated[float, Field(strict=True, gt=0, le=1, allow_inf_nan=False)]
 
 
-class _Demanding(Strict):
+class _NonEmptyLimits(Strict):
     """Limits of which at least one is given: what demands nothing accepts everything."""
 
     @model_validator(mode="after")
-    def _demands(self) -> "_Demanding":
+    def _require_any(self) -> "_NonEmptyLimits":
         limits = {name: value for name, value in self if name != "unit"}
         if all(value is None for value in limits.values()):
             raise ValueError(f"demands nothing; required at least one of {', '.join(limits)}")
         return self
 
 
-class FigureLimits(_Demanding):
+class FigureLimits(_NonEmptyLimits):
     """Limits of the figures of one run.
 
     Attributes:
@@ -43,15 +43,15 @@ class FigureLimits(_Demanding):
         within_1: percent of samples whose error is below one unit of the logs; at least.
     """
 
-    rmse: Most | None = None
-    mae: Most | None = None
-    max_abs: Most | None = None
+    rmse: PositiveError | None = None
+    mae: PositiveError | None = None
+    max_abs: PositiveError | None = None
     r2: Share | None = None
     fit: Percent | None = None
     within_1: Percent | None = None
 
 
-class ModeLimits(_Demanding):
+class DirectionLimits(_NonEmptyLimits):
     """Limits of one direction or of the cycles.
 
     Attributes:
@@ -67,44 +67,44 @@ class ModeLimits(_Demanding):
     free_run: FigureLimits | None = None
     one_step: FigureLimits | None = None
     worst_test: FigureLimits | None = None
-    horizon: dict[int, Most] | None = None
+    horizon: dict[int, PositiveError] | None = None
     coverage: tuple[Percent, Percent] | None = None
     better_than: tuple[str, ...] | None = None
 
     @field_validator("horizon", mode="before")
     @classmethod
-    def _validated_horizons(cls, given: object) -> object:
-        if not isinstance(given, Mapping):
-            return given
-        known = {str(steps): steps for steps in HORIZONS}
-        if not given:
-            raise ValueError(f"demands nothing; required one of {', '.join(known)} samples ahead")
-        for key in given:
-            if str(key) not in known:
-                raise ValueError(f"came '{key}' samples ahead, required one of {', '.join(known)}")
-        return {known[str(key)]: limit for key, limit in given.items()}
+    def _validated_horizons(cls, value: object) -> object:
+        if not isinstance(value, Mapping):
+            return value
+        horizons = {str(steps): steps for steps in HORIZONS}
+        if not value:
+            raise ValueError(f"demands nothing; required one of {', '.join(horizons)} samples ahead")
+        for key in value:
+            if str(key) not in horizons:
+                raise ValueError(f"came '{key}' samples ahead, required one of {', '.join(horizons)}")
+        return {horizons[str(key)]: limit for key, limit in value.items()}
 
     @field_validator("coverage")
     @classmethod
-    def _ordered(cls, given: tuple[float, float] | None) -> tuple[float, float] | None:
-        if given is not None and given[0] > given[1]:
-            raise ValueError(f"came {list(given)}, required [at least, at most]")
-        return given
+    def _require_ordered(cls, value: tuple[float, float] | None) -> tuple[float, float] | None:
+        if value is not None and value[0] > value[1]:
+            raise ValueError(f"came {list(value)}, required [at least, at most]")
+        return value
 
     @field_validator("better_than")
     @classmethod
-    def _baselines(cls, given: tuple[str, ...] | None) -> tuple[str, ...] | None:
-        if given == ():
+    def _require_known_baselines(cls, value: tuple[str, ...] | None) -> tuple[str, ...] | None:
+        if value == ():
             raise ValueError(f"demands nothing; required one of {', '.join(BASELINES)}")
-        for name in given or ():
+        for name in value or ():
             if name not in BASELINES:
                 raise ValueError(f"came '{name}', required one of {', '.join(BASELINES)}")
-        if given is not None and len(set(given)) < len(given):
-            raise ValueError(f"came {', '.join(given)}, required each once")
-        return given
+        if value is not None and len(set(value)) < len(value):
+            raise ValueError(f"came {', '.join(value)}, required each once")
+        return value
 
 
-class Limits(_Demanding):
+class AcceptanceLimits(_NonEmptyLimits):
     """All of a limits file.
 
     Attributes:
@@ -113,22 +113,22 @@ class Limits(_Demanding):
     """
 
     unit: str
-    lifting: ModeLimits | None = None
-    lowering: ModeLimits | None = None
-    cycles: ModeLimits | None = None
+    lifting: DirectionLimits | None = None
+    lowering: DirectionLimits | None = None
+    cycles: DirectionLimits | None = None
 
     @field_validator("unit")
     @classmethod
-    def _known(cls, unit: str) -> str:
+    def _require_known_unit(cls, unit: str) -> str:
         if unit not in UNITS:
             raise ValueError(f"required one of {', '.join(UNITS)}")
         return unit
 
     @property
-    def modes(self) -> dict[str, ModeLimits]:
+    def by_direction(self) -> dict[str, DirectionLimits]:
         """Return what is demanded, by direction or `cycles`."""
-        each = {mode: getattr(self, mode) for mode in (*MODES, CYCLES)}
-        return {mode: limits for mode, limits in each.items() if limits is not None}
+        all_limits = {direction: getattr(self, direction) for direction in (*DIRECTIONS, CYCLES)}
+        return {direction: limits for direction, limits in all_limits.items() if limits is not None}
 
     def check_convertible(self, unit: str) -> None:
         """Complain about limits that errors in the logs' unit cannot be held against.
@@ -140,21 +140,21 @@ class Limits(_Demanding):
             SettingsError: the dimensions differ, or `within_1` is limited and the units differ.
         """
         conversion_factor(self.unit, unit, "limits: key 'unit'")
-        for mode, limits in self.modes.items():
+        for direction, limits in self.by_direction.items():
             for run in ("one_step", "free_run", "worst_test"):
                 figures: FigureLimits | None = getattr(limits, run)
                 if figures is not None and figures.within_1 is not None and self.unit != unit:
                     raise SettingsError(
-                        f"limits: key '{mode}.{run}.within_1': counts errors below 1 {unit}, the logs' unit, "
+                        f"limits: key '{direction}.{run}.within_1': counts errors below 1 {unit}, the logs' unit, "
                         f"and cannot be converted to '{self.unit}'; required unit = \"{unit}\""
                     )
 
 
-def read_limits(path: str | Path) -> Limits:
+def read_limits(path: str | Path) -> AcceptanceLimits:
     """Read acceptance limits from a TOML file.
 
     Raises:
         SettingsError: the file cannot be read, is not TOML, has a key or value that is not understood, or
             demands nothing.
     """
-    return parse_settings(Path(path), Limits)
+    return parse_settings(Path(path), AcceptanceLimits)

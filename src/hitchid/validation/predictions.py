@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hitchid._support.metrics import surely_less
+from hitchid._support.metrics import significantly_better
 
-FEWEST = 3
+MIN_TESTS = 3
 Rows = tuple[np.ndarray, ...]
 
 
@@ -32,17 +32,17 @@ class Predictions:
 
     def take(self, indices: Iterable[int]) -> "Predictions":
         """Return some of the tests."""
-        picked = list(indices)
+        selected = list(indices)
 
-        def some(rows: Rows) -> Rows:
-            return tuple(rows[i] for i in picked)
+        def select(rows: Rows) -> Rows:
+            return tuple(rows[i] for i in selected)
 
         return Predictions(
-            names=tuple(self.names[i] for i in picked),
-            time_s=some(self.time_s),
-            actual=some(self.actual),
-            models={name: some(rows) for name, rows in self.models.items()},
-            band=None if self.band is None else (some(self.band[0]), some(self.band[1])),
+            names=tuple(self.names[i] for i in selected),
+            time_s=select(self.time_s),
+            actual=select(self.actual),
+            models={name: select(rows) for name, rows in self.models.items()},
+            band=None if self.band is None else (select(self.band[0]), select(self.band[1])),
         )
 
     def errors(self, model: str) -> np.ndarray:
@@ -53,10 +53,11 @@ class Predictions:
         """Return the root mean square error of each test, infinite where the model diverged, shape [T]."""
         pairs = zip(self.actual, self.models[model], strict=True)
         with np.errstate(over="ignore", invalid="ignore"):
-            found = np.array([np.sqrt(np.mean((a - p) ** 2)) for a, p in pairs])
-        return np.where(np.isfinite(found), found, np.inf)
+            errors = np.array([np.sqrt(np.mean((a - p) ** 2)) for a, p in pairs])
+        return np.where(np.isfinite(errors), errors, np.inf)
 
-    def errs_surely_less(self, model: str, than: str) -> bool:
-        """Tell whether one model errs less than another beyond chance between tests; see `surely_less`."""
+    def is_significantly_better(self, model: str, other: str) -> bool:
+        """Tell whether one model errs less than another beyond chance between tests; see
+        `significantly_better`."""
         samples = np.array([row.size for row in self.actual])
-        return len(samples) >= FEWEST and surely_less(self.rmse(model), self.rmse(than), samples)
+        return len(samples) >= MIN_TESTS and significantly_better(self.rmse(model), self.rmse(other), samples)

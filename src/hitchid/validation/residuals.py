@@ -10,10 +10,10 @@ from hitchid.errors import InputError
 
 LEVEL = 0.01
 BOUND = float(-ndtri(LEVEL / 2))
-LEAST_SAMPLES = 8
-MOST_BINS = 8
+MIN_SAMPLES = 8
+MAX_BINS = 8
 # Eighths of autocorrelated errors differ by chance; by less than this no place is called the worst.
-DISTINCT = 1.25
+DISTINCT_RATIO = 1.25
 
 
 @dataclass(frozen=True)
@@ -97,11 +97,11 @@ class ResidualTests:
     def sentence(self, unit: str, command_unit: str) -> str:
         """Say in one sentence what the errors show; `unit` is the displacement's."""
         white = "are white" if self.white else f"are not white ({_p_text(self.whiteness_p)})"
-        command = "do not follow the command" if self.independent else self._following()
+        command = "do not follow the command" if self.independent else self._command_phrase()
         units = {"position": unit, "speed": f"{unit}/s", "command": command_unit}
-        return f"errors {white}, {command}; {self._worst(unit, units)}"
+        return f"errors {white}, {command}; {self._worst_bin_phrase(unit, units)}"
 
-    def _following(self) -> str:
+    def _command_phrase(self) -> str:
         """Name the lags outside that adjoin the one farthest outside."""
         ratio = np.abs(self.cross_correlation) / np.asarray(self.cross_bounds)
         first = last = self.cross_lags[int(np.argmax(ratio))]
@@ -116,25 +116,25 @@ class ResidualTests:
         verb = "run ahead of" if last < 0 else "follow"
         return f"{verb} the command at {lags} ({time})"
 
-    def _worst(self, unit: str, units: Mapping[str, str]) -> str:
+    def _worst_bin_phrase(self, unit: str, units: Mapping[str, str]) -> str:
         """Name the bin whose squared errors exceed its due by most."""
         groups = {"position": self.by_position, "speed": self.by_speed, "command": self.by_command}
         overall = float(np.hypot(self.mean, self.deviation))
         # Relative to the overall figure, so that no square of a very small error becomes nothing.
         largest = [
-            (each.count * ((each.rmse / (overall or 1.0)) ** 2 - 1.0), name, each)
+            (error_bin.count * ((error_bin.rmse / (overall or 1.0)) ** 2 - 1.0), name, error_bin)
             for name, group in groups.items()
-            for each in group.bins
-            if each.count < self.count
+            for error_bin in group.bins
+            if error_bin.count < self.count
         ]
-        excess, name, worst = max(largest, key=lambda found: found[0], default=(0.0, "", None))
+        excess, name, worst = max(largest, key=lambda candidate: candidate[0], default=(0.0, "", None))
         if worst is not None:
             rest = overall * float(np.sqrt(max(0.0, 1.0 - excess / (self.count - worst.count))))
-            if worst.rmse > DISTINCT * rest:
+            if worst.rmse > DISTINCT_RATIO * rest:
                 low, high = f"{worst.lower:.3g}", f"{worst.upper:.3g}"
-                place = f"at {low}" if low == high else f"between {low} and {high}"
+                location = f"at {low}" if low == high else f"between {low} and {high}"
                 return (
-                    f"largest by {name}: RMSE {worst.rmse:.2g} {unit} {place} {units[name]}, "
+                    f"largest by {name}: RMSE {worst.rmse:.2g} {unit} {location} {units[name]}, "
                     f"{rest:.2g} {unit} elsewhere"
                 )
         return f"about as large everywhere: RMSE {overall:.2g} {unit}"
@@ -176,46 +176,50 @@ def residual_tests(
         InputError: shapes differ, a value is not finite, fewer than 8 samples came in all, or the sampling
             time or the lags are not positive.
     """
-    named = {"errors": errors, "commands": commands, "displacements": displacements, "speeds": speeds}
-    tests = _checked(named, step_s, lags)
+    series = {"errors": errors, "commands": commands, "displacements": displacements, "speeds": speeds}
+    tests = _check_series(series, step_s, lags)
     size = np.array([test.size for test in tests["errors"]])
     count = int(size.sum())
     pairs = np.maximum(size[:, None] - np.arange(size.max()), 0).sum(axis=0)
-    used = min(lags, int(np.sum(pairs >= count / 2)) - 1)
+    max_lag = min(lags, int(np.sum(pairs >= count / 2)) - 1)
 
     error, mean, deviation = _standardised(tests["errors"])
     command, _, _ = _standardised(tests["commands"])
-    of_error, of_command = (_products(each, each)[size.max() - 1 :] / pairs for each in (error, command))
+    error_autocorrelation, command_autocorrelation = (
+        _products(signal, signal)[size.max() - 1 :] / pairs for signal in (error, command)
+    )
 
-    auto = of_error[1 : used + 1]
-    whiteness = float((count + 2) / count * np.sum(pairs[1 : used + 1] * auto**2))
-    whiteness_p = float(chdtrc(used, whiteness)) if used else 1.0
+    auto = error_autocorrelation[1 : max_lag + 1]
+    whiteness = float((count + 2) / count * np.sum(pairs[1 : max_lag + 1] * auto**2))
+    whiteness_p = float(chdtrc(max_lag, whiteness)) if max_lag else 1.0
 
-    lag = np.arange(-used, used + 1)
+    lag = np.arange(-max_lag, max_lag + 1)
     cross = _products(error, command)[size.max() - 1 + lag] / pairs[np.abs(lag)]
-    spread = _cross_deviation(of_error, of_command, pairs, used)[np.abs(lag)]
+    spread = _cross_deviation(error_autocorrelation, command_autocorrelation, pairs, max_lag)[np.abs(lag)]
     independence_p = min(1.0, float(lag.size * 2 * ndtr(-np.max(np.abs(cross) / spread))))
 
     pooled = np.concatenate(error)
     skewness = float(np.mean(pooled**3))
     kurtosis = float(np.mean(pooled**4)) - 3.0 if deviation else 0.0
-    third, fourth = (1.0 + 2.0 * float(np.sum(pairs[1:] / count * of_error[1:] ** p)) for p in (3, 4))
+    third, fourth = (
+        1.0 + 2.0 * float(np.sum(pairs[1:] / count * error_autocorrelation[1:] ** p)) for p in (3, 4)
+    )
     normality_p = float(
         chdtrc(2, count * (skewness**2 / (6 * max(third, 1.0)) + kurtosis**2 / (24 * fourth)))
     )
 
-    flat = {name: np.concatenate(each) for name, each in tests.items()}
+    flat = {name: np.concatenate(arrays) for name, arrays in tests.items()}
     return ResidualTests(
         step_s=float(step_s),
         count=count,
         mean=mean,
         deviation=deviation,
         whiteness=whiteness,
-        freedom=used,
+        freedom=max_lag,
         whiteness_p=whiteness_p,
         white=whiteness_p >= LEVEL,
         autocorrelation=tuple(auto.tolist()),
-        autocorrelation_bounds=tuple((BOUND / np.sqrt(pairs[1 : used + 1])).tolist()),
+        autocorrelation_bounds=tuple((BOUND / np.sqrt(pairs[1 : max_lag + 1])).tolist()),
         cross_lags=tuple(lag.tolist()),
         cross_correlation=tuple(cross.tolist()),
         cross_bounds=tuple((BOUND * spread).tolist()),
@@ -232,28 +236,28 @@ def residual_tests(
     )
 
 
-def _checked(
-    named: Mapping[str, Sequence[np.ndarray]], step_s: float, lags: int
+def _check_series(
+    series: Mapping[str, Sequence[np.ndarray]], step_s: float, lags: int
 ) -> dict[str, list[np.ndarray]]:
     """Return the tests that have samples, as float64, or raise `InputError`."""
     if not (np.isfinite(step_s) and step_s > 0 and lags >= 1):
         raise InputError(f"a positive step_s and at least 1 lag are required, came {step_s} s and {lags}")
-    tests = {name: [np.asarray(test, dtype=np.float64) for test in each] for name, each in named.items()}
+    tests = {name: [np.asarray(test, dtype=np.float64) for test in arrays] for name, arrays in series.items()}
     shapes = [test.shape for test in tests["errors"]]
-    for name, each in tests.items():
-        if [test.shape for test in each] != shapes or any(len(shape) != 1 for shape in shapes):
-            came = [test.shape for test in each]
-            raise InputError(f"{name} have shapes {came}, errors {shapes}: equal ones [N_i] are required")
-        for place, test in enumerate(each):
+    for name, arrays in tests.items():
+        if [test.shape for test in arrays] != shapes or any(len(shape) != 1 for shape in shapes):
+            received = [test.shape for test in arrays]
+            raise InputError(f"{name} have shapes {received}, errors {shapes}: equal ones [N_i] are required")
+        for test_index, test in enumerate(arrays):
             if not np.all(np.isfinite(test)):
-                row = int(np.flatnonzero(~np.isfinite(test))[0])
+                sample = int(np.flatnonzero(~np.isfinite(test))[0])
                 raise InputError(
-                    f"{name} of test {place} are {test[row]} at sample {row}: finite ones are required"
+                    f"{name} of test {test_index} are {test[sample]} at sample {sample}: finite ones are required"
                 )
     count = sum(shape[0] for shape in shapes)
-    if count < LEAST_SAMPLES:
-        raise InputError(f"{count} samples came in all, at least {LEAST_SAMPLES} are required")
-    return {name: [test for test in each if test.size] for name, each in tests.items()}
+    if count < MIN_SAMPLES:
+        raise InputError(f"{count} samples came in all, at least {MIN_SAMPLES} are required")
+    return {name: [test for test in arrays if test.size] for name, arrays in tests.items()}
 
 
 def _standardised(tests: Sequence[np.ndarray]) -> tuple[list[np.ndarray], float, float]:
@@ -268,26 +272,26 @@ def _standardised(tests: Sequence[np.ndarray]) -> tuple[list[np.ndarray], float,
     return [(test / scale - mean) / deviation for test in tests], scale * mean, scale * deviation
 
 
-def _products(ones: Sequence[np.ndarray], others: Sequence[np.ndarray]) -> np.ndarray:
+def _products(first_signals: Sequence[np.ndarray], second_signals: Sequence[np.ndarray]) -> np.ndarray:
     """Return Σ a(t + k) b(t) over all tests, never from one test into another, k = −L..L for length L + 1."""
     from scipy.signal import correlate  # not at the top: half a second
 
-    longest = max(test.size for test in ones)
+    longest = max(test.size for test in first_signals)
     total = np.zeros(2 * longest - 1)
-    for one, other in zip(ones, others, strict=True):
-        total[longest - one.size : longest + one.size - 1] += correlate(one, other)
+    for first, second in zip(first_signals, second_signals, strict=True):
+        total[longest - first.size : longest + first.size - 1] += correlate(first, second)
     return total
 
 
 def _cross_deviation(
-    of_error: np.ndarray, of_command: np.ndarray, pairs: np.ndarray, lags: int
+    error_autocorrelation: np.ndarray, command_autocorrelation: np.ndarray, pairs: np.ndarray, lags: int
 ) -> np.ndarray:
     """Return the standard deviation of the cross-correlation of independent signals at lags 0..lags."""
-    product = _taper(of_error, pairs) * of_error * of_command
+    product = _taper(error_autocorrelation, pairs) * error_autocorrelation * command_autocorrelation
     product[1:] *= 2.0
     total = [np.sum(pairs[lag:] * product[: pairs.size - lag]) for lag in range(lags + 1)]
-    known = pairs[: lags + 1]
-    return np.sqrt(np.maximum(np.array(total), known)) / known
+    lag_pairs = pairs[: lags + 1]
+    return np.sqrt(np.maximum(np.array(total), lag_pairs)) / lag_pairs
 
 
 def _taper(correlation: np.ndarray, pairs: np.ndarray) -> np.ndarray:
@@ -298,36 +302,36 @@ def _taper(correlation: np.ndarray, pairs: np.ndarray) -> np.ndarray:
     products are no estimate. Over all lags the sum would be that of the squared cross-correlations, which
     would widen the bounds by the very dependence that is looked for.
     """
-    clear = np.abs(correlation) >= 2.0 * np.sqrt(np.log10(pairs[0]) / pairs)
-    clear[0] = True
-    lag = np.arange(clear.size)
-    last = np.maximum.accumulate(np.where(clear, lag, 0))
+    significant = np.abs(correlation) >= 2.0 * np.sqrt(np.log10(pairs[0]) / pairs)
+    significant[0] = True
+    lag = np.arange(significant.size)
+    last = np.maximum.accumulate(np.where(significant, lag, 0))
     ends = np.flatnonzero(lag - last >= 5)
-    reach = int(last[ends[0]] if ends.size else last[-1])
-    return np.clip(2.0 - lag / max(reach, 0.5), 0.0, 1.0)
+    cutoff_lag = int(last[ends[0]] if ends.size else last[-1])
+    return np.clip(2.0 - lag / max(cutoff_lag, 0.5), 0.0, 1.0)
 
 
 def _binned(errors: np.ndarray, standardised: np.ndarray, values: np.ndarray) -> Binned:
     """Divide errors, shape [N], by a quantity: a bin for each of 8 values at most, else eighths."""
-    tops = np.unique(values)
-    if tops.size > MOST_BINS:
+    upper_edges = np.unique(values)
+    if upper_edges.size > MAX_BINS:
         # A quantile that is a value of the data never divides equal ones.
-        share = np.arange(1, MOST_BINS + 1) / MOST_BINS
-        tops = np.unique(np.quantile(values, share, method="inverted_cdf"))
-    place = np.searchsorted(tops, values)
+        share = np.arange(1, MAX_BINS + 1) / MAX_BINS
+        upper_edges = np.unique(np.quantile(values, share, method="inverted_cdf"))
+    bin_index = np.searchsorted(upper_edges, values)
     scale = float(np.max(np.abs(errors))) or 1.0
     bins, explained = [], 0.0
-    for number in range(tops.size):
-        inside = place == number
-        part = errors[inside] / scale
-        explained += part.size * float(np.mean(standardised[inside])) ** 2
+    for number in range(upper_edges.size):
+        inside = bin_index == number
+        scaled_errors = errors[inside] / scale
+        explained += scaled_errors.size * float(np.mean(standardised[inside])) ** 2
         bins.append(
             Bin(
                 lower=float(np.min(values[inside])),
-                upper=float(tops[number]),
-                count=int(part.size),
-                mean=scale * float(np.mean(part)),
-                rmse=scale * float(np.sqrt(np.mean(part**2))),
+                upper=float(upper_edges[number]),
+                count=int(scaled_errors.size),
+                mean=scale * float(np.mean(scaled_errors)),
+                rmse=scale * float(np.sqrt(np.mean(scaled_errors**2))),
             )
         )
     return Binned(share=min(1.0, explained / errors.size), bins=tuple(bins))

@@ -22,17 +22,17 @@ RUNS = {"one_step": "one step", "free_run": "free run"}
 def tables(metrics: Mapping[str, Any]) -> list[Table]:
     """Return for each direction accuracy, horizons and single tests, and the cycles at the end."""
     unit = metrics["unit"]
-    found = []
-    for mode, channel in metrics["channels"].items():
-        found += [
-            accuracy_table(mode, channel, unit),
-            horizon_table(mode, channel, unit),
-            single_test_table(mode, channel["per_test"], unit),
-            *trust_tables(mode, channel, unit),
+    all_tables = []
+    for direction, channel in metrics["channels"].items():
+        all_tables += [
+            accuracy_table(direction, channel, unit),
+            horizon_table(direction, channel, unit),
+            single_test_table(direction, channel["per_test"], unit),
+            *trust_tables(direction, channel, unit),
         ]
     if metrics["cycles"]["tests"]:
-        found += cycle_tables(metrics["cycles"], unit)
-    return found
+        all_tables += cycle_tables(metrics["cycles"], unit)
+    return all_tables
 
 
 def markdown(content: Sequence[Table], notices: Sequence[str], *, title: str = "Validation") -> str:
@@ -56,7 +56,7 @@ def _line(cells: Sequence[str]) -> str:
     return f"| {' | '.join(cells)} |"
 
 
-def accuracy_table(mode: str, channel: Mapping[str, Any], unit: str) -> Table:
+def accuracy_table(direction: str, channel: Mapping[str, Any], unit: str) -> Table:
     """Return how far every model errs on a direction's unseen tests, one step ahead and in free run."""
     models = {**channel["baselines"], "benchmark": channel["benchmark"], "greybox": channel["greybox"]}
     rows = [
@@ -67,7 +67,7 @@ def accuracy_table(mode: str, channel: Mapping[str, Any], unit: str) -> Table:
     ]
     count = len(channel["tests"])
     tests = f"{count} unseen test{'s' if count != 1 else ''}"
-    return Table(f"{mode}: accuracy on {tests}", error_header(unit, "model", "run"), tuple(rows))
+    return Table(f"{direction}: accuracy on {tests}", error_header(unit, "model", "run"), tuple(rows))
 
 
 def error_header(unit: str, *names: str) -> tuple[str, ...]:
@@ -76,12 +76,12 @@ def error_header(unit: str, *names: str) -> tuple[str, ...]:
     return (*names, *errors)
 
 
-def horizon_table(mode: str, channel: Mapping[str, Any], unit: str) -> Table:
+def horizon_table(direction: str, channel: Mapping[str, Any], unit: str) -> Table:
     """Return how far every model errs over each horizon."""
     horizons = channel["horizons"]
     rows = [(NAMES[name], *(digits(value) for value in horizons[name])) for name in NAMES if name in horizons]
     header = ("model", *(str(step) for step in horizons["steps"]))
-    return Table(f"{mode}: RMSE / {unit} over the horizon in samples", header, tuple(rows))
+    return Table(f"{direction}: RMSE / {unit} over the horizon in samples", header, tuple(rows))
 
 
 def single_test_table(title: str, per_test: Mapping[str, Any], unit: str) -> Table:

@@ -5,9 +5,9 @@ from dataclasses import asdict
 
 import numpy as np
 
-from hitchid.estimation import Trail
+from hitchid.estimation import SearchHistory
 from hitchid.model import Band, Channel
-from hitchid.model.possible import spread
+from hitchid.model.ensemble import ensemble_deviations
 from hitchid.structures import Batch
 from hitchid.uncertainty import Bands, Characteristics, Estimates, Quantity, Uncertainty
 from hitchid.validation.residuals import residual_tests
@@ -15,75 +15,77 @@ from hitchid.validation.residuals import residual_tests
 COVERAGE = 0.9
 
 
-def trust_figures(known: Uncertainty, factor: float = 1.0) -> dict:
+def trust_figures(uncertainty: Uncertainty, factor: float = 1.0) -> dict:
     """Return what identification found of parameters and searches, as JSON can hold it.
 
     Args:
-        known: how far a channel can be trusted.
+        uncertainty: how far a channel can be trusted.
         factor: from the model's unit of displacement to that of the figures, for errors; parameters stay in
             the model's units, which are told with them.
     """
-    found = {"parameters": parameter_figures(known.benchmark, factor)}
-    if known.characteristics is not None:
-        found["characteristics"] = characteristic_figures(known.characteristics)
-    if known.paper is not None:
-        found["paper_parameters"] = parameter_figures(known.paper, factor)
-    if known.searches:
-        found["searches"] = {trail.name: _search(trail, factor) for trail in known.searches}
-    return found
+    figures = {"parameters": parameter_figures(uncertainty.benchmark, factor)}
+    if uncertainty.characteristics is not None:
+        figures["characteristics"] = characteristic_figures(uncertainty.characteristics)
+    if uncertainty.paper is not None:
+        figures["paper_parameters"] = parameter_figures(uncertainty.paper, factor)
+    if uncertainty.searches:
+        figures["searches"] = {
+            history.name: _search_figures(history, factor) for history in uncertainty.searches
+        }
+    return figures
 
 
-def parameter_figures(known: Estimates, factor: float = 1.0) -> dict:
+def parameter_figures(estimates: Estimates, factor: float = 1.0) -> dict:
     """Return estimates, what follows from them, and their correlation, as JSON can hold them.
 
     Args:
-        known: the estimates.
+        estimates: the estimates.
         factor: as for `trust_figures`.
     """
     return {
-        "tests": known.tests,
-        "independent": known.rows,
+        "tests": estimates.tests,
+        "independent": estimates.rows,
         "estimates": {
-            each.name: {
-                "symbol": each.symbol,
-                "unit": each.unit,
-                "value": each.value,
-                "standard_error": each.error,
-                "interval_95": list(each.interval),
-                "method": each.method,
-                "bootstrap_95": None if each.bootstrap is None else list(each.bootstrap),
-                "determined": each.determined,
-                "verdict": each.verdict,
-                "sensitivity": each.sensitivity,
-                "bounds": [each.lower, each.upper],
-                "profile": [[value, factor * rmse] for value, rmse in each.profile],
+            estimate.name: {
+                "symbol": estimate.symbol,
+                "unit": estimate.unit,
+                "value": estimate.value,
+                "standard_error": estimate.error,
+                "interval_95": list(estimate.interval),
+                "method": estimate.method,
+                "bootstrap_95": None if estimate.bootstrap is None else list(estimate.bootstrap),
+                "determined": estimate.determined,
+                "verdict": estimate.verdict,
+                "sensitivity": estimate.sensitivity,
+                "bounds": [estimate.lower, estimate.upper],
+                "profile": [[value, factor * rmse] for value, rmse in estimate.profile],
             }
-            for each in known.parameters
+            for estimate in estimates.parameters
         },
         "derived": {
-            each.name: {
-                "unit": each.unit,
-                "value": each.value,
-                "interval_95": list(each.interval),
-                "determined": each.determined,
+            quantity.name: {
+                "unit": quantity.unit,
+                "value": quantity.value,
+                "interval_95": list(quantity.interval),
+                "determined": quantity.determined,
             }
-            for each in known.derived
+            for quantity in estimates.derived
         },
-        "correlation": [list(row) for row in known.correlation],
+        "correlation": [list(row) for row in estimates.correlation],
     }
 
 
-def characteristic_figures(known: Characteristics) -> dict:
+def characteristic_figures(characteristics: Characteristics) -> dict:
     """Return speed map, dead zone, delay and response time, as JSON can hold them, in the model's units."""
     return {
-        "command_unit": known.command_unit,
-        "speed_unit": known.speed_unit,
-        "load": known.load,
-        "dead_zone": _quantity(known.dead_zone),
-        "flow_begins": _quantity(known.opening),
-        "step_command": known.level,
-        "delay_s": _quantity(known.delay),
-        "response_time_s": _quantity(known.response_time),
+        "command_unit": characteristics.command_unit,
+        "speed_unit": characteristics.speed_unit,
+        "load": characteristics.load,
+        "dead_zone": _quantity_figures(characteristics.dead_zone),
+        "flow_begins": _quantity_figures(characteristics.opening),
+        "step_command": characteristics.level,
+        "delay_s": _quantity_figures(characteristics.delay),
+        "response_time_s": _quantity_figures(characteristics.response_time),
         "speed_map": [
             {
                 "command": point.command,
@@ -93,35 +95,35 @@ def characteristic_figures(known: Characteristics) -> dict:
                 "upper": point.interval[1],
                 "determined": point.determined,
             }
-            for point in known.speed_map
+            for point in characteristics.speed_map
         ],
-        "measured_speeds": [asdict(each) for each in known.measured],
+        "measured_speeds": [asdict(measured) for measured in characteristics.measured],
     }
 
 
-def _quantity(known: Quantity | None) -> dict | None:
-    if known is None:
+def _quantity_figures(quantity: Quantity | None) -> dict | None:
+    if quantity is None:
         return None
-    lower, upper = known.interval
-    return {"value": known.value, "lower": lower, "upper": upper, "determined": known.determined}
+    lower, upper = quantity.interval
+    return {"value": quantity.value, "lower": lower, "upper": upper, "determined": quantity.determined}
 
 
-def _search(trail: Trail, factor: float) -> dict:
+def _search_figures(history: SearchHistory, factor: float) -> dict:
     """Return how one search went from its seeds: ends, effort, and the run in the middle, step by step."""
-    middle = trail.runs[int(np.argsort(trail.ends)[len(trail.runs) // 2])]
+    median_run = history.runs[int(np.argsort(history.final_fitnesses)[len(history.runs) // 2])]
     return {
-        "seeds": len(trail.runs),
-        "rmse": [_times(run.last, factor) for run in trail.runs],
-        "evaluations": [run.evaluations for run in trail.runs],
-        "failures": [run.failures for run in trail.runs],
+        "seeds": len(history.runs),
+        "rmse": [_scale(run.final_fitness, factor) for run in history.runs],
+        "evaluations": [run.evaluations for run in history.runs],
+        "failures": [run.failures for run in history.runs],
         "median_run": {
-            "rmse": [_times(each, factor) for each in middle.fitness],
-            "values": [list(row) for row in middle.values],
+            "rmse": [_scale(error, factor) for error in median_run.fitness],
+            "values": [list(row) for row in median_run.values],
         },
     }
 
 
-def _times(error: float | None, factor: float) -> float | None:
+def _scale(error: float | None, factor: float) -> float | None:
     return None if error is None else factor * error
 
 
@@ -137,25 +139,25 @@ def residual_figures(channel: Channel, batch: Batch, predicted: np.ndarray, fact
     Returns:
         The findings as JSON can hold them; None where the predictions diverged.
     """
-    counted = np.asarray(batch.counted)
+    loss_mask = np.asarray(batch.loss_mask)
     simulated = np.asarray(channel.simulate(batch))
     with np.errstate(over="ignore", invalid="ignore"):
-        diverged = not all(np.isfinite(np.sum(rows[counted] ** 2)) for rows in (predicted, simulated))
+        diverged = not all(np.isfinite(np.sum(rows[loss_mask] ** 2)) for rows in (predicted, simulated))
     if diverged:
         return None
     speed = np.gradient(simulated, batch.step_s, axis=1)
 
     def rows(values: np.ndarray) -> list[np.ndarray]:
-        return [row[here] for row, here in zip(np.asarray(values), counted, strict=True)]
+        return [row[mask] for row, mask in zip(np.asarray(values), loss_mask, strict=True)]
 
-    found = residual_tests(
+    findings = residual_tests(
         rows(factor * (np.asarray(batch.displacement) - predicted)),
         rows(np.asarray(batch.command)),
         rows(factor * simulated),
         rows(factor * speed),
         step_s=batch.step_s,
     )
-    return asdict(found)
+    return asdict(findings)
 
 
 def free_run_band(channel: Channel, bands: Bands, batch: Batch) -> np.ndarray:
@@ -165,16 +167,16 @@ def free_run_band(channel: Channel, bands: Bands, batch: Batch) -> np.ndarray:
         channel, bands: of the model.
         batch: tests.
     """
-    _, apart = spread(channel, bands.alternatives, batch)
-    return bands.free_run_half_width(COVERAGE, np.sqrt(np.sum(apart**2, axis=0)))
+    _, deviations = ensemble_deviations(channel, bands.alternatives, batch)
+    return bands.free_run_half_width(COVERAGE, np.sqrt(np.sum(deviations**2, axis=0)))
 
 
 def band_figures(
     bands: Bands,
     batch: Batch,
     simulated: np.ndarray,
-    half: np.ndarray,
-    ahead: np.ndarray,
+    half_width: np.ndarray,
+    multi_step: np.ndarray,
     steps: Sequence[int],
     factor: float,
 ) -> dict:
@@ -183,27 +185,27 @@ def band_figures(
     Args:
         bands: of the channel.
         batch: tests.
-        simulated, half: the free run and the half width of its band, shape [T, N].
-        ahead: predictions over horizons, shape [H, T, N].
+        simulated, half_width: the free run and the half width of its band, shape [T, N].
+        multi_step: predictions over horizons, shape [H, T, N].
         steps: the horizons.
         factor: from the model's unit of displacement to that of the figures.
     """
-    counted, measured = np.asarray(batch.counted), np.asarray(batch.displacement)
-    late = [counted & (np.arange(counted.shape[1]) >= step) for step in steps]
+    loss_mask, measured = np.asarray(batch.loss_mask), np.asarray(batch.displacement)
+    horizon_masks = [loss_mask & (np.arange(loss_mask.shape[1]) >= step) for step in steps]
     widths = [bands.half_width(COVERAGE, step) for step in steps]
     return {
         "coverage": COVERAGE,
         "calibrated_on": {"free_run": bands.tests[0], "horizons": bands.tests[1]},
         "sensor_noise": factor * bands.noise,
         "free_run": {
-            **_held(_shares(np.abs(measured - simulated) <= half, counted)),
-            "width": factor * float(np.mean(2 * half[counted])),
+            **_coverage_figures(_shares(np.abs(measured - simulated) <= half_width, loss_mask)),
+            "width": factor * float(np.mean(2 * half_width[loss_mask])),
         },
         "horizons": {
             "steps": list(steps),
             "covered": [
-                float(np.mean(_shares(np.abs(measured - rows) <= width, here)))
-                for rows, width, here in zip(ahead, widths, late, strict=True)
+                float(np.mean(_shares(np.abs(measured - rows) <= width, mask)))
+                for rows, width, mask in zip(multi_step, widths, horizon_masks, strict=True)
             ],
             "width": [2 * factor * width for width in widths],
         },
@@ -220,17 +222,17 @@ def cycle_band_figures(bands: Sequence[Band], actual: Sequence[np.ndarray]) -> d
     pairs = list(zip(bands, actual, strict=True))
     shares = [np.mean((lower <= y) & (y <= upper)) for (lower, upper), y in pairs]
     widths = [np.mean(upper - lower) for lower, upper in bands]
-    found = {**_held(np.array(shares)), "width": float(np.mean(widths))}
-    return {"coverage": COVERAGE, "free_run": found}
+    figures = {**_coverage_figures(np.array(shares)), "width": float(np.mean(widths))}
+    return {"coverage": COVERAGE, "free_run": figures}
 
 
-def _shares(inside: np.ndarray, counted: np.ndarray) -> np.ndarray:
+def _shares(inside: np.ndarray, loss_mask: np.ndarray) -> np.ndarray:
     """Return the share of samples inside, of each test that has any."""
-    counts = counted.sum(axis=1)
-    return (inside & counted).sum(axis=1)[counts > 0] / counts[counts > 0]
+    counts = loss_mask.sum(axis=1)
+    return (inside & loss_mask).sum(axis=1)[counts > 0] / counts[counts > 0]
 
 
-def _held(shares: np.ndarray) -> dict[str, float | None]:
+def _coverage_figures(shares: np.ndarray) -> dict[str, float | None]:
     """Return the mean over tests of shares inside, and its standard error; None of one test."""
     error = float(shares.std(ddof=1) / np.sqrt(shares.size)) if shares.size > 1 else None
     return {"covered": float(np.mean(shares)), "covered_error": error}

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from hitchid.data.campaign import Campaign
-from hitchid.data.left_out import refuse, sentences, sift
+from hitchid.data.left_out import refuse, sentences, split_usable
 from hitchid.data.record import CYCLE, Record
 from hitchid.model import Hitch
 
@@ -17,13 +17,13 @@ def with_covariates(campaign: Campaign, *models: Hitch) -> tuple[Campaign, tuple
 
     def complete(record: Record) -> Record:
         for model in models:
-            for mode, channel in model.channels.items():
-                if record.kind in (mode, CYCLE):
-                    record.require(channel.benchmark.load)
+            for direction, channel in model.channels.items():
+                if record.kind in (direction, CYCLE):
+                    record.require(channel.benchmark.covariate)
         return record
 
     records = [(record.name, record) for record in campaign.records]
-    usable, lacking = sift(records, complete, strict=campaign.strict)
+    usable, lacking = split_usable(records, complete, strict=campaign.strict)
     if lacking and not usable:
         refuse(lacking, "tests")
     return replace(campaign, records=tuple(usable)), sentences(lacking, len(records), "tests")

@@ -10,8 +10,8 @@ import numpy as np
 
 from hitchid._support import checks
 from hitchid._support.precision import double_precision
-from hitchid._support.progress import Progress, Step, silent
-from hitchid._support.storage import canonical_json, put, write_folder
+from hitchid._support.progress import ProgressCallback, ProgressUpdate, silent
+from hitchid._support.storage import canonical_json, write_files, write_folder
 from hitchid.data.campaign import Campaign
 from hitchid.data.record import CYCLE, DISPLACEMENT, Record
 from hitchid.data.units import conversion_factor
@@ -25,7 +25,7 @@ from hitchid.validation.usable import with_covariates
 
 METRICS_FILE = "metrics.json"
 TABLES_FILE = "tables.md"
-ABREAST = 2
+WORKERS = 2
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,8 @@ class Validation:
 
         write_folder(
             checks.path(folder, "folder"),
-            lambda place: put(place, self.files()),
-            mark=METRICS_FILE,
+            lambda target: write_files(target, self.files()),
+            result_kind=METRICS_FILE,
             force=force,
         )
 
@@ -72,8 +72,8 @@ def validate(
     model: Hitch,
     campaign: Campaign,
     *,
-    cut_at: Mapping[str, float] | None = None,
-    progress: Progress | None = None,
+    segmentation_dead_zones: Mapping[str, float] | None = None,
+    progress: ProgressCallback | None = None,
 ) -> Validation:
     """Compare a model with the tests of a campaign that its identification has not used.
 
@@ -87,8 +87,8 @@ def validate(
         model: an identified hitch.
         campaign: logs; those the identification used are left out, recognised by their content, and those
             that lack a covariate the model requires.
-        cut_at: mode to dead zone, with which mixed cycles are cut into strokes where there is nothing else;
-            by default the model's own.
+        segmentation_dead_zones: mode to dead zone, with which mixed cycles are cut into strokes where there
+            is nothing else; by default the model's own.
         progress: called with what is being done and the fraction of all work that is done.
 
     Raises:
@@ -99,29 +99,39 @@ def validate(
     checks.instance(campaign, Campaign, "campaign", 'a campaign as hitchid.read("logs") returns it')
     report = progress or silent
     campaign, lacking = with_covariates(campaign, model)
-    whole = campaign
-    if not campaign.modes:
-        campaign = campaign.segmented(cut_at or model.cut_at(campaign.units))
+    full_campaign = campaign
+    if not campaign.directions:
+        campaign = campaign.segmented(
+            segmentation_dead_zones or model.segmentation_dead_zones(campaign.units)
+        )
     unit = campaign.records[0].unit
     factor = conversion_factor(model.units[DISPLACEMENT], unit, "displacement")
-    both = len(model.channels) > 1
-    unseen = [model.adopt(r) for r in whole.of_kind(CYCLE) if both and not _seen(model, r)]
+    both_directions = len(model.channels) > 1
+    unseen_cycles = [
+        model.to_model_units(r)
+        for r in full_campaign.of_kind(CYCLE)
+        if both_directions and not _seen(model, r)
+    ]
     channels, cycles, notices, predictions = {}, {"tests": []}, [*lacking], {}
-    with ThreadPoolExecutor(ABREAST) as pool:
-        switched = pool.submit(double_precision(cycle_result), model, unseen, factor) if unseen else None
-        directions = {
-            mode: pool.submit(_direction, model, mode, campaign.of_kind(mode), factor)
-            for mode in campaign.modes
+    with ThreadPoolExecutor(WORKERS) as pool:
+        cycle_job = (
+            pool.submit(double_precision(cycle_result), model, unseen_cycles, factor)
+            if unseen_cycles
+            else None
+        )
+        jobs = {
+            direction: pool.submit(_validate_direction, model, direction, campaign.of_kind(direction), factor)
+            for direction in campaign.directions
         }
-        for number, (mode, found) in enumerate(directions.items()):
-            report(Step(f"{mode}: horizons and free run", number / (len(directions) + 1)))
-            result, said = found.result()
-            notices += said
+        for number, (direction, future) in enumerate(jobs.items()):
+            report(ProgressUpdate(f"{direction}: horizons and free run", number / (len(jobs) + 1)))
+            result, direction_notices = future.result()
+            notices += direction_notices
             if result is not None:
-                channels[mode], predictions[mode] = result
-        report(Step("cycles", len(directions) / (len(directions) + 1)))
-        if switched is not None:
-            cycles, predictions["cycles"] = switched.result()
+                channels[direction], predictions[direction] = result
+        report(ProgressUpdate("cycles", len(jobs) / (len(jobs) + 1)))
+        if cycle_job is not None:
+            cycles, predictions["cycles"] = cycle_job.result()
             notices += _limit_notices(model, predictions["cycles"], factor)
     if not channels and not cycles["tests"]:
         raise InputError(
@@ -137,20 +147,24 @@ def validate(
 
 
 @double_precision
-def _direction(
-    model: Hitch, mode: str, records: Sequence[Record], factor: float
+def _validate_direction(
+    model: Hitch, direction: str, records: Sequence[Record], factor: float
 ) -> tuple[tuple[dict, Predictions] | None, list[str]]:
     """Return one direction's figures with what is behind them, None without unseen tests, and notices."""
     tests = [record for record in records if not _seen(model, record)]
-    if mode not in model.channels:
-        return None, [f"{len(tests)} {mode} tests are left out: the model has no {mode} channel"]
+    if direction not in model.channels:
+        return None, [f"{len(tests)} {direction} tests are left out: the model has no {direction} channel"]
     if not tests:
         return None, []
-    own, channel = [model.adopt(record) for record in tests], model.channels[mode]
-    figures, predictions = channel_result(channel, own, factor, model.uncertainty.get(mode))
-    notices = _channel_notices(mode, figures) + _outside_notices(mode, channel, own)
-    if (heard := channel.benchmark.load) is not None:
-        notices.append(f"{mode}: in free run too the model hears '{heard}' as measured before motion")
+    converted_tests, channel = [model.to_model_units(record) for record in tests], model.channels[direction]
+    figures, predictions = channel_result(channel, converted_tests, factor, model.uncertainty.get(direction))
+    notices = _channel_notices(direction, figures) + _out_of_range_notices(
+        direction, channel, converted_tests
+    )
+    if (covariate := channel.benchmark.covariate) is not None:
+        notices.append(
+            f"{direction}: in free run too the model hears '{covariate}' as measured before motion"
+        )
     return (figures, predictions), notices
 
 
@@ -158,29 +172,33 @@ def _seen(model: Hitch, record: Record) -> bool:
     return record.fingerprint in model.provenance.seen
 
 
-def _outside_notices(mode: str, channel: Channel, tests: Sequence[Record]) -> list[str]:
+def _out_of_range_notices(direction: str, channel: Channel, tests: Sequence[Record]) -> list[str]:
     batch = channel.batch(tests)
-    outside = channel.outside(batch, channel.simulate(batch))
+    out_of_range = channel.out_of_range(batch, channel.simulate(batch))
     return [
-        f"{mode}: in {int(rows.any(axis=1).sum())} of {len(tests)} tests the {name} leaves what the "
+        f"{direction}: in {int(rows.any(axis=1).sum())} of {len(tests)} tests the {name} leaves what the "
         "identification covered"
-        for name, rows in outside.items()
+        for name, rows in out_of_range.items()
         if rows.any()
     ]
 
 
-def _channel_notices(mode: str, metrics: dict) -> list[str]:
-    same = metrics["greybox"]["free_run"] == metrics["benchmark"]["free_run"]
-    rivals = metrics["baselines"] | ({} if same else {"benchmark": metrics["benchmark"]})
-    said = [f"{mode}: in free run the grey box is the benchmark alone"] if same else []
+def _channel_notices(direction: str, metrics: dict) -> list[str]:
+    uncompensated = metrics["greybox"]["free_run"] == metrics["benchmark"]["free_run"]
+    baselines = metrics["baselines"] | ({} if uncompensated else {"benchmark": metrics["benchmark"]})
+    notices = [f"{direction}: in free run the grey box is the benchmark alone"] if uncompensated else []
     for run in ("one_step", "free_run"):
         figures = metrics["greybox"][run]
         better = [
-            NAMES[name] for name, rival in rivals.items() if run in rival and not _better(figures, rival[run])
+            NAMES[name]
+            for name, baseline in baselines.items()
+            if run in baseline and not _errs_less(figures, baseline[run])
         ]
         if better:
-            said.append(f"{mode}: in {RUNS[run]} the grey box is no better than {' and '.join(better)}")
-    return said
+            notices.append(
+                f"{direction}: in {RUNS[run]} the grey box is no better than {' and '.join(better)}"
+            )
+    return notices
 
 
 def _limit_notices(model: Hitch, cycles: Predictions, factor: float) -> list[str]:
@@ -188,17 +206,19 @@ def _limit_notices(model: Hitch, cycles: Predictions, factor: float) -> list[str
     if model.limits is None:
         return []
     limits = model.limits
-    held = sum(bool(np.any(limits.reached(run / factor))) for run in cycles.models["free_run"])
-    said = limits.sentence(model.units[DISPLACEMENT])
-    return [f"cycles: {said}; {held} of {len(cycles.names)} reach a limit"] if held else []
+    limited_runs = sum(bool(np.any(limits.at_soft_limit(run / factor))) for run in cycles.models["free_run"])
+    sentence = limits.sentence(model.units[DISPLACEMENT])
+    return (
+        [f"cycles: {sentence}; {limited_runs} of {len(cycles.names)} reach a limit"] if limited_runs else []
+    )
 
 
 def _cycle_notices(cycles: dict) -> list[str]:
-    if cycles["tests"] and not _better(cycles["greybox"]["free_run"], cycles["benchmark"]["free_run"]):
+    if cycles["tests"] and not _errs_less(cycles["greybox"]["free_run"], cycles["benchmark"]["free_run"]):
         return [f"cycles: in free run the grey box is no better than {NAMES['benchmark']}"]
     return []
 
 
-def _better(one: dict, other: dict) -> bool:
+def _errs_less(one: dict, other: dict) -> bool:
     """Tell whether one error is finite and below the other; what diverged is never better."""
     return one["rmse"] is not None and (other["rmse"] is None or one["rmse"] < other["rmse"])

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hitchid.errors import InputError
-from hitchid.readers.content import Content, Wanted
+from hitchid.readers.content import ChannelSelection, Content
 from hitchid.readers.formats import can, csv, hdf5, mat, mdf, parquet, tdms
 
 
@@ -22,15 +22,15 @@ class Format(NamedTuple):
     """
 
     suffixes: tuple[str, ...]
-    read: Callable[[Path, Wanted], Content]
+    read: Callable[[Path, ChannelSelection], Content]
     write: Callable[[Path, Mapping[str, np.ndarray]], None] | None = None
     libraries: tuple[str, ...] = ()
 
 
-def _read_mdf(path: Path, wanted: Wanted) -> Content:
+def _read_mdf(path: Path, selection: ChannelSelection) -> Content:
     """Read an MDF log of channels, or of a CAN bus where there are databases for it."""
-    is_bus = wanted.databases and can.is_bus_log(path)
-    return can.read_mf4(path, wanted) if is_bus else mdf.read(path, wanted)
+    is_bus = selection.databases and can.is_bus_log(path)
+    return can.read_mf4(path, selection) if is_bus else mdf.read(path, selection)
 
 
 FORMATS = (
@@ -47,7 +47,7 @@ FORMATS = (
 def known_format(path: Path) -> Format | None:
     """Return the format of a file, told by its ending; None where it is not known."""
     name = path.name.lower()
-    return next((known for known in FORMATS if name.endswith(known.suffixes)), None)
+    return next((log_format for log_format in FORMATS if name.endswith(log_format.suffixes)), None)
 
 
 def format_of(path: Path) -> Format:
@@ -56,15 +56,15 @@ def format_of(path: Path) -> Format:
     Raises:
         InputError: the ending is not known.
     """
-    known = known_format(path)
-    if known is None:
-        raise InputError(f"{path}: the format is not known; required a file ending in {endings()}")
-    return known
+    log_format = known_format(path)
+    if log_format is None:
+        raise InputError(f"{path}: the format is not known; required a file ending in {known_suffixes()}")
+    return log_format
 
 
-def endings() -> str:
+def known_suffixes() -> str:
     """Return the endings of all formats, in words."""
-    return ", ".join(suffix for known in FORMATS for suffix in known.suffixes)
+    return ", ".join(suffix for log_format in FORMATS for suffix in log_format.suffixes)
 
 
 def record_name(path: Path) -> str:

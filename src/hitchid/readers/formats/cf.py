@@ -4,24 +4,24 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from hitchid.data.units import UNITS, known_unit
-from hitchid.readers.formats.extra import floats, spelled
+from hitchid.data.units import UNITS, parse_unit
+from hitchid.readers.formats.extra import floats, unit_text
 
 
 def is_time(unit: str | None) -> bool:
     """Return whether the unit is one of time, with or without `since ...`."""
-    return _factor(unit) is not None
+    return _seconds_per_unit(unit) is not None
 
 
-def in_seconds(values: np.ndarray, unit: str | None) -> np.ndarray:
+def to_seconds(values: np.ndarray, unit: str | None) -> np.ndarray:
     """Return times in seconds, rounded once; as they are where the unit is none of time."""
-    factor = _factor(unit) or 1.0
+    factor = _seconds_per_unit(unit) or 1.0
     if factor == 1.0:
         return values
     return values / round(1 / factor) if factor < 1.0 else values * factor
 
 
-def decoded(raw: np.ndarray, attributes: Mapping[str, object]) -> np.ndarray:
+def decode_values(raw: np.ndarray, attributes: Mapping[str, object]) -> np.ndarray:
     """Return the numbers that stored ones stand for: scaled, shifted, NaN where they are filled or not valid.
 
     Args:
@@ -29,9 +29,9 @@ def decoded(raw: np.ndarray, attributes: Mapping[str, object]) -> np.ndarray:
         attributes: those of the variable; `scale_factor`, `add_offset`, `_FillValue`, `missing_value`,
             `valid_range`, `valid_min`, `valid_max` and `_Unsigned` count.
     """
-    stored = _as_signed(np.asarray(raw).ravel(), attributes)
+    stored = _as_unsigned(np.asarray(raw).ravel(), attributes)
     values = floats(stored)
-    lowest, highest = _valid(attributes)
+    lowest, highest = _valid_range(attributes)
     values[(values < lowest) | (values > highest)] = np.nan
     for name in ("_FillValue", "missing_value"):
         fills = np.asarray(attributes.get(name, ()))
@@ -45,9 +45,9 @@ def decoded(raw: np.ndarray, attributes: Mapping[str, object]) -> np.ndarray:
     return values
 
 
-def _as_signed(stored: np.ndarray, attributes: Mapping[str, object]) -> np.ndarray:
+def _as_unsigned(stored: np.ndarray, attributes: Mapping[str, object]) -> np.ndarray:
     """Return whole numbers without a sign where the file says so: NetCDF 3 has none to store them in."""
-    unsigned = (spelled(attributes.get("_Unsigned")) or "").lower() == "true"
+    unsigned = (unit_text(attributes.get("_Unsigned")) or "").lower() == "true"
     return (
         stored.view(f"{stored.dtype.byteorder}u{stored.dtype.itemsize}")
         if unsigned and stored.dtype.kind == "i"
@@ -55,24 +55,24 @@ def _as_signed(stored: np.ndarray, attributes: Mapping[str, object]) -> np.ndarr
     )
 
 
-def _valid(attributes: Mapping[str, object]) -> tuple[float, float]:
+def _valid_range(attributes: Mapping[str, object]) -> tuple[float, float]:
     """Return the range outside of which stored numbers are none."""
-    both = np.asarray(attributes.get("valid_range", ())).ravel()
-    if both.size == 2 and both.dtype.kind in "fiu":
-        return float(both[0]), float(both[1])
+    limits = np.asarray(attributes.get("valid_range", ())).ravel()
+    if limits.size == 2 and limits.dtype.kind in "fiu":
+        return float(limits[0]), float(limits[1])
     lowest, highest = (_number(attributes.get(name)) for name in ("valid_min", "valid_max"))
     return -np.inf if lowest is None else lowest, np.inf if highest is None else highest
 
 
-def unit_in(attributes: Mapping[str, object]) -> str | None:
+def unit_attribute(attributes: Mapping[str, object]) -> str | None:
     """Return the unit among the attributes, None where there is none."""
-    return spelled(attributes.get("units")) or spelled(attributes.get("unit"))
+    return unit_text(attributes.get("units")) or unit_text(attributes.get("unit"))
 
 
-def _factor(unit: str | None) -> float | None:
+def _seconds_per_unit(unit: str | None) -> float | None:
     """Return the seconds of a unit of time, None for any other."""
-    known = known_unit((unit or "").partition(" since ")[0])
-    return UNITS[known].factor if known and UNITS[known].dimension == "time" else None
+    unit_name = parse_unit((unit or "").partition(" since ")[0])
+    return UNITS[unit_name].factor if unit_name and UNITS[unit_name].dimension == "time" else None
 
 
 def _number(value: object) -> float | None:

@@ -43,10 +43,10 @@ def labels_of(rows: Sequence[tuple[int, Sequence[str]]]) -> Labels | None:
         row = labelled[label][1] if label in labelled else ()
         return [*row, *[""] * width][:width]
 
-    given = cells(NAMES)
-    count = Counter(given[1:])
+    column_names = cells(NAMES)
+    count = Counter(column_names[1:])
     names = [""]
-    for name, path, raster in list(zip(given, cells(PATHS), cells(RASTERS), strict=True))[1:]:
+    for name, path, raster in list(zip(column_names, cells(PATHS), cells(RASTERS), strict=True))[1:]:
         if name:
             names.append(path.rpartition("/")[2] or name if count[name] > 1 else name)
         else:

@@ -16,16 +16,23 @@ from typing import NamedTuple
 import numpy as np
 
 from hitchid.errors import LogError
-from hitchid.readers.content import LARGEST_RATIO, OR_ELSE, Channel, Content, Wanted, largest
+from hitchid.readers.content import (
+    CHANNEL_HINT,
+    MAX_UNPACK_RATIO,
+    ChannelSelection,
+    Content,
+    LogChannel,
+    max_unpacked_bytes,
+)
 from hitchid.readers.formats.dialect import Dialect, check_width, dialect_of, encoding_of
 
 SUFFIXES = (".csv", ".csv.gz", ".tsv", ".tsv.gz", ".lvm")
 HEAD, BLOCK = 2**20, 2**25
 LONGEST_SHOWN = 40
-UNENDED = "the last line has no line end: it may have been cut short"
+NO_FINAL_NEWLINE = "the last line has no line end: it may have been cut short"
 
 
-def read(path: Path, wanted: Wanted) -> Content:
+def read(path: Path, selection: ChannelSelection) -> Content:
     """Read the wanted columns of a text log, block by block; text in other columns does no harm.
 
     Raises:
@@ -34,32 +41,41 @@ def read(path: Path, wanted: Wanted) -> Content:
     """
     blocks = _blocks(path)
     head = next(blocks, "")
-    asked = () if wanted.signals is None else tuple(dict.fromkeys((wanted.time, *wanted.signals)))
-    dialect = dialect_of(head[:HEAD], path, asked)
+    requested = (
+        () if selection.signals is None else tuple(dict.fromkeys((selection.time, *selection.signals)))
+    )
+    dialect = dialect_of(head[:HEAD], path, requested)
     # Where all are wanted, a name that stands twice names none.
-    asked = asked or tuple(name for name, times in Counter(dialect.names).items() if name and times == 1)
-    columns = _Columns(path, dialect, asked, tuple(_place(path, dialect, name) for name in asked))
-    parts, last = [], "\n"
-    for line, last in _below(chain([head], blocks), dialect.first):
-        parts.append(columns.numbers(line, last))
-    if not parts:
+    requested = requested or tuple(
+        name for name, count in Counter(dialect.names).items() if name and count == 1
+    )
+    column_reader = _ColumnReader(
+        path, dialect, requested, tuple(_column_index(path, dialect, name) for name in requested)
+    )
+    parsed_blocks, block = [], "\n"
+    for line, block in _blocks_from_line(chain([head], blocks), dialect.first):
+        parsed_blocks.append(column_reader.parse_block(line, block))
+    if not parsed_blocks:
         raise LogError(path, "there are no samples below the header line", line=dialect.header)
     channels = {
-        name: Channel(_joined([part.columns for part in parts]), dialect.units.get(dialect.names[place]))
-        for name, place in reversed(list(zip(asked, columns.places, strict=True)))
+        name: LogChannel(
+            _join_column([parsed_block.columns for parsed_block in parsed_blocks]),
+            dialect.units.get(dialect.names[index]),
+        )
+        for name, index in reversed(list(zip(requested, column_reader.indices, strict=True)))
     }
-    lines = [(part.samples, part.lines) for part in parts]
-    ordered = {name: channels[name] for name in asked}
-    notices = () if last.endswith("\n") else (UNENDED,)
+    lines = [(parsed_block.sample_count, parsed_block.lines) for parsed_block in parsed_blocks]
+    ordered = {name: channels[name] for name in requested}
+    notices = () if block.endswith("\n") else (NO_FINAL_NEWLINE,)
     return Content(path, ordered, notices, partial(_line_of, lines))
 
 
-def _joined(parts: Sequence[list[np.ndarray]]) -> np.ndarray:
+def _join_column(blocks: Sequence[list[np.ndarray]]) -> np.ndarray:
     """Return the last column of all parts as one that nobody can change, and take it from the parts.
 
     A day of samples is large: there is never more than one column of it twice.
     """
-    column = np.concatenate([part.pop() for part in parts])
+    column = np.concatenate([block.pop() for block in blocks])
     column.setflags(write=False)
     return column
 
@@ -82,7 +98,8 @@ def read_rows(path: Path) -> tuple[list[str], list[list[str]]]:
         raise LogError(path, f"cannot be understood as comma-separated text: {error}") from error
     if dialect.comma:
         rows = [
-            [_pointed(cell) if cell.strip(" +-0123456789eE") == "," else cell for cell in row] for row in rows
+            [_with_decimal_point(cell) if cell.strip(" +-0123456789eE") == "," else cell for cell in row]
+            for row in rows
         ]
     width = len(dialect.names)
     return list(dialect.names), [row[:width] + [""] * (width - len(row)) for row in rows]
@@ -114,56 +131,56 @@ def write_rows(path: Path, header: Sequence[str], rows: Sequence[Sequence[str]])
     path.write_bytes(gzip.compress(data, mtime=0) if path.suffix.lower() == ".gz" else data)
 
 
-def _pointed(text: str) -> str:
+def _with_decimal_point(text: str) -> str:
     """Return text with points for decimal commas; what were points make no number, thousands among them."""
     return text.replace(".", "?").replace(",", ".")
 
 
-def _place(path: Path, dialect: Dialect, name: str) -> int:
-    places = dialect.places(name)
-    if len(places) > 1:
-        meant = ", ".join(dialect.names[place] for place in places)
-        raise LogError(path, f"several columns are meant: {meant}", line=dialect.header, column=name)
-    if not places:
-        found = ", ".join(dialect.names)
+def _column_index(path: Path, dialect: Dialect, name: str) -> int:
+    indices = dialect.column_indices(name)
+    if len(indices) > 1:
+        candidates = ", ".join(dialect.names[index] for index in indices)
+        raise LogError(path, f"several columns are meant: {candidates}", line=dialect.header, column=name)
+    if not indices:
+        known_names = ", ".join(dialect.names)
         raise LogError(
             path,
-            f"there is no such column; {OR_ELSE}; found {found}",
+            f"there is no such column; {CHANNEL_HINT}; found {known_names}",
             line=dialect.header,
             column=name,
         )
-    return places[0]
+    return indices[0]
 
 
-class _Part(NamedTuple):
+class _ParsedBlock(NamedTuple):
     """The samples of a block: how many, each column of shape [N], and the line of the first or of each."""
 
-    samples: int
+    sample_count: int
     columns: list[np.ndarray]
     lines: int | np.ndarray
 
 
-class _Columns(NamedTuple):
+class _ColumnReader(NamedTuple):
     """The columns that are read of a log: their names, and which they are."""
 
     path: Path
     dialect: Dialect
     names: tuple[str, ...]
-    places: tuple[int, ...]
+    indices: tuple[int, ...]
 
-    def numbers(self, first: int, block: str) -> _Part:
+    def parse_block(self, first: int, block: str) -> _ParsedBlock:
         """Return the numbers of a block that begins at a line."""
         self.check_width(first, block)
         separator = None if self.dialect.separator == " " else self.dialect.separator
-        text = io.StringIO(_pointed(block) if self.dialect.comma else block)
+        text = io.StringIO(_with_decimal_point(block) if self.dialect.comma else block)
         try:
             rows = np.loadtxt(
-                text, delimiter=separator, usecols=self.places, ndmin=2, comments=None, quotechar='"'
+                text, delimiter=separator, usecols=self.indices, ndmin=2, comments=None, quotechar='"'
             )
         except ValueError:
-            raise self.fault(first, block) from None
-        columns = [rows[:, place].copy() for place in range(len(self.places))]
-        return _Part(len(rows), columns, _lines(block, first, len(rows)))
+            raise self.first_error(first, block) from None
+        columns = [rows[:, index].copy() for index in range(len(self.indices))]
+        return _ParsedBlock(len(rows), columns, _lines(block, first, len(rows)))
 
     def check_width(self, first: int, block: str) -> None:
         """Refuse rows that are wider than the header; cells are told apart only where there may be some."""
@@ -175,15 +192,15 @@ class _Columns(NamedTuple):
         with suppress(csv.Error):  # what cannot be told apart is no number either, and refused as none
             check_width(self.path, separator, names, rows, self.dialect.header)
 
-    def fault(self, first: int, block: str) -> LogError:
+    def first_error(self, first: int, block: str) -> LogError:
         """Find the first cell that is no number."""
         spaced = self.dialect.separator == " "
         text = "\n".join(" ".join(line.split()) for line in block.split("\n")) if spaced else block
         reader = csv.reader(io.StringIO(text), delimiter=self.dialect.separator)
         try:
             for row in reader:
-                for name, place in zip(self.names, self.places, strict=True) if row else ():
-                    problem = _problem(row, place, self.dialect)
+                for name, index in zip(self.names, self.indices, strict=True) if row else ():
+                    problem = _problem(row, index, self.dialect)
                     if problem is not None:
                         return LogError(self.path, problem, line=first + reader.line_num - 1, column=name)
         except csv.Error as error:
@@ -192,20 +209,20 @@ class _Columns(NamedTuple):
         return LogError(self.path, "cannot be understood as columns of numbers")
 
 
-def _below(blocks: Iterable[str], first: int) -> Iterator[tuple[int, str]]:
+def _blocks_from_line(blocks: Iterable[str], first: int) -> Iterator[tuple[int, str]]:
     """Return what stands from a line on, block by block, each with its first line."""
     line = 1
     for block in blocks:
         lines = block.count("\n") + (not block.endswith("\n"))
         skipped = min(max(first - line, 0), lines)
-        left = block if not skipped else block.split("\n", skipped)[-1] if skipped < lines else ""
-        if left.strip():
-            yield line + skipped, left
+        remaining = block if not skipped else block.split("\n", skipped)[-1] if skipped < lines else ""
+        if remaining.strip():
+            yield line + skipped, remaining
         line += lines
 
 
-def _line_of(parts: Sequence[tuple[int, int | np.ndarray]], row: int) -> int | None:
-    for count, lines in parts:
+def _line_of(line_blocks: Sequence[tuple[int, int | np.ndarray]], row: int) -> int | None:
+    for count, lines in line_blocks:
         if row < count:
             return lines + row if isinstance(lines, int) else int(lines[min(row, lines.size - 1)])
         row -= count
@@ -219,20 +236,20 @@ def _lines(block: str, first: int, rows: int) -> np.ndarray | int:
     return np.array([number for number, line in enumerate(block.split("\n"), start=first) if line.strip()])
 
 
-def _problem(row: Sequence[str], place: int, dialect: Dialect) -> str | None:
-    if place >= len(row):
+def _problem(row: Sequence[str], index: int, dialect: Dialect) -> str | None:
+    if index >= len(row):
         return f"the line has {len(row)} cells, required {len(dialect.names)}"
-    cell = row[place].strip()
+    cell = row[index].strip()
     try:
-        float(_pointed(cell) if dialect.comma else cell)
+        float(_with_decimal_point(cell) if dialect.comma else cell)
     except ValueError:
         pass
     else:
         if cell.isascii() and "_" not in cell:
             return None
     shown = repr(cell if len(cell) <= LONGEST_SHOWN else f"{cell[:LONGEST_SHOWN]}…")
-    sort = "a number with a decimal comma, as others have" if dialect.comma else "a number"
-    return f"required {sort}, came {shown if cell else 'an empty cell'}"
+    expected = "a number with a decimal comma, as others have" if dialect.comma else "a number"
+    return f"required {expected}, came {shown if cell else 'an empty cell'}"
 
 
 def _blocks(path: Path) -> Iterator[str]:
@@ -245,10 +262,10 @@ def _blocks(path: Path) -> Iterator[str]:
     try:
         if path.suffix.lower() == ".gz":
             _check_unpacked(path)
-        for part in _decoded(path):
-            whole, end, rest = (rest + part).rpartition("\n")
-            if end:
-                yield whole + end
+        for chunk in _decode_text(path):
+            complete, newline, rest = (rest + chunk).rpartition("\n")
+            if newline:
+                yield complete + newline
     except UnicodeDecodeError as error:
         raise LogError(path, f"is not text in its encoding: {error}") from error
     except (OSError, EOFError, zlib.error) as error:
@@ -259,23 +276,23 @@ def _blocks(path: Path) -> Iterator[str]:
 
 def _check_unpacked(path: Path) -> None:
     """Refuse what unpacks to absurd size, or does not unpack, before the first number of it is read."""
-    most, size = largest(path), 0
+    max_bytes, size = max_unpacked_bytes(path), 0
     with gzip.open(path) as file:
-        for part in iter(partial(file.read, BLOCK), b""):
-            size += len(part)
-            if size > most:
-                raise LogError(path, f"unpacks to more than {LARGEST_RATIO} times its size; refused")
+        for chunk in iter(partial(file.read, BLOCK), b""):
+            size += len(chunk)
+            if size > max_bytes:
+                raise LogError(path, f"unpacks to more than {MAX_UNPACK_RATIO} times its size; refused")
 
 
-def _decoded(path: Path) -> Iterator[str]:
+def _decode_text(path: Path) -> Iterator[str]:
     """Return the text in parts; without any line feed, carriage returns end its lines."""
-    packed = path.suffix.lower() == ".gz"
-    with gzip.open(path) if packed else path.open("rb") as file:
+    is_gzip = path.suffix.lower() == ".gz"
+    with gzip.open(path) if is_gzip else path.open("rb") as file:
         head = file.read(HEAD)
         encoding = encoding_of(head, path)
         decoder = codecs.getincrementaldecoder(encoding)("strict" if encoding == "utf-16" else "replace")
-        returns = encoding != "utf-16" and b"\n" not in head
-        for part in chain([head], iter(partial(file.read, BLOCK), b"")):
-            text = decoder.decode(part)
-            yield text.replace("\r", "\n") if returns else text
+        carriage_returns = encoding != "utf-16" and b"\n" not in head
+        for chunk in chain([head], iter(partial(file.read, BLOCK), b"")):
+            text = decoder.decode(chunk)
+            yield text.replace("\r", "\n") if carriage_returns else text
         yield decoder.decode(b"", final=True)

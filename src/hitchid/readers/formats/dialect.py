@@ -9,7 +9,7 @@ from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
-from hitchid.data.units import known_unit
+from hitchid.data.units import parse_unit
 from hitchid.errors import LogError
 from hitchid.readers.formats.controldesk import labels_of
 
@@ -21,7 +21,7 @@ THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+")
 UNIT_LABELS = ("unit", "units", "einheit", "einheiten")
 BRACKETS = re.compile(r"(.+?)\s*[\[(]([^\[\]()]*)[\])]")
 CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")
-MARKS = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
+BYTE_ORDER_MARKS = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
 
 
 class _Row(NamedTuple):
@@ -48,10 +48,10 @@ class Dialect(NamedTuple):
     header: int
     first: int
 
-    def places(self, asked: str) -> list[int]:
+    def column_indices(self, requested: str) -> list[int]:
         """Return which columns may be meant: those of that name, or those with a bracket behind it."""
-        exact = [place for place, name in enumerate(self.names) if name == asked]
-        return exact or [place for place, name in enumerate(self.names) if _bare(name) == asked]
+        exact = [index for index, name in enumerate(self.names) if name == requested]
+        return exact or [index for index, name in enumerate(self.names) if _without_unit(name) == requested]
 
 
 def encoding_of(head: bytes, source: Path) -> str:
@@ -60,7 +60,7 @@ def encoding_of(head: bytes, source: Path) -> str:
     Raises:
         LogError: it is no text.
     """
-    for mark, encoding in MARKS.items():
+    for mark, encoding in BYTE_ORDER_MARKS.items():
         if head.startswith(mark):
             return encoding
     text = head[: head.rfind(b"\n") + 1] or head
@@ -69,15 +69,15 @@ def encoding_of(head: bytes, source: Path) -> str:
         encoding, readable = "utf-8", True
     except UnicodeDecodeError:
         encoding, readable = "cp1252", not CONTROL.search(text)
-    odd = (
+    suspect_count = (
         sum(byte > 127 for byte in text[:4096]) if encoding == "cp1252" else len(CONTROL.findall(text[:4096]))
     )
-    if not readable or odd > NOT_TEXT * len(text[:4096]):
+    if not readable or suspect_count > NOT_TEXT * len(text[:4096]):
         raise LogError(source, "is not text in UTF-8, UTF-16 or Latin-1; required a CSV log")
     return encoding
 
 
-def dialect_of(text: str, source: Path, asked: Sequence[str] = ()) -> Dialect:
+def dialect_of(text: str, source: Path, requested: Sequence[str] = ()) -> Dialect:
     """Tell how a log is written from its first lines.
 
     The separator is the one that yields most numbers. The header is what stands above the first two lines of
@@ -86,7 +86,7 @@ def dialect_of(text: str, source: Path, asked: Sequence[str] = ()) -> Dialect:
     Args:
         text: the beginning of the log.
         source: its file, for messages.
-        asked: names of columns that are wanted.
+        requested: names of columns that are wanted.
 
     Raises:
         LogError: the log is empty, or has no header line.
@@ -94,37 +94,41 @@ def dialect_of(text: str, source: Path, asked: Sequence[str] = ()) -> Dialect:
     first_line = next((line for line in text.split("\n") if line.strip()), "").strip()
     if not first_line:
         raise LogError(source, "the file is empty; required a header line and samples")
-    read = {separator: _rows(text, separator) for separator in SEPARATORS}
-    separator = max(SEPARATORS, key=lambda each: _numbers(read[each]))
-    if not _numbers(read[separator]):
-        separator = max((",", *SEPARATORS), key=lambda each: len(read[each][0].cells))
-    rows = read[separator]
+    rows_by_separator = {separator: _rows(text, separator) for separator in SEPARATORS}
+    separator = max(SEPARATORS, key=lambda candidate: _count_numbers(rows_by_separator[candidate]))
+    if not _count_numbers(rows_by_separator[separator]):
+        separator = max((",", *SEPARATORS), key=lambda candidate: len(rows_by_separator[candidate][0].cells))
+    rows = rows_by_separator[separator]
     labels = labels_of(rows)
     if labels is not None:
-        comma = separator != "," and _decimal_comma(text, separator)
+        comma = separator != "," and _has_decimal_comma(text, separator)
         return Dialect(separator, comma, *labels)
-    data = _first_sample(rows)
-    above = _header_rows(rows[:1] if data is None else rows[:data])
-    if not above:
-        wanted = asked[0] if asked else None
-        shown = f"there is no header line with names, found '{first_line[:LONGEST_SHOWN]}'"
-        raise LogError(source, shown, line=rows[0].line, column=wanted)
+    first_data_row = _first_sample(rows)
+    header_rows = _header_rows(rows[:1] if first_data_row is None else rows[:first_data_row])
+    if not header_rows:
+        first_requested = requested[0] if requested else None
+        problem = f"there is no header line with names, found '{first_line[:LONGEST_SHOWN]}'"
+        raise LogError(source, problem, line=rows[0].line, column=first_requested)
     header, names = max(
-        reversed([row for row in above if not _units(row.cells)] or above),
-        key=lambda row: sum(cell in asked or _bare(cell) in asked for cell in row.cells),
+        reversed([row for row in header_rows if not _is_unit_row(row.cells)] or header_rows),
+        key=lambda row: sum(cell in requested or _without_unit(cell) in requested for cell in row.cells),
     )
-    below = [row for row in rows if row.line > header]
-    samples = [row for row in below if data is not None and row.line >= rows[data].line]
+    rows_below = [row for row in rows if row.line > header]
+    samples = [
+        row for row in rows_below if first_data_row is not None and row.line >= rows[first_data_row].line
+    ]
     # A row of numbers above a bad line is a sample, too: the bad line is told, and none is lost.
-    first = next((row.line for row in below if _is_sample(row.cells)), header + 1)
+    first = next((row.line for row in rows_below if _is_sample(row.cells)), header + 1)
     check_width(source, separator, names, samples, header)
-    told = next((row.cells for row in above if row.cells is not names and _units(row.cells)), ())
-    units = {name: unit for name, unit in zip(names, told, strict=False) if unit and name}
+    unit_cells = next(
+        (row.cells for row in header_rows if row.cells is not names and _is_unit_row(row.cells)), ()
+    )
+    units = {name: unit for name, unit in zip(names, unit_cells, strict=False) if unit and name}
     for name in names:
         bracketed = BRACKETS.fullmatch(name[: LONGEST_NAME + 1])
         if bracketed:
             units.setdefault(name, bracketed.group(2).strip())
-    comma = separator != "," and _decimal_comma(text, separator)
+    comma = separator != "," and _has_decimal_comma(text, separator)
     if comma:
         _check_thousands(source, samples)
     return Dialect(separator, comma, tuple(names), units, header, first)
@@ -139,7 +143,7 @@ def check_width(
 ) -> None:
     """Refuse samples that do not lie under the names: read by place, they would be taken for each other."""
     for line, cells in samples:
-        width = max((place for place, cell in enumerate(cells, start=1) if cell), default=0)
+        width = max((column for column, cell in enumerate(cells, start=1) if cell), default=0)
         if width > len(names) or (separator == " " and len(cells) < len(names)):
             problem = f"the line has {len(cells)} cells, the header in line {header} {len(names)} names"
             raise LogError(source, f"{problem}; required a name for each", line=line)
@@ -150,10 +154,10 @@ def _check_thousands(source: Path, samples: Sequence[_Row]) -> None:
 
     12,345 among 1,234 and 999 is a thousand; 0,345 or 12,5 anywhere says that commas are decimal.
     """
-    cells = [(place, cell) for row in samples for place, cell in enumerate(row.cells)]
-    commas = [(place, cell) for place, cell in cells if "," in cell and _is_number(cell)]
-    whole = {place for place, cell in cells if cell.lstrip("+-").isdecimal()}
-    mixed = [cell for place, cell in commas if place in whole]
+    cells = [(column, cell) for row in samples for column, cell in enumerate(row.cells)]
+    commas = [(column, cell) for column, cell in cells if "," in cell and _is_number(cell)]
+    integer_columns = {column for column, cell in cells if cell.lstrip("+-").isdecimal()}
+    mixed = [cell for column, cell in commas if column in integer_columns]
     if mixed and all(THOUSANDS.fullmatch(cell) for _, cell in commas):
         problem = (
             f"'{mixed[0]}' may be a decimal or a thousand; required one sign for decimals, none for thousands"
@@ -161,7 +165,7 @@ def _check_thousands(source: Path, samples: Sequence[_Row]) -> None:
         raise LogError(source, problem)
 
 
-def _bare(name: str) -> str:
+def _without_unit(name: str) -> str:
     """Return a name without the unit in brackets behind it; what is too long for a name is left as it is."""
     return BRACKETS.sub(r"\1", name) if len(name) <= LONGEST_NAME else name
 
@@ -177,14 +181,14 @@ def _rows(text: str, separator: str) -> list[_Row]:
     line = 1
     with suppress(csv.Error):  # a cell beyond all measure: what stands above it tells enough
         for cells in islice(reader, LINES):
-            bare = [cell.strip() for cell in cells]
-            if any(bare):
-                rows.append(_Row(line, bare))
+            stripped = [cell.strip() for cell in cells]
+            if any(stripped):
+                rows.append(_Row(line, stripped))
             line = reader.line_num + 1
     return rows or [_Row(1, [text[:LONGEST_SHOWN]])]
 
 
-def _numbers(rows: Sequence[_Row]) -> int:
+def _count_numbers(rows: Sequence[_Row]) -> int:
     """Return how many cells are numbers, over the rows of two cells or more."""
     return sum(sum(map(_is_number, row.cells)) for row in rows if len(row.cells) > 1)
 
@@ -195,43 +199,51 @@ def _is_number(cell: str) -> bool:
 
 def _first_sample(rows: Sequence[_Row]) -> int | None:
     """Return which is the first of two rows of numbers, or the only one; None where there is none."""
-    like = [_is_sample(row.cells) for row in rows]
-    both = [one and other for one, other in zip(like, [*like[1:], True], strict=True)]
-    return both.index(True) if True in both else like.index(True) if True in like else None
+    is_sample = [_is_sample(row.cells) for row in rows]
+    is_first_of_two = [one and other for one, other in zip(is_sample, [*is_sample[1:], True], strict=True)]
+    return (
+        is_first_of_two.index(True)
+        if True in is_first_of_two
+        else is_sample.index(True)
+        if True in is_sample
+        else None
+    )
 
 
 def _is_sample(cells: Sequence[str]) -> bool:
     """Tell whether most cells, or at least the first of several, are numbers; a row of units is none."""
     numbers = sum(map(_is_number, cells))
-    return len(cells) > 1 and (2 * numbers > len(cells) or _is_number(cells[0])) and not _units(cells)
+    return len(cells) > 1 and (2 * numbers > len(cells) or _is_number(cells[0])) and not _is_unit_row(cells)
 
 
-def _header_rows(above: Sequence[_Row]) -> list[_Row]:
+def _header_rows(rows_above: Sequence[_Row]) -> list[_Row]:
     """Return the rows right above the samples that may be names or units."""
     rows: list[_Row] = []
-    for line, cells in above[: -HEADER_ROWS - 1 : -1]:
+    for line, cells in rows_above[: -HEADER_ROWS - 1 : -1]:
         if rows and len(cells) < len(rows[0].cells):
             break
         rows.append(_Row(line, [cells[0].lstrip("#% "), *cells[1:]]))
     return rows[::-1]
 
 
-def _units(cells: Sequence[str]) -> bool:
+def _is_unit_row(cells: Sequence[str]) -> bool:
     """Tell whether a row names units: half of its filled cells do at least, a label in front apart."""
-    bare = [cell.strip("[]() ") for cell in cells]
-    body = bare[1:] if bare and bare[0].lower() in UNIT_LABELS else bare
-    named = [cell for cell in body if cell]
-    known = [cell for cell in named if known_unit(cell)]
-    spelled = any(cell.isalpha() or not cell.isascii() for cell in known)
-    return spelled and not any(map(_is_number, set(named) - {"1"})) and 2 * len(known) >= len(named)
+    stripped = [cell.strip("[]() ") for cell in cells]
+    body = stripped[1:] if stripped and stripped[0].lower() in UNIT_LABELS else stripped
+    filled = [cell for cell in body if cell]
+    unit_cells = [cell for cell in filled if parse_unit(cell)]
+    has_unit_text = any(cell.isalpha() or not cell.isascii() for cell in unit_cells)
+    return (
+        has_unit_text and not any(map(_is_number, set(filled) - {"1"})) and 2 * len(unit_cells) >= len(filled)
+    )
 
 
-def _decimal_comma(text: str, separator: str) -> bool:
+def _has_decimal_comma(text: str, separator: str) -> bool:
     """Tell whether decimals follow a comma: some number in the text has one."""
     # Where white space separates, padding must not take it, too: long runs of it would be gone through anew
     # from each of their places.
     gap, pad = (r"\s", '"*') if separator == " " else (re.escape(separator), '[ "]*')
-    found = re.search(
+    comma_match = re.search(
         rf"(?:^|{gap}){pad}[+-]?\d*,\d+(?:[eE][+-]?\d+)?{pad}(?:{gap}|\r?$)", text, re.MULTILINE
     )
-    return found is not None
+    return comma_match is not None

@@ -9,12 +9,12 @@ from types import ModuleType
 import numpy as np
 
 from hitchid.errors import LogError
-from hitchid.readers.content import Wanted, chosen
+from hitchid.readers.content import ChannelSelection, match_channels
 
 DISTRIBUTIONS = {"can": "python-can", "nptdms": "npTDMS"}
 
 
-def needed(module: str, extra: str, path: Path, purpose: str = "read") -> ModuleType:
+def import_optional(module: str, extra: str, path: Path, purpose: str = "read") -> ModuleType:
     """Return an optional module.
 
     Args:
@@ -35,7 +35,7 @@ def needed(module: str, extra: str, path: Path, purpose: str = "read") -> Module
 
 
 @contextmanager
-def damage(path: Path, kind: str) -> Iterator[None]:
+def as_log_errors(path: Path, kind: str) -> Iterator[None]:
     """Turn whatever a damaged file leads a library to into an error that names the file.
 
     Raises:
@@ -46,38 +46,40 @@ def damage(path: Path, kind: str) -> Iterator[None]:
     except (LogError, MemoryError):
         raise
     except Exception as error:  # libraries raise anything on damaged files, down to AttributeError
-        said = str(error) or type(error).__name__
-        raise LogError(path, f"cannot be read as {kind}: {said}") from error
+        detail = str(error) or type(error).__name__
+        raise LogError(path, f"cannot be read as {kind}: {detail}") from error
 
 
-def picked(source: Path, names: Sequence[str], wanted: Wanted, clocked: Collection[str]) -> dict[str, str]:
+def match_clocked_channels(
+    source: Path, names: Sequence[str], selection: ChannelSelection, clocked: Collection[str]
+) -> dict[str, str]:
     """Return the name each channel is asked by to its full name; the time may miss where all have clocks.
 
     Args:
         source: the file.
         names: full names of the channels that hold numbers.
-        wanted: what is asked for.
+        selection: what is asked for.
         clocked: full names of those the file keeps a clock for.
 
     Raises:
         LogError: a channel is not there, or several are meant.
     """
-    found = chosen(source, names, wanted, clocked=True)
-    if all(name in clocked for name in found.values()):
-        return found
-    return chosen(source, names, wanted)
+    matches = match_channels(source, names, selection, has_clocks=True)
+    if all(name in clocked for name in matches.values()):
+        return matches
+    return match_channels(source, names, selection)
 
 
-def numbered(names: Sequence[str]) -> list[str]:
+def unique_names(names: Sequence[str]) -> list[str]:
     """Return the names, each that came before with a number behind it, so that all differ."""
-    unlike: dict[str, None] = {}
+    unique: dict[str, None] = {}
     for name in names:
         number, candidate = 1, name
-        while candidate in unlike:
+        while candidate in unique:
             number += 1
             candidate = f"{name} ({number})"
-        unlike[candidate] = None
-    return list(unlike)
+        unique[candidate] = None
+    return list(unique)
 
 
 def floats(values: np.ndarray) -> np.ndarray:
@@ -90,7 +92,7 @@ def is_vector(shape: Sequence[int]) -> bool:
     return len(shape) in (1, 2) and max(shape) > 1 and (len(shape) == 1 or min(shape) == 1)
 
 
-def spelled(unit: object) -> str | None:
+def unit_text(unit: object) -> str | None:
     """Return a unit as the file spells it, None where that is blank or no text."""
     if isinstance(unit, np.ndarray) and unit.size == 1:
         unit = unit.ravel()[0]

@@ -7,43 +7,46 @@ from typing import Any
 import numpy as np
 
 from hitchid.errors import LogError
-from hitchid.readers.content import Channel, Content, Wanted
+from hitchid.readers.content import ChannelSelection, Content, LogChannel
 from hitchid.readers.formats import netcdf3
-from hitchid.readers.formats.cf import decoded, in_seconds, is_time, unit_in
-from hitchid.readers.formats.extra import damage, is_vector, needed, picked
+from hitchid.readers.formats.cf import decode_values, is_time, to_seconds, unit_attribute
+from hitchid.readers.formats.extra import as_log_errors, import_optional, is_vector, match_clocked_channels
 
 SUFFIXES = (".h5", ".hdf5", ".nc")
-NUMBERS = "fiub"  # kinds of numpy
+NUMERIC_KINDS = "fiub"  # kinds of numpy
 KIND = "an HDF5 file"
 # NetCDF 4 keeps a dimension without coordinates as a dataset of nothing under this name.
 NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"
 
 
-def read(path: Path, wanted: Wanted) -> Content:
+def read(path: Path, selection: ChannelSelection) -> Content:
     """Read the wanted datasets of an HDF5 or NetCDF file.
 
     Args:
         path: the file.
-        wanted: what is asked for; the time may be missing where each is on a scale of time.
+        selection: what is asked for; the time may be missing where each is on a scale of time.
 
     Raises:
         LogError: the file is damaged or was cut short, a dataset is missing or kept outside of it, or h5py is
             missing.
     """
-    with damage(path, KIND), path.open("rb") as stream:
+    with as_log_errors(path, KIND), path.open("rb") as stream:
         if stream.read(3) == netcdf3.MAGIC:
-            return netcdf3.read(path, wanted)
-    h5py = needed("h5py", "hdf5", path)
-    with damage(path, KIND), h5py.File(path, "r") as file:
-        named = {name: dataset for name, dataset in _datasets(h5py, file) if _holds_numbers(dataset)}
-        scales = {name: scale for name, dataset in named.items() if (scale := _scale(dataset)) is not None}
-        found = picked(path, list(named), wanted, scales)
+            return netcdf3.read(path, selection)
+    h5py = import_optional("h5py", "hdf5", path)
+    with as_log_errors(path, KIND), h5py.File(path, "r") as file:
+        datasets = {name: dataset for name, dataset in _datasets(h5py, file) if _holds_numbers(dataset)}
+        scales = {
+            name: scale for name, dataset in datasets.items() if (scale := _time_scale(dataset)) is not None
+        }
+        matches = match_clocked_channels(path, list(datasets), selection, scales)
         clocks: dict[str, np.ndarray] = {}
-        for scale in {name: scales[name] for name in found.values() if name in scales}.values():
+        for scale in {name: scales[name] for name in matches.values() if name in scales}.values():
             if scale.name not in clocks:
-                clocks[scale.name] = _time(path, scale)
+                clocks[scale.name] = _read_clock(path, scale)
         channels = {
-            asked: _channel(path, name, named, scales.get(name), clocks) for asked, name in found.items()
+            requested: _channel(path, name, datasets, scales.get(name), clocks)
+            for requested, name in matches.items()
         }
     return Content(path, channels)
 
@@ -54,41 +57,41 @@ def _datasets(h5py: Any, group: Any) -> Iterator[tuple[str, Any]]:
     Soft links are left out: what they lead to has a name of its own.
     """
     seen = {_address(h5py, group)}
-    ahead = [("", group)]
-    while ahead:
-        prefix, inside = ahead.pop()
-        deeper = []
-        for name in inside:
-            full, link = f"{prefix}{name}", inside.get(name, getlink=True)
+    pending = [("", group)]
+    while pending:
+        prefix, current = pending.pop()
+        subgroups = []
+        for name in current:
+            full_name, link = f"{prefix}{name}", current.get(name, getlink=True)
             if isinstance(link, h5py.ExternalLink):
-                yield full, None
+                yield full_name, None
             elif isinstance(link, h5py.HardLink):
-                item = inside[name]
+                item = current[name]
                 if isinstance(item, h5py.Dataset):
-                    yield full, item
+                    yield full_name, item
                 elif isinstance(item, h5py.Group) and (address := _address(h5py, item)) not in seen:
                     seen.add(address)
-                    deeper.append((f"{full}/", item))
-        ahead += reversed(deeper)
+                    subgroups.append((f"{full_name}/", item))
+        pending += reversed(subgroups)
 
 
 def _is_real(dataset: Any) -> bool:
     """Return whether a dataset is one row or column of more than one real number."""
-    return dataset.shape is not None and dataset.dtype.kind in NUMBERS and is_vector(dataset.shape)
+    return dataset.shape is not None and dataset.dtype.kind in NUMERIC_KINDS and is_vector(dataset.shape)
 
 
-def stored(path: Path, dataset: Any, name: str) -> np.ndarray:
+def read_dataset(path: Path, dataset: Any, name: str) -> np.ndarray:
     """Return what a dataset holds, as stored.
 
     Raises:
         LogError: it is kept in another file.
     """
-    if is_outside(dataset):
+    if is_external(dataset):
         raise LogError(path, "is kept in another file, required it in this one", column=name)
     return dataset[()]
 
 
-def is_outside(dataset: Any) -> bool:
+def is_external(dataset: Any) -> bool:
     """Return whether a dataset, None behind a link that leads out, is kept in another file."""
     return dataset is None or dataset.is_virtual or bool(dataset.external)
 
@@ -101,7 +104,7 @@ def _address(h5py: Any, item: Any) -> tuple[int, int]:
 def _holds_numbers(dataset: Any) -> bool:
     # Not even the shape of one kept outside is looked at: HDF5 would open the other file for it. It is
     # listed, so that who asks for it is told why it cannot be had.
-    if is_outside(dataset):
+    if is_external(dataset):
         return True
     return _is_real(dataset) and not _text(dataset.attrs.get("NAME")).startswith(NO_VARIABLE)
 
@@ -114,12 +117,16 @@ def _attributes(dataset: Any) -> Mapping[str, object]:
     return dataset.attrs
 
 
-def _scale(dataset: Any) -> Any:
+def _time_scale(dataset: Any) -> Any:
     """Return the scale of time that a dataset is on, itself where it is one, None where there is none."""
-    if is_outside(dataset):
+    if is_external(dataset):
         return None
     for scale in _scales(dataset):
-        if not is_outside(scale) and is_time(unit_in(_attributes(scale))) and scale.size == dataset.size:
+        if (
+            not is_external(scale)
+            and is_time(unit_attribute(_attributes(scale)))
+            and scale.size == dataset.size
+        ):
             return scale if _is_real(scale) else None
     return None
 
@@ -128,25 +135,27 @@ def _scales(dataset: Any) -> list[Any]:
     # Read from the attributes that hold it: HDF5's own calls for scales end the process on damaged files.
     if _text(dataset.attrs.get("CLASS")) == "DIMENSION_SCALE":
         return [dataset]
-    every = dataset.attrs.get("DIMENSION_LIST")
+    references = dataset.attrs.get("DIMENSION_LIST")
     return (
         []
-        if every is None
-        else [dataset.file[reference] for reference in every[int(np.argmax(dataset.shape))]]
+        if references is None
+        else [dataset.file[reference] for reference in references[int(np.argmax(dataset.shape))]]
     )
 
 
-def _time(path: Path, scale: Any) -> np.ndarray:
+def _read_clock(path: Path, scale: Any) -> np.ndarray:
     attributes = _attributes(scale)
-    return in_seconds(decoded(stored(path, scale, scale.name), attributes), unit_in(attributes))
+    return to_seconds(
+        decode_values(read_dataset(path, scale, scale.name), attributes), unit_attribute(attributes)
+    )
 
 
 def _channel(
-    path: Path, name: str, named: Mapping[str, Any], scale: Any, clocks: Mapping[str, np.ndarray]
-) -> Channel:
-    clock_s, dataset = (None if scale is None else clocks[scale.name]), named[name]
+    path: Path, name: str, datasets: Mapping[str, Any], scale: Any, clocks: Mapping[str, np.ndarray]
+) -> LogChannel:
+    clock_s, dataset = (None if scale is None else clocks[scale.name]), datasets[name]
     if clock_s is not None and dataset == scale:
-        return Channel(clock_s, "s", clock_s)
-    raw = stored(path, dataset, name)
+        return LogChannel(clock_s, "s", clock_s)
+    raw = read_dataset(path, dataset, name)
     attributes = _attributes(dataset)
-    return Channel(decoded(raw, attributes), unit_in(attributes), clock_s)
+    return LogChannel(decode_values(raw, attributes), unit_attribute(attributes), clock_s)

@@ -6,20 +6,20 @@ from typing import Any
 
 import numpy as np
 
-from hitchid.readers.content import Channel, Content, Wanted
-from hitchid.readers.formats.cf import decoded, in_seconds, is_time, unit_in
-from hitchid.readers.formats.extra import damage, is_vector, picked
+from hitchid.readers.content import ChannelSelection, Content, LogChannel
+from hitchid.readers.formats.cf import decode_values, is_time, to_seconds, unit_attribute
+from hitchid.readers.formats.extra import as_log_errors, is_vector, match_clocked_channels
 
 MAGIC = b"CDF"
 KIND = "a NetCDF file"
 
 
-def read(path: Path, wanted: Wanted) -> Content:
+def read(path: Path, selection: ChannelSelection) -> Content:
     """Read the wanted variables of a classic NetCDF file.
 
     Args:
         path: the file.
-        wanted: what is asked for; the time may be missing where each has a coordinate of time.
+        selection: what is asked for; the time may be missing where each has a coordinate of time.
 
     Raises:
         LogError: the file is damaged or was cut short, or a variable is missing.
@@ -27,16 +27,22 @@ def read(path: Path, wanted: Wanted) -> Content:
     from scipy.io import netcdf_file  # not at the top: a quarter of a second
 
     # Not mapped into memory: scipy would leave the map open behind arrays that still show it.
-    with damage(path, KIND), netcdf_file(path, mmap=False) as file:
+    with as_log_errors(path, KIND), netcdf_file(path, mmap=False) as file:
         variables = file.variables
-        named = {name: variable for name, variable in variables.items() if _holds_numbers(variable)}
-        scales = {name: scale for name, v in named.items() if (scale := _scale(named, v)) is not None}
-        found = picked(path, list(named), wanted, scales)
-        used = {scales[name] for name in found.values() if name in scales}
-        clocks = {scale: _time(named[scale]) for scale in used}
+        numeric_variables = {
+            name: variable for name, variable in variables.items() if _holds_numbers(variable)
+        }
+        scales = {
+            name: scale
+            for name, v in numeric_variables.items()
+            if (scale := _time_scale(numeric_variables, v)) is not None
+        }
+        matches = match_clocked_channels(path, list(numeric_variables), selection, scales)
+        used = {scales[name] for name in matches.values() if name in scales}
+        clocks = {scale: _read_clock(numeric_variables[scale]) for scale in used}
         channels = {
-            asked: _channel(name, named[name], clocks.get(scales.get(name, "")))
-            for asked, name in found.items()
+            requested: _channel(name, numeric_variables[name], clocks.get(scales.get(name, "")))
+            for requested, name in matches.items()
         }
     return Content(path, channels)
 
@@ -49,19 +55,19 @@ def _attributes(variable: Any) -> Mapping[str, object]:
     return vars(variable)["_attributes"]
 
 
-def _scale(named: Mapping[str, Any], variable: Any) -> str | None:
+def _time_scale(numeric_variables: Mapping[str, Any], variable: Any) -> str | None:
     name = variable.dimensions[int(np.argmax(variable.data.shape))]
-    scale = named.get(name)
-    return name if scale is not None and is_time(unit_in(_attributes(scale))) else None
+    scale = numeric_variables.get(name)
+    return name if scale is not None and is_time(unit_attribute(_attributes(scale))) else None
 
 
-def _time(scale: Any) -> np.ndarray:
+def _read_clock(scale: Any) -> np.ndarray:
     attributes = _attributes(scale)
-    return in_seconds(decoded(scale.data, attributes), unit_in(attributes))
+    return to_seconds(decode_values(scale.data, attributes), unit_attribute(attributes))
 
 
-def _channel(name: str, variable: Any, clock_s: np.ndarray | None) -> Channel:
+def _channel(name: str, variable: Any, clock_s: np.ndarray | None) -> LogChannel:
     if clock_s is not None and variable.dimensions == (name,):
-        return Channel(clock_s, "s", clock_s)
+        return LogChannel(clock_s, "s", clock_s)
     attributes = _attributes(variable)
-    return Channel(decoded(variable.data, attributes), unit_in(attributes), clock_s)
+    return LogChannel(decode_values(variable.data, attributes), unit_attribute(attributes), clock_s)

@@ -8,39 +8,42 @@ import numpy as np
 
 from hitchid.data.units import unit_of_column
 from hitchid.errors import LogError
-from hitchid.readers.content import Channel, Content, Wanted, chosen
-from hitchid.readers.formats.extra import damage, floats, needed, spelled
+from hitchid.readers.content import ChannelSelection, Content, LogChannel, match_channels
+from hitchid.readers.formats.extra import as_log_errors, floats, import_optional, unit_text
 
 SUFFIXES = (".parquet",)
 KIND = "a Parquet file"
 TICKS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 
 
-def read(path: Path, wanted: Wanted) -> Content:
+def read(path: Path, selection: ChannelSelection) -> Content:
     """Read the wanted columns of a Parquet file.
 
     Args:
         path: the file.
-        wanted: what is asked for; columns of time stamps turn into seconds since their first.
+        selection: what is asked for; columns of time stamps turn into seconds since their first.
 
     Raises:
         LogError: the file is damaged, a column is missing or there twice, or pyarrow is missing.
     """
-    arrow, parquet = (needed(module, "parquet", path) for module in ("pyarrow", "pyarrow.parquet"))
+    arrow, parquet = (import_optional(module, "parquet", path) for module in ("pyarrow", "pyarrow.parquet"))
     # Handed the open file: Arrow knows no names that are not UTF-8.
     with (
-        damage(path, KIND),
+        as_log_errors(path, KIND),
         path.open("rb") as stream,
         parquet.ParquetFile(stream, page_checksum_verification=True) as file,
     ):
         fields = list(file.schema_arrow) if file.metadata.num_rows > 1 else []
-        named = {field.name: field for field in fields if _holds_numbers(arrow, field.type)}
-        found = chosen(path, list(named), wanted)
-        for name in found.values():
+        numeric_fields = {field.name: field for field in fields if _holds_numbers(arrow, field.type)}
+        matches = match_channels(path, list(numeric_fields), selection)
+        for name in matches.values():
             if sum(field.name == name for field in fields) > 1:
                 raise LogError(path, "several columns have this name", column=name)
-        table = file.read(columns=list(found.values()))
-        channels = {asked: _channel(arrow, named[name], table.column(name)) for asked, name in found.items()}
+        table = file.read(columns=list(matches.values()))
+        channels = {
+            requested: _channel(arrow, numeric_fields[name], table.column(name))
+            for requested, name in matches.items()
+        }
     return Content(path, channels)
 
 
@@ -55,7 +58,7 @@ def write_table(path: Path, columns: Mapping[str, np.ndarray]) -> None:
         LogError: pyarrow is missing.
     """
     arrow, parquet = (
-        needed(module, "parquet", path, purpose="write") for module in ("pyarrow", "pyarrow.parquet")
+        import_optional(module, "parquet", path, purpose="write") for module in ("pyarrow", "pyarrow.parquet")
     )
     fields = [
         arrow.field(
@@ -73,21 +76,21 @@ def _holds_numbers(arrow: Any, kind: Any) -> bool:
     types = arrow.types
     if types.is_dictionary(kind):
         kind = kind.value_type
-    are = (types.is_integer, types.is_floating, types.is_boolean, types.is_decimal)
-    return any(is_one(kind) for is_one in (*are, types.is_timestamp, types.is_duration))
+    type_checks = (types.is_integer, types.is_floating, types.is_boolean, types.is_decimal)
+    return any(type_check(kind) for type_check in (*type_checks, types.is_timestamp, types.is_duration))
 
 
-def _channel(arrow: Any, field: Any, column: Any) -> Channel:
+def _channel(arrow: Any, field: Any, column: Any) -> LogChannel:
     types = arrow.types
     if types.is_dictionary(field.type):
         column = column.cast(field.type.value_type)
     if types.is_timestamp(column.type) or types.is_duration(column.type):
-        return Channel(_seconds(arrow, column), "s")
+        return LogChannel(_seconds(arrow, column), "s")
     metadata = field.metadata or {}
-    unit = spelled(metadata.get(b"unit")) or spelled(metadata.get(b"units"))
+    unit = unit_text(metadata.get(b"unit")) or unit_text(metadata.get(b"units"))
     if types.is_boolean(column.type):
         column = column.cast(arrow.uint8())
-    return Channel(floats(column.cast(arrow.float64(), safe=False).to_numpy()), unit)
+    return LogChannel(floats(column.cast(arrow.float64(), safe=False).to_numpy()), unit)
 
 
 def _seconds(arrow: Any, column: Any) -> np.ndarray:

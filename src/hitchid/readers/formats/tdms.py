@@ -10,9 +10,15 @@ import numpy as np
 
 from hitchid.data.units import unit_of_column
 from hitchid.errors import LogError
-from hitchid.readers.content import Channel, Content, Wanted
+from hitchid.readers.content import ChannelSelection, Content, LogChannel
 from hitchid.readers.formats.cf import is_time
-from hitchid.readers.formats.extra import damage, floats, needed, picked, spelled
+from hitchid.readers.formats.extra import (
+    as_log_errors,
+    floats,
+    import_optional,
+    match_clocked_channels,
+    unit_text,
+)
 
 SUFFIXES = (".tdms",)
 KIND = "a TDMS file"
@@ -25,35 +31,36 @@ START = re.compile(rb"(?P<path>/'(?:[^']|'')*'/'(?:[^']|'')*')|wf_start_time(?P<
 
 
 class _Waveform(NamedTuple):
-    samples: int
+    sample_count: int
     offset_s: float
     increment_s: float
     start: tuple[int, int]  # s and 2^-64 s since 1904
 
 
-def read(path: Path, wanted: Wanted) -> Content:
+def read(path: Path, selection: ChannelSelection) -> Content:
     """Read the wanted channels of a TDMS file.
 
     Args:
         path: the file.
-        wanted: what is asked for; the time may be missing where all of it are waveforms.
+        selection: what is asked for; the time may be missing where all of it are waveforms.
 
     Raises:
         LogError: the file is damaged or was cut short, a channel is missing, or npTDMS is.
     """
-    nptdms = needed("nptdms", "tdms", path)
-    with damage(path, KIND), path.open("rb") as stream:
-        held = _bytes_held(path, stream)
+    nptdms = import_optional("nptdms", "tdms", path)
+    with as_log_errors(path, KIND), path.open("rb") as stream:
+        data_bytes = _count_data_bytes(path, stream)
         # Handed the open file, npTDMS leaves alone an index beside it, which may be of another recording.
         with nptdms.TdmsFile.open(stream, raw_timestamps=True) as log:
-            every = [channel for group in log.groups() for channel in group.channels()]
-            _check_promised(path, every, held, log.file_status.channel_statuses or {})
-            named = {f"{c.group_name}/{c.name}": c for c in every if _holds_numbers(c)}
-            waveforms = {name: w for name, c in named.items() if (w := _waveform(c)) is not None}
-            found = picked(path, list(named), wanted, waveforms)
-            clocks = _clocks(path, {name: waveforms[name] for name in found.values() if name in waveforms})
+            all_channels = [channel for group in log.groups() for channel in group.channels()]
+            _check_sample_counts(path, all_channels, data_bytes, log.file_status.channel_statuses or {})
+            numeric_channels = {f"{c.group_name}/{c.name}": c for c in all_channels if _holds_numbers(c)}
+            waveforms = {name: w for name, c in numeric_channels.items() if (w := _waveform(c)) is not None}
+            matches = match_clocked_channels(path, list(numeric_channels), selection, waveforms)
+            clocks = _clocks(path, {name: waveforms[name] for name in matches.values() if name in waveforms})
             channels = {
-                asked: _channel(path, name, named[name], clocks.get(name)) for asked, name in found.items()
+                requested: _channel(path, name, numeric_channels[name], clocks.get(name))
+                for requested, name in matches.items()
             }
     return Content(path, channels)
 
@@ -68,7 +75,7 @@ def write_table(path: Path, columns: Mapping[str, np.ndarray]) -> None:
     Raises:
         LogError: npTDMS is missing.
     """
-    nptdms = needed("nptdms", "tdms", path, purpose="write")
+    nptdms = import_optional("nptdms", "tdms", path, purpose="write")
     with nptdms.TdmsWriter(path) as writer:
         writer.write_segment(
             [
@@ -83,13 +90,13 @@ def write_table(path: Path, columns: Mapping[str, np.ndarray]) -> None:
         )
 
 
-def _bytes_held(path: Path, stream: BinaryIO) -> int:
+def _count_data_bytes(path: Path, stream: BinaryIO) -> int:
     """Walk from segment to segment and return how many bytes of raw data there are in all."""
     size = stream.seek(0, 2)
-    position = number = held = 0
+    position = segment_number = data_bytes = 0
     starts: dict[bytes, bytes] = {}
-    while position < size or not number:
-        number += 1
+    while position < size or not segment_number:
+        segment_number += 1
         stream.seek(position)
         lead_in = stream.read(LEAD_IN)
         if not lead_in or not b"TDSm".startswith(lead_in[:4]):
@@ -99,17 +106,19 @@ def _bytes_held(path: Path, stream: BinaryIO) -> int:
             ends = (
                 f"ends at byte {end}" if end < UNFINISHED else f"from byte {position} on was never finished"
             )
-            raise LogError(path, f"was cut short: segment {number} {ends}, the file has {size}")
+            raise LogError(path, f"was cut short: segment {segment_number} {ends}, the file has {size}")
         if raw < 0:
-            raise LogError(path, f"cannot be read as {KIND}: segment {number} has its data behind its end")
+            raise LogError(
+                path, f"cannot be read as {KIND}: segment {segment_number} has its data behind its end"
+            )
         for channel, start in _starts(stream.read(end - stream.tell() - raw)):
             if starts.setdefault(channel, start) != start:
-                problem = f"holds several recordings, the next from segment {number} on; required one a file"
+                problem = f"holds several recordings, the next from segment {segment_number} on; required one a file"
                 raise LogError(path, problem, column=channel.decode(errors="replace"))
-        held += raw
+        data_bytes += raw
         position = end
     stream.seek(0)
-    return held
+    return data_bytes
 
 
 def _starts(metadata: bytes) -> Iterator[tuple[bytes, bytes]]:
@@ -118,8 +127,8 @@ def _starts(metadata: bytes) -> Iterator[tuple[bytes, bytes]]:
     npTDMS keeps the last one only: a recording that was appended would follow on the one before it.
     """
     path = b""
-    for found in START.finditer(metadata):
-        path, start = found["path"] or path, found["start"]
+    for entry in START.finditer(metadata):
+        path, start = entry["path"] or path, entry["start"]
         if start is not None:
             yield path, start
 
@@ -130,21 +139,26 @@ def _extent(lead_in: bytes, position: int) -> tuple[int, int]:
     return position + LEAD_IN + length, length - raw_offset
 
 
-def _check_promised(path: Path, channels: Sequence[Any], held: int, last: Mapping[str, Any]) -> None:
+def _check_sample_counts(
+    path: Path, channels: Sequence[Any], data_bytes: int, last_segment: Mapping[str, Any]
+) -> None:
     """Check that there are as many samples as the metadata promise, in the last segment and in all."""
     for channel in channels:
-        status = last.get(channel.path)
+        status = last_segment.get(channel.path)
         if status is not None and status.read_length < status.expected_length:
-            found = f"holds {status.read_length} of {status.expected_length} samples at its end"
-            raise LogError(path, f"was cut short: {found}", column=f"{channel.group_name}/{channel.name}")
-    filled = [channel for channel in channels if len(channel)]
-    sizes = [channel.data_type.size for channel in filled]
+            counts_text = f"holds {status.read_length} of {status.expected_length} samples at its end"
+            raise LogError(
+                path, f"was cut short: {counts_text}", column=f"{channel.group_name}/{channel.name}"
+            )
+    non_empty = [channel for channel in channels if len(channel)]
+    sizes = [channel.data_type.size for channel in non_empty]
     if None in sizes:  # text and raw DAQmx data: npTDMS itself follows their offsets
         return
-    promised = sum(len(channel) * size for channel, size in zip(filled, sizes, strict=True))
-    if promised != held:
+    expected_bytes = sum(len(channel) * size for channel, size in zip(non_empty, sizes, strict=True))
+    if expected_bytes != data_bytes:
         raise LogError(
-            path, f"cannot be read as {KIND}: its channels take {promised} bytes, its segments hold {held}"
+            path,
+            f"cannot be read as {KIND}: its channels take {expected_bytes} bytes, its segments hold {data_bytes}",
         )
 
 
@@ -152,25 +166,25 @@ def _holds_numbers(channel: Any) -> bool:
     return len(channel) > 1 and np.dtype(channel.dtype).kind in "fiubM"
 
 
-def _channel(path: Path, name: str, channel: Any, clock_s: np.ndarray | None) -> Channel:
-    read = channel[:]
-    if len(read) != len(channel):
-        raise LogError(path, f"was cut short: holds {len(read)} of {len(channel)} samples", column=name)
+def _channel(path: Path, name: str, channel: Any, clock_s: np.ndarray | None) -> LogChannel:
+    samples = channel[:]
+    if len(samples) != len(channel):
+        raise LogError(path, f"was cut short: holds {len(samples)} of {len(channel)} samples", column=name)
     if np.dtype(channel.dtype).kind == "M":
-        return Channel(_since_first(read), "s", clock_s)
-    return Channel(floats(read), spelled(channel.properties.get("unit_string")), clock_s)
+        return LogChannel(_since_first(samples), "s", clock_s)
+    return LogChannel(floats(samples), unit_text(channel.properties.get("unit_string")), clock_s)
 
 
 def _since_first(stamps: Any) -> np.ndarray:
     """Return time stamps as seconds since the first; whole seconds and their parts are subtracted apart."""
     seconds = stamps["seconds"].astype(np.int64)
-    parts = stamps["second_fractions"].astype(np.float64)
-    return (seconds - seconds[0]).astype(np.float64) + (parts - parts[0]) * 2.0**-64
+    fractions = stamps["second_fractions"].astype(np.float64)
+    return (seconds - seconds[0]).astype(np.float64) + (fractions - fractions[0]) * 2.0**-64
 
 
 def _waveform(channel: Any) -> _Waveform | None:
     increment, offset = (channel.properties.get(name) for name in ("wf_increment", "wf_start_offset"))
-    axis = spelled(channel.properties.get("wf_xunit_string"))
+    axis = unit_text(channel.properties.get("wf_xunit_string"))
     if not isinstance(increment, int | float) or not np.isfinite(increment) or increment <= 0:
         return None
     if axis is not None and not is_time(axis):  # a spectrum is a waveform, too
@@ -184,14 +198,16 @@ def _clocks(path: Path, waveforms: Mapping[str, _Waveform]) -> dict[str, np.ndar
     """Return the clock of each waveform, one array for all alike, from where the first of them starts."""
     starts = [waveform.start for waveform in waveforms.values()]
     # LabVIEW writes 1904 where nobody set the start.
-    unknown = [name for name, waveform in waveforms.items() if not waveform.start[0]]
-    known = not unknown
-    if unknown and len(unknown) < len(waveforms):
-        raise LogError(path, "has no start time, others have one; required all or none", column=unknown[0])
+    without_start = [name for name, waveform in waveforms.items() if not waveform.start[0]]
+    has_start_times = not without_start
+    if without_start and len(without_start) < len(waveforms):
+        raise LogError(
+            path, "has no start time, others have one; required all or none", column=without_start[0]
+        )
     clocks: dict[_Waveform, np.ndarray] = {}
     for waveform in waveforms.values():
-        late = [ours - first for ours, first in zip(waveform.start, min(starts), strict=True)]
-        late_s = late[0] + late[1] * 2.0**-64 if known else 0.0
-        ticks = waveform.increment_s * np.arange(waveform.samples)
-        clocks.setdefault(waveform, waveform.offset_s + late_s + ticks)
+        delay = [start - first_start for start, first_start in zip(waveform.start, min(starts), strict=True)]
+        delay_s = delay[0] + delay[1] * 2.0**-64 if has_start_times else 0.0
+        ticks = waveform.increment_s * np.arange(waveform.sample_count)
+        clocks.setdefault(waveform, waveform.offset_s + delay_s + ticks)
     return {name: clocks[waveform] for name, waveform in waveforms.items()}

@@ -1,10 +1,10 @@
 """Figures: functions of a result that return matplotlib figures, in one style."""
 
-from hitchid.report.figures.errors import end_to_end as end_to_end
+from hitchid.report.figures.errors import concatenate_tests as concatenate_tests
+from hitchid.report.figures.errors import concatenated_time as concatenated_time
 from hitchid.report.figures.errors import error_distribution as error_distribution
 from hitchid.report.figures.errors import errors_by_test as errors_by_test
 from hitchid.report.figures.errors import horizons as horizons
-from hitchid.report.figures.errors import joined_time as joined_time
 from hitchid.report.figures.errors import outputs as outputs
 from hitchid.report.figures.errors import predicted_errors as predicted_errors
 from hitchid.report.figures.search import convergence as convergence
@@ -16,6 +16,6 @@ from hitchid.report.figures.timeline import timeline as timeline
 from hitchid.report.figures.trust import coverage as coverage
 from hitchid.report.figures.trust import intervals as intervals
 from hitchid.report.figures.trust import residual_correlations as residual_correlations
-from hitchid.report.figures.trust import residuals_by_place as residuals_by_place
+from hitchid.report.figures.trust import residuals_by_variable as residuals_by_variable
 from hitchid.report.figures.valve import dead_zone as dead_zone
 from hitchid.report.figures.valve import valve_map as valve_map

@@ -24,19 +24,19 @@ def convergence(trace: Mapping[str, Any], unit: str) -> Figure:
     """
     phase1 = trace["phase1"]
     parameters = phase1["uncertainty"]["parameters"]
-    fitness = np.array([np.nan if each is None else each for each in phase1["fitness"]])
+    fitness = np.array([np.nan if value is None else value for value in phase1["fitness"]])
     iteration = np.arange(1, fitness.size + 1)
     figure = Figure(figsize=(COLUMN_IN, 0.5 + 0.78 * (1 + len(parameters))))
     axes = np.atleast_1d(figure.subplots(1 + len(parameters), 1, sharex=True))
     axes[0].plot(iteration, fitness, color=COLOURS["benchmark"])
     axes[0].set_ylabel(f"RMSE\n/ {unit}")
     logarithmic(axes[0].yaxis)
-    for axis, each, values in zip(axes[1:], parameters, np.array(phase1["values"]).T, strict=True):
+    for axis, parameter, values in zip(axes[1:], parameters, np.array(phase1["values"]).T, strict=True):
         axis.plot(iteration, values, color=COLOURS["one_step"], label="best so far")
-        axis.axhline(each["value"], color=INK, linewidth=0.7, linestyle=":", label="after least squares")
-        told = "" if each["unit"] == "1" else f"\n/ {each['unit']}"
-        axis.set_ylabel(f"{each['symbol'] or each['name'].replace('_', ' ')}{told}")
-        if not each["linear"]:
+        axis.axhline(parameter["value"], color=INK, linewidth=0.7, linestyle=":", label="after least squares")
+        unit_suffix = "" if parameter["unit"] == "1" else f"\n/ {parameter['unit']}"
+        axis.set_ylabel(f"{parameter['symbol'] or parameter['name'].replace('_', ' ')}{unit_suffix}")
+        if not parameter["linear"]:
             logarithmic(axis.yaxis)
     legend_above(figure, *axes[1:])
     axes[-1].set_xlabel("iteration")
@@ -45,28 +45,28 @@ def convergence(trace: Mapping[str, Any], unit: str) -> Figure:
 
 
 @styled
-def searches(compared: Mapping[str, Any], unit: str) -> Figure:
+def searches(results: Mapping[str, Any], unit: str) -> Figure:
     """Return where several searches ended from several seeds, and how the one in the middle went.
 
     Args:
-        compared: `searches` of one direction, as `metrics.json` holds them.
+        results: `searches` of one direction, as `metrics.json` holds them.
         unit: of the displacement.
     """
     figure = Figure(figsize=(COLUMN_IN, 2.6))
-    went, ended = figure.subplots(1, 2, sharey=True, width_ratios=[2, 1])
-    for place, (name, each) in enumerate(compared.items()):
+    history_axis, final_axis = figure.subplots(1, 2, sharey=True, width_ratios=[2, 1])
+    for index, (name, result) in enumerate(results.items()):
         colour = COLOURS[SEARCH_COLOURS.get(name, "faint")]
-        steps = [np.nan if value is None else value for value in each["median_run"]["rmse"]]
-        went.plot(np.linspace(0, 100, len(steps)), steps, color=colour, label=name)
-        ends = [value for value in each["rmse"] if value is not None]
-        ended.plot([place] * len(ends), ends, "o", color=colour, markersize=3, alpha=0.7)
-    logarithmic(went.yaxis)
-    went.set_xlabel("budget spent / %")
-    went.set_ylabel(f"best RMSE / {unit}")
-    ended.set_xticks(range(len(compared)), [""] * len(compared))
-    ended.set_xlim(-0.6, len(compared) - 0.4)
-    ended.set_xlabel("ends")
-    legend_above(figure, went)
+        steps = [np.nan if value is None else value for value in result["median_run"]["rmse"]]
+        history_axis.plot(np.linspace(0, 100, len(steps)), steps, color=colour, label=name)
+        final_errors = [value for value in result["rmse"] if value is not None]
+        final_axis.plot([index] * len(final_errors), final_errors, "o", color=colour, markersize=3, alpha=0.7)
+    logarithmic(history_axis.yaxis)
+    history_axis.set_xlabel("budget spent / %")
+    history_axis.set_ylabel(f"best RMSE / {unit}")
+    final_axis.set_xticks(range(len(results)), [""] * len(results))
+    final_axis.set_xlim(-0.6, len(results) - 0.4)
+    final_axis.set_xlabel("ends")
+    legend_above(figure, history_axis)
     return figure
 
 
@@ -80,9 +80,9 @@ def losses(trace: Mapping[str, Any]) -> Figure:
     phase2 = trace["phase2"]
     figure = Figure(figsize=(COLUMN_IN, 2.2))
     axis = figure.subplots()
-    for part, colour in (("training", "one_step"), ("validation", "transfer_function")):
-        loss = [np.nan if value is None else value for value in phase2[f"{part}_loss"]]
-        axis.plot(np.arange(1, len(loss) + 1), loss, color=COLOURS[colour], label=part)
+    for subset, colour in (("training", "one_step"), ("validation", "transfer_function")):
+        loss = [np.nan if value is None else value for value in phase2[f"{subset}_loss"]]
+        axis.plot(np.arange(1, len(loss) + 1), loss, color=COLOURS[colour], label=subset)
     axis.axvline(phase2["best_epoch"], color=FAINT, linewidth=0.8, linestyle="--", label="kept")
     logarithmic(axis.yaxis)
     axis.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -102,15 +102,15 @@ def structures(candidates: Sequence[Mapping[str, Any]], unit: str) -> Figure:
     """
     figure = Figure(figsize=(COLUMN_IN, 0.8 + 0.33 * len(candidates)))
     axis = figure.subplots()
-    places = np.arange(len(candidates))[::-1]
+    row_positions = np.arange(len(candidates))[::-1]
     for key, sign, colour, inside, label in (
         ("rmse", "o", INK, "none", "all tests"),
         ("held_out_rmse", "D", COLOURS["benchmark"], "full", "levels held out in turn"),
     ):
-        values = [each[key] if each[key] is not None else np.nan for each in candidates]
-        axis.plot(values, places, sign, color=colour, fillstyle=inside, markersize=4, label=label)
-    names = [f"{each['name']}{' (taken)' if each['chosen'] else ''}" for each in candidates]
-    axis.set_yticks(places, [fill(name, WRAP) for name in names])
+        values = [candidate[key] if candidate[key] is not None else np.nan for candidate in candidates]
+        axis.plot(values, row_positions, sign, color=colour, fillstyle=inside, markersize=4, label=label)
+    names = [f"{candidate['name']}{' (taken)' if candidate['chosen'] else ''}" for candidate in candidates]
+    axis.set_yticks(row_positions, [fill(name, WRAP) for name in names])
     axis.set_ylim(-0.6, len(candidates) - 0.4)
     logarithmic(axis.xaxis)
     axis.set_xlabel(f"RMSE in free run / {unit}")

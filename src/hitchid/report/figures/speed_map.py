@@ -6,37 +6,39 @@ from matplotlib.figure import Figure
 from hitchid.report.figures.style import COLOURS, COLUMN_IN, INK, legend_above, styled
 from hitchid.uncertainty import Characteristics
 
-LOOKS = (("one_step", "v", "--"), ("benchmark", "s", "-"), ("greybox", "^", "-."))
-FAINTLY, ROOM = 0.22, 1.5
+LINE_STYLES = (("one_step", "v", "--"), ("benchmark", "s", "-"), ("greybox", "^", "-."))
+BAND_ALPHA, HEADROOM = 0.22, 1.5
 
 
 @styled
-def speed_map(known: Characteristics) -> Figure:
+def speed_map(characteristics: Characteristics) -> Figure:
     """Return speed over command for each load, with 95 % bands, and the mean speeds measured in tests.
 
     Points without a line through them were measured; a band that has no end goes on to the edge.
 
     Args:
-        known: operating characteristics of one direction.
+        characteristics: operating characteristics of one direction.
     """
     figure = Figure(figsize=(COLUMN_IN, 2.6))
     axis = figure.subplots()
-    loads = sorted({point.load for point in known.speed_map if point.load is not None}) or [None]
+    loads = sorted({point.load for point in characteristics.speed_map if point.load is not None}) or [None]
     fastest = max(
-        [point.speed for point in known.speed_map] + [each.speed for each in known.measured], default=1.0
+        [point.speed for point in characteristics.speed_map]
+        + [measurement.speed for measurement in characteristics.measured],
+        default=1.0,
     )
-    highest = ROOM * fastest
-    looks = LOOKS if len(loads) > 1 else LOOKS[1:2]
-    for load, (colour, marker, dashes) in zip(loads, looks, strict=False):
-        points = [point for point in known.speed_map if point.load == load]
+    highest = HEADROOM * fastest
+    line_styles = LINE_STYLES if len(loads) > 1 else LINE_STYLES[1:2]
+    for load, (colour, marker, dashes) in zip(loads, line_styles, strict=False):
+        points = [point for point in characteristics.speed_map if point.load == load]
         commands = [point.command for point in points]
         lower = [0.0 if point.interval[0] is None else point.interval[0] for point in points]
         upper = [highest if point.interval[1] is None else point.interval[1] for point in points]
         shade = COLOURS[colour]
         label = "benchmark" if load is None else f"{load:.4g}"
         if len(points) == 1:
-            axis.vlines(commands, lower, upper, alpha=FAINTLY, linewidth=4, color=shade)
-        axis.fill_between(commands, lower, upper, alpha=FAINTLY, linewidth=0, color=shade)
+            axis.vlines(commands, lower, upper, alpha=BAND_ALPHA, linewidth=4, color=shade)
+        axis.fill_between(commands, lower, upper, alpha=BAND_ALPHA, linewidth=0, color=shade)
         axis.plot(
             commands,
             [point.speed for point in points],
@@ -46,11 +48,13 @@ def speed_map(known: Characteristics) -> Figure:
             label=label,
             color=shade,
         )
-    if known.measured:
-        commands, speeds = np.array([(each.command, each.speed) for each in known.measured]).T
+    if characteristics.measured:
+        commands, speeds = np.array(
+            [(measurement.command, measurement.speed) for measurement in characteristics.measured]
+        ).T
         axis.plot(commands, speeds, "o", color=INK, markersize=3, fillstyle="none", label="measured")
-    axis.set_ylim(min(0.0, *(each.speed for each in known.measured), 0.0), highest)
-    axis.set_xlabel(f"command / {known.command_unit}")
-    axis.set_ylabel(f"speed / ({known.speed_unit})")
+    axis.set_ylim(min(0.0, *(measurement.speed for measurement in characteristics.measured), 0.0), highest)
+    axis.set_xlabel(f"command / {characteristics.command_unit}")
+    axis.set_ylabel(f"speed / ({characteristics.speed_unit})")
     legend_above(figure, axis, columns=4)
     return figure

@@ -15,7 +15,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator, StrMethodFor
 
 from hitchid.validation import NAMES
 
-DECADE, DECADES, STRETCHES = 10, 50, 300
+DECADE, DECADES, DECIMATION_BINS = 10, 50, 300
 
 COLUMN_IN, PAGE_IN = 3.5, 7.2
 """Width of a column and of a page, inch: 89 and 183 mm, as journals have them."""
@@ -53,7 +53,7 @@ COLOURS = {name: shade.light for name, shade in SHADES.items()} | {
 }
 PAPER = "#ffffff"
 INK, FAINT, GRID = COLOURS["ink"], COLOURS["faint"], COLOURS["grid"]
-PARTS = {"training": COLOURS["one_step"], "validation": COLOURS["transfer_function"]}
+SUBSET_COLOURS = {"training": COLOURS["one_step"], "validation": COLOURS["transfer_function"]}
 DASHES = {
     "benchmark": (4, 1.5),
     "transfer_function": (1.2, 1.2),
@@ -82,7 +82,7 @@ LABELS = NAMES | {
     "a": "model A",
     "b": "model B",
 }
-_SHEET: dict[Any, Any] = {
+_RC_PARAMS: dict[Any, Any] = {
     "figure.constrained_layout.use": True,
     "font.family": ["DejaVu Sans", "sans-serif"],
     "font.size": 8,
@@ -115,51 +115,55 @@ _SHEET: dict[Any, Any] = {
     "svg.hashsalt": "hitchid",
     "svg.fonttype": "none",
 }
-_Asked = ParamSpec("_Asked")
+_Params = ParamSpec("_Params")
 
 
 @contextmanager
 def style() -> Iterator[None]:
     """Draw within the style of the house, leaving matplotlib's own settings alone."""
-    with mpl.rc_context(_SHEET):
+    with mpl.rc_context(_RC_PARAMS):
         yield
 
 
-def styled(draw: Callable[_Asked, Figure]) -> Callable[_Asked, Figure]:
+def styled(draw: Callable[_Params, Figure]) -> Callable[_Params, Figure]:
     """Let a function draw its figure within the style of the house."""
 
     @wraps(draw)
-    def within(*args: _Asked.args, **kwargs: _Asked.kwargs) -> Figure:
+    def wrapper(*args: _Params.args, **kwargs: _Params.kwargs) -> Figure:
         with style():
             return draw(*args, **kwargs)
 
-    return within
+    return wrapper
 
 
-def thinned(place: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def decimate(x: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return a curve with no more points than can be seen: lowest and highest of each of 300 stretches.
 
     Args:
-        place, values: the curve, shape [N]; NaN parts it.
+        x, values: the curve, shape [N]; NaN parts it.
     """
-    if values.size <= 2 * STRETCHES:
-        return place, values
-    kept = []
-    for stretch in np.array_split(np.arange(values.size), STRETCHES):
-        told = np.isfinite(values[stretch])
-        finite, gaps = stretch[told], stretch[~told]
-        ends = [finite[np.argmin(values[finite])], finite[np.argmax(values[finite])]] if finite.size else []
-        kept += sorted({*map(int, ends), *map(int, gaps)})
-    return place[kept], values[kept]
+    if values.size <= 2 * DECIMATION_BINS:
+        return x, values
+    indices = []
+    for bin_indices in np.array_split(np.arange(values.size), DECIMATION_BINS):
+        is_finite = np.isfinite(values[bin_indices])
+        finite, gaps = bin_indices[is_finite], bin_indices[~is_finite]
+        extremes = (
+            [finite[np.argmin(values[finite])], finite[np.argmax(values[finite])]] if finite.size else []
+        )
+        indices += sorted({*map(int, extremes), *map(int, gaps)})
+    return x[indices], values[indices]
 
 
 def legend_above(figure: Figure, *axes: Axes, columns: int = 2) -> None:
     """Put what is labelled on some axes into a legend above them all, where it hides nothing."""
-    told: dict[str, Artist] = {}
+    handles: dict[str, Artist] = {}
     for axis in axes:
         for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
-            told.setdefault(label, handle)
-    figure.legend(list(told.values()), list(told), ncols=columns, loc="outside upper left", columnspacing=1.2)
+            handles.setdefault(label, handle)
+    figure.legend(
+        list(handles.values()), list(handles), ncols=columns, loc="outside upper left", columnspacing=1.2
+    )
 
 
 def logarithmic(axis: Axis) -> None:

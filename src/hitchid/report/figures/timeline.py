@@ -13,8 +13,8 @@ from matplotlib.patches import Patch
 
 from hitchid._support.storage import write_file
 from hitchid.data.record import COMMAND, LIFTING, LOWERING, Record
-from hitchid.data.segmentation import BOTH, END_STOP, HOLD, SATURATED, Segment
-from hitchid.report.figures.style import COLOURS, INK, PAGE_IN, style, styled, thinned
+from hitchid.data.segmentation import BOTH_VALVES_ACTIVE, END_STOP, HOLD, SATURATED, Segment
+from hitchid.report.figures.style import COLOURS, INK, PAGE_IN, decimate, style, styled
 
 FILLS = {
     LIFTING: COLOURS["one_step"],
@@ -22,11 +22,11 @@ FILLS = {
     HOLD: COLOURS["hold"],
     SATURATED: COLOURS["transfer_function"],
     END_STOP: COLOURS["faint"],
-    BOTH: COLOURS["benchmark"],
+    BOTH_VALVES_ACTIVE: COLOURS["benchmark"],
 }
 LINES = {LIFTING: COLOURS["one_step"], LOWERING: COLOURS["narx"]}
 ALPHA, ROW_IN = 0.35, 2.4
-POINTED = COLOURS["benchmark"]
+MARK_COLOUR = COLOURS["benchmark"]
 
 
 class Mark(NamedTuple):
@@ -54,55 +54,65 @@ def timeline(records: Sequence[tuple[Record, Sequence[Segment]]], marks: Sequenc
     """
     figure = Figure(figsize=(PAGE_IN, ROW_IN * len(records) + 0.4))
     axes = figure.subplots(2 * len(records), 1, squeeze=False, height_ratios=[2, 1] * len(records))[:, 0]
-    used: dict[str, None] = {}
-    for number, (record, found) in enumerate(records):
-        above, below = axes[2 * number], axes[2 * number + 1]
-        for label, start, stop in found:
-            used[label] = None
-            ends = record.start_s + record.step_s * start, record.start_s + record.step_s * stop
-            above.axvspan(*ends, color=FILLS[label], alpha=1.0 if label == HOLD else ALPHA, linewidth=0)
-        above.plot(*thinned(record.time_s, record.displacement), color=INK)
-        _point_at(above, record, [mark for mark in marks if mark.record == record.name])
-        above.set_ylabel(f"displacement / {record.unit}")
-        above.set_title(record.name.encode(errors="replace").decode(), loc="left", parse_math=False)
-        above.tick_params(labelbottom=False)
-        for mode in record.modes:
-            below.plot(*thinned(record.time_s, record.command(mode)), color=LINES[mode], label=mode)
-        below.set_ylabel(f"command /\n{record.units[COMMAND[record.modes[0]]]}")
-        below.set_xlabel("time / s")
-        for each in (above, below):
-            each.set_xlim(record.time_s[0], record.time_s[-1])
-    used_commands = [mode for mode in LINES if any(mode in record.modes for record, _ in records)]
+    shown_labels: dict[str, None] = {}
+    for number, (record, segments) in enumerate(records):
+        displacement_axes, command_axes = axes[2 * number], axes[2 * number + 1]
+        for label, start, stop in segments:
+            shown_labels[label] = None
+            interval = record.start_s + record.step_s * start, record.start_s + record.step_s * stop
+            displacement_axes.axvspan(
+                *interval, color=FILLS[label], alpha=1.0 if label == HOLD else ALPHA, linewidth=0
+            )
+        displacement_axes.plot(*decimate(record.time_s, record.displacement), color=INK)
+        _annotate_marks(displacement_axes, record, [mark for mark in marks if mark.record == record.name])
+        displacement_axes.set_ylabel(f"displacement / {record.unit}")
+        displacement_axes.set_title(
+            record.name.encode(errors="replace").decode(), loc="left", parse_math=False
+        )
+        displacement_axes.tick_params(labelbottom=False)
+        for direction in record.directions:
+            command_axes.plot(
+                *decimate(record.time_s, record.command(direction)), color=LINES[direction], label=direction
+            )
+        command_axes.set_ylabel(f"command /\n{record.units[COMMAND[record.directions[0]]]}")
+        command_axes.set_xlabel("time / s")
+        for subplot in (displacement_axes, command_axes):
+            subplot.set_xlim(record.time_s[0], record.time_s[-1])
+    used_commands = [
+        direction for direction in LINES if any(direction in record.directions for record, _ in records)
+    ]
     handles: list[Artist] = [
         Patch(color=FILLS[label], alpha=1.0 if label == HOLD else ALPHA, label=label)
         for label in FILLS
-        if label in used
+        if label in shown_labels
     ]
-    handles += [Line2D([], [], color=LINES[mode], label=f"{mode} command") for mode in used_commands]
+    handles += [
+        Line2D([], [], color=LINES[direction], label=f"{direction} command") for direction in used_commands
+    ]
     figure.legend(handles=handles, loc="outside upper left", ncols=len(handles))
     figure.align_ylabels()
     return figure
 
 
-def _point_at(axes: Axes, record: Record, marks: Sequence[Mark]) -> None:
+def _annotate_marks(axes: Axes, record: Record, marks: Sequence[Mark]) -> None:
     """Frame what is to be pointed at and name it off the curve, each label once."""
-    named = set()
+    annotated = set()
     middle = (record.displacement.min() + record.displacement.max()) / 2
     for mark in marks:
         high = np.interp(mark.start_s, record.time_s, record.displacement) > middle
         axes.axvspan(
-            mark.start_s, mark.stop_s, facecolor="none", edgecolor=POINTED, hatch="////", linewidth=0.8
+            mark.start_s, mark.stop_s, facecolor="none", edgecolor=MARK_COLOUR, hatch="////", linewidth=0.8
         )
-        if mark.label not in named:
+        if mark.label not in annotated:
             axes.annotate(
                 mark.label,
                 (mark.start_s, 0.04 if high else 0.96),
                 xycoords=axes.get_xaxis_transform(),
                 va="bottom" if high else "top",
-                color=POINTED,
+                color=MARK_COLOUR,
                 bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1},
             )
-        named.add(mark.label)
+        annotated.add(mark.label)
 
 
 def draw(
@@ -119,8 +129,8 @@ def draw(
     """
     kind = path.suffix.lstrip(".")
 
-    def save(place: Path) -> None:
+    def save(target: Path) -> None:
         with style():
-            timeline(records, marks).savefig(place, format=kind, dpi=150)
+            timeline(records, marks).savefig(target, format=kind, dpi=150)
 
     write_file(path, save, force=force)

@@ -17,8 +17,8 @@ from matplotlib.ticker import (
 
 from hitchid.report.figures.style import COLOURS, COLUMN_IN, FAINT, INK, legend_above, logarithmic, styled
 
-MARGIN, THINNEST, WIDE = 0.6, 0.02, 5
-PLACES = {
+MARGIN, MIN_BAR_SHARE, WIDE_RATIO = 0.6, 0.02, 5
+VARIABLES = {
     "position": "displacement / {unit}",
     "speed": "speed / ({unit}/s)",
     "command": "command / {command}",
@@ -26,46 +26,46 @@ PLACES = {
 
 
 @styled
-def intervals(known: Mapping[str, Any]) -> Figure:
+def intervals(parameters: Mapping[str, Any]) -> Figure:
     """Return each parameter with its 95 % interval, a row of its own scale for each.
 
     Open ends run to the edge as an arrow; the thin line is the bootstrap's interval.
 
     Args:
-        known: `parameters` of one direction, as `metrics.json` holds them.
+        parameters: `parameters` of one direction, as `metrics.json` holds them.
     """
-    estimates = list(known["estimates"].values())
+    estimates = list(parameters["estimates"].values())
     figure = Figure(figsize=(COLUMN_IN, 0.25 + 0.62 * len(estimates)))
-    for axis, each in zip(np.atleast_1d(figure.subplots(len(estimates), 1)), estimates, strict=True):
-        _interval(axis, each)
+    for axis, estimate in zip(np.atleast_1d(figure.subplots(len(estimates), 1)), estimates, strict=True):
+        _interval(axis, estimate)
     return figure
 
 
 def _ticks(edge: np.ndarray) -> Locator:
     """Return ticks that stand apart on a logarithmic axis: at even values only where it is short."""
-    if edge[1] < WIDE * edge[0]:
+    if edge[1] < WIDE_RATIO * edge[0]:
         return MaxNLocator(4)
     return FixedLocator(sorted({float(f"{x:.1g}") for x in np.geomspace(edge[0], edge[1], 5)[1:-1]}))
 
 
-def _interval(axis: Axes, each: Mapping[str, Any]) -> None:
-    ends, value = each["interval_95"], each["value"]
-    positive = each["bounds"][0] > 0 and min([value, *(end for end in ends if end is not None)]) > 0
-    told = [np.log(x) if positive else x for x in (value, *ends) if x is not None]
-    spread = (max(told) - min(told)) or (1.0 if positive else abs(value) or 1.0)
-    low, high = min(told) - MARGIN * spread, max(told) + MARGIN * spread
+def _interval(axis: Axes, estimate: Mapping[str, Any]) -> None:
+    interval, value = estimate["interval_95"], estimate["value"]
+    positive = estimate["bounds"][0] > 0 and min([value, *(end for end in interval if end is not None)]) > 0
+    finite_values = [np.log(x) if positive else x for x in (value, *interval) if x is not None]
+    spread = (max(finite_values) - min(finite_values)) or (1.0 if positive else abs(value) or 1.0)
+    low, high = min(finite_values) - MARGIN * spread, max(finite_values) + MARGIN * spread
     edge = np.exp([low, high]) if positive else np.array([low, high])
     axis.set_xscale("log" if positive else "linear")
     axis.set_xlim(*edge)
-    drawn = [edge[place] if end is None else end for place, end in enumerate(ends)]
-    colour = COLOURS["benchmark"] if each["determined"] else FAINT
-    axis.plot(drawn, [0, 0], color=colour, linewidth=4, solid_capstyle="butt")
-    for place, marker in enumerate("<>"):
-        if ends[place] is None:
-            axis.plot([edge[place]], [0], marker, color=colour, markersize=6, clip_on=False)
-    if each["bootstrap_95"] and each["determined"]:
-        axis.plot(each["bootstrap_95"], [-0.45, -0.45], color=FAINT, linewidth=1.2)
-    if each["determined"]:
+    line_ends = [edge[side] if end is None else end for side, end in enumerate(interval)]
+    colour = COLOURS["benchmark"] if estimate["determined"] else FAINT
+    axis.plot(line_ends, [0, 0], color=colour, linewidth=4, solid_capstyle="butt")
+    for side, marker in enumerate("<>"):
+        if interval[side] is None:
+            axis.plot([edge[side]], [0], marker, color=colour, markersize=6, clip_on=False)
+    if estimate["bootstrap_95"] and estimate["determined"]:
+        axis.plot(estimate["bootstrap_95"], [-0.45, -0.45], color=FAINT, linewidth=1.2)
+    if estimate["determined"]:
         axis.plot([value], [0], "|", color=INK, markersize=11, markeredgewidth=1.4)
     axis.set_ylim(-1, 1)
     axis.set_yticks([])
@@ -74,8 +74,8 @@ def _interval(axis: Axes, each: Mapping[str, Any]) -> None:
     axis.xaxis.set_major_formatter(StrMethodFormatter("{x:.4g}"))
     axis.xaxis.set_minor_locator(NullLocator())
     axis.xaxis.set_minor_formatter(NullFormatter())
-    unit = "" if each["unit"] == "1" else f" / {each['unit']}"
-    axis.set_ylabel(f"{each['symbol']}{unit}", rotation=0, ha="right", va="center")
+    unit = "" if estimate["unit"] == "1" else f" / {estimate['unit']}"
+    axis.set_ylabel(f"{estimate['symbol']}{unit}", rotation=0, ha="right", va="center")
 
 
 @styled
@@ -87,17 +87,19 @@ def residual_correlations(residuals: Mapping[str, Any]) -> Figure:
     """
     step_s = residuals["step_s"]
     figure = Figure(figsize=(COLUMN_IN, 3.4))
-    above, below = figure.subplots(2, 1)
+    autocorrelation_axis, cross_correlation_axis = figure.subplots(2, 1)
     bounds = np.array(residuals["autocorrelation_bounds"])
     lags = step_s * np.arange(1, bounds.size + 1)
-    _correlation(above, lags, residuals["autocorrelation"], bounds)
-    above.set_ylabel("autocorrelation\nof errors")
-    above.set_xlabel("lag / s")
+    _correlation(autocorrelation_axis, lags, residuals["autocorrelation"], bounds)
+    autocorrelation_axis.set_ylabel("autocorrelation\nof errors")
+    autocorrelation_axis.set_xlabel("lag / s")
     lags = step_s * np.array(residuals["cross_lags"])
-    _correlation(below, lags, residuals["cross_correlation"], np.array(residuals["cross_bounds"]))
-    below.set_ylabel("correlation of errors\nwith command")
-    below.set_xlabel("errors after command / s")
-    legend_above(figure, above)
+    _correlation(
+        cross_correlation_axis, lags, residuals["cross_correlation"], np.array(residuals["cross_bounds"])
+    )
+    cross_correlation_axis.set_ylabel("correlation of errors\nwith command")
+    cross_correlation_axis.set_xlabel("errors after command / s")
+    legend_above(figure, autocorrelation_axis)
     figure.align_ylabels()
     return figure
 
@@ -111,7 +113,7 @@ def _correlation(axis: Axes, lags: np.ndarray, values: Sequence[float], bounds: 
 
 
 @styled
-def residuals_by_place(residuals: Mapping[str, Any], unit: str, command_unit: str) -> Figure:
+def residuals_by_variable(residuals: Mapping[str, Any], unit: str, command_unit: str) -> Figure:
     """Return mean and spread of the errors over displacement, speed and command.
 
     Args:
@@ -119,17 +121,19 @@ def residuals_by_place(residuals: Mapping[str, Any], unit: str, command_unit: st
         unit, command_unit: of displacement and command.
     """
     figure = Figure(figsize=(COLUMN_IN, 4.4))
-    axes = figure.subplots(len(PLACES), 1, sharey=True)
-    for axis, (name, label) in zip(axes, PLACES.items(), strict=True):
+    axes = figure.subplots(len(VARIABLES), 1, sharey=True)
+    for axis, (name, label) in zip(axes, VARIABLES.items(), strict=True):
         bins = residuals[f"by_{name}"]["bins"]
-        least = THINNEST * (max(each["upper"] for each in bins) - min(each["lower"] for each in bins))
-        for each in bins:
-            spread = float(np.sqrt(max(each["rmse"] ** 2 - each["mean"] ** 2, 0.0)))
-            middle = 0.5 * (each["lower"] + each["upper"])
-            axis.plot([middle] * 2, [each["mean"] - spread, each["mean"] + spread], color=FAINT)
-            half = 0.5 * max(each["upper"] - each["lower"], least)
+        least = MIN_BAR_SHARE * (
+            max(interval["upper"] for interval in bins) - min(interval["lower"] for interval in bins)
+        )
+        for interval in bins:
+            spread = float(np.sqrt(max(interval["rmse"] ** 2 - interval["mean"] ** 2, 0.0)))
+            middle = 0.5 * (interval["lower"] + interval["upper"])
+            axis.plot([middle] * 2, [interval["mean"] - spread, interval["mean"] + spread], color=FAINT)
+            half = 0.5 * max(interval["upper"] - interval["lower"], least)
             bar = [middle - half, middle + half]
-            axis.plot(bar, [each["mean"]] * 2, color=COLOURS["free_run"], linewidth=2)
+            axis.plot(bar, [interval["mean"]] * 2, color=COLOURS["free_run"], linewidth=2)
         axis.axhline(0, color=INK, linewidth=0.6)
         axis.set_xlabel(label.format(unit=unit, command=command_unit))
     axes[1].set_ylabel(f"error, mean ± std / {unit}")
@@ -146,10 +150,10 @@ def coverage(bands: Mapping[str, Any], step_s: float) -> Figure:
     """
     figure = Figure(figsize=(COLUMN_IN, 2.2))
     axis = figure.subplots()
-    known = bands["horizons"]
-    covered = 100 * np.array(known["covered"])
+    horizons = bands["horizons"]
+    covered = 100 * np.array(horizons["covered"])
     axis.plot(
-        step_s * np.array(known["steps"]),
+        step_s * np.array(horizons["steps"]),
         covered,
         "o-",
         color=COLOURS["one_step"],

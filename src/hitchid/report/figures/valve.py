@@ -9,12 +9,12 @@ from scipy.signal import savgol_filter
 from hitchid._support.precision import double_precision
 from hitchid.data.record import Record
 from hitchid.model import Channel
-from hitchid.report.figures.style import COLOURS, COLUMN_IN, FAINT, INK, legend_above, styled, thinned
+from hitchid.report.figures.style import COLOURS, COLUMN_IN, FAINT, INK, decimate, legend_above, styled
 
 LEVELS, SETTLED_S, END_S = 24, 3.0, 0.5
-STOOD_S, SLOPE_S, RAMP_S, NOISE = 0.25, 0.12, 0.5, 0.02
-BINS, ENOUGH = 12, 8
-ONSET = 1.6
+STEADY_S, SLOPE_S, RAMP_S, NOISE = 0.25, 0.12, 0.5, 0.02
+BINS, MIN_SAMPLES_PER_BIN = 12, 8
+ONSET_FACTOR = 1.6
 
 
 @styled
@@ -37,58 +37,64 @@ def valve_map(
     for number, ramp in enumerate(ramps):
         command, speed = _ramp_speed(ramp, channel)
         label = "ramps" if number == 0 else None
-        axis.plot(*thinned(command, speed), color=FAINT, linewidth=0.7, label=label)
-    commands, speeds = _standing_speeds(tests, channel)
-    if commands.size >= ENOUGH:
-        for inside in np.array_split(np.argsort(commands), min(BINS, commands.size // ENOUGH)):
-            low, middle, high = np.quantile(speeds[inside], [0.1, 0.5, 0.9])
-            place = float(np.median(commands[inside]))
-            axis.plot([place, place], [low, high], color=INK, linewidth=0.8)
-            axis.plot([place], [middle], "o", color=INK, markersize=3.5)
+        axis.plot(*decimate(command, speed), color=FAINT, linewidth=0.7, label=label)
+    commands, speeds = _steady_speeds(tests, channel)
+    if commands.size >= MIN_SAMPLES_PER_BIN:
+        for bin_indices in np.array_split(
+            np.argsort(commands), min(BINS, commands.size // MIN_SAMPLES_PER_BIN)
+        ):
+            low, middle, high = np.quantile(speeds[bin_indices], [0.1, 0.5, 0.9])
+            centre = float(np.median(commands[bin_indices]))
+            axis.plot([centre, centre], [low, high], color=INK, linewidth=0.8)
+            axis.plot([centre], [middle], "o", color=INK, markersize=3.5)
         axis.plot([], [], "o-", color=INK, markersize=3.5, linewidth=0.8, label="tests")
-    ends = [(float(c.min()), float(c.max())) for c in (test.command(channel.mode) for test in tests)]
-    lowest, largest = min(low for low, _ in ends), max(high for _, high in ends)
+    command_ranges = [
+        (float(c.min()), float(c.max())) for c in (test.command(channel.direction) for test in tests)
+    ]
+    lowest, largest = min(low for low, _ in command_ranges), max(high for _, high in command_ranges)
     signed = lowest < -channel.dead_zone
     levels = np.linspace(lowest if signed else 0.0, largest, LEVELS)
     axis.plot(levels, _model_speed(channel, tests, levels), color=COLOURS["benchmark"], label="benchmark")
     for zone in (-channel.dead_zone, channel.dead_zone) if signed else (channel.dead_zone,):
         axis.axvline(zone, color=COLOURS["benchmark"], linestyle=":", label="dead zone")
     axis.set_xlim(1.03 * lowest if signed else 0.5 * channel.dead_zone, 1.03 * largest)
-    axis.set_xlabel(f"{channel.mode} command / {command_unit}")
+    axis.set_xlabel(f"{channel.direction} command / {command_unit}")
     axis.set_ylabel(f"speed / ({unit}/s)")
     legend_above(figure, axis, columns=4)
     return figure
 
 
-def _standing_speeds(tests: Sequence[Record], channel: Channel) -> tuple[np.ndarray, np.ndarray]:
+def _steady_speeds(tests: Sequence[Record], channel: Channel) -> tuple[np.ndarray, np.ndarray]:
     """Return commands and speeds, shape [M], at samples before which the command has stood long enough."""
     commands, speeds = [], []
     for test in tests:
-        command = test.command(channel.mode)
-        stood, slope = (max(3, round(span / test.step_s)) for span in (STOOD_S, SLOPE_S))
-        last = np.maximum.accumulate(np.where(_changed(command), np.arange(command.size), 0))
-        at = np.flatnonzero(np.arange(command.size) - last == stood)
-        commands.append(command[at])
-        way = channel.direction * (test.displacement[at] - test.displacement[at - slope])
-        speeds.append(way / (slope * test.step_s))
+        command = test.command(channel.direction)
+        steady_samples, slope_samples = (max(3, round(span / test.step_s)) for span in (STEADY_S, SLOPE_S))
+        last_change = np.maximum.accumulate(np.where(_command_changes(command), np.arange(command.size), 0))
+        sample_indices = np.flatnonzero(np.arange(command.size) - last_change == steady_samples)
+        commands.append(command[sample_indices])
+        displacement_change = channel.sign * (
+            test.displacement[sample_indices] - test.displacement[sample_indices - slope_samples]
+        )
+        speeds.append(displacement_change / (slope_samples * test.step_s))
     return np.concatenate(commands), np.concatenate(speeds)
 
 
-def _changed(command: np.ndarray) -> np.ndarray:
+def _command_changes(command: np.ndarray) -> np.ndarray:
     """Tell at which samples a command is no longer that of the sample before, noise aside."""
     return np.abs(np.diff(command, prepend=command[:1])) > NOISE * np.ptp(command)
 
 
 def _ramp_speed(ramp: Record, channel: Channel) -> tuple[np.ndarray, np.ndarray]:
     """Return command and speed while a ramp rises, each of shape [M]."""
-    command = ramp.command(channel.mode)
+    command = ramp.command(channel.direction)
     rising = int(np.argmax(command)) + 1
     window = 2 * max(1, round(0.5 * RAMP_S / ramp.step_s)) + 1
     if rising < 2 * window:
         return np.empty(0), np.empty(0)
     speed = np.asarray(savgol_filter(ramp.displacement[:rising], window, 1, deriv=1, delta=ramp.step_s))
     middle = slice(window // 2, rising - window // 2)
-    return command[middle], channel.direction * speed[middle]
+    return command[middle], channel.sign * speed[middle]
 
 
 @double_precision
@@ -97,32 +103,32 @@ def _model_speed(channel: Channel, tests: Sequence[Record], levels: np.ndarray) 
     step_s = tests[0].step_s
     count = max(8, round(SETTLED_S / step_s))
     start = float(np.median([test.displacement[0] for test in tests]))
-    like = tests[0].slice(0, 1)
-    held = [
+    first_sample = tests[0].slice(0, 1)
+    records = [
         Record(
             f"{level:g}",
             step_s,
-            {role: np.full(count, rows[0]) for role, rows in like.signals.items()}
-            | {"displacement": np.full(count, start), f"{channel.mode}_command": np.full(count, level)},
-            like.units,
+            {role: np.full(count, rows[0]) for role, rows in first_sample.signals.items()}
+            | {"displacement": np.full(count, start), f"{channel.direction}_command": np.full(count, level)},
+            first_sample.units,
         )
         for level in levels
     ]
-    batch = channel.batch(held, [start] * len(held))
+    batch = channel.batch(records, [start] * len(records))
     travel = np.asarray(channel.benchmark.travel(batch))[:, :count]
-    back = max(2, round(END_S / step_s))
-    return (travel[:, -1] - travel[:, -back]) / (step_s * (back - 1))
+    end_samples = max(2, round(END_S / step_s))
+    return (travel[:, -1] - travel[:, -end_samples]) / (step_s * (end_samples - 1))
 
 
 @styled
 def dead_zone(
-    ramps: Sequence[Record], mode: str, value: float, spread: float | None, unit: str, command_unit: str
+    ramps: Sequence[Record], direction: str, value: float, spread: float | None, unit: str, command_unit: str
 ) -> Figure:
     """Return the way of the piston over the command of slow ramps, around the command that sets it moving.
 
     Args:
         ramps: slow ramps of one direction.
-        mode: the direction.
+        direction: the direction.
         value, spread: dead zone and its standard deviation over ramps, None where that is not known.
         unit, command_unit: of displacement and command.
     """
@@ -130,18 +136,18 @@ def dead_zone(
     axis = figure.subplots()
     highest = 0.0
     for ramp in ramps:
-        command = ramp.command(mode)
+        command = ramp.command(direction)
         rising = slice(0, int(np.argmax(command)) + 1)
-        near = command[rising] <= ONSET * value
-        way = np.abs(ramp.displacement[rising] - ramp.displacement[0])
-        axis.plot(*thinned(command[rising][near], way[near]), color=INK, linewidth=0.8)
-        highest = max(highest, float(way[near].max(initial=0.0)))
+        near = command[rising] <= ONSET_FACTOR * value
+        travel = np.abs(ramp.displacement[rising] - ramp.displacement[0])
+        axis.plot(*decimate(command[rising][near], travel[near]), color=INK, linewidth=0.8)
+        highest = max(highest, float(travel[near].max(initial=0.0)))
     axis.axvline(value, color=COLOURS["benchmark"], label="dead zone")
     if spread:
         axis.axvspan(value - spread, value + spread, color=COLOURS["benchmark"], alpha=0.25, linewidth=0)
-    axis.set_xlim(0.4 * value, ONSET * value)
+    axis.set_xlim(0.4 * value, ONSET_FACTOR * value)
     axis.set_ylim(-0.02 * highest, 1.05 * highest or 1.0)
-    axis.set_xlabel(f"{mode} command / {command_unit}")
+    axis.set_xlabel(f"{direction} command / {command_unit}")
     axis.set_ylabel(f"way of the piston / {unit}")
     legend_above(figure, axis)
     return figure

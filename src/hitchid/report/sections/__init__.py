@@ -2,7 +2,7 @@
 
 from hitchid.report.sections.acceptance import limits as limits
 from hitchid.report.sections.cycles import cycles as cycles
-from hitchid.report.sections.direction import Direction as Direction
+from hitchid.report.sections.direction import DirectionContext as DirectionContext
 from hitchid.report.sections.direction import accuracy as accuracy
 from hitchid.report.sections.direction import errors as errors
 from hitchid.report.sections.direction import parameters as parameters

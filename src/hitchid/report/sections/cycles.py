@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from hitchid.report import figures
-from hitchid.report.document import Picture, Pictures, Section
+from hitchid.report.document import Picture, Pictures, ReportSection
 from hitchid.report.sections.direction import shown_tests
 from hitchid.validation import Predictions
 from hitchid.validation.tables import cycle_tables
@@ -12,7 +12,7 @@ from hitchid.validation.tables import cycle_tables
 MODELS = ("benchmark", "free_run")
 
 
-def cycles(metrics: Mapping[str, Any], tests: Predictions, step_s: float, unit: str) -> Section:
+def cycles(metrics: Mapping[str, Any], tests: Predictions, step_s: float, unit: str) -> ReportSection:
     """Return the section on mixed cycles.
 
     Args:
@@ -21,14 +21,14 @@ def cycles(metrics: Mapping[str, Any], tests: Predictions, step_s: float, unit: 
         step_s: sampling time, s.
         unit: of the displacement.
     """
-    some, picked = shown_tests(tests)
-    names = ", ".join(some.names)
+    selected_tests, selection_text = shown_tests(tests)
+    names = ", ".join(selected_tests.names)
     accuracy, *others = cycle_tables(metrics, unit)
     pictures = (
         Picture(
             "cycles-outputs",
-            figures.outputs(some, unit, MODELS),
-            f"Measured and predicted displacement, and errors: {picked.replace('test', 'cycle')} ({names}).",
+            figures.outputs(selected_tests, unit, MODELS),
+            f"Measured and predicted displacement, and errors: {selection_text.replace('test', 'cycle')} ({names}).",
             f"Displacement and error over time of {names}, free run.",
         ),
         Picture(
@@ -44,4 +44,4 @@ def cycles(metrics: Mapping[str, Any], tests: Predictions, step_s: float, unit: 
             f"RMSE in {unit} over the horizon.",
         ),
     )
-    return Section("Mixed cycles", (accuracy, Pictures(pictures), *others))
+    return ReportSection("Mixed cycles", (accuracy, Pictures(pictures), *others))

@@ -9,7 +9,7 @@ import numpy as np
 from hitchid.data.record import COMMAND, DISPLACEMENT, Record
 from hitchid.model import Hitch
 from hitchid.report import figures
-from hitchid.report.document import Block, Picture, Pictures, Section, Text, sentence
+from hitchid.report.document import Block, Picture, Pictures, ReportSection, Text, sentence
 from hitchid.uncertainty import characteristic_sentences
 from hitchid.validation import Predictions
 from hitchid.validation.tables import accuracy_table, horizon_table, single_test_table
@@ -21,16 +21,16 @@ from hitchid.validation.trust_tables import (
     search_table,
 )
 
-SHOWN = 4
-RIVALS = ("lstm", "narx", "arx", "transfer_function", "benchmark", "free_run")
+MAX_SHOWN_TESTS = 4
+COMPARED_MODELS = ("lstm", "narx", "arx", "transfer_function", "benchmark", "free_run")
 
 
 @dataclass(frozen=True)
-class Direction:
+class DirectionContext:
     """What is known of one direction.
 
     Attributes:
-        mode: lifting or lowering.
+        direction: lifting or lowering.
         metrics: its entry under `channels` in `metrics.json`.
         predictions: on the unseen tests.
         trace: its entry in the model folder's `trace.json`; empty where there is none.
@@ -39,7 +39,7 @@ class Direction:
         unit: of the displacement in the logs.
     """
 
-    mode: str
+    direction: str
     metrics: Mapping[str, Any]
     predictions: Predictions
     trace: Mapping[str, Any]
@@ -51,196 +51,208 @@ class Direction:
     @property
     def command_unit(self) -> str:
         """Unit of the command in the model."""
-        return self.model.units[COMMAND[self.mode]]
+        return self.model.units[COMMAND[self.direction]]
 
-    def named(self, name: str) -> str:
+    def figure_name(self, name: str) -> str:
         """Return the name of a figure of this direction."""
-        return f"{self.mode}-{name}"
+        return f"{self.direction}-{name}"
 
 
 def shown_tests(tests: Predictions, model: str = "free_run") -> tuple[Predictions, str]:
     """Return no more tests than can be told apart, from the best to the worst, and how they were picked."""
     count = len(tests.names)
-    if count <= SHOWN:
+    if count <= MAX_SHOWN_TESTS:
         return tests, "all unseen tests"
     order = np.argsort(tests.rmse(model))
-    picked = sorted({int(order[round(place)]) for place in np.linspace(0, count - 1, SHOWN)})
+    selected = sorted(
+        {int(order[round(position)]) for position in np.linspace(0, count - 1, MAX_SHOWN_TESTS)}
+    )
     best, worst = tests.names[order[0]], tests.names[order[-1]]
-    return tests.take(picked), f"{len(picked)} of {count} unseen tests, {best} the best, {worst} the worst"
+    return tests.take(
+        selected
+    ), f"{len(selected)} of {count} unseen tests, {best} the best, {worst} the worst"
 
 
-def accuracy(known: Direction) -> Section:
+def accuracy(context: DirectionContext) -> ReportSection:
     """Return the section on how far the model errs beside every baseline."""
-    tests, metrics, unit = known.predictions, known.metrics, known.unit
-    rivals = [name for name in RIVALS if name in tests.models]
+    tests, metrics, unit = context.predictions, context.metrics, context.unit
+    models = [name for name in COMPARED_MODELS if name in tests.models]
     pictures = (
         Picture(
-            known.named("horizons"),
-            figures.horizons(metrics["horizons"], known.model.step_s, unit),
+            context.figure_name("horizons"),
+            figures.horizons(metrics["horizons"], context.model.step_s, unit),
             "Error over how far is looked ahead. A model is of use where it lies below persistence.",
             f"RMSE in {unit} over the horizon for each model, from one sample on.",
         ),
         Picture(
-            known.named("tests"),
-            figures.errors_by_test(tests, unit, rivals),
+            context.figure_name("tests"),
+            figures.errors_by_test(tests, unit, models),
             "Error of every unseen test in free run; the bar is the figure over all tests.",
-            f"RMSE of each of {len(tests.names)} tests in free run, for {len(rivals)} models.",
+            f"RMSE of each of {len(tests.names)} tests in free run, for {len(models)} models.",
         ),
     )
-    tables = (accuracy_table(known.mode, metrics, unit), horizon_table(known.mode, metrics, unit))
-    return Section("Accuracy", (*tables, Pictures(pictures)))
+    tables = (
+        accuracy_table(context.direction, metrics, unit),
+        horizon_table(context.direction, metrics, unit),
+    )
+    return ReportSection("Accuracy", (*tables, Pictures(pictures)))
 
 
-def errors(known: Direction) -> Section:
+def errors(context: DirectionContext) -> ReportSection:
     """Return the section on the errors themselves: over time, distributed, test by test."""
-    tests, unit = known.predictions, known.unit
-    some, picked = shown_tests(tests)
-    names = ", ".join(some.names)
-    same = all(map(np.array_equal, tests.models["benchmark"], tests.models["free_run"]))
-    alike = " In free run the grey box is the benchmark alone." if same else ""
-    models = ("free_run", "one_step") if same else ("benchmark", "free_run", "one_step")
-    free = known.metrics["greybox"]["free_run"]["rmse"]
+    tests, unit = context.predictions, context.unit
+    selected_tests, selection_text = shown_tests(tests)
+    names = ", ".join(selected_tests.names)
+    models_equal = all(map(np.array_equal, tests.models["benchmark"], tests.models["free_run"]))
+    equal_note = " In free run the grey box is the benchmark alone." if models_equal else ""
+    models = ("free_run", "one_step") if models_equal else ("benchmark", "free_run", "one_step")
+    free = context.metrics["greybox"]["free_run"]["rmse"]
     pictures = [
         Picture(
-            known.named("outputs"),
-            figures.outputs(some, unit, models),
-            f"Measured and predicted displacement, and the errors: {picked} ({names}).{alike}",
-            f"Displacement and error over time of {names}; the free run errs by {_short(free)} {unit} RMSE.",
+            context.figure_name("outputs"),
+            figures.outputs(selected_tests, unit, models),
+            f"Measured and predicted displacement, and the errors: {selection_text} ({names}).{equal_note}",
+            f"Displacement and error over time of {names}; the free run errs by {_format_error(free)} {unit} RMSE.",
         ),
         Picture(
-            known.named("distribution"),
+            context.figure_name("distribution"),
             figures.error_distribution({name: tests.errors(name) for name in reversed(models)}, unit),
             "Errors on all unseen tests: histogram with fitted normal, and the share of samples below a "
             "limit. The axes end where 99.5 % of the samples lie.",
             f"Histogram and cumulative distribution of errors in {unit}.",
         ),
     ]
-    if known.model.channels[known.mode].compensator is not None:
+    if context.model.channels[context.direction].compensator is not None:
         pictures.append(
             Picture(
-                known.named("predicted-errors"),
+                context.figure_name("predicted-errors"),
                 figures.predicted_errors({"test": tests}, unit),
                 "What the benchmark misses, and what the compensator says of it one step ahead.",
                 f"Benchmark's error in {unit} over the sample, actual and predicted.",
             )
         )
-    table = single_test_table(known.mode, known.metrics["per_test"], unit)
-    return Section("Errors", (Pictures(tuple(pictures)), table))
+    table = single_test_table(context.direction, context.metrics["per_test"], unit)
+    return ReportSection("Errors", (Pictures(tuple(pictures)), table))
 
 
-def trust(known: Direction) -> Section:
+def trust(context: DirectionContext) -> ReportSection:
     """Return the section on bands, and on what the errors still show."""
-    metrics, unit = known.metrics, known.unit
+    metrics, unit = context.metrics, context.unit
     blocks: list[Block] = []
     pictures = []
     if "bands" in metrics:
-        blocks.append(band_table(known.mode, metrics["bands"], unit))
+        blocks.append(band_table(context.direction, metrics["bands"], unit))
         pictures.append(
             Picture(
-                known.named("coverage"),
-                figures.coverage(metrics["bands"], known.model.step_s),
+                context.figure_name("coverage"),
+                figures.coverage(metrics["bands"], context.model.step_s),
                 "Share of unseen samples that the bands hold, against the share they are made for.",
                 "Coverage of the bands in percent over the horizon.",
             )
         )
     free = metrics.get("residuals", {}).get("free_run")
     if free is not None:
-        blocks.append(residual_table(known.mode, metrics["residuals"], unit))
+        blocks.append(residual_table(context.direction, metrics["residuals"], unit))
         pictures += [
             Picture(
-                known.named("correlations"),
+                context.figure_name("correlations"),
                 figures.residual_correlations(free),
                 "Free run: correlation of the errors with themselves and with the command. Beyond the bounds "
                 "is what a model could still explain.",
                 "Autocorrelation of the errors and their correlation with the command, with 99 % bounds.",
             ),
             Picture(
-                known.named("places"),
-                figures.residuals_by_place(free, unit, known.command_unit),
+                context.figure_name("places"),
+                figures.residuals_by_variable(free, unit, context.command_unit),
                 "Free run: mean error (bar) and its spread (line) by displacement, speed and command beyond "
                 "the dead zone. A bar off zero shows where the model is wrong.",
                 f"Mean and spread of the errors in {unit} by displacement, speed and command.",
             ),
         ]
-    return Section("Trust", (*blocks, *_group(pictures)))
+    return ReportSection("Trust", (*blocks, *_picture_group(pictures)))
 
 
-def parameters(known: Direction) -> Section:
+def parameters(context: DirectionContext) -> ReportSection:
     """Return the section on parameters with their intervals, the map of the valve, the dead zone."""
-    metrics, model, mode = known.metrics, known.model, known.mode
+    metrics, model, direction = context.metrics, context.model, context.direction
     blocks: list[Block] = []
     pictures = []
-    trusted = model.uncertainty.get(mode)
-    if trusted is not None and trusted.characteristics is not None and "characteristics" in metrics:
-        said = [sentence(each) for each in characteristic_sentences(trusted.characteristics, mode)]
-        blocks += [Text(" ".join(said)), *characteristic_tables(mode, metrics["characteristics"])]
+    uncertainty = model.uncertainty.get(direction)
+    if uncertainty is not None and uncertainty.characteristics is not None and "characteristics" in metrics:
+        sentences = [
+            sentence(text) for text in characteristic_sentences(uncertainty.characteristics, direction)
+        ]
+        blocks += [Text(" ".join(sentences)), *characteristic_tables(direction, metrics["characteristics"])]
         pictures.append(
             Picture(
-                known.named("speed-map"),
-                figures.speed_map(trusted.characteristics),
+                context.figure_name("speed-map"),
+                figures.speed_map(uncertainty.characteristics),
                 "Speed map: steady speed at mid stroke over the command, as the fitted form has it, with its "
                 "95 % band; open circles are mean speeds of identification tests while their command stood."
                 + (
-                    f" One line for each load ({trusted.characteristics.load})."
+                    f" One line for each load ({uncertainty.characteristics.load})."
                     if metrics["characteristics"]["load"]
                     else ""
                 ),
-                " ".join(said),
+                " ".join(sentences),
             )
         )
-    own = [model.adopt(record) for record in known.tests]
-    ramps = [model.adopt(record) for record in known.ramps]
+    tests = [model.to_model_units(record) for record in context.tests]
+    ramps = [model.to_model_units(record) for record in context.ramps]
     unit = model.units[DISPLACEMENT]
-    channel = model.channels[mode]
+    channel = model.channels[direction]
     pictures.append(
         Picture(
-            known.named("valve"),
-            figures.valve_map(channel, own, ramps, unit, known.command_unit),
+            context.figure_name("valve"),
+            figures.valve_map(channel, tests, ramps, unit, context.command_unit),
             "Map of the valve: speed over command. Below the dead zone, points show motion dying away.",
-            f"Speed in {unit}/s over command in {known.command_unit}: benchmark, tests and ramps.",
+            f"Speed in {unit}/s over command in {context.command_unit}: benchmark, tests and ramps.",
         )
     )
     for key, title, name in (
-        ("parameters", f"{mode}: parameters of the benchmark", "intervals"),
-        ("paper_parameters", f"{mode}: parameters of the paper's transfer function", "paper-intervals"),
+        ("parameters", f"{direction}: parameters of the benchmark", "intervals"),
+        ("paper_parameters", f"{direction}: parameters of the paper's transfer function", "paper-intervals"),
     ):
         if key in metrics and metrics[key]["estimates"]:
             blocks.append(parameter_table(title, metrics[key]))
             pictures.append(
                 Picture(
-                    known.named(name),
+                    context.figure_name(name),
                     figures.intervals(metrics[key]),
                     f"{title.partition(': ')[2].capitalize()}: estimate and 95 % interval, each on its own "
                     "scale; the thin line is the bootstrap's. Grey: not determined by the tests.",
                     "; ".join(
-                        f"{each['symbol']}: {each['verdict']}" for each in metrics[key]["estimates"].values()
+                        f"{estimate['symbol']}: {estimate['verdict']}"
+                        for estimate in metrics[key]["estimates"].values()
                     ),
                 )
             )
-    zone = known.trace.get("dead_zone")
+    zone = context.trace.get("dead_zone")
     if ramps and zone and zone["value"] > 0:
         pictures.append(
             Picture(
-                known.named("dead-zone"),
-                figures.dead_zone(ramps, mode, zone["value"], zone["spread"], unit, known.command_unit),
-                _dead_zone(zone),
+                context.figure_name("dead-zone"),
+                figures.dead_zone(
+                    ramps, direction, zone["value"], zone["spread"], unit, context.command_unit
+                ),
+                _dead_zone_caption(zone),
                 f"Way of the piston over command on {len(ramps)} ramps; dead zone {zone['value']:.4g} "
-                f"{known.command_unit}.",
+                f"{context.command_unit}.",
             )
         )
-    return Section("Parameters", (*blocks, *_group(pictures)))
+    return ReportSection("Parameters", (*blocks, *_picture_group(pictures)))
 
 
-def search(known: Direction) -> Section:
+def search(context: DirectionContext) -> ReportSection:
     """Return the section on how the model was found; its trace is in the model's units."""
-    trace, unit = known.trace, known.model.units[DISPLACEMENT]
+    trace, unit = context.trace, context.model.units[DISPLACEMENT]
     blocks: list[Block] = []
     pictures = []
     if trace:
         blocks += [Text(sentence(notice)) for notice in trace["notices"]]
         pictures.append(
             Picture(
-                known.named("convergence"),
+                context.figure_name("convergence"),
                 figures.convergence(trace, unit),
                 "Search: best fitness so far, over the tests as the search weighs them, and the parameters "
                 "that gave it.",
@@ -250,38 +262,38 @@ def search(known: Direction) -> Section:
         if trace["phase2"]:
             pictures.append(
                 Picture(
-                    known.named("losses"),
+                    context.figure_name("losses"),
                     figures.losses(trace),
                     "Training of the compensator; the epoch with the least validation loss is kept.",
                     f"Losses over epochs; that of epoch {trace['phase2']['best_epoch']} is kept.",
                 )
             )
         if trace["candidates"]:
-            taken = next(each["name"] for each in trace["candidates"] if each["chosen"])
+            chosen = next(candidate["name"] for candidate in trace["candidates"] if candidate["chosen"])
             pictures.append(
                 Picture(
-                    known.named("structures"),
+                    context.figure_name("structures"),
                     figures.structures(trace["candidates"], unit),
                     "Structures compared in free run, on all tests and on levels held out in turn. A gain "
                     "that grows along the stroke is judged with each test's own speed, so it may be taken "
                     "with a larger error here.",
-                    f"RMSE of {len(trace['candidates'])} structures; taken: {taken}.",
+                    f"RMSE of {len(trace['candidates'])} structures; taken: {chosen}.",
                 )
             )
-    if "searches" in known.metrics:
-        blocks.append(search_table(known.mode, known.metrics["searches"], known.unit))
+    if "searches" in context.metrics:
+        blocks.append(search_table(context.direction, context.metrics["searches"], context.unit))
         pictures.append(
             Picture(
-                known.named("searches"),
-                figures.searches(known.metrics["searches"], known.unit),
+                context.figure_name("searches"),
+                figures.searches(context.metrics["searches"], context.unit),
                 "Searches compared on one budget: the run in the middle, and where each seed ended.",
-                f"Best RMSE over the budget for {', '.join(known.metrics['searches'])}.",
+                f"Best RMSE over the budget for {', '.join(context.metrics['searches'])}.",
             )
         )
-    return Section("Search and training", (*blocks, *_group(pictures)))
+    return ReportSection("Search and training", (*blocks, *_picture_group(pictures)))
 
 
-def _dead_zone(zone: Mapping[str, Any]) -> str:
+def _dead_zone_caption(zone: Mapping[str, Any]) -> str:
     """Return where a dead zone comes from, as a caption."""
     if zone["origin"] == "ramps":
         return f"Dead zone from {zone['count']} slow ramps, ± its spread: where they set the piston moving."
@@ -290,9 +302,9 @@ def _dead_zone(zone: Mapping[str, Any]) -> str:
     return "Dead zone as it was given; the ramps were not used."
 
 
-def _group(pictures: Sequence[Picture]) -> tuple[Pictures, ...]:
+def _picture_group(pictures: Sequence[Picture]) -> tuple[Pictures, ...]:
     return (Pictures(tuple(pictures)),) if pictures else ()
 
 
-def _short(value: float | None) -> str:
+def _format_error(value: float | None) -> str:
     return "more than can be told" if value is None else f"{value:.3g}"

@@ -7,52 +7,54 @@ from hitchid import audit
 from hitchid.audit import AuditFinding
 from hitchid.data.campaign import Campaign
 from hitchid.data.record import CYCLE, IDLE, RAMP, Record
-from hitchid.inspection.inspect_logs import look_over
+from hitchid.inspection.inspect_logs import inspect_campaign
 from hitchid.model import Hitch
 from hitchid.report.document import (
     Block,
     Finding,
     Findings,
-    Level,
     Picture,
     Pictures,
-    Section,
+    Rating,
+    ReportSection,
     Text,
     sentence,
 )
 from hitchid.report.figures import timeline
 from hitchid.validation import Table
 
-LEVELS = {audit.Level.FAULT: Level.BAD, audit.Level.WARNING: Level.CAUTION}
-MIXED_SHOWN = 2
-HASHED = 16
+LEVELS = {audit.Severity.FAULT: Rating.BAD, audit.Severity.WARNING: Rating.CAUTION}
+MAX_MIXED_SHOWN = 2
+HASH_DIGITS = 16
 
 
-def logs(campaign: Campaign, model: Hitch) -> Section:
+def logs(campaign: Campaign, model: Hitch) -> ReportSection:
     """Return the section on the logs: the audit's findings, every log, mixed ones as a picture."""
-    found = look_over(campaign, model.switches)
-    findings = tuple(_told(finding) for finding in found.findings if finding.level in LEVELS)
-    said = (*campaign.warnings, *found.notices)
-    findings += tuple(Finding(Level.CAUTION, sentence(notice)) for notice in said)
-    told: Block = Findings(findings) if findings else Text("The audit of the logs found nothing to mend.")
-    blocks: list[Block] = [told, _table(campaign, model)]
-    if found.mixed:
-        shown = found.mixed[:MIXED_SHOWN]
-        names = ", ".join(record.name for record, _ in shown)
+    inspection = inspect_campaign(campaign, model.command_thresholds)
+    findings = tuple(
+        _report_finding(finding) for finding in inspection.findings if finding.severity in LEVELS
+    )
+    notices = (*campaign.warnings, *inspection.notices)
+    findings += tuple(Finding(Rating.CAUTION, sentence(notice)) for notice in notices)
+    summary: Block = Findings(findings) if findings else Text("The audit of the logs found nothing to mend.")
+    blocks: list[Block] = [summary, _table(campaign, model)]
+    if inspection.mixed:
+        shown_logs = inspection.mixed[:MAX_MIXED_SHOWN]
+        names = ", ".join(record.name for record, _ in shown_logs)
         picture = Picture(
             "timeline",
-            timeline(shown),
-            f"What mixed logs do, stretch by stretch: {names} ({len(found.mixed)} in all).",
+            timeline(shown_logs),
+            f"What mixed logs do, stretch by stretch: {names} ({len(inspection.mixed)} in all).",
             f"Displacement and commands of {names} over time, coloured by what the hitch does.",
             wide=True,
         )
         blocks.append(Pictures((picture,)))
-    return Section("Logs", tuple(blocks))
+    return ReportSection("Logs", tuple(blocks))
 
 
-def _told(finding: AuditFinding) -> Finding:
-    whose = f"{finding.record}: " if finding.record else ""
-    return Finding(LEVELS[finding.level], f"{whose}{finding.check}: {finding.what}; {finding.advice}.")
+def _report_finding(finding: AuditFinding) -> Finding:
+    prefix = f"{finding.record}: " if finding.record else ""
+    return Finding(LEVELS[finding.severity], f"{prefix}{finding.check}: {finding.what}; {finding.advice}.")
 
 
 def _table(campaign: Campaign, model: Hitch) -> Table:
@@ -61,7 +63,7 @@ def _table(campaign: Campaign, model: Hitch) -> Table:
         (
             record.name,
             record.kind,
-            _use(record, model),
+            _usage(record, model),
             str(len(record)),
             f"{record.step_s:.4g}",
             f"{(len(record) - 1) * record.step_s:.4g}",
@@ -69,11 +71,19 @@ def _table(campaign: Campaign, model: Hitch) -> Table:
         )
         for record in campaign.records
     )
-    header = ("log", "kind", "used as", "samples", "step / s", "duration / s", f"SHA-256, first {HASHED}")
+    header = (
+        "log",
+        "kind",
+        "used as",
+        "samples",
+        "step / s",
+        "duration / s",
+        f"SHA-256, first {HASH_DIGITS}",
+    )
     return Table(f"{len(rows)} logs", header, rows)
 
 
-def _use(record: Record, model: Hitch) -> str:
+def _usage(record: Record, model: Hitch) -> str:
     """Return what a log was to the model; of a cycle cut into strokes all strokes are known by its name."""
     provenance = model.provenance
     if record.kind == RAMP:
@@ -89,10 +99,10 @@ def _use(record: Record, model: Hitch) -> str:
     return "unseen test" if record.kind in model.channels else "not used"
 
 
-def _digest(path: Path | None, known: dict[Path, str]) -> str:
+def _digest(path: Path | None, cache: dict[Path, str]) -> str:
     if path is None or not path.is_file():
         return ""
-    if path not in known:
+    if path not in cache:
         with path.open("rb") as file:
-            known[path] = hashlib.file_digest(file, "sha256").hexdigest()[:HASHED]
-    return known[path]
+            cache[path] = hashlib.file_digest(file, "sha256").hexdigest()[:HASH_DIGITS]
+    return cache[path]

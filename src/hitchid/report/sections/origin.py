@@ -4,49 +4,56 @@ from collections.abc import Mapping
 
 from hitchid._support.versions import installed_versions
 from hitchid.model import Hitch
-from hitchid.report.document import Section, Text
+from hitchid.report.document import ReportSection, Text
 from hitchid.validation import Table
 
 
-def origin(model: Hitch, command: str) -> Section:
+def origin(model: Hitch, command: str) -> ReportSection:
     """Return the section on how to get the same result again.
 
     Args:
         model: what was validated.
         command: that wrote the report.
     """
-    then, now = model.provenance.versions, installed_versions()
+    model_versions, current_versions = model.provenance.versions, installed_versions()
     rows = [
         ("command", command),
         ("model's digest", model.provenance.digest),
         ("seed of the identification", str(model.provenance.seed)),
         ("sampling time", f"{model.step_s:g} s"),
         *(
-            (f"setting: {name.replace('_', ' ')}", _told(value))
+            (f"setting: {name.replace('_', ' ')}", _setting_text(value))
             for name, value in model.provenance.settings.items()
         ),
-        *((f"version of {name}", _versions(then.get(name), now.get(name))) for name in {**then, **now}),
+        *(
+            (f"version of {name}", _versions(model_versions.get(name), current_versions.get(name)))
+            for name in {**model_versions, **current_versions}
+        ),
     ]
-    said = Text(
+    note = Text(
         "The same logs, model and versions give the same figures; on another kind of machine the last digits "
         "may differ. Hashes of the logs stand in their table."
     )
-    return Section(
-        "How to reproduce", (said, Table("Origin", ("what", "value"), tuple(r for r in rows if r[1])))
+    return ReportSection(
+        "How to reproduce", (note, Table("Origin", ("what", "value"), tuple(r for r in rows if r[1])))
     )
 
 
-def _told(value: object) -> str:
+def _setting_text(value: object) -> str:
     if isinstance(value, Mapping):
-        return "; ".join(f"{name}: {_told(each)}" for name, each in value.items() if _given(each))
+        return "; ".join(f"{name}: {_setting_text(item)}" for name, item in value.items() if _is_set(item))
     return str(value)
 
 
-def _given(value: object) -> bool:
+def _is_set(value: object) -> bool:
     return not (value is None or value is False or value == {})
 
 
-def _versions(then: str | None, now: str | None) -> str:
-    if then == now or now is None:
-        return then or ""
-    return now if then is None else f"{then} at identification, {now} now"
+def _versions(model_version: str | None, current_version: str | None) -> str:
+    if model_version == current_version or current_version is None:
+        return model_version or ""
+    return (
+        current_version
+        if model_version is None
+        else f"{model_version} at identification, {current_version} now"
+    )

@@ -5,11 +5,11 @@ from typing import Any
 
 from hitchid.data.campaign import Campaign
 from hitchid.model import Hitch
-from hitchid.report import Document, Pictures, Section, Text, direction_sections, sections, sentence
-from hitchid.studies.sun2025.figures import Drawn
+from hitchid.report import Document, Pictures, ReportSection, Text, direction_sections, sections, sentence
+from hitchid.studies.sun2025.figures import PaperFigure
 from hitchid.validation import Table, Validation
 
-SAID = (
+PREFACE = (
     "Sun et al. 2025 (Processes 13, 3608) measured on a bench of their own; these tests ran on the virtual "
     "bench. The figures stand beside each other, not against each other."
 )
@@ -17,7 +17,7 @@ SAID = (
 
 def study_report(
     tables: Sequence[Table],
-    drawn: Sequence[Drawn],
+    figures: Sequence[PaperFigure],
     result: Validation,
     model: Hitch,
     campaign: Campaign,
@@ -29,20 +29,20 @@ def study_report(
 
     Args:
         tables: Tables 2 to 4 of the paper and what its text names.
-        drawn: Figures 5 to 12 of the paper.
+        figures: Figures 5 to 12 of the paper.
         result, model, campaign, trace, command: as for `validation_report`.
     """
-    pictures = tuple(picture for each in drawn for picture in each.pictures)
-    parts = (sections.accuracy, sections.trust, sections.parameters)
+    pictures = tuple(picture for figure in figures for picture in figure.pictures)
+    section_builders = (sections.accuracy, sections.trust, sections.parameters)
     return Document(
         title="The study of Sun et al. 2025, redone",
         subtitle="Lifting and lowering of an electro-hydraulic hitch on the virtual bench",
         verdict=sections.verdict(result, None),
         notices=tuple(map(sentence, result.notices)),
         sections=(
-            Section("Tables of the paper", (Text(SAID), *tables)),
-            Section("Figures of the paper", (Pictures(pictures),)),
-            *direction_sections(result, model, campaign, trace, parts),
+            ReportSection("Tables of the paper", (Text(PREFACE), *tables)),
+            ReportSection("Figures of the paper", (Pictures(pictures),)),
+            *direction_sections(result, model, campaign, trace, section_builders),
             sections.logs(campaign, model),
             sections.origin(model, command),
         ),

@@ -10,7 +10,7 @@ from hitchid.report import Picture, figures
 from hitchid.studies.sun2025.results import DirectionResult
 from hitchid.validation import Predictions
 
-SHOWN = 2000
+MAX_SAMPLES = 2000
 CONVERGENCE = {LIFTING: 5, LOWERING: 6}
 TRAINING = {LIFTING: 7, LOWERING: 8}
 DISTRIBUTION = {LIFTING: 9, LOWERING: 10}
@@ -18,7 +18,7 @@ TEST = {LIFTING: 11, LOWERING: 12}
 MODELS = ("mechanistic", "benchmark", "free_run", "one_step")
 
 
-class Drawn(NamedTuple):
+class PaperFigure(NamedTuple):
     """A figure of the paper redone: its number there, its pictures, and the data behind it by column."""
 
     number: int
@@ -26,98 +26,102 @@ class Drawn(NamedTuple):
     data: Mapping[str, np.ndarray]
 
 
-def paper_figures(mode: str, trace: Mapping[str, Any], result: DirectionResult, unit: str) -> list[Drawn]:
+def paper_figures(
+    direction: str, trace: Mapping[str, Any], result: DirectionResult, unit: str
+) -> list[PaperFigure]:
     """Return the four figures the paper shows of one direction.
 
     Args:
-        mode: direction.
+        direction: direction.
         trace: how it was identified, as `trace.json` holds it.
         result: predictions on training, validation and test tests.
         unit: of the displacement.
     """
     return [
-        _convergence(mode, trace, unit),
-        _predicted_errors(mode, result, unit),
-        _error_distribution(mode, result, unit),
-        _test_set(mode, result.test, unit),
+        _convergence(direction, trace, unit),
+        _predicted_errors(direction, result, unit),
+        _error_distribution(direction, result, unit),
+        _test_set(direction, result.test, unit),
     ]
 
 
-def _convergence(mode: str, trace: Mapping[str, Any], unit: str) -> Drawn:
-    phase1, number = trace["phase1"], CONVERGENCE[mode]
-    names = [each["name"] for each in phase1["uncertainty"]["parameters"]]
+def _convergence(direction: str, trace: Mapping[str, Any], unit: str) -> PaperFigure:
+    phase1, number = trace["phase1"], CONVERGENCE[direction]
+    names = [parameter["name"] for parameter in phase1["uncertainty"]["parameters"]]
     picture = Picture(
         _name(number),
         figures.convergence(trace, unit),
-        f"Figure {number} of the paper: convergence of fitness and of each parameter, {mode}.",
+        f"Figure {number} of the paper: convergence of fitness and of each parameter, {direction}.",
         f"Best RMSE and {', '.join(names)} over the iterations of the whale optimisation.",
     )
-    fitness = np.array([np.nan if each is None else each for each in phase1["fitness"]])
+    fitness = np.array([np.nan if rmse is None else rmse for rmse in phase1["fitness"]])
     columns = dict(zip(names, np.array(phase1["values"]).T, strict=True))
     data = {"iteration": np.arange(1, fitness.size + 1), f"rmse_{unit}": fitness, **columns}
-    return Drawn(number, (picture,), data)
+    return PaperFigure(number, (picture,), data)
 
 
-def _predicted_errors(mode: str, result: DirectionResult, unit: str) -> Drawn:
-    parts = {"training": result.training, "validation": result.validation}
-    number = TRAINING[mode]
+def _predicted_errors(direction: str, result: DirectionResult, unit: str) -> PaperFigure:
+    subsets = {"training": result.training, "validation": result.validation}
+    number = TRAINING[direction]
     picture = Picture(
         _name(number),
-        figures.predicted_errors(parts, unit),
+        figures.predicted_errors(subsets, unit),
         f"Figure {number} of the paper: error of the transfer function, actual and predicted one step ahead, "
-        f"on training and validation tests, {mode}.",
-        f"Actual and predicted error in {unit} over {SHOWN} samples.",
+        f"on training and validation tests, {direction}.",
+        f"Actual and predicted error in {unit} over {MAX_SAMPLES} samples.",
     )
     data = {}
-    for part, tests in parts.items():
+    for subset, tests in subsets.items():
         measured, benchmark, one_step = (
-            figures.end_to_end(rows)[:SHOWN]
+            figures.concatenate_tests(rows)[:MAX_SAMPLES]
             for rows in (tests.actual, tests.models["benchmark"], tests.models["one_step"])
         )
-        data[f"{part}_actual_{unit}"] = measured - benchmark
-        data[f"{part}_predicted_{unit}"] = one_step - benchmark
-    return Drawn(number, (picture,), data)
+        data[f"{subset}_actual_{unit}"] = measured - benchmark
+        data[f"{subset}_predicted_{unit}"] = one_step - benchmark
+    return PaperFigure(number, (picture,), data)
 
 
-def _error_distribution(mode: str, result: DirectionResult, unit: str) -> Drawn:
-    parts = {"training": result.training, "validation": result.validation}
-    rows = {part: tests.errors("one_step") for part, tests in parts.items()}
-    number = DISTRIBUTION[mode]
+def _error_distribution(direction: str, result: DirectionResult, unit: str) -> PaperFigure:
+    subsets = {"training": result.training, "validation": result.validation}
+    rows = {subset: tests.errors("one_step") for subset, tests in subsets.items()}
+    number = DISTRIBUTION[direction]
     picture = Picture(
         _name(number),
         figures.error_distribution(rows, unit),
         f"Figure {number} of the paper: one-step errors on training and validation tests, histogram with "
-        f"fitted normal and cumulative distribution, {mode}.",
+        f"fitted normal and cumulative distribution, {direction}.",
         f"Distribution of one-step errors in {unit}.",
     )
-    return Drawn(number, (picture,), {f"{part}_error_{unit}": errors for part, errors in rows.items()})
+    return PaperFigure(
+        number, (picture,), {f"{subset}_error_{unit}": errors for subset, errors in rows.items()}
+    )
 
 
-def _test_set(mode: str, test: Predictions, unit: str) -> Drawn:
-    number = TEST[mode]
+def _test_set(direction: str, test: Predictions, unit: str) -> PaperFigure:
+    number = TEST[direction]
     errors = {model: test.errors(model) for model in MODELS[1:]}
     pictures = (
         Picture(
             _name(number),
             figures.outputs(test, unit, MODELS[1:]),
-            f"Figure {number} of the paper, upper half: outputs and errors on the test set, {mode}.",
+            f"Figure {number} of the paper, upper half: outputs and errors on the test set, {direction}.",
             f"Displacement and error over time on {len(test.names)} unseen tests.",
         ),
         Picture(
             f"{_name(number)}-errors",
             figures.error_distribution(errors, unit),
             f"Figure {number} of the paper, lower half: histogram and cumulative distribution of the errors "
-            f"on the test set, {mode}.",
+            f"on the test set, {direction}.",
             f"Distribution of the errors in {unit} on {len(test.names)} unseen tests.",
         ),
     )
-    rows = {f"{model}_{unit}": figures.end_to_end(test.models[model]) for model in MODELS}
+    rows = {f"{model}_{unit}": figures.concatenate_tests(test.models[model]) for model in MODELS}
     data = {
-        "time_s": figures.joined_time(test),
-        f"measured_{unit}": figures.end_to_end(test.actual),
+        "time_s": figures.concatenated_time(test),
+        f"measured_{unit}": figures.concatenate_tests(test.actual),
         **rows,
     }
-    return Drawn(number, pictures, data)
+    return PaperFigure(number, pictures, data)
 
 
 def _name(number: int) -> str:

@@ -13,12 +13,12 @@ from hitchid.rig import (
     OperatingPoint,
     Rig,
     SmallSignal,
-    limits,
     load_rig,
     lowering_small_signal,
+    rig_limits,
     small_signal,
 )
-from hitchid.structures import Benchmark, structure_named
+from hitchid.structures import PhysicalModel, structure_named
 
 STRUCTURE = "integrator-second-order"
 STEPS = 6
@@ -27,12 +27,12 @@ STEPS = 6
 class Mechanistic(NamedTuple):
     """Transfer function of one direction, mm and A, and the dead zone it stands behind, A."""
 
-    benchmark: Benchmark
+    physical_model: PhysicalModel
     dead_zone: float
 
 
 @double_precision
-def mechanistic(rig: str | Path | Rig, mode: str) -> Mechanistic:
+def mechanistic(rig: str | Path | Rig, direction: str) -> Mechanistic:
     """Return the transfer function of one direction that follows from a rig's parameters alone.
 
     K/(s (s²/ωh² + 2 ξh s/ωh + 1)), in mm, s and A; ωh and ξh by `small_signal`, for lowering, where gravity
@@ -49,30 +49,34 @@ def mechanistic(rig: str | Path | Rig, mode: str) -> Mechanistic:
 
     Args:
         rig: parameter set of the virtual bench, or the bench.
-        mode: lifting or lowering.
+        direction: lifting or lowering.
 
     Raises:
         SettingsError: the rig's parameters cannot be used.
     """
     bench = rig if isinstance(rig, Rig) else load_rig(rig)
-    known, lifting = limits(bench), mode == LIFTING
+    limits, lifting = rig_limits(bench), direction == LIFTING
     spool = bench.lifting_valve.spool if lifting else bench.lowering_valve.spool
-    share = float(np.mean(LOW + HIGH))
-    travel = share * STROKE_FRACTION * known.stroke_m
-    at = 0.5 * travel if lifting else known.stroke_m - 0.5 * travel
+    mean_level = float(np.mean(LOW + HIGH))
+    travel = mean_level * STROKE_FRACTION * limits.stroke_m
+    displacement = 0.5 * travel if lifting else limits.stroke_m - 0.5 * travel
 
-    def chain(effective: float) -> SmallSignal:
-        point = OperatingPoint(at, float(spool.dead_zone) + effective)
+    def linearise(effective: float) -> SmallSignal:
+        point = OperatingPoint(displacement, float(spool.dead_zone) + effective)
         return small_signal(bench, point) if lifting else lowering_small_signal(bench, point)
 
     wide_open = float(spool.saturation - spool.dead_zone)
     effective = 0.5 * wide_open
     for _ in range(STEPS):  # speed is convex in the current: after the first step they come from above
-        found = chain(effective)
-        effective = min(effective + (1e3 * travel / DYNAMIC_S - found.speed) / found.gain, wide_open)
-    found = chain(effective)
-    values = jnp.asarray([found.speed / effective, found.natural_frequency, found.damping_ratio])
+        linear_model = linearise(effective)
+        effective = min(
+            effective + (1e3 * travel / DYNAMIC_S - linear_model.speed) / linear_model.gain, wide_open
+        )
+    linear_model = linearise(effective)
+    values = jnp.asarray(
+        [linear_model.speed / effective, linear_model.natural_frequency, linear_model.damping_ratio]
+    )
     return Mechanistic(
-        Benchmark(structure_named(STRUCTURE), values, jnp.asarray(0.0)),
-        known.lifting_dead_zone_a if lifting else known.lowering_dead_zone_a,
+        PhysicalModel(structure_named(STRUCTURE), values, jnp.asarray(0.0)),
+        limits.lifting_dead_zone_a if lifting else limits.lowering_dead_zone_a,
     )

@@ -6,17 +6,17 @@ from pathlib import Path
 
 import numpy as np
 
-from hitchid._support.progress import Progress, Step, part, silent
-from hitchid._support.storage import put, write_folder
-from hitchid.estimation import Comparison
-from hitchid.estimation.whale import Swarm
+from hitchid._support.progress import ProgressCallback, ProgressUpdate, silent, subtask_progress
+from hitchid._support.storage import write_files, write_folder
+from hitchid.estimation import SearchComparison
+from hitchid.estimation.whale import WhaleConfig
 from hitchid.experiments.virtual_campaign import REPEATS, Protocol, write_campaign
-from hitchid.identification import Descent, Identification, Search, Training, Whale, identify
-from hitchid.identification.identify import COMPARISON, PAPER_FORMS, TRAINING, WHALE
+from hitchid.identification import AdamConfig, CompensatorConfig, Identification, Search, Whale, identify
+from hitchid.identification.identify import COMPARISON, PAPER_SPECS, TRAINING, WHALE
 from hitchid.readers import read, write_table
-from hitchid.report import FIGURES, put_report
+from hitchid.report import FIGURES, write_report_files
 from hitchid.studies.sun2025.document import study_report
-from hitchid.studies.sun2025.figures import Drawn, paper_figures
+from hitchid.studies.sun2025.figures import PaperFigure, paper_figures
 from hitchid.studies.sun2025.mechanistic import mechanistic
 from hitchid.studies.sun2025.results import DirectionResult, direction_result
 from hitchid.studies.sun2025.tables import study_tables
@@ -39,15 +39,15 @@ class Plan:
     tests: int = 20
     cycles: int = 4
     search: Search = WHALE
-    training: Training = TRAINING
-    comparison: Comparison | None = COMPARISON
+    training: CompensatorConfig = TRAINING
+    comparison: SearchComparison | None = COMPARISON
 
 
 def quick_plan() -> Plan:
     """Return a plan for a first look: fewer tests, a smaller search, shorter training, no baselines."""
-    descent = Descent(epochs=40, patience=20)
-    training = Training(hidden=16, descent=descent, rollouts=None, baselines=False)
-    search = Whale(Swarm(iterations=40, evaluations=1200))
+    optimizer = AdamConfig(epochs=40, patience=20)
+    training = CompensatorConfig(hidden=16, adam=optimizer, rollouts=None, baselines=False)
+    search = Whale(WhaleConfig(iterations=40, evaluations=1200))
     return Plan(tests=8, cycles=1, search=search, training=training, comparison=None)
 
 
@@ -56,17 +56,17 @@ class Study:
     """Everything the study found.
 
     Attributes:
-        found: the identified model and its traces.
+        identification: the identified model and its traces.
         results: mode to predictions.
         validation: all figures beside their baselines.
-        drawn: the figures of the paper.
+        figures: the figures of the paper.
         tables: Tables 2 to 4 of the paper and what its text names.
     """
 
-    found: Identification
+    identification: Identification
     results: Mapping[str, DirectionResult]
     validation: Validation
-    drawn: tuple[Drawn, ...]
+    figures: tuple[PaperFigure, ...]
     tables: tuple[Table, ...]
 
 
@@ -77,7 +77,7 @@ def reproduce(
     plan: Plan | None = None,
     seed: int = 0,
     force: bool = False,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
     command: str = "",
 ) -> Study:
     """Redo the study: static tests, dynamic tests, identification, validation, tables and figures.
@@ -96,61 +96,70 @@ def reproduce(
         OutputError: the folder exists and `force` is not given, or it cannot be written.
         SettingsError: the rig's parameters cannot be used.
     """
-    asked = plan or Plan()
+    chosen_plan = plan or Plan()
     report = progress or silent
-    kept: list[Study] = []
+    studies: list[Study] = []
 
-    def fill(place: Path) -> None:
-        report(Step("virtual bench", 0.0))
-        tests: Mapping[Protocol, int] = {"ramp": REPEATS, "prbs": asked.tests, "cycle": asked.cycles}
-        write_campaign(place / LOGS, rig, tests=tests, seed=seed)
-        campaign = read([place / LOGS])
-        found = identify(
+    def fill(folder: Path) -> None:
+        report(ProgressUpdate("virtual bench", 0.0))
+        tests: Mapping[Protocol, int] = {
+            "ramp": REPEATS,
+            "prbs": chosen_plan.tests,
+            "cycle": chosen_plan.cycles,
+        }
+        write_campaign(folder / LOGS, rig, tests=tests, seed=seed)
+        campaign = read([folder / LOGS])
+        identification = identify(
             campaign,
-            structure=PAPER_FORMS,
-            search=asked.search,
-            training=asked.training,
-            comparison=asked.comparison,
+            structure=PAPER_SPECS,
+            search=chosen_plan.search,
+            training=chosen_plan.training,
+            comparison=chosen_plan.comparison,
             seed=seed,
-            progress=part(report, 0.15, 0.6),
+            progress=subtask_progress(report, 0.15, 0.6),
         )
-        found.save(place / MODEL)
-        report(Step("validation", 0.75))
-        checked = validate(found.model, campaign)
-        report(Step("figures and tables", 0.9))
+        identification.save(folder / MODEL)
+        report(ProgressUpdate("validation", 0.75))
+        validation = validate(identification.model, campaign)
+        report(ProgressUpdate("figures and tables", 0.9))
         results = {
-            mode: direction_result(found, campaign, mode, mechanistic(rig, mode)) for mode in found.channels
+            direction: direction_result(identification, campaign, direction, mechanistic(rig, direction))
+            for direction in identification.channels
         }
         unit = campaign.records[0].unit
-        trace = found.describe()
-        drawn = [each for mode in results for each in paper_figures(mode, trace[mode], results[mode], unit)]
-        ordered = tuple(sorted(drawn, key=lambda each: each.number))
-        summary = tuple(study_tables(found.channels, results, unit))
-        kept.append(Study(found, results, checked, ordered, summary))
+        trace = identification.describe()
+        figures = [
+            figure
+            for direction in results
+            for figure in paper_figures(direction, trace[direction], results[direction], unit)
+        ]
+        ordered = tuple(sorted(figures, key=lambda figure: figure.number))
+        summary = tuple(study_tables(identification.channels, results, unit))
+        studies.append(Study(identification, results, validation, ordered, summary))
         document = study_report(
-            summary, ordered, checked, found.model, campaign, trace=trace, command=command
+            summary, ordered, validation, identification.model, campaign, trace=trace, command=command
         )
-        put_report(document, place)
-        _write(place, kept[0])
+        write_report_files(document, folder)
+        _write(folder, studies[0])
 
-    write_folder(Path(out), fill, mark=STUDY_FILE, force=force)
-    return kept[0]
+    write_folder(Path(out), fill, result_kind=STUDY_FILE, force=force)
+    return studies[0]
 
 
-def _write(place: Path, study: Study) -> None:
-    (place / DATA).mkdir()
-    for each in study.drawn:
-        write_table(place / DATA / f"figure-{each.number:02d}.csv", _equal_lengths(each.data))
-    put(place, study.validation.files())
+def _write(folder: Path, study: Study) -> None:
+    (folder / DATA).mkdir()
+    for figure in study.figures:
+        write_table(folder / DATA / f"figure-{figure.number:02d}.csv", _equal_lengths(figure.data))
+    write_files(folder, study.validation.files())
     text = markdown(
         (*study.tables, *tables(study.validation.metrics)), study.validation.notices, title="Study"
     )
     pictures = [
         f"## {picture.caption}\n\n![{picture.alt}]({FIGURES}/{picture.name}.svg)\n"
-        for each in study.drawn
-        for picture in each.pictures
+        for figure in study.figures
+        for picture in figure.pictures
     ]
-    (place / STUDY_FILE).write_text("\n".join([text, *pictures]), encoding="utf-8")
+    (folder / STUDY_FILE).write_text("\n".join([text, *pictures]), encoding="utf-8")
 
 
 def _equal_lengths(data: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

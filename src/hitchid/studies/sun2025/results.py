@@ -10,7 +10,7 @@ from hitchid._support.precision import double_precision
 from hitchid.data.campaign import Campaign
 from hitchid.data.record import Record
 from hitchid.identification import Identification
-from hitchid.model import Channel, unpadded
+from hitchid.model import Channel, remove_padding
 from hitchid.studies.sun2025.mechanistic import Mechanistic
 from hitchid.validation import Predictions
 
@@ -32,27 +32,27 @@ class DirectionResult:
 
 @double_precision
 def direction_result(
-    found: Identification, campaign: Campaign, mode: str, known: Mechanistic
+    identified: Identification, campaign: Campaign, direction: str, mechanistic: Mechanistic
 ) -> DirectionResult:
     """Run one channel of an identified model over the tests it was identified, validated and tested on.
 
     Args:
-        found: the identified model.
+        identified: the identified model.
         campaign: the tests.
-        mode: direction.
-        known: what the rig's parameters give instead, run over the same tests.
+        direction: direction.
+        mechanistic: what the rig's parameters give instead, run over the same tests.
     """
-    channel = found.model.channels[mode]
-    validating = set(found.model.provenance.validation[mode])
-    identification, held_out = campaign.identification(mode), campaign.held_out(mode)
-    everything = _predictions(channel, known, [*identification, *held_out])
+    channel = identified.model.channels[direction]
+    validation_names = set(identified.model.provenance.validation[direction])
+    identification, held_out = campaign.identification(direction), campaign.held_out(direction)
+    all_tests = _predictions(channel, mechanistic, [*identification, *held_out])
     count = len(identification)
-    held = [i for i, record in enumerate(identification) if record.name in validating]
+    validation_indices = [i for i, record in enumerate(identification) if record.name in validation_names]
     return DirectionResult(
-        training=everything.take([i for i in range(count) if i not in held]),
-        validation=everything.take(held),
-        test=everything.take(range(count, count + len(held_out))),
-        mechanistic=known,
+        training=all_tests.take([i for i in range(count) if i not in validation_indices]),
+        validation=all_tests.take(validation_indices),
+        test=all_tests.take(range(count, count + len(held_out))),
+        mechanistic=mechanistic,
     )
 
 
@@ -84,12 +84,12 @@ def end_deviation(predictions: Predictions, model: str) -> float:
     return float(np.mean([abs(a[-1] - p[-1]) / abs(a[-1] - a[0]) for a, p in pairs]))
 
 
-def _predictions(channel: Channel, known: Mechanistic, records: Sequence[Record]) -> Predictions:
+def _predictions(channel: Channel, mechanistic: Mechanistic, records: Sequence[Record]) -> Predictions:
     batch = channel.batch(records)
-    unfitted = replace(channel, benchmark=known.benchmark, dead_zone=known.dead_zone)
+    unfitted = replace(channel, benchmark=mechanistic.physical_model, dead_zone=mechanistic.dead_zone)
 
     def rows(padded: object) -> tuple[np.ndarray, ...]:
-        return tuple(unpadded(np.asarray(padded), records))
+        return tuple(remove_padding(np.asarray(padded), records))
 
     return Predictions(
         names=tuple(record.name for record in records),

@@ -7,7 +7,7 @@ import numpy as np
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.identification import ChannelTrace
 from hitchid.studies.sun2025.results import DirectionResult, end_deviation, summary
-from hitchid.uncertainty import Estimate, Quantity, interval_text, stated
+from hitchid.uncertainty import Estimate, Quantity, format_interval, format_with_error
 from hitchid.validation import Table, rounded
 
 PAPER_COEFFICIENTS = {
@@ -45,7 +45,7 @@ def study_tables(
     """Return Table 2, Tables 3 and 4, and tables of fitness, compensator, mechanics and sensitivity."""
     return [
         _parameters(traces),
-        *(_test_set(mode, result, unit) for mode, result in results.items()),
+        *(_test_set(direction, result, unit) for direction, result in results.items()),
         _identification(traces, results, unit),
         _mechanistic(traces, results, unit),
         _sensitivity(traces),
@@ -55,20 +55,25 @@ def study_tables(
 def _parameters(traces: Mapping[str, ChannelTrace]) -> Table:
     """Return the parameters of both transfer functions (paper, Table 2)."""
     rows = []
-    for mode, trace in traces.items():
-        values = {estimate.name: estimate for estimate in trace.phase1.estimates}
+    for direction, trace in traces.items():
+        values = {estimate.name: estimate for estimate in trace.phase1.parameter_estimates}
         rows += [
             (
-                f"{mode}: {name.replace('_', ' ')}",
-                _with_unit(_told(estimate), estimate.unit),
-                _equivalent(mode, name),
+                f"{direction}: {name.replace('_', ' ')}",
+                _with_unit(_value_or_interval(estimate), estimate.unit),
+                _equivalent(direction, name),
                 estimate.verdict,
             )
             for name, estimate in values.items()
         ]
         rows += [
-            (f"{mode}: {name}", _with_unit(value, unit), f"{PAPER_COEFFICIENTS[mode][name]:.4g}", "")
-            for name, (value, unit) in _coefficients(mode, trace).items()
+            (
+                f"{direction}: {name}",
+                _with_unit(value, unit),
+                f"{PAPER_COEFFICIENTS[direction][name]:.4g}",
+                "",
+            )
+            for name, (value, unit) in _coefficients(direction, trace).items()
         ]
     return Table(
         "Table 2. Parameters of the transfer functions",
@@ -77,26 +82,28 @@ def _parameters(traces: Mapping[str, ChannelTrace]) -> Table:
     )
 
 
-def _coefficients(mode: str, trace: ChannelTrace) -> dict[str, tuple[str, str]]:
+def _coefficients(direction: str, trace: ChannelTrace) -> dict[str, tuple[str, str]]:
     """Return the paper's α and β for one direction, with the free common scale of lifting set by its β₃."""
-    known = {each.name: each for each in trace.phase1.known.derived}
-    if mode == LOWERING:
-        found = {"alpha2": known["alpha2 = K"], "beta4": known["beta4 = tau"]}
-        return {name: (_told(each), each.unit) for name, each in found.items()}
+    quantities = {quantity.name: quantity for quantity in trace.phase1.assessment.derived}
+    if direction == LOWERING:
+        coefficients = {"alpha2": quantities["alpha2 = K"], "beta4": quantities["beta4 = tau"]}
+        return {
+            name: (_value_or_interval(quantity), quantity.unit) for name, quantity in coefficients.items()
+        }
     beta3 = PAPER_COEFFICIENTS[LIFTING]["beta3"]
-    scaled = {name: known[f"{name} (beta3 = 1)"].times(beta3) for name in ("alpha1", "beta1", "beta2")}
-    told = {name: (_told(each), each.unit) for name, each in scaled.items()}
-    return {**told, "beta3": (f"{beta3:.4g}", "as the paper has it")}
+    scaled = {name: quantities[f"{name} (beta3 = 1)"].scaled(beta3) for name in ("alpha1", "beta1", "beta2")}
+    texts = {name: (_value_or_interval(quantity), quantity.unit) for name, quantity in scaled.items()}
+    return {**texts, "beta3": (f"{beta3:.4g}", "as the paper has it")}
 
 
-def _told(each: Estimate | Quantity) -> str:
+def _value_or_interval(estimate: Estimate | Quantity) -> str:
     """Return a value, or of what is not determined its interval."""
-    return f"{each.value:.4g}" if each.determined else interval_text(each.interval)
+    return f"{estimate.value:.4g}" if estimate.determined else format_interval(estimate.interval)
 
 
-def _equivalent(mode: str, name: str) -> str:
+def _equivalent(direction: str, name: str) -> str:
     """Return the paper's value of one of our parameters, from its α and β."""
-    if mode == LIFTING:
+    if direction == LIFTING:
         c = PAPER_COEFFICIENTS[LIFTING]
         omega = float(np.sqrt(c["beta3"] / c["beta1"]))
         values = {
@@ -117,10 +124,10 @@ def _with_unit(value: str, unit: str) -> str:
     return value if unit == "1" else f"{value} {unit}"
 
 
-def _test_set(mode: str, result: DirectionResult, unit: str) -> Table:
+def _test_set(direction: str, result: DirectionResult, unit: str) -> Table:
     rows = []
     for model, label in MODELS.items():
-        ours, theirs = summary(result.test, model), PAPER_TEST[mode].get(model)
+        ours, theirs = summary(result.test, model), PAPER_TEST[direction].get(model)
         rows.append((f"{label}, here", *_row(ours)))
         if theirs is not None:
             rows.append((f"{label}, paper", *_row(theirs)))
@@ -136,12 +143,12 @@ def _test_set(mode: str, result: DirectionResult, unit: str) -> Table:
         )
     )
     header = ("model", f"RMSE / {unit}", f"MAE / {unit}", "R²", f"below 1 {unit} / %", f"mean ± std / {unit}")
-    return Table(f"Table {TABLE_OF[mode]}. Test set, {mode}", header, tuple(rows))
+    return Table(f"Table {TABLE_OF[direction]}. Test set, {direction}", header, tuple(rows))
 
 
 def _row(figures: Mapping[str, float]) -> tuple[str, ...]:
     return (
-        stated(figures["rmse"], figures.get("rmse_error")),
+        format_with_error(figures["rmse"], figures.get("rmse_error")),
         rounded(figures["mae"], figures.get("rmse_error")),
         f"{figures['r2']:.4f}",
         f"{100 * figures['within_1']:.1f}",
@@ -153,31 +160,39 @@ def _identification(
     traces: Mapping[str, ChannelTrace], results: Mapping[str, DirectionResult], unit: str
 ) -> Table:
     rows = []
-    for mode, trace in traces.items():
-        rows.append((f"{mode}: phase 1, RMSE", f"{trace.phase1.rmse:.3f}", f"{PAPER_FITNESS[mode]:.3f}"))
+    for direction, trace in traces.items():
         rows.append(
-            (f"{mode}: iterations to within 1 % of the end", str(_settled(trace)), _paper_settled(mode))
+            (f"{direction}: phase 1, RMSE", f"{trace.phase1.rmse:.3f}", f"{PAPER_FITNESS[direction]:.3f}")
         )
-        paper = PAPER_COMPENSATOR[mode]
-        for part in ("training", "validation"):
-            figures = summary(getattr(results[mode], part), "one_step")
-            rmse, mae = paper[part]
-            rows.append((f"{mode}: compensator, {part}, RMSE", f"{figures['rmse']:.3f}", f"{rmse:.3f}"))
-            rows.append((f"{mode}: compensator, {part}, MAE", f"{figures['mae']:.3f}", f"{mae:.3f}"))
-        errors = np.abs(results[mode].validation.errors("one_step"))
         rows.append(
-            (f"{mode}: 95 % of errors below", f"{np.quantile(errors, 0.95):.3f}", f"{paper['p95']:.2f}")
+            (
+                f"{direction}: iterations to within 1 % of the end",
+                str(_iterations_to_converge(trace)),
+                _paper_iterations(direction),
+            )
+        )
+        paper = PAPER_COMPENSATOR[direction]
+        for subset in ("training", "validation"):
+            figures = summary(getattr(results[direction], subset), "one_step")
+            rmse, mae = paper[subset]
+            rows.append(
+                (f"{direction}: compensator, {subset}, RMSE", f"{figures['rmse']:.3f}", f"{rmse:.3f}")
+            )
+            rows.append((f"{direction}: compensator, {subset}, MAE", f"{figures['mae']:.3f}", f"{mae:.3f}"))
+        errors = np.abs(results[direction].validation.errors("one_step"))
+        rows.append(
+            (f"{direction}: 95 % of errors below", f"{np.quantile(errors, 0.95):.3f}", f"{paper['p95']:.2f}")
         )
     return Table(f"Identification, errors in {unit}", ("figure", "here", "paper"), tuple(rows))
 
 
-def _settled(trace: ChannelTrace) -> int:
-    fitness = trace.phase1.fit.found.fitness_trace
+def _iterations_to_converge(trace: ChannelTrace) -> int:
+    fitness = trace.phase1.fit.search_result.fitness_trace
     return int(np.flatnonzero(fitness <= 1.01 * fitness[-1])[0]) + 1
 
 
-def _paper_settled(mode: str) -> str:
-    return "at most 15" if mode == LIFTING else "at most 10"
+def _paper_iterations(direction: str) -> str:
+    return "at most 15" if direction == LIFTING else "at most 10"
 
 
 def _mechanistic(
@@ -185,22 +200,28 @@ def _mechanistic(
 ) -> Table:
     """Return what data sheets give beside what tests give, and the deviation the paper's discussion names."""
     rows = []
-    for mode, trace in traces.items():
-        (benchmark, dead_zone), test = results[mode].mechanistic, results[mode].test
-        units = {p.name: p.unit.format(x=unit, u="A") for p in benchmark.structure.parameters}
-        fitted = {estimate.name: estimate.value for estimate in trace.phase1.estimates}
-        rows.append((f"{mode}: dead zone / A", f"{dead_zone:.4g}", f"{trace.dead_zone.value:.4g}", ""))
+    for direction, trace in traces.items():
+        (physical_model, dead_zone), test = results[direction].mechanistic, results[direction].test
+        units = {p.name: p.unit.format(x=unit, u="A") for p in physical_model.structure.parameters}
+        fitted = {estimate.name: estimate.value for estimate in trace.phase1.parameter_estimates}
+        rows.append((f"{direction}: dead zone / A", f"{dead_zone:.4g}", f"{trace.dead_zone.value:.4g}", ""))
         rows += [
             (
-                f"{mode}: {name.replace('_', ' ')} / {units[name]}",
+                f"{direction}: {name.replace('_', ' ')} / {units[name]}",
                 f"{value:.4g}",
                 f"{fitted[name]:.4g}" if name in fitted else "",
                 "",
             )
-            for name, value in benchmark.named_values().items()
+            for name, value in physical_model.named_values().items()
         ]
-        ends = [f"{100 * end_deviation(test, model):.1f}" for model in ("mechanistic", "benchmark")]
-        rows.append((f"{mode}: error at the end of a test / % of the way", *ends, PAPER_MECHANISTIC[mode]))
+        end_errors = [f"{100 * end_deviation(test, model):.1f}" for model in ("mechanistic", "benchmark")]
+        rows.append(
+            (
+                f"{direction}: error at the end of a test / % of the way",
+                *end_errors,
+                PAPER_MECHANISTIC[direction],
+            )
+        )
     return Table(
         "Mechanistic model from data sheets, nothing fitted",
         ("figure", "data sheets", "transfer function", "paper's ref. 9"),
@@ -210,8 +231,8 @@ def _mechanistic(
 
 def _sensitivity(traces: Mapping[str, ChannelTrace]) -> Table:
     rows = tuple(
-        (f"{mode}: {estimate.name.replace('_', ' ')}", f"{100 * estimate.sensitivity:.2f}")
-        for mode, trace in traces.items()
-        for estimate in trace.phase1.estimates
+        (f"{direction}: {estimate.name.replace('_', ' ')}", f"{100 * estimate.sensitivity:.2f}")
+        for direction, trace in traces.items()
+        for estimate in trace.phase1.parameter_estimates
     )
     return Table("Sensitivity: change of RMSE for ±1 % of a parameter", ("parameter", "%"), rows)

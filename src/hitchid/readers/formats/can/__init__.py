@@ -7,40 +7,42 @@ from pathlib import Path
 from typing import Any
 
 from hitchid.errors import LogError
-from hitchid.readers.content import Content, Wanted
+from hitchid.readers.content import ChannelSelection, Content
 from hitchid.readers.formats.can.blf import inventory
 from hitchid.readers.formats.can.bus import read_bus as read_bus
 from hitchid.readers.formats.can.mf4 import is_bus_log as is_bus_log
 from hitchid.readers.formats.can.mf4 import read_mf4 as read_mf4
 from hitchid.readers.formats.can.streams import Frame
-from hitchid.readers.formats.extra import damage, needed
+from hitchid.readers.formats.extra import as_log_errors, import_optional
 
 SUFFIXES = (".asc", ".asc.gz", ".blf")
 KIND = "a CAN log"
 
 
-def read(path: Path, wanted: Wanted) -> Content:
+def read(path: Path, selection: ChannelSelection) -> Content:
     """Read the wanted signals of a CAN log; `read_bus` says how they are named and met.
 
     Args:
         path: the log.
-        wanted: what is asked for, and the DBC files.
+        selection: what is asked for, and the DBC files.
 
     Raises:
         LogError: the log or a DBC file cannot be read or is missing, a signal is not there, or python-can or
             cantools is missing.
     """
-    library = needed("can", "can", path)
+    library = import_optional("can", "can", path)
     notices: list[str] = []
     frames = (
-        _blf(path, library, notices) if path.name.lower().endswith(".blf") else _asc(path, library, notices)
+        _read_blf(path, library, notices)
+        if path.name.lower().endswith(".blf")
+        else _read_asc(path, library, notices)
     )
-    content = read_bus(frames, path, wanted)
+    content = read_bus(frames, path, selection)
     return replace(content, notices=(*notices, *content.notices))
 
 
 @dataclass
-class _Text:
+class _AscText:
     """What was seen of an ASC log so far: its lines, whether its end came, what is to be said."""
 
     line: int = 0
@@ -71,21 +73,21 @@ class _Text:
                 yield line
 
 
-def _asc(path: Path, library: Any, notices: list[str]) -> Iterator[Frame]:
-    text = _Text(notices=notices)
+def _read_asc(path: Path, library: Any, notices: list[str]) -> Iterator[Frame]:
+    text = _AscText(notices=notices)
     try:
         # Any byte is a character of Latin-1; names and comments, where others stand, are not read.
-        opened = gzip.open if path.name.lower().endswith(".gz") else open
-        with opened(path, "rt", encoding="latin-1") as stream:
+        open_text = gzip.open if path.name.lower().endswith(".gz") else open
+        with open_text(path, "rt", encoding="latin-1") as stream:
             reader = library.ASCReader(text.lines(stream))
             for message in reader:
                 _check_absolute(path, reader)
-                yield _frame(message)
+                yield _to_frame(message)
     except (LogError, MemoryError):
         raise
     except Exception as error:  # python-can raises whatever a damaged line leads it to
-        said = str(error) or type(error).__name__
-        raise LogError(path, f"cannot be read as {KIND}: {said}", line=text.line or None) from error
+        detail = str(error) or type(error).__name__
+        raise LogError(path, f"cannot be read as {KIND}: {detail}", line=text.line or None) from error
     if text.begun and not text.ended:
         notices.append("the log has no 'End TriggerBlock': its end may be missing")
 
@@ -96,23 +98,26 @@ def _check_absolute(path: Path, reader: Any) -> None:
         raise LogError(path, problem)
 
 
-def _blf(path: Path, library: Any, notices: list[str]) -> Iterator[Frame]:
-    with damage(path, KIND):
-        held = inventory(path)
-        if not held.closed:
+def _read_blf(path: Path, library: Any, notices: list[str]) -> Iterator[Frame]:
+    with as_log_errors(path, KIND):
+        log_inventory = inventory(path)
+        if not log_inventory.closed:
             notices.append("the log was never closed: its end may be missing")
-        came = 0
+        frame_count = 0
         with library.BLFReader(path) as reader:
             # Counted from 1970, stamps would be rounded to a quarter of a microsecond.
             reader.start_timestamp = 0.0
             for message in reader:
-                came += 1
-                yield _frame(message)
-        if came != held.frames:
-            raise LogError(path, f"cannot be read as {KIND}: {came} of its {held.frames} frames can be read")
+                frame_count += 1
+                yield _to_frame(message)
+        if frame_count != log_inventory.frame_count:
+            raise LogError(
+                path,
+                f"cannot be read as {KIND}: {frame_count} of its {log_inventory.frame_count} frames can be read",
+            )
 
 
-def _frame(message: Any) -> Frame:
+def _to_frame(message: Any) -> Frame:
     data: bytes | None = None
     if not (message.is_error_frame or message.is_remote_frame):
         data = bytes(message.data)

@@ -14,9 +14,9 @@ HEADER = struct.Struct("<4sL8xQ")
 OBJECT = struct.Struct("<4s4xLL")
 # How it is compressed, how long it is when it is not.
 CONTAINER = struct.Struct("<H6xL4x")
-MARK = b"LOBJ"
+OBJECT_SIGNATURE = b"LOBJ"
 PADDING = 4
-CONTAINER_KIND, PLAIN, DEFLATED = 10, 0, 2
+CONTAINER_KIND, UNCOMPRESSED, DEFLATED = 10, 0, 2
 # Frames, frames of CAN FD twice, errors: what python-can hands over.
 FRAME_KINDS = frozenset((1, 86, 100, 101, 73))
 
@@ -25,11 +25,11 @@ class Inventory(NamedTuple):
     """What a BLF log holds.
 
     Attributes:
-        frames: how many frames, error frames too.
+        frame_count: how many frames, error frames too.
         closed: whether it was closed, so that a missing end would have been noticed.
     """
 
-    frames: int
+    frame_count: int
     closed: bool
 
 
@@ -47,35 +47,35 @@ def inventory(path: Path) -> Inventory:
         start = stream.read(HEADER.size)
         if len(start) < HEADER.size or not start.startswith(b"LOGG"):
             raise LogError(path, "cannot be read as a CAN log: it does not start as a BLF file")
-        _, header, stated = HEADER.unpack(start)
-        if size < max(header, stated):
-            raise LogError(path, f"was cut short: holds {size} of {max(header, stated)} bytes")
+        _, header, stated_size = HEADER.unpack(start)
+        if size < max(header, stated_size):
+            raise LogError(path, f"was cut short: holds {size} of {max(header, stated_size)} bytes")
         stream.seek(header)
-        frames = _frames(path, stream)
-    return Inventory(frames, closed=size - stated < PADDING)
+        frame_count = _count_frames(path, stream)
+    return Inventory(frame_count, closed=size - stated_size < PADDING)
 
 
-def _frames(path: Path, stream: BinaryIO) -> int:
+def _count_frames(path: Path, stream: BinaryIO) -> int:
     count, rest = 0, b""
-    for kind, content in _objects(path, stream):
+    for kind, content in _iterate_objects(path, stream):
         count += kind in FRAME_KINDS
         if kind == CONTAINER_KIND:
-            found, rest = _inside(path, rest + _unpacked(path, content))
-            count += found
+            container_count, rest = _count_container_frames(path, rest + _unpack(path, content))
+            count += container_count
     if rest.strip(b"\0"):
         raise LogError(path, "was cut short: it ends within a frame")
     return count
 
 
-def _objects(path: Path, stream: BinaryIO) -> Iterator[tuple[int, bytes]]:
+def _iterate_objects(path: Path, stream: BinaryIO) -> Iterator[tuple[int, bytes]]:
     """Give kind and content of each object of the file itself."""
     while start := stream.read(OBJECT.size):
         if len(start) < OBJECT.size:
             raise LogError(path, "was cut short: it ends within the start of an object")
-        mark, length, kind = OBJECT.unpack(start)
-        if mark != MARK or length < OBJECT.size:
-            place = stream.tell() - OBJECT.size
-            raise LogError(path, f"cannot be read as a CAN log: there is no object at byte {place}")
+        signature, length, kind = OBJECT.unpack(start)
+        if signature != OBJECT_SIGNATURE or length < OBJECT.size:
+            position = stream.tell() - OBJECT.size
+            raise LogError(path, f"cannot be read as a CAN log: there is no object at byte {position}")
         content = stream.read(length - OBJECT.size)
         if len(content) < length - OBJECT.size:
             raise LogError(path, "was cut short: it ends within an object")
@@ -83,38 +83,38 @@ def _objects(path: Path, stream: BinaryIO) -> Iterator[tuple[int, bytes]]:
         yield kind, content
 
 
-def _unpacked(path: Path, content: bytes) -> bytes:
+def _unpack(path: Path, content: bytes) -> bytes:
     if len(content) < CONTAINER.size:
         raise LogError(path, "cannot be read as a CAN log: a container is shorter than its header")
     method, length = CONTAINER.unpack_from(content)
     packed = content[CONTAINER.size :]
-    if method not in (PLAIN, DEFLATED):
+    if method not in (UNCOMPRESSED, DEFLATED):
         raise LogError(path, f"cannot be read as a CAN log: its compression, number {method}, is not known")
     try:
         # A damaged length must not make room for more than is said to be there.
-        plain = zlib.decompressobj().decompress(packed, length + 1) if method == DEFLATED else packed
+        unpacked = zlib.decompressobj().decompress(packed, length + 1) if method == DEFLATED else packed
     except zlib.error as error:
         raise LogError(path, f"cannot be read as a CAN log: {error}") from error
-    if len(plain) != length:
+    if len(unpacked) != length:
         raise LogError(
-            path, f"cannot be read as a CAN log: a container holds {len(plain)} bytes, said {length}"
+            path, f"cannot be read as a CAN log: a container holds {len(unpacked)} bytes, said {length}"
         )
-    return plain
+    return unpacked
 
 
-def _inside(path: Path, data: bytes) -> tuple[int, bytes]:
+def _count_container_frames(path: Path, data: bytes) -> tuple[int, bytes]:
     """Return how many frames are in a container, and the start of what goes on in the next."""
-    count, place = 0, 0
+    count, position = 0, 0
     while True:
-        start = data.find(MARK, place, place + 2 * PADDING)
-        if start < 0 and len(data) - place >= 2 * PADDING:
+        start = data.find(OBJECT_SIGNATURE, position, position + 2 * PADDING)
+        if start < 0 and len(data) - position >= 2 * PADDING:
             raise LogError(path, "cannot be read as a CAN log: there is no object where one should be")
         if start < 0 or start + OBJECT.size > len(data):
-            return count, data[place:]
+            return count, data[position:]
         _, length, kind = OBJECT.unpack_from(data, start)
         if length < OBJECT.size:
             raise LogError(path, "cannot be read as a CAN log: an object is shorter than its header")
         if start + length > len(data):
             return count, data[start:]
         count += kind in FRAME_KINDS
-        place = start + length
+        position = start + length

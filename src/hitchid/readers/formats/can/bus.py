@@ -9,27 +9,33 @@ from typing import NamedTuple
 import numpy as np
 
 from hitchid.errors import LogError
-from hitchid.readers.content import Channel, Content, Wanted, chosen, listed
-from hitchid.readers.formats.can.bits import Payload, available, physical, raw_numbers, selected
+from hitchid.readers.content import ChannelSelection, Content, LogChannel, format_names, match_channels
+from hitchid.readers.formats.can.bits import (
+    Payload,
+    available,
+    frames_with_signal,
+    physical_values,
+    raw_numbers,
+)
 from hitchid.readers.formats.can.database import (
+    CanMessage,
+    CanSignal,
     Databases,
-    Definition,
-    Field,
     node,
     parameter_group,
     read_databases,
 )
-from hitchid.readers.formats.can.streams import Frame, Heard, Stream, listen
+from hitchid.readers.formats.can.streams import BusTraffic, Frame, Stream, collect_streams
 
 
-class _Place(NamedTuple):
+class _SignalLocation(NamedTuple):
     """Where one channel is found."""
 
     stream: Stream
-    field: Field
+    signal: CanSignal
 
 
-def read_bus(frames: Iterable[Frame], source: Path, wanted: Wanted) -> Content:
+def read_bus(frames: Iterable[Frame], source: Path, selection: ChannelSelection) -> Content:
     """Decode the wanted signals of the frames of a log.
 
     A channel's full name is `Message/Signal`. Where a message comes on several buses, or from several nodes
@@ -48,90 +54,110 @@ def read_bus(frames: Iterable[Frame], source: Path, wanted: Wanted) -> Content:
     Args:
         frames: in the order of the log.
         source: the log.
-        wanted: what is asked for; None gives every signal that comes in the log.
+        selection: what is asked for; None gives every signal that comes in the log.
 
     Raises:
         LogError: a database is missing or cannot be read, or a wanted signal is not there or never a number.
     """
-    databases = read_databases(wanted.databases, source)
-    heard = listen(frames, databases.definitions, _keeps(wanted))
-    if not heard.frames:
+    databases = read_databases(selection.databases, source)
+    traffic = collect_streams(frames, databases.messages, _message_filter(selection))
+    if not traffic.frame_count:
         raise LogError(source, "holds no CAN frames with data")
-    places, spellings = _names(heard.streams)
-    found = _found(source, wanted, spellings, databases, heard, list(places))
-    read = _Reading(source, heard.first_s, {asked: places[name] for asked, name in found.items()})
-    channels, notices = read.channels(required=wanted.signals is not None)
+    locations, aliases = _channel_names(traffic.streams)
+    matches = _match_requested(source, selection, aliases, databases, traffic, list(locations))
+    bus_reader = _BusReader(
+        source, traffic.first_s, {requested: locations[name] for requested, name in matches.items()}
+    )
+    channels, notices = bus_reader.channels(required=selection.signals is not None)
     if not channels:
-        raise LogError(source, f"none of its {heard.frames} frames holds a signal of the DBC files")
-    return Content(source, channels, (*databases.notices, *_odd(heard), *notices))
+        raise LogError(source, f"none of its {traffic.frame_count} frames holds a signal of the DBC files")
+    return Content(source, channels, (*databases.notices, *_frame_notices(traffic), *notices))
 
 
-def _keeps(wanted: Wanted) -> Callable[[Definition], bool]:
+def _message_filter(selection: ChannelSelection) -> Callable[[CanMessage], bool]:
     """Return a function that says whether a message may hold what is asked for."""
-    if wanted.signals is None:
+    if selection.signals is None:
         return lambda _: True
-    last = {asked.rpartition("/")[2] for asked in (wanted.time, *wanted.signals)}
-    return lambda definition: any(each.name in last for each in definition.fields)
+    signal_names = {requested.rpartition("/")[2] for requested in (selection.time, *selection.signals)}
+    return lambda message: any(signal.name in signal_names for signal in message.signals)
 
 
-def _names(streams: Sequence[Stream]) -> tuple[dict[str, _Place], dict[str, list[str]]]:
+def _channel_names(streams: Sequence[Stream]) -> tuple[dict[str, _SignalLocation], dict[str, list[str]]]:
     """Return full name to place, and every other way to write a name to the full names it may mean."""
-    buses = Counter(name for name, _ in {(each.definition.name, each.bus) for each in streams})
-    nodes = Counter(name for name, _ in {(each.definition.name, each.node) for each in streams})
-    places: dict[str, _Place] = {}
-    spellings: dict[str, list[str]] = {}
+    buses = Counter(name for name, _ in {(bus_stream.message.name, bus_stream.bus) for bus_stream in streams})
+    nodes = Counter(
+        name for name, _ in {(node_stream.message.name, node_stream.node) for node_stream in streams}
+    )
+    locations: dict[str, _SignalLocation] = {}
+    aliases: dict[str, list[str]] = {}
     for stream in streams:
-        name = stream.definition.name
-        bus, sender = f"@can{stream.bus}", "" if stream.node is None else f"@{stream.node:#04x}"
-        full = name + (bus if buses[name] > 1 else "") + (sender if nodes[name] > 1 else "")
-        for each in stream.definition.fields:
-            places[f"{full}/{each.name}"] = _Place(stream, each)
-            for written in {name, name + bus, name + sender, name + bus + sender}:
-                spellings.setdefault(f"{written}/{each.name}", []).append(f"{full}/{each.name}")
-    return places, spellings
+        name = stream.message.name
+        bus_suffix, node_suffix = f"@can{stream.bus}", "" if stream.node is None else f"@{stream.node:#04x}"
+        full_name = name + (bus_suffix if buses[name] > 1 else "") + (node_suffix if nodes[name] > 1 else "")
+        for signal in stream.message.signals:
+            locations[f"{full_name}/{signal.name}"] = _SignalLocation(stream, signal)
+            for alias in {name, name + bus_suffix, name + node_suffix, name + bus_suffix + node_suffix}:
+                aliases.setdefault(f"{alias}/{signal.name}", []).append(f"{full_name}/{signal.name}")
+    return locations, aliases
 
 
-def _found(
+def _match_requested(
     source: Path,
-    wanted: Wanted,
-    spellings: dict[str, list[str]],
+    selection: ChannelSelection,
+    aliases: dict[str, list[str]],
     databases: Databases,
-    heard: Heard,
+    traffic: BusTraffic,
     names: list[str],
 ) -> dict[str, str]:
     """Return the name each channel is asked by to its full name, as `content.chosen` does."""
-    if wanted.signals is None:
-        return chosen(source, names, wanted, clocked=True)
-    found: dict[str, str] = {}
-    for asked in dict.fromkeys((wanted.time, *wanted.signals)):
-        meant = spellings.get(asked, [])
-        if len(meant) > 1:
-            raise LogError(source, f"several channels are meant: {listed(meant)}", column=asked)
-        if meant:
-            found[asked] = meant[0]
-        elif asked != wanted.time and asked not in {name.rpartition("/")[2] for name in names}:
-            _check_unheard(source, asked, databases.definitions, heard)
-    rest = wanted._replace(signals=tuple(asked for asked in wanted.signals if asked not in found))
-    found |= chosen(source, names, rest, clocked=True)
-    return {asked: found[asked] for asked in dict.fromkeys((wanted.time, *wanted.signals)) if asked in found}
+    if selection.signals is None:
+        return match_channels(source, names, selection, has_clocks=True)
+    matches: dict[str, str] = {}
+    for requested in dict.fromkeys((selection.time, *selection.signals)):
+        candidates = aliases.get(requested, [])
+        if len(candidates) > 1:
+            raise LogError(
+                source, f"several channels are meant: {format_names(candidates)}", column=requested
+            )
+        if candidates:
+            matches[requested] = candidates[0]
+        elif requested != selection.time and requested not in {name.rpartition("/")[2] for name in names}:
+            _check_not_in_log(source, requested, databases.messages, traffic)
+    remaining = selection._replace(
+        signals=tuple(requested for requested in selection.signals if requested not in matches)
+    )
+    matches |= match_channels(source, names, remaining, has_clocks=True)
+    return {
+        requested: matches[requested]
+        for requested in dict.fromkeys((selection.time, *selection.signals))
+        if requested in matches
+    }
 
 
-def _check_unheard(source: Path, asked: str, definitions: Sequence[Definition], heard: Heard) -> None:
+def _check_not_in_log(
+    source: Path, requested: str, messages: Sequence[CanMessage], traffic: BusTraffic
+) -> None:
     """Raise `LogError` if a channel is in a database but its message is not in the log."""
-    for each in definitions:
-        if asked not in {part for own in each.fields for part in (own.name, f"{each.name}/{own.name}")}:
+    for message in messages:
+        if requested not in {
+            name for signal in message.signals for name in (signal.name, f"{message.name}/{signal.name}")
+        }:
             continue
-        problem = f"its message '{each.name}', id {each.identifier:#x}, does not come in the log"
-        group = parameter_group(each.identifier)
-        nodes = [f"{node(met):#04x}" for met in sorted(heard.extended) if parameter_group(met) == group]
-        if each.extended and nodes:
-            problem += f"; its parameter group {group} does, from {listed(nodes)}"
-        if each.extended and nodes and not each.grouped:
+        problem = f"its message '{message.name}', id {message.identifier:#x}, does not come in the log"
+        group = parameter_group(message.identifier)
+        nodes = [
+            f"{node(identifier):#04x}"
+            for identifier in sorted(traffic.extended_ids)
+            if parameter_group(identifier) == group
+        ]
+        if message.extended and nodes:
+            problem += f"; its parameter group {group} does, from {format_names(nodes)}"
+        if message.extended and nodes and not message.is_j1939:
             problem += ": where the bus is J1939, let the DBC file say so by VFrameFormat 'J1939PG'"
-        raise LogError(source, problem, column=asked)
+        raise LogError(source, problem, column=requested)
 
 
-class _Block(NamedTuple):
+class _FrameBlock(NamedTuple):
     """Frames of one stream: their times, s, and their bytes."""
 
     clock_s: np.ndarray
@@ -139,81 +165,86 @@ class _Block(NamedTuple):
 
 
 @dataclass(frozen=True)
-class _Reading:
+class _BusReader:
     """Channels to be read: the log, its first stamp, where each is found."""
 
     source: Path
     first_s: float
-    places: dict[str, _Place]
+    locations: dict[str, _SignalLocation]
 
-    def channels(self, *, required: bool) -> tuple[dict[str, Channel], list[str]]:
+    def channels(self, *, required: bool) -> tuple[dict[str, LogChannel], list[str]]:
         """Return the channels and the notices; one without a number is an error only where required."""
-        channels: dict[str, Channel] = {}
+        channels: dict[str, LogChannel] = {}
         notices, empty = list(self._stream_notices()), []
-        blocks = {id(place.stream): _block(place.stream, self.first_s) for place in self.places.values()}
+        blocks = {
+            id(location.stream): _frame_block(location.stream, self.first_s)
+            for location in self.locations.values()
+        }
         clocks: dict[tuple[int, bytes], np.ndarray] = {}
-        for asked, place in self.places.items():
-            block = blocks[id(place.stream)]
-            values, there, dropped = _decoded(block.payload, place)
+        for requested, location in self.locations.items():
+            block = blocks[id(location.stream)]
+            values, present, unavailable_count = _decode(block.payload, location)
             if not values.size:
                 if required:
-                    raise LogError(self.source, _why_empty(place, dropped), column=asked)
-                empty.append(asked)
+                    raise LogError(self.source, _empty_reason(location, unavailable_count), column=requested)
+                empty.append(requested)
                 continue
-            if dropped:
-                of = values.size + dropped
+            if unavailable_count:
+                total = values.size + unavailable_count
                 notices.append(
-                    f"'{asked}': {dropped} of {of} samples are left out: J1939 has no number in them"
+                    f"'{requested}': {unavailable_count} of {total} samples are left out: J1939 has no number in them"
                 )
             # Channels on one clock share one array: the record is cut and resampled by clocks.
-            key = id(place.stream), np.packbits(there).tobytes()
-            shared = clocks.setdefault(key, block.clock_s if there.all() else block.clock_s[there])
-            channels[asked] = Channel(values, place.field.unit, shared)
+            key = id(location.stream), np.packbits(present).tobytes()
+            clock_s = clocks.setdefault(key, block.clock_s if present.all() else block.clock_s[present])
+            channels[requested] = LogChannel(values, location.signal.unit, clock_s)
         if empty:
-            notices.append(f"left out, for they never hold a number: {listed(empty)}")
+            notices.append(f"left out, for they never hold a number: {format_names(empty)}")
         return channels, notices
 
     def _stream_notices(self) -> Iterator[str]:
-        for stream in {id(place.stream): place.stream for place in self.places.values()}.values():
-            name, count = stream.definition.name, stream.short + len(stream.frames)
-            if stream.short:
+        for stream in {id(location.stream): location.stream for location in self.locations.values()}.values():
+            name, count = stream.message.name, stream.short_count + len(stream.frames)
+            if stream.short_count:
                 yield (
-                    f"'{name}': {stream.short} of {count} frames are left out: shorter than "
-                    f"{stream.definition.length} bytes"
+                    f"'{name}': {stream.short_count} of {count} frames are left out: shorter than "
+                    f"{stream.message.length} bytes"
                 )
-            if stream.assumed:
-                identifier = stream.definition.identifier
+            if stream.j1939_assumed:
+                identifier = stream.message.identifier
                 yield (
                     f"'{name}' was met by its parameter group {parameter_group(identifier)}, from "
                     f"{stream.node:#04x}: the id in the DBC file, {identifier:#x}, is of no node"
                 )
 
 
-def _block(stream: Stream, first_s: float) -> _Block:
-    length = stream.definition.length
+def _frame_block(stream: Stream, first_s: float) -> _FrameBlock:
+    length = stream.message.length
     stamps = np.array([stamp_s for stamp_s, _ in stream.frames], dtype=np.float64)
-    joined = b"".join(data[:length] for _, data in stream.frames)
-    return _Block(stamps - first_s, np.frombuffer(joined, dtype=np.uint8).reshape(stamps.size, length))
+    all_bytes = b"".join(data[:length] for _, data in stream.frames)
+    return _FrameBlock(
+        stamps - first_s, np.frombuffer(all_bytes, dtype=np.uint8).reshape(stamps.size, length)
+    )
 
 
-def _decoded(payload: Payload, place: _Place) -> tuple[np.ndarray, np.ndarray, int]:
+def _decode(payload: Payload, location: _SignalLocation) -> tuple[np.ndarray, np.ndarray, int]:
     """Return a signal's numbers, which frames they are of, and how many it had that J1939 calls none."""
-    there = selected(payload, place.field, place.stream.definition)
-    raw = raw_numbers(payload, place.field)
-    held = int(there.sum())
-    if place.stream.node is not None:
-        there &= available(raw, place.field)
-    return physical(raw[there], place.field), there, held - int(there.sum())
+    present = frames_with_signal(payload, location.signal, location.stream.message)
+    raw = raw_numbers(payload, location.signal)
+    present_count = int(present.sum())
+    if location.stream.node is not None:
+        present &= available(raw, location.signal)
+    return physical_values(raw[present], location.signal), present, present_count - int(present.sum())
 
 
-def _why_empty(place: _Place, dropped: int) -> str:
-    if dropped:
-        return f"all {dropped} samples are 'not available' or an error by J1939"
-    if place.stream.frames:
+def _empty_reason(location: _SignalLocation, unavailable_count: int) -> str:
+    if unavailable_count:
+        return f"all {unavailable_count} samples are 'not available' or an error by J1939"
+    if location.stream.frames:
         return "no frame holds it: its multiplexer never selects it"
-    return f"all frames of its message are shorter than {place.stream.definition.length} bytes"
+    return f"all frames of its message are shorter than {location.stream.message.length} bytes"
 
 
-def _odd(heard: Heard) -> Iterator[str]:
-    if heard.without_data:
-        yield f"{heard.without_data} error and remote frames are left out"
+def _frame_notices(traffic: BusTraffic) -> Iterator[str]:
+    if traffic.without_data:
+        yield f"{traffic.without_data} error and remote frames are left out"

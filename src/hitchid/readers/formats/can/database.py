@@ -9,13 +9,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hitchid.errors import LogError
-from hitchid.readers.formats.extra import damage, needed, spelled
+from hitchid.readers.formats.extra import as_log_errors, import_optional, unit_text
 
 NULL_ADDRESS = 0xFE
-LONGEST = 64
+MAX_SIGNAL_BITS = 64
 
 
-class Field(NamedTuple):
+class CanSignal(NamedTuple):
     """How one signal lies in a frame, in the terms of a DBC.
 
     Attributes:
@@ -23,39 +23,39 @@ class Field(NamedTuple):
         unit: as the database spells it, None where it says nothing.
         start: the least significant bit, for Motorola's byte order the most significant one.
         length: bits.
-        intel: whether the least significant byte comes first.
+        little_endian: whether the least significant byte comes first.
         signed: whether it is a two's complement.
-        floating: whether it is an IEEE 754 number.
+        is_float: whether it is an IEEE 754 number.
         scale: physical units a raw one.
         offset: physical value of raw zero.
-        selector: the multiplexer that says whether a frame holds it, None where each does.
-        selected_by: values of the multiplexer at which it is there.
+        multiplexer: the multiplexer that says whether a frame holds it, None where each does.
+        multiplexer_values: values of the multiplexer at which it is there.
     """
 
     name: str
     unit: str | None
     start: int
     length: int
-    intel: bool
+    little_endian: bool
     signed: bool
-    floating: bool
+    is_float: bool
     scale: float
     offset: float
-    selector: str | None
-    selected_by: tuple[int, ...]
+    multiplexer: str | None
+    multiplexer_values: tuple[int, ...]
 
     @property
-    def places(self) -> np.ndarray:
+    def bit_positions(self) -> np.ndarray:
         """Where its bits are, the least significant one first; bit b of byte n is at 8 n + b."""
-        if self.intel:
+        if self.little_endian:
             return self.start + np.arange(self.length)
         # Motorola counts on from the most significant bit, within each byte from bit 7 to bit 0.
         first = 8 * (self.start // 8) + 7 - self.start % 8
-        counted = (first + np.arange(self.length))[::-1]
-        return 8 * (counted // 8) + 7 - counted % 8
+        motorola_positions = (first + np.arange(self.length))[::-1]
+        return 8 * (motorola_positions // 8) + 7 - motorola_positions % 8
 
 
-class Definition(NamedTuple):
+class CanMessage(NamedTuple):
     """One message of a database.
 
     Attributes:
@@ -63,29 +63,29 @@ class Definition(NamedTuple):
         identifier: id of its frames, 11 or 29 bits.
         extended: whether the id has 29 bits.
         length: bytes.
-        fields: its signals.
-        grouped: whether the database says it is of J1939 or ISO 11783: a parameter group of any node.
-        unsaid: whether it may be such a group, though the database says nothing of it.
+        signals: its signals.
+        is_j1939: whether the database says it is of J1939 or ISO 11783: a parameter group of any node.
+        maybe_j1939: whether it may be such a group, though the database says nothing of it.
     """
 
     name: str
     identifier: int
     extended: bool
     length: int
-    fields: tuple[Field, ...]
-    grouped: bool
-    unsaid: bool
+    signals: tuple[CanSignal, ...]
+    is_j1939: bool
+    maybe_j1939: bool
 
 
 class Databases(NamedTuple):
     """What several databases say.
 
     Attributes:
-        definitions: their messages, each once.
+        messages: their messages, each once.
         notices: what the user should know of how they were read.
     """
 
-    definitions: tuple[Definition, ...]
+    messages: tuple[CanMessage, ...]
     notices: tuple[str, ...]
 
 
@@ -104,11 +104,13 @@ def read_databases(paths: Sequence[Path], source: Path) -> Databases:
             "required a DBC file: put it beside the log or name it in campaign.toml under [can] databases"
         )
         raise LogError(source, problem)
-    needed("cantools", "can", source)
-    read = {path: _read_database(path) for path in paths}
-    definitions = _told_apart({path: each.definitions for path, each in read.items()})
-    notices = [f"{path.name}: {notice}" for path, each in read.items() for notice in each.notices]
-    return Databases(tuple(definitions), tuple(notices))
+    import_optional("cantools", "can", source)
+    databases = {path: _read_database(path) for path in paths}
+    messages = _with_distinct_names({path: database.messages for path, database in databases.items()})
+    notices = [
+        f"{path.name}: {notice}" for path, database in databases.items() for notice in database.notices
+    ]
+    return Databases(tuple(messages), tuple(notices))
 
 
 def parameter_group(identifier: int) -> int:
@@ -124,16 +126,16 @@ def node(identifier: int) -> int:
 
 
 def _read_database(path: Path) -> Databases:
-    with damage(path, "a DBC file"):
-        read = _parsed(path.read_bytes())
-    if not read.definitions:
+    with as_log_errors(path, "a DBC file"):
+        database = _parse(path.read_bytes())
+    if not database.messages:
         raise LogError(path, "holds no messages with signals; required a DBC file of what is on the bus")
-    return read
+    return database
 
 
 # A large database takes seconds, and every log of a campaign asks for the same one.
 @lru_cache(maxsize=8)
-def _parsed(content: bytes) -> Databases:
+def _parse(content: bytes) -> Databases:
     from cantools.database import load_string
     from cantools.database.errors import Error
 
@@ -148,60 +150,68 @@ def _parsed(content: bytes) -> Databases:
         # Databases in use often hold signals that overlap; what fits its message can still be read.
         database = load_string(text, database_format="dbc", strict=False)
         notices = (f"read, though not sound ({error}); signals that do not fit their message are left out",)
-    return Databases(tuple(_definitions(database)), notices)
+    return Databases(tuple(_messages(database)), notices)
 
 
-def _definitions(database: Any) -> Iterable[Definition]:
+def _messages(database: Any) -> Iterable[CanMessage]:
     attributes = database.dbc.attributes if database.dbc else {}
-    said = bool(database.dbc) and "VFrameFormat" in database.dbc.attribute_definitions
+    marks_frame_format = bool(database.dbc) and "VFrameFormat" in database.dbc.attribute_definitions
     protocol = str(attributes["ProtocolType"].value) if "ProtocolType" in attributes else ""
     j1939 = protocol.replace(" ", "").upper().startswith(("J1939", "ISO11783"))
     for message in database.messages:
         extended = bool(message.is_extended_frame)
-        unmarked = extended and not said
-        grouped = extended and (message.protocol == "j1939" or (unmarked and j1939))
-        fields = (_field(signal) for signal in message.signals if 0 < signal.length <= LONGEST)
-        yield Definition(
+        unmarked = extended and not marks_frame_format
+        is_j1939 = extended and (message.protocol == "j1939" or (unmarked and j1939))
+        can_signals = (
+            _to_can_signal(signal) for signal in message.signals if 0 < signal.length <= MAX_SIGNAL_BITS
+        )
+        yield CanMessage(
             name=message.name,
             identifier=message.frame_id,
             extended=extended,
             length=message.length,
-            fields=tuple(field for field in fields if field.places.max() < 8 * message.length),
-            grouped=grouped,
-            unsaid=unmarked and not grouped and node(message.frame_id) == NULL_ADDRESS,
+            signals=tuple(
+                can_signal
+                for can_signal in can_signals
+                if can_signal.bit_positions.max() < 8 * message.length
+            ),
+            is_j1939=is_j1939,
+            maybe_j1939=unmarked and not is_j1939 and node(message.frame_id) == NULL_ADDRESS,
         )
 
 
-def _field(signal: Any) -> Field:
-    return Field(
+def _to_can_signal(signal: Any) -> CanSignal:
+    return CanSignal(
         name=signal.name,
-        unit=spelled(signal.unit),
+        unit=unit_text(signal.unit),
         start=signal.start,
         length=signal.length,
-        intel=signal.byte_order == "little_endian",
+        little_endian=signal.byte_order == "little_endian",
         signed=bool(signal.is_signed),
-        floating=bool(signal.conversion.is_float),
+        is_float=bool(signal.conversion.is_float),
         scale=float(signal.conversion.scale),
         offset=float(signal.conversion.offset),
-        selector=signal.multiplexer_signal,
-        selected_by=tuple(signal.multiplexer_ids or ()),
+        multiplexer=signal.multiplexer_signal,
+        multiplexer_values=tuple(signal.multiplexer_ids or ()),
     )
 
 
-def _told_apart(read: dict[Path, tuple[Definition, ...]]) -> list[Definition]:
+def _with_distinct_names(messages_by_path: dict[Path, tuple[CanMessage, ...]]) -> list[CanMessage]:
     """Put the database's name before messages that share a name and differ."""
-    distinct: dict[Definition, Path] = {}
-    for path, definitions in read.items():
-        for definition in definitions:
-            distinct.setdefault(definition, path)
-    count = Counter(definition.name for definition in distinct)
-    apart = {
-        each._replace(name=f"{path.stem}.{each.name}") if count[each.name] > 1 else each: path
-        for each, path in distinct.items()
+    distinct: dict[CanMessage, Path] = {}
+    for path, messages in messages_by_path.items():
+        for message in messages:
+            distinct.setdefault(message, path)
+    count = Counter(message.name for message in distinct)
+    renamed = {
+        original._replace(name=f"{path.stem}.{original.name}") if count[original.name] > 1 else original: path
+        for original, path in distinct.items()
     }
-    taken: set[str] = set()
-    for each, path in apart.items():
-        if each.name in taken:
-            raise LogError(path, f"several messages are named '{each.name}'; required one of each name")
-        taken.add(each.name)
-    return list(apart)
+    taken_names: set[str] = set()
+    for renamed_message, path in renamed.items():
+        if renamed_message.name in taken_names:
+            raise LogError(
+                path, f"several messages are named '{renamed_message.name}'; required one of each name"
+            )
+        taken_names.add(renamed_message.name)
+    return list(renamed)

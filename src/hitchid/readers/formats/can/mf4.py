@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from hitchid.errors import LogError
-from hitchid.readers.content import Content, Wanted
+from hitchid.readers.content import ChannelSelection, Content
 from hitchid.readers.formats.can.bus import read_bus
 from hitchid.readers.formats.can.streams import Frame
-from hitchid.readers.formats.extra import damage, needed
-from hitchid.readers.formats.mdf.blocks import check_whole
+from hitchid.readers.formats.extra import as_log_errors, import_optional
+from hitchid.readers.formats.mdf.blocks import check_complete
 
 KIND = "an MDF file"
 ID_BITS, EXTENDED_BIT = 0x1FFFFFFF, 0x80000000
@@ -29,62 +29,69 @@ def is_bus_log(path: Path) -> bool:
     Raises:
         LogError: the file is damaged or was cut short, or asammdf is missing.
     """
-    asammdf = needed("asammdf", "mdf", path)
-    with damage(path, KIND):
-        check_whole(path)
+    asammdf = import_optional("asammdf", "mdf", path)
+    with as_log_errors(path, KIND):
+        check_complete(path)
         with asammdf.MDF(path, process_bus_logging=False) as log:
-            return any(DATA in _names(group) or f"{DATA}.ID" in _names(group) for group in log.groups)
+            return any(
+                DATA in _channel_names(group) or f"{DATA}.ID" in _channel_names(group) for group in log.groups
+            )
 
 
-def read_mf4(path: Path, wanted: Wanted) -> Content:
+def read_mf4(path: Path, selection: ChannelSelection) -> Content:
     """Read the wanted signals of a CAN bus log in MF4; `read_bus` says how they are named and met.
 
     Args:
         path: the log.
-        wanted: what is asked for, and the DBC files.
+        selection: what is asked for, and the DBC files.
 
     Raises:
         LogError: the log or a DBC file cannot be read or is missing, a signal is not there, or asammdf or
             cantools is missing.
     """
-    asammdf = needed("asammdf", "mdf", path)
-    return read_bus(_mf4(path, asammdf), path, wanted)
+    asammdf = import_optional("asammdf", "mdf", path)
+    return read_bus(_read_frames(path, asammdf), path, selection)
 
 
-def _mf4(path: Path, asammdf: Any) -> Iterator[Frame]:
-    with damage(path, KIND):
-        check_whole(path)
+def _read_frames(path: Path, asammdf: Any) -> Iterator[Frame]:
+    with as_log_errors(path, KIND):
+        check_complete(path)
         with asammdf.MDF(path, process_bus_logging=False) as log:
-            parts = [_part(path, log, index) for index in range(len(log.groups))]
-    parts = [part for part in parts if part]
+            frames_by_group = [_group_frames(path, log, index) for index in range(len(log.groups))]
+    frames_by_group = [frames for frames in frames_by_group if frames]
     # Frames of one message may stand in several groups, those received and those sent.
-    yield from parts[0] if len(parts) == 1 else merge(*parts, key=lambda frame: frame.stamp_s)
+    yield from (
+        frames_by_group[0]
+        if len(frames_by_group) == 1
+        else merge(*frames_by_group, key=lambda frame: frame.stamp_s)
+    )
 
 
-def _names(group: Any) -> set[str]:
+def _channel_names(group: Any) -> set[str]:
     return {channel.name for channel in group.channels}
 
 
-def _part(path: Path, log: Any, index: int) -> list[Frame]:
+def _group_frames(path: Path, log: Any, index: int) -> list[Frame]:
     """Return the frames of one group of an MF4 log."""
-    names, count = _names(log.groups[index]), log.groups[index].channel_group.cycles_nr
+    names, count = _channel_names(log.groups[index]), log.groups[index].channel_group.cycles_nr
     if any(name in names or f"{name}.ID" in names for name in WITHOUT_DATA):
         return [Frame(0.0, 0, 0, False, None)] * count
     if not count or f"{DATA}.ID" not in names:
         return []
-    numbers = _column(log, index, "ID").astype(np.uint32)
-    data = _data(log, index, names)
+    identifiers = _column(log, index, "ID").astype(np.uint32)
+    data = _frame_data(log, index, names)
     stamps = log.get(f"{DATA}.ID", group=index).timestamps
-    if not count == len(stamps) == len(numbers) == len(data):
-        raise LogError(path, f"was cut short: holds {min(len(numbers), len(data))} of {count} frames")
+    if not count == len(stamps) == len(identifiers) == len(data):
+        raise LogError(path, f"was cut short: holds {min(len(identifiers), len(data))} of {count} frames")
     # Without a field of its own, the top bit of the id says that it has 29.
-    extended = _column(log, index, "IDE") if f"{DATA}.IDE" in names else numbers & EXTENDED_BIT
+    extended = _column(log, index, "IDE") if f"{DATA}.IDE" in names else identifiers & EXTENDED_BIT
     buses = _column(log, index, "BusChannel") if f"{DATA}.BusChannel" in names else np.zeros(count)
-    whose = zip(
-        buses.astype(int).tolist(), (numbers & ID_BITS).tolist(), (extended != 0).tolist(), strict=True
+    headers = zip(
+        buses.astype(int).tolist(), (identifiers & ID_BITS).tolist(), (extended != 0).tolist(), strict=True
     )
     return [
-        Frame(stamp_s, *own, each) for stamp_s, own, each in zip(stamps.tolist(), whose, data, strict=True)
+        Frame(stamp_s, *header, frame_data)
+        for stamp_s, header, frame_data in zip(stamps.tolist(), headers, data, strict=True)
     ]
 
 
@@ -92,7 +99,7 @@ def _column(log: Any, index: int, name: str) -> np.ndarray:
     return log.get(f"{DATA}.{name}", group=index, raw=True).samples
 
 
-def _data(log: Any, index: int, names: set[str]) -> list[bytes]:
+def _frame_data(log: Any, index: int, names: set[str]) -> list[bytes]:
     """Return the bytes of each frame."""
     payload = np.ascontiguousarray(_column(log, index, "DataBytes"))
     if not payload.size:
@@ -102,6 +109,6 @@ def _data(log: Any, index: int, names: set[str]) -> list[bytes]:
         lengths = _column(log, index, "DataLength")
     else:
         lengths = FD_LENGTHS[_column(log, index, "DLC").astype(int)]
-    width, joined = rows.shape[1], rows.tobytes()
+    width, all_bytes = rows.shape[1], rows.tobytes()
     ends = (width * np.arange(len(rows)) + np.minimum(lengths.astype(int), width)).tolist()
-    return [joined[at * width : end] for at, end in enumerate(ends)]
+    return [all_bytes[row * width : end] for row, end in enumerate(ends)]

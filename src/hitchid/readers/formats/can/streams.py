@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from hitchid.readers.formats.can.database import NULL_ADDRESS, Definition, node, parameter_group
+from hitchid.readers.formats.can.database import NULL_ADDRESS, CanMessage, node, parameter_group
 
 
 class Frame(NamedTuple):
@@ -27,62 +27,67 @@ class Frame(NamedTuple):
 
 @dataclass
 class Stream:
-    """The frames one node sends of one message on one bus; `node` and `assumed` as `Match` has them."""
+    """The frames one node sends of one message on one bus; `node` and `j1939_assumed` as `MessageMatch` has
+    them."""
 
-    definition: Definition
+    message: CanMessage
     bus: int
     node: int | None
-    assumed: bool
+    j1939_assumed: bool
     frames: list[tuple[float, bytes]] = field(default_factory=list)
-    short: int = 0
+    short_count: int = 0
 
 
-class Match(NamedTuple):
+class MessageMatch(NamedTuple):
     """A message an id may stand for, the node that sends it by J1939, whether J1939 is only assumed."""
 
-    definition: Definition
+    message: CanMessage
     node: int | None
-    assumed: bool
+    j1939_assumed: bool
 
 
-def _matcher(definitions: Sequence[Definition]) -> Callable[[int, bool], list[Match]]:
+def _message_matcher(messages: Sequence[CanMessage]) -> Callable[[int, bool], list[MessageMatch]]:
     """Return a function from an id to the messages it may stand for."""
-    exact: dict[tuple[int, bool], list[Definition]] = {}
-    groups: dict[tuple[int, bool], list[Definition]] = {}
-    for each in definitions:
-        if not each.grouped:
-            exact.setdefault((each.identifier, each.extended), []).append(each)
-        if each.grouped or each.unsaid:
-            groups.setdefault((parameter_group(each.identifier), each.unsaid), []).append(each)
+    exact: dict[tuple[int, bool], list[CanMessage]] = {}
+    groups: dict[tuple[int, bool], list[CanMessage]] = {}
+    for message in messages:
+        if not message.is_j1939:
+            exact.setdefault((message.identifier, message.extended), []).append(message)
+        if message.is_j1939 or message.maybe_j1939:
+            groups.setdefault((parameter_group(message.identifier), message.maybe_j1939), []).append(message)
 
-    def matches(identifier: int, extended: bool) -> list[Match]:
-        found = [Match(each, None, False) for each in exact.get((identifier, extended), [])]
+    def matches(identifier: int, extended: bool) -> list[MessageMatch]:
+        candidates = [MessageMatch(message, None, False) for message in exact.get((identifier, extended), [])]
         if extended:
-            for unsaid in (False, True):
-                group = groups.get((parameter_group(identifier), unsaid), [])
-                meant = _of_node(group, node(identifier))
-                own = [each for each in meant if not (unsaid and each.identifier == identifier)]
-                found += [Match(each, node(identifier), unsaid) for each in own]
-        return found
+            for maybe_j1939 in (False, True):
+                group = groups.get((parameter_group(identifier), maybe_j1939), [])
+                node_messages = _messages_of_node(group, node(identifier))
+                accepted = [
+                    message
+                    for message in node_messages
+                    if not (maybe_j1939 and message.identifier == identifier)
+                ]
+                candidates += [MessageMatch(message, node(identifier), maybe_j1939) for message in accepted]
+        return candidates
 
     return matches
 
 
-class Heard(NamedTuple):
+class BusTraffic(NamedTuple):
     """What is in a log: streams, the 29-bit ids met, its first stamp, frames without data, data frames."""
 
     streams: list[Stream]
-    extended: set[int]
+    extended_ids: set[int]
     first_s: float
     without_data: int
-    frames: int
+    frame_count: int
 
 
-def listen(
-    frames: Iterable[Frame], definitions: Sequence[Definition], keeps: Callable[[Definition], bool]
-) -> Heard:
+def collect_streams(
+    frames: Iterable[Frame], messages: Sequence[CanMessage], message_filter: Callable[[CanMessage], bool]
+) -> BusTraffic:
     """Sort the frames of the messages that are kept into streams; of the others, note that they come."""
-    matches = _matcher(definitions)
+    matches = _message_matcher(messages)
     streams: dict[tuple[str, int, int | None, bool], Stream] = {}
     routes: dict[tuple[int, bool, int], list[Stream]] = {}
     first_s, without_data, count = 0.0, 0, 0
@@ -94,32 +99,37 @@ def listen(
         if not count:
             first_s = stamp_s
         count += 1
-        into = routes.get((bus, extended, identifier))
-        if into is None:
-            met = [
-                streams.setdefault((it.definition.name, bus, *it[1:]), Stream(it.definition, bus, *it[1:]))
-                for it in matches(identifier, extended)
+        targets = routes.get((bus, extended, identifier))
+        if targets is None:
+            matched_streams = [
+                streams.setdefault(
+                    (message_match.message.name, bus, *message_match[1:]),
+                    Stream(message_match.message, bus, *message_match[1:]),
+                )
+                for message_match in matches(identifier, extended)
             ]
-            into = routes[bus, extended, identifier] = [each for each in met if keeps(each.definition)]
-        for stream in into:
-            if len(data) < stream.definition.length:
-                stream.short += 1
+            targets = routes[bus, extended, identifier] = [
+                candidate for candidate in matched_streams if message_filter(candidate.message)
+            ]
+        for stream in targets:
+            if len(data) < stream.message.length:
+                stream.short_count += 1
             else:
                 stream.frames.append((stamp_s, data))
     ids = {identifier for _, extended, identifier in routes if extended}
-    return Heard(_sure(list(streams.values())), ids, first_s, without_data, count)
+    return BusTraffic(_without_assumed_duplicates(list(streams.values())), ids, first_s, without_data, count)
 
 
-def _sure(streams: Sequence[Stream]) -> list[Stream]:
+def _without_assumed_duplicates(streams: Sequence[Stream]) -> list[Stream]:
     """Leave out what was only assumed to be a message whose very id is in the log."""
-    met = {each.definition.name for each in streams if not each.assumed}
-    return [each for each in streams if not (each.assumed and each.definition.name in met)]
+    exact_names = {stream.message.name for stream in streams if not stream.j1939_assumed}
+    return [stream for stream in streams if not (stream.j1939_assumed and stream.message.name in exact_names)]
 
 
-def _of_node(group: Sequence[Definition], address: int) -> list[Definition]:
+def _messages_of_node(group: Sequence[CanMessage], address: int) -> list[CanMessage]:
     """Return the definitions of one parameter group that hold for a node."""
-    own = [each for each in group if node(each.identifier) == address]
-    of_any = [each for each in group if node(each.identifier) == NULL_ADDRESS]
+    exact = [message for message in group if node(message.identifier) == address]
+    any_node = [message for message in group if node(message.identifier) == NULL_ADDRESS]
     # One node's definition stands for all nodes unless the database tells them apart.
-    alone = list(group) if len({node(each.identifier) for each in group}) == 1 else []
-    return own or of_any or alone
+    shared = list(group) if len({node(message.identifier) for message in group}) == 1 else []
+    return exact or any_node or shared

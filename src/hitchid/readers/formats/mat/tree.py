@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hitchid.readers.formats.extra import is_vector, numbered
+from hitchid.readers.formats.extra import is_vector, unique_names
 
 
 class Leaf(NamedTuple):
@@ -22,7 +22,7 @@ class Leaf(NamedTuple):
     variable: str | None = None
 
 
-class Source(NamedTuple):
+class ChannelSource(NamedTuple):
     """Where the numbers of a channel are, with their unit and time."""
 
     values: Leaf
@@ -31,7 +31,7 @@ class Source(NamedTuple):
     time_unit: str | None = None
 
 
-def channels_of(tree: Mapping[str, object]) -> dict[str, Source]:
+def channels_of(tree: Mapping[str, object]) -> dict[str, ChannelSource]:
     """Return full name to source of every vector of numbers in a file.
 
     Fields of structs are named `log/stroke`; signals of a ControlDesk export by their own name, those of a
@@ -41,37 +41,37 @@ def channels_of(tree: Mapping[str, object]) -> dict[str, Source]:
         tree: variable to node: a leaf, a text, a dictionary of fields or a list of such.
     """
     exports = sum(_is_control_desk(node) for node in tree.values())
-    pairs: list[tuple[str, Source]] = []
+    pairs: list[tuple[str, ChannelSource]] = []
     for name, node in tree.items():
         if isinstance(node, dict) and _is_control_desk(node):
             pairs += _control_desk(node, f"{name}/" if exports > 1 else "")
         else:
-            pairs += _plain(name, node)
-    names = numbered([name for name, _ in pairs])
+            pairs += _plain_channels(name, node)
+    names = unique_names([name for name, _ in pairs])
     return dict(zip(names, (source for _, source in pairs), strict=True))
 
 
-def _plain(name: str, node: object) -> list[tuple[str, Source]]:
+def _plain_channels(name: str, node: object) -> list[tuple[str, ChannelSource]]:
     if isinstance(node, Leaf):
-        return [(name, Source(node))] if is_vector(node.shape) else []
+        return [(name, ChannelSource(node))] if is_vector(node.shape) else []
     if not isinstance(node, dict):
         return []
     if isinstance(time := node.get("time"), Leaf) and is_vector(time.shape) and "signals" in node:
-        return _simulink(name, time, _listed(node["signals"]))
-    return [pair for field, inner in node.items() for pair in _plain(f"{name}/{field}", inner)]
+        return _simulink(name, time, _struct_list(node["signals"]))
+    return [pair for field, inner in node.items() for pair in _plain_channels(f"{name}/{field}", inner)]
 
 
 def _is_control_desk(node: object) -> bool:
     if not isinstance(node, dict) or not {"X", "Y"} <= node.keys():
         return False
-    axes, signals = _listed(node["X"]), _listed(node["Y"])
+    axes, signals = _struct_list(node["X"]), _struct_list(node["Y"])
     return bool(axes and signals) and "Data" in axes[0] and {"Name", "Data"} <= signals[0].keys()
 
 
-def _control_desk(node: Mapping[str, object], prefix: str) -> list[tuple[str, Source]]:
-    axes = _listed(node["X"])
+def _control_desk(node: Mapping[str, object], prefix: str) -> list[tuple[str, ChannelSource]]:
+    axes = _struct_list(node["X"])
     pairs = []
-    for number, signal in enumerate(_listed(node["Y"]), start=1):
+    for number, signal in enumerate(_struct_list(node["Y"]), start=1):
         data = signal.get("Data")
         if isinstance(data, Leaf) and is_vector(data.shape):
             axis = _axis(axes, signal.get("XIndex"), data)
@@ -79,32 +79,34 @@ def _control_desk(node: Mapping[str, object], prefix: str) -> list[tuple[str, So
             clock = time if isinstance(time, Leaf) else None
             unit, time_unit = _text(signal.get("Unit")), _text(axis.get("Unit"))
             name = _text(signal.get("Name")) or str(number)
-            pairs.append((f"{prefix}{name}", Source(data, unit, clock, time_unit)))
+            pairs.append((f"{prefix}{name}", ChannelSource(data, unit, clock, time_unit)))
     return pairs
 
 
 def _axis(axes: Sequence[Mapping[str, object]], index: object, data: Leaf) -> Mapping[str, object]:
     """Return the axis a signal names, counted from one, else the first that is as long; empty if none is."""
-    alike = [
+    matching = [
         number for number, axis in enumerate(axes, start=1) if _length(axis.get("Data")) == max(data.shape)
     ]
-    named = int(np.ravel(index.load({}))[0]) if isinstance(index, Leaf) and _length(index) == 1 else 0
-    if named in alike:
-        return axes[named - 1]
-    return axes[alike[0] - 1] if alike else {}
+    axis_number = int(np.ravel(index.load({}))[0]) if isinstance(index, Leaf) and _length(index) == 1 else 0
+    if axis_number in matching:
+        return axes[axis_number - 1]
+    return axes[matching[0] - 1] if matching else {}
 
 
-def _simulink(name: str, time: Leaf, signals: Sequence[Mapping[str, object]]) -> list[tuple[str, Source]]:
-    pairs = [(f"{name}/time", Source(time, "s", time))]
+def _simulink(
+    name: str, time: Leaf, signals: Sequence[Mapping[str, object]]
+) -> list[tuple[str, ChannelSource]]:
+    pairs = [(f"{name}/time", ChannelSource(time, "s", time))]
     for number, signal in enumerate(signals, start=1):
         values = signal.get("values")
         if isinstance(values, Leaf) and is_vector(values.shape) and _length(values) == _length(time):
             label = _text(signal.get("label")) or f"signals({number})"
-            pairs.append((f"{name}/{label}", Source(values, None, time)))
+            pairs.append((f"{name}/{label}", ChannelSource(values, None, time)))
     return pairs
 
 
-def _listed(node: object) -> list[Mapping[str, object]]:
+def _struct_list(node: object) -> list[Mapping[str, object]]:
     return [node] if isinstance(node, dict) else node if isinstance(node, list) else []
 
 

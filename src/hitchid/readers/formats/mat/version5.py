@@ -9,18 +9,23 @@ from typing import Any, BinaryIO, NamedTuple
 import numpy as np
 
 from hitchid.errors import LogError
-from hitchid.readers.formats.extra import damage, is_vector
+from hitchid.readers.formats.extra import as_log_errors, is_vector
 from hitchid.readers.formats.mat.tree import Leaf
 
 KIND = "a MATLAB file up to version 7"
-NUMBERS = ("double", "single", "logical", *(f"{u}int{bits}" for u in ("", "u") for bits in (8, 16, 32, 64)))
+NUMERIC_CLASSES = (
+    "double",
+    "single",
+    "logical",
+    *(f"{u}int{bits}" for u in ("", "u") for bits in (8, 16, 32, 64)),
+)
 HEADER = 128
 MATRIX, COMPRESSED, SPARSE = 14, 15, 5
-TIGHTEST = 1032  # zlib makes nothing smaller by more than this
-NO_FIELDS = 10_000  # structs without fields take no bytes: so many are believed
+MAX_COMPRESSION_RATIO = 1032  # zlib makes nothing smaller by more than this
+MAX_EMPTY_STRUCTS = 10_000  # structs without fields take no bytes: so many are believed
 
 
-class File(NamedTuple):
+class MatFile(NamedTuple):
     """A file: what it holds, and how variables are loaded."""
 
     path: Path
@@ -35,11 +40,11 @@ class File(NamedTuple):
         Raises:
             LogError: the file is damaged.
         """
-        return _loaded(self.path, names)
+        return _load_variables(self.path, names)
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[File]:
+def open_log(path: Path) -> Iterator[MatFile]:
     """Look into a MATLAB file: vectors by name and shape, structs with all they hold.
 
     Raises:
@@ -47,18 +52,18 @@ def opened(path: Path) -> Iterator[File]:
     """
     from scipy.io import whosmat  # not at the top: a quarter of a second
 
-    with damage(path, KIND):
+    with as_log_errors(path, KIND):
         check_sizes(path)
         # What scipy adds of its own begins with two underscores, as no name in MATLAB does.
-        listed = [variable for variable in whosmat(path) if not variable[0].startswith("__")]
-    structs = _loaded(path, [name for name, _, kind in listed if kind == "struct"])
+        listing = [variable for variable in whosmat(path) if not variable[0].startswith("__")]
+    structs = _load_variables(path, [name for name, _, kind in listing if kind == "struct"])
     tree: dict[str, object] = {}
-    for name, shape, kind in listed:
-        if kind in NUMBERS and is_vector(shape):
-            tree[name] = Leaf(tuple(shape), lambda stock, name=name: stock[name], name)
+    for name, shape, kind in listing:
+        if kind in NUMERIC_CLASSES and is_vector(shape):
+            tree[name] = Leaf(tuple(shape), lambda variables, name=name: variables[name], name)
         elif kind == "struct":
             tree[name] = _node(structs[name])
-    yield File(path, tree)
+    yield MatFile(path, tree)
 
 
 def check_sizes(path: Path) -> None:
@@ -75,46 +80,46 @@ def check_sizes(path: Path) -> None:
         size, position = stream.seek(0, 2), HEADER
         while position < size:
             stream.seek(position)
-            kind, length = _pair(stream.read(8), order)
+            kind, length = _read_tag(stream.read(8), order)
             end = position + 8 + length
             if end > size:
                 raise LogError(path, f"was cut short: a variable ends at byte {end}, the file has {size}")
-            _check_declared(path, stream, order, kind, length)
+            _check_declared_size(path, stream, order, kind, length)
             position = end
 
 
-def _pair(block: bytes, order: str) -> tuple[int, int]:
+def _read_tag(block: bytes, order: str) -> tuple[int, int]:
     if len(block) < 8:
         return 0, 1 << 32  # cut within the tag: beyond any end
     first, second = np.frombuffer(block[:8], f"{order}u4").tolist()
     return first, second
 
 
-def _check_declared(path: Path, stream: BinaryIO, order: str, kind: int, length: int) -> None:
+def _check_declared_size(path: Path, stream: BinaryIO, order: str, kind: int, length: int) -> None:
     head = stream.read(min(length, 2048))
     if kind == COMPRESSED:
         head = zlib.decompressobj().decompress(head, 512)
         if len(head) < 8:
             return
-        kind, packed, length = *_pair(head, order)[:1], length, _pair(head, order)[1]
-        if length > TIGHTEST * packed:
-            raise LogError(path, f"cannot be read as {KIND}: {packed} bytes are said to hold {length}")
+        kind, packed_length, length = *_read_tag(head, order)[:1], length, _read_tag(head, order)[1]
+        if length > MAX_COMPRESSION_RATIO * packed_length:
+            raise LogError(path, f"cannot be read as {KIND}: {packed_length} bytes are said to hold {length}")
         head = head[8:]
     if kind != MATRIX or len(head) < 24:
         return
     numbers = np.frombuffer(head[: len(head) // 4 * 4], f"{order}u4").tolist()
     shape = numbers[6 : 6 + min(numbers[5] // 4, 32)]
     count = int(np.prod(shape, dtype=object))
-    if numbers[2] & 0xFF != SPARSE and count > max(length, NO_FIELDS):
+    if numbers[2] & 0xFF != SPARSE and count > max(length, MAX_EMPTY_STRUCTS):
         raise LogError(path, f"cannot be read as {KIND}: {length} bytes are said to hold {count} values")
 
 
-def _loaded(path: Path, names: Sequence[str]) -> dict[str, Any]:
+def _load_variables(path: Path, names: Sequence[str]) -> dict[str, Any]:
     from scipy.io import loadmat
 
     if not names:
         return {}
-    with damage(path, KIND):
+    with as_log_errors(path, KIND):
         loaded = loadmat(path, variable_names=list(names))
     return {name: loaded[name] for name in names}
 

@@ -7,17 +7,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hitchid.readers.formats.extra import needed
-from hitchid.readers.formats.hdf5 import NUMBERS, is_outside, stored
+from hitchid.readers.formats.extra import import_optional
+from hitchid.readers.formats.hdf5 import NUMERIC_KINDS, is_external, read_dataset
 from hitchid.readers.formats.mat.tree import Leaf
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
-STARTS = (0, 512)  # MATLAB keeps 512 bytes for its own header
-DEEPEST = 30
-NO_NUMBERS = ("char", "cell", "struct", "function_handle", "table", "string", "categorical")
+SIGNATURE_OFFSETS = (0, 512)  # MATLAB keeps 512 bytes for its own header
+MAX_DEPTH = 30
+NON_NUMERIC_CLASSES = ("char", "cell", "struct", "function_handle", "table", "string", "categorical")
 
 
-class File(NamedTuple):
+class MatFile(NamedTuple):
     """An open file: what it holds, and how variables are loaded."""
 
     tree: Mapping[str, object]
@@ -27,23 +27,23 @@ class File(NamedTuple):
         return {}
 
 
-def is_one(path: Path) -> bool:
+def is_hdf5(path: Path) -> bool:
     """Return whether a file is HDF5 inside."""
     with path.open("rb") as stream:
-        head = stream.read(STARTS[-1] + len(SIGNATURE))
-    return any(head[start:].startswith(SIGNATURE) for start in STARTS)
+        head = stream.read(SIGNATURE_OFFSETS[-1] + len(SIGNATURE))
+    return any(head[offset:].startswith(SIGNATURE) for offset in SIGNATURE_OFFSETS)
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[File]:
+def open_log(path: Path) -> Iterator[MatFile]:
     """Open a MATLAB 7.3 file.
 
     Raises:
         LogError: h5py is missing.
     """
-    h5py = needed("h5py", "hdf5", path)
+    h5py = import_optional("h5py", "hdf5", path)
     with h5py.File(path, "r") as file:
-        yield File(_fields(_Reader(h5py, path), file, 0))
+        yield MatFile(_fields(_Reader(h5py, path), file, 0))
 
 
 class _Reader(NamedTuple):
@@ -59,12 +59,12 @@ class _Column(NamedTuple):
 
 def _fields(reader: _Reader, group: Any, depth: int) -> dict[str, object]:
     fields: dict[str, object] = {}
-    for name in group if depth < DEEPEST else ():
+    for name in group if depth < MAX_DEPTH else ():
         if name.startswith("#"):  # where MATLAB keeps what references lead to
             continue
         link = group.get(name, getlink=True)
         if isinstance(link, reader.h5py.ExternalLink):
-            fields[name] = _outside(reader, f"{group.name}/{name}")
+            fields[name] = _external_leaf(reader, f"{group.name}/{name}")
         elif isinstance(link, reader.h5py.HardLink):
             fields[name] = _node(reader, group[name], depth + 1)
     return fields
@@ -77,19 +77,19 @@ def _node(reader: _Reader, item: Any, depth: int) -> object:
         return _structs(_fields(reader, item, depth))
     if not isinstance(item, reader.h5py.Dataset):
         return None
-    return _outside(reader, item.name) if is_outside(item) else _array(reader, item, depth)
+    return _external_leaf(reader, item.name) if is_external(item) else _array(reader, item, depth)
 
 
 def _array(reader: _Reader, item: Any, depth: int) -> object:
-    kind = _class(item)
+    kind = _matlab_class(item)
     if "MATLAB_empty" in item.attrs or item.shape is None:
         return None
     if kind == "char" and item.dtype.kind == "u" and item.ndim == 2:
         return "".join(map(chr, item[()].ravel().tolist())) if min(item.shape) == 1 else None
     if kind == "" and item.dtype == reader.h5py.ref_dtype:  # one field of an array of structs
         return _Column([_node(reader, item.file[reference], depth + 1) for reference in item[()].ravel()])
-    if item.dtype.kind in NUMBERS and kind not in NO_NUMBERS:
-        return Leaf(item.shape, lambda _: stored(reader.path, item, item.name.lstrip("/")))
+    if item.dtype.kind in NUMERIC_KINDS and kind not in NON_NUMERIC_CLASSES:
+        return Leaf(item.shape, lambda _: read_dataset(reader.path, item, item.name.lstrip("/")))
     return None
 
 
@@ -102,10 +102,10 @@ def _structs(fields: dict[str, object]) -> object:
     return [{name: inner[k] for name, inner in columns.items()} for k in range(lengths.pop())]
 
 
-def _outside(reader: _Reader, name: str) -> Leaf:
-    return Leaf((2,), lambda _: stored(reader.path, None, name.lstrip("/")))
+def _external_leaf(reader: _Reader, name: str) -> Leaf:
+    return Leaf((2,), lambda _: read_dataset(reader.path, None, name.lstrip("/")))
 
 
-def _class(item: Any) -> str:
+def _matlab_class(item: Any) -> str:
     kind = item.attrs.get("MATLAB_class", b"")
     return kind.decode("ascii", errors="replace") if isinstance(kind, bytes) else str(kind)

@@ -9,39 +9,53 @@ import numpy as np
 
 from hitchid.data.units import unit_of_column
 from hitchid.errors import LogError
-from hitchid.readers.content import Channel, Content, Wanted
-from hitchid.readers.formats.cf import in_seconds, is_time
-from hitchid.readers.formats.extra import damage, floats, needed, numbered, picked, spelled
-from hitchid.readers.formats.mdf.blocks import check_whole
-from hitchid.readers.formats.mdf.numbers import counted, holds_numbers, is_master, is_stored, physical
+from hitchid.readers.content import ChannelSelection, Content, LogChannel
+from hitchid.readers.formats.cf import is_time, to_seconds
+from hitchid.readers.formats.extra import (
+    as_log_errors,
+    floats,
+    import_optional,
+    match_clocked_channels,
+    unique_names,
+    unit_text,
+)
+from hitchid.readers.formats.mdf.blocks import check_complete
+from hitchid.readers.formats.mdf.numbers import (
+    holds_numbers,
+    is_master,
+    is_stored,
+    physical_values,
+    virtual_master_values,
+)
 
 SUFFIXES = (".mf4", ".mdf")
 KIND = "an MDF file"
 TIME = "time_s"
 
 
-def read(path: Path, wanted: Wanted) -> Content:
+def read(path: Path, selection: ChannelSelection) -> Content:
     """Read the wanted channels of an MDF file.
 
     Args:
         path: the file.
-        wanted: what is asked for; the time is that of each group's master.
+        selection: what is asked for; the time is that of each group's master.
 
     Raises:
         LogError: the file is damaged or was cut short, a channel is missing, or asammdf is.
     """
-    asammdf = needed("asammdf", "mdf", path)
-    with damage(path, KIND):
-        check_whole(path)
+    asammdf = import_optional("asammdf", "mdf", path)
+    with as_log_errors(path, KIND):
+        check_complete(path)
         with asammdf.MDF(path, process_bus_logging=False) as log:
-            places = _places(log)
+            locations = _channel_locations(log)
             masters = {group: master for group in range(len(log.groups)) if (master := _master(log, group))}
-            clocked = {name for name, (group, _) in places.items() if group in masters}
-            found = picked(path, list(places), wanted, clocked)
-            groups = {places[name][0] for name in found.values()} & masters.keys()
+            clocked = {name for name, (group, _) in locations.items() if group in masters}
+            matches = match_clocked_channels(path, list(locations), selection, clocked)
+            groups = {locations[name][0] for name in matches.values()} & masters.keys()
             clocks = {group: _clock(path, log, group, masters[group]) for group in groups}
             channels = {
-                asked: _channel(path, log, name, places[name], clocks) for asked, name in found.items()
+                requested: _channel(path, log, name, locations[name], clocks)
+                for requested, name in matches.items()
             }
     return Content(path, channels)
 
@@ -59,7 +73,7 @@ def write_table(path: Path, columns: Mapping[str, np.ndarray]) -> None:
     """
     if TIME not in columns or len(columns) < 2:
         raise ValueError(f"required a column '{TIME}' and one more, got {', '.join(columns) or 'none'}")
-    asammdf = needed("asammdf", "mdf", path, purpose="write")
+    asammdf = import_optional("asammdf", "mdf", path, purpose="write")
     signals = [
         asammdf.Signal(
             samples=floats(values),
@@ -76,21 +90,21 @@ def write_table(path: Path, columns: Mapping[str, np.ndarray]) -> None:
         log.save(stream)
 
 
-def _places(log: Any) -> dict[str, tuple[int, int]]:
+def _channel_locations(log: Any) -> dict[str, tuple[int, int]]:
     """Return the full name of each channel that holds numbers, to its group and its place in there."""
-    titles = _titles(log)
-    names, places = [], []
+    group_names = _group_names(log)
+    names, locations = [], []
     for number, group in enumerate(log.groups):
         for index, channel in enumerate(group.channels):
             if holds_numbers(log, number, index) and not _is_clock(log, number, index):
-                names.append(f"{titles[number]}/{channel.name}" if titles[number] else channel.name)
-                places.append((number, index))
-    return dict(zip(numbered(names), places, strict=True))
+                names.append(f"{group_names[number]}/{channel.name}" if group_names[number] else channel.name)
+                locations.append((number, index))
+    return dict(zip(unique_names(names), locations, strict=True))
 
 
-def _titles(log: Any) -> list[str]:
+def _group_names(log: Any) -> list[str]:
     """Return what each group is called: its number where it has no name or shares it."""
-    names = [spelled(getattr(group.channel_group, "acq_name", None)) for group in log.groups]
+    names = [unit_text(getattr(group.channel_group, "acq_name", None)) for group in log.groups]
     if names == [None]:
         return [""]
     count = Counter(names)
@@ -100,10 +114,10 @@ def _titles(log: Any) -> list[str]:
 def _master(log: Any, group: int) -> tuple[int, int] | None:
     """Return group and place of the channel that is this group's clock, if it has one that counts time."""
     # In version 4.2 a group may be on the master of another one.
-    remote = getattr(log.groups[group].channel_group, "cg_master_index", None)
-    holder = group if remote is None else remote
-    index = log.masters_db.get(holder)
-    return (holder, index) if index is not None and _is_clock(log, holder, index) else None
+    remote_group = getattr(log.groups[group].channel_group, "cg_master_index", None)
+    master_group = group if remote_group is None else remote_group
+    index = log.masters_db.get(master_group)
+    return (master_group, index) if index is not None and _is_clock(log, master_group, index) else None
 
 
 def _is_clock(log: Any, group: int, index: int) -> bool:
@@ -116,28 +130,32 @@ def _is_clock(log: Any, group: int, index: int) -> bool:
 
 def _clock(path: Path, log: Any, group: int, master: tuple[int, int]) -> np.ndarray:
     channel = log.groups[master[0]].channels[master[1]]
-    clock = physical(path, log, *master) if is_stored(log, channel) else counted(path, log, *master)
+    clock = (
+        physical_values(path, log, *master)
+        if is_stored(log, channel)
+        else virtual_master_values(path, log, *master)
+    )
     _check_count(path, log, group, clock, channel.name)
-    unit = spelled(channel.unit)
+    unit = unit_text(channel.unit)
     if unit is not None and not is_time(unit):
         raise LogError(path, f"is a clock in '{unit}', required a unit of time", column=channel.name)
-    return in_seconds(clock, unit)
+    return to_seconds(clock, unit)
 
 
 def _channel(
-    path: Path, log: Any, name: str, place: tuple[int, int], clocks: Mapping[int, np.ndarray]
-) -> Channel:
-    group, index = place
-    values = physical(path, log, group, index)
+    path: Path, log: Any, name: str, location: tuple[int, int], clocks: Mapping[int, np.ndarray]
+) -> LogChannel:
+    group, index = location
+    values = physical_values(path, log, group, index)
     _check_count(path, log, group, values, name)
     channel = log.groups[group].channels[index]
-    units = spelled(channel.unit), spelled(getattr(channel.conversion, "unit", None))
+    units = unit_text(channel.unit), unit_text(getattr(channel.conversion, "unit", None))
     # ASAM MDF 4, CCBLOCK: the conversion's unit applies only where the channel has none; MDF 3 has no other.
     unit = units[0] or units[1] if log.version >= "4" else units[1] or units[0]
-    return Channel(values, unit, clocks.get(group))
+    return LogChannel(values, unit, clocks.get(group))
 
 
 def _check_count(path: Path, log: Any, group: int, values: np.ndarray, name: str) -> None:
-    promised = log.groups[group].channel_group.cycles_nr
-    if values.size != promised:
-        raise LogError(path, f"was cut short: holds {values.size} of {promised} samples", column=name)
+    expected_count = log.groups[group].channel_group.cycles_nr
+    if values.size != expected_count:
+        raise LogError(path, f"was cut short: holds {values.size} of {expected_count} samples", column=name)

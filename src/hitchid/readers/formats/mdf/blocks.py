@@ -8,10 +8,10 @@ from hitchid.errors import LogError
 
 IDENTIFICATION = 64
 HEADER = struct.Struct("<4s4xQQ")
-VERSION_AT, FLAGS_AT = 28, 60
+VERSION_OFFSET, FLAGS_OFFSET = 28, 60
 
 
-def check_whole(path: Path) -> None:
+def check_complete(path: Path) -> None:
     """Follow every link of an MDF file of version 4; of older ones look at the identification alone.
 
     Args:
@@ -28,23 +28,23 @@ def check_whole(path: Path) -> None:
             raise LogError(path, "cannot be read as an MDF file: it does not start as one")
         if len(identification) < IDENTIFICATION:
             raise LogError(path, f"was cut short: the file has {len(identification)} bytes")
-        version, flags = (_short(identification, at) for at in (VERSION_AT, FLAGS_AT))
+        version, flags = (_read_uint16(identification, offset) for offset in (VERSION_OFFSET, FLAGS_OFFSET))
         if magic == b"UnFinMF" or flags:
             raise LogError(path, "was cut short: its recording was never finished (unfinalized MDF)")
         if version >= 400:
             _walk(path, stream)
 
 
-def _short(block: bytes, at: int) -> int:
-    return int.from_bytes(block[at : at + 2], "little")
+def _read_uint16(block: bytes, offset: int) -> int:
+    return int.from_bytes(block[offset : offset + 2], "little")
 
 
 def _walk(path: Path, stream: BinaryIO) -> None:
     size = stream.seek(0, 2)
-    seen, ahead = {0, IDENTIFICATION}, [IDENTIFICATION]
-    while ahead:
-        links = _links(path, stream, ahead.pop(), size)
-        ahead += [link for link in dict.fromkeys(links) if link not in seen]
+    seen, pending = {0, IDENTIFICATION}, [IDENTIFICATION]
+    while pending:
+        links = _links(path, stream, pending.pop(), size)
+        pending += [link for link in dict.fromkeys(links) if link not in seen]
         seen.update(links)
 
 

@@ -20,14 +20,14 @@ class _Codes(NamedTuple):
 
 
 VIRTUAL = 3  # master of version 4 that is not in the file
-OLD = _Codes(
+MDF3_CODES = _Codes(
     types=frozenset({0, 1, 2, 3, *range(9, 17)}),
     masters=frozenset({1}),
     channels=frozenset({0, 1}),
     texts=frozenset({11, 12}),
     formulas=frozenset({10}),
 )
-NEW = _Codes(
+MDF4_CODES = _Codes(
     types=frozenset(range(6)),
     masters=frozenset({2, 3}),
     channels=frozenset({0, 2, 3, 6}),
@@ -48,14 +48,14 @@ def is_stored(log: Any, channel: Any) -> bool:
 
 def holds_numbers(log: Any, group: int, index: int) -> bool:
     """Return whether a channel is one of more than one real number."""
-    codes, holder = _codes(log), log.groups[group]
-    channel = holder.channels[index]
-    plain = not (holder.channel_dependencies and holder.channel_dependencies[index])
-    fits = channel.data_type in codes.types and channel.channel_type in codes.channels
-    return plain and fits and holder.channel_group.cycles_nr > 1
+    codes, data_group = _codes(log), log.groups[group]
+    channel = data_group.channels[index]
+    is_scalar = not (data_group.channel_dependencies and data_group.channel_dependencies[index])
+    is_supported = channel.data_type in codes.types and channel.channel_type in codes.channels
+    return is_scalar and is_supported and data_group.channel_group.cycles_nr > 1
 
 
-def physical(path: Path, log: Any, group: int, index: int) -> np.ndarray:
+def physical_values(path: Path, log: Any, group: int, index: int) -> np.ndarray:
     """Return the samples of a channel converted to physical numbers; NaN where they are marked invalid.
 
     Args:
@@ -73,13 +73,13 @@ def physical(path: Path, log: Any, group: int, index: int) -> np.ndarray:
         group=group, index=index, raw=True, samples_only=True, ignore_invalidation_bits=True
     )
     # asammdf multiplies single-precision samples in single precision: doubles go in, so doubles come out.
-    values = _converted(path, log, channel, floats(raw))
+    values = _convert(path, log, channel, floats(raw))
     if invalid is not None:
         values[np.asarray(invalid, dtype=bool)] = np.nan
     return values
 
 
-def counted(path: Path, log: Any, group: int, index: int) -> np.ndarray:
+def virtual_master_values(path: Path, log: Any, group: int, index: int) -> np.ndarray:
     """Return the samples of a master that is made from their number.
 
     Args:
@@ -91,28 +91,31 @@ def counted(path: Path, log: Any, group: int, index: int) -> np.ndarray:
     Raises:
         LogError: the numbers are converted by a formula.
     """
-    holder = log.groups[group]
-    channel, numbers = holder.channels[index], np.arange(holder.channel_group.cycles_nr, dtype=np.float64)
+    data_group = log.groups[group]
+    channel, numbers = (
+        data_group.channels[index],
+        np.arange(data_group.channel_group.cycles_nr, dtype=np.float64),
+    )
     if log.version >= "4":
-        return _converted(path, log, channel, numbers)
+        return _convert(path, log, channel, numbers)
     return numbers * (channel.sampling_rate or 1.0)
 
 
-def _converted(path: Path, log: Any, channel: Any, values: np.ndarray) -> np.ndarray:
+def _convert(path: Path, log: Any, channel: Any, values: np.ndarray) -> np.ndarray:
     codes, conversion = _codes(log), channel.conversion
     if conversion is None or not values.size:
         return values
-    parts = [conversion, *_scales(conversion)]
+    blocks = [conversion, *_scales(conversion)]
     # asammdf falls back to evaluating a formula as Python: a file must not bring code with it.
-    if any(part.conversion_type in codes.formulas for part in parts):
+    if any(block.conversion_type in codes.formulas for block in blocks):
         raise LogError(path, "is converted by a formula, required numbers", column=channel.name)
-    if conversion.conversion_type in codes.texts and len(parts) == 1:
+    if conversion.conversion_type in codes.texts and len(blocks) == 1:
         return values  # the number of a state, whose names are text
-    read = np.asarray(conversion.convert(values))
-    if read.dtype.kind in "fiub":
-        return floats(read)
+    converted = np.asarray(conversion.convert(values))
+    if converted.dtype.kind in "fiub":
+        return floats(converted)
     # Text for some numbers, like 'sensor fault' for the largest, and a scale for the others.
-    return np.array([value if isinstance(value, int | float) else np.nan for value in read.tolist()])
+    return np.array([value if isinstance(value, int | float) else np.nan for value in converted.tolist()])
 
 
 def _scales(conversion: Any) -> list[Any]:
@@ -122,4 +125,4 @@ def _scales(conversion: Any) -> list[Any]:
 
 
 def _codes(log: Any) -> _Codes:
-    return NEW if log.version >= "4" else OLD
+    return MDF4_CODES if log.version >= "4" else MDF3_CODES

@@ -1,0 +1,91 @@
+"""All checks on a campaign, their findings merged and put in order."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from hitchid.audit.clocks import current_lag, motion_before_command
+from hitchid.audit.commands import both_valves, idle_commands
+from hitchid.audit.context import CampaignContext, RecordContext, campaign_context, join_names
+from hitchid.audit.end_stops import end_stops
+from hitchid.audit.excitation import changes, little_motion, short_or_idle, too_few_tests
+from hitchid.audit.finding import AuditFinding, Severity
+from hitchid.audit.neutral import neutral
+from hitchid.audit.polarity import signs
+from hitchid.audit.ranges import units
+from hitchid.audit.repeatability import drift, ramp_onsets, start_positions
+from hitchid.audit.resolution import noisy, quantisation, update_rate
+from hitchid.audit.sampling import coarse, gaps, steps
+from hitchid.audit.spikes import jumps, spikes
+from hitchid.audit.stuck_sensor import stuck_sensors
+from hitchid.data.campaign import Campaign
+
+MIN_MERGED = 4
+RECORD_CHECKS: tuple[Callable[[RecordContext], list[AuditFinding]], ...] = (
+    steps,
+    coarse,
+    update_rate,
+    quantisation,
+    noisy,
+    spikes,
+    jumps,
+    current_lag,
+    end_stops,
+    both_valves,
+    little_motion,
+    short_or_idle,
+)
+CAMPAIGN_CHECKS: tuple[Callable[[CampaignContext], list[AuditFinding]], ...] = (
+    units,
+    gaps,
+    stuck_sensors,
+    motion_before_command,
+    signs,
+    neutral,
+    idle_commands,
+    drift,
+    start_positions,
+    ramp_onsets,
+    changes,
+    too_few_tests,
+)
+
+
+def audit(campaign: Campaign) -> tuple[AuditFinding, ...]:
+    """Look for what in a campaign's logs would spoil a model; changes nothing.
+
+    Args:
+        campaign: tests of one plant.
+
+    Returns:
+        Findings by level, then check, then record in the campaign's order; what four or more records share
+        is one finding that names them.
+    """
+    if not campaign.records:
+        return ()
+    # Values near the largest or smallest a float can hold overflow on the way to "implausible".
+    with np.errstate(all="ignore"):
+        context = campaign_context(campaign)
+        findings = [finding for test in context.tests for check in RECORD_CHECKS for finding in check(test)]
+        findings += [finding for check in CAMPAIGN_CHECKS for finding in check(context)]
+    order = {record.name: rank for rank, record in enumerate(campaign.records)}
+    severities = {severity: rank for rank, severity in enumerate(Severity)}
+    merged = _merged(findings, len(campaign.records))
+    return tuple(sorted(merged, key=lambda f: (severities[f.severity], f.check, order.get(f.record, -1))))
+
+
+def _merged(findings: list[AuditFinding], total: int) -> list[AuditFinding]:
+    """Make one finding of each four or more that differ in their record and numbers alone."""
+    alike: dict[tuple[str, Severity, str, str], list[AuditFinding]] = {}
+    for finding in findings:
+        key = (finding.check, finding.severity, finding.signal, finding.advice)
+        alike.setdefault(key, []).append(finding)
+    merged = []
+    for (check, severity, signal, advice), group in alike.items():
+        names = list(dict.fromkeys(finding.record for finding in group if finding.record))
+        if len(names) < MIN_MERGED:
+            merged += group
+            continue
+        what = f"in {len(names)} of {total} tests ({join_names(names)}); in {names[0]}: {group[0].what}"
+        merged.append(AuditFinding(check, severity, "", signal, (), what, advice, tuple(group)))
+    return merged

@@ -1,0 +1,111 @@
+"""What the checks share: a record with its quality, and all of a campaign."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from hitchid.audit.finding import AuditFinding, Severity, spans_of
+from hitchid.audit.quality import Quality, quality
+from hitchid.data.campaign import Campaign
+from hitchid.data.record import COMMAND, DISPLACEMENT, Record
+from hitchid.data.test_kinds import ACTIVE_FRACTION, full_scales
+
+
+@dataclass(frozen=True, eq=False)
+class RecordContext:
+    """A record as its checks see it.
+
+    Attributes:
+        record: the record.
+        scales: mode to the largest command of the campaign.
+        campaign_range: range of all displacements of the campaign, in their unit.
+        quality: of the record's displacement.
+    """
+
+    record: Record
+    scales: Mapping[str, float]
+    campaign_range: float
+    quality: Quality
+
+    def active(self, direction: str) -> np.ndarray:
+        """Tell where a mode's command is above 5 % of full scale, shape [N]."""
+        return np.abs(self.record.command(direction)) > ACTIVE_FRACTION * self.scales[direction]
+
+    def any_active(self) -> np.ndarray:
+        """Tell where any command is above 5 % of full scale, shape [N]."""
+        first, *rest = (self.active(direction) for direction in self.record.directions)
+        for other in rest:
+            first |= other
+        return first
+
+    def finding(
+        self,
+        check: str,
+        severity: Severity,
+        what: str,
+        advice: str,
+        *,
+        signal: str = DISPLACEMENT,
+        intervals: list[tuple[int, int]] | None = None,
+    ) -> AuditFinding:
+        """Return a finding about this record, at samples `start:stop`."""
+        return AuditFinding(
+            check, severity, self.record.name, signal, spans_of(self.record, intervals or []), what, advice
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class CampaignContext:
+    """A campaign as its checks see it: with one look at each record, in the campaign's order."""
+
+    campaign: Campaign
+    tests: tuple[RecordContext, ...]
+    scales: Mapping[str, float]
+    campaign_range: float
+
+    def of_kind(self, kind: str) -> list[RecordContext]:
+        """Return the looks at the records of one kind."""
+        return [test for test in self.tests if test.record.kind == kind]
+
+
+def campaign_context(campaign: Campaign) -> CampaignContext:
+    """Look at every record of a campaign that has at least one."""
+    scales = full_scales(campaign.records)
+    qualities = [quality(record) for record in campaign.records]
+    lowest = min(test_quality.lowest for test_quality in qualities)
+    campaign_range = float(np.float64(max(test_quality.highest for test_quality in qualities)) - lowest)
+    tests = tuple(
+        RecordContext(record, scales, campaign_range, test_quality)
+        for record, test_quality in zip(campaign.records, qualities, strict=True)
+    )
+    return CampaignContext(campaign, tests, scales, campaign_range)
+
+
+def command_unit(record: Record, direction: str) -> str:
+    """Return the unit of a mode's command as it stands behind a number; a plain ratio has none."""
+    unit = record.units[COMMAND[direction]]
+    return {"1": "(full = 1)", "percent": "%"}.get(unit, unit)
+
+
+def travel(context: RecordContext, direction: str) -> float:
+    """Return how far the displacement goes while one mode's command alone is active, in its unit.
+
+    Σ sign(c[k]) (y[k+1] − y[k]) over the samples at which it is; a single channel's negative command counts
+    as the opposite way.
+    """
+    record = context.record
+    only_active = context.active(direction)
+    for other in record.directions:
+        if other != direction:
+            only_active &= ~context.active(other)
+    signs = np.sign(record.command(direction)[:-1])
+    signs *= only_active[:-1]
+    # Summed by parts, so that no second array of differences is needed.
+    signed_travel = np.dot(signs, record.displacement[1:]) - np.dot(signs, record.displacement[:-1])
+    return float(signed_travel) if np.isfinite(signed_travel) else 0.0
+
+
+def join_names(names: list[str], shown: int = 3) -> str:
+    """Return names as a sentence lists them, of many the first few."""
+    return ", ".join(names[:shown]) + (" …" if len(names) > shown else "")

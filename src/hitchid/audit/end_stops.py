@@ -1,0 +1,71 @@
+"""Where the piston stands at an end stop although its command goes on."""
+
+import numpy as np
+
+from hitchid.audit.context import RecordContext
+from hitchid.audit.finding import AuditFinding, Severity
+from hitchid.data.record import CYCLE, DIRECTIONS
+from hitchid.data.segmentation import AT_END_FRACTION, END_STOP, segments
+from hitchid.data.test_kinds import end_stop_contact
+
+CHUNK_SAMPLES = 2**19
+
+
+def end_stops(context: RecordContext) -> list[AuditFinding]:
+    """Find contact with an end stop.
+
+    In tests of one direction by `modes.end_stop_contact`, in mixed ones by `segments.segments`; a note, for
+    identification leaves out what stands at an end stop that two tests meet.
+    """
+    record = context.record
+    if record.kind == CYCLE:
+        stretches = _cycle_contacts(context)
+    elif record.kind in DIRECTIONS:
+        contact = end_stop_contact(record, record.kind)
+        active_samples = np.flatnonzero(context.active(record.kind))
+        stretches = [] if contact is None else [(contact, int(active_samples[-1]) + 1)]
+        stretches = [stretch for stretch in stretches if _is_stationary(context, *stretch)]
+    else:
+        stretches = []
+    if not stretches:
+        return []
+    time = sum(stop - start for start, stop in stretches) * record.step_s
+    start, stop = stretches[0]
+    stop_position = float(np.median(record.displacement[start:stop]))
+    return [
+        context.finding(
+            "end stop",
+            Severity.NOTE,
+            f"the piston stands at {stop_position:.5g} {record.unit} under command from "
+            f"{record.start_s + start * record.step_s:.6g} s on, {time:.3g} s in all",
+            "end tests before the stop: samples at it tell nothing of the valve",
+            intervals=stretches,
+        )
+    ]
+
+
+def _is_stationary(context: RecordContext, start: int, stop: int) -> bool:
+    """Tell contact from a spike, which also leaves the displacement slow in comparison."""
+    displacement = context.record.displacement[start:stop]
+    quarter = max(1, displacement.size // 4)
+    travel = abs(float(np.median(displacement[-quarter:])) - float(np.median(displacement[:quarter])))
+    return travel <= max(context.quality.noise_bound, AT_END_FRACTION * context.quality.peak_to_peak)
+
+
+def _cycle_contacts(context: RecordContext) -> list[tuple[int, int]]:
+    """Return samples `start:stop` of contact; of a long record piece by piece, to keep memory low."""
+    record, contacts = context.record, []
+    margin = AT_END_FRACTION * context.quality.peak_to_peak
+    for first in range(0, len(record), CHUNK_SAMPLES):
+        chunk = record.slice(first, min(len(record), first + CHUNK_SAMPLES))
+        for segment in segments(chunk, context.scales):
+            if segment.label != END_STOP:
+                continue
+            stop_position = float(np.median(chunk.displacement[segment.start : segment.stop]))
+            # The end of a piece's travel need not be the end of the record's.
+            if (
+                stop_position >= context.quality.highest - margin
+                or stop_position <= context.quality.lowest + margin
+            ):
+                contacts.append((first + segment.start, first + segment.stop))
+    return contacts

@@ -1,0 +1,95 @@
+"""Whether lifting raises the displacement and lowering reduces it, over all tests."""
+
+import numpy as np
+
+from hitchid.audit.context import CampaignContext, RecordContext, join_names, travel
+from hitchid.audit.finding import AuditFinding, Severity
+from hitchid.data.record import COMMAND, CYCLE, DIRECTIONS, DISPLACEMENT, LIFTING, LOWERING, RAMP
+
+CLEAR_FRACTION = 0.02
+CLEAR_OF_TYPICAL = 0.25
+
+
+def signs(context: CampaignContext) -> list[AuditFinding]:
+    """Find directions that contradict each other.
+
+    A mode's direction is that of most of its tests, by the displacement's travel while its command alone is
+    on, where that exceeds 6 σ + 2 q and 2 % of the campaign's range. One test against the others, by a
+    quarter of their travel, is a fault of that test; both modes going the same way is a fault of the
+    campaign. Both reversed is what a sensor that measures downwards does, and identification takes each
+    direction as measured; but so do swapped commands: a warning.
+    """
+    findings: list[AuditFinding] = []
+    majority_sign: dict[str, int] = {}
+    for direction in context.tests[0].record.directions:
+        travels = _travels(context, direction)
+        if not travels:
+            continue
+        majority_sign[direction] = (
+            1 if np.median([signed_travel for _, signed_travel in travels]) >= 0 else -1
+        )
+        typical = abs(float(np.median([signed_travel for _, signed_travel in travels])))
+        opposed = [
+            (test, signed_travel)
+            for test, signed_travel in travels
+            if signed_travel * majority_sign[direction] < -CLEAR_OF_TYPICAL * typical
+        ]
+        if len(travels) >= 3 and 2 * len(opposed) < len(travels):
+            findings += [
+                _contradicting(test, direction, signed_travel, len(travels))
+                for test, signed_travel in opposed
+            ]
+        elif opposed:
+            findings.append(_inconsistent(direction, opposed, len(travels)))
+    return findings + _compare_directions(majority_sign)
+
+
+def _travels(context: CampaignContext, direction: str) -> list[tuple[RecordContext, float]]:
+    """Return the looks at the tests of a mode whose travel under it is clear, and that travel."""
+    travels = []
+    for test in context.tests:
+        if test.record.kind not in (direction, CYCLE, RAMP):
+            continue
+        signed_travel = travel(test, direction)
+        if abs(signed_travel) > max(test.quality.noise_bound, CLEAR_FRACTION * test.campaign_range):
+            travels.append((test, signed_travel))
+    return travels
+
+
+def _verb(sign: float | int) -> str:
+    return "grows" if sign > 0 else "falls"
+
+
+def _contradicting(context: RecordContext, direction: str, signed_travel: float, tests: int) -> AuditFinding:
+    what = (
+        f"the displacement {_verb(signed_travel)} by {abs(signed_travel):.4g} {context.quality.unit} while {direction} is commanded; "
+        f"in most of the {tests} tests of {direction} it {_verb(-signed_travel)}"
+    )
+    advice = "check the sign of the displacement and which command is which in this log; leave it out"
+    return context.finding("sign", Severity.FAULT, what, advice)
+
+
+def _inconsistent(direction: str, opposed: list[tuple[RecordContext, float]], tests: int) -> AuditFinding:
+    names = join_names([test.record.name for test, _ in opposed])
+    what = (
+        f"under {direction} the displacement {_verb(opposed[0][1])} in {len(opposed)} of {tests} tests ({names}) "
+        f"and {_verb(-opposed[0][1])} in the others"
+    )
+    advice = "check the sign of the displacement and which command is which, test by test"
+    return AuditFinding("sign", Severity.FAULT, "", DISPLACEMENT, (), what, advice)
+
+
+def _compare_directions(majority_sign: dict[str, int]) -> list[AuditFinding]:
+    if set(majority_sign) != set(DIRECTIONS) or majority_sign == {LIFTING: 1, LOWERING: -1}:
+        return []
+    if majority_sign[LIFTING] == majority_sign[LOWERING]:
+        what = f"the displacement {_verb(majority_sign[LIFTING])} under lifting and under lowering alike"
+        advice = f"check which columns are {COMMAND[LIFTING]} and {COMMAND[LOWERING]} in campaign.toml"
+        return [AuditFinding("sign", Severity.FAULT, "", DISPLACEMENT, (), what, advice)]
+    what = "the displacement falls under lifting and grows under lowering"
+    advice = (
+        "this is right for a sensor that measures downwards, and each direction is taken as measured; "
+        "otherwise the commands are swapped in campaign.toml, or one signal's sign is turned: put scale = -1 "
+        "beside its column"
+    )
+    return [AuditFinding("sign", Severity.WARNING, "", DISPLACEMENT, (), what, advice)]

@@ -1,0 +1,167 @@
+"""Whether tests of one mode repeat: their speed, their start, and the command at which ramps set off."""
+
+import numpy as np
+from scipy.special import stdtr
+
+from hitchid.audit.context import CampaignContext, RecordContext, command_unit, join_names, travel
+from hitchid.audit.finding import AuditFinding, Severity
+from hitchid.data.record import COMMAND, DIRECTIONS, DISPLACEMENT, RAMP
+from hitchid.data.test_kinds import ramp_direction
+
+COMPARABLE = 0.25
+FEWEST_TESTS = 5
+SIGNIFICANCE = 0.005
+MIN_DRIFT = 0.05
+START_FRACTION = 0.05
+ONSET_FRACTION = 0.10
+SAME_RATE = 0.10
+MIN_UNEXPLAINED = 0.1
+ROUNDING = 1e-12
+
+
+def drift(context: CampaignContext) -> list[AuditFinding]:
+    """Find speeds that grow or fall with the order of the tests.
+
+    Of tests whose mean command lies within ±25 % of the median (five at least), travel = K (∫|c| dt − d T) is
+    fitted for gain K and dead zone d; the logarithm of each test's own gain is then regressed on order and
+    mean command, which takes along what a bent valve curve does; commands in rising order (nine tenths of
+    the order's spread explained by them) tell nothing. A trend counts by its t-test at 0.5 % and
+    if it changes the speed by 5 % from the first test to the last: less is within what oil does in an hour.
+    """
+    findings = []
+    for direction in DIRECTIONS:
+        tests, travels, areas, times = _comparable(context, direction)
+        if len(tests) < FEWEST_TESTS:
+            continue
+        change, p_value = _trend(travels, areas, times)
+        if not (p_value < SIGNIFICANCE and abs(change) > MIN_DRIFT):
+            continue
+        what = (
+            f"for the same command, {direction} is {abs(change):.0%} {'faster' if change > 0 else 'slower'} "
+            f"in the last test than in the first, over {len(tests)} tests "
+            f"({join_names([test.record.name for test in tests])})"
+        )
+        advice = "warm the oil before measuring, or log its temperature; hold out tests from all of the day"
+        findings.append(AuditFinding("drift", Severity.WARNING, "", DISPLACEMENT, (), what, advice))
+    return findings
+
+
+def _comparable(
+    context: CampaignContext, direction: str
+) -> tuple[list[RecordContext], np.ndarray, np.ndarray, np.ndarray]:
+    """Return tests of like command, with travel, ∫|c| dt and active time of each."""
+    tests = context.of_kind(direction)
+    rows = []
+    for test in tests:
+        active = test.active(direction)
+        time = int(np.count_nonzero(active)) * test.record.step_s
+        area = float(np.sum(np.abs(test.record.command(direction)), where=active)) * test.record.step_s
+        rows.append((abs(travel(test, direction)), area, time))
+    table = np.array(rows).reshape(-1, 3)
+    with np.errstate(all="ignore"):
+        means = table[:, 1] / table[:, 2]
+    usable = np.isfinite(means) & (means > 0) & (table[:, 0] > 0)
+    if not usable.any():
+        return [], *table[:0].T
+    is_comparable = usable & (np.abs(means / np.median(means[usable]) - 1) <= COMPARABLE)
+    comparable_tests = [test for test, is_near in zip(tests, is_comparable, strict=True) if is_near]
+    return comparable_tests, *table[is_comparable].T
+
+
+def _trend(travels: np.ndarray, areas: np.ndarray, times: np.ndarray) -> tuple[float, float]:
+    """Return the relative change of the gain from the first test to the last, and the odds of chance."""
+    no_trend = (0.0, 1.0)
+    means, speeds = areas / times, travels / times
+    varied = bool(np.ptp(means) > 0.01 * means.mean())
+    slope, offset = np.polyfit(means, speeds, 1) if varied else (0.0, 0.0)
+    # A dead zone above nine tenths of the smallest mean would make gains of rounding.
+    zone = min(max(0.0, -offset / slope), 0.9 * means.min()) if slope > 0 else 0.0
+    gains = np.log(speeds / (means - zone))
+    order = np.arange(gains.size) / (gains.size - 1)
+    regressors = np.stack([np.ones(gains.size), *([means / means.mean()] if varied else [])], axis=1)
+    degrees_of_freedom = gains.size - 1 - regressors.shape[1] - (zone > 0)
+    if degrees_of_freedom < 1 or not np.all(np.isfinite(gains)):
+        return no_trend
+    order_residual, gain_residual = _unexplained(order, regressors), _unexplained(gains, regressors)
+    # Commands that rise with the order leave no part of the order to tell a drift by.
+    if float(order_residual @ order_residual) < MIN_UNEXPLAINED * float(np.sum((order - order.mean()) ** 2)):
+        return no_trend
+    slope = float(order_residual @ gain_residual / (order_residual @ order_residual))
+    fit_residual = gain_residual - slope * order_residual
+    error = float(
+        np.sqrt(fit_residual @ fit_residual / degrees_of_freedom / (order_residual @ order_residual))
+    )
+    if error <= ROUNDING:
+        return float(np.expm1(slope)), 0.0 if abs(slope) > 1e3 * ROUNDING else 1.0
+    return float(np.expm1(slope)), float(2 * stdtr(degrees_of_freedom, -abs(slope) / error))
+
+
+def _unexplained(values: np.ndarray, regressors: np.ndarray) -> np.ndarray:
+    """Return what of values no linear combination of others explains, shape [T]."""
+    coefficients, *_ = np.linalg.lstsq(regressors, values, rcond=None)
+    return values - regressors @ coefficients
+
+
+def start_positions(context: CampaignContext) -> list[AuditFinding]:
+    """Find modes whose tests start at places more than 5 % of the campaign's range apart.
+
+    A linkage moves the load at another leverage there, so that speeds differ: a note.
+    """
+    findings = []
+    for direction in DIRECTIONS:
+        starts = [float(test.record.displacement[0]) for test in context.of_kind(direction)]
+        if len(starts) < 2 or not max(starts) - min(starts) > START_FRACTION * context.campaign_range:
+            continue
+        unit = context.tests[0].quality.unit
+        what = f"the {len(starts)} tests of {direction} start between {min(starts):.4g} and {max(starts):.4g} {unit}"
+        advice = "good for a model of the whole stroke; start repeats that are to be compared at one place"
+        findings.append(AuditFinding("start position", Severity.NOTE, "", DISPLACEMENT, (), what, advice))
+    return findings
+
+
+def ramp_onsets(context: CampaignContext) -> list[AuditFinding]:
+    """Find repeated ramps that set the piston off at different commands.
+
+    Of ramps that rise within 10 % equally fast, the command at which each has travelled half of what the
+    shortest travels; a spread of more than 10 % of it is a warning: no one dead zone holds for all.
+    """
+    findings = []
+    for direction in DIRECTIONS:
+        ramps = _ramps(context, direction)
+        if len(ramps) < 2:
+            continue
+        tops = [float(np.max(np.abs(test.record.command(direction)))) for test in ramps]
+        rates = [top / test.quality.duration_s for top, test in zip(tops, ramps, strict=True)]
+        similar_ramps = [
+            test
+            for test, rate in zip(ramps, rates, strict=True)
+            if abs(rate / np.median(rates) - 1) <= SAME_RATE
+        ]
+        shortest = min((test.quality.peak_to_peak for test in similar_ramps), default=0.0)
+        if len(similar_ramps) < 2 or not shortest > 2 * max(
+            test.quality.noise_bound for test in similar_ramps
+        ):
+            continue
+        onsets = [_onset(test, direction, shortest / 2) for test in similar_ramps]
+        middle = float(np.median(onsets))
+        if not max(onsets) - min(onsets) > ONSET_FRACTION * middle:
+            continue
+        unit = command_unit(context.tests[0].record, direction)
+        what = (
+            f"{len(similar_ramps)} equal ramps of {direction} set the piston off between {min(onsets):.3g} and "
+            f"{max(onsets):.3g} {unit} ({join_names([test.record.name for test in similar_ramps])})"
+        )
+        advice = "repeat the ramps with warm oil and the same load; the dead zone is their mean"
+        findings.append(AuditFinding("dead zone", Severity.WARNING, "", COMMAND[direction], (), what, advice))
+    return findings
+
+
+def _ramps(context: CampaignContext, direction: str) -> list[RecordContext]:
+    return [test for test in context.of_kind(RAMP) if ramp_direction(test.record) == direction]
+
+
+def _onset(context: RecordContext, direction: str, distance: float) -> float:
+    """Return |c|, the mean of eleven samples, where the displacement has gone so far from its start."""
+    has_moved = np.abs(context.record.displacement - context.record.displacement[0]) >= distance
+    onset = int(np.argmax(has_moved))
+    return float(np.mean(np.abs(context.record.command(direction)[max(0, onset - 5) : onset + 6])))

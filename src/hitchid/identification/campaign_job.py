@@ -1,0 +1,344 @@
+"""One campaign on its way to a model: what is asked of it, its tests made ready, and what comes of them."""
+
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from hitchid._support.checkpoints import DISABLED, Checkpoints
+from hitchid._support.versions import installed_versions
+from hitchid.data.campaign import Campaign
+from hitchid.data.record import COMMAND, CYCLE, DISPLACEMENT, Record
+from hitchid.errors import InputError, SettingsError
+from hitchid.estimation import Search, SearchComparison
+from hitchid.identification.deadzone import DeadZone
+from hitchid.identification.direction import ChannelConfig, ChannelTrace, with_calibrated_gain
+from hitchid.identification.gain_calibration import calibrate_gains, calibration_improves
+from hitchid.identification.hold_drift import hold_drift
+from hitchid.identification.mode_test import compare_modes
+from hitchid.identification.optional import attempt
+from hitchid.identification.phase2 import CompensatorConfig
+from hitchid.identification.preparation import ChannelData, mixed_dead_zones, prepare
+from hitchid.identification.selection import AutoStructure
+from hitchid.identification.trace import describe_channel
+from hitchid.model import Channel, Hitch, Provenance, TravelLimits, save
+from hitchid.structures import ModelSpec
+from hitchid.structures.nonlinear import NonlinearStructure
+
+ChannelResults = Mapping[str, tuple[Channel, ChannelTrace]]
+
+
+@dataclass(frozen=True)
+class IdentificationConfig:
+    """What is asked of a campaign; see `identify`.
+
+    Attributes:
+        specs: mode to the form of its benchmark, or how it is chosen.
+        paper_specs: mode to the paper's form.
+        search, training, dead_zones, drift, comparison, seed: see `identify`.
+    """
+
+    specs: Mapping[str, ModelSpec | AutoStructure]
+    paper_specs: Mapping[str, ModelSpec]
+    search: Search
+    training: CompensatorConfig | None
+    dead_zones: Mapping[str, float]
+    drift: bool
+    comparison: SearchComparison | None
+    seed: int
+
+    def with_default_covariate(self, campaign: Campaign) -> "IdentificationConfig":
+        """Return the question with the campaign's first further input, where a choice names none itself."""
+        covariates = campaign.covariates[:1]
+        return replace(
+            self,
+            specs={direction: _with_covariate(spec, *covariates) for direction, spec in self.specs.items()},
+        )
+
+    def describe(self) -> dict[str, object]:
+        """Return what is asked as JSON can hold it."""
+        return {
+            "structure": {direction: _describe_spec(spec) for direction, spec in self.specs.items()},
+            "search": repr(self.search),
+            "training": None if self.training is None else repr(self.training),
+            "dead_zones": dict(self.dead_zones),
+            "drift": self.drift,
+        }
+
+    def checkpoints(self, folder: Path | None, campaign: Campaign) -> Checkpoints:
+        """Return where runs of the same logs, settings and versions are kept, on machines of one kind."""
+        if folder is None:
+            return DISABLED
+        stamp = {
+            "asked": {**self.describe(), "forms": repr(self.specs), "seed": self.seed},
+            "campaign": campaign.digest,
+            "comparison": repr(self.comparison and replace(self.comparison, checkpoints=DISABLED)),
+            "machine": f"{platform.machine()} {jax.default_backend()}",
+            "versions": installed_versions(),
+        }
+        return Checkpoints.of_run(folder, stamp)
+
+
+@dataclass(frozen=True)
+class Identification:
+    """An identified model and how it came about.
+
+    Attributes:
+        model: the grey box.
+        channels: mode to trace.
+    """
+
+    model: Hitch
+    channels: Mapping[str, ChannelTrace]
+
+    def save(self, folder: str | Path, *, force: bool = False) -> None:
+        """Write the model folder with its traces.
+
+        Raises:
+            OutputError: the folder exists and `force` is not given, or it cannot be written.
+        """
+        save(self.model, folder, trace=self.describe(), force=force)
+
+    def describe(self) -> dict[str, dict]:
+        """Return mode to trace as JSON can hold it."""
+        return {direction: describe_channel(trace) for direction, trace in self.channels.items()}
+
+
+@dataclass(frozen=True)
+class CampaignJob:
+    """A campaign made ready.
+
+    Attributes:
+        campaign: tests of one direction each; where there were none, strokes cut from mixed logs.
+        config: what is asked of it.
+        cycles: the mixed logs that strokes were cut from.
+        segmentation_dead_zones: mode to the dead zone they were cut at.
+        fingerprints: fingerprints of all records that are used.
+        channel_data, channel_configs: mode to its tests, and to what is asked of them.
+    """
+
+    campaign: Campaign
+    config: IdentificationConfig
+    cycles: tuple[Record, ...]
+    segmentation_dead_zones: Mapping[str, float]
+    fingerprints: frozenset[str]
+    channel_data: Mapping[str, ChannelData]
+    channel_configs: Mapping[str, ChannelConfig]
+
+    @classmethod
+    def of(cls, campaign: Campaign, config: IdentificationConfig, checkpoints: Checkpoints) -> "CampaignJob":
+        """Make a campaign ready; raises as `identify`."""
+        if campaign.unmatched:
+            pattern = campaign.unmatched[0]
+            raise InputError(
+                f"split.test: the pattern '{pattern}' matches none of the {len(campaign.records)} tests"
+            )
+        specs = config.specs
+        for direction, value in config.dead_zones.items():
+            _check_dead_zone(campaign, direction, value)
+        dead_zones = {
+            direction: DeadZone(0.0, None, 0, "structure")
+            for direction, spec in specs.items()
+            if _uses_raw_command(spec)
+        }
+        dead_zones |= {
+            direction: DeadZone(value, None, 0, "given") for direction, value in config.dead_zones.items()
+        }
+        segmentation_dead_zones: dict[str, float] = {}
+        cycles: tuple[Record, ...] = ()
+        fingerprints = _fingerprints(campaign, campaign.directions)
+        if not campaign.directions:
+            segmentation_dead_zones = {
+                direction: dead_zone.value
+                for direction, dead_zone in {**mixed_dead_zones(campaign), **dead_zones}.items()
+            }
+            cycles = campaign.identification(CYCLE)
+            fingerprints |= _fingerprints(campaign, (CYCLE,))
+            campaign = campaign.segmented(segmentation_dead_zones)
+            fingerprints |= _fingerprints(campaign, campaign.directions)
+        if not campaign.directions:
+            raise InputError(
+                "no test moves the piston one way, and no cycle holds a stroke to identify from; measure "
+                "tests whose command goes well beyond the dead zone, and check the units of the signals"
+            )
+        channel_data = {
+            m: prepare(campaign, m, dead_zones.get(m), covariate=specs[m].covariate)
+            for m in campaign.directions
+        }
+        _check_window(config.training, channel_data)
+        channel_configs = {
+            m: _channel_config(config, m, campaign, checkpoints.child(m)) for m in campaign.directions
+        }
+        return cls(
+            campaign,
+            config,
+            cycles,
+            segmentation_dead_zones,
+            frozenset(fingerprints),
+            channel_data,
+            channel_configs,
+        )
+
+    def calibrate_gains(self, results: ChannelResults) -> ChannelResults:
+        """Return benchmarks with the gains on which strokes cut from mixed logs agree best as whole logs.
+
+        Only where logs held out in turn prove those gains better.
+        """
+        if len(results) < 2 or not self.segmentation_dead_zones:
+            return results
+        notices: list[str] = []
+        hitch, logs = self._hitch(results), self.cycles
+        factors = attempt(
+            "gain calibration",
+            lambda: calibrate_gains(hitch, logs) if calibration_improves(hitch, logs) else {},
+            notices,
+        )
+        if factors is None:
+            return _with_notices(results, notices)
+        return {
+            **results,
+            **{
+                direction: with_calibrated_gain(*results[direction], factor)
+                for direction, factor in factors.items()
+            },
+        }
+
+    def build_model(self, results: ChannelResults) -> Identification:
+        """Return the model that channels make up, with all that is to be known of it."""
+        campaign, traces = self.campaign, {direction: trace for direction, (_, trace) in results.items()}
+        provenance = Provenance(
+            identification={direction: self._used(direction) for direction in results},
+            validation={direction: self.channel_data[direction].validation_names for direction in results},
+            held_out={direction: _names(campaign.held_out(direction)) for direction in results},
+            seen=self.fingerprints,
+            cut_at=self.segmentation_dead_zones,
+            seed=self.config.seed,
+            settings=self.config.describe(),
+            versions=installed_versions(),
+        )
+        same_unit = len({campaign.units[COMMAND[direction]] for direction in results}) == 1
+        notices: list[str] = []
+        mode_test = None
+        if same_unit:
+            mode_test = attempt("test of two modes", lambda: compare_modes(self.channel_data), notices)
+        traces = {direction: trace for direction, (_, trace) in _with_notices(results, notices).items()}
+        hitch = replace(
+            self._hitch(results),
+            provenance=provenance,
+            two_modes=mode_test,
+            uncertainty={
+                direction: trace.uncertainty for direction, trace in traces.items() if trace.uncertainty
+            },
+        )
+        return Identification(hitch, traces)
+
+    def _used(self, direction: str) -> tuple[str, ...]:
+        """Return the names of a direction's tests that it is identified from."""
+        left_out = {test.name for test in self.channel_data[direction].left_out}
+        return tuple(name for name in _names(self.campaign.identification(direction)) if name not in left_out)
+
+    def _hitch(self, results: ChannelResults) -> Hitch:
+        specs, campaign = self.config.specs.values(), self.campaign
+        roles = (DISPLACEMENT, *COMMAND.values(), *(spec.covariate for spec in specs if spec.covariate))
+        units = {role: campaign.units[role] for role in roles if role in campaign.units}
+        records = self.cycles or tuple(
+            record for direction in results for record in campaign.identification(direction)
+        )
+        stops = {c.sign: c.end_stop for c, _ in results.values() if c.end_stop is not None}
+        limits = TravelLimits.of(records, stops)
+        channels = {direction: _with_limits(channel, limits) for direction, (channel, _) in results.items()}
+        dead_zones = {direction: channel.dead_zone for direction, channel in channels.items()}
+        drift = hold_drift(records, dead_zones) if self.config.drift else 0.0
+        return Hitch(channels, campaign.step_s, units, drift=drift)
+
+
+def _check_dead_zone(campaign: Campaign, direction: str, value: float) -> None:
+    """Refuse a dead zone that no command of the tests to identify from goes beyond."""
+    tests = [
+        record
+        for kind in (direction, CYCLE)
+        for record in campaign.identification(kind)
+        if direction in record.directions
+    ]
+    highest = max((float(np.max(np.abs(record.command(direction)))) for record in tests), default=np.inf)
+    if not 0 <= value < highest:
+        raise SettingsError(
+            f"{direction}: dead_zone is {value:g} {campaign.units.get(COMMAND[direction], '')}; required from 0 to "
+            f"below the largest command, {highest:.4g}"
+        )
+
+
+def _check_window(training: CompensatorConfig | None, channel_data: Mapping[str, ChannelData]) -> None:
+    """Refuse a window that no test fills: it is allocated whole, for every stretch of every test."""
+    longest = max(int(data.all_tests.valid.sum(axis=1).max()) for data in channel_data.values())
+    if training is not None and training.window > max(longest, CompensatorConfig.window):
+        raise SettingsError(
+            f"training: window is {training.window} samples, required at most {longest}, those of the "
+            "longest test"
+        )
+
+
+def _with_notices(results: ChannelResults, notices: Sequence[str]) -> ChannelResults:
+    """Return channels with further notices on their traces."""
+    return {
+        direction: (channel, replace(trace, notices=(*trace.notices, *notices)))
+        for direction, (channel, trace) in results.items()
+    }
+
+
+def _with_limits(channel: Channel, limits: TravelLimits) -> Channel:
+    """Return a channel, and the paper's method beside it, held within the limits of the plant."""
+    paper = None if channel.paper is None else replace(channel.paper, limits=limits)
+    return replace(channel, limits=limits, paper=paper)
+
+
+def _channel_config(
+    config: IdentificationConfig, direction: str, campaign: Campaign, checkpoints: Checkpoints
+) -> ChannelConfig:
+    return ChannelConfig(
+        spec=config.specs[direction],
+        paper_spec=config.paper_specs[direction],
+        search=config.search,
+        training=config.training,
+        seed=config.seed,
+        units={"x": campaign.units[DISPLACEMENT], "u": campaign.units[COMMAND[direction]]},
+        comparison=config.comparison,
+        checkpoints=checkpoints,
+    )
+
+
+def _fingerprints(campaign: Campaign, kinds: tuple[str, ...]) -> set[str]:
+    return {record.fingerprint for kind in kinds for record in campaign.identification(kind)}
+
+
+def _uses_raw_command(spec: ModelSpec | AutoStructure) -> bool:
+    """Tell whether a form hears the whole command, dead zone and all."""
+    return isinstance(spec, ModelSpec) and isinstance(spec.structure, NonlinearStructure)
+
+
+def _with_covariate(spec: ModelSpec | AutoStructure, *covariates: str) -> ModelSpec | AutoStructure:
+    if covariates and isinstance(spec, AutoStructure) and spec.covariate is None:
+        return replace(spec, covariate=covariates[0])
+    return spec
+
+
+def _describe_spec(spec: ModelSpec | AutoStructure) -> dict[str, object]:
+    if isinstance(spec, AutoStructure):
+        return {"automatic": True, "load": spec.covariate}
+    return {
+        "structure": spec.structure.name,
+        "dead_time": spec.dead_time,
+        "curve": spec.valve_curve,
+        "spool": spec.spool_dynamics,
+        "slope": spec.stroke_gain_linear,
+        "position": spec.stroke_gain_quadratic,
+        "load": spec.covariate,
+        "bounds": {name: list(limits) for name, limits in spec.bounds.items()},
+    }
+
+
+def _names(records: tuple[Record, ...]) -> tuple[str, ...]:
+    return tuple(record.name for record in records)

@@ -1,0 +1,117 @@
+"""Gains of a hitch identified from strokes of mixed logs, levelled so that whole logs agree."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import equinox as eqx
+import numpy as np
+from scipy.optimize import least_squares
+
+from hitchid._support.metrics import proven_better
+from hitchid.data.record import Record
+from hitchid.model import Channel, Hitch
+from hitchid.structures.structure import LinearStructure
+
+MAX_LOG_FACTOR = 0.1
+SAMPLE_STRIDE = 10
+STEP = 1e-3
+
+
+def calibrate_gains(hitch: Hitch, records: Sequence[Record]) -> dict[str, float]:
+    """Return the factors on the gains with which whole records in free run agree best with what was measured.
+
+    Strokes each begin at a measured displacement, so a gain that is a little off shows in each but little;
+    over a whole record it adds up. Least squares over the logarithms of the factors, each test weighing the
+    same.
+
+    Args:
+        hitch: benchmarks identified from strokes.
+        records: the mixed records they come from.
+
+    Returns:
+        Mode to factor, within ±10 %; a channel without a gain is left out.
+    """
+    directions = _with_gains(hitch)
+
+    def residuals(logarithms: np.ndarray) -> np.ndarray:
+        return np.concatenate(_residuals(hitch, directions, logarithms, records))
+
+    best = least_squares(
+        residuals,
+        np.zeros(len(directions)),
+        bounds=(-MAX_LOG_FACTOR, MAX_LOG_FACTOR),
+        diff_step=STEP,
+        x_scale=STEP,
+    )
+    return dict(zip(directions, np.exp(best.x).tolist(), strict=True))
+
+
+def calibration_improves(hitch: Hitch, records: Sequence[Record]) -> bool:
+    """Tell whether records held out in turn are followed better with factors that the others give.
+
+    To first order in the logarithms of the factors; see `proven_better`. One record alone proves nothing.
+
+    Args:
+        hitch, records: as for `levelling`.
+    """
+    directions = _with_gains(hitch)
+    zeros = np.zeros(len(directions))
+    nominal = _residuals(hitch, directions, zeros, records)
+    perturbed = [
+        _residuals(hitch, directions, STEP * unit_vector, records) for unit_vector in np.eye(len(directions))
+    ]
+    jacobians = [
+        np.stack(
+            [(perturbed_residuals[number] - residuals) / STEP for perturbed_residuals in perturbed], axis=1
+        )
+        for number, residuals in enumerate(nominal)
+    ]
+    held_out = []
+    for number, residuals in enumerate(nominal):
+        others = [index for index in range(len(records)) if index != number]
+        if not others:
+            return False
+        log_factors = np.linalg.lstsq(
+            np.concatenate([jacobians[index] for index in others]),
+            -np.concatenate([nominal[index] for index in others]),
+            rcond=None,
+        )[0]
+        held_out.append(residuals + jacobians[number] @ np.clip(log_factors, -MAX_LOG_FACTOR, MAX_LOG_FACTOR))
+    return proven_better(*(np.array([np.linalg.norm(row) for row in rows]) for rows in (held_out, nominal)))
+
+
+def _with_gains(hitch: Hitch) -> list[str]:
+    """Return the modes whose channels have a gain."""
+    channels = hitch.channels.items()
+    return [
+        direction
+        for direction, channel in channels
+        if isinstance(channel.benchmark.structure, LinearStructure)
+    ]
+
+
+def _residuals(
+    hitch: Hitch, directions: Sequence[str], logarithms: np.ndarray, records: Sequence[Record]
+) -> list[np.ndarray]:
+    """Return what each record misses in free run, its norm the root mean square."""
+    scaled_hitch = scaled(hitch, dict(zip(directions, np.exp(logarithms), strict=True)))
+    all_errors = [
+        (scaled_hitch.simulate(record) - record.displacement)[::SAMPLE_STRIDE] for record in records
+    ]
+    return [errors / np.sqrt(errors.size) for errors in all_errors]
+
+
+def scaled(hitch: Hitch, factors: Mapping[str, float]) -> Hitch:
+    """Return a hitch with factors on the gains of its channels."""
+    channels = {
+        direction: with_gain(channel, factors.get(direction, 1.0))
+        for direction, channel in hitch.channels.items()
+    }
+    return replace(hitch, channels=channels)
+
+
+def with_gain(channel: Channel, factor: float) -> Channel:
+    """Return a channel with a factor on its gain, the first parameter of a linear structure."""
+    return eqx.tree_at(
+        lambda target: target.benchmark.values, channel, channel.benchmark.values.at[0].multiply(factor)
+    )

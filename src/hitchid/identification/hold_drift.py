@@ -1,0 +1,34 @@
+"""How fast a piston that is held creeps."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from hitchid.data.record import Record
+from hitchid.data.test_kinds import direction_signs
+
+SETTLED_S = 0.5
+SHORTEST_S = 0.5
+
+
+def hold_drift(records: Sequence[Record], dead_zones: Mapping[str, float]) -> float:
+    """Return the speed of a held piston, in the displacement's unit/s; zero where nothing is held.
+
+    The slope that displacement has in common over all stretches without effective command, from 0.5 s after
+    their start, of at least 0.5 s: least squares, each stretch with a level of its own.
+
+    Args:
+        records: tests of any kind.
+        dead_zones: mode to dead zone, in the command's unit.
+    """
+    sum_time_displacement = sum_time_squared = 0.0
+    for record in records:
+        settling_samples, min_samples = round(SETTLED_S / record.step_s), round(SHORTEST_S / record.step_s)
+        is_held = np.concatenate([[False], direction_signs(record, dead_zones) == 0, [False]])
+        edges = np.flatnonzero(np.diff(is_held.astype(np.int64)))
+        for start, stop in zip(edges[::2] + settling_samples, edges[1::2], strict=True):
+            if stop - start >= min_samples:
+                time_s = record.time_s[start:stop] - record.time_s[start:stop].mean()
+                sum_time_displacement += float(time_s @ record.displacement[start:stop])
+                sum_time_squared += float(time_s @ time_s)
+    return sum_time_displacement / sum_time_squared if sum_time_squared else 0.0

@@ -1,0 +1,112 @@
+"""Questions to campaigns carried out phase by phase, all directions of all campaigns at the same time."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import ParamSpec, TypeVar
+
+from hitchid._support.parallel import parallel
+from hitchid._support.progress import ProgressCallback, parallel_progress
+from hitchid.data.campaign import Campaign
+from hitchid.errors import HitchError
+from hitchid.identification.campaign_job import (
+    CampaignJob,
+    ChannelResults,
+    Identification,
+    IdentificationConfig,
+)
+from hitchid.identification.direction import ChannelTrace, find_benchmark, find_compensators
+from hitchid.model import Channel
+
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
+Key = tuple[int, str]
+ChannelResult = tuple[Channel, ChannelTrace]
+
+
+def run_pipeline(
+    campaigns: Sequence[Campaign],
+    config: IdentificationConfig,
+    progress: ProgressCallback,
+    checkpoints: Path | None = None,
+) -> tuple[Identification | HitchError, ...]:
+    """Carry out phase 1, then phase 2, and put the models together.
+
+    Args:
+        campaigns: of one machine each.
+        config: what is asked of each.
+        progress: told where the work stands.
+        checkpoints: where finished pieces are kept, for one campaign.
+
+    Returns:
+        In the order of the campaigns what was found, or the error with which one ended.
+    """
+
+    def prepare_job(campaign: Campaign) -> CampaignJob:
+        campaign_config = config.with_default_covariate(campaign)
+        return CampaignJob.of(campaign, campaign_config, campaign_config.checkpoints(checkpoints, campaign))
+
+    jobs_or_errors = [_result_or_error(prepare_job, campaign) for campaign in campaigns]
+    jobs = {number: job for number, job in enumerate(jobs_or_errors) if isinstance(job, CampaignJob)}
+    keys = [(number, direction) for number, job in jobs.items() for direction in job.channel_configs]
+
+    def run_phase1(key: Key, channel_progress: ProgressCallback) -> ChannelResult:
+        job, direction = jobs[key[0]], key[1]
+        return find_benchmark(job.channel_data[direction], job.channel_configs[direction], channel_progress)
+
+    def calibrate_gains(number: int) -> ChannelResults:
+        return jobs[number].calibrate_gains(_campaign_results(phase1_results, number))
+
+    def run_phase2(key: Key, channel_progress: ProgressCallback) -> ChannelResult:
+        job, direction = jobs[key[0]], key[1]
+        results = _or_raise(calibrated_results[key[0]])
+        return find_compensators(
+            *results[direction], job.channel_data[direction], job.channel_configs[direction], channel_progress
+        )
+
+    def build_model(number: int) -> Identification:
+        return jobs[number].build_model(_campaign_results(phase2_results, number))
+
+    phase1_results = _phase(run_phase1, keys, progress, 0.02)
+    calibrated_results = {number: _result_or_error(calibrate_gains, number) for number in jobs}
+    phase2_results = _phase(run_phase2, keys, progress, 0.5)
+    models = parallel(lambda number: _result_or_error(build_model, number), jobs)
+    return tuple(
+        job if isinstance(job, HitchError) else models[number] for number, job in enumerate(jobs_or_errors)
+    )
+
+
+def _phase(
+    work: Callable[[Key, ProgressCallback], ChannelResult],
+    keys: Sequence[Key],
+    progress: ProgressCallback,
+    start: float,
+) -> Mapping[Key, ChannelResult | HitchError]:
+    """Do half of the work for all directions at the same time."""
+    single_campaign = len({number for number, _ in keys}) == 1
+    names = {key: key[1] if single_campaign else f"{key[0] + 1}, {key[1]}" for key in keys}
+    channel_progress = parallel_progress(progress, start, 0.48, tuple(names.values()))
+    return parallel(lambda key: _result_or_error(work, key, channel_progress[names[key]]), keys)
+
+
+def _campaign_results(results: Mapping[Key, ChannelResult | HitchError], number: int) -> ChannelResults:
+    """Return mode to answer of one campaign, or raise the error that one of them is."""
+    return {
+        direction: _or_raise(result)
+        for (campaign_number, direction), result in results.items()
+        if campaign_number == number
+    }
+
+
+def _or_raise(result: Result | HitchError) -> Result:
+    if isinstance(result, HitchError):
+        raise result
+    return result
+
+
+def _result_or_error(
+    work: Callable[Arguments, Result], *args: Arguments.args, **kwargs: Arguments.kwargs
+) -> Result | HitchError:
+    try:
+        return work(*args, **kwargs)
+    except HitchError as error:
+        return error

@@ -1,0 +1,125 @@
+"""What is searched for one direction: a structure, and which curves stand around it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hitchid.errors import InputError
+from hitchid.structures.physical_model import PhysicalModel
+from hitchid.structures.static_nonlinearity import (
+    COVARIATE_EFFECTS,
+    NEUTRAL,
+    NONLINEARITY_PARAMETERS,
+    SPOOL_DYNAMICS,
+    STROKE_GAIN_LINEAR,
+    STROKE_GAIN_QUADRATIC,
+    VALVE_CURVE,
+    Scales,
+    StaticNonlinearity,
+)
+from hitchid.structures.structure import DEAD_TIME, LinearStructure, Parameter, Structure
+
+
+@dataclass(frozen=True)
+class ModelSpec:
+    """What is searched for one direction.
+
+    Attributes:
+        structure: the benchmark's form.
+        dead_time: whether a dead time is searched too.
+        valve_curve: whether the valve's opening, exponent and saturation are.
+        spool_dynamics: whether hysteresis and lag of the valve's spool are.
+        stroke_gain_linear: whether a gain that grows or falls evenly along the stroke is. Tests of one plant
+            differ by
+            loads that nobody measures; so that these are not taken for it, each test may then be faster or
+            slower by a factor of its own while parameters are found.
+        stroke_gain_quadratic: whether a gain that varies along the stroke in any way is, slope and curve.
+        load: name of a second measured input that shifts the opening and scales the gain; None for none.
+        bounds: parameter name to lower and upper bound, in its unit, where the default will not do.
+    """
+
+    structure: Structure
+    dead_time: bool = False
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict, hash=False)
+    valve_curve: bool = False
+    spool_dynamics: bool = False
+    stroke_gain_linear: bool = False
+    stroke_gain_quadratic: bool = False
+    covariate: str | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse curves around what is not linear, and bounds that do not fit."""
+        extended = self.dead_time or bool(self.nonlinearity_parameters)
+        if extended and not isinstance(self.structure, LinearStructure):
+            raise InputError(
+                f"'{self.structure.name}' stands alone; required no dead time, curve, spool, slope, position "
+                "or load beside it"
+            )
+        by_name = {parameter.name: parameter for parameter in self.parameters}
+        for name, (lower, upper) in self.bounds.items():
+            if name not in by_name:
+                raise InputError(
+                    f"bounds: there is no parameter '{name}'; required one of {', '.join(by_name)}"
+                )
+            if not (by_name[name].linear or lower > 0) or not -np.inf < lower < upper < np.inf:
+                raise InputError(
+                    f"bounds of '{name}': required 0 < lower < upper, came {lower:g} and {upper:g}"
+                )
+
+    @property
+    def nonlinearity_parameters(self) -> tuple[Parameter, ...]:
+        """The parameters of the curves that are searched."""
+        groups = (
+            (self.valve_curve, VALVE_CURVE),
+            (self.spool_dynamics, SPOOL_DYNAMICS),
+            (self.stroke_gain_linear and not self.stroke_gain_quadratic, STROKE_GAIN_LINEAR),
+            (self.stroke_gain_quadratic, STROKE_GAIN_QUADRATIC),
+            (self.covariate is not None, COVARIATE_EFFECTS),
+        )
+        return tuple(parameter for enabled, group in groups if enabled for parameter in group)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The parameters that are searched, in their order."""
+        delay = (DEAD_TIME,) if self.dead_time else ()
+        return (*self.structure.parameters, *self.nonlinearity_parameters, *delay)
+
+    def physical_model(self, values: Float[Array, " q"], scales: Scales) -> PhysicalModel:
+        """Return the benchmark with searched values; curves that are not searched are neutral.
+
+        Args:
+            values: of `parameters`, in their order.
+            scales: what the curves are measured in.
+        """
+        count, nonlinearity_parameters = len(self.structure.parameters), self.nonlinearity_parameters
+        dead_time = values[-1] if self.dead_time else jnp.zeros((), values.dtype)
+        if not nonlinearity_parameters:
+            return PhysicalModel(self.structure, values[:count], dead_time)
+        searched = {
+            parameter: values[count + index] for index, parameter in enumerate(nonlinearity_parameters)
+        }
+        neutral = {parameter: NEUTRAL.get(parameter.name, 0.0) for parameter in NONLINEARITY_PARAMETERS}
+        curves = jnp.stack(
+            [jnp.asarray(searched.get(p, neutral[p]), values.dtype) for p in NONLINEARITY_PARAMETERS]
+        )
+        return PhysicalModel(
+            self.structure, values[:count], dead_time, StaticNonlinearity(curves, scales), self.covariate
+        )
+
+    def derived(self, values: np.ndarray, dead_zone: float) -> dict[str, tuple[float, str]]:
+        """Return quantities that follow from searched values: name to value and unit template.
+
+        Args:
+            values: of `parameters`, in their order.
+            dead_zone: of the command, in its unit.
+        """
+        by_name = dict(
+            zip((parameter.name for parameter in self.parameters), map(float, values), strict=True)
+        )
+        quantities = self.structure.derived(tuple(by_name.values())[: len(self.structure.parameters)])
+        if self.spool_dynamics:
+            quantities["width of the hysteresis"] = (by_name["hysteresis"] * dead_zone, "{u}")
+        return quantities

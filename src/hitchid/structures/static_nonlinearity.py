@@ -1,0 +1,190 @@
+"""What a linear model leaves out: the valve's opening curve, the gain along the stroke, the load."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from hitchid.structures.structure import Parameter
+
+SHARPNESS = 4
+MIN_RELATIVE_COMMAND = 1e-3
+LINEAR_OPENING = 1e-6
+QUADRATIC_RANGE = 1.5
+MAX_EXTRAPOLATION = 0.7
+LOW_LEVELS = "levels just above the dead zone"
+LEVELS = "more levels of command"
+HIGH_LEVELS = "higher levels of command"
+STROKE = "tests over more of the stroke"
+LOADS = "tests at other loads"
+VALVE_CURVE = (
+    Parameter("opening", "1", -0.6, 0.9, linear=True, excitation_hint=LOW_LEVELS),
+    Parameter("exponent", "1", 1 / 3, 3.0, excitation_hint=LEVELS),
+    Parameter("saturation", "1", 0.05, 1e4, excitation_hint=HIGH_LEVELS),
+)
+SPOOL_DYNAMICS = (
+    Parameter("hysteresis", "1", 0.0, 1.0, linear=True, excitation_hint="commands that fall between levels"),
+    Parameter("spool_lag", "s", 1e-3, 0.5, symbol="spool lag"),
+)
+STROKE_GAIN_LINEAR = (Parameter("position_slope", "1", -2.0, 2.0, linear=True, excitation_hint=STROKE),)
+STROKE_GAIN_QUADRATIC = (
+    *STROKE_GAIN_LINEAR,
+    Parameter("position_curve", "1", -2.0, 2.0, linear=True, excitation_hint=STROKE),
+)
+COVARIATE_EFFECTS = (
+    Parameter("load_shift", "1", -0.3, 0.3, linear=True, excitation_hint=LOADS),
+    Parameter("load_gain", "1", -1.0, 1.0, linear=True, excitation_hint=LOADS),
+)
+NONLINEARITY_PARAMETERS = (*VALVE_CURVE, *SPOOL_DYNAMICS, *STROKE_GAIN_QUADRATIC, *COVARIATE_EFFECTS)
+NEUTRAL = {"opening": 0.0, "exponent": 1.0, "saturation": 1e4, "spool_lag": 1e-15}
+
+
+class Scales(eqx.Module):
+    """What the shape's parameters are measured in, taken from the identification tests.
+
+    Attributes:
+        command: largest effective command.
+        centre, span: middle and half of the range of displacement.
+        load_centre, load_spread: mean and standard deviation of the second measured input.
+    """
+
+    command: Float[Array, ""]
+    centre: Float[Array, ""]
+    span: Float[Array, ""]
+    load_centre: Float[Array, ""]
+    load_spread: Float[Array, ""]
+
+
+class PlayState(NamedTuple):
+    """State of a valve's spool, each of any one shape [...].
+
+    Attributes:
+        lagged: the command after the lag, s.
+        play_output: the same after play, p.
+    """
+
+    lagged: Float[Array, "*b"]
+    play_output: Float[Array, "*b"]
+
+
+class StaticNonlinearity(eqx.Module):
+    """Static curves around a linear model: u → w(u, c) → linear dynamics → gain g(x, c).
+
+    The spool follows the command with a lag, ṡ = (c − s)/τ, and with play: p(k) = p(k−1) held within
+    s̄(k) ± h d₀/2, where s̄ is the mean of s over a sampling interval, d₀ the dead zone and h d₀ the width of
+    the hysteresis. Beyond the dead zone lies u = sign(p)·max(|p| − d₀ + h d₀/2, 0), which without lag and
+    hysteresis is the effective command.
+
+    With z = u/U and the second input c in its own spread, v = max(z − s c − d, 0)ⁿ and
+    w = U v/(1 + (v/σ)⁴)^¼: beyond the opening d flow grows with the power n of the command until it
+    saturates. Within a millionth of U of its opening flow is a straight line, for a power below one has no
+    derivative at zero. A negative opening says that the valve opens below the dead zone. Where u is less than
+    a thousandth of U nothing flows: h ≤ 1 and the end of the lag make sure of that for a command of zero.
+    Travel grows by g = exp(a ξ + b (ξ² − ⅓) + γ c) times what the linear model's does, ξ the displacement
+    within its range; farther out than 1½ of it b ξ² is held, and a ξ goes on to at most twice or half.
+
+    Attributes:
+        values: d, n, σ, h, τ, a, b, s, γ, shape [9].
+        scales: U, and those of ξ and c.
+    """
+
+    values: Float[Array, "9"]
+    scales: Scales
+
+    def effective(
+        self,
+        raw_command: Float[Array, "t n"],
+        dead_zone: Float[Array, " t"],
+        step_s: Float[Array, ""] | float,
+    ) -> Float[Array, "t n"]:
+        """Return u, in the command's unit, from the command as logged; before its first sample it is zero."""
+
+        def advance(spool: PlayState, command: Array) -> tuple[PlayState, Array]:
+            return self.step_spool(spool, command, dead_zone, step_s)
+
+        zeros = jnp.zeros_like(raw_command[:, 0])
+        return jax.lax.scan(advance, PlayState(zeros, zeros), raw_command.T)[1].T
+
+    def step_spool(
+        self,
+        spool: PlayState,
+        command: Float[Array, "*b"],
+        dead_zone: Float[Array, "*b"],
+        step_s: Float[Array, ""] | float,
+    ) -> tuple[PlayState, Float[Array, "*b"]]:
+        """Let the spool follow the command over one sample; return it, and u in the command's unit."""
+        hysteresis, lag = self._named("hysteresis", "spool_lag")
+        half_width = 0.5 * hysteresis * dead_zone
+        decay = jnp.exp(-step_s / lag)
+        mean_lagged = command + lag / step_s * (1 - decay) * (spool.lagged - command)
+        play_output = jnp.clip(spool.play_output, mean_lagged - half_width, mean_lagged + half_width)
+        excess = jnp.sign(play_output) * jnp.maximum(jnp.abs(play_output) - (dead_zone - half_width), 0.0)
+        return PlayState(command + decay * (spool.lagged - command), play_output), excess
+
+    def flow(self, command: Float[Array, "*b"], covariate: Float[Array, "*#b"]) -> Float[Array, "*b"]:
+        """Return w, in the command's unit.
+
+        Args:
+            command: u, what lies beyond the dead zone.
+            load: second input before motion.
+        """
+        opening, exponent, saturation, shift = self._named("opening", "exponent", "saturation", "load_shift")
+        size = jnp.abs(command) / self.scales.command
+        above_opening = size - opening - shift * self._scaled_covariate(covariate)
+        is_open = (size > MIN_RELATIVE_COMMAND) & (above_opening > 0)
+        power = jnp.maximum(above_opening, LINEAR_OPENING) ** exponent * jnp.minimum(
+            above_opening / LINEAR_OPENING, 1.0
+        )
+        unsaturated = jnp.where(is_open, power, 0.0)
+        saturated = unsaturated / (1 + (unsaturated / saturation) ** SHARPNESS) ** (1 / SHARPNESS)
+        return jnp.sign(command) * self.scales.command * saturated
+
+    def gain(self, displacement: Float[Array, "*b"], covariate: Float[Array, "*b"]) -> Float[Array, "*b"]:
+        """Return g, what the linear model's speed is multiplied by.
+
+        Args:
+            displacement: where the piston is.
+            load: second input before motion.
+        """
+        slope, curve, gain = self._named("position_slope", "position_curve", "load_gain")
+        position = (displacement - self.scales.centre) / self.scales.span
+        clipped_position = jnp.clip(position, -QUADRATIC_RANGE, QUADRATIC_RANGE)
+        extrapolation = jnp.clip(slope * (position - clipped_position), -MAX_EXTRAPOLATION, MAX_EXTRAPOLATION)
+        return jnp.exp(
+            slope * clipped_position
+            + extrapolation
+            + curve * (clipped_position**2 - 1 / 3)
+            + gain * self._scaled_covariate(covariate)
+        )
+
+    def travel(
+        self,
+        linear: Float[Array, "t n"],
+        covariate: Float[Array, " t"],
+        initial: Float[Array, " t"],
+        sign: int | Int[Array, ""],
+    ) -> Float[Array, "t n"]:
+        """Return travel from the linear model's.
+
+        Args:
+            linear: travel of the linear model.
+            load: second input before motion.
+            initial: displacement before motion.
+            sign: +1 where displacement grows with travel, −1 where it falls.
+        """
+        steps = jnp.diff(linear, axis=1, prepend=jnp.zeros_like(linear[:, :1]))
+
+        def advance(travel: Array, step: Array) -> tuple[Array, Array]:
+            travel = travel + self.gain(initial + sign * travel, covariate) * step
+            return travel, travel
+
+        return jax.lax.scan(advance, jnp.zeros_like(initial), steps.T)[1].T
+
+    def _named(self, *names: str) -> tuple[Array, ...]:
+        order = [parameter.name for parameter in NONLINEARITY_PARAMETERS]
+        return tuple(self.values[order.index(name)] for name in names)
+
+    def _scaled_covariate(self, covariate: Float[Array, "*b"]) -> Float[Array, "*b"]:
+        return jnp.clip((covariate - self.scales.load_centre) / self.scales.load_spread, -3.0, 3.0)

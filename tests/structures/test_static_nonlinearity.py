@@ -1,0 +1,288 @@
+"""The curves around a linear model against closed forms and what must hold for all values."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hitchid.data.record import LIFTING
+from hitchid.data.test_kinds import effective_command
+from hitchid.errors import InputError
+from hitchid.structures import (
+    NONLINEARITY_PARAMETERS,
+    Batch,
+    ModelSpec,
+    Scales,
+    StaticNonlinearity,
+    structure_named,
+)
+from hitchid.structures.static_nonlinearity import MAX_EXTRAPOLATION, NEUTRAL, QUADRATIC_RANGE
+from truth import STEP_S, levels
+
+EPS = np.finfo(np.float64).eps
+SCALES = Scales(*(jnp.asarray(scale) for scale in (2.0, 50.0, 50.0, 120.0, 25.0)))
+DEAD_ZONE = 0.4
+
+
+def shape(**values):
+    return StaticNonlinearity(
+        jnp.array([values.get(p.name, NEUTRAL.get(p.name, 0.0)) for p in NONLINEARITY_PARAMETERS]), SCALES
+    )
+
+
+compiled_flow = eqx.filter_jit(StaticNonlinearity.flow)
+compiled_effective = eqx.filter_jit(StaticNonlinearity.effective)
+
+
+def flow(curves, command, load=120.0):
+    return np.asarray(compiled_flow(curves, jnp.asarray(command)[None], jnp.array([load])))[0]
+
+
+def effective(curves, command, dead_zone=DEAD_ZONE):
+    return np.asarray(compiled_effective(curves, jnp.asarray(command)[None], jnp.array([dead_zone]), STEP_S))[
+        0
+    ]
+
+
+def test_neutral_curves_change_nothing():
+    command = levels(np.random.default_rng(0), 200, low=-2.0, high=2.0)
+    # (1 + 10⁻¹⁶)^¼ and a division by U and back.
+    np.testing.assert_allclose(flow(shape(), command), command, rtol=4 * EPS)
+    travel = jnp.cumsum(jnp.asarray(command))[None]
+    shaped = shape().travel(travel, jnp.zeros(1), jnp.zeros(1), 1)
+    np.testing.assert_allclose(
+        np.asarray(shaped), travel, rtol=0, atol=200 * EPS * float(jnp.abs(travel).max())
+    )
+
+
+def test_neutral_values_give_the_command_beyond_the_dead_zone():
+    command = levels(np.random.default_rng(0), 200, low=-2.0, high=2.0)
+    found = effective(shape(), command)
+    # What the neutral lag τ leaves of a step of the command: τ/h of it, in the first interval only.
+    left = NEUTRAL["spool_lag"] / STEP_S * np.abs(np.diff(command, prepend=0.0)) + 4 * EPS * 2.0
+    assert np.all(np.abs(found - effective_command(command, DEAD_ZONE)) <= left)
+    assert np.count_nonzero(found) > 50
+    assert np.all(found[np.abs(command) < 0.9 * DEAD_ZONE] == 0.0)
+
+
+def played(spool, width):
+    """Return the play operator of half-width `width` by its definition, from zero, shape [N]."""
+    held, found = 0.0, []
+    for s in spool:
+        if held < s - width:
+            held = s - width
+        elif held > s + width:
+            held = s + width
+        found.append(held)
+    return np.array(found)
+
+
+@settings(deadline=None, max_examples=30)
+@given(seed=st.integers(0, 2**16), hysteresis=st.floats(0.0, 1.0), dead_zone=st.floats(0.05, 1.0))
+def test_hysteresis_is_the_play_operator(seed, hysteresis, dead_zone):
+    command = np.random.default_rng(seed).uniform(-2.0, 2.0, 120)
+    half = 0.5 * hysteresis * dead_zone
+    held = played(command, half)
+    expected = np.sign(held) * np.maximum(np.abs(held) - dead_zone + half, 0.0)
+    # The neutral lag: τ/h of a step of 4 at most, which play may keep.
+    bound = 4.0 * NEUTRAL["spool_lag"] / STEP_S + 8 * EPS
+    np.testing.assert_allclose(
+        effective(shape(hysteresis=hysteresis), command, dead_zone), expected, rtol=0, atol=bound
+    )
+
+
+@pytest.mark.parametrize("hysteresis", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_rising_ramp_opens_at_the_dead_zone_and_a_falling_one_closes_a_width_below(hysteresis, side):
+    up = np.linspace(0.0, 1.0, 2001)
+    ramp = np.concatenate([up, up[::-1]])
+    found = side * effective(shape(hysteresis=hysteresis), side * ramp)
+    rising, falling = found[:2001], found[2001:][::-1]
+    # A ramp of 5e-4 a sample: the neutral lag shifts it by τ/h of that.
+    shift = 5e-4 * NEUTRAL["spool_lag"] / STEP_S + 4 * EPS
+    np.testing.assert_allclose(rising, np.maximum(up - DEAD_ZONE, 0.0), rtol=0, atol=shift)
+    closes = DEAD_ZONE * (1 - hysteresis)
+    # On the way back play lets go of the spool a width below the top.
+    free = up <= 1.0 - hysteresis * DEAD_ZONE
+    np.testing.assert_allclose(falling[free], np.maximum(up - closes, 0.0)[free], rtol=0, atol=shift)
+    assert np.all(falling[~free] == pytest.approx(1.0 - DEAD_ZONE, abs=shift))
+
+
+@pytest.mark.parametrize("lag", [1e-3, 0.02, 0.5])
+def test_the_spool_answers_a_step_as_a_first_order_lag_in_the_mean_over_each_interval(lag):
+    """s(t) = 1 − exp(−t/τ); its mean from k h to (k + 1) h is 1 − τ/h (exp(−k h/τ) − exp(−(k + 1) h/τ))."""
+    edge = np.exp(-STEP_S * np.arange(301) / lag)
+    expected = 1.5 * (1 - lag / STEP_S * (edge[:-1] - edge[1:]))
+    found = effective(shape(spool_lag=lag), np.full(300, 1.5), dead_zone=0.0)
+    # Differences of exponentials, τ/h times, and 300 products.
+    np.testing.assert_allclose(found, expected, rtol=0, atol=300 * EPS * 1.5 * max(1.0, lag / STEP_S))
+    beyond = effective(shape(spool_lag=lag), np.full(300, 1.5))
+    np.testing.assert_allclose(beyond, np.maximum(expected - DEAD_ZONE, 0.0), rtol=0, atol=1e-13)
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    seed=st.integers(0, 2**16),
+    hysteresis=st.floats(0.0, 1.0),
+    lag=st.sampled_from([NEUTRAL["spool_lag"], 1e-3, 0.03]),
+    opening=st.floats(-0.6, 0.9),
+    dead_zone=st.floats(0.0, 1.0),
+)
+def test_a_command_of_zero_lets_nothing_flow_for_any_hysteresis(seed, hysteresis, lag, opening, dead_zone):
+    curves = shape(hysteresis=hysteresis, spool_lag=lag, opening=opening)
+    never = effective(curves, np.zeros(50), dead_zone)
+    assert not np.any(flow(curves, never))
+    moved = np.random.default_rng(seed).uniform(-2.0, 2.0, 60)
+    after = effective(curves, np.concatenate([moved, np.zeros(300)]), dead_zone)[60:]
+    # The lag runs out; once less of the spool is left than the width leaves of the dead zone, or than a
+    # thousandth of the largest command, 2.0, all is shut, however far below the dead zone the valve opens.
+    room = max(dead_zone * (1 - hysteresis), 1e-3 * 2.0)
+    left = 2.0 * np.exp(-STEP_S * np.arange(300) / lag) * max(1.0, lag / STEP_S)
+    assert not np.any(flow(curves, after)[left < room - 4 * EPS])
+    assert np.count_nonzero(left < room - 4 * EPS) > 250
+
+
+def test_a_standing_command_moves_no_spool():
+    """After a step up and down again within the play, the spool stays where it was."""
+    command = np.concatenate([np.full(20, 1.0), np.full(20, 1.0 - 0.3 * DEAD_ZONE)])
+    found = effective(shape(hysteresis=0.5), command)
+    np.testing.assert_allclose(
+        found[1:], 1.0 - DEAD_ZONE, rtol=0, atol=NEUTRAL["spool_lag"] / STEP_S + 4 * EPS
+    )
+    further = np.concatenate([np.full(20, 1.0), np.full(20, 1.0 - 0.7 * DEAD_ZONE)])
+    assert effective(shape(hysteresis=0.5), further)[-1] == pytest.approx(1.0 - 1.2 * DEAD_ZONE, abs=1e-6)
+
+
+def test_flow_is_the_power_of_what_lies_beyond_the_opening_until_it_saturates():
+    command = np.array([0.0, 0.3, 0.5, 1.0, 2.0])
+    beyond = np.maximum(command / 2.0 - 0.2, 0.0)
+    np.testing.assert_allclose(flow(shape(opening=0.2, exponent=2.0), command), 2.0 * beyond**2, rtol=8 * EPS)
+    limited = beyond / (1 + (beyond / 0.3) ** 4) ** 0.25
+    np.testing.assert_allclose(flow(shape(opening=0.2, saturation=0.3), command), 2.0 * limited, rtol=8 * EPS)
+
+
+@settings(deadline=None, max_examples=50)
+@given(
+    opening=st.floats(-0.6, 0.9),
+    exponent=st.floats(0.34, 3.0),
+    saturation=st.floats(0.05, 1e4),
+    shift=st.floats(-0.3, 0.3),
+    load=st.floats(0.0, 400.0),
+)
+def test_flow_never_falls_with_the_command_and_a_standing_command_moves_nothing(
+    opening, exponent, saturation, shift, load
+):
+    curves = shape(opening=opening, exponent=exponent, saturation=saturation, load_shift=shift)
+    command = np.linspace(0.0, 2.5, 60)
+    found = flow(curves, command, load)
+    assert found[0] == 0.0
+    assert np.all(np.diff(found) >= -4 * EPS * found.max())
+    assert found.max() <= 2.0 * saturation * (1 + 4 * EPS)
+    np.testing.assert_array_equal(flow(curves, -command, load), -found)
+
+
+def test_a_gain_along_the_stroke_gives_the_travel_of_its_differential_equation():
+    """dx/dt = v exp(a ξ + b ξ² − b/3), ξ = x/50 − 1: with b = 0, exp(−a ξ) falls by a v t/50 from exp(a)."""
+    slope, speed = 0.8, 10.0
+    errors = []
+    for step_s in (0.02, 0.01):
+        time_s = step_s * np.arange(round(3.0 / step_s) + 1)
+        linear = jnp.asarray(speed * time_s)[None]
+        found = shape(position_slope=slope).travel(linear, jnp.zeros(1), jnp.zeros(1), 1)
+        place = -np.log(np.exp(slope) - slope * speed * time_s / 50.0) / slope
+        errors.append(np.abs(np.asarray(found)[0] - 50.0 * (place + 1)).max())
+    # One Euler step a sample: half the step, half the error.
+    assert errors[1] < 0.02
+    assert errors[0] / errors[1] == pytest.approx(2.0, rel=0.05)
+
+
+def test_a_falling_displacement_sees_the_same_gain_where_it_is():
+    linear = jnp.linspace(0.0, 20.0, 300)[None]
+    none = jnp.zeros(1)
+    curves = shape(position_slope=0.5, position_curve=-0.4)
+    up = curves.travel(linear, none, jnp.array([10.0]), 1)
+    mirrored = shape(position_slope=-0.5, position_curve=-0.4)
+    down = mirrored.travel(linear, none, jnp.array([90.0]), -1)
+    np.testing.assert_allclose(up, down, rtol=1e-12)
+
+
+compiled_gain = eqx.filter_jit(StaticNonlinearity.gain)
+
+
+def gain(curves, place):
+    """Return the gain at places in half ranges from the centre, 50 mm each, shape [N]."""
+    displacement = 50.0 + 50.0 * np.asarray(place)
+    return np.asarray(compiled_gain(curves, jnp.asarray(displacement), jnp.full(len(place), 120.0)))
+
+
+slopes = st.floats(-2.0, 2.0)
+
+
+@settings(deadline=None, max_examples=50)
+@given(slope=slopes, curve=slopes, place=st.floats(-QUADRATIC_RANGE, QUADRATIC_RANGE))
+def test_within_reach_the_gain_is_its_formula(slope, curve, place):
+    found = gain(shape(position_slope=slope, position_curve=curve), [place])
+    # Exponents up to 7 of places that round in 50 ± 75 mm.
+    expected = np.exp(slope * place + curve * (place**2 - 1 / 3))
+    np.testing.assert_allclose(found, expected, rtol=50 * EPS)
+
+
+@settings(deadline=None, max_examples=50)
+@given(slope=slopes, curve=slopes, beyond=st.floats(0.0, 1e4), side=st.sampled_from([-1.0, 1.0]))
+def test_beyond_reach_the_curve_is_held_and_the_slope_goes_on_to_a_factor_of_two(slope, curve, beyond, side):
+    curves = shape(position_slope=slope, position_curve=curve)
+    edge, far = gain(curves, [side * QUADRATIC_RANGE, side * (QUADRATIC_RANGE + beyond)])
+    went_on = float(np.clip(side * slope * beyond, -MAX_EXTRAPOLATION, MAX_EXTRAPOLATION))
+    # A place of up to 1e4 half ranges times a slope of two, of which up to 0.7 counts.
+    assert far / edge == pytest.approx(np.exp(went_on), rel=50 * EPS + 4 * EPS * abs(slope) * QUADRATIC_RANGE)
+    assert abs(MAX_EXTRAPOLATION - np.log(2.0)) < 0.01
+
+
+@pytest.mark.parametrize("slope", [-1.2, 0.4])
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_the_gain_has_no_step_where_the_reach_ends_and_at_last_stands(slope, side):
+    curves = shape(position_slope=slope, position_curve=0.3)
+    near = gain(curves, side * (QUADRATIC_RANGE + np.array([-1e-9, 1e-9])))
+    # Steepest by slope and curve together: |a| + 2 b ξ, over 2e-9 half ranges.
+    assert abs(np.diff(np.log(near)).item()) <= 2e-9 * (abs(slope) + 2 * 0.3 * QUADRATIC_RANGE) + 50 * EPS
+    last = QUADRATIC_RANGE + MAX_EXTRAPOLATION / abs(slope)
+    found = gain(curves, side * np.array([last - 0.1, last, last + 1.0, 1e6]))
+    assert found[0] != found[1]
+    np.testing.assert_allclose(found[1:], found[1], rtol=50 * EPS)
+
+
+def test_the_load_scales_travel_and_shifts_the_opening():
+    linear = jnp.linspace(0.0, 20.0, 300)[None]
+    found = shape(load_gain=0.3).travel(linear, jnp.array([145.0]), jnp.zeros(1), 1)
+    np.testing.assert_allclose(found, np.exp(0.3) * linear, rtol=1e-12)
+    command = np.linspace(0.01, 2.0, 50)
+    shifted = flow(shape(load_shift=0.1), command, 145.0)
+    np.testing.assert_allclose(shifted, flow(shape(opening=0.1), command), rtol=1e-12, atol=1e-15)
+
+
+def test_a_record_without_the_second_input_is_refused(make_record):
+    record = make_record(np.linspace(80.0, 90.0, 100), np.ones(100))
+    with pytest.raises(InputError, match="has no 'pressure'"):
+        Batch.of([record], LIFTING, dead_zone=0.0, sign=1, covariate="pressure")
+
+
+def test_bounds_may_be_negative_only_where_a_parameter_may():
+    structure = structure_named("integrator")
+    assert ModelSpec(structure, stroke_gain_quadratic=True, bounds={"position_slope": (-1.0, 1.0)}).bounds
+    with pytest.raises(InputError, match="exponent"):
+        ModelSpec(structure, valve_curve=True, bounds={"exponent": (-1.0, 1.0)})
+    with pytest.raises(InputError, match="position_slope"):
+        ModelSpec(structure, bounds={"position_slope": (-1.0, 1.0)})
+
+
+def test_sampling_time_does_not_enter_the_static_curve(make_record):
+    record = make_record(np.linspace(80.0, 90.0, 100), np.ones(100))
+    batch = Batch.of([record], LIFTING, dead_zone=0.0, sign=1)
+    form = ModelSpec(structure_named("integrator"), valve_curve=True)
+    model = form.physical_model(jnp.array([3.0, 0.1, 2.0, 0.5]), SCALES)
+    speed = 3.0 * flow(shape(opening=0.1, exponent=2.0, saturation=0.5), np.ones(1))[0]
+    np.testing.assert_allclose(
+        model.travel(batch)[0, :100], speed * STEP_S * np.arange(100), rtol=0, atol=1e-12
+    )
