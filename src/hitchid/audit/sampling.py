@@ -4,8 +4,9 @@ import re
 
 import numpy as np
 
+from hitchid._support.notices import Severity
 from hitchid.audit.context import CampaignContext, RecordContext
-from hitchid.audit.finding import AuditFinding, Severity
+from hitchid.audit.finding import AuditFinding
 
 UNLIKE_STEPS = 1.5
 MUCH_JITTER = 0.10
