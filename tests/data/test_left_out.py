@@ -81,7 +81,7 @@ def test_a_log_that_cannot_be_used_is_left_out_by_name_with_its_reason(five, kin
     (left,) = campaign.left_out
     assert left.name == "a-2"
     assert said in left.reason
-    assert campaign.warnings == (f"a-2: left out: {left.reason}", "1 of 5 logs left out")
+    assert tuple(map(str, campaign.notices)) == (f"a-2: left out: {left.reason}", "1 of 5 logs left out")
     with pytest.raises(LogError, match=r"a-2\.(csv|mat): "):
         read(five, strict=True)
 
@@ -134,7 +134,7 @@ def test_a_pattern_that_matches_only_logs_left_out_is_told_and_no_error(five):
     spoil(five, "a-2", "stands")
     campaign = read(five)
     assert campaign.held_out(LIFTING) == ()
-    assert "no test is held out" in campaign.warnings[-1]
+    assert "no test is held out" in campaign.notices[-1].sentence
     spoil(five, "a-2", "unreadable")
     assert read(five).unmatched == ()
 
