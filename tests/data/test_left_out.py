@@ -209,7 +209,7 @@ def test_a_run_that_failed_is_not_in_the_way_of_the_next(five, tmp_path, monkeyp
         raise error
 
     monkeypatch.setattr("hitchid.identification.identify", fail)
-    monkeypatch.setattr("hitchid.cli.identifying.prepare_jax", lambda: None)
+    monkeypatch.setattr("hitchid.cli.identify.prepare_jax", lambda: None)
     identify = ["identify", str(five), "--out", str(tmp_path / "model"), "--quiet"]
     for number in (1, 2):
         assert CliRunner().invoke(app, identify).exception is error

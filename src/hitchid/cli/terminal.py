@@ -146,11 +146,11 @@ def _parameters(direction: str, unit: str, trace: "ChannelTrace") -> RichTable:
 
 def show_advice(advice: "Advice", model: "Hitch") -> None:
     """Print the tests proposed, and what each is expected to leave of the standard error."""
-    command, displacement = model.units[f"{advice.mode}_command"], model.units["displacement"]
-    zone = model.channels[advice.mode].dead_zone
+    command, displacement = model.units[f"{advice.direction}_command"], model.units["displacement"]
+    zone = model.channels[advice.direction].dead_zone
     name = advice.parameter.replace("_", " ")
     table = _table(
-        f"{advice.mode}: next test",
+        f"{advice.direction}: next test",
         f"low / {command}",
         f"high / {command}",
         "clock / s",
@@ -158,7 +158,9 @@ def show_advice(advice: "Advice", model: "Hitch") -> None:
         f"travel / {displacement}",
         f"error of {name} / %",
     )
-    table.add_row("another like those", "", "", "", "", "", f"{100 * advice.usual[advice.parameter]:.0f}")
+    table.add_row(
+        "another like those", "", "", "", "", "", f"{100 * advice.baseline_reduction[advice.parameter]:.0f}"
+    )
     for number, proposal in enumerate(advice.proposals, start=1):
         table.add_row(
             f"binary, {number}",
@@ -167,7 +169,7 @@ def show_advice(advice: "Advice", model: "Hitch") -> None:
             f"{proposal.clock_s:.3g}",
             f"{proposal.duration_s:.4g}",
             f"{proposal.travel:.4g}",
-            f"{100 * proposal.left[advice.parameter]:.0f}",
+            f"{100 * proposal.remaining_error[advice.parameter]:.0f}",
         )
     _console().print(table)
     if advice.ramps:

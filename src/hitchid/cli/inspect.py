@@ -1,4 +1,4 @@
-"""Commands on logs alone."""
+"""`hitchid inspect`: what logs hold, an audit of them, a first campaign.toml."""
 
 import json
 from pathlib import Path
