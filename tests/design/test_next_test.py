@@ -62,7 +62,7 @@ def mirrored(channel):
     """Return the channel of the same tests, had they gone the other way."""
     ends = channel.envelope.displacement
     other = SignalRange(2 * START_MM - ends.highest, 2 * START_MM - ends.lowest)
-    return replace(channel, direction=-1, envelope=replace(channel.envelope, displacement=other))
+    return replace(channel, sign=-1, envelope=replace(channel.envelope, displacement=other))
 
 
 def hitch_of(*modes, **options):
@@ -185,7 +185,7 @@ def test_no_ramps_are_advised_where_the_dead_zone_is_given(model):
 @pytest.mark.parametrize(
     ("asked", "complaint"),
     [
-        ({"parameter": "damping"}, "required what a test could narrow, .*gain.*; came damping"),
+        ({"parameter": "damping"}, "required a parameter with an error, .*gain.*; came damping"),
         ({"mode": "sideways"}, "required .*lifting gain.*lowering time_constant; came sideways"),
         ({"mode": LIFTING, "parameter": "damping"}, "came lifting damping"),
         (
@@ -214,7 +214,7 @@ def test_what_cannot_be_designed_is_refused(model, asked, complaint):
 def test_a_model_that_knows_nothing_of_its_tests_is_refused(model):
     known = {mode: Uncertainty(each.benchmark) for mode, each in model.uncertainty.items()}
     for each in (made_up(), Hitch(model.channels, STEP_S, UNITS, uncertainty=known)):
-        with pytest.raises(InputError, match="required what a test could narrow, nothing; came anything"):
+        with pytest.raises(InputError, match="required a parameter with an error, nothing; came anything"):
             design(each)
 
 
