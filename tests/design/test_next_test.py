@@ -164,7 +164,7 @@ def test_by_default_the_parameter_with_the_widest_interval_is_narrowed(model, ad
     vaguest = max((key for key in widths if key[0] == LIFTING), key=widths.get)
     assert design(model, LIFTING).parameter == vaguest[1]
     vaguest = max((key for key in widths if key[1] == "gain"), key=widths.get)
-    assert design(model, parameter="gain").mode == vaguest[0]
+    assert design(model, parameter="gain").direction == vaguest[0]
 
 
 def test_the_same_seed_gives_the_same_advice_and_another_seed_another(model, advice):
@@ -186,22 +186,22 @@ def test_no_ramps_are_advised_where_the_dead_zone_is_given(model):
     ("asked", "complaint"),
     [
         ({"parameter": "damping"}, "required a parameter with an error, .*gain.*; came damping"),
-        ({"mode": "sideways"}, "required .*lifting gain.*lowering time_constant; came sideways"),
-        ({"mode": LIFTING, "parameter": "damping"}, "came lifting damping"),
+        ({"direction": "sideways"}, "required .*lifting gain.*lowering time_constant; came sideways"),
+        ({"direction": LIFTING, "parameter": "damping"}, "came lifting damping"),
         (
-            {"mode": LIFTING, "limits": ExcitationLimits(highest=0.3)},
+            {"direction": LIFTING, "limits": ExcitationLimits(highest=0.3)},
             "highest command: required above the dead zone of 0.35, came 0.3",
         ),
         (
-            {"mode": LIFTING, "limits": ExcitationLimits(highest=0.35)},
+            {"direction": LIFTING, "limits": ExcitationLimits(highest=0.35)},
             "required above the dead zone of 0.35, came 0.35",
         ),
         (
-            {"mode": LIFTING, "limits": ExcitationLimits(travel=0.001)},
+            {"direction": LIFTING, "limits": ExcitationLimits(travel=0.001)},
             f"lifting: none of {CANDIDATES} tests stays within the limits; required wider ones",
         ),
         (
-            {"mode": LIFTING, "limits": ExcitationLimits(longest_s=0.0)},
+            {"direction": LIFTING, "limits": ExcitationLimits(longest_s=0.0)},
             f"none of {CANDIDATES} tests stays within",
         ),
     ],
