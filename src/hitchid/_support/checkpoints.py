@@ -16,8 +16,8 @@ from hitchid.errors import InputError
 Arrays = Mapping[str, np.ndarray]
 Cached = TypeVar("Cached")
 SUFFIX, RUN_FILE, FAILED_FILE = ".npz", "run.json", "failed"
-DIGEST_LENGTH = 64
-MAX_READABLE, HASH_LENGTH = 80, 16
+DIGEST_LENGTH = 64  # characters of a SHA-256 in hexadecimal
+MAX_READABLE, HASH_LENGTH = 80, 16  # characters of a file name: legible part, and digest of the names
 
 
 @dataclass(frozen=True)

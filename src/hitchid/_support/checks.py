@@ -11,7 +11,7 @@ import numpy as np
 from hitchid.errors import InputError
 
 Kind = TypeVar("Kind")
-MAX_SHOWN = 60
+MAX_SHOWN = 60  # characters of a value quoted in a message
 
 
 def instance(value: object, kind: type[Kind] | tuple[type[Kind], ...], name: str, required: str) -> Kind:

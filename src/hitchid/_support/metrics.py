@@ -6,11 +6,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import stdtrit
 
-HORIZONS = (1, 2, 5, 10, 20, 50, 100)
-MIN_IMPROVEMENT = 1.02
-MIN_WIN_RATE = 2 / 3
+HORIZONS = (1, 2, 5, 10, 20, 50, 100)  # samples predicted ahead, as metrics.json lists them
+MIN_IMPROVEMENT = 1.02  # ratio of RMSE: 2 % better
+MIN_WIN_RATE = 2 / 3  # share of tests on which a better model must be better
+# Tests from which on one standard error (84 %, one-sided) proves a difference; with fewer, 90 %.
 MIN_TESTS, ONE_SIGMA_LEVEL, FEW_TESTS_LEVEL = 6, 0.84, 0.9
-ERROR_FLOOR = 1e-300
+ERROR_FLOOR = 1e-300  # smallest error taken, so that its logarithm is finite
 
 
 class ErrorFigures(NamedTuple):

@@ -29,7 +29,7 @@ IterationCallback = Callable[[int, float], None]
 """Called after a round of a search with its number and the best error so far."""
 
 
-TYPICAL_ITERATIONS = 100
+TYPICAL_ITERATIONS = 100  # after which half of a search's share of the progress is shown
 
 
 def silent(_: ProgressUpdate) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from hitchid.estimation import SearchComparison
 
-MAX_PROGRAMS = 10_000
+MAX_PROGRAMS = 10_000  # compiled programs kept, some 100 MB
 
 
 def prepare_jax() -> None:

@@ -12,7 +12,7 @@ from hitchid.errors import InputError
 if TYPE_CHECKING:
     from hitchid.inspection import Inspection
 
-MAX_DRAWN = 12
+MAX_DRAWN = 12  # records in one picture
 PICTURES = (".png", ".svg", ".pdf")
 
 

@@ -14,7 +14,7 @@ from rich.text import Text
 from hitchid._support.progress import ProgressCallback, ProgressUpdate, silent
 
 BLOCKS = "▁▂▃▄▅▆▇█"
-WIDTH, NAME = 36, 28
+WIDTH, NAME = 36, 28  # columns of a sparkline and of the name before it, in a terminal of 80
 
 
 @contextmanager

@@ -19,9 +19,9 @@ from hitchid.data.test_kinds import detect_kind, full_scales, ramp_direction, st
 from hitchid.data.units import UNITS
 from hitchid.errors import InputError, LogError
 
-HELD_OUT_FRACTION = 0.2
+HELD_OUT_FRACTION = 0.2  # of the tests of a direction, the default split
 STROKE_SEPARATOR = "#"
-MAX_RATE_RATIO = 100
+MAX_RATE_RATIO = 100  # of sampling times in one campaign; beyond, one of them has a wrong unit
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ COMMAND = MappingProxyType({LIFTING: "lifting_command", LOWERING: "lowering_comm
 RAMP = "ramp"
 CYCLE = "cycle"
 IDLE = "idle"
-FINGERPRINT_STEP = 1e-6
+FINGERPRINT_STEP = 1e-6  # of the range; coarser than the rounding of a unit conversion
 KINDS = (LIFTING, LOWERING, RAMP, CYCLE, IDLE)
 
 

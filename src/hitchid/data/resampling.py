@@ -10,13 +10,14 @@ from hitchid._support.notices import Notice
 from hitchid.errors import LogError
 
 LineOf = Callable[[int], int | None]
-GRID_TOLERANCE = 0.02
-GAP_FACTOR = 1.5
-SHORTEST_STEP_S = 1e-9
-# A hydraulic axis takes a fifth of a second to change its speed; two samples may get lost on any clock.
+GRID_TOLERANCE = 0.02  # of the sampling time; a stamp nearer to the grid counts as on it
+GAP_FACTOR = 1.5  # of the sampling time; a longer interval is a gap
+SHORTEST_STEP_S = 1e-9  # s; time stamps in ns have no finer step
+# s and sampling times: a hydraulic axis takes 0.2 s to change its speed; any clock may lose two samples.
 SHORT_GAP_S, SHORT_GAP_STEPS = 0.2, 3
-# Beyond, an interpolated stretch would stand for an experiment of its own.
+# s and sampling times: an interpolated stretch that is longer would be an experiment of its own.
 LONGEST_BRIDGE_S, LONGEST_BRIDGE_STEPS = 1.0, 10
+# Of the range of a command, of the range of the displacement; rows over which a speed is taken.
 COMMAND_TOLERANCE, MOTION_TOLERANCE, SPEED_ROWS = 0.1, 0.05, 5
 
 

@@ -9,11 +9,12 @@ from hitchid.data.record import LIFTING, LOWERING, Record
 from hitchid.data.test_kinds import ACTIVE_FRACTION, full_scales
 
 HOLD, SATURATED, END_STOP, BOTH_VALVES_ACTIVE = "hold", "saturated", "end stop", "both valves on"
-LABELS = (LIFTING, LOWERING, HOLD, SATURATED, END_STOP, BOTH_VALVES_ACTIVE)
-WINDOW_S = 0.3
-STATIONARY_FRACTION = 0.1
-AT_END_FRACTION = 0.02
-CLIPPED_SAMPLES = 5
+LABELS = (LIFTING, LOWERING, HOLD, SATURATED, END_STOP, BOTH_VALVES_ACTIVE)  # in the order of JSON output
+WINDOW_S = 0.3  # s; window of a standstill, some lags of a valve
+STATIONARY_FRACTION = 0.1  # of a direction's median travel over the window
+AT_END_FRACTION = 0.02  # of the record's travel, from its end
+CLIPPED_SAMPLES = 5  # consecutive samples at full scale
+# Distinct values; a command with fewer has levels, and is not saturated at the largest
 MIN_COMMAND_VALUES = 50
 
 

@@ -13,10 +13,10 @@ from hitchid.data.units import UNITS, check_unit, unit_of_column
 from hitchid.errors import InputError, SettingsError
 
 CAMPAIGN_FILE = "campaign.toml"
-MAX_LENGTH, MAX_DOTS = 2**20, 100
-MAX_SHOWN, MAX_PRINTED = 200, 10**100
-POSITIONS = ("length", "angle", "voltage", "ratio")
-COMMANDS = ("current", "voltage", "ratio", "pressure", "flow", "frequency")
+MAX_LENGTH, MAX_DOTS = 2**20, 100  # characters of a settings file; dots in one of its keys
+MAX_SHOWN, MAX_PRINTED = 200, 10**100  # characters quoted in a message; largest whole number quoted
+POSITIONS = ("length", "angle", "voltage", "ratio")  # dimensions of a displacement
+COMMANDS = ("current", "voltage", "ratio", "pressure", "flow", "frequency")  # dimensions of a command
 DIMENSIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "time": ("time",),

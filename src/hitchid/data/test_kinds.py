@@ -7,15 +7,15 @@ import numpy as np
 
 from hitchid.data.record import COMMAND, CYCLE, IDLE, LIFTING, LOWERING, RAMP, Record
 
-ACTIVE_FRACTION = 0.05
-RAMP_CORRELATION = 0.99
-RAMP_SHORTEST_S = 2.0
-STALL_S = 0.3
-STALL_SPEED_FRACTION = 0.1
-STALL_COMMAND_FRACTION = 0.8
-REST_S = 0.5
-LEAD_IN_S = 0.1
-SHORTEST_STROKE_S = 0.5
+ACTIVE_FRACTION = 0.05  # of full scale; a smaller command is noise
+RAMP_CORRELATION = 0.99  # of a command with time, from which on it is a ramp
+RAMP_SHORTEST_S = 2.0  # s; a faster rise excites the dynamics
+STALL_S = 0.3  # s; window of a standstill, some lags of a valve
+STALL_SPEED_FRACTION = 0.1  # of the largest travel over that window
+STALL_COMMAND_FRACTION = 0.8  # of a standstill during which the command is strong
+REST_S = 0.5  # s without command before a stroke: the piston has come to rest
+LEAD_IN_S = 0.1  # s kept before the onset of a stroke
+SHORTEST_STROKE_S = 0.5  # s; shorter strokes hold less than a lag
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The units a log may carry, and conversion between those of one dimension."""
+"""Table of the units a log may have, and conversion between units of one dimension."""
 
 from typing import NamedTuple
 
@@ -6,6 +6,8 @@ from hitchid.errors import InputError
 
 
 class _Unit(NamedTuple):
+    """Dimension of a unit, and factor to the SI unit."""
+
     dimension: str
     factor: float
 
@@ -54,7 +56,7 @@ UNITS: dict[str, _Unit] = {
     "degC": _Unit("temperature above freezing", 1.0),
     "K": _Unit("absolute temperature", 1.0),
 }
-# A column may end so for another reason: cylinder 1, lowest value, height.
+# Endings of column names that need not be units: cylinder_1, lowest value, height.
 NOT_COLUMN_SUFFIXES = ("1", "min", "h", "d")
 
 SPELLINGS = {

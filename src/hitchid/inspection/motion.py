@@ -7,10 +7,10 @@ import numpy as np
 
 from hitchid.readers import Content
 
-WINDOW_S = 0.2
-WINDOW_SAMPLES = 3
-LAGS = (0, 1)
-MAX_CHANNELS = 80
+WINDOW_S = 0.2  # s, over which means and rates are taken: some lags of a valve
+WINDOW_SAMPLES = 3  # in a window at least
+LAGS = (0, 1)  # windows from command to motion
+MAX_CHANNELS = 80  # compared, of a bus with hundreds
 
 
 @dataclass(frozen=True)

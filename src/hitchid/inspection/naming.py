@@ -24,8 +24,8 @@ ANGLE = _list("angle ang winkel")
 RATIO = _list("duty pwm percent pct ratio")
 CURRENT = _list("current curr strom")
 TIME = _list("time zeit timestamp t")
-ANALOG_V = 10.5
-SERVO_NEUTRAL = (6.5, 8.5)
+ANALOG_V = 10.5  # V, range of an analogue input of 10 V
+SERVO_NEUTRAL = (6.5, 8.5)  # percent: 1.5 ms of 20 ms, the rest of a servo's pulse width
 
 
 def words(name: str) -> frozenset[str]:

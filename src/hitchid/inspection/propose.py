@@ -17,12 +17,13 @@ from hitchid.inspection import naming
 from hitchid.inspection.motion import Windows, windows
 from hitchid.readers import ChannelSelection, Content, ReaderProcess, find_logs, read_content, settings_of
 
-MAX_LOGS, MAX_SHOWN = 24, 6
-INCREASING_FRACTION = 0.99
-MAX_STEP_RATIO = 0.05
+MAX_LOGS, MAX_SHOWN = 24, 6  # logs read, evenly spread; pressures named
+INCREASING_FRACTION = 0.99  # of the intervals of a time column
+MAX_STEP_RATIO = 0.05  # mean one-step change over the range of a displacement
+# Correlation of each of two one-sided commands; by how much both together exceed the better one.
 MIN_PAIR_CORRELATION, MIN_PAIR_GAIN = 0.05, 0.02
-SCORE_MARGIN = 0.02
-STEPS_S = (("s", 0.5), ("ms", 500.0), ("us", 5e5))
+SCORE_MARGIN = 0.02  # below the best score: nearly as good
+STEPS_S = (("s", 0.5), ("ms", 500.0), ("us", 5e5))  # unit of time, and step below which it is taken
 
 
 class _Guess(NamedTuple):

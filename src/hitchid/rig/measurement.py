@@ -12,7 +12,7 @@ from hitchid.rig.sensors import CalibrationCurve
 from hitchid.rig.simulation import SAMPLE_S, RigMotion
 from hitchid.rig.test_bench import Rig
 
-LARGEST_JITTER = 0.1
+LARGEST_JITTER = 0.1  # of the sampling time, standard deviation; four of it stay below half a sample
 COLUMNS = ("time_s", "current_up_A", "current_down_A", "displacement_mm")
 
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from hitchid.rig.oil import TANK_PRESSURE_PA, Scalar, Values, orifice_flow
 from hitchid.rig.quantities import quantity
 
-TINY_AREA = 1e-12
+TINY_AREA = 1e-12  # m²; keeps the series of two closed orifices differentiable
 
 
 class SpoolState(NamedTuple):
