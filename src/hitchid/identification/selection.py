@@ -166,7 +166,7 @@ def choose_spec(
         valve_curve=True,
         spool_dynamics=True,
         stroke_gain_quadratic=True,
-        load=auto_structure.covariate,
+        covariate=auto_structure.covariate,
     )
     objective = Objective.of(coarse, largest_spec)
     names = [parameter.name for parameter in largest_spec.parameters]
@@ -246,7 +246,7 @@ def _nested_specs(largest_spec: ModelSpec) -> list[tuple[str, ModelSpec]]:
         valve_curve=False,
         spool_dynamics=False,
         stroke_gain_quadratic=False,
-        load=None,
+        covariate=None,
     )
     with_curve = replace(delayed, bounds=largest_spec.bounds, valve_curve=True)
     with_spool = replace(with_curve, spool_dynamics=True)
