@@ -12,7 +12,7 @@ from hitchid.estimation import Objective, search_problem
 from hitchid.estimation.correlations import MAX_SAMPLES, MAX_SAMPLES_PER_TEST, correlations_applicable
 from hitchid.estimation.search_problem import CorrelationObjective
 from hitchid.structures import STRUCTURES, Batch, ModelSpec, discretise, pulse_response, structure_named
-from hitchid.structures.discretise import simulate_linear
+from hitchid.structures.discretisation import simulate_linear
 from hitchid.structures.structure import LinearStructure
 from truth import STEP_S, held, levels, second_order
 

@@ -12,7 +12,6 @@ from hitchid.estimation.correlations import Correlations, correlations_applicabl
 from hitchid.estimation.objective import Objective, traced
 from hitchid.estimation.search import SearchProblem
 from hitchid.structures import ModelSpec, Scales, pulse_response
-from hitchid.structures.structure import LinearStructure
 
 
 class CorrelationObjective(eqx.Module):
@@ -48,7 +47,7 @@ def search_problem(objective: Objective) -> SearchProblem:
     """Return the problem that a global search of a misfit is given."""
     problem = objective.problem()
     spec, batch = objective.spec, objective.batch
-    linear = isinstance(spec.structure, LinearStructure) and not spec.nonlinearity_parameters
+    linear = spec.structure.linear is not None and not spec.nonlinearity_parameters
     if not (linear and correlations_applicable(batch)):
         return problem
     correlations = Correlations.of(batch)
