@@ -9,8 +9,12 @@ from hypothesis import strategies as st
 
 from hitchid.data.record import LIFTING
 from hitchid.estimation import Objective, search_problem
-from hitchid.estimation.correlations import MAX_SAMPLES, MAX_SAMPLES_PER_TEST, correlations_applicable
-from hitchid.estimation.search_problem import CorrelationObjective
+from hitchid.estimation.correlations import (
+    MAX_SAMPLES,
+    MAX_SAMPLES_PER_TEST,
+    CorrelationObjective,
+    correlations_applicable,
+)
 from hitchid.structures import STRUCTURES, Batch, ModelSpec, discretise, pulse_response, structure_named
 from hitchid.structures.discretisation import simulate_linear
 from hitchid.structures.structure import LinearStructure

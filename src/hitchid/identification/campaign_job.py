@@ -14,7 +14,7 @@ from hitchid.data.campaign import Campaign
 from hitchid.data.record import COMMAND, CYCLE, DISPLACEMENT, Record
 from hitchid.errors import InputError, SettingsError
 from hitchid.estimation import Search, SearchComparison
-from hitchid.identification.deadzone import DeadZone
+from hitchid.identification.dead_zone import DeadZone
 from hitchid.identification.direction import ChannelConfig, ChannelTrace, with_calibrated_gain
 from hitchid.identification.gain_calibration import calibrate_gains, calibration_improves
 from hitchid.identification.hold_drift import hold_drift

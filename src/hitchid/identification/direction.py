@@ -24,7 +24,7 @@ from hitchid.data.record import DIRECTIONS
 from hitchid.estimation import Objective, Search, SearchComparison, SearchHistory, compare_searches
 from hitchid.identification.band_calibration import calibrate_bands
 from hitchid.identification.baselines import fit_arx, fit_black_box
-from hitchid.identification.deadzone import DeadZone
+from hitchid.identification.dead_zone import DeadZone
 from hitchid.identification.gain_calibration import with_gain
 from hitchid.identification.narx import fit_narx
 from hitchid.identification.optional import attempt

@@ -11,7 +11,7 @@ from hitchid.data.left_out import LeftOut, refuse, sentences, split_usable
 from hitchid.data.record import CYCLE, DIRECTIONS, LIFTING, Record
 from hitchid.data.test_kinds import ACTIVE_FRACTION, end_stop_contact, split_by_direction
 from hitchid.errors import InputError, LogError
-from hitchid.identification.deadzone import (
+from hitchid.identification.dead_zone import (
     DeadZone,
     from_onsets,
     from_tests,

@@ -10,8 +10,8 @@ from pydantic import Field
 from hitchid.data.record import DIRECTIONS
 from hitchid.data.signal_map import Strict, parse_settings
 from hitchid.errors import InputError, SettingsError
-from hitchid.estimation import DifferentialEvolution, MultiStart, Search, SearchComparison, Whale, whale
-from hitchid.estimation.search import EVALUATIONS
+from hitchid.estimation import DifferentialEvolution, MultiStart, Search, SearchComparison, Whale
+from hitchid.estimation.global_search import EVALUATIONS, WhaleConfig
 from hitchid.identification.identify import DEFAULT_STRUCTURES
 from hitchid.identification.phase2 import CompensatorConfig
 from hitchid.identification.rollouts import Rollouts
@@ -67,9 +67,9 @@ class SearchSection(Strict):
         if self.method == "differential-evolution":
             members = self.population or DifferentialEvolution.population
             return DifferentialEvolution(evaluations=self.evaluations, population=members)
-        population = self.population or whale.WhaleConfig.population
+        population = self.population or WhaleConfig.population
         return Whale(
-            whale.WhaleConfig(
+            WhaleConfig(
                 population=population,
                 iterations=max(1, self.evaluations // population),
                 evaluations=self.evaluations,
