@@ -99,8 +99,7 @@ def _parameter_vector(channel: Channel, phase1: Phase1, position: np.ndarray) ->
         ).parameter_vector
     )
     if objective.spec.structure.gain:
-        gain = objective.spec.structure.gain_index
-        vector[gain] *= float(channel.benchmark.values[gain]) / phase1.fit.values[gain]
+        vector[objective.spec.structure.gain_index] *= float(channel.benchmark.gain) / phase1.fit.gain
     return tuple(map(float, vector))
 
 

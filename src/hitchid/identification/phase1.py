@@ -37,6 +37,11 @@ class Fit:
         """The parameters, shape [D]."""
         return self.objective.values(self.position)
 
+    @property
+    def gain(self) -> float:
+        """The gain; raises InputError where the structure has none."""
+        return float(self.values[self.objective.spec.structure.gain_index])
+
 
 @dataclass(frozen=True)
 class Phase1:

@@ -149,17 +149,10 @@ def read_settings(path: Path) -> Settings:
 
 def _spec(direction: str, section: ChannelSection) -> ModelSpec | AutoStructure:
     if section.structure == AUTOMATIC:
-        decided_fields = {
-            "dead_time",
-            "curve",
-            "spool",
-            "slope",
-            "position",
-            "bounds",
-        } & section.model_fields_set
-        if decided_fields:
+        decided = section.model_fields_set - {"structure", "load", "dead_zone"}
+        if decided:
             raise InputError(
-                f"{direction}: structure '{AUTOMATIC}' decides on {' and '.join(sorted(decided_fields))} itself; "
+                f"{direction}: structure '{AUTOMATIC}' decides on {' and '.join(sorted(decided))} itself; "
                 "required the name of a structure beside it"
             )
         return replace(DEFAULT_STRUCTURES[direction], covariate=section.load)

@@ -1,4 +1,4 @@
-"""A physical model one sample at a time: valve state from every command, plant state while its direction is active."""
+"""A physical model one sample at a time: the state of its valve, and the state of its plant."""
 
 import abc
 from typing import NamedTuple

@@ -1,7 +1,7 @@
 """What is searched for one direction: a structure, and which curves stand around it."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -55,7 +55,8 @@ class ModelSpec:
         refused = [option.value for option in ModelOption if option in self.options - self.structure.options]
         if refused:
             raise InputError(
-                f"structure '{self.structure.name}' takes no {' and no '.join(refused)}; required a form without"
+                f"structure '{self.structure.name}' takes no {' and no '.join(refused)}; required a form "
+                "without"
             )
         by_name = {parameter.name: parameter for parameter in self.parameters}
         for name, (lower, upper) in self.bounds.items():
@@ -81,17 +82,20 @@ class ModelSpec:
         return frozenset(option for option, is_enabled in enabled.items() if is_enabled)
 
     def with_structure(self, structure: Structure) -> "ModelSpec":
-        """Return the form of another structure, with those of the options that it takes and default bounds."""
-        options = structure.options
-        return ModelSpec(
+        """Return the form with another structure and those of the options that it takes."""
+        taken = structure.options
+        has_stroke_gain = ModelOption.STROKE_GAIN in taken
+        spec = ModelSpec(
             structure,
-            dead_time=self.dead_time and ModelOption.DEAD_TIME in options,
-            valve_curve=self.valve_curve and ModelOption.VALVE_CURVE in options,
-            spool_dynamics=self.spool_dynamics and ModelOption.SPOOL_DYNAMICS in options,
-            stroke_gain_linear=self.stroke_gain_linear and ModelOption.STROKE_GAIN in options,
-            stroke_gain_quadratic=self.stroke_gain_quadratic and ModelOption.STROKE_GAIN in options,
-            covariate=self.covariate if ModelOption.COVARIATE in options else None,
+            dead_time=self.dead_time and ModelOption.DEAD_TIME in taken,
+            valve_curve=self.valve_curve and ModelOption.VALVE_CURVE in taken,
+            spool_dynamics=self.spool_dynamics and ModelOption.SPOOL_DYNAMICS in taken,
+            stroke_gain_linear=self.stroke_gain_linear and has_stroke_gain,
+            stroke_gain_quadratic=self.stroke_gain_quadratic and has_stroke_gain,
+            covariate=self.covariate if ModelOption.COVARIATE in taken else None,
         )
+        kept = {parameter.name for parameter in spec.parameters} - {p.name for p in structure.parameters}
+        return replace(spec, bounds={name: self.bounds[name] for name in kept & self.bounds.keys()})
 
     @property
     def nonlinearity_parameters(self) -> tuple[Parameter, ...]:

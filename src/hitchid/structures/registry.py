@@ -26,7 +26,8 @@ def registered_structures() -> Mapping[str, Structure]:
     """Return the structures of this and of other installed packages by name.
 
     Raises:
-        InputError: a structure of another package cannot be imported, is of another type, or its name is taken.
+        InputError: a structure of another package cannot be imported, is of another type, or has a name that
+            is taken.
     """
     return with_extensions("hitchid.structures", BUILT_IN, kind=Structure, name=lambda part: part.name)
 

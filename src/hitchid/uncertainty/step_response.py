@@ -48,13 +48,12 @@ def steady_speed(
 def speed_lag(structure: LinearStructure, values: np.ndarray) -> float:
     """Return how slow the speed is, |a₁| + √a₂ + … of the denominator 1 + a₁ s + a₂ s² + … of s G(s), s.
 
-    Without an integrator the command moves the speed at once.
+    Without an integrator the slowest pole takes its place, and the lag is that of the others, Σ 1/|p|.
     """
-    *higher_coefficients, linear_coefficient, constant_coefficient = structure.transfer_function(
-        tuple(map(float, values))
-    )[1]
+    denominator = structure.transfer_function(tuple(map(float, values)))[1]
+    *higher_coefficients, linear_coefficient, constant_coefficient = denominator
     if constant_coefficient != 0:
-        return 0.0
+        return float(np.sum(1 / np.sort(np.abs(np.roots(denominator)))[1:]))
     return float(
         sum(
             abs(a / linear_coefficient) ** (1 / power)

@@ -1,4 +1,4 @@
-"""Global searches of the unit cube on one budget of evaluations: whale, differential evolution, multi-start."""
+"""Global searches of the unit cube: whale optimisation, differential evolution, multi-start."""
 
 from hitchid.estimation.global_search.differential_evolution import (
     DifferentialEvolution as DifferentialEvolution,
