@@ -38,7 +38,7 @@ class Patched:
             exec(path.read_text(), here)
             return Content(path, here["channels"], here["notices"])
 
-        formats.FORMATS = (*formats.FORMATS, formats.Format((".log",), read, None, ("json",)))
+        formats.BUILT_IN = (*formats.BUILT_IN, formats.Format("script", (".log",), read, None, ("json",)))
         del sys.modules["hitchid.readers.child"]
         return None
 

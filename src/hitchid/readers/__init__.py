@@ -1,4 +1,4 @@
-"""From files to a campaign: `read` finds the logs, their signal map and their format."""
+"""From log files to a campaign; formats are registered in `formats`."""
 
 from hitchid.readers.content import ChannelSelection as ChannelSelection
 from hitchid.readers.content import Content as Content
