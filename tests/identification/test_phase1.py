@@ -233,7 +233,7 @@ def sloping(slope, factors, *, gain=15.0):
 
 def half_range(batch):
     """Return half of the range of displacement, in which a slope is measured, mm."""
-    return 0.5 * float(np.ptp(np.asarray(batch.displacement)[np.asarray(batch.counted)]))
+    return 0.5 * float(np.ptp(np.asarray(batch.displacement)[np.asarray(batch.loss_mask)]))
 
 
 @pytest.mark.parametrize("slope", [0.015, -0.01])
@@ -333,11 +333,11 @@ def test_tests_that_fill_up_a_batch_change_nothing(batch_of, slope):
     position = np.full(len(misfit.spec.parameters), 0.4)
     residuals, test = misfit.errors(position)
     assert misfit.with_data(batch.pad_batch()).batch.command.shape[0] == 8
-    plain = np.asarray(misfit.residuals(jnp.asarray(position)))[np.asarray(batch.counted)]
+    plain = np.asarray(misfit.residuals(jnp.asarray(position)))[np.asarray(batch.loss_mask)]
     # The same sums in programs of two shapes.
     bound = 10 * SAMPLES * np.finfo(float).eps * np.abs(plain).max()
     np.testing.assert_allclose(residuals, plain, rtol=0, atol=bound)
-    jacobian = np.asarray(jax.jacfwd(misfit.residuals)(jnp.asarray(position)))[np.asarray(batch.counted)]
+    jacobian = np.asarray(jax.jacfwd(misfit.residuals)(jnp.asarray(position)))[np.asarray(batch.loss_mask)]
     equations = misfit.problem().normal_equations(position)
     assert equations.cost == pytest.approx(float(plain @ plain), rel=1e-12)
     size = 1e-9 * np.abs(jacobian.T) @ np.abs(plain)

@@ -551,13 +551,13 @@ def test_the_verdict_names_the_model_that_errs_less(compared, pair, better):
 @pytest.mark.parametrize("pair", ["right and plain", "diverging and plain", "alike"])
 def test_a_comparison_shows_every_part_that_both_have(compared, pair):
     result, document = compared(pair)
-    parts = [part.capitalize() for part in result.parts]
+    parts = [part.capitalize() for part in result.sections]
     assert parts[:1] == ["Lifting"]
     assert titles(document.sections)[: len(parts)] == parts
     assert titles(document.sections)[-1] == "How to reproduce"
     names = [each.name for each in document.pictures]
     assert len(names) == len(set(names))
-    for part in result.parts:
+    for part in result.sections:
         assert {f"{part}-overlay", f"{part}-horizons", f"{part}-tests"} <= set(names)
     assert ("Parameters" in titles(document.sections)) == (pair == "right and plain")
     assert "old" in document.subtitle

@@ -101,7 +101,7 @@ def test_a_thinned_batch_keeps_the_integral_of_every_command_and_the_start(recor
     assert thin.step_s == pytest.approx(factor * STEP_S, rel=1e-15)
     # No coarser than it must be.
     assert factor == 1 or (factor - 1) * most < 512
-    for name in ("command", "logged"):
+    for name in ("command", "raw_command"):
         whole, rough = (np.asarray(getattr(each, name)) for each in (batch, thin))
         expected = [
             np.pad(row, (0, count * factor - 512)).reshape(count, factor).sum(axis=1) for row in whole
@@ -138,7 +138,16 @@ def test_displaced_undoes_travel(records, direction):
 def test_take_keeps_whole_tests_in_the_order_asked_for(records):
     batch = laid(records, end_stop=60.0)
     some = batch.take([2, 0])
-    for name in ("command", "logged", "dead_zone", "displacement", "valid", "counted", "initial", "load"):
+    for name in (
+        "command",
+        "raw_command",
+        "dead_zone",
+        "displacement",
+        "valid",
+        "loss_mask",
+        "initial",
+        "covariate",
+    ):
         np.testing.assert_array_equal(getattr(some, name), np.asarray(getattr(batch, name))[[2, 0]])
     assert (some.step_s, some.sign) == (batch.step_s, batch.sign)
 
