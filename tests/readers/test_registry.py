@@ -1,55 +1,71 @@
 """Formats of other packages: registered by entry point, refused where their endings are taken."""
 
+import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from hitchid.errors import InputError
-from hitchid.readers import format_of, read
+from hitchid.errors import InputError, LogError
+from hitchid.readers import format_of, read, write_table
 from hitchid.readers.formats import formats
 
-PACKAGE = """
-import numpy as np
-from hitchid.readers.content import Content, LogChannel
-from hitchid.readers.formats import Format
-
-def read(path, selection):
-    table = np.genfromtxt(path, names=True)
-    return Content(path, {name: LogChannel(table[name]) for name in table.dtype.names})
-
-columns = Format("columns", (".columns",), read)
-taken = Format("another text", (".csv",), read)
+EXAMPLE = Path(__file__).parents[2] / "examples" / "format_from_outside"
+ENTRY = tomllib.loads((EXAMPLE / "pyproject.toml").read_text())["project"]["entry-points"]["hitchid.formats"]
+TAKEN = """
+from hitchid.readers import Format
+TAKEN = Format("another text", (".csv",), print)
 """
 
 
 @pytest.fixture
 def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Return a function that installs a package with one entry point for a test."""
+    """Return a function that registers one format for a test."""
 
-    def install_entry(entry: str) -> None:
-        (tmp_path / "columns_pack.py").write_text(PACKAGE)
-        info = tmp_path / "columns_pack-1.0.dist-info"
+    def register(entry: str, folder: Path) -> None:
+        info = tmp_path / "some_formats-1.0.dist-info"
         info.mkdir()
-        (info / "METADATA").write_text("Metadata-Version: 2.1\nName: columns-pack\nVersion: 1.0\n")
+        (info / "METADATA").write_text("Metadata-Version: 2.1\nName: some-formats\nVersion: 1.0\n")
         (info / "entry_points.txt").write_text(f"[hitchid.formats]\n{entry}\n")
         monkeypatch.syspath_prepend(str(tmp_path))
+        monkeypatch.syspath_prepend(str(folder))
         formats.cache_clear()
 
-    yield install_entry
+    yield register
     formats.cache_clear()
 
 
-def test_a_log_in_a_registered_format_is_read(install, tmp_path):
-    install("columns = columns_pack:columns")
-    rows = [f"{0.01 * row} {0.5 * (row > 20)} 0 {max(0, row - 20)}" for row in range(100)]
-    header = "time_s current_up_A current_down_A displacement_mm"
-    (tmp_path / "lift.columns").write_text("\n".join((header, *rows)))
-    campaign = read(tmp_path / "lift.columns")
+@pytest.fixture
+def npz(install, tmp_path: Path) -> Path:
+    """Return a log in the format of the example."""
+    install(f"npz = {ENTRY['npz']}", EXAMPLE)
+    path, rows = tmp_path / "lift.npz", np.arange(100)
+    write_table(
+        path,
+        {
+            "time_s": 0.01 * rows,
+            "current_up_A": 0.5 * (rows > 20),
+            "current_down_A": 0.0 * rows,
+            "displacement_mm": np.maximum(0.0, rows - 20.0),
+        },
+    )
+    return path
+
+
+def test_a_log_in_a_registered_format_is_read(npz):
+    campaign = read(npz)
     assert [record.name for record in campaign.records] == ["lift"]
     assert campaign.records[0].signals["displacement"][-1] == 79
 
 
-def test_an_ending_has_one_format(install):
-    install("taken = columns_pack:taken")
+def test_a_damaged_log_in_a_registered_format_is_an_error(npz):
+    npz.write_bytes(npz.read_bytes()[:100])
+    with pytest.raises(LogError, match="cannot be read"):
+        read(npz)
+
+
+def test_an_ending_has_one_format(install, tmp_path):
+    (tmp_path / "taken_pack.py").write_text(TAKEN)
+    install("taken = taken_pack:TAKEN", tmp_path)
     with pytest.raises(InputError, match=r"text and another text both read '\.csv'"):
         format_of(Path("log.csv"))
