@@ -10,7 +10,7 @@ from hitchid.data.campaign import Campaign
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import FitError, InputError, LogError, OutputError, SettingsError
 from hitchid.identification.campaign_job import _check_dead_zone, _check_window
-from hitchid.identification.deadzone import DeadZone
+from hitchid.identification.dead_zone import DeadZone
 from hitchid.identification.phase2 import CompensatorConfig
 from hitchid.identification.preparation import prepare
 from hitchid.readers import read, write_table

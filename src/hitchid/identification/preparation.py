@@ -11,7 +11,7 @@ from hitchid.data.left_out import LeftOut, left_out_notices, refuse, split_usabl
 from hitchid.data.record import CYCLE, DIRECTIONS, LIFTING, Record
 from hitchid.data.test_kinds import ACTIVE_FRACTION, end_stop_contact, split_by_direction
 from hitchid.errors import InputError, LogError
-from hitchid.identification.deadzone import (
+from hitchid.identification.dead_zone import (
     DeadZone,
     from_onsets,
     from_tests,
@@ -87,7 +87,8 @@ def prepare(
     records = campaign.identification(direction)
     if not records:
         raise InputError(
-            f"all {len(campaign.of_kind(direction))} {direction} tests are held out; none is left to identify from"
+            f"all {len(campaign.of_kind(direction))} {direction} tests are held out; none is left to identify "
+            "from"
         )
     strict, total = campaign.strict, len(records)
     records, without_covariate = split_usable(
@@ -117,8 +118,8 @@ def prepare(
         )
     if end_stop is not None:
         notices.append(
-            f"end stop at {end_stop:.4g} {records[0].unit}, met in {contacts} of {total - len(without_covariate)} "
-            "tests; samples at it are left out"
+            f"end stop at {end_stop:.4g} {records[0].unit}, met in {contacts} of "
+            f"{total - len(without_covariate)} tests; samples at it are left out"
         )
     signals = [_test_signals(record, direction, sign, end_stop) for record in records]
     if dead_zone is None:
