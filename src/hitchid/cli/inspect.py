@@ -20,7 +20,7 @@ def inspect(
     logs: Logs,
     signals: Signals = None,
     model: Annotated[
-        Path | None, typer.Option("--model", help="Model folder that knows dead zones and dead times.")
+        Path | None, typer.Option("--model", help="Model folder with dead zones and dead times.")
     ] = None,
     picture: Annotated[
         Path | None,

@@ -1,4 +1,4 @@
-"""From the time stamps of a logger to a uniform grid: kept, resampled, or split at gaps."""
+"""From the time stamps of a logger to a uniform grid: adopted, resampled, or split at gaps."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -145,7 +145,7 @@ def _gap_notices(time_s: np.ndarray, start: int, median: float) -> tuple[Notice,
 
 
 class _GapBridging:
-    """Whether a log says what happened in a gap: no command changed, and the axis stood or kept its speed."""
+    """Condition for interpolating over a gap: constant commands, and an axis at rest or constant speed."""
 
     def __init__(self, time_s: np.ndarray, commands: Mapping[str, np.ndarray], position: np.ndarray) -> None:
         self.time_s, self.position = time_s, position
@@ -153,7 +153,7 @@ class _GapBridging:
         self.tolerance = MOTION_TOLERANCE * np.ptp(position)
 
     def can_bridge(self, row: int) -> bool:
-        """Tell it of the gap behind a row."""
+        """Return whether the gap after a row may be bridged."""
         if any(abs(command[row + 1] - command[row]) > tolerance for command, tolerance in self.commands):
             return False
         last = self.time_s.size - 1
@@ -214,7 +214,7 @@ def _quality(stamps: np.ndarray, step: float, median: float) -> ClockQuality:
 
 
 def _nominal_step(stamps: np.ndarray, steps: int) -> float:
-    """Return the mean step, rounded to four digits where the stamps cannot tell the difference."""
+    """Return the mean step, rounded to four digits where the drift stays below the grid tolerance."""
     step = float(stamps[-1] - stamps[0]) / steps
     rounded = float(f"{step:.4g}")
     drift = abs(rounded - step) * steps

@@ -1,4 +1,4 @@
-"""Which signals move with which: windows of all logs, in which one's mean goes with another's change."""
+"""Correlation of the mean of one signal with the rate of another, over windows of all logs."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

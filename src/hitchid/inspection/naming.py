@@ -1,4 +1,4 @@
-"""What the name and the range of a column say of its role and unit."""
+"""Role and unit of a column from its name and range."""
 
 import re
 
@@ -34,7 +34,7 @@ def words(name: str) -> frozenset[str]:
 
 
 def stated_unit(name: str, unit: str | None) -> tuple[str | None, str]:
-    """Return the unit that the file or the column's name says, None without any, and which of them does."""
+    """Return the unit given by the file or the column's name, or None, and its source."""
     if file_unit := parse_unit(unit or ""):
         return file_unit, "unit from the file"
     last = re.split(r"[^A-Za-z%°µ]+", name.strip(")] "))[-1]

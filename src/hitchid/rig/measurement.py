@@ -37,7 +37,7 @@ def measure(
         currents: what it was given, A, shape [T, N, 2].
         key: noise and jitter.
         jitter: standard deviation of the clock over its period, at most 0.1; clipped at four times that. The
-            stamps tell when the samples were truly taken.
+            stamps are the true sampling instants.
 
     Raises:
         InputError: motion and currents are of different tests, or the jitter is out of range.
