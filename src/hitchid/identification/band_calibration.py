@@ -44,6 +44,8 @@ def calibrate_bands(channel: Channel, phase1: Phase1, all_tests: Batch, validati
     ensemble = _ensemble(channel, phase1)
     _, deviations = ensemble_deviations(channel, ensemble, all_tests)
     mean_squares = np.mean(deviations[:, loss_mask] ** 2, axis=1)
+    # A member whose free run diverges gives no width to a band.
+    mean_squares = np.where(np.isfinite(mean_squares), mean_squares, 0.0)
     order = np.argsort(mean_squares)[::-1]
     n_selected = 1 + int(np.searchsorted(np.cumsum(mean_squares[order]), VARIANCE_SHARE * mean_squares.sum()))
     selected = np.sort(order[:n_selected])
