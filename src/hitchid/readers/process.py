@@ -63,7 +63,7 @@ class ReaderProcess(AbstractContextManager["ReaderProcess"]):
             raise LogError(path, f"cannot be read within {limit_s:.0f} s: it is damaged") from None
         except (EOFError, BrokenPipeError):
             self._end()
-            raise LogError(path, "cannot be read: it is damaged so that the reader gave up") from None
+            raise LogError(path, "cannot be read: it is damaged, and its reader crashed") from None
         except BaseException:
             self._end()
             raise
