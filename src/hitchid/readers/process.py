@@ -21,10 +21,7 @@ from hitchid.readers.content import ChannelSelection, Content, LogChannel
 READY = b"begun\n"
 # Time limits, chosen well above what intact files take: start of the child, s; reading a log, s, and bytes/s.
 LONGEST_START_S, LONGEST_S, BYTES_PER_S = 120.0, 8.0, 2e6
-LONGEST_DATABASES_S, DATABASE_BYTES_PER_S = (
-    60.0,
-    1e5,
-)  # s and bytes/s; a database of 50 000 signals takes 10 s
+LONGEST_DATABASES_S, DATABASE_BYTES_PER_S = 60.0, 1e5  # a database of 50 000 signals takes 10 s
 
 
 class ReaderProcess(AbstractContextManager["ReaderProcess"]):
