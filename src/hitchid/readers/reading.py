@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from hitchid._support import checks
+from hitchid._support.notices import Notice
 from hitchid.data.campaign import Campaign
 from hitchid.data.left_out import LeftOut, refuse, split_usable
 from hitchid.data.record import COMMAND, DISPLACEMENT, Record, resampled
@@ -170,12 +171,14 @@ def records_of(table: LogTable, signals: SignalMap) -> list[Record]:
         _record(name if len(usable) == 1 else f"{name}@{number}", table, section)
         for number, section in enumerate(usable, start=1)
     ]
-    notices = list(table.notices)
+    notices = [Notice("as-read", sentence) for sentence in table.notices]
     if repeated:
-        notices.append(f"{repeated} rows are left out: their time is that of the row before")
+        sentence = f"{repeated} rows are left out: their time is that of the row before"
+        notices.append(Notice("rows-left-out", sentence))
     left_out = time_s.size - sum(section.stop - section.start for section in usable)
     if left_out:
-        notices.append(f"{left_out} of {time_s.size} samples are left out: fewer than {MIN_SAMPLES} in a row")
+        sentence = f"{left_out} of {time_s.size} samples are left out: fewer than {MIN_SAMPLES} in a row"
+        notices.append(Notice("samples-left-out", sentence))
     records[0] = replace(records[0], notices=(*records[0].notices, *notices))
     return records
 
@@ -197,7 +200,7 @@ def _record(name: str, table: LogTable, section: LogSection) -> Record:
         units=table.units,
         start_s=float(stamps[0]),
         source=table.source,
-        notices=(section.notice,) if section.notice else (),
+        notices=section.notices,
         clock=section.clock,
     )
 
