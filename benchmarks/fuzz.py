@@ -94,7 +94,8 @@ def _run(arguments: argparse.Namespace, scratch: Path, process: ReaderProcess) -
         if (number + 1 - arguments.first) % REPORT_INTERVAL == 0:
             input_count, duration_s = number + 1 - arguments.first, time.monotonic() - started
             _say(
-                f"{input_count} inputs, {input_count / duration_s:.0f}/s, {len(statistics.faults)} faults, {statistics.starts} starts "
+                f"{input_count} inputs, {input_count / duration_s:.0f}/s, {len(statistics.faults)} faults, "
+                f"{statistics.starts} starts "
                 f"of the reader, slowest {statistics.slowest[0]:.1f} s, {statistics.peak / 1e9:.2f} GB"
             )
     return statistics
@@ -142,7 +143,8 @@ def _report(statistics: FuzzStatistics) -> None:
         count = verdicts.total()
         cells = (verdicts[fuzzing.REFUSED], verdicts[fuzzing.ACCEPTED], verdicts["fault"])
         _say(
-            f"{name:20}{count:8}{cells[0]:9}{cells[1]:10}{cells[2]:7}{1e3 * statistics.spent_s[name] / count:9.1f}"
+            f"{name:20}{count:8}{cells[0]:9}{cells[1]:10}{cells[2]:7}"
+            f"{1e3 * statistics.spent_s[name] / count:9.1f}"
         )
     _say(f"slowest: {statistics.slowest[0]:.2f} s, {statistics.slowest[1]}")
     _say(f"most memory: {statistics.peak / 1e9:.2f} GB; the reader was started {statistics.starts} times")

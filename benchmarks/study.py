@@ -55,7 +55,8 @@ def main() -> None:
             search_errors = np.array([result.search_rmse for result in results])
             refined_errors = np.array([result.rmse for result in results])
             say(
-                f"| {direction} | {name} | {np.median(search_errors):.6f} | {search_errors.max():.6f} | {np.median(refined_errors):.6f} "
+                f"| {direction} | {name} | {np.median(search_errors):.6f} | {search_errors.max():.6f} | "
+                f"{np.median(refined_errors):.6f} "
                 f"| {refined_errors.max() / best:.6f} | {mean_seconds:.1f} |\n"
             )
             sys.stdout.flush()

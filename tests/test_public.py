@@ -29,19 +29,19 @@ model = hitchid.load(folder)
 channel = model.channels["lifting"]
 benchmark = channel.benchmark
 batch = channel.batch([record], [1.0])
-state = model.initial(120.1)
+state = model.init_state(120.1)
 
 
 def stepped():
     after = state
     for _ in range(3):
         after, displacement = model.step(after, [0.55, 0.0], 120.1)
-    return after, displacement, model.situation(after)
+    return after, displacement, model.unpack_state(after)
 
 
 calls = {
     "load": lambda: [c for c in jax.tree.leaves(hitchid.load(folder).channels["lifting"].benchmark)],
-    "initial": lambda: model.initial(120.1),
+    "initial": lambda: model.init_state(120.1),
     "step": stepped,
     "simulate": lambda: model.simulate(record),
     "predict": lambda: model.predict(record, horizon=3),
@@ -136,10 +136,10 @@ wrong = {
         lambda: model.predictions(record, ()),
         lambda: model.band(record, coverage="0.9"),
         lambda: model.band(record, horizon=1.5),
-        lambda: model.switches("A"),
-        lambda: model.initial("120"),
-        lambda: model.initial([120.0]),
-        lambda: model.initial(float("nan")),
+        lambda: model.command_thresholds("A"),
+        lambda: model.init_state("120"),
+        lambda: model.init_state([120.0]),
+        lambda: model.init_state(float("nan")),
         lambda: model.step(state, 0.5),
         lambda: model.step(state, [0.5]),
         lambda: model.step(state, [0.5, 0.0, 120.0]),
@@ -151,7 +151,7 @@ wrong = {
         lambda: model.step(120.0, [0.5, 0.0]),
         lambda: model.step(state._replace(numbers=state.numbers[1:]), [0.5, 0.0]),
         lambda: jax.jit(model.step)(state, jnp.zeros(3)),
-        lambda: model.situation(120.0),
+        lambda: model.unpack_state(120.0),
         lambda: channel.batch("logs"),
         lambda: benchmark.to_scipy("1 ms"),
         lambda: benchmark.to_scipy(0.0),

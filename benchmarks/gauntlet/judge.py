@@ -148,7 +148,8 @@ def _compare(outcome: Outcome, model: Hitch, direction: str, truth: Truth) -> No
             kind = "gross miss" if outside > GROSS_MISS_WIDTHS * (upper - lower) else "miss"
             channel, zone = model.channels[direction], truth.values[direction]["dead_zone"]
             outcome.verdicts.append(
-                f"{kind}: {direction} {estimate.name}: {value:.4g}, determined as {lower:.4g} to {upper:.4g}; the "
+                f"{kind}: {direction} {estimate.name}: {value:.4g}, determined as {lower:.4g} to "
+                f"{upper:.4g}; the "
                 f"form has {', '.join(sorted(names))}; dead zone {zone:.4g}, found {channel.dead_zone:.4g}"
             )
 

@@ -124,7 +124,8 @@ class Columns:
         ]
         displacement_suffix = f", scale = {self.displacement_scale!r}" if self.displacement_scale != 1 else ""
         lines.append(
-            f'displacement = {{ column = "Position", unit = "{self.displacement_unit}"{displacement_suffix} }}'
+            f'displacement = {{ column = "Position", unit = "{self.displacement_unit}"'
+            f"{displacement_suffix} }}"
         )
         return "\n".join([*lines, ""])
 

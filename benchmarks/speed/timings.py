@@ -77,7 +77,7 @@ def process(command: Sequence[str | Path], cache: Path | None = None) -> str:
     Raises:
         RuntimeError: it failed; its last words are told.
     """
-    completed = subprocess.run(
+    completed = subprocess.run(  # noqa: S603
         list(map(str, command)), capture_output=True, text=True, env=environment(cache)
     )
     if completed.returncode:

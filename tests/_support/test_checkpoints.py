@@ -282,7 +282,7 @@ def stopped_after(count, campaign, settings, place):
         return keep(self, name, counted)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Checkpoints, "arrays", arrays)
+        patch.setattr(Checkpoints, "cached_arrays", arrays)
         try:
             hitchid.identify(campaign, **settings, checkpoints=place / "kept").save(place / "model")
         except Stop:

@@ -37,7 +37,7 @@ def test_a_wrong_unit_is_told_and_nothing_converted(
     records = scaled(clean, changed, role, factor, unit)
     before = [record.signals[role].copy() for record in records]
     (finding,) = found(records, "units")
-    assert (finding.level, finding.signal, finding.record) == (level, role, "")
+    assert (finding.severity, finding.signal, finding.record) == (level, role, "")
     assert (
         f"probably {probably}" in finding.what
         or f"probably a {probably}" in finding.what
@@ -99,7 +99,7 @@ def test_both_reversed_is_a_warning_and_both_alike_a_fault(clean, changed, found
     lifting = [r for r in clean if "lifting" in r.name]
     lowering = [turned(r, changed) for r in clean if "lowering" in r.name]
     (alike,) = found([*lifting, *lowering], "sign")
-    assert alike.level is Severity.FAULT
+    assert alike.severity is Severity.FAULT
     assert "grows under lifting and under lowering alike" in alike.what
 
 
@@ -111,7 +111,7 @@ def test_both_valves_at_once_are_found_with_their_span(clean, changed, found):
     assert finding.spans == ((2.0, 2.99),)
     command[205:] = 0
     (finding,) = found([changed(clean[0], signals={"lowering_command": command}), *clean[1:]], "both valves")
-    assert finding.level is Severity.NOTE
+    assert finding.severity is Severity.NOTE
 
 
 @pytest.mark.parametrize(("offset", "level"), [(0.1, Severity.WARNING), (0.02, Severity.NOTE), (0.002, None)])
@@ -235,7 +235,7 @@ def signed_around(make_test, changed, zero):
 @pytest.mark.parametrize(("zero", "level"), [(7.4745, Severity.FAULT), (-0.2, Severity.WARNING)])
 def test_a_command_that_rests_at_a_constant_gets_its_zero_proposed(make_test, changed, found, zero, level):
     (finding,) = found(signed_around(make_test, changed, zero), "neutral")
-    assert finding.level is level
+    assert finding.severity is level
     assert f"zero = {zero:g} " in finding.advice
 
 

@@ -74,7 +74,7 @@ def test_motion_ahead_of_the_command_in_most_tests_is_a_fault(clean, changed, fo
     assert 0.1 < start < 0.25
     assert stop == pytest.approx(0.5)
     (every,) = found([ahead(record) for record in clean[:12]], "motion before command")
-    assert every.level is Severity.FAULT
+    assert every.severity is Severity.FAULT
 
 
 def test_creeping_before_a_test_is_a_warning_and_a_spike_is_not_motion(clean, changed, found):
@@ -133,4 +133,4 @@ def test_gaps_are_counted_with_what_is_lost(clean, changed, found):
     assert "2.51 s of 11.99 s" in finding.what
     short = whole.slice(402, 1200, name="cut@2")
     (finding,) = found([first, short, *clean[1:]], "gaps")
-    assert finding.level is Severity.NOTE
+    assert finding.severity is Severity.NOTE

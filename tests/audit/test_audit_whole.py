@@ -38,7 +38,7 @@ def test_findings_come_by_level_then_check_then_record(clean, changed, found):
     order = [record.name for record in Campaign.of(records).records]
     findings = found(records)
     assert {each.severity for each in findings} >= {Severity.FAULT, Severity.WARNING}
-    keys = [(levels.index(f.level), f.check, order.index(f.record) if f.record else -1) for f in findings]
+    keys = [(levels.index(f.severity), f.check, order.index(f.record) if f.record else -1) for f in findings]
     assert keys == sorted(keys)
 
 

@@ -55,7 +55,7 @@ def batch_for(make_record, clock, form):
         )
         for number, (command, travel) in enumerate(zip(commands, travels, strict=True))
     ]
-    return Batch.of(records, LIFTING, dead_zone=0.1, sign=1, covariate=form.load)
+    return Batch.of(records, LIFTING, dead_zone=0.1, sign=1, covariate=form.covariate)
 
 
 @pytest.mark.parametrize(

@@ -62,7 +62,7 @@ def mirrored(channel):
     """Return the channel of the same tests, had they gone the other way."""
     ends = channel.envelope.displacement
     other = SignalRange(2 * START_MM - ends.highest, 2 * START_MM - ends.lowest)
-    return replace(channel, direction=-1, envelope=replace(channel.envelope, displacement=other))
+    return replace(channel, sign=-1, envelope=replace(channel.envelope, displacement=other))
 
 
 def hitch_of(*modes, **options):

@@ -110,7 +110,7 @@ def test_whole_tests_are_set_aside_to_stop_the_training(tests_of, count, validat
         batch = getattr(found, part)
         measured = np.stack([records[row].displacement for row in rows])
         np.testing.assert_array_equal(np.asarray(batch.displacement)[:, :100], measured)
-        assert np.asarray(batch.counted).sum() == 100 * len(measured)
+        assert np.asarray(batch.loss_mask).sum() == 100 * len(measured)
 
 
 def test_the_last_quarter_of_a_single_test_stops_its_training(tests_of):

@@ -61,7 +61,7 @@ def with_displacement(batch, displacement):
 
 def free_run_errors(batch, travel):
     """Return the root mean square error of each test over the samples that count, shape [T]."""
-    misses, counted = np.asarray(travel - batch.travel), np.asarray(batch.counted)
+    misses, counted = np.asarray(travel - batch.travel), np.asarray(batch.loss_mask)
     return np.sqrt([np.mean(row[counts] ** 2) for row, counts in zip(misses, counted, strict=True)])
 
 
@@ -80,7 +80,7 @@ def test_a_speed_that_the_benchmark_misses_is_learnt_and_ships(tests_of):
     # And on tests of the same plant that nothing has seen.
     fresh = tests_of(along_the_stroke, tests=6, seed=1)
     alone = BENCHMARK.travel(fresh)
-    heard = fresh.command, fresh.initial, fresh.load
+    heard = fresh.command, fresh.initial, fresh.covariate
     found = free_run_errors(fresh, simulate_compensated(model, alone, *heard))
     assert np.sqrt(np.mean(found**2)) < 0.5 * np.sqrt(np.mean(free_run_errors(fresh, alone) ** 2))
 
@@ -106,8 +106,8 @@ def test_the_gates_figures_of_the_benchmark_are_those_of_its_free_run(tests_of):
 
 def test_samples_that_do_not_count_are_neither_learnt_nor_judged(tests_of):
     batch = tests_of(along_the_stroke)
-    early = batch.masked(jnp.broadcast_to(jnp.arange(batch.command.shape[1]) < 150, batch.counted.shape))
-    spoilt = with_displacement(early, jnp.where(early.counted, early.displacement, 1e3))
+    early = batch.masked(jnp.broadcast_to(jnp.arange(batch.command.shape[1]) < 150, batch.loss_mask.shape))
+    spoilt = with_displacement(early, jnp.where(early.loss_mask, early.displacement, 1e3))
     quick = Rollouts(hidden=2, epochs=10)
     envelope = operating_range_of(early)
     gates = [

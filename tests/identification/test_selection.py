@@ -30,7 +30,7 @@ def simulated(make_record, form, values, *, noise=0.02, tests=8, dead_zone=0.0):
     ]
     still = [make_record(np.full(SAMPLES, 80.0), command) for command in commands]
     batch = Batch.of(still, LIFTING, dead_zone=dead_zone, sign=1)
-    travels = np.asarray(form.benchmark(jnp.asarray(values), SCALES).travel(batch))[:, :SAMPLES]
+    travels = np.asarray(form.physical_model(jnp.asarray(values), SCALES).travel(batch))[:, :SAMPLES]
     moved = [80.0 + travel + noise * rng.standard_normal(SAMPLES) for travel in travels]
     records = [make_record(x, u) for x, u in zip(moved, commands, strict=True)]
     return Batch.of(records, LIFTING, dead_zone=dead_zone, sign=1)

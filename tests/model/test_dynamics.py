@@ -30,7 +30,7 @@ SPEED = 0.5
 
 def stepped(model, commands, measured=None, *, start=100.0, load=0.0):
     """Return the displacement at every sample by single steps, shape [N + 1], and the states, of N + 1."""
-    state = model.initial(start, load)
+    state = model.init_state(start, load)
     displacements, states = [start], [state]
     for k, command in enumerate(commands):
         state, displacement = model.step(state, command, None if measured is None else measured[k])
@@ -100,7 +100,7 @@ by_name = pytest.mark.parametrize("model", MODELS.values(), ids=MODELS.keys())
 def test_a_free_run_by_single_steps_is_that_of_the_whole_record(record_of, model):
     commands = np.concatenate([np.zeros((60, 2)), cycles(np.random.default_rng(0), 2100)])
     record = record_of(np.full(len(commands), 100.0), commands)
-    load = LOAD if any(each.benchmark.load for each in model.channels.values()) else 0.0
+    load = LOAD if any(each.benchmark.covariate for each in model.channels.values()) else 0.0
     found, _ = stepped(model, commands[:-1], load=load)
     np.testing.assert_allclose(found, model.simulate(record), rtol=0, atol=1e-9)
     assert np.ptp(found) > 10.0
@@ -141,7 +141,7 @@ def test_predictions_by_single_steps_are_those_of_the_whole_record(record_of, mo
     measured = 100.0 + np.cumsum(rng.normal(0, 0.1, len(commands)))
     measured[:6] = measured[0]
     record = record_of(measured, commands)
-    load = LOAD if any(each.benchmark.load for each in model.channels.values()) else 0.0
+    load = LOAD if any(each.benchmark.covariate for each in model.channels.values()) else 0.0
     expected = model.predict(record, horizon=horizon)
     _, states = stepped(model, commands[:-1], measured, start=measured[0], load=load)
     for origin in range(len(commands) - horizon):
@@ -503,7 +503,7 @@ def test_a_step_within_a_program_of_the_users_is_the_same(model):
         return state, jnp.stack([first, second])
 
     commands = cycles(np.random.default_rng(6), 60)
-    found, state = [], model.initial(100.0)
+    found, state = [], model.init_state(100.0)
     for pair in commands.reshape(-1, 2, 2):
         state, both = twice(state, jnp.asarray(pair), 100.0)
         found.extend(both)
@@ -515,7 +515,7 @@ def test_a_step_within_a_program_of_the_users_is_the_same(model):
 def test_a_state_keeps_its_size_and_a_step_leaves_what_it_was_given(model):
     commands = cycles(np.random.default_rng(7), 80)
     given_commands = commands.copy()
-    state = model.initial(100.0)
+    state = model.init_state(100.0)
     for command in commands:
         before = jax.tree.map(lambda each: np.array(each), state)
         after, _ = model.step(state, command, np.float64(100.0))

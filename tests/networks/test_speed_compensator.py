@@ -109,7 +109,7 @@ def by_hand(model, drive):
             place = float(drive.initial[test]) + model.sign * travel
             inputs = [
                 float(drive.command[block, test]) / float(model.command),
-                float(drive.before[block, test]) / float(model.moved),
+                float(drive.previous_increment[block, test]) / float(model.moved),
                 2 * (place - lowest) / (highest - lowest) - 1,
                 2 * float(drive.load[test]) - 1,
             ]
@@ -121,7 +121,7 @@ def by_hand(model, drive):
                 output[i] = sigmoid(leave) * np.tanh(memory[i])
                 said.append(np.tanh(head[i] @ output[i] + offset[i]))
             factors[block, test] = 1 + 0.5 * np.mean(said)
-            travel += factors[block, test] * float(drive.moved[block, test])
+            travel += factors[block, test] * float(drive.travel_increment[block, test])
     return travels, factors
 
 
@@ -145,14 +145,19 @@ def test_what_it_hears_are_means_and_sums_over_the_block_before(every):
     travel, *heard = made_up()
     drive = compute_block_inputs(travel, *heard, every)
     blocks = -(-SAMPLES // every)
-    assert drive.command.shape == drive.previous_increment.shape == drive.moved.shape == (blocks, TESTS)
-    np.testing.assert_array_equal(drive.moved.sum(axis=0), travel[:, -1])
-    np.testing.assert_array_equal(drive.before[1:], drive.moved[:-1])
-    assert not np.any(drive.before[0])
+    assert (
+        drive.command.shape
+        == drive.previous_increment.shape
+        == drive.travel_increment.shape
+        == (blocks, TESTS)
+    )
+    np.testing.assert_array_equal(drive.travel_increment.sum(axis=0), travel[:, -1])
+    np.testing.assert_array_equal(drive.previous_increment[1:], drive.travel_increment[:-1])
+    assert not np.any(drive.previous_increment[0])
     assert not np.any(drive.command[0])
     for block in range(blocks):
         start, stop = block * every, min((block + 1) * every, SAMPLES - 1)
-        np.testing.assert_array_equal(drive.moved[block], (travel[:, stop] - travel[:, start]))
+        np.testing.assert_array_equal(drive.travel_increment[block], (travel[:, stop] - travel[:, start]))
         if block:
             mean = np.asarray(heard[0])[:, start - every : start].mean(axis=1)
             np.testing.assert_allclose(drive.command[block], mean, rtol=4 * EPS)
@@ -201,7 +206,7 @@ def test_it_starts_anew_from_what_was_measured_where_it_is_asked_to(anchored_eve
     block = np.arange(len(found))
     anchored = block % anchored_every == 0
     np.testing.assert_array_equal(found[anchored], np.asarray(measured)[anchored])
-    after = found + factor * np.asarray(drive.moved)
+    after = found + factor * np.asarray(drive.travel_increment)
     gone_on = np.flatnonzero(~anchored)
     np.testing.assert_allclose(found[gone_on], after[gone_on - 1], rtol=4 * EPS)
     free = model.rollout(model.networks, drive)[0]

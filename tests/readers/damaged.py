@@ -71,7 +71,7 @@ CHANGE_BYTES = """
 import importlib, pathlib, sys
 import numpy as np
 from hitchid.errors import LogError
-from hitchid.readers.content import Wanted
+from hitchid.readers.content import ChannelSelection
 
 path, begin = pathlib.Path(sys.argv[2]), int(sys.argv[3])
 read, whole = importlib.import_module(sys.argv[1]).read, path.with_suffix(".whole").read_bytes()
@@ -81,7 +81,7 @@ for number, at in enumerate(np.random.default_rng(5).integers(0, len(whole), 100
     print(number, flush=True)
     path.write_bytes(whole[:at] + bytes([whole[at] ^ 0x5D]) + whole[at + 1:])
     try:
-        read(path, Wanted("time_s", None))
+        read(path, ChannelSelection("time_s", None))
     except MemoryError:
         pass  # a length may have become any number
     except LogError as error:

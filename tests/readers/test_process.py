@@ -30,11 +30,11 @@ class Patched:
         import numpy as np
         from hitchid.errors import LogError
         from hitchid.readers import child, formats, process
-        from hitchid.readers.content import Channel, Content
+        from hitchid.readers.content import LogChannel, Content
 
         def read(path, wanted):
             here = {"np": np, "os": os, "sys": sys, "time": time, "path": path, "wanted": wanted}
-            here |= {"Channel": Channel, "LogError": LogError, "child": child, "channels": {}, "notices": ()}
+            here |= {"LogChannel": LogChannel, "LogError": LogError, "child": child, "channels": {}, "notices": ()}
             exec(path.read_text(), here)
             return Content(path, here["channels"], here["notices"])
 
@@ -44,7 +44,7 @@ class Patched:
 
 sys.meta_path.insert(0, Patched())
 """
-GOOD = "channels = {'x': Channel(np.arange(5.0), 'mm')}"
+GOOD = "channels = {'x': LogChannel(np.arange(5.0), 'mm')}"
 
 
 @pytest.fixture(scope="module")
@@ -140,9 +140,9 @@ def test_what_a_library_prints_does_not_come_between(read):
 
 
 def test_memory_is_bounded_by_the_size_of_the_file(read):
-    script = "channels = {'x': Channel(np.ones(2**28))}\n#"  # 2 GiB
+    script = "channels = {'x': LogChannel(np.ones(2**28))}\n#"  # 2 GiB
     assert "memory" in str(refused(read, script))
-    content = read("channels = {'x': Channel(np.ones(2**20))}")
+    content = read("channels = {'x': LogChannel(np.ones(2**20))}")
     assert content.channels["x"].values.sum() == 2**20
 
 
@@ -212,7 +212,7 @@ def test_an_interrupt_while_waiting_ends_the_child(reader, read, monkeypatch):
 
 def test_a_child_whose_parent_was_killed_ends():
     program = (
-        "import sys; from hitchid.readers import process; child = process._started()\n"
+        "import sys; from hitchid.readers import process; child = process._start_child()\n"
         "print(child.pid, flush=True); sys.stdin.read()"
     )
     command = [sys.executable, "-c", program]
@@ -238,8 +238,8 @@ def test_numbers_arrive_bit_for_bit(read):
     content = read(
         f"sent = np.frombuffer(bytes.fromhex('{sent.tobytes().hex()}'))\n"
         "clock, other = np.arange(12) / 3, np.arange(12) / 3\n"
-        "channels = {'a': Channel(sent, None, clock), 'b': Channel(sent[::-2], 'µm', None),\n"
-        "            'c/ä\\udcff': Channel(sent.astype('>f8'), '', clock), 'd': Channel(sent, 'V', other)}\n"
+        "channels = {'a': LogChannel(sent, None, clock), 'b': LogChannel(sent[::-2], 'µm', None),\n"
+        "            'c/ä\\udcff': LogChannel(sent.astype('>f8'), '', clock), 'd': LogChannel(sent, 'V', other)}\n"
         "notices = ('one', 'two ≤')"
     )
     assert list(content.channels) == ["a", "b", "c/ä\udcff", "d"]
@@ -260,7 +260,7 @@ def test_numbers_arrive_bit_for_bit(read):
 def test_channels_without_samples_and_no_channels_arrive(read):
     content = read(
         "none = np.zeros(0)\n"
-        "channels = {'a': Channel(none, 'mm', none), 'b': Channel(np.ones(3)), 'c': Channel(none)}"
+        "channels = {'a': LogChannel(none, 'mm', none), 'b': LogChannel(np.ones(3)), 'c': LogChannel(none)}"
     )
     assert [channel.values.size for channel in content.channels.values()] == [0, 3, 0]
     assert content.channels["a"].clock_s.size == 0
@@ -269,7 +269,7 @@ def test_channels_without_samples_and_no_channels_arrive(read):
 
 
 def test_more_than_a_pipe_holds_arrives(read):
-    content = read("channels = {str(n): Channel(np.arange(30000.0) + n) for n in range(8)}")
+    content = read("channels = {str(n): LogChannel(np.arange(30000.0) + n) for n in range(8)}")
     for number, channel in enumerate(content.channels.values()):
         np.testing.assert_array_equal(channel.values, np.arange(30000.0) + number)
 

@@ -44,7 +44,7 @@ def test_every_record_has_its_name_its_signals_and_axes_with_units(drawn):
         assert (below.get_ylabel(), below.get_xlabel()) == ("command /\nA", "time / s")
         np.testing.assert_array_equal(above.lines[0].get_ydata(), record.displacement)
         assert len(above.patches) == len(found)
-        for line, mode in zip(below.lines, record.modes, strict=True):
+        for line, mode in zip(below.lines, record.directions, strict=True):
             np.testing.assert_array_equal(line.get_ydata(), record.command(mode))
 
 

@@ -52,5 +52,5 @@ def test_orifice_flow_is_the_root_of_the_drop_and_its_slope_is_right():
 def test_the_pump_on_relief_is_in_balance(any_rig):
     pressure = any_rig.supply.idle_pressure()
     delivered, _ = any_rig.supply.pump_delivery(pressure, jnp.asarray(1.0))
-    np.testing.assert_allclose(any_rig.supply.relieved(pressure)[0], delivered, rtol=1e-12)
+    np.testing.assert_allclose(any_rig.supply.relief_flow(pressure)[0], delivered, rtol=1e-12)
     assert pressure > TANK_PRESSURE_PA + any_rig.supply.relief_pressure

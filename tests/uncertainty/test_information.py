@@ -40,7 +40,7 @@ def found(make_record):
 
 
 def information_of(phase1):
-    return Information.of(phase1.fit.misfit, phase1.fit.position, phase1.moved)
+    return Information.of(phase1.fit.objective, phase1.fit.position, phase1.influence)
 
 
 def by_hand(jacobian, *, tests=5, size=0.3, every=1, fixed=0.0):
@@ -68,7 +68,7 @@ def test_widths_are_the_standard_errors_of_the_estimates(found, dead_zone):
     assert information.names == ("gain", "time_constant")
     # H⁻¹ H is one to rounding times the condition of H, from either side.
     rounding = 100 * np.linalg.cond(np.array(information.curvature)) * np.finfo(float).eps
-    errors = np.array([estimate.error for estimate in phase1.estimates])
+    errors = np.array([estimate.error for estimate in phase1.parameter_estimates])
     np.testing.assert_allclose(information.standard_errors() * information.slopes, errors, rtol=rounding)
     assert (information.tests, information.samples) == (TESTS, SAMPLES)
     assert np.any(information.fixed) == (dead_zone.size > 0)
@@ -181,14 +181,14 @@ def test_what_is_known_comes_back_from_json(found):
     )
     run = SearchRun((None, 1.5), ((1.0,), (2.0,)), 60, 1, "spent")
     whole = Uncertainty(
-        benchmark=phase1.known,
-        paper=phase1.known,
+        benchmark=phase1.assessment,
+        paper=phase1.assessment,
         bands=bands,
         searches=(SearchHistory("whale", (run, SearchRun((), (), 0, 0, "failed"))),),
         searched=("gain",),
         information=information_of(phase1),
     )
-    for known in (whole, Uncertainty(phase1.known)):
+    for known in (whole, Uncertainty(phase1.assessment)):
         assert Uncertainty.of(json.loads(canonical_json(known.describe()))) == known
     back = Uncertainty.of(json.loads(canonical_json(whole.describe()))).information
     np.testing.assert_array_equal(back.standard_errors(), whole.information.standard_errors())
@@ -196,7 +196,7 @@ def test_what_is_known_comes_back_from_json(found):
 
 @pytest.mark.parametrize("spoil", [{"curvature": [[1.0, None]]}, {"every": "often"}, {"names": "gain"}])
 def test_a_description_of_another_kind_is_refused(found, spoil):
-    known = Uncertainty(found().known)
+    known = Uncertainty(found().assessment)
     described = replace(known, information=by_hand(np.ones((12, 1)))).describe()
     described["information"].update(spoil)
     with pytest.raises(ValueError, match=f"information.{next(iter(spoil))}"):

@@ -299,7 +299,7 @@ def test_what_cannot_be_computed_is_left_out_with_a_notice(monkeypatch):
     ],
 )
 def test_a_dead_zone_is_determined_by_its_standard_error(zone, interval, determined):
-    known = zone.stated("A")
+    known = zone.to_quantity("A")
     assert known.determined is determined
     assert known.interval == (interval if None in interval else pytest.approx(interval, rel=1e-3))
 

@@ -93,8 +93,8 @@ def read(tmp_path):
 
 def test_a_file_is_read_as_it_stands(read):
     limits = read(FILE)
-    assert (limits.unit, list(limits.modes)) == ("mm", ["lifting", "cycles"])
-    lifting = limits.modes["lifting"]
+    assert (limits.unit, list(limits.by_direction)) == ("mm", ["lifting", "cycles"])
+    lifting = limits.by_direction["lifting"]
     assert lifting.tests == 4
     assert lifting.free_run.model_dump() == {
         "rmse": 0.5,
@@ -107,7 +107,7 @@ def test_a_file_is_read_as_it_stands(read):
     assert lifting.horizon == {10: 0.2, 100: 0.5}
     assert lifting.coverage == (80.0, 97.0)
     assert lifting.better_than == ("persistence", "transfer_function")
-    assert limits.modes["cycles"].free_run.rmse == 3.0
+    assert limits.by_direction["cycles"].free_run.rmse == 3.0
 
 
 def test_every_limit_of_a_file_gets_a_verdict(read):

@@ -82,6 +82,8 @@ def sparkline(values: list[float]) -> str:
     heights = [log(value) for value in finite_values] if min(finite_values) > 0 else finite_values
     resampled = [heights[round(index * (len(heights) - 1) / (WIDTH - 1))] for index in range(WIDTH)]
     shown = resampled if len(heights) > WIDTH else heights
+    largest = max(map(abs, shown)) or 1.0  # the difference of two very large values would overflow
+    shown = [height / largest for height in shown]
     low, high = min(shown), max(shown)
     scale = (len(BLOCKS) - 1) / ((high - low) or 1.0)
     return "".join(BLOCKS[round((height - low) * scale)] for height in shown)

@@ -138,7 +138,7 @@ def _segments(batch: Batch, *, longest: int | None) -> list[_TestSegment]:
         for first in range(0, loss_mask.size, width):
             samples = slice(first, first + width + max_lag)
             segments.append(_TestSegment(command[samples], travel[samples], loss_mask[first : first + width]))
-    return [segment for segment in segments if segment.counted.any()]
+    return [segment for segment in segments if segment.loss_mask.any()]
 
 
 def _decimate(segments: list[_TestSegment]) -> list[_TestSegment]:

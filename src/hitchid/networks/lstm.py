@@ -154,9 +154,9 @@ def _unroll_backward(
         return (factor.reshape(len(gradient_rows), -1).T @ gradient_rows).T
 
     weight_gradients = LstmWeights(
-        weight_gradient(inputs), weight_gradient(previous.output), jnp.sum(gradient_rows, axis=0)
+        weight_gradient(inputs), weight_gradient(previous.h), jnp.sum(gradient_rows, axis=0)
     )
-    return weight_gradients, gate_gradients @ weights.inputs, None
+    return weight_gradients, gate_gradients @ weights.weight_ih, None
 
 
 def _gate_gradients(
