@@ -29,7 +29,7 @@ def logs(data: LogData) -> ReportSection:
     findings = tuple(
         _report_finding(finding) for finding in inspection.findings if finding.severity in LEVELS
     )
-    notices = (*data.warnings, *inspection.notices)
+    notices = (*data.notices, *inspection.notices)
     findings += tuple(Finding(Rating.CAUTION, sentence(str(notice))) for notice in notices)
     summary: Block = Findings(findings) if findings else Text("The audit of the logs found nothing to mend.")
     blocks: list[Block] = [summary, _table(data.logs)]
