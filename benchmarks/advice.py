@@ -19,9 +19,8 @@ from hitchid.design import ExcitationLimits, command_of, design
 from hitchid.estimation import MultiStart
 from hitchid.identification.direction import operating_range_of
 from hitchid.identification.phase1 import Phase1, identify_benchmark
-from hitchid.model import Channel, Hitch
+from hitchid.model import Channel, Hitch, Information, Uncertainty
 from hitchid.structures import Batch
-from hitchid.uncertainty import Information, Uncertainty
 
 
 def main() -> None:

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hitchid.baselines.autoregression import Arx, predict_ahead
+from hitchid.baselines.arx import Arx, predict_ahead
 from hitchid.baselines.black_box import BlackBox, accumulated
 from hitchid.baselines.narx import Narx
 from hitchid.networks.lstm import Lstm

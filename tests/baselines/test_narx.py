@@ -6,10 +6,10 @@ import warnings
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from hitchid.identification.narx import fit_narx
 
 from hitchid.baselines.narx import Narx
 from hitchid.identification import narx as fitting
-from hitchid.identification.narx import fit_narx
 from hitchid.structures import Batch
 
 # w(k) = 1.2 w(k−1) − 0.3 w(k−2) + 0.5 u(k−1) + 0.1 u(k−2)² − 0.05 w(k−1) u(k−2)

@@ -23,10 +23,10 @@ from hitchid.estimation import MultiStart
 from hitchid.experiments.excitation import precompensated
 from hitchid.identification.direction import operating_range_of
 from hitchid.identification.phase1 import identify_benchmark
-from hitchid.model import Channel, Hitch
+from hitchid.model import Channel, Hitch, Information, Uncertainty
 from hitchid.networks.operating_range import SignalRange
 from hitchid.structures import Batch, ModelSpec, structure_named
-from hitchid.uncertainty import NO_ERROR, DeadZoneError, Information, Uncertainty
+from hitchid.uncertainty import NO_ERROR, DeadZoneError
 from truth import STEP_S, held, levels
 
 UNITS = {"displacement": "mm", "lifting_command": "A", "lowering_command": "A"}

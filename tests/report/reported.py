@@ -7,9 +7,9 @@ import numpy as np
 
 from hitchid.data.record import Record
 from hitchid.data.segmentation import segments
+from hitchid.model import Characteristics, Estimate, Estimates, MeasuredSpeed, Quantity, SpeedPoint
 from hitchid.report import Document, Finding, Picture, Pictures, Rating, ReportSection, Text, figures
 from hitchid.report.document import Findings
-from hitchid.uncertainty import Characteristics, Estimate, Estimates, MeasuredSpeed, Quantity, SpeedPoint
 from hitchid.validation import Predictions, Table
 from hitchid.validation.residuals import residual_tests
 from hitchid.validation.uncertainty import parameter_figures

@@ -18,7 +18,7 @@ import reported
 from hitchid._support.versions import installed_versions
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError, OutputError
-from hitchid.model import Provenance
+from hitchid.model import Provenance, Uncertainty
 from hitchid.readers import read, write_table
 from hitchid.report import (
     FIGURES,
@@ -32,7 +32,6 @@ from hitchid.report import (
 )
 from hitchid.report.document import Findings
 from hitchid.report.svg import svg
-from hitchid.uncertainty import Uncertainty
 from hitchid.validation import Table, check_limits, compare, read_limits, validate
 
 MODES = (LIFTING, LOWERING)

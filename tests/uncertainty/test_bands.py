@@ -4,12 +4,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from scipy import stats
-
-from hitchid.errors import InputError
-from hitchid.uncertainty import Bands
 from hitchid.uncertainty.bands import (
     BISECTION_STEPS,
     GRID,
@@ -18,6 +12,12 @@ from hitchid.uncertainty.bands import (
     nonconformity_scores,
     sensor_noise,
 )
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from hitchid.errors import InputError
+from hitchid.model import Bands
 
 BANDS = Bands(
     alternatives=(),

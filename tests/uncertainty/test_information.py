@@ -12,8 +12,9 @@ from hitchid._support.storage import canonical_json
 from hitchid.data.record import LIFTING
 from hitchid.estimation import MultiStart, SearchHistory, SearchRun
 from hitchid.identification.phase1 import identify_benchmark
+from hitchid.model import Bands, EnsembleMember, Information, Uncertainty
 from hitchid.structures import Batch, ModelSpec, structure_named
-from hitchid.uncertainty import NO_ERROR, Bands, DeadZoneError, EnsembleMember, Information, Uncertainty
+from hitchid.uncertainty import NO_ERROR, DeadZoneError
 from hitchid.uncertainty.information import _autocovariance
 from truth import held, lag, levels
 

@@ -9,7 +9,7 @@ import pytest
 
 from handmade import AHEAD, DEAD_ZONES, GAINS, channel, envelope, hitch, hitch_of, with_bands
 from hitchid._support.metrics import HORIZONS
-from hitchid.baselines.autoregression import predict_ahead
+from hitchid.baselines.arx import predict_ahead
 from hitchid.data.campaign import Campaign
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError, OutputError

@@ -20,9 +20,15 @@ from hitchid.data.record import COMMAND, LIFTING, LOWERING
 from hitchid.errors import InputError
 from hitchid.experiments.excitation import prbs, precompensated
 from hitchid.model import Channel, Hitch
+from hitchid.model.information import Information
 from hitchid.readers import write_table
 from hitchid.structures import DEAD_TIME, NONLINEARITY_PARAMETERS, Batch, PhysicalModel, padded_length
-from hitchid.uncertainty import Information
+from hitchid.uncertainty.information import (
+    profile_out_gain,
+    standard_errors,
+    standard_errors_with,
+    standard_errors_with_repeat,
+)
 
 CANDIDATES = 256
 MAX_LOW_RATIO, MIN_HIGH_RATIO = 0.8, 0.3
@@ -127,13 +133,13 @@ def design(
     direction, parameter, information = _select_target(model, direction, parameter)
     channel, number = model.channels[direction], information.names.index(parameter)
     current_errors, errors_with_repeat = (
-        information.standard_errors(),
-        information.standard_errors_with_repeat(),
+        standard_errors(information),
+        standard_errors_with_repeat(information),
     )
     proposals = [
         replace(
             proposal,
-            left=_by_parameter(information, information.standard_errors_with(jacobian) / current_errors),
+            left=_by_parameter(information, standard_errors_with(information, jacobian) / current_errors),
         )
         for proposal, jacobian in _candidates(channel, information, limits, model.step_s, seed)
     ]
@@ -147,7 +153,9 @@ def design(
         parameter=parameter,
         proposals=tuple(proposals[:MAX_PROPOSALS]),
         usual=_by_parameter(information, errors_with_repeat / current_errors),
-        ramps=bool(information.fixed[number][number] > DEAD_ZONE_SHARE * current_errors[number] ** 2),
+        ramps=bool(
+            information.dead_zone_covariance[number][number] > DEAD_ZONE_SHARE * current_errors[number] ** 2
+        ),
     )
 
 
@@ -200,8 +208,7 @@ def _candidates(
     channel: Channel, information: Information, limits: ExcitationLimits, step_s: float, seed: int
 ) -> Iterator[tuple[Proposal, np.ndarray]]:
     """Yield candidates that stay within the limits, and the derivatives of their travel, shape [N, D]."""
-    assert channel.envelope is not None  # noqa: S101 - every identified channel has one
-    operating_range = channel.envelope
+    operating_range = channel.operating_range
     highest = float(operating_range.command.highest)
     if limits.highest is not None:
         highest = limits.highest - channel.dead_zone
@@ -239,7 +246,7 @@ def _candidates(
                 unpadded_travel = test_travel[: commands.shape[1]]
                 yield (
                     replace(proposal, travel=farthest),
-                    information.profile_out_gain(unpadded_travel, slopes[: unpadded_travel.size]),
+                    profile_out_gain(information, unpadded_travel, slopes[: unpadded_travel.size]),
                 )
 
 
@@ -257,8 +264,8 @@ def _signal(proposal: Proposal, step_s: float) -> np.ndarray:
 
 def _batch(channel: Channel, commands: Float[np.ndarray, "t n"], step_s: float) -> Batch:
     """Return tests that are yet to be run, from where such tests start."""
-    assert channel.envelope is not None  # noqa: S101 - every identified channel has one
-    ends = channel.envelope.displacement
+    assert channel.operating_range is not None  # noqa: S101 - every identified channel has one
+    ends = channel.operating_range.displacement
     start = ends.lowest if channel.sign > 0 else ends.highest
     tests, samples = commands.shape
     padded = np.pad(commands, ((0, 0), (0, padded_length(samples) - samples)))
@@ -270,7 +277,7 @@ def _batch(channel: Channel, commands: Float[np.ndarray, "t n"], step_s: float) 
         valid=jnp.ones(padded.shape, dtype=bool),
         loss_mask=jnp.ones(padded.shape, dtype=bool),
         initial=jnp.full(tests, start),
-        covariate=jnp.full(tests, 0.5 * (channel.envelope.load.lowest + channel.envelope.load.highest)),
+        covariate=jnp.full(tests, 0.5 * (channel.operating_range.load.lowest + channel.operating_range.load.highest)),
         step_s=step_s,
         sign=channel.sign,
     )

@@ -10,9 +10,10 @@ from hitchid._support.checkpoints import DISABLED, Checkpoints
 from hitchid._support.progress import IterationCallback
 from hitchid.estimation import Objective, Search, SearchResult, best_refined, refine, search_problem
 from hitchid.identification.optional import attempt
+from hitchid.model import Estimate, Estimates
 from hitchid.structures import Batch, ModelSpec, PhysicalModel
 from hitchid.structures.nonlinear import NonlinearStructure
-from hitchid.uncertainty import NO_ERROR, DeadZoneError, Estimate, Estimates, Influence, assess, unassessed
+from hitchid.uncertainty import NO_ERROR, DeadZoneError, Influence, assess, unassessed
 
 GAIN_ITERATIONS = 3
 SEARCH_SAMPLES, COARSE_SAMPLES = 8192, 2048

@@ -12,11 +12,11 @@ from hitchid.data.signal_map import Strict, parse_settings
 from hitchid.errors import InputError, SettingsError
 from hitchid.estimation import DifferentialEvolution, MultiStart, Search, SearchComparison, Whale, whale
 from hitchid.estimation.search import EVALUATIONS
+from hitchid.estimation.training import AdamConfig
 from hitchid.identification.identify import DEFAULT_STRUCTURES
 from hitchid.identification.phase2 import CompensatorConfig
 from hitchid.identification.rollouts import Rollouts
 from hitchid.identification.selection import AutoStructure
-from hitchid.identification.training import AdamConfig
 from hitchid.structures import ModelSpec, structure_named
 
 AUTOMATIC = "automatic"

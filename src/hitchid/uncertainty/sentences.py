@@ -1,7 +1,7 @@
 """Operating characteristics in plain words."""
 
-from hitchid.uncertainty.characteristics import Characteristics
-from hitchid.uncertainty.estimate import Interval, Quantity
+from hitchid.model.characteristics import Characteristics
+from hitchid.model.estimates import Interval, Quantity
 from hitchid.uncertainty.formatting import format_interval
 
 VERBS = {"lifting": "lifts", "lowering": "lowers"}

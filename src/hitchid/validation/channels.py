@@ -3,17 +3,14 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 
 from hitchid._support.metrics import HORIZONS
-from hitchid.baselines.autoregression import predict_ahead
-from hitchid.baselines.black_box import BlackBox
+from hitchid.baselines.persistence import Persistence, delayed
 from hitchid.data.record import Record
-from hitchid.model import Channel, remove_padding
+from hitchid.model import Channel, Comparison, Uncertainty, remove_padding
 from hitchid.structures import Batch
 from hitchid.structures.structure import LinearStructure
-from hitchid.uncertainty import Uncertainty
 from hitchid.validation.pooled import pooled
 from hitchid.validation.predictions import Predictions
 from hitchid.validation.uncertainty import band_figures, free_run_band, residual_figures, trust_figures
@@ -40,7 +37,11 @@ class _ModelRuns(NamedTuple):
 
 
 def channel_result(
-    channel: Channel, tests: Sequence[Record], factor: float, uncertainty: Uncertainty | None
+    channel: Channel,
+    tests: Sequence[Record],
+    factor: float,
+    uncertainty: Uncertainty | None,
+    comparison: Comparison,
 ) -> tuple[dict, Predictions]:
     """Return a channel's figures on unseen tests, in the form of `metrics.json`, and what is behind them.
 
@@ -48,11 +49,12 @@ def channel_result(
         channel: of the model.
         tests: on the model's clock and in its units.
         factor: from the model's unit of displacement to that of the figures.
-        uncertainty: how far the channel can be trusted; None where that was not asked for.
+        uncertainty: of the channel; None where it was not computed.
+        comparison: what was fitted to the same tests for comparison.
     """
-    runs = _run(channel, tests)
+    runs = _run(channel, comparison, tests)
     half_width = _half_width(channel, runs, uncertainty)
-    trust = {} if uncertainty is None else trust_figures(uncertainty, factor)
+    trust = {} if uncertainty is None else trust_figures(uncertainty, comparison, factor)
     if uncertainty is not None and uncertainty.bands is not None and half_width is not None:
         multi_step = np.stack(runs.multi_step["greybox"])
         trust["bands"] = band_figures(
@@ -66,21 +68,18 @@ def channel_result(
     return metrics, _predictions(runs, half_width, tests, factor)
 
 
-def _run(channel: Channel, tests: Sequence[Record]) -> _ModelRuns:
+def _run(channel: Channel, comparison: Comparison, tests: Sequence[Record]) -> _ModelRuns:
     batch = channel.batch(tests)
     steps = [h for h in HORIZONS if h < min(map(len, tests))]
     benchmark = np.asarray(channel.simulate_benchmark(batch))
     measured = np.asarray(batch.displacement)
 
-    def delayed(rows: np.ndarray, h: int) -> np.ndarray:
-        return np.concatenate([rows[:, :h], rows[:, :-h]], axis=1)
-
     def restarted(simulated: np.ndarray) -> list[np.ndarray]:
         return [delayed(measured, h) + simulated - delayed(simulated, h) for h in steps]
 
-    baselines = _baseline_runs(channel, batch, steps)
+    baselines = _baseline_runs(channel, comparison, batch, steps)
     multi_step = {
-        "persistence": [delayed(measured, h) for h in steps],
+        "persistence": Persistence().predict(batch, steps),
         "benchmark": restarted(benchmark),
         "greybox": list(np.asarray(channel.predict(batch, tuple(steps)))),
         **{name: baseline.multi_step or restarted(baseline.free_run) for name, baseline in baselines.items()},
@@ -158,26 +157,15 @@ class _BaselineRun(NamedTuple):
     multi_step: list[np.ndarray] | None = None
 
 
-def _baseline_runs(channel: Channel, batch: Batch, steps: Sequence[int]) -> dict[str, _BaselineRun]:
-    """Return the baselines that the model holds, by name."""
-    runs = {}
-    commands, initial = np.asarray(batch.command), np.asarray(batch.initial)
-    travels = batch.sign * (np.asarray(batch.displacement) - initial[:, None])
-
-    def of_travel(travel: np.ndarray) -> np.ndarray:
-        return initial[:, None] + batch.sign * travel
-
-    for name, model in (("arx", channel.arx), ("narx", channel.narx)):
-        if model is not None:
-            rows = [predict_ahead(model, u, w, steps) for u, w in zip(commands, travels, strict=True)]
-            free_runs = np.array([model.free_run(u) for u in commands])
-            runs[name] = _BaselineRun(
-                of_travel(free_runs), [of_travel(row) for row in np.swapaxes(rows, 0, 1)]
-            )
-    if channel.black_box is not None:
-        travel = eqx.filter_jit(BlackBox.free_run)(channel.black_box, batch.command, batch.initial)
-        runs["lstm"] = _BaselineRun(of_travel(np.asarray(travel)))
-    paper = paper_channel(channel)
+def _baseline_runs(
+    channel: Channel, comparison: Comparison, batch: Batch, steps: Sequence[int]
+) -> dict[str, _BaselineRun]:
+    """Return the runs of what was fitted for comparison, by name."""
+    runs = {
+        name: _BaselineRun(fitted.free_run(batch), fitted.predict(batch, steps))
+        for name, fitted in comparison.baselines.items()
+    }
+    paper = paper_channel(channel, comparison)
     if paper is not None:
         batch = batch.with_dead_zone(paper.dead_zone)
         runs["transfer_function"] = _BaselineRun(np.asarray(paper.simulate_benchmark(batch)))
@@ -187,15 +175,13 @@ def _baseline_runs(channel: Channel, batch: Batch, steps: Sequence[int]) -> dict
     return runs
 
 
-def paper_channel(channel: Channel) -> Channel | None:
-    """Return the method of Sun et al. 2025 beside a channel, the channel itself where it is that.
+def paper_channel(channel: Channel, comparison: Comparison) -> Channel | None:
+    """Return the method of Sun et al. 2025, which is the channel itself where that has a linear benchmark.
 
-    None where no baselines were fitted, or that one could not be.
+    None where it was not fitted, or where no baselines were.
     """
-    if channel.paper is not None:
-        return channel.paper
+    if comparison.paper is not None:
+        return comparison.paper
     physical_model = channel.benchmark
-    is_paper_model = (
-        isinstance(physical_model.structure, LinearStructure) and physical_model.nonlinearity is None
-    )
-    return channel if is_paper_model and channel.arx is not None else None
+    is_linear = isinstance(physical_model.structure, LinearStructure) and physical_model.nonlinearity is None
+    return channel if is_linear and comparison.baselines else None

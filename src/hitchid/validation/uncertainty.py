@@ -5,33 +5,41 @@ from dataclasses import asdict
 
 import numpy as np
 
-from hitchid.estimation import SearchHistory
-from hitchid.model import Band, Channel
+from hitchid.model import (
+    Band,
+    Bands,
+    Channel,
+    Characteristics,
+    Comparison,
+    Estimates,
+    Quantity,
+    SearchSummary,
+    Uncertainty,
+)
+from hitchid.model.bands import free_run_half_width
 from hitchid.model.ensemble import ensemble_deviations
 from hitchid.structures import Batch
-from hitchid.uncertainty import Bands, Characteristics, Estimates, Quantity, Uncertainty
 from hitchid.validation.residuals import residual_tests
 
 COVERAGE = 0.9
 
 
-def trust_figures(uncertainty: Uncertainty, factor: float = 1.0) -> dict:
+def trust_figures(uncertainty: Uncertainty, comparison: Comparison, factor: float = 1.0) -> dict:
     """Return what identification found of parameters and searches, as JSON can hold it.
 
     Args:
-        uncertainty: how far a channel can be trusted.
+        uncertainty: of a channel.
+        comparison: what was fitted to the same tests for comparison.
         factor: from the model's unit of displacement to that of the figures, for errors; parameters stay in
             the model's units, which are told with them.
     """
     figures = {"parameters": parameter_figures(uncertainty.benchmark, factor)}
     if uncertainty.characteristics is not None:
         figures["characteristics"] = characteristic_figures(uncertainty.characteristics)
-    if uncertainty.paper is not None:
-        figures["paper_parameters"] = parameter_figures(uncertainty.paper, factor)
-    if uncertainty.searches:
-        figures["searches"] = {
-            history.name: _search_figures(history, factor) for history in uncertainty.searches
-        }
+    if comparison.paper_estimates is not None:
+        figures["paper_parameters"] = parameter_figures(comparison.paper_estimates, factor)
+    if comparison.searches:
+        figures["searches"] = {search.name: _search_figures(search, factor) for search in comparison.searches}
     return figures
 
 
@@ -108,17 +116,16 @@ def _quantity_figures(quantity: Quantity | None) -> dict | None:
     return {"value": quantity.value, "lower": lower, "upper": upper, "determined": quantity.determined}
 
 
-def _search_figures(history: SearchHistory, factor: float) -> dict:
-    """Return how one search went from its seeds: ends, effort, and the run in the middle, step by step."""
-    median_run = history.runs[int(np.argsort(history.final_fitnesses)[len(history.runs) // 2])]
+def _search_figures(search: SearchSummary, factor: float) -> dict:
+    """Return how one search went from its seeds: ends, effort, and the median run, step by step."""
     return {
-        "seeds": len(history.runs),
-        "rmse": [_scale(run.final_fitness, factor) for run in history.runs],
-        "evaluations": [run.evaluations for run in history.runs],
-        "failures": [run.failures for run in history.runs],
+        "seeds": len(search.rmse),
+        "rmse": [_scale(error, factor) for error in search.rmse],
+        "evaluations": list(search.evaluations),
+        "failures": list(search.failures),
         "median_run": {
-            "rmse": [_scale(error, factor) for error in median_run.fitness],
-            "values": [list(row) for row in median_run.values],
+            "rmse": [_scale(error, factor) for error in search.median_rmse],
+            "values": [list(row) for row in search.median_values],
         },
     }
 
@@ -167,8 +174,8 @@ def free_run_band(channel: Channel, bands: Bands, batch: Batch) -> np.ndarray:
         channel, bands: of the model.
         batch: tests.
     """
-    _, deviations = ensemble_deviations(channel, bands.alternatives, batch)
-    return bands.free_run_half_width(COVERAGE, np.sqrt(np.sum(deviations**2, axis=0)))
+    _, deviations = ensemble_deviations(channel, bands.ensemble, batch)
+    return free_run_half_width([bands], [np.sqrt(np.sum(deviations**2, axis=0))], COVERAGE)
 
 
 def band_figures(

@@ -16,7 +16,7 @@ from hitchid.data.campaign import Campaign
 from hitchid.data.record import CYCLE, DISPLACEMENT, Record
 from hitchid.data.units import conversion_factor
 from hitchid.errors import InputError
-from hitchid.model import Channel, Hitch
+from hitchid.model import Channel, Comparison, Hitch
 from hitchid.validation.channels import channel_result
 from hitchid.validation.cycles import cycle_result
 from hitchid.validation.predictions import Predictions
@@ -157,7 +157,13 @@ def _validate_direction(
     if not tests:
         return None, []
     converted_tests, channel = [model.to_model_units(record) for record in tests], model.channels[direction]
-    figures, predictions = channel_result(channel, converted_tests, factor, model.uncertainty.get(direction))
+    figures, predictions = channel_result(
+        channel,
+        converted_tests,
+        factor,
+        model.uncertainty.get(direction),
+        model.comparison.get(direction, Comparison()),
+    )
     notices = _channel_notices(direction, figures) + _out_of_range_notices(
         direction, channel, converted_tests
     )

@@ -6,8 +6,9 @@ import numpy as np
 
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.identification import ChannelTrace
+from hitchid.model import Estimate, Quantity
 from hitchid.studies.sun2025.results import DirectionResult, end_deviation, summary
-from hitchid.uncertainty import Estimate, Quantity, format_interval, format_with_error
+from hitchid.uncertainty import format_interval, format_with_error
 from hitchid.validation import Table, rounded
 
 PAPER_COEFFICIENTS = {
