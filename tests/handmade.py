@@ -136,9 +136,7 @@ def comparison(mode):
     return Comparison(baselines, channel(mode, "first-order-lag", compensated=True))
 
 
-def hitch(
-    structure="integrator", *, modes=(LIFTING, LOWERING), provenance=None, baselines=False, **options
-):
+def hitch(structure="integrator", *, modes=(LIFTING, LOWERING), provenance=None, baselines=False, **options):
     """Return a model of one or two like channels at 100 Hz in mm and A."""
     channels = {mode: channel(mode, structure, **options) for mode in modes}
     compared = {mode: comparison(mode) for mode in modes} if baselines else {}

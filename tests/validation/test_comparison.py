@@ -119,8 +119,10 @@ def test_cycles_are_cut_alike_for_both_where_there_is_nothing_else(make_record):
         speed -= GAINS[LOWERING] * np.maximum(lowering - DEAD_ZONES[LOWERING], 0)
         measured = 100 + STEP_S * np.cumsum(speed) + 0.02 * rng.standard_normal(speed.size)
         records.append(make_record(measured, lifting, lowering, name=f"cycle-{number}"))
-    cut = replace(RIGHT, provenance=Provenance(cut_at={LIFTING: 0.3, LOWERING: 0.2}))
-    compared = compare(cut, replace(SLOW, provenance=Provenance(cut_at=DEAD_ZONES)), Campaign.of(records))
+    cut = replace(RIGHT, provenance=Provenance(segmentation_dead_zones={LIFTING: 0.3, LOWERING: 0.2}))
+    compared = compare(
+        cut, replace(SLOW, provenance=Provenance(segmentation_dead_zones=DEAD_ZONES)), Campaign.of(records)
+    )
     assert "cycles" in compared.sections
     for part in compared.sections:
         one, other = compared.figures(part)

@@ -36,7 +36,7 @@ class Autoregression(FittedBaseline):
         )
 
     def predict(self, batch: Batch, horizons: Sequence[int]) -> list[Float[np.ndarray, "t n"]]:
-        """Return for each h displacement predicted from that measured up to h samples before, shape [T, N]."""
+        """Return displacement predicted from that measured up to h samples before, for each h."""
         travels = batch.sign * (np.asarray(batch.displacement) - np.asarray(batch.initial)[:, None])
         rows = [
             predict_ahead(self, command, travel, horizons)

@@ -62,8 +62,8 @@ class BlackBoxBaseline(Baseline):
     def fit(self, training: Batch, validation: Batch, context: FitContext) -> BlackBox:
         """Return a black-box LSTM trained on free runs from the start of each test.
 
-        Tests longer than 2048 samples are cut, each section starting from its own measured displacement; of more
-        than 40 sections every m-th is taken.
+        Tests longer than 2048 samples are cut, each section starting from its own measured displacement; of
+        more than 40 sections every m-th is taken.
 
         Args:
             training, validation: the tests of the compensator.

@@ -72,7 +72,7 @@ class ChannelConfig:
 
     @property
     def search_spec(self) -> ModelSpec:
-        """The structure that searches are compared on: the given one, or that an automatic choice starts from."""
+        """The structure that searches are compared on: the given one, or the first of an automatic choice."""
         return self.spec.baseline_spec if isinstance(self.spec, AutoStructure) else self.spec
 
 

@@ -1,4 +1,4 @@
-"""What is fitted to the tests of one direction for comparison only: baselines, the paper's method, searches."""
+"""Fits for comparison only: baselines, the method of Sun et al. 2025, global searches."""
 
 from collections.abc import Mapping
 from dataclasses import replace

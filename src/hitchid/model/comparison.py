@@ -35,8 +35,8 @@ class Comparison:
 
     Attributes:
         baselines: name to fitted baseline.
-        paper: the method of Sun et al. 2025: a transfer function, and a compensator that in free run takes its
-            own predictions as measurements; None where it was not fitted, or where the channel is that.
+        paper: the method of Sun et al. 2025: a transfer function, and a compensator that in free run takes
+            its own predictions as measurements; None where not fitted, or where the channel is that.
         paper_estimates: estimates of the parameters of its transfer function; None likewise.
         searches: summaries of the global searches that were compared; empty where none were.
     """

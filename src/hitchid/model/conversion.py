@@ -3,10 +3,9 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from jaxtyping import Float
 
 from hitchid._support import checks
-from hitchid.data.record import DIRECTIONS, DISPLACEMENT, Record
+from hitchid.data.record import DISPLACEMENT, Record
 from hitchid.data.test_kinds import ACTIVE_FRACTION, effective_command, full_scales
 from hitchid.data.units import conversion_factor
 from hitchid.errors import InputError

@@ -58,7 +58,7 @@ def deployed_tensors(hitch: Hitch) -> dict[str, np.ndarray]:
 
 
 def comparison_tensors(hitch: Hitch) -> dict[str, np.ndarray]:
-    """Return every array of what was fitted for comparison, `direction/baselines/…` and `direction/paper/…`."""
+    """Return every array fitted for comparison, `direction/baselines/…` and `direction/paper/…`."""
     tensors = {}
     for direction, comparison in hitch.comparison.items():
         for name, fitted in comparison.baselines.items():

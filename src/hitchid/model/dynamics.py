@@ -262,7 +262,7 @@ class HitchDynamics(eqx.Module):
         )
 
     def _advance_channel(self, number: int, state: HitchState) -> HitchState:
-        """Move the piston by a channel where it is in charge; its speed compensator advances at standstill too."""
+        """Move the piston by a channel in charge; its speed compensator advances at standstill too."""
         discrete_model, channel_state = self.discrete_models[number], state.channels[number]
         in_charge = state.mode == number
         plant, increment = discrete_model.advance(

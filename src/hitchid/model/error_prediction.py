@@ -1,4 +1,4 @@
-"""The compensator for predictions inside a hitch: features of the channel in charge, increment of the error."""
+"""The compensator for predictions in a hitch: features, and the increment of the predicted error."""
 
 from collections.abc import Sequence
 from typing import TypeVar
@@ -20,7 +20,7 @@ MAX_COASTING_SAMPLES = 100
 def compute_features(
     channels: Sequence[Channel], state: HitchState, reset: Bool[Array, ""], step_s: float
 ) -> tuple[HitchState, Float32[Array, "10"], Float[Array, ""]]:
-    """Return the state with new features of the channel in charge, those scaled, and the trust in its network.
+    """Return the state with new features of the channel in charge, those scaled, and the trust in them.
 
     The trust is zero where no displacement was measured in the last samples.
     """

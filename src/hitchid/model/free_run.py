@@ -108,7 +108,7 @@ def simulate_free_run(
 def simulate_ensemble(
     members: Sequence[HitchDynamics], initial: Float[Array, "2"], commands: Float[Array, "n 2"]
 ) -> Float[np.ndarray, "m n"]:
-    """Return displacement after each sample as `simulate_free_run` does, of several hitches; one call for each structure."""
+    """Return displacement after each sample for several hitches; one call for each structure."""
     groups: dict[object, list[int]] = {}
     for number, dynamics in enumerate(members):
         groups.setdefault(jax.tree.structure(dynamics), []).append(number)

@@ -6,7 +6,6 @@ from functools import cached_property
 from types import MappingProxyType
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array
@@ -168,8 +167,8 @@ class Hitch:
         Args:
             state: from `init_state` or an earlier step; `unpack_state` returns its content.
             commands: lifting and lowering command over the coming interval, in the model's unit, shape [2];
-                that of a direction without a channel is ignored. A model of one channel also takes its command
-                alone, shape [1].
+                that of a direction without a channel is ignored. A model of one channel also takes its
+                command alone, shape [1].
             measured: displacement now, in the model's unit; None or NaN where there is none.
 
         Returns:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 class Information:
     """Fisher information of the identification tests about the parameters that do not lie at a bound.
 
-    Parameters are measured by their position between the bounds of the search, 0 the lower and 1 the upper one.
+    Parameters are positions between the bounds of the search, 0 the lower and 1 the upper one.
 
     Attributes:
         names: names of these parameters.
@@ -17,7 +17,7 @@ class Information:
         dead_zone_covariance: what the error of the dead zone adds to it, independent of the number of tests.
         autocovariance: of the errors, at multiples of the block size.
         block_size: samples between two lags of the autocovariance.
-        per_test_gain: whether the fit had a gain factor for each test; the information is then that beside it.
+        per_test_gain: whether the fit had a gain factor for each test, which takes up information.
         tests, samples: number of tests, and samples in the mean one.
     """
 

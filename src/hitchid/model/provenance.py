@@ -9,10 +9,11 @@ class Provenance:
     """Where a model comes from: enough to repeat it, and to list the tests it was identified from.
 
     Attributes:
-        identification, validation, held_out: direction to the names of the tests that the
-            benchmark was identified from, that stopped the training, and that were not used. Validation tests are identification tests too.
+        identification, validation, held_out: direction to the names of the tests that the benchmark was
+            identified from, of those among them that stopped the training, and of those not used.
         seen: fingerprints of every record the identification used.
-        segmentation_dead_zones: direction to the dead zone with which mixed cycles were cut into strokes; empty where none were.
+        segmentation_dead_zones: direction to the dead zone with which mixed cycles were cut into strokes;
+            empty where none were.
         seed: the seed of every random draw.
         settings: of the identification, as JSON can hold them.
         versions: package to version.
