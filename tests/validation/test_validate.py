@@ -13,7 +13,7 @@ from hitchid.baselines.autoregression import predict_ahead
 from hitchid.data.campaign import Campaign
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError, OutputError
-from hitchid.model import Provenance, TwoModes, remove_padding
+from hitchid.model import Provenance, SearchSummary, TwoModes, remove_padding
 from hitchid.validation import compare, validate
 from hitchid.validation.cycles import ORIGIN_STRIDE
 from hitchid.validation.tables import NAMES

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from hitchid._support.checkpoints import DISABLED, Checkpoints
 from hitchid.estimation import Search, SearchComparison
 from hitchid.estimation.training import TrainingHistory
-from hitchid.identification.deadzone import DeadZone
+from hitchid.identification.dead_zone import DeadZone
 from hitchid.identification.phase1 import Phase1
 from hitchid.identification.phase2 import CompensatorConfig
 from hitchid.identification.rollouts import HoldoutTest

@@ -20,7 +20,7 @@ from hitchid.identification.comparison import (
     search_summaries,
     with_compensator,
 )
-from hitchid.identification.deadzone import DeadZone
+from hitchid.identification.dead_zone import DeadZone
 from hitchid.identification.gain_calibration import with_gain
 from hitchid.identification.optional import attempt
 from hitchid.identification.phase1 import Phase1
@@ -72,7 +72,7 @@ def with_calibrated_gain(
 ) -> tuple[Channel, ChannelTrace]:
     """Return a channel with a factor on its gain, and its trace with it."""
     channel = with_gain(channel, factor)
-    assessment = trace.phase1.assessment.scaled(factor)
+    assessment = trace.phase1.assessment.scaled(channel.benchmark.structure.gain, factor)
     phase1 = replace(trace.phase1, benchmark=channel.benchmark, assessment=assessment)
     notice = f"gain times {factor:.4f}, so that whole mixed logs agree best in free run"
     scaled_characteristics = trace.characteristics and trace.characteristics.scaled(factor)

@@ -17,7 +17,6 @@ from hitchid.model.characteristics import (
 )
 from hitchid.model.estimates import Interval, Quantity, make_quantity
 from hitchid.structures import ModelSpec, Scales
-from hitchid.structures.structure import LinearStructure
 from hitchid.uncertainty.dead_zone_error import DeadZoneError, t_quantile, welch_satterthwaite
 from hitchid.uncertainty.influence import Influence
 from hitchid.uncertainty.operating_points import measured_speeds, operating_levels, operating_loads
@@ -71,7 +70,7 @@ def characteristics(
     model_spec, batch = objective.spec, objective.batch
     largest = float(np.abs(np.asarray(batch.raw_command)[np.asarray(batch.loss_mask)]).max())
     has_load = model_spec.covariate is not None
-    if not isinstance(model_spec.structure, LinearStructure):
+    if model_spec.structure.linear is None:
         return None
     loads = operating_loads(batch, measured=has_load)
     physical_model = model_spec.physical_model(jnp.asarray(objective.values(position)), objective.scales)
@@ -243,8 +242,7 @@ def _open_ends(
 
 def _evaluate(objective: Objective, positions: np.ndarray, points: _Points) -> Float[np.ndarray, "p q"]:
     """Return the quantities at each position: speeds, then delay, response time and opening."""
-    structure, rows = objective.spec.structure, []
-    assert isinstance(structure, LinearStructure)  # noqa: S101 - others have no characteristics
+    structure, rows = objective.spec.structure.require_linear(), []
     for start in range(0, len(positions), BATCH_SIZE):
         chunk = positions[start : start + BATCH_SIZE]
         padded = np.concatenate([chunk, np.repeat(chunk[-1:], BATCH_SIZE - len(chunk), axis=0)])

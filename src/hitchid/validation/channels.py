@@ -10,7 +10,6 @@ from hitchid.baselines.persistence import Persistence, delayed
 from hitchid.data.record import Record
 from hitchid.model import Channel, Comparison, Uncertainty, remove_padding
 from hitchid.structures import Batch
-from hitchid.structures.structure import LinearStructure
 from hitchid.validation.pooled import pooled
 from hitchid.validation.predictions import Predictions
 from hitchid.validation.uncertainty import band_figures, free_run_band, residual_figures, trust_figures
@@ -183,5 +182,5 @@ def paper_channel(channel: Channel, comparison: Comparison) -> Channel | None:
     if comparison.paper is not None:
         return comparison.paper
     physical_model = channel.benchmark
-    is_linear = isinstance(physical_model.structure, LinearStructure) and physical_model.nonlinearity is None
+    is_linear = physical_model.structure.linear is not None and physical_model.nonlinearity is None
     return channel if is_linear and comparison.baselines else None
