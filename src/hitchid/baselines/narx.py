@@ -107,7 +107,7 @@ class NarxBaseline(Baseline):
     def fit(self, training: Batch, validation: Batch, context: FitContext) -> Narx | None:
         """Return the NARX model whose lags and number of terms predict the validation tests best in free run.
 
-        For each number of lags, candidates are all products of up to two of 1, w(k−i) and u(k−i), in the order
+        For each number of lags, candidates are all products of up to two of 1, w(k−i), u(k−i), in the order
         of their error reduction ratio; coefficients by least squares. Each test has its own rows, from rest;
         all rows are fitted together, of more than 20 000 every m-th. Validation tests longer than 10 000
         samples are cut, each section starting from its measured past; of more than 40 000 samples every m-th
