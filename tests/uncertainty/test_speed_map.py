@@ -16,6 +16,7 @@ from hitchid.estimation.search import refine
 from hitchid.identification import direction
 from hitchid.identification.deadzone import DeadZone
 from hitchid.identification.phase1 import Phase1
+from hitchid.report.characteristics import characteristic_sentences
 from hitchid.structures import (
     NONLINEARITY_PARAMETERS,
     Batch,
@@ -31,7 +32,6 @@ from hitchid.uncertainty import (
     DeadZoneError,
     Estimates,
     Uncertainty,
-    characteristic_sentences,
     characteristics,
 )
 from hitchid.uncertainty.influence import Influence, compute_influence
