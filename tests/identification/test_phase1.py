@@ -10,8 +10,8 @@ from scipy import stats
 
 from hitchid.data.record import LIFTING
 from hitchid.errors import FitError, InputError
+from hitchid.estimation.global_search.whale import WhaleConfig
 from hitchid.estimation.objective import GAIN_RIDGE, RIDGE_FLOOR, Objective, _per_test_gain_residuals
-from hitchid.estimation.whale import WhaleConfig
 from hitchid.identification import ModelSpec, MultiStart, Whale
 from hitchid.identification.phase1 import identify_benchmark
 from hitchid.structures import Batch, structure_named

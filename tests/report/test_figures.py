@@ -83,7 +83,7 @@ DRAWN = {
         {part: reported.predictions() for part in ("training", "validation")}, unit
     ),
     "residual_correlations": lambda unit: figures.residual_correlations(reported.residuals()),
-    "residuals_by_place": lambda unit: figures.residuals_by_variable(reported.residuals(), unit, "A"),
+    "residuals_by_variable": lambda unit: figures.residuals_by_variable(reported.residuals(), unit, "A"),
     "searches": lambda unit: figures.searches(reported.searches(), unit),
     "speed_map": lambda unit: figures.speed_map(reported.characteristics(unit)),
     "structures": lambda unit: figures.structures(reported.trace().candidates, unit),
@@ -672,15 +672,14 @@ def test_a_distribution_leaves_the_errors_of_what_diverged_out(value):
 
 
 def without_finite_fitness():
-    trace = reported.trace()
-    trace["phase1"]["fitness"] = [None] * 20
-    return figures.convergence(trace, "mm")
+    search = replace(reported.trace().phase1, fitness=(None,) * 20)
+    return figures.convergence(search, "mm")
 
 
 def without_an_end():
-    known = reported.searches()
-    known["whale"] |= {"rmse": [None] * 3, "median_run": {"rmse": [None], "values": []}}
-    return figures.searches(known, "mm")
+    whale, *others = reported.searches()
+    failed = replace(whale, rmse=(None,) * 3, median_rmse=(None,), median_values=())
+    return figures.searches([failed, *others], "mm")
 
 
 SPARSE = {
@@ -692,12 +691,12 @@ SPARSE = {
     "constant errors": lambda: figures.error_distribution({"free_run": np.full(100, 0.1)}, "mm"),
     "errors of zero": lambda: figures.error_distribution({"free_run": np.zeros(100)}, "mm"),
     "one error": lambda: figures.error_distribution({"free_run": np.ones(1)}, "mm"),
-    "one horizon": lambda: figures.horizons({"steps": [1], "greybox": [0.1]}, 0.01, "mm"),
-    "one parameter": lambda: figures.intervals(reported.known_parameters(reported.estimate())),
+    "one horizon": lambda: figures.horizons(Horizons((1,), {"greybox": (0.1,)}), 0.01, "mm"),
+    "one parameter": lambda: figures.intervals([reported.estimate()]),
     "no finite fitness": without_finite_fitness,
     "a search without an end": without_an_end,
-    "one candidate": lambda: figures.structures(reported.trace(candidates=1)["candidates"], "mm"),
-    "two epochs": lambda: figures.losses(reported.trace(iterations=2)),
+    "one candidate": lambda: figures.structures(reported.trace(candidates=1).candidates, "mm"),
+    "two epochs": lambda: figures.losses(reported.trace(iterations=2).phase2),
     "errors that stand": lambda: figures.residual_correlations(reported.residuals(level=0.1)),
     "no errors": lambda: figures.residual_correlations(reported.residuals(level=0.0)),
     "errors that stand by place": lambda: figures.residuals_by_variable(

@@ -167,7 +167,7 @@ def test_no_section_is_empty_and_every_sentence_is_one(report, name):
 
     for each in document.sections:
         check(each)
-    texts = [text.said for each in document.sections for text in blocks(each, Text)]
+    texts = [text.text for each in document.sections for text in blocks(each, Text)]
     found = [item for each in document.sections for group in blocks(each, Findings) for item in group.items]
     for said in (*document.notices, *texts, *(item.sentence for item in (*document.verdict, *found))):
         assert said[0] == said[0].upper()

@@ -14,7 +14,6 @@ from hitchid.data.record import Record
 from hitchid.estimation import SearchHistory
 from hitchid.model import Channel, remove_padding
 from hitchid.structures import Batch
-from hitchid.structures.structure import LinearStructure
 from hitchid.uncertainty import Estimates, Uncertainty
 from hitchid.validation.bands import band_figures, free_run_band
 from hitchid.validation.names import BENCHMARK, FREE_RUN, GREYBOX, ONE_STEP, PERSISTENCE
@@ -265,7 +264,5 @@ def paper_channel(channel: Channel) -> Channel | None:
     if channel.paper is not None:
         return channel.paper
     physical_model = channel.benchmark
-    is_paper_model = (
-        isinstance(physical_model.structure, LinearStructure) and physical_model.nonlinearity is None
-    )
+    is_paper_model = physical_model.structure.linear is not None and physical_model.nonlinearity is None
     return channel if is_paper_model and channel.arx is not None else None

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from hitchid._support.notices import Notice
 from hitchid._support.versions import installed_versions
 from hitchid.data.campaign import Campaign
 from hitchid.data.record import COMMAND, CYCLE, DISPLACEMENT, IDLE, RAMP, Record
@@ -42,12 +43,12 @@ class LogData:
 
     Attributes:
         inspection: audit and segments of mixed logs.
-        warnings: logs that are left out, and why.
+        notices: logs that are left out, and why.
         logs: every log.
     """
 
     inspection: Inspection
-    warnings: tuple[str, ...]
+    notices: tuple[Notice, ...]
     logs: tuple[LogUse, ...]
 
 
@@ -124,7 +125,7 @@ def log_data(model: Hitch, campaign: Campaign) -> LogData:
         )
         for record in campaign.records
     )
-    return LogData(inspect_campaign(campaign, model.command_thresholds), campaign.warnings, logs)
+    return LogData(inspect_campaign(campaign, model.command_thresholds), campaign.notices, logs)
 
 
 def _direction_data(model: Hitch, campaign: Campaign, direction: str) -> DirectionData:
