@@ -485,7 +485,7 @@ def test_places_show_mean_and_spread_of_the_errors_in_each_bin():
             low, high = spread.get_ydata()
             assert (low + high) / 2 == pytest.approx(each.mean)
             # Mean square = mean² + variance.
-            assert ((high - low) / 2) ** 2 + each.mean ** 2 == pytest.approx(each.rmse**2)
+            assert ((high - low) / 2) ** 2 + each.mean**2 == pytest.approx(each.rmse**2)
 
 
 def test_searches_show_every_end_and_the_run_in_the_middle():

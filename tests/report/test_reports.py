@@ -380,7 +380,10 @@ def test_parameters_that_are_not_determined_are_named(report):
 
 @pytest.mark.parametrize("names", [("gain",), ("gain", "curvature")])
 def test_parameters_that_all_are_determined_are_good(judged, names):
-    assert finding(judged(partial(with_parameters, names=names)), "Lifting", "parameter", "determined").level == Rating.GOOD
+    assert (
+        finding(judged(partial(with_parameters, names=names)), "Lifting", "parameter", "determined").level
+        == Rating.GOOD
+    )
 
 
 def test_nothing_is_said_of_parameters_that_nobody_told(judged):

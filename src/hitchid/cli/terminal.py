@@ -1,7 +1,7 @@
 """What a terminal shows: tables, verdicts, notices."""
 
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING
