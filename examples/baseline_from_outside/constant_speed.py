@@ -20,7 +20,7 @@ class ConstantSpeed(FittedBaseline):
 
     def free_run(self, batch: Batch) -> np.ndarray:
         """Return displacement simulated from commands and initial displacement, shape [T, N]."""
-        return np.asarray(batch.to_displacement(self.speed * moving_time_s(batch)))
+        return np.asarray(batch.initial)[:, None] + batch.sign * self.speed * moving_time_s(batch)
 
     def predict(self, batch: Batch, horizons: Sequence[int]) -> None:
         """Return nothing: no measured displacement is used."""

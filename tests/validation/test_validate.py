@@ -16,7 +16,7 @@ from hitchid.errors import InputError, OutputError
 from hitchid.model import Provenance, SearchSummary, TwoModes, remove_padding
 from hitchid.validation import compare, validate
 from hitchid.validation.cycles import ORIGIN_STRIDE
-from hitchid.validation.tables import NAMES
+from hitchid.validation.names import NAMES
 from truth import STEP_S, levels
 
 SIZES = (200, 150, 180)

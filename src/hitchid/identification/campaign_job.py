@@ -272,8 +272,8 @@ def _check_dead_zone(campaign: Campaign, direction: str, value: float) -> None:
     highest = max((float(np.max(np.abs(record.command(direction)))) for record in tests), default=np.inf)
     if not 0 <= value < highest:
         raise SettingsError(
-            f"{direction}: dead_zone is {value:g} {campaign.units.get(COMMAND[direction], '')}; required from 0 "
-            f"to below the largest command, {highest:.4g}"
+            f"{direction}: dead_zone is {value:g} {campaign.units.get(COMMAND[direction], '')}; required from "
+            f"0 to below the largest command, {highest:.4g}"
         )
 
 

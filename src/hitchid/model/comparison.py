@@ -28,6 +28,10 @@ class SearchSummary:
     median_rmse: tuple[float | None, ...]
     median_values: tuple[tuple[float, ...], ...]
 
+    def scaled(self, factor: float) -> "SearchSummary":
+        """Return the summary with the errors in another unit of displacement."""
+        return replace(self, rmse=_scaled(self.rmse, factor), median_rmse=_scaled(self.median_rmse, factor))
+
 
 @dataclass(frozen=True)
 class Comparison:
@@ -49,3 +53,7 @@ class Comparison:
     def with_limits(self, limits: TravelLimits | None) -> "Comparison":
         """Return the comparison with the paper's method held within the limits of the plant."""
         return self if self.paper is None else replace(self, paper=replace(self.paper, limits=limits))
+
+
+def _scaled(errors: tuple[float | None, ...], factor: float) -> tuple[float | None, ...]:
+    return tuple(None if error is None else factor * error for error in errors)
