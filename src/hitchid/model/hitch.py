@@ -73,7 +73,7 @@ class Hitch:
             record: as `simulate` takes it.
 
         Raises:
-            InputError, SettingsError: as `simulate`.
+            InputError: as `simulate`.
         """
         model_record = self.to_model_units(record)
         return extrapolation.warnings(self.channels, self.units, model_record, self.free_run(model_record))
@@ -104,7 +104,7 @@ class Hitch:
             units: role to unit of the logs.
 
         Raises:
-            SettingsError: a unit is of another dimension than the model's.
+            InputError: a unit is of another dimension than the model's.
         """
         checks.instance(units, Mapping, "units", "role to unit")
         thresholds = {}
@@ -124,7 +124,7 @@ class Hitch:
             units: role to unit of the logs.
 
         Raises:
-            SettingsError: a unit is of another dimension than the model's.
+            InputError: a unit is of another dimension than the model's.
         """
         checks.instance(units, Mapping, "units", "role to unit")
         dead_zones = self.provenance.segmentation_dead_zones or self.dead_zones
@@ -207,8 +207,8 @@ class Hitch:
             Displacement at every sample, in the unit of the record's displacement, shape [N].
 
         Raises:
-            InputError: a command without a channel is effective.
-            SettingsError: a unit is of another dimension than the model's.
+            InputError: a command without a channel is effective, or a unit is of another dimension than the
+                model's.
         """
         model_record = self.to_model_units(record)
         return self._to_record_units(
@@ -229,7 +229,7 @@ class Hitch:
 
         Raises:
             InputError: the horizon is below 1, or as `simulate`.
-            SettingsError: a unit is of another dimension than the model's.
+            InputError: a unit is of another dimension than the model's.
         """
         return self.predictions(record, (horizon,))[0]
 
@@ -275,7 +275,7 @@ class Hitch:
 
         Raises:
             InputError: the model has no bands, the share lies beyond them, or as `simulate`.
-            SettingsError: a unit is of another dimension than the model's.
+            InputError: a unit is of another dimension than the model's.
         """
         checks.number(coverage, "coverage")
         bands = self._bands
@@ -326,8 +326,8 @@ class Hitch:
         """Return a record on the model's clock and in the model's units.
 
         Raises:
-            InputError: the record has no command for any channel, or an effective one without a channel.
-            SettingsError: a unit is of another dimension than the model's.
+            InputError: the record has no command for any channel, an effective one without a channel, or a
+                unit of another dimension than the model's.
         """
         return conversion.to_model_units(record, tuple(self.channels), self.units, self.step_s)
 
