@@ -13,7 +13,8 @@ from hitchid.report import read_trace, write_report
 
 def main(model_folder: str, logs: str, runs: int) -> None:
     """Print the median time of composing and writing a report, s, and the size of its page."""
-    model, trace, campaign = hitchid.load(model_folder), read_trace(load_trace(model_folder)), hitchid.read(logs)
+    model, campaign = hitchid.load(model_folder), hitchid.read(logs)
+    trace = read_trace(load_trace(model_folder))
     result = hitchid.validate(model, campaign)
     seconds, size = [], 0
     with tempfile.TemporaryDirectory() as folder:
