@@ -143,7 +143,7 @@ def compare(
 
     Raises:
         InputError: no test is left, or the models have no direction or not one clock in common.
-        SettingsError: a unit is of another dimension than a model's.
+        InputError: a unit is of another dimension than a model's.
     """
     for model in (first, second):
         checks.instance(model, Hitch, "model", "a model as hitchid.load returns it")

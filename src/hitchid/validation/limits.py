@@ -10,7 +10,7 @@ from hitchid._support.metrics import HORIZONS
 from hitchid.data.record import DIRECTIONS
 from hitchid.data.signal_map import Strict, parse_settings
 from hitchid.data.units import UNITS, conversion_factor
-from hitchid.errors import SettingsError
+from hitchid.errors import InputError, SettingsError
 from hitchid.validation.names import CYCLES, GREYBOX, NAMES, ONE_STEP
 
 BASELINES = tuple(name for name in NAMES if name != GREYBOX)
@@ -142,7 +142,10 @@ class AcceptanceLimits(_NonEmptyLimits):
         Raises:
             SettingsError: the dimensions differ, or `within_1` is limited and the units differ.
         """
-        conversion_factor(self.unit, unit, "limits: key 'unit'")
+        try:
+            conversion_factor(self.unit, unit, "limits: key 'unit'")
+        except InputError as error:
+            raise SettingsError(str(error)) from error
         for direction, limits in self.by_direction.items():
             runs = {"one_step": limits.one_step, "free_run": limits.free_run, "worst_test": limits.worst_test}
             for run, figures in runs.items():

@@ -47,7 +47,7 @@ def validate(
 
     Raises:
         InputError: the identification used every test, or none fits the model's channels.
-        SettingsError: a unit is of another dimension than the model's.
+        InputError: a unit is of another dimension than the model's.
     """
     checks.instance(model, Hitch, "model", "a model as hitchid.load returns it")
     checks.instance(campaign, Campaign, "campaign", 'a campaign as hitchid.read("logs") returns it')
