@@ -26,12 +26,13 @@ from hitchid.identification.band_calibration import calibrate_bands
 from hitchid.identification.baselines import fit_arx, fit_black_box
 from hitchid.identification.dead_zone import DeadZone
 from hitchid.identification.gain_calibration import with_gain
+from hitchid.identification.holdout_test import HoldoutTest
 from hitchid.identification.narx import fit_narx
 from hitchid.identification.optional import attempt
 from hitchid.identification.phase1 import Phase1, identify_benchmark
 from hitchid.identification.phase2 import CompensatorConfig, train_compensator
 from hitchid.identification.preparation import ChannelData
-from hitchid.identification.rollouts import HoldoutTest, train_on_rollouts
+from hitchid.identification.rollouts import train_on_rollouts
 from hitchid.identification.selection import AutoStructure, Candidate, choose_spec
 from hitchid.identification.training import TrainingHistory
 from hitchid.model import Channel
