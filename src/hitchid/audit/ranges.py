@@ -1,4 +1,4 @@
-"""Whether the numbers of a signal are possible in the unit it is said to be in."""
+"""Check whether the range of a signal is plausible in its unit."""
 
 from collections.abc import Callable
 from math import pi
@@ -32,7 +32,7 @@ class _SignalRange(NamedTuple):
 
 
 class _PlausibilityRule(NamedTuple):
-    """What makes a range doubtful, and what it probably is."""
+    """Condition of an implausible range, and its probable cause."""
 
     dimension: str
     applies: Callable[[_SignalRange], bool]

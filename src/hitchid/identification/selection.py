@@ -163,7 +163,7 @@ class _Choice:
             candidate.spec,
             candidate.name,
             begin=LAST_BEGINS,
-            checkpoint="chosen",
+            checkpoint=f"chosen {candidate.name}",
             batch=self.batch.with_dead_zone(candidate.dead_zone) if moved else None,
             start=candidate.values,
         )

@@ -66,7 +66,7 @@ class WhaleState(eqx.Module):
         population: positions in the unit cube, shape [P, D].
         best: position of the best whale so far, shape [D].
         best_fitness: its fitness, +inf while none was finite, shape [].
-        generation: generations told so far, shape [].
+        generation: generations evaluated so far, shape [].
         improved: the generation that last improved by more than the tolerance, shape [].
     """
 
