@@ -1,4 +1,4 @@
-"""Audit of logs before an identification: faults that would spoil a model, where, and the remedy."""
+"""The audit of logs before any fit: what in them would spoil a model, where, and what to do about it."""
 
 from hitchid.audit.audit import audit as audit
 from hitchid.audit.finding import AuditFinding as AuditFinding

@@ -52,7 +52,7 @@ CAMPAIGN_CHECKS: tuple[Callable[[CampaignContext], list[AuditFinding]], ...] = (
 
 
 def audit(campaign: Campaign) -> tuple[AuditFinding, ...]:
-    """Check a campaign's logs for faults that would spoil a model; changes nothing.
+    """Look for what in a campaign's logs would spoil a model; changes nothing.
 
     Args:
         campaign: tests of one plant.
@@ -75,7 +75,7 @@ def audit(campaign: Campaign) -> tuple[AuditFinding, ...]:
 
 
 def _merged(findings: list[AuditFinding], total: int) -> list[AuditFinding]:
-    """Merge four or more findings that differ in record and numbers alone."""
+    """Make one finding of each four or more that differ in their record and numbers alone."""
     alike: dict[tuple[str, Severity, str, str], list[AuditFinding]] = {}
     for finding in findings:
         key = (finding.check, finding.severity, finding.signal, finding.advice)

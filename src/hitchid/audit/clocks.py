@@ -21,7 +21,7 @@ CREEP_FRACTION = 0.3
 
 
 def current_lag(context: RecordContext) -> list[AuditFinding]:
-    """Find the lag of each measured current behind its command.
+    """Tell by how much each measured current lags behind its command.
 
     The lag is where the correlation of command and current is largest within ±1 s, between samples by a
     parabola through the three largest. The command is that of the mode, or the sum of both, which fits best.
@@ -52,7 +52,7 @@ def current_lag(context: RecordContext) -> list[AuditFinding]:
         phrase = f"leads {name} by" if lag < 0 else f"lags behind {name} by"
         advice = {
             Severity.FAULT: "command and current are on different clocks: log both with one device",
-            Severity.WARNING: "check the filter of the current and the clocks; the model has it as dead time",
+            Severity.WARNING: "check the filter of the current and the clocks; the model takes it for dead time",
             Severity.NOTE: "nothing to do: the model takes this into its dead time and lag",
         }[severity]
         findings.append(
@@ -62,7 +62,7 @@ def current_lag(context: RecordContext) -> list[AuditFinding]:
 
 
 def _fit(context: RecordContext, directions: tuple[str, ...], role: str) -> tuple[float, float] | None:
-    """Return lag, s, and correlation of a current and the sum of commands; None where no lag is sharp."""
+    """Return lag, s, and correlation of a current and the sum of commands, or None if none can be told."""
     active = context.any_active()
     if not active.any():
         return None
@@ -109,7 +109,7 @@ def lag_of(command: np.ndarray, current: np.ndarray, *, step_s: float) -> tuple[
 def _correlations(command: np.ndarray, current: np.ndarray, lags: np.ndarray) -> np.ndarray:
     """Return the correlation of c[k] and m[k + l], each over what overlaps, for lags l, shape [L]."""
     count = command.size
-    # Scaled to 1, so that rounding is not taken for spread.
+    # Of unit size, so that what has no spread beyond rounding is told from what has.
     a = (command - command.mean()) / np.max(np.abs(command - command.mean()))
     b = (current - current.mean()) / np.max(np.abs(current - current.mean()))
     length = 1 << int(count + lags.size).bit_length()
@@ -151,13 +151,12 @@ def motion_before_command(context: CampaignContext) -> list[AuditFinding]:
     for test, onset, start in early:
         creeping = _creeps(test, onset, start)
         travelled = float(test.record.displacement[onset] - test.record.displacement[0])
-        verb = "creeps" if creeping else "moves"
         lead_s = (onset - start) * test.record.step_s
         findings.append(
             test.finding(
                 "motion before command",
                 Severity.FAULT if clocks_disagree and not creeping else Severity.WARNING,
-                f"the displacement {verb} by {travelled:.3g} {test.quality.unit} "
+                f"the displacement {'creeps' if creeping else 'moves'} by {travelled:.3g} {test.quality.unit} "
                 f"before any command changes, beginning {lead_s:.3g} s ahead",
                 "let the piston come to rest before a test"
                 if creeping

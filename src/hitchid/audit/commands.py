@@ -1,4 +1,4 @@
-"""Checks of the commands: one valve at a time, and zero when idle."""
+"""Whether the commands are as they should be: one valve at a time, and zero when idle."""
 
 import numpy as np
 
@@ -69,7 +69,7 @@ def idle_commands(context: CampaignContext) -> list[AuditFinding]:
         ]
         level = float(np.median(levels)) if levels else 0.0
         if level > IDLE_FRACTION * scale:
-            what = f"the idle {direction} command is {level:.3g} {unit}, {level / scale:.1%} of full scale"
+            what = f"the idle {direction} command stands at {level:.3g} {unit}, {level / scale:.1%} of full scale"
             advice = "check the zero of the current sensor, or whether the valve is biased"
             findings.append(
                 AuditFinding("idle command", Severity.NOTE, "", COMMAND[direction], (), what, advice)
@@ -78,7 +78,7 @@ def idle_commands(context: CampaignContext) -> list[AuditFinding]:
 
 
 def _idle_command(context: RecordContext, direction: str) -> np.ndarray:
-    """Return |c| where no direction is active, shape [M]; empty for a ramp, which passes through zero."""
+    """Return |c| where no mode is on, shape [M]; none of a ramp, which passes through there."""
     if context.record.kind == RAMP:
         return np.zeros(0)
     return np.abs(context.record.command(direction)[~context.any_active()])

@@ -1,4 +1,4 @@
-"""Quality of a record's displacement: clock, quantum, noise."""
+"""How good a record's displacement is: its clock, its smallest step, its noise."""
 
 from dataclasses import dataclass
 from math import isfinite
@@ -20,13 +20,13 @@ SECOND_DIFFERENCE = 6.0**0.5
 
 @dataclass(frozen=True)
 class Quality:
-    """Quality of a record's displacement, in its own unit.
+    """How good a record's displacement is, in its own unit.
 
     Attributes:
         samples: number of samples.
         step_s: sampling time, s.
         duration_s: from the first to the last sample, s.
-        jitter: largest deviation of the log's clock, as a fraction of the sampling time; None
+        jitter: largest deviation of the clock that reading found, as a fraction of the sampling time; None
             where the clock was regular.
         unit: the displacement's unit.
         lowest, highest: its range.
@@ -56,7 +56,7 @@ class Quality:
         return 6.0 * self.noise + 2.0 * (self.quantum or 0.0)
 
     def describe(self) -> dict[str, object]:
-        """Return the content of JSON output."""
+        """Return everything as JSON can hold it."""
         values = {**vars(self), "reach": self.peak_to_peak}
         return {
             name: None if isinstance(value, float) and not isfinite(value) else value
@@ -65,11 +65,11 @@ class Quality:
 
 
 def quality(record: Record) -> Quality:
-    """Return the quality of a record's displacement.
+    """Measure how good a record's displacement is.
 
     With d²y = y[k+1] − 2 y[k] + y[k−1], the noise is σ² = (median|d²y| / 0.6745)² / 6 − q²/12: motion is
     smooth from sample to sample, white noise is not, and rounding to a step q adds q²/12. Noise that a
-    filter has coloured is estimated too small.
+    filter has coloured is told too small.
 
     Args:
         record: any record.
@@ -110,13 +110,13 @@ def _quantum(displacement: np.ndarray) -> float | None:
     deviation = float(np.max(np.abs(grid_positions - np.rint(grid_positions))))
     if not (grid_positions[-1] < MAX_STEPS and deviation < GRID_DEVIATION):
         return None
-    # So few values may lie on a grid by chance, unless each occurs often.
+    # So few values may lie on a grid by chance alone, unless they come again and again.
     may_be_chance = values.size < 10 and displacement.size < 5 * values.size
     return None if may_be_chance or _is_steady(displacement[:MAX_SAMPLES], step) else step
 
 
 def _is_steady(displacement: np.ndarray, step: float) -> bool:
-    """Return whether motion is at one constant speed, whose samples lie on a grid without rounding."""
+    """Tell motion at one constant speed, whose samples lie on a grid without any rounding."""
     steps = np.abs(np.diff(displacement)) / step
     moving = steps > 0.5
     several_speeds = bool(np.any(steps[moving] > 1.5)) and bool(np.any(np.diff(np.sort(steps[moving])) > 0.5))

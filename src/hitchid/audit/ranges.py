@@ -1,4 +1,4 @@
-"""Check whether the range of a signal is plausible in its unit."""
+"""Whether the numbers of a signal are possible in the unit it is said to be in."""
 
 from collections.abc import Callable
 from math import pi
@@ -32,7 +32,7 @@ class _SignalRange(NamedTuple):
 
 
 class _PlausibilityRule(NamedTuple):
-    """Condition of an implausible range, and its probable cause."""
+    """What makes a range doubtful, and what it probably is."""
 
     dimension: str
     applies: Callable[[_SignalRange], bool]

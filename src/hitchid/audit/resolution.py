@@ -19,21 +19,21 @@ def quantisation(context: RecordContext) -> list[AuditFinding]:
     """Find displacements written in too large a step.
 
     Fewer than 200 steps over the campaign's range (0.5 % each) are coarser than the models to be told apart:
-    a warning. Where the piston moves less than half a step a sample, and noise below a third of a
-    step does not hide the rounding, most one-step motions are zero: a note, since errors of one-step
-    predictions are then rounding.
+    a warning. Where less than half a step is moved a sample while commanded, and noise below a third of a
+    step does not hide the rounding, most one-step motions are zero: a note, for errors of one-step
+    predictions then tell of the rounding.
     """
     step, quality = context.quality.quantum, context.quality
     if step is None or not context.campaign_range > 0:
         return []
-    findings, count = [], context.campaign_range / step
+    findings = []
     if context.campaign_range < FEWEST_STEPS * step:
         findings.append(
             context.finding(
                 "quantisation",
                 Severity.WARNING,
-                f"the displacement comes in steps of {step:.3g} {quality.unit}, only {count:.0f} over the "
-                f"range of {context.campaign_range:.4g} {quality.unit}",
+                f"the displacement comes in steps of {step:.3g} {quality.unit}, only "
+                f"{context.campaign_range / step:.0f} over the range of {context.campaign_range:.4g} {quality.unit}",
                 "use a finer sensor or converter, or log more digits",
             )
         )

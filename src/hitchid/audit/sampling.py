@@ -1,4 +1,4 @@
-"""Checks of the clock: even, fine enough, and without gaps."""
+"""Whether the clock of the logs is even, fine enough, and without holes."""
 
 import re
 
@@ -80,13 +80,12 @@ def coarse(context: RecordContext) -> list[AuditFinding]:
     fast_step = float(steps[percentile_index])
     if not (fast_step > quality.noise_bound and fast_step * FEWEST_SAMPLES_A_STROKE > quality.peak_to_peak):
         return []
-    share = fast_step / quality.peak_to_peak
     return [
         context.finding(
             "sampling",
             Severity.WARNING,
-            f"from one sample to the next the piston moves by up to {fast_step:.3g} {quality.unit}, {share:.0%} "
-            f"of its range of {quality.peak_to_peak:.4g} {quality.unit}",
+            f"from one sample to the next the piston moves by up to {fast_step:.3g} {quality.unit}, "
+            f"{fast_step / quality.peak_to_peak:.0%} of its range of {quality.peak_to_peak:.4g} {quality.unit}",
             f"log at a shorter step, so that a stroke has at least {FEWEST_SAMPLES_A_STROKE} samples",
         )
     ]
@@ -95,8 +94,8 @@ def coarse(context: RecordContext) -> list[AuditFinding]:
 def gaps(context: CampaignContext) -> list[AuditFinding]:
     """Find logs that were cut at gaps, and how much of them is lost.
 
-    The parts of a cut log are called log@1, log@2 and so on. A part begins in the middle of a motion:
-    a note; from 5 % of the log's time lost on it is a warning.
+    The parts of a cut log are called log@1, log@2 and so on. A part begins in the middle of a motion, which
+    a note tells; from 5 % of the log's time lost on it is a warning.
     """
     tests_by_log: dict[str, list[RecordContext]] = {}
     for test in context.tests:

@@ -72,8 +72,8 @@ def jumps(context: RecordContext) -> list[AuditFinding]:
         context.finding(
             "jumps",
             Severity.WARNING,
-            f"the displacement jumps {jump_samples.size} time{'s' * (jump_samples.size > 1)}, by up to "
-            f"{abs(largest):.3g} {context.quality.unit} from one sample to the next, first at {first_s:.6g} s",
+            f"the displacement jumps {jump_samples.size} time{'s' * (jump_samples.size > 1)}, by up to {abs(largest):.3g} "
+            f"{context.quality.unit} from one sample to the next, first at {first_s:.6g} s",
             "look whether the sensor slips, its slider sticks, or samples were lost; cut the log there",
             intervals=[(int(k), int(k) + 2) for k in jump_samples],
         )

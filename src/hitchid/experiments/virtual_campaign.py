@@ -45,7 +45,7 @@ displacement = "displacement_mm"
 
 @dataclass(frozen=True)
 class StaticResult:
-    """Result of the static test of one direction.
+    """What the static test of one direction found.
 
     Attributes:
         dead_zone: mean over the ramps, A.
@@ -62,7 +62,7 @@ class Log:
 
     Attributes:
         name: of its file.
-        columns: column to measured samples.
+        columns: column to samples as measured.
         truth: displacement without sensor and noise, mm.
     """
 
@@ -103,7 +103,7 @@ def run(
         }
     if "cycle" in tests:
         jobs["cycle"] = partial(_cycles, rig, static, tests["cycle"], seed)
-    # Cycles run with the first direction: the second one then reuses its compiled program.
+    # Cycles beside the first direction: the second one then finds its program compiled.
     results = parallel(
         lambda name: jobs[name](), sorted(jobs, key=[*directions[:1], "cycle", *directions[1:]].index)
     )

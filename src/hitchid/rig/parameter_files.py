@@ -193,6 +193,6 @@ def _require(
         row = int(np.flatnonzero(~satisfied)[0])
         position = float(np.asarray(positions)[row])
         raise SettingsError(
-            f"key 'linkage.{key}': {condition} only if its measure lies in {required}; "
-            f"came {values[row]:g} at {position:g} m of the stroke"
+            f"key 'linkage.{key}': {condition} only if its measure lies in {required}; came {values[row]:g} at "
+            f"{position:g} m of the stroke"
         )

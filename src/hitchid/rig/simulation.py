@@ -29,7 +29,7 @@ SUBSTEPS = 8
 
 
 class RigMotion(eqx.Module):
-    """True motion of the bench, sampled every 10 ms, each sample before its row of currents acts.
+    """What the bench truly did, sampled every 10 ms; each sample stands before its row of currents acts.
 
     All arrays have the shape [T, N]; pressures are absolute, volumes are of oil at tank pressure.
 
@@ -40,10 +40,11 @@ class RigMotion(eqx.Module):
         lifting_spool, lowering_spool: spool positions over their travel.
         compensator_m2: opening of the pressure compensator.
         lifting_flow_m3_s, lowering_flow_m3_s: mean flows over the 10 ms before the sample.
-        pumped_m3, relieved_m3, lifted_m3, lowered_m3, leaked_m3, safety_relieved_m3: volumes that have
-            flowed since the start, from the pump, over the relief valve, to the cylinder, to tank through the
-            lowering valve, past the piston, and over the safety valve.
-        supply_oil_m3, cylinder_oil_m3: oil in the supply line and its accumulator, in chamber and hose.
+        pumped_m3, relieved_m3, lifted_m3, lowered_m3, leaked_m3, safety_relieved_m3: what has flowed since
+            the start
+            from the pump, over the relief valve, to the cylinder, back to tank through the lowering valve,
+            past the piston, and over the safety valve.
+        supply_oil_m3, cylinder_oil_m3: what is in the supply line and its accumulator, in chamber and hose.
     """
 
     displacement_m: Float[Array, "t n"]
