@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hitchid._support.notices import Notice
 from hitchid.data.campaign import Campaign
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError
@@ -165,7 +166,7 @@ def test_a_dead_zone_that_cannot_be_told_is_zero_with_a_notice(make_record):
 
 def test_what_was_done_to_a_log_is_passed_on(tests_of):
     records = tests_of(3)
-    records[1] = replace(records[1], notices=("resampled: the clock jitters",))
+    records[1] = replace(records[1], notices=(Notice("clock-resampled", "resampled: the clock jitters"),))
     found = prepare(everything(records), LIFTING, GIVEN)
     assert told(found.notices, "lifting-01: resampled: the clock jitters")
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hitchid.data.campaign import STROKE_SEPARATOR, Campaign
-from hitchid.data.left_out import LeftOut, refuse, sentences, split_usable
+from hitchid.data.left_out import LeftOut, left_out_notices, refuse, split_usable
 from hitchid.data.record import CYCLE, DIRECTIONS, LIFTING, Record
 from hitchid.data.test_kinds import ACTIVE_FRACTION, end_stop_contact, split_by_direction
 from hitchid.errors import InputError, LogError
@@ -105,7 +105,8 @@ def prepare(
         refuse([*without_covariate, *at_end_stop], f"{direction} tests")
     left_out = [*without_covariate, *at_end_stop]
     records = _without_long_rests(records, direction)
-    notices = [*_log_notices(records), *sentences(left_out, total, f"{direction} tests")]
+    left_out_sentences = map(str, left_out_notices(left_out, total, f"{direction} tests"))
+    notices = [*_log_notices(records), *left_out_sentences]
     if sign != _expected_sign(direction):
         notices.append(
             f"the displacement {'grows' if sign > 0 else 'falls'} in {direction}: taken as measured"
@@ -118,7 +119,8 @@ def prepare(
     signals = [_test_signals(record, direction, sign, end_stop) for record in records]
     if dead_zone is None:
         dead_zone, unmoved_ramps = _dead_zone_from_ramps(campaign, direction, sign, signals)
-        notices += sentences(unmoved_ramps, len(campaign.ramps(direction)), f"{direction} ramps")
+        ramps = len(campaign.ramps(direction))
+        notices += map(str, left_out_notices(unmoved_ramps, ramps, f"{direction} ramps"))
         left_out += unmoved_ramps
     if dead_zone is None:
         dead_zone = from_tests(signals, campaign.step_s)
