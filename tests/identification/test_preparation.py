@@ -103,7 +103,7 @@ def test_whole_tests_are_set_aside_to_stop_the_training(tests_of, count, validat
     names = [record.name for record in records]
     assert found.validation_names == tuple(names[row] for row in validating)
     parts = {
-        "everything": range(count),
+        "all_tests": range(count),
         "training": [row for row in range(count) if row not in validating],
         "validation": validating,
     }
