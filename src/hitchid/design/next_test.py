@@ -281,7 +281,9 @@ def _batch(channel: Channel, commands: Float[np.ndarray, "t n"], step_s: float) 
         valid=jnp.ones(padded.shape, dtype=bool),
         loss_mask=jnp.ones(padded.shape, dtype=bool),
         initial=jnp.full(tests, start),
-        covariate=jnp.full(tests, 0.5 * (channel.operating_range.load.lowest + channel.operating_range.load.highest)),
+        covariate=jnp.full(
+            tests, 0.5 * (channel.operating_range.load.lowest + channel.operating_range.load.highest)
+        ),
         step_s=step_s,
         sign=channel.sign,
     )
