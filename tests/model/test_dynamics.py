@@ -158,8 +158,8 @@ def test_a_test_of_one_direction_moves_as_its_fast_form_says(record_of, mode, op
 
 
 @pytest.mark.parametrize("name", ["lag, free run compensated", "everything"])
-def test_predictions_by_single_steps_are_those_of_the_whole_record(record_of, name, horizon=4):
-    model = MODELS[name]
+def test_predictions_by_single_steps_are_those_of_the_whole_record(record_of, name):
+    model, horizon = MODELS[name], 4
     rng = np.random.default_rng(2)
     commands = np.concatenate([np.zeros((5, 2)), cycles(rng, 145)])
     measured = 100.0 + np.cumsum(rng.normal(0, 0.1, len(commands)))
@@ -178,8 +178,8 @@ def test_predictions_by_single_steps_are_those_of_the_whole_record(record_of, na
         assert float(found) == pytest.approx(expected[origin + horizon], abs=horizon * 1e-9 + HEARD)
 
 
-def test_predictions_from_some_samples_are_those_from_all(record_of, every=3):
-    rng = np.random.default_rng(10)
+def test_predictions_from_some_samples_are_those_from_all(record_of):
+    rng, every = np.random.default_rng(10), 3
     commands = np.concatenate([np.zeros((5, 2)), cycles(rng, 75)])
     record = record_of(100.0 + np.cumsum(rng.normal(0, 0.1, 80)), commands)
     horizons = (1, 4)
@@ -195,8 +195,8 @@ def test_predictions_from_some_samples_are_those_from_all(record_of, every=3):
 HEARD = 20 * 14 * 4 * SINGLE * ERROR_STEP
 
 
-def test_predictions_of_one_direction_are_those_of_its_channel(record_of, mode=LOWERING):
-    rng = np.random.default_rng(3)
+def test_predictions_of_one_direction_are_those_of_its_channel(record_of):
+    rng, mode = np.random.default_rng(3), LOWERING
     own = channel(mode, "integrator-first-order", compensated=True, dead_time_s=0.02)
     commands = np.zeros((200, 2))
     commands[:, (LIFTING, LOWERING).index(mode)] = levels(rng, 200, low=0.3)
@@ -362,7 +362,8 @@ def test_a_hitch_that_has_come_to_rest_stays_where_it_is(structure):
     assert abs(found[-1] - 100.0) > 1.0
 
 
-def test_a_held_piston_creeps_at_its_drift_and_a_driven_one_does_not(speed=-0.4):
+def test_a_held_piston_creeps_at_its_drift_and_a_driven_one_does_not():
+    speed = -0.4
     model = hitch_of(*(channel(mode) for mode in GAINS), drift=speed)
     commands = sequence((REST, 20), (RISE, 30), (REST, 50), (FALL, 30), (REST, 50))
     up, down = SPEED * (commands > 0).T
@@ -400,13 +401,15 @@ def test_no_end_stop_is_passed(structure, seed):
 
 
 @pytest.mark.parametrize("before_s", [0.32, 0.33])
-def test_a_reversal_just_before_an_end_stop_does_not_pass_it(before_s, structure="integrator-second-order"):
+def test_a_reversal_just_before_an_end_stop_does_not_pass_it(before_s):
+    structure = "integrator-second-order"
     channels = channel(LIFTING, structure, end_stop=104.0), channel(LOWERING, structure, end_stop=97.0)
     found, _ = stepped(hitch_of(*channels), sequence((RISE, round(before_s / STEP_S)), (FALL, 40)))
     assert found.max() <= 104.0
 
 
-def test_from_an_end_stop_the_other_mode_starts_at_rest(structure="integrator-second-order"):
+def test_from_an_end_stop_the_other_mode_starts_at_rest():
+    structure = "integrator-second-order"
     model = hitch_of(channel(LIFTING, structure, end_stop=104.0), channel(LOWERING, structure))
     found, _ = stepped(model, sequence((RISE, 100), (FALL, 50)))
     assert found[100] == 104.0
@@ -547,7 +550,8 @@ def test_a_state_keeps_its_size_and_a_step_leaves_what_it_was_given(model):
     np.testing.assert_array_equal(commands, given_commands)
 
 
-def test_a_model_of_one_channel_does_not_hear_the_command_of_the_other(mode=LOWERING):
+def test_a_model_of_one_channel_does_not_hear_the_command_of_the_other():
+    mode = LOWERING
     model = hitch_of(channel(mode, "integrator-second-order", compensated=True))
     commands = cycles(np.random.default_rng(8), 150)
     own = (LIFTING, LOWERING).index(mode)
