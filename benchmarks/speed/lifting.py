@@ -8,7 +8,7 @@ import numpy as np
 
 from hitchid.data.record import LIFTING
 from hitchid.estimation import Objective, SearchProblem, Whale, search_problem
-from hitchid.estimation.whale import WhaleConfig
+from hitchid.estimation.global_search.whale import WhaleConfig
 from hitchid.identification.identify import PAPER_SPECS
 from hitchid.structures import Batch
 

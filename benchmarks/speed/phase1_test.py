@@ -16,7 +16,7 @@ from timings import OURS, process
 
 from hitchid.data.record import LIFTING
 from hitchid.estimation import search_problem
-from hitchid.estimation.whale import FitnessFunction
+from hitchid.estimation.search_problem import FitnessFunction
 from hitchid.identification.preparation import prepare
 from hitchid.readers import read
 from hitchid.structures import Batch

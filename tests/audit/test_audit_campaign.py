@@ -214,7 +214,7 @@ def test_missing_ramps_tests_and_held_out_tests_are_noted(clean, make_test, foun
     assert said(findings, "tests or strokes of lifting: 1, too few")
     assert said(findings, "no test of lifting is held out")
     assert said(findings, "lowering is never commanded")
-    assert {each.level for each in findings} == {Severity.NOTE}
+    assert {each.severity for each in findings} == {Severity.NOTE}
     without = found([r for r in clean if "ramp" not in r.name], "excitation")
     assert [each.signal for each in without] == [f"{mode}_command" for mode in DIRECTIONS]
 

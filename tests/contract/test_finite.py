@@ -7,7 +7,7 @@ import pytest
 
 from hitchid.data.record import LIFTING
 from hitchid.estimation import Objective
-from hitchid.structures import STRUCTURES, Batch, ModelSpec, structure_named
+from hitchid.structures import BUILT_IN, Batch, ModelSpec, structure_named
 from hitchid.structures.structure import LinearStructure
 from truth import levels
 
@@ -20,7 +20,7 @@ WIDEST = ModelSpec(
     stroke_gain_quadratic=True,
     covariate="p",
 )
-PLAIN = [ModelSpec(each, dead_time=True) for each in STRUCTURES.values() if isinstance(each, LinearStructure)]
+PLAIN = [ModelSpec(each, dead_time=True) for each in BUILT_IN if isinstance(each, LinearStructure)]
 # A nonlinear structure is integrated step by step, on clocks of the plants it is for.
 CLOCKS = {"inertia-with-friction": (1e-3,), "cascaded-tanks": (4.0,)}
 CASES = [

@@ -12,7 +12,7 @@ import hitchid
 from hitchid.errors import InputError, LogError
 from hitchid.readers import find_logs, format_of, write_table
 from hitchid.readers.content import ChannelSelection
-from hitchid.readers.formats import FORMATS, record_name
+from hitchid.readers.formats import BUILT_IN, record_name
 from hitchid.validation import validate
 
 SAMPLES = 60
@@ -130,7 +130,7 @@ WRITERS = {
     ".blf": write_bus,
 }
 PLAIN_TEXT = {".csv", ".tsv", ".lvm", ".asc"}
-ENDINGS = [suffix for known in FORMATS for suffix in known.suffixes]
+ENDINGS = [suffix for known in BUILT_IN for suffix in known.suffixes]
 every_ending = pytest.mark.parametrize("ending", ENDINGS)
 
 
@@ -307,7 +307,7 @@ def test_a_missing_library_is_named_with_the_command_that_brings_it(
 
 
 def test_every_library_of_others_is_loaded_before_the_time_of_reading_counts():
-    for known in FORMATS:
+    for known in BUILT_IN:
         if known.suffixes[0] == ".csv":
             assert known.libraries == ()
         for library in known.libraries:

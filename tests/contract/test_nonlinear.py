@@ -8,7 +8,7 @@ import pytest
 
 from hitchid.data.record import LIFTING
 from hitchid.errors import InputError
-from hitchid.structures import STRUCTURES, Batch, ModelSpec, PhysicalModel, structure_named
+from hitchid.structures import BUILT_IN, Batch, ModelSpec, PhysicalModel, structure_named
 from hitchid.structures.cascaded_tanks import EMPTY, LOWER_BRIM
 from hitchid.structures.inertia_with_friction import SIGN_SMOOTHING
 from hitchid.structures.nonlinear import NonlinearStructure, simulate_nonlinear
@@ -38,7 +38,7 @@ TANKS = {
     "brim": 10.0,
 }
 TYPICAL = {"inertia-with-friction": (AXIS, 5.0), "cascaded-tanks": (TANKS, 4.0)}
-NONLINEAR = {name: each for name, each in STRUCTURES.items() if isinstance(each, NonlinearStructure)}
+NONLINEAR = {each.name: each for each in BUILT_IN if isinstance(each, NonlinearStructure)}
 
 every_nonlinear_structure = pytest.mark.parametrize("structure", NONLINEAR.values(), ids=NONLINEAR.keys())
 
@@ -113,18 +113,17 @@ def test_what_comes_later_changes_nothing_before(structure):
 
 @every_nonlinear_structure
 @pytest.mark.parametrize(
-    "beside",
+    ("option", "named"),
     [
-        {"dead_time": True},
-        {"valve_curve": True},
-        {"spool_dynamics": True},
-        {"stroke_gain_quadratic": True},
-        {"covariate": "pressure"},
+        ({"dead_time": True}, "dead time"),
+        ({"valve_curve": True, "spool_dynamics": True}, "valve curve and no spool dynamics"),
+        ({"stroke_gain_quadratic": True}, "gain along the stroke"),
+        ({"covariate": "pressure"}, "second measured input"),
     ],
 )
-def test_nothing_stands_around_a_nonlinear_structure(structure, beside):
-    with pytest.raises(InputError, match=f"'{structure.name}' stands alone; required no dead time, curve"):
-        ModelSpec(structure, **beside)
+def test_a_nonlinear_structure_takes_no_options(structure, option, named):
+    with pytest.raises(InputError, match=f"'{structure.name}' takes no {named}; required a form without"):
+        ModelSpec(structure, **option)
     assert ModelSpec(structure).parameters == structure.parameters
 
 
@@ -133,7 +132,7 @@ def test_it_has_no_transfer_function(structure):
     model = PhysicalModel(structure, values_of(structure), jnp.asarray(0.0))
     for asked in (model.to_scipy, model.to_control):
         for step_s in (None, STEP_S):
-            with pytest.raises(InputError, match=f"'{structure.name}' is not linear; required a structure"):
+            with pytest.raises(InputError, match=f"'{structure.name}' is not linear; required a linear"):
                 asked(step_s)
     with pytest.raises(InputError, match="is not linear"):
         model.discretised(STEP_S)

@@ -13,7 +13,7 @@ from scipy import signal
 from hitchid.errors import InputError
 from hitchid.structures import (
     NONLINEARITY_PARAMETERS,
-    STRUCTURES,
+    BUILT_IN,
     ModelSpec,
     PhysicalModel,
     Scales,
@@ -36,9 +36,9 @@ TYPICAL = {
 
 UNIT = Scales(*(jnp.asarray(scale) for scale in (1.0, 0.0, 1.0, 0.0, 1.0)))
 
-LINEAR = {name: each for name, each in STRUCTURES.items() if isinstance(each, LinearStructure)}
+LINEAR = {each.name: each for each in BUILT_IN if isinstance(each, LinearStructure)}
 
-every_structure = pytest.mark.parametrize("structure", STRUCTURES.values(), ids=STRUCTURES.keys())
+every_structure = pytest.mark.parametrize("structure", BUILT_IN, ids=lambda each: each.name)
 every_linear_structure = pytest.mark.parametrize("structure", LINEAR.values(), ids=LINEAR.keys())
 
 

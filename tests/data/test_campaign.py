@@ -112,7 +112,8 @@ def test_records_of_another_rate_come_on_the_clock_of_the_most():
     last = campaign.records[2]
     assert len(last) == 39
     np.testing.assert_allclose(last.displacement, 0.01 * np.arange(39), atol=4 * EPS)
-    assert any("resampled" in notice for notice in last.notices)
+    assert [notice.code for notice in last.notices] == ["step-changed"]
+    assert last.clock.logged_step_s == 0.02
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from hitchid.data.campaign import Campaign
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import FitError, InputError, LogError, OutputError, SettingsError
 from hitchid.identification.campaign_job import _check_dead_zone, _check_window
-from hitchid.identification.deadzone import DeadZone
+from hitchid.identification.dead_zone import DeadZone
 from hitchid.identification.phase2 import CompensatorConfig
 from hitchid.identification.preparation import prepare
 from hitchid.readers import read, write_table
@@ -81,7 +81,7 @@ def test_a_log_that_cannot_be_used_is_left_out_by_name_with_its_reason(five, kin
     (left,) = campaign.left_out
     assert left.name == "a-2"
     assert said in left.reason
-    assert campaign.warnings == (f"a-2: left out: {left.reason}", "1 of 5 logs left out")
+    assert tuple(map(str, campaign.notices)) == (f"a-2: left out: {left.reason}", "1 of 5 logs left out")
     with pytest.raises(LogError, match=r"a-2\.(csv|mat): "):
         read(five, strict=True)
 
@@ -134,7 +134,7 @@ def test_a_pattern_that_matches_only_logs_left_out_is_told_and_no_error(five):
     spoil(five, "a-2", "stands")
     campaign = read(five)
     assert campaign.held_out(LIFTING) == ()
-    assert "no test is held out" in campaign.warnings[-1]
+    assert "no test is held out" in campaign.notices[-1].sentence
     spoil(five, "a-2", "unreadable")
     assert read(five).unmatched == ()
 
@@ -209,7 +209,7 @@ def test_a_run_that_failed_is_not_in_the_way_of_the_next(five, tmp_path, monkeyp
         raise error
 
     monkeypatch.setattr("hitchid.identification.identify", fail)
-    monkeypatch.setattr("hitchid.cli.identifying.prepare_jax", lambda: None)
+    monkeypatch.setattr("hitchid.cli.identify.prepare_jax", lambda: None)
     identify = ["identify", str(five), "--out", str(tmp_path / "model"), "--quiet"]
     for number in (1, 2):
         assert CliRunner().invoke(app, identify).exception is error

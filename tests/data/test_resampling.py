@@ -56,7 +56,7 @@ def test_a_regular_clock_is_kept_with_its_step_to_the_last_digit(digits, exponen
     step_s = float(f"{digits}e{exponent}")  # 1 ms to 10 s
     # Stamps up to 10⁶ s are rounded to 10⁻¹⁰ s: a hundred-thousandth of the smallest step here is more.
     stamps = start_s + step_s * np.arange(samples)
-    assert found(stamps) == [LogSection(0, samples, step_s, resampled=False, notice="")]
+    assert found(stamps) == [LogSection(0, samples, step_s, resampled=False)]
 
 
 @given(st.integers(2, 500), st.sampled_from([30, 60, 120, 400, 1000, 2048]))
@@ -70,13 +70,13 @@ def test_a_rate_without_a_short_decimal_step_is_kept_without_drift(samples, rate
 
 def test_seconds_since_1970_are_kept_as_well_as_any_others():
     stamps = 1.7e9 + STEP_S * np.arange(500)
-    assert found(stamps) == [LogSection(0, 500, STEP_S, resampled=False, notice="")]
+    assert found(stamps) == [LogSection(0, 500, STEP_S, resampled=False)]
 
 
 @pytest.mark.parametrize("fraction", [0.001, 0.9 * GRID_TOLERANCE])
 def test_stamps_within_2_percent_of_a_step_are_kept(fraction):
     (section,) = found(swinging(fraction))
-    assert section == LogSection(0, 201, STEP_S, resampled=False, notice="", clock=REGULAR_CLOCK)
+    assert section == LogSection(0, 201, STEP_S, resampled=False, clock=REGULAR_CLOCK)
 
 
 @pytest.mark.parametrize("fraction", [1.1 * GRID_TOLERANCE, 0.1, 0.24, 0.45])
@@ -87,8 +87,9 @@ def test_any_jitter_is_resampled_onto_the_median_step_and_told(fraction):
     assert section.clock.jitter == pytest.approx(fraction, rel=1e-6)
     assert section.clock.longest_gap_s == 0
     assert section.clock.interpolated_share == pytest.approx(100 / 201)  # every second stamp is late
-    assert f"jitters by {fraction:.1%}" in section.notice
-    assert "49.8% of the samples are interpolated" in section.notice
+    (notice,) = section.notices
+    assert f"jitters by {fraction:.1%}" in notice.sentence
+    assert "49.8% of the samples are interpolated" in notice.sentence
 
 
 def test_60_hertz_with_two_decimals_is_resampled_to_a_step_between_its_intervals():
@@ -158,9 +159,9 @@ def test_a_gap_in_which_anything_may_have_happened_is_bridged_only_if_it_is_shor
         return
     before, after = cut
     assert (before.start, before.stop, after.start, after.stop) == (0, 200, 200, 400)
-    assert before.notice == ""
-    assert f"{stamps[200]:g} s" in after.notice
-    assert f"{gap_s / STEP_S:.1f} sampling times" in after.notice
+    assert before.notices == ()
+    assert f"{stamps[200]:g} s" in after.notices[0].sentence
+    assert f"{gap_s / STEP_S:.1f} sampling times" in after.notices[0].sentence
 
 
 @pytest.mark.parametrize(("gap_s", "parts"), [(0.9 * LONGEST_BRIDGE_S, 1), (1.1 * LONGEST_BRIDGE_S, 2)])
@@ -207,8 +208,9 @@ def test_sections_cover_all_but_lone_samples_and_say_what_was_done(log):
     cut = found(stamps)
     assert [(section.start, section.stop) for section in cut] == wanted
     for section in cut:
-        assert ("split" in section.notice) == (section.start > 0)
-        assert ("resampled" in section.notice) == section.resampled == (section.clock != REGULAR_CLOCK)
+        codes = {notice.code for notice in section.notices}
+        assert ("gap-split" in codes) == (section.start > 0)
+        assert ("clock-resampled" in codes) == section.resampled == (section.clock != REGULAR_CLOCK)
 
 
 @given(

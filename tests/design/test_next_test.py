@@ -62,7 +62,7 @@ def mirrored(channel):
     """Return the channel of the same tests, had they gone the other way."""
     ends = channel.envelope.displacement
     other = SignalRange(2 * START_MM - ends.highest, 2 * START_MM - ends.lowest)
-    return replace(channel, direction=-1, envelope=replace(channel.envelope, displacement=other))
+    return replace(channel, sign=-1, envelope=replace(channel.envelope, displacement=other))
 
 
 def hitch_of(*modes, **options):
@@ -119,7 +119,7 @@ def test_a_test_in_which_nothing_happens_is_not_proposed(model):
 
 
 def test_without_limits_tests_are_as_long_and_as_high_and_go_as_far_as_those_there_were(model, advice):
-    covered = model.channels[advice.mode].envelope
+    covered = model.channels[advice.direction].envelope
     for proposal in advice.proposals:
         assert 0 <= proposal.low < proposal.high <= float(covered.command.highest)
         # A little beyond what was covered is allowed.
@@ -130,10 +130,10 @@ def test_without_limits_tests_are_as_long_and_as_high_and_go_as_far_as_those_the
 
 
 def test_proposals_are_sorted_by_what_they_leave_of_the_error(advice):
-    left = [proposal.left[advice.parameter] for proposal in advice.proposals]
+    left = [proposal.remaining_error[advice.parameter] for proposal in advice.proposals]
     assert left == sorted(left)
     # The best of many is worth more than another of the usual, which leaves √(8/9).
-    assert left[0] < advice.usual[advice.parameter] == pytest.approx(np.sqrt(TESTS / (TESTS + 1)))
+    assert left[0] < advice.baseline_reduction[advice.parameter] == pytest.approx(np.sqrt(TESTS / (TESTS + 1)))
 
 
 def test_what_a_test_leaves_follows_from_the_plants_own_derivatives(model):
@@ -150,7 +150,7 @@ def test_what_a_test_leaves_follows_from_the_plants_own_derivatives(model):
         )
         columns.append(slope * (ahead - behind) / (2e-4 * values[name]))
     left = information.standard_errors_with(np.stack(columns, axis=1)) / information.standard_errors()
-    assert list(best.left.values()) == pytest.approx(list(left), rel=1e-6)
+    assert list(best.remaining_error.values()) == pytest.approx(list(left), rel=1e-6)
 
 
 def test_by_default_the_parameter_with_the_widest_interval_is_narrowed(model, advice):
@@ -160,11 +160,11 @@ def test_by_default_the_parameter_with_the_widest_interval_is_narrowed(model, ad
         for estimate in known.benchmark.parameters
     }
     assert len(set(widths.values())) == 4
-    assert (advice.mode, advice.parameter) == max(widths, key=widths.get)
+    assert (advice.direction, advice.parameter) == max(widths, key=widths.get)
     vaguest = max((key for key in widths if key[0] == LIFTING), key=widths.get)
     assert design(model, LIFTING).parameter == vaguest[1]
     vaguest = max((key for key in widths if key[1] == "gain"), key=widths.get)
-    assert design(model, parameter="gain").mode == vaguest[0]
+    assert design(model, parameter="gain").direction == vaguest[0]
 
 
 def test_the_same_seed_gives_the_same_advice_and_another_seed_another(model, advice):
@@ -185,23 +185,23 @@ def test_no_ramps_are_advised_where_the_dead_zone_is_given(model):
 @pytest.mark.parametrize(
     ("asked", "complaint"),
     [
-        ({"parameter": "damping"}, "required what a test could narrow, .*gain.*; came damping"),
-        ({"mode": "sideways"}, "required .*lifting gain.*lowering time_constant; came sideways"),
-        ({"mode": LIFTING, "parameter": "damping"}, "came lifting damping"),
+        ({"parameter": "damping"}, "required a parameter with an error, .*gain.*; came damping"),
+        ({"direction": "sideways"}, "required .*lifting gain.*lowering time_constant; came sideways"),
+        ({"direction": LIFTING, "parameter": "damping"}, "came lifting damping"),
         (
-            {"mode": LIFTING, "limits": ExcitationLimits(highest=0.3)},
+            {"direction": LIFTING, "limits": ExcitationLimits(highest=0.3)},
             "highest command: required above the dead zone of 0.35, came 0.3",
         ),
         (
-            {"mode": LIFTING, "limits": ExcitationLimits(highest=0.35)},
+            {"direction": LIFTING, "limits": ExcitationLimits(highest=0.35)},
             "required above the dead zone of 0.35, came 0.35",
         ),
         (
-            {"mode": LIFTING, "limits": ExcitationLimits(travel=0.001)},
+            {"direction": LIFTING, "limits": ExcitationLimits(travel=0.001)},
             f"lifting: none of {CANDIDATES} tests stays within the limits; required wider ones",
         ),
         (
-            {"mode": LIFTING, "limits": ExcitationLimits(longest_s=0.0)},
+            {"direction": LIFTING, "limits": ExcitationLimits(longest_s=0.0)},
             f"none of {CANDIDATES} tests stays within",
         ),
     ],
@@ -214,7 +214,7 @@ def test_what_cannot_be_designed_is_refused(model, asked, complaint):
 def test_a_model_that_knows_nothing_of_its_tests_is_refused(model):
     known = {mode: Uncertainty(each.benchmark) for mode, each in model.uncertainty.items()}
     for each in (made_up(), Hitch(model.channels, STEP_S, UNITS, uncertainty=known)):
-        with pytest.raises(InputError, match="required what a test could narrow, nothing; came anything"):
+        with pytest.raises(InputError, match="required a parameter with an error, nothing; came anything"):
             design(each)
 
 
@@ -231,9 +231,9 @@ def test_a_written_command_reads_back_as_the_best_proposals(model, advice, tmp_p
     path = tmp_path / "next" / "test.csv"
     write_command(model, advice, path)
     columns = read_back(path)
-    command = command_of(model, advice.mode, advice.proposals[0])
+    command = command_of(model, advice.direction, advice.proposals[0])
     assert list(columns) == ["time_s", "current_up_A", "current_down_A"]
-    driven, still = ("current_up_A", "current_down_A")[:: 1 if advice.mode == LIFTING else -1]
+    driven, still = ("current_up_A", "current_down_A")[:: 1 if advice.direction == LIFTING else -1]
     np.testing.assert_allclose(columns[driven], command, rtol=1e-12)
     np.testing.assert_allclose(columns["time_s"], STEP_S * np.arange(command.size), rtol=1e-12)
     assert not columns[still].any()

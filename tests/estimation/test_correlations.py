@@ -9,14 +9,18 @@ from hypothesis import strategies as st
 
 from hitchid.data.record import LIFTING
 from hitchid.estimation import Objective, search_problem
-from hitchid.estimation.correlations import MAX_SAMPLES, MAX_SAMPLES_PER_TEST, correlations_applicable
-from hitchid.estimation.search_problem import CorrelationObjective
-from hitchid.structures import STRUCTURES, Batch, ModelSpec, discretise, pulse_response, structure_named
-from hitchid.structures.discretise import simulate_linear
+from hitchid.estimation.correlations import (
+    MAX_SAMPLES,
+    MAX_SAMPLES_PER_TEST,
+    CorrelationObjective,
+    correlations_applicable,
+)
+from hitchid.structures import BUILT_IN, Batch, ModelSpec, discretise, pulse_response, structure_named
+from hitchid.structures.discretisation import simulate_linear
 from hitchid.structures.structure import LinearStructure
 from truth import STEP_S, held, levels, second_order
 
-LINEAR = [each for each in STRUCTURES.values() if isinstance(each, LinearStructure)]
+LINEAR = [each for each in BUILT_IN if isinstance(each, LinearStructure)]
 # What the objective promises; sums of squares of some thousand samples round to far less.
 RELATIVE = 1e-9
 

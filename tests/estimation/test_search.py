@@ -10,9 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hitchid.errors import FitError, InputError
-from hitchid.estimation.least_squares import NormalEquations, StopReason
-from hitchid.estimation.search import SearchProblem, refine
-from hitchid.estimation.whale import WhaleConfig
+from hitchid.estimation import SearchProblem, refine
+from hitchid.estimation.global_search.whale import WhaleConfig
+from hitchid.estimation.least_squares import StopReason
+from hitchid.estimation.search_problem import NormalEquations
 from hitchid.identification import DifferentialEvolution, MultiStart, Whale
 
 OPTIMUM = np.array([0.31, 0.83, 0.17])

@@ -16,11 +16,11 @@ from hitchid.estimation import (
     Objective,
     Search,
     SearchComparison,
+    SearchProblem,
     SearchResult,
     SearchRun,
     Whale,
 )
-from hitchid.estimation.search import SearchProblem
 from hitchid.estimation.search_history import SAMPLES, compare_searches, default_searches
 from hitchid.structures import Batch, ModelSpec, structure_named
 from truth import held, lag, levels

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from jax.experimental import io_callback
 
 from hitchid.errors import InputError
-from hitchid.estimation import whale
-from hitchid.estimation.whale import WhaleConfig
+from hitchid.estimation.global_search import whale
+from hitchid.estimation.global_search.whale import WhaleConfig
 
 OPTIMUM = np.array([0.31, 0.83, 0.17])
 TURN, _ = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))

@@ -6,7 +6,7 @@ import pytest
 from benches import binary_command, lagged_integrator
 from hitchid.data.campaign import Campaign
 from hitchid.data.record import LIFTING, LOWERING
-from hitchid.identification.deadzone import DeadZone
+from hitchid.identification.dead_zone import DeadZone
 from hitchid.identification.mode_test import FOLDS, compare_modes
 from hitchid.identification.preparation import prepare
 

@@ -10,8 +10,8 @@ from scipy import stats
 
 from hitchid.data.record import LIFTING
 from hitchid.errors import FitError, InputError
+from hitchid.estimation.global_search.whale import WhaleConfig
 from hitchid.estimation.objective import GAIN_RIDGE, RIDGE_FLOOR, Objective, _per_test_gain_residuals
-from hitchid.estimation.whale import WhaleConfig
 from hitchid.identification import ModelSpec, MultiStart, Whale
 from hitchid.identification.phase1 import identify_benchmark
 from hitchid.structures import Batch, structure_named
@@ -54,7 +54,7 @@ def identified(batch, structure, *, search=None, seed=0, **form):
 
 
 def values(phase1):
-    return {estimate.name: estimate.value for estimate in phase1.estimates}
+    return {estimate.name: estimate.value for estimate in phase1.parameter_estimates}
 
 
 @pytest.mark.parametrize(("omega", "damping", "direction"), [(18.0, 0.3, 1), (25.0, 0.8, -1), (18.0, 1.8, 1)])
@@ -125,7 +125,7 @@ def test_standard_errors_under_white_noise_are_the_scatter_over_repetitions(batc
         found.append(identified(batch, LAG, search=MultiStart(20, starts=1)))
     least, most = chi_bounds(30)
     for column, truth in enumerate((15.0, 0.7)):
-        estimates = [each.estimates[column] for each in found]
+        estimates = [each.parameter_estimates[column] for each in found]
         scatter = np.std([estimate.value for estimate in estimates], ddof=1)
         reported = np.mean([estimate.error for estimate in estimates])
         # The mean of standard errors of four or more degrees of freedom lies 6 % below their root mean
@@ -241,7 +241,7 @@ def test_a_slope_is_found_again_although_tests_are_faster_or_slower(batch_of, sl
     rng = np.random.default_rng(seed)
     tests = sloping(slope, 1 + 0.03 * rng.choice([-1.0, 1.0], 8))
     batch = batch_of(tests, noise=0.02, rng=rng, start=80.0)
-    found = {each.name: each for each in identified(batch, INTEGRATOR, slope=True).parameter_estimates}
+    found = {each.name: each for each in identified(batch, INTEGRATOR, stroke_gain_linear=True).parameter_estimates}
     estimate = found["position_slope"]
     # Noise of 0.02 mm at 2000 samples of some 15 mm of travel: the slope is known to a hundredth.
     assert estimate.error < 0.05 * abs(slope) * half_range(batch)
@@ -253,7 +253,7 @@ def test_a_slope_is_found_again_although_tests_are_faster_or_slower(batch_of, sl
 def test_the_gain_beside_a_slope_is_that_which_fits_all_tests_together(batch_of):
     tests = sloping(0.015, 1 + 0.03 * np.array([-1.0, 1.0, 1.0, 1.0, -1.0, 1.0]))
     batch = batch_of(tests, start=80.0)
-    found = identified(batch, INTEGRATOR, slope=True)
+    found = identified(batch, INTEGRATOR, stroke_gain_linear=True)
     pooled = Objective.of(batch, ModelSpec(INTEGRATOR, stroke_gain_linear=True)).pooled()
     gain, slope = (estimate.value for estimate in found.parameter_estimates)
 
@@ -268,7 +268,7 @@ def test_the_gain_beside_a_slope_is_that_which_fits_all_tests_together(batch_of)
 
 def test_where_tests_are_alike_and_nothing_slopes_a_factor_of_their_own_changes_nothing(batch_of):
     batch = batch_of(sloping(0.0, np.ones(5)), start=80.0)
-    plain, sloped = (identified(batch, INTEGRATOR, slope=slope) for slope in (False, True))
+    plain, sloped = (identified(batch, INTEGRATOR, stroke_gain_linear=slope) for slope in (False, True))
     assert values(plain)["gain"] == pytest.approx(15.0, rel=1e-6)
     assert values(sloped) == {
         "gain": pytest.approx(15.0, rel=1e-6),

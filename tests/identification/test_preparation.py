@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hitchid._support.notices import Notice
 from hitchid.data.campaign import Campaign
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError
-from hitchid.identification.deadzone import DeadZone
+from hitchid.identification.dead_zone import DeadZone
 from hitchid.identification.preparation import mixed_dead_zones, prepare
 from truth import STEP_S, held, levels
 
@@ -135,7 +136,7 @@ def test_ramps_give_the_dead_zone_where_there_are_any_and_tests_otherwise(make_r
     records = tests_of(5)
     with_ramps = prepare(everything([*ramps(make_record, [0.3, 0.32]), *records]), LIFTING, None).dead_zone
     assert (with_ramps.origin, with_ramps.count) == ("ramps", 2)
-    # Half a candidate spacing; see test_deadzone.
+    # Half a candidate spacing; see test_dead_zone.
     assert with_ramps.value == pytest.approx(0.31, abs=0.0012)
     without = prepare(everything(records), LIFTING, None).dead_zone
     assert (without.origin, without.count) == ("tests", 4)
@@ -165,7 +166,7 @@ def test_a_dead_zone_that_cannot_be_told_is_zero_with_a_notice(make_record):
 
 def test_what_was_done_to_a_log_is_passed_on(tests_of):
     records = tests_of(3)
-    records[1] = replace(records[1], notices=("resampled: the clock jitters",))
+    records[1] = replace(records[1], notices=(Notice("clock-resampled", "resampled: the clock jitters"),))
     found = prepare(everything(records), LIFTING, GIVEN)
     assert told(found.notices, "lifting-01: resampled: the clock jitters")
 

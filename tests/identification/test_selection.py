@@ -8,8 +8,9 @@ from hitchid._support.metrics import proven_better
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import SettingsError
 from hitchid.identification import AutoStructure, MultiStart, read_settings
+from hitchid.identification.candidates import operating_point_folds
 from hitchid.identification.identify import DEFAULT_STRUCTURES
-from hitchid.identification.selection import _folds, choose_spec
+from hitchid.identification.selection import choose_spec
 from hitchid.structures import Batch, ModelSpec, Scales, structure_named
 from truth import levels
 
@@ -30,7 +31,7 @@ def simulated(make_record, form, values, *, noise=0.02, tests=8, dead_zone=0.0):
     ]
     still = [make_record(np.full(SAMPLES, 80.0), command) for command in commands]
     batch = Batch.of(still, LIFTING, dead_zone=dead_zone, sign=1)
-    travels = np.asarray(form.benchmark(jnp.asarray(values), SCALES).travel(batch))[:, :SAMPLES]
+    travels = np.asarray(form.physical_model(jnp.asarray(values), SCALES).travel(batch))[:, :SAMPLES]
     moved = [80.0 + travel + noise * rng.standard_normal(SAMPLES) for travel in travels]
     records = [make_record(x, u) for x, u in zip(moved, commands, strict=True)]
     return Batch.of(records, LIFTING, dead_zone=dead_zone, sign=1)
@@ -83,9 +84,9 @@ def test_a_dead_zone_that_is_too_large_for_a_valve_curve_is_found_anew(make_reco
 def test_folds_hold_out_levels_between_the_extremes(make_record):
     records = [make_record(np.linspace(80.0, 90.0, 100), np.full(100, level)) for level in (1, 1, 2, 3, 4, 4)]
     batch = Batch.of(records, LIFTING, dead_zone=0.0, sign=1)
-    folds = _folds(batch, separate_tests=False)
+    folds = operating_point_folds(batch, separate_tests=False)
     assert [list(np.flatnonzero(fold)) for fold in folds] == [[2], [3]]
-    alone = _folds(batch, separate_tests=True)
+    alone = operating_point_folds(batch, separate_tests=True)
     assert sorted(int(np.flatnonzero(fold)[0]) for fold in alone) == [1, 2, 3, 4]
 
 

@@ -47,7 +47,7 @@ def test_every_record_is_listed_with_its_kind_sampling_units_and_ranges(write_lo
     (folder / "campaign.toml").write_text('[split]\ntest = ["down"]\n')
     found = inspect(folder)
     assert (found.notices, found.faults) == ((), ())
-    down, up = found.records
+    down, up = (record.describe() for record in found.records)
     assert up.pop("quality")["noise"] == 0.0
     assert up == {
         "name": "up",
@@ -83,8 +83,8 @@ def test_a_log_at_fault_does_not_hide_the_others(write_log):
     lenient, found = inspect(folder), inspect(folder, strict=True)
     assert lenient.faults == found.left_out == ()
     assert [each.name for each in lenient.left_out] == ["b", "c", "d"]
-    assert lenient.warnings[-1] == "3 of 5 logs left out"
-    assert [record["name"] for record in found.records] == ["a", "e"]
+    assert str(lenient.warnings[-1]) == "3 of 5 logs left out"
+    assert [record.name for record in found.records] == ["a", "e"]
     assert len(found.faults) == 3
     for fault, said in zip(
         found.faults, ("displacement_mm", "UTF-8", "all 100 time stamps are 0 s"), strict=True
@@ -112,8 +112,8 @@ def test_what_is_odd_but_usable_is_noticed_by_name(write_log):
     write_log("uneven", pulse(), time_s=uneven)
     found = inspect(folder)
     assert found.faults == ()
-    assert [record["name"] for record in found.records] == ["a", "gap@1", "gap@2", "rest", "twice", "uneven"]
-    said = dict(notice.split(": ", 1) for notice in found.notices)
+    assert [record.name for record in found.records] == ["a", "gap@1", "gap@2", "rest", "twice", "uneven"]
+    said = {notice.place: str(notice) for notice in found.notices}
     assert set(said) == {"gap@2", "uneven"}
     assert "gap of 1.01 s" in said["gap@2"]
     assert "resampled" in said["uneven"]
@@ -126,7 +126,7 @@ def test_logs_that_do_not_fit_together_are_listed_with_the_reason(write_log):
     folder = write_log("a", pulse())
     write_log("b", pulse(), moved=np.full(100, 2.0))
     found = inspect(folder, strict=True)
-    assert [record["kind"] for record in found.records] == ["not told", "not told"]
+    assert [record.kind for record in found.records] == ["not told", "not told"]
     assert len(found.faults) == 1
     assert "b.csv" in found.faults[0]
     assert "constant" in found.faults[0]
@@ -138,7 +138,7 @@ def test_one_log_of_a_folder_can_be_looked_at_although_the_split_names_others(wr
     (folder / "campaign.toml").write_text('[split]\ntest = ["b"]\n')
     found = inspect(folder / "a.csv")
     assert found.faults == ()
-    assert [record["kind"] for record in found.records] == ["lifting"]
+    assert [record.kind for record in found.records] == ["lifting"]
 
 
 def test_what_was_found_is_json(write_log):
@@ -153,7 +153,7 @@ def test_a_mixed_log_has_its_segments_and_how_long_each_kind_takes(write_log):
     folder = write_log("mixed", up, down, moved=np.cumsum(up - down))
     write_log("up", pulse())
     found = inspect(folder)
-    mixed, single = found.records
+    mixed, single = (record.describe() for record in found.records)
     assert (mixed["kind"], single["kind"]) == ("cycle", "lifting")
     labels = ["hold", "lifting", "hold", "lowering", "hold"]
     assert mixed["segments"] == [
@@ -162,9 +162,9 @@ def test_a_mixed_log_has_its_segments_and_how_long_each_kind_takes(write_log):
     ]
     assert mixed["durations_s"] == {"lifting": 0.5, "lowering": 0.5, "hold": 1.5}
     assert not {"segments", "durations_s"} & set(single)
-    ((record, stretches),) = found.mixed
+    (record,) = found.mixed
     assert record.name == "mixed"
-    assert [each.label for each in stretches] == labels
+    assert [each.label for each in record.segments] == labels
     described = found.describe()
     assert json.loads(json.dumps(described, allow_nan=False)) == described
 
@@ -174,7 +174,7 @@ def test_what_a_model_knows_of_the_valves_divides_a_mixed_log(write_log):
     folder = write_log("mixed", up, down, moved=np.cumsum(up - down))
     late = {"lifting": CommandThreshold(0.35, dead_time_s=0.1), "lowering": CommandThreshold(0.25)}
     (entry,) = inspect(folder, command_thresholds=lambda units: late).records
-    assert [tuple(each.values()) for each in entry["segments"]] == [
+    assert [tuple(each.values()) for each in entry.describe()["segments"]] == [
         ("hold", 0.0, 1.1),
         ("lifting", 1.1, 1.5),
         ("both valves on", 1.5, 1.6),

@@ -8,7 +8,7 @@ import pytest
 
 from hitchid.errors import InputError
 from hitchid.readers import find_logs, read, settings_of, write_table
-from hitchid.readers.formats import FORMATS
+from hitchid.readers.formats import BUILT_IN
 
 SAMPLES = 40
 COLUMNS = {
@@ -46,7 +46,7 @@ def databases(folder, signals=None):
 
 
 def test_logs_of_every_format_are_found_in_one_folder_sorted_by_name(logs):
-    suffixes = [suffix for known in FORMATS for suffix in known.suffixes]
+    suffixes = [suffix for known in BUILT_IN for suffix in known.suffixes]
     for number, suffix in enumerate(reversed(suffixes)):
         (logs / f"b{number:02d}{suffix.upper() if number % 2 else suffix}").touch()
     for name in ("notes.txt", "campaign.toml", "bus.dbc", "b.mat.bak", "mat"):

@@ -6,7 +6,7 @@ from asammdf import MDF, Signal
 from asammdf.blocks.conversion_utils import from_dict
 from damaged import FOREIGN, assert_same, cut_everywhere, damage_everywhere, table, without
 
-from hitchid.errors import LogError
+from hitchid.errors import InputError, LogError
 from hitchid.readers.content import ChannelSelection
 from hitchid.readers.formats.mdf import read, write_table
 
@@ -58,7 +58,7 @@ def test_a_table_is_written_over_another(tmp_path):
     "columns", [{"x": STROKE}, {"time_s": FAST}, {}], ids=["no time", "only time", "none"]
 )
 def test_a_table_without_time_or_signals_is_not_written(tmp_path, columns):
-    with pytest.raises(ValueError, match="required a column 'time_s' and one more"):
+    with pytest.raises(InputError, match="required a column 'time_s' and one more"):
         write_table(tmp_path / "log.mf4", columns)
     assert not list(tmp_path.iterdir())
 

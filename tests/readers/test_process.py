@@ -34,11 +34,12 @@ class Patched:
 
         def read(path, wanted):
             here = {"np": np, "os": os, "sys": sys, "time": time, "path": path, "wanted": wanted}
-            here |= {"LogChannel": LogChannel, "LogError": LogError, "child": child, "channels": {}, "notices": ()}
+            here |= {"LogChannel": LogChannel, "LogError": LogError, "child": child}
+            here |= {"channels": {}, "notices": ()}
             exec(path.read_text(), here)
             return Content(path, here["channels"], here["notices"])
 
-        formats.FORMATS = (*formats.FORMATS, formats.Format((".log",), read, None, ("json",)))
+        formats.BUILT_IN = (*formats.BUILT_IN, formats.Format("script", (".log",), read, None, ("json",)))
         del sys.modules["hitchid.readers.child"]
         return None
 
@@ -239,7 +240,8 @@ def test_numbers_arrive_bit_for_bit(read):
         f"sent = np.frombuffer(bytes.fromhex('{sent.tobytes().hex()}'))\n"
         "clock, other = np.arange(12) / 3, np.arange(12) / 3\n"
         "channels = {'a': LogChannel(sent, None, clock), 'b': LogChannel(sent[::-2], 'µm', None),\n"
-        "            'c/ä\\udcff': LogChannel(sent.astype('>f8'), '', clock), 'd': LogChannel(sent, 'V', other)}\n"
+        "            'c/ä\\udcff': LogChannel(sent.astype('>f8'), '', clock),\n"
+        "            'd': LogChannel(sent, 'V', other)}\n"
         "notices = ('one', 'two ≤')"
     )
     assert list(content.channels) == ["a", "b", "c/ä\udcff", "d"]

@@ -46,7 +46,7 @@ def test_a_longer_neighbour_changes_nothing(records):
     for row, record in enumerate(records):
         alone = laid([record], end_stop=60.0)
         size = len(record)
-        for name in ("command", "displacement", "valid", "counted", "travel"):
+        for name in ("command", "displacement", "valid", "loss_mask", "travel"):
             np.testing.assert_array_equal(getattr(together, name)[row, :size], getattr(alone, name)[0, :size])
         assert together.initial[row] == alone.initial[0]
         lonely = np.asarray(respond(alone))[0, :size]
@@ -85,7 +85,7 @@ def test_the_second_input_counts_as_its_mean_before_motion(records):
         records[records.index(record)] = replace(
             record, signals=signals, units={**record.units, "pressure": "bar"}
         )
-    batch = laid(records, load="pressure")
+    batch = laid(records, covariate="pressure")
     assert batch.covariate.shape == (3,)
     np.testing.assert_allclose(batch.covariate, told, rtol=1e-12)
     np.testing.assert_array_equal(laid(records).covariate, [0.0, 0.0, 0.0])
@@ -110,9 +110,9 @@ def test_a_thinned_batch_keeps_the_integral_of_every_command_and_the_start(recor
         np.testing.assert_allclose(
             thin.step_s * rough.sum(axis=1), STEP_S * whole.sum(axis=1), rtol=512 * EPS, atol=0
         )
-    for name in ("initial", "load", "dead_zone"):
+    for name in ("initial", "covariate", "dead_zone"):
         np.testing.assert_array_equal(getattr(thin, name), getattr(batch, name))
-    for name in ("displacement", "valid", "counted"):
+    for name in ("displacement", "valid", "loss_mask"):
         np.testing.assert_array_equal(getattr(thin, name), np.asarray(getattr(batch, name))[:, ::factor])
     assert thin.sign == batch.sign
 
@@ -128,7 +128,7 @@ def test_an_integrator_answers_a_thinned_batch_at_its_samples_as_the_whole_one(r
 
 @pytest.mark.parametrize("direction", [1, -1])
 def test_displaced_undoes_travel(records, direction):
-    batch = laid(records, direction=direction)
+    batch = laid(records, sign=direction)
     travel = np.asarray(batch.travel)
     assert np.sign(travel[2, 299]) == direction
     back = np.asarray(batch.to_displacement(batch.travel))

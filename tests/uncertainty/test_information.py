@@ -68,7 +68,7 @@ def test_widths_are_the_standard_errors_of_the_estimates(found, dead_zone):
     assert information.names == ("gain", "time_constant")
     # H⁻¹ H is one to rounding times the condition of H, from either side.
     rounding = 100 * np.linalg.cond(np.array(information.curvature)) * np.finfo(float).eps
-    errors = np.array([estimate.error for estimate in phase1.estimates])
+    errors = np.array([estimate.error for estimate in phase1.parameter_estimates])
     np.testing.assert_allclose(information.standard_errors() * information.slopes, errors, rtol=rounding)
     assert (information.tests, information.samples) == (TESTS, SAMPLES)
     assert np.any(information.fixed) == (dead_zone.size > 0)

@@ -11,10 +11,9 @@ import pytest
 from scipy import signal, stats
 
 from hitchid.data.record import LIFTING
-from hitchid.estimation import Objective
-from hitchid.estimation.search import refine
+from hitchid.estimation import Objective, refine
 from hitchid.identification import direction
-from hitchid.identification.deadzone import DeadZone
+from hitchid.identification.dead_zone import DeadZone
 from hitchid.identification.phase1 import Phase1
 from hitchid.structures import (
     NONLINEARITY_PARAMETERS,

@@ -1,8 +1,8 @@
 """The audit of logs before any fit: what in them would spoil a model, where, and what to do about it."""
 
+from hitchid._support.notices import Severity as Severity
 from hitchid.audit.audit import audit as audit
 from hitchid.audit.finding import AuditFinding as AuditFinding
-from hitchid.audit.finding import Severity as Severity
 from hitchid.audit.neutral import CommandResponse as CommandResponse
 from hitchid.audit.neutral import rest_level as rest_level
 from hitchid.audit.quality import Quality as Quality

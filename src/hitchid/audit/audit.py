@@ -4,12 +4,13 @@ from collections.abc import Callable
 
 import numpy as np
 
+from hitchid._support.notices import Severity
 from hitchid.audit.clocks import current_lag, motion_before_command
 from hitchid.audit.commands import both_valves, idle_commands
 from hitchid.audit.context import CampaignContext, RecordContext, campaign_context, join_names
 from hitchid.audit.end_stops import end_stops
 from hitchid.audit.excitation import changes, little_motion, short_or_idle, too_few_tests
-from hitchid.audit.finding import AuditFinding, Severity
+from hitchid.audit.finding import AuditFinding
 from hitchid.audit.neutral import neutral
 from hitchid.audit.polarity import signs
 from hitchid.audit.ranges import units

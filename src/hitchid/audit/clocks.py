@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from hitchid._support.notices import Severity
 from hitchid.audit.context import CampaignContext, RecordContext, travel
-from hitchid.audit.finding import AuditFinding, Severity
+from hitchid.audit.finding import AuditFinding
 from hitchid.data.record import COMMAND, DISPLACEMENT, RAMP
 from hitchid.data.units import UNITS
 

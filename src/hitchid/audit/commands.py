@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from hitchid._support.notices import Severity
 from hitchid.audit.context import CampaignContext, RecordContext, command_unit
-from hitchid.audit.finding import AuditFinding, Severity, true_intervals
+from hitchid.audit.finding import AuditFinding, true_intervals
 from hitchid.data.record import COMMAND, RAMP
 from hitchid.data.test_kinds import ACTIVE_FRACTION
 

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hitchid.audit.finding import AuditFinding, Severity, spans_of
+from hitchid._support.notices import Severity
+from hitchid.audit.finding import AuditFinding, spans_of
 from hitchid.audit.quality import Quality, quality
 from hitchid.data.campaign import Campaign
 from hitchid.data.record import COMMAND, DISPLACEMENT, Record

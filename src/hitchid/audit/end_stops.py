@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from hitchid._support.notices import Severity
 from hitchid.audit.context import RecordContext
-from hitchid.audit.finding import AuditFinding, Severity
+from hitchid.audit.finding import AuditFinding
 from hitchid.data.record import CYCLE, DIRECTIONS
 from hitchid.data.segmentation import AT_END_FRACTION, END_STOP, segments
 from hitchid.data.test_kinds import end_stop_contact

@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from hitchid._support.notices import Severity
 from hitchid.audit.context import CampaignContext, RecordContext, command_unit, join_names
-from hitchid.audit.finding import AuditFinding, Severity, true_intervals
+from hitchid.audit.finding import AuditFinding, true_intervals
 from hitchid.data.record import COMMAND, CYCLE, DIRECTIONS, IDLE
 
 LEVEL_FRACTION = 0.10

@@ -2,22 +2,14 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from enum import Enum
 from math import isfinite
 
 import numpy as np
 
+from hitchid._support.notices import Severity
 from hitchid.data.record import Record
 
 MAX_SPANS = 50
-
-
-class Severity(Enum):
-    """How much a finding weighs, the gravest first."""
-
-    FAULT = "fault"
-    WARNING = "warning"
-    NOTE = "note"
 
 
 @dataclass(frozen=True)

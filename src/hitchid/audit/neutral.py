@@ -5,8 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hitchid._support.notices import Severity
 from hitchid.audit.context import CampaignContext, command_unit
-from hitchid.audit.finding import AuditFinding, Severity
+from hitchid.audit.finding import AuditFinding
 from hitchid.data.record import COMMAND, LIFTING, LOWERING, Record
 from hitchid.data.test_kinds import ACTIVE_FRACTION
 

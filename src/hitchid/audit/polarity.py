@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from hitchid._support.notices import Severity
 from hitchid.audit.context import CampaignContext, RecordContext, join_names, travel
-from hitchid.audit.finding import AuditFinding, Severity
+from hitchid.audit.finding import AuditFinding
 from hitchid.data.record import COMMAND, CYCLE, DIRECTIONS, DISPLACEMENT, LIFTING, LOWERING, RAMP
 
 CLEAR_FRACTION = 0.02

@@ -4,8 +4,9 @@ from collections.abc import Callable
 from math import pi
 from typing import NamedTuple
 
+from hitchid._support.notices import Severity
 from hitchid.audit.context import CampaignContext
-from hitchid.audit.finding import AuditFinding, Severity
+from hitchid.audit.finding import AuditFinding
 from hitchid.data.record import COMMAND, DISPLACEMENT
 from hitchid.data.units import UNITS
 

@@ -3,8 +3,9 @@
 import numpy as np
 from scipy.special import stdtr
 
+from hitchid._support.notices import Severity
 from hitchid.audit.context import CampaignContext, RecordContext, command_unit, join_names, travel
-from hitchid.audit.finding import AuditFinding, Severity
+from hitchid.audit.finding import AuditFinding
 from hitchid.data.record import COMMAND, DIRECTIONS, DISPLACEMENT, RAMP
 from hitchid.data.test_kinds import ramp_direction
 

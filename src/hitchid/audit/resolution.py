@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from hitchid._support.notices import Severity
 from hitchid.audit.context import RecordContext
-from hitchid.audit.finding import AuditFinding, Severity
+from hitchid.audit.finding import AuditFinding
 
 FEWEST_STEPS = 200
 MUCH_NOISE = 0.01

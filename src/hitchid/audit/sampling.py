@@ -1,11 +1,10 @@
 """Whether the clock of the logs is even, fine enough, and without holes."""
 
-import re
-
 import numpy as np
 
+from hitchid._support.notices import Severity
 from hitchid.audit.context import CampaignContext, RecordContext
-from hitchid.audit.finding import AuditFinding, Severity
+from hitchid.audit.finding import AuditFinding
 
 UNLIKE_STEPS = 1.5
 MUCH_JITTER = 0.10
@@ -24,16 +23,15 @@ def steps(context: RecordContext) -> list[AuditFinding]:
     """
     findings = []
     clock = context.record.clock
-    notices = "; ".join(context.record.notices)
-    resampled = re.search(r"resampled from ([\d.e+-]+) s to ([\d.e+-]+) s", notices)
-    if resampled:
-        logged_s, campaign_s = float(resampled.group(1)), float(resampled.group(2))
-        step_differs = campaign_s > 0 and not 1 / UNLIKE_STEPS < logged_s / campaign_s < UNLIKE_STEPS
+    if clock.logged_step_s is not None:
+        step_s = context.record.step_s
+        step_differs = not 1 / UNLIKE_STEPS < clock.logged_step_s / step_s < UNLIKE_STEPS
         findings.append(
             context.finding(
                 "sampling",
                 Severity.WARNING if step_differs else Severity.NOTE,
-                f"the log was sampled every {logged_s:g} s, the campaign every {campaign_s:g} s; it was resampled",
+                f"the log was sampled every {clock.logged_step_s:.4g} s, the campaign every {step_s:.4g} s; "
+                "it was resampled",
                 "log every test at the same step",
                 signal="",
             )

@@ -4,8 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hitchid._support.notices import Severity
 from hitchid.audit.context import CampaignContext, RecordContext, command_unit
-from hitchid.audit.finding import AuditFinding, Severity, true_intervals
+from hitchid.audit.finding import AuditFinding, true_intervals
 
 STUCK_S = 0.5
 STUCK_SAMPLES = 10

@@ -1,19 +1,18 @@
-"""The command line: parse, call, show."""
+"""The command line: one module a command, named after it."""
 
-from hitchid.cli.benching import bench, reproduce
-from hitchid.cli.identifying import identify
-from hitchid.cli.judging import compare, validate
-from hitchid.cli.logs import inspect
+from hitchid.cli import bench, design, identify, inspect, judging, reproduce, run, simulate
 from hitchid.cli.program import app as app
 from hitchid.cli.program import main as main
-from hitchid.cli.using import design, run, simulate
 
-app.command(epilog="Example: hitchid inspect logs/ --draw logs.png")(inspect)
-app.command(epilog="Example: hitchid identify logs/ --out model")(identify)
-app.command(epilog="Example: hitchid validate model logs/ --out results")(validate)
-app.command(epilog="Example: hitchid compare model-a model-b logs/ --out comparison")(compare)
-app.command(epilog="Example: hitchid simulate model test.csv --out simulated.csv --bands")(simulate)
-app.command(epilog="Example: hitchid design model --direction lifting --out next-test.csv")(design)
-app.command(epilog="Example: recorder | hitchid run model | controller")(run)
-app.command(epilog="Example: hitchid bench logs --protocol prbs --tests 20")(bench)
-app.command(epilog="Example: hitchid reproduce --out study --quick")(reproduce)
+for _command, _example in (
+    (inspect.inspect, "hitchid inspect logs/ --draw logs.png"),
+    (identify.identify, "hitchid identify logs/ --out model"),
+    (judging.validate, "hitchid validate model logs/ --out results"),
+    (judging.compare, "hitchid compare model-a model-b logs/ --out comparison"),
+    (simulate.simulate, "hitchid simulate model test.csv --out simulated.csv --bands"),
+    (design.design, "hitchid design model --direction lifting --out next-test.csv"),
+    (run.run, "recorder | hitchid run model | controller"),
+    (bench.bench, "hitchid bench logs --protocol prbs --tests 20"),
+    (reproduce.reproduce, "hitchid reproduce --out study --quick"),
+):
+    app.command(epilog=f"Example: {_example}")(_command)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from hitchid.data.campaign import Campaign
     from hitchid.design.next_test import Advice
     from hitchid.identification import ChannelTrace, Identification
-    from hitchid.inspection.inspect_logs import Inspection
+    from hitchid.inspection import Inspection
     from hitchid.model import Hitch
     from hitchid.report import Document
     from hitchid.studies.sun2025 import Study
@@ -33,34 +33,26 @@ def show_inspection(inspection: "Inspection") -> None:
     if inspection.records:
         table = _table("record", "kind", "samples", "step / s", "duration / s", "signals")
         for record in inspection.records:
-            signals = record["signals"]
-            assert isinstance(signals, dict)  # noqa: S101
             ranges = [
-                f"{role} {signal['lowest']:.4g} … {signal['highest']:.4g} {signal['unit']}"
-                for role, signal in signals.items()
+                f"{role} {signal.lowest:.4g} … {signal.highest:.4g} {signal.unit}"
+                for role, signal in record.signals.items()
             ]
-            kind = f"{record['kind']}, held out" if record["held_out"] else str(record["kind"])
             table.add_row(
-                str(record["name"]),
-                kind,
-                str(record["samples"]),
-                f"{record['step_s']:.4g}",
-                f"{record['duration_s']:.4g}",
+                record.name,
+                f"{record.kind}, held out" if record.held_out else record.kind,
+                str(record.quality.samples),
+                f"{record.quality.step_s:.4g}",
+                f"{record.quality.duration_s:.4g}",
                 "\n".join(ranges),
             )
         _console().print(table)
     if inspection.mixed:
-        labels = [
-            label for label in LABELS if any(label in _durations(entry) for entry in inspection.records)
-        ]
+        labels = [label for label in LABELS if any(label in r.durations_s for r in inspection.mixed)]
         table = _table("mixed record", *(f"{label} / s" for label in labels), "stretches")
-        for record in inspection.records:
-            durations = _durations(record)
-            if durations:
-                cells = [f"{durations[label]:.4g}" if label in durations else "" for label in labels]
-                stretches = record["segments"]
-                assert isinstance(stretches, list)  # noqa: S101
-                table.add_row(str(record["name"]), *cells, str(len(stretches)))
+        for record in inspection.mixed:
+            durations = record.durations_s
+            cells = [f"{durations[label]:.4g}" if label in durations else "" for label in labels]
+            table.add_row(record.name, *cells, str(len(record.segments)))
         _console().print(table)
     if inspection.findings:
         _console().print(_findings(inspection.findings))
@@ -73,7 +65,7 @@ def show_inspection(inspection: "Inspection") -> None:
 
 def show_left_out(campaign: "Campaign", *, quiet: bool = False) -> None:
     """Write to stderr which logs are left out and why, and how many; quietly, nothing."""
-    write_messages("warning", () if quiet else campaign.warnings)
+    write_messages("warning", () if quiet else campaign.notices)
 
 
 def show_audit(findings: Iterable["AuditFinding"], *, quiet: bool = False) -> None:
@@ -108,12 +100,6 @@ def _time_spans(finding: "AuditFinding") -> list[str]:
     more = len(finding.spans) - MAX_SPANS
     spans = [f"{start:.6g} … {stop:.6g} s" for start, stop in finding.spans[:MAX_SPANS]]
     return [*spans, f"and {more} more"] if more > 0 else spans
-
-
-def _durations(record: Mapping[str, object]) -> Mapping[str, float]:
-    durations = record.get("durations_s", {})
-    assert isinstance(durations, dict)  # noqa: S101
-    return durations
 
 
 def show_identification(identification: "Identification", out: Path) -> None:
@@ -160,11 +146,11 @@ def _parameters(direction: str, unit: str, trace: "ChannelTrace") -> RichTable:
 
 def show_advice(advice: "Advice", model: "Hitch") -> None:
     """Print the tests proposed, and what each is expected to leave of the standard error."""
-    command, displacement = model.units[f"{advice.mode}_command"], model.units["displacement"]
-    zone = model.channels[advice.mode].dead_zone
+    command, displacement = model.units[f"{advice.direction}_command"], model.units["displacement"]
+    zone = model.channels[advice.direction].dead_zone
     name = advice.parameter.replace("_", " ")
     table = _table(
-        f"{advice.mode}: next test",
+        f"{advice.direction}: next test",
         f"low / {command}",
         f"high / {command}",
         "clock / s",
@@ -172,7 +158,9 @@ def show_advice(advice: "Advice", model: "Hitch") -> None:
         f"travel / {displacement}",
         f"error of {name} / %",
     )
-    table.add_row("another like those", "", "", "", "", "", f"{100 * advice.usual[advice.parameter]:.0f}")
+    table.add_row(
+        "another like those", "", "", "", "", "", f"{100 * advice.baseline_reduction[advice.parameter]:.0f}"
+    )
     for number, proposal in enumerate(advice.proposals, start=1):
         table.add_row(
             f"binary, {number}",
@@ -181,7 +169,7 @@ def show_advice(advice: "Advice", model: "Hitch") -> None:
             f"{proposal.clock_s:.3g}",
             f"{proposal.duration_s:.4g}",
             f"{proposal.travel:.4g}",
-            f"{100 * proposal.left[advice.parameter]:.0f}",
+            f"{100 * proposal.remaining_error[advice.parameter]:.0f}",
         )
     _console().print(table)
     if advice.ramps:
@@ -300,7 +288,7 @@ def _print_wrapped(text: str, indent: int = 0) -> None:
     sys.stdout.write(fill(text, COLUMNS, subsequent_indent=" " * indent, break_on_hyphens=False) + "\n")
 
 
-def write_messages(kind: str, sentences: Iterable[str]) -> None:
+def write_messages(kind: str, sentences: Iterable[object]) -> None:
     """Write sentences to stderr, each after what kind it is."""
     for sentence in sentences:
         sys.stderr.write(f"{kind}: {sentence}\n")

@@ -12,7 +12,8 @@ from statistics import median_low
 import numpy as np
 
 from hitchid._support import checks
-from hitchid.data.left_out import LeftOut, refuse, sentences, split_usable
+from hitchid._support.notices import Notice, Severity
+from hitchid.data.left_out import LeftOut, left_out_notices, refuse, split_usable
 from hitchid.data.record import COMMAND, CYCLE, DIRECTIONS, DISPLACEMENT, IDLE, KINDS, RAMP, Record
 from hitchid.data.test_kinds import detect_kind, full_scales, ramp_direction, strokes
 from hitchid.data.units import UNITS
@@ -106,13 +107,14 @@ class Campaign:
         return cls(tuple(moving), patterns, left_out=all_left_out, strict=strict)
 
     @property
-    def warnings(self) -> tuple[str, ...]:
-        """What is left out and why, how much of all, and whether that leaves nothing held out."""
-        messages = sentences(self.left_out, len(self.left_out) + len(self.records), "logs")
+    def notices(self) -> tuple[Notice, ...]:
+        """Logs left out with the reason, their number, and whether no held-out test is left."""
+        notices = left_out_notices(self.left_out, len(self.left_out) + len(self.records), "logs")
         patterns = self.test_patterns
-        if messages and patterns is not None and not any(_matches(r, patterns) for r in self.records):
-            return (*messages, "split.test matches only logs that are left out: no test is held out")
-        return messages
+        if notices and patterns is not None and not any(_matches(r, patterns) for r in self.records):
+            sentence = "split.test matches only logs that are left out: no test is held out"
+            return (*notices, Notice("nothing-held-out", sentence, severity=Severity.WARNING))
+        return notices
 
     @property
     def step_s(self) -> float:

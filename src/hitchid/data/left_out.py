@@ -1,9 +1,10 @@
-"""Tests that cannot be used: left out with their reason, or where strictness is wanted an error at once."""
+"""Tests that cannot be used: left out with the reason, or in strict mode an error."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import NoReturn, TypeVar
 
+from hitchid._support.notices import Notice, Severity
 from hitchid.errors import InputError, LogError, SettingsError
 
 Item = TypeVar("Item")
@@ -60,8 +61,8 @@ def split_usable(
     return usable, left_out
 
 
-def sentences(left_out: Sequence[LeftOut], total: int, what: str) -> tuple[str, ...]:
-    """Return a sentence for each reason that names what it concerns, and one that counts.
+def left_out_notices(left_out: Sequence[LeftOut], total: int, what: str) -> tuple[Notice, ...]:
+    """Return a notice for each reason with the names concerned, and one with the count.
 
     Args:
         left_out: what is not used.
@@ -73,8 +74,12 @@ def sentences(left_out: Sequence[LeftOut], total: int, what: str) -> tuple[str, 
     names: dict[str, list[str]] = {}
     for item in left_out:
         names.setdefault(item.reason, []).append(item.name)
-    messages = [f"{', '.join(affected)}: left out: {reason}" for reason, affected in names.items()]
-    return (*messages, f"{len(left_out)} of {total} {what} left out")
+    notices = [
+        Notice("left-out", f"left out: {reason}", ", ".join(affected), Severity.WARNING)
+        for reason, affected in names.items()
+    ]
+    count = f"{len(left_out)} of {total} {what} left out"
+    return (*notices, Notice("left-out-count", count, severity=Severity.WARNING))
 
 
 def refuse(left_out: Sequence[LeftOut], what: str) -> NoReturn:

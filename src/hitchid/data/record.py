@@ -2,13 +2,14 @@
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
 
 from hitchid._support import checks
+from hitchid._support.notices import Notice
 from hitchid.data.resampling import GRID_TOLERANCE, REGULAR_CLOCK, ClockQuality
 from hitchid.data.units import UNITS, check_unit, conversion_factor
 from hitchid.errors import InputError
@@ -39,8 +40,8 @@ class Record:
         kind: `lifting`, `lowering`, `ramp`, `cycle` or `idle`.
         start_s: time of the first sample in the log, s.
         source: the file it was read from.
-        notices: what was done to the log on the way in.
-        clock: how even the log's clock was.
+        notices: changes made to the log while it was read.
+        clock: regularity of the log's clock.
     """
 
     name: str
@@ -50,7 +51,7 @@ class Record:
     kind: str = IDLE
     start_s: float = 0.0
     source: Path | None = None
-    notices: tuple[str, ...] = field(default=())
+    notices: tuple[Notice, ...] = ()
     clock: ClockQuality = REGULAR_CLOCK
 
     def __post_init__(self) -> None:
@@ -169,11 +170,13 @@ class Record:
         count = int(np.floor((len(self) - 1) * self.step_s / step_s * (1 + 1e-12))) + 1
         new_times_s = step_s * np.arange(count)
         old_times_s = self.step_s * np.arange(len(self))
+        sentence = f"resampled from {self.step_s:.4g} s to {step_s:.4g} s"
         return replace(
             self,
             step_s=step_s,
             signals=resampled(self.signals, old_times_s, new_times_s),
-            notices=(*self.notices, f"resampled from {self.step_s:.4g} s to {step_s:.4g} s"),
+            notices=(*self.notices, Notice("step-changed", sentence)),
+            clock=replace(self.clock, logged_step_s=self.clock.logged_step_s or self.step_s),
         )
 
     def convert(self, units: Mapping[str, str]) -> "Record":

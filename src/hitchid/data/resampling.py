@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from hitchid._support.notices import Notice
 from hitchid.errors import LogError
 
 LineOf = Callable[[int], int | None]
@@ -21,17 +22,19 @@ COMMAND_TOLERANCE, MOTION_TOLERANCE, SPEED_ROWS = 0.1, 0.05, 5
 
 @dataclass(frozen=True)
 class ClockQuality:
-    """How even a record's clock was in its log; all zero where the stamps lie on a uniform grid.
+    """Regularity of a log's clock; all zero where the stamps lie on a uniform grid.
 
     Attributes:
         jitter: largest deviation of an interval without lost samples, as a fraction of the sampling time.
         longest_gap_s: longest interval that was bridged, s; 0 where no sample was lost.
         interpolated_share: share of samples further from any stamp than 2 % of the sampling time.
+        logged_step_s: sampling time of the log, s, where the campaign has another; else None.
     """
 
     jitter: float = 0.0
     longest_gap_s: float = 0.0
     interpolated_share: float = 0.0
+    logged_step_s: float | None = None
 
 
 REGULAR_CLOCK = ClockQuality()
@@ -45,15 +48,15 @@ class LogSection:
         start, stop: row range.
         step_s: sampling time of the uniform grid, s.
         resampled: whether the rows must be interpolated onto the grid.
-        notice: what was found and done, empty where the clock was regular.
-        clock: the same in numbers.
+        notices: the gap before the section, and its resampling.
+        clock: regularity of the time stamps.
     """
 
     start: int
     stop: int
     step_s: float
     resampled: bool
-    notice: str
+    notices: tuple[Notice, ...] = ()
     clock: ClockQuality = REGULAR_CLOCK
 
 
@@ -127,12 +130,17 @@ def sections(
     for start, stop in pairwise([0, *cuts, time_s.size]):
         if stop - start < 2:
             continue
-        notice = ""
-        if start > 0:
-            gap = time_s[start] - time_s[start - 1]
-            notice = f"split at {time_s[start]:g} s: a gap of {gap:.3g} s, {gap / median:.1f} sampling times"
-        log_sections.append(_section(time_s, start, stop, notice, median))
+        log_sections.append(_section(time_s, start, stop, median))
     return log_sections
+
+
+def _gap_notices(time_s: np.ndarray, start: int, median: float) -> tuple[Notice, ...]:
+    """Return the notice of the gap before a section; none before the first."""
+    if start == 0:
+        return ()
+    gap = time_s[start] - time_s[start - 1]
+    sentence = f"split at {time_s[start]:g} s: a gap of {gap:.3g} s, {gap / median:.1f} sampling times"
+    return (Notice("gap-split", sentence),)
 
 
 class _GapBridging:
@@ -167,23 +175,23 @@ def uniform(stamps: np.ndarray, step_s: float) -> np.ndarray:
     return stamps[0] + step_s * np.arange(count)
 
 
-def _section(time_s: np.ndarray, start: int, stop: int, notice: str, median: float) -> LogSection:
-    stamps = time_s[start:stop]
+def _section(time_s: np.ndarray, start: int, stop: int, median: float) -> LogSection:
+    stamps, notices = time_s[start:stop], _gap_notices(time_s, start, median)
     intervals = np.diff(stamps)
     grid_indices = np.concatenate([[0], np.cumsum(np.maximum(1, np.rint(intervals / median)))])
     step = _nominal_step(stamps, int(grid_indices[-1]))
     deviation = np.max(np.abs(stamps - stamps[0] - step * grid_indices)) / step
     if deviation <= GRID_TOLERANCE and grid_indices[-1] == stamps.size - 1:
-        return LogSection(start, stop, step, resampled=False, notice=notice)
+        return LogSection(start, stop, step, resampled=False, notices=notices)
     # Between stamps that lie on no grid, a step of two digits is as good, and the same for like logs.
     step = step if deviation <= GRID_TOLERANCE else float(f"{median:.2g}")
     clock = _quality(stamps, step, median)
-    message = (
+    sentence = (
         f"resampled: the clock jitters by {clock.jitter:.1%} of {step:.4g} s"
         f"{_gap_text(clock)}; {clock.interpolated_share:.1%} of the samples are interpolated"
     )
-    notice = "; ".join(filter(None, [notice, message]))
-    return LogSection(start, stop, step, resampled=True, notice=notice, clock=clock)
+    notices = (*notices, Notice("clock-resampled", sentence))
+    return LogSection(start, stop, step, resampled=True, notices=notices, clock=clock)
 
 
 def _gap_text(clock: ClockQuality) -> str:

@@ -1,4 +1,4 @@
-"""What to measure next."""
+"""Optimal experiment design: the next test."""
 
 from hitchid.design.next_test import Advice as Advice
 from hitchid.design.next_test import ExcitationLimits as ExcitationLimits

@@ -1,4 +1,4 @@
-"""Which test next: of many that stay within limits, the one that narrows a parameter most."""
+"""Optimal experiment design: the next test within limits that reduces a parameter's standard error most."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -24,24 +24,25 @@ from hitchid.readers import write_table
 from hitchid.structures import DEAD_TIME, NONLINEARITY_PARAMETERS, Batch, PhysicalModel, padded_length
 from hitchid.uncertainty import Information
 
-CANDIDATES = 256
-MAX_LOW_RATIO, MIN_HIGH_RATIO = 0.8, 0.3
-CLOCK_S = (0.05, 3.0)
-LENGTHS = (0.5, 1.0, 2.0)
-TRAVEL_MARGIN = 1.02
-MAX_PROPOSALS = 5
-DEAD_ZONE_SHARE = 0.5
-ROUNDING = 1e-9
+CANDIDATES = 256  # tests evaluated; a power of two, as a Sobol sequence requires
+MAX_LOW_RATIO = 0.8  # low level over high level, largest; nearer levels hardly excite the dynamics
+MIN_HIGH_RATIO = 0.3  # high level over the largest command, smallest
+CLOCK_S = (0.05, 3.0)  # shortest and longest hold of a level, s: from a valve's lag to a whole stroke
+LENGTHS = (0.5, 1.0, 2.0)  # duration over that of a typical identification test
+TRAVEL_MARGIN = 1.02  # travel over that of the identification tests: 2 % for the model's error
+MAX_PROPOSALS = 5  # proposals returned
+DEAD_ZONE_SHARE = 0.5  # of a parameter's variance, from which on the dead zone limits it
+ROUNDING = 1e-9  # in samples, so that a whole number is not rounded down
 COLUMNS = MappingProxyType({LIFTING: "current_up_A", LOWERING: "current_down_A"})
 
 
 @dataclass(frozen=True)
 class ExcitationLimits:
-    """What a test may do; None takes what the identification tests did.
+    """Limits of a test; None takes those of the identification tests.
 
     Attributes:
         highest: largest command, as logged, in its unit.
-        travel: farthest way from the start, in the displacement's unit.
+        travel: largest distance from the start, in the displacement's unit.
         longest_s: longest duration, s.
     """
 
@@ -55,15 +56,15 @@ DEFAULT_LIMITS = ExcitationLimits()
 
 @dataclass(frozen=True)
 class Proposal:
-    """One test that might be run.
+    """A proposed binary test.
 
     Attributes:
         low, high: levels of the command beyond the dead zone, in its unit.
         clock_s: shortest time a level is held, s.
         duration_s: length, s.
         seed: of the sequence.
-        travel: how far the model says it goes, in the displacement's unit.
-        left: parameter to what share of its standard error it is expected to leave.
+        travel: largest distance from the start as simulated, in the displacement's unit.
+        remaining_error: parameter to its expected standard error after the test over that before.
     """
 
     low: float
@@ -72,26 +73,38 @@ class Proposal:
     duration_s: float
     seed: int
     travel: float
-    left: Mapping[str, float]
+    remaining_error: Mapping[str, float]
 
 
 @dataclass(frozen=True)
 class Advice:
-    """Which test to run next, and what it is worth.
+    """The best tests to run next, and the expected reduction of standard errors.
 
     Attributes:
-        mode: direction.
-        parameter: what is to be narrowed: the least determined, unless another was asked for.
+        direction: lifting or lowering.
+        parameter: the parameter whose error is reduced.
         proposals: the best first.
-        usual: parameter to what share of its standard error one more test like the ones there were leaves.
-        ramps: whether the dead zone, not the tests, is what the parameter waits for.
+        baseline_reduction: parameter to its expected standard error after one more test like the
+            identification tests, over that before.
+        ramps: whether the dead zone dominates the error, so that ramps reduce it more than any test.
     """
 
-    mode: str
+    direction: str
     parameter: str
     proposals: tuple[Proposal, ...]
-    usual: Mapping[str, float]
+    baseline_reduction: Mapping[str, float]
     ramps: bool
+
+    def describe(self) -> dict[str, object]:
+        """Return the content of JSON output."""
+        keys = {"remaining_error": "left"}
+        return {
+            "mode": self.direction,
+            "parameter": self.parameter,
+            "proposals": [{keys.get(k, k): value for k, value in vars(p).items()} for p in self.proposals],
+            "usual": self.baseline_reduction,
+            "ramps": self.ramps,
+        }
 
 
 @double_precision
@@ -103,20 +116,20 @@ def design(
     limits: ExcitationLimits = DEFAULT_LIMITS,
     seed: int = 0,
 ) -> Advice:
-    """Propose the next test: of many binary tests within limits, those that narrow a parameter most.
+    """Propose the next test: of many binary tests within limits, those that reduce a parameter's error most.
 
-    What a test would bring follows from the model itself: the derivatives of the benchmark's free run by its
-    parameters, and the errors as they were in the identification tests (`Information.widths_with`).
+    The expected standard errors follow from the derivatives of the physical model's free run by its
+    parameters and the residuals of the identification tests (`Information.standard_errors_with`).
 
     Args:
         model: an identified hitch.
         direction: direction; by default the one with the least determined parameter.
-        parameter: what is to be narrowed; by default the least determined that does not lie at a bound.
-        limits: highest command, farthest travel, longest duration.
+        parameter: whose error is to be reduced; by default the least determined that is not at a bound.
+        limits: largest command, travel and duration.
         seed: of the candidates and their sequences.
 
     Raises:
-        InputError: the model knows nothing of a direction or parameter, or no test stays within the limits.
+        InputError: the model has no such direction or parameter, or no test stays within the limits.
     """
     checks.instance(model, Hitch, "model", "a model as hitchid.load returns it")
     checks.instance(limits, ExcitationLimits, "limits", "Limits")
@@ -126,28 +139,26 @@ def design(
     checks.integer(seed, "seed")
     direction, parameter, information = _select_target(model, direction, parameter)
     channel, number = model.channels[direction], information.names.index(parameter)
-    current_errors, errors_with_repeat = (
-        information.standard_errors(),
-        information.standard_errors_with_repeat(),
-    )
+    errors = information.standard_errors()
+
+    def ratios(expected_errors: np.ndarray) -> dict[str, float]:
+        return dict(zip(information.names, map(float, expected_errors / errors), strict=True))
+
     proposals = [
-        replace(
-            proposal,
-            left=_by_parameter(information, information.standard_errors_with(jacobian) / current_errors),
-        )
+        replace(proposal, remaining_error=ratios(information.standard_errors_with(jacobian)))
         for proposal, jacobian in _candidates(channel, information, limits, model.step_s, seed)
     ]
     if not proposals:
         raise InputError(
             f"{direction}: none of {CANDIDATES} tests stays within the limits; required wider ones"
         )
-    proposals.sort(key=lambda proposal: proposal.left[parameter])
+    proposals.sort(key=lambda proposal: proposal.remaining_error[parameter])
     return Advice(
-        mode=direction,
+        direction=direction,
         parameter=parameter,
         proposals=tuple(proposals[:MAX_PROPOSALS]),
-        usual=_by_parameter(information, errors_with_repeat / current_errors),
-        ramps=bool(information.fixed[number][number] > DEAD_ZONE_SHARE * current_errors[number] ** 2),
+        baseline_reduction=ratios(information.standard_errors_with_repeat()),
+        ramps=bool(information.fixed[number][number] > DEAD_ZONE_SHARE * errors[number] ** 2),
     )
 
 
@@ -163,19 +174,19 @@ def write_command(model: Hitch, advice: Advice, path: Path, *, force: bool = Fal
     Raises:
         OutputError: the file exists and `force` is not given, or it cannot be written.
     """
-    command = command_of(model, advice.mode, advice.proposals[0])
+    command = command_of(model, advice.direction, advice.proposals[0])
     columns = {"time_s": model.step_s * np.arange(command.size)}
     for direction in model.channels:
         unit = model.units[COMMAND[direction]]
         name = COLUMNS[direction] if unit == "A" else f"{COMMAND[direction]}_{unit}"
-        columns[name] = command if direction == advice.mode else np.zeros_like(command)
+        columns[name] = command if direction == advice.direction else np.zeros_like(command)
     write_file(path, lambda temporary_path: write_table(temporary_path, columns), force=force)
 
 
 def _select_target(
     model: Hitch, direction: str | None, parameter: str | None
 ) -> tuple[str, str, Information]:
-    """Return the direction and the parameter that are least determined of those asked for."""
+    """Return the least determined direction and parameter among those allowed."""
     interval_widths = {
         (channel_name, estimate.name): (estimate.log_interval_width, uncertainty.information)
         for channel_name, uncertainty in model.uncertainty.items()
@@ -185,15 +196,11 @@ def _select_target(
     }
     matching = [key for key in interval_widths if direction in (None, key[0]) and parameter in (None, key[1])]
     if not matching:
-        request = " ".join(word for word in (direction, parameter) if word) or "anything"
+        request = " ".join(name for name in (direction, parameter) if name) or "anything"
         available = ", ".join(" ".join(key) for key in interval_widths) or "nothing"
-        raise InputError(f"design: required what a test could narrow, {available}; came {request}")
+        raise InputError(f"design: required a parameter with an error, {available}; came {request}")
     best = max(matching, key=lambda key: interval_widths[key][0])
     return *best, interval_widths[best][1]
-
-
-def _by_parameter(information: Information, values: np.ndarray) -> dict[str, float]:
-    return dict(zip(information.names, map(float, values), strict=True))
 
 
 def _candidates(
@@ -226,7 +233,7 @@ def _candidates(
                 duration_s=duration_s,
                 seed=seed,
                 travel=0.0,
-                left={},
+                remaining_error={},
             )
             for low, high, clock in chunk * [MAX_LOW_RATIO, 1 - MIN_HIGH_RATIO, 1.0]
             + [0.0, MIN_HIGH_RATIO, 0.0]
@@ -256,7 +263,7 @@ def _signal(proposal: Proposal, step_s: float) -> np.ndarray:
 
 
 def _batch(channel: Channel, commands: Float[np.ndarray, "t n"], step_s: float) -> Batch:
-    """Return tests that are yet to be run, from where such tests start."""
+    """Return candidate tests as a batch that starts where the identification tests started."""
     assert channel.envelope is not None  # noqa: S101 - every identified channel has one
     ends = channel.envelope.displacement
     start = ends.lowest if channel.sign > 0 else ends.highest
@@ -279,7 +286,7 @@ def _batch(channel: Channel, commands: Float[np.ndarray, "t n"], step_s: float) 
 def _derivatives(
     channel: Channel, information: Information, batch: Batch
 ) -> tuple[np.ndarray, Float[np.ndarray, "t n d"]]:
-    """Return travel, and its derivatives by the parameters' places between their bounds."""
+    """Return travel, and its derivatives by the parameters as scaled between their bounds."""
     physical_model = channel.benchmark
     names = [
         *(p.name for p in physical_model.structure.parameters),

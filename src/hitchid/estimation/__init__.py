@@ -1,19 +1,19 @@
-"""Fitting: the misfit of a form over tests, global searches of it, and the least-squares polish."""
+"""Fitting: the objective of a form over tests, global searches of it, and least squares."""
 
+from hitchid.estimation.correlations import search_problem as search_problem
+from hitchid.estimation.global_search import DifferentialEvolution as DifferentialEvolution
+from hitchid.estimation.global_search import MultiStart as MultiStart
+from hitchid.estimation.global_search import Search as Search
+from hitchid.estimation.global_search import SearchResult as SearchResult
+from hitchid.estimation.global_search import Whale as Whale
+from hitchid.estimation.least_squares import LeastSquaresResult as LeastSquaresResult
+from hitchid.estimation.least_squares import best_refined as best_refined
+from hitchid.estimation.least_squares import refine as refine
 from hitchid.estimation.objective import Objective as Objective
 from hitchid.estimation.objective import allows_per_test_gain as allows_per_test_gain
 from hitchid.estimation.objective import refine_subset as refine_subset
-from hitchid.estimation.search import DifferentialEvolution as DifferentialEvolution
-from hitchid.estimation.search import LeastSquaresResult as LeastSquaresResult
-from hitchid.estimation.search import MultiStart as MultiStart
-from hitchid.estimation.search import Search as Search
-from hitchid.estimation.search import SearchProblem as SearchProblem
-from hitchid.estimation.search import SearchResult as SearchResult
-from hitchid.estimation.search import Whale as Whale
-from hitchid.estimation.search import best_refined as best_refined
-from hitchid.estimation.search import refine as refine
 from hitchid.estimation.search_history import SearchComparison as SearchComparison
 from hitchid.estimation.search_history import SearchHistory as SearchHistory
 from hitchid.estimation.search_history import SearchRun as SearchRun
 from hitchid.estimation.search_history import compare_searches as compare_searches
-from hitchid.estimation.search_problem import search_problem as search_problem
+from hitchid.estimation.search_problem import SearchProblem as SearchProblem

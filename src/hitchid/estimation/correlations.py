@@ -1,12 +1,17 @@
 """The error of a linear model over all tests from their correlations, collected once."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hitchid.structures import Batch
+from hitchid.estimation.bounds import Bounds
+from hitchid.estimation.objective import Objective, traced
+from hitchid.estimation.search_problem import SearchProblem
+from hitchid.structures import Batch, ModelSpec, Scales, pulse_response
 
 MAX_SAMPLES = 4096
 MAX_SAMPLES_PER_TEST = 256
@@ -89,6 +94,47 @@ def correlations_applicable(batch: Batch) -> bool:
     tests, samples = loss_mask.shape
     mask_is_prefix = bool(np.all(loss_mask[:, :-1] >= loss_mask[:, 1:]))
     return mask_is_prefix and samples <= min(MAX_SAMPLES, MAX_SAMPLES_PER_TEST * tests)
+
+
+class CorrelationObjective(eqx.Module):
+    """J of a linear model over tests, at the same cost for any number of them; see `Correlations`.
+
+    Attributes:
+        correlations: of the tests.
+        spec: what is searched.
+        scales: scales of the nonlinearities.
+        bounds: of its parameters.
+        step_s: sampling time, s.
+    """
+
+    correlations: Correlations
+    spec: ModelSpec = eqx.field(static=True)
+    scales: Scales
+    bounds: Bounds
+    step_s: float
+
+    def __call__(self, positions: Float[Array, "p d"]) -> Float[Array, " p"]:
+        """Return J at each of p positions."""
+
+        def response(position: Float[Array, " d"]) -> Float[Array, " n"]:
+            benchmark = self.spec.physical_model(self.bounds.values(position), self.scales)
+            return pulse_response(
+                benchmark.discretised(self.step_s), self.correlations.cross_correlation.size
+            )
+
+        return jnp.sqrt(self.correlations.mean_square(jax.vmap(response)(positions)))
+
+
+def search_problem(objective: Objective) -> SearchProblem:
+    """Return the problem of a global search: by correlations where these are defined, else by simulation."""
+    problem = objective.problem()
+    spec, batch = objective.spec, objective.batch
+    linear = spec.structure.linear is not None and not spec.nonlinearity_parameters
+    if not (linear and correlations_applicable(batch)):
+        return problem
+    correlations = Correlations.of(batch)
+    fitness = CorrelationObjective(correlations, spec, objective.scales, objective.bounds, batch.step_s)
+    return replace(problem, fitness=traced(fitness))
 
 
 @jax.jit

@@ -1,41 +1,20 @@
 """Bounded nonlinear least squares in the unit cube, from the normal equations of compiled programs."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from hitchid.errors import FitError
+from hitchid.estimation.search_problem import NormalEquations, SearchProblem
+
 INITIAL_DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-3, 1e-12, 1e12
 MIN_GAIN_RATIO = 1e-4
 MAX_STEP, BOUND_FRACTION, BOUND_TOLERANCE = 0.1, 0.9, 1e-3
 MIN_SCALE = 1e-300
-
-
-class NormalEquations(NamedTuple):
-    """The sum of squared residuals at a position, to second order as Gauss and Newton have it.
-
-    Attributes:
-        cost: ‖r‖².
-        gradient: Jᵀ r, shape [D].
-        curvature: Jᵀ J, shape [D, D].
-    """
-
-    cost: float
-    gradient: Float[np.ndarray, " d"]
-    curvature: Float[np.ndarray, "d d"]
-
-    @property
-    def finite(self) -> bool:
-        """Whether every number is finite."""
-        return bool(
-            np.isfinite(self.cost) and np.isfinite(self.gradient).all() and np.isfinite(self.curvature).all()
-        )
-
-    def subset(self, columns: np.ndarray) -> "NormalEquations":
-        """Return those of some of the parameters, by their numbers."""
-        return NormalEquations(self.cost, self.gradient[columns], self.curvature[np.ix_(columns, columns)])
 
 
 class StopReason(Enum):
@@ -120,6 +99,67 @@ def minimise(
             reason = StopReason.CONVERGED
             break
     return Minimum(position, current, steps, reason)
+
+
+@dataclass(frozen=True)
+class LeastSquaresResult:
+    """Where least squares ended.
+
+    Attributes:
+        position: in the unit cube, shape [D].
+        fitness: root mean square of the residuals.
+        evaluations: simulations of all tests, a Jacobian counting one for each dimension.
+        reason: why it stopped.
+    """
+
+    position: np.ndarray
+    fitness: float
+    evaluations: int
+    reason: StopReason
+
+
+def refine(
+    problem: SearchProblem, start: np.ndarray, *, limit: int = 200, tolerance: float = 1e-14
+) -> LeastSquaresResult:
+    """Descend from a position to the bottom of its valley by bounded nonlinear least squares; see `minimise`.
+
+    Args:
+        problem: what to minimise.
+        start: a position in the unit cube.
+        limit: largest number of positions, the start included.
+        tolerance: relative change of fitness or position below which to stop.
+
+    Raises:
+        FitError: the residuals at the start or their derivative are not finite.
+    """
+    minimum = minimise(problem.normal_equations, start, limit=limit, tolerance=tolerance)
+    if minimum is None:
+        raise FitError("the simulation failed at the start of the least squares; narrow the bounds")
+    return LeastSquaresResult(
+        position=minimum.position,
+        fitness=float(np.sqrt(minimum.equations.cost / problem.samples)),
+        evaluations=minimum.steps * (1 + problem.dimensions),
+        reason=minimum.reason,
+    )
+
+
+def best_refined(
+    problem: SearchProblem, starts: Iterable[np.ndarray], *, limit: int, tolerance: float
+) -> LeastSquaresResult:
+    """Return the best of several least squares; a start that cannot be simulated counts for nothing.
+
+    Raises:
+        FitError: none of the starts can be simulated.
+    """
+    results, failure = [], FitError("least squares: required at least one start, came none")
+    for start in starts:
+        try:
+            results.append(refine(problem, start, limit=limit, tolerance=tolerance))
+        except FitError as error:
+            failure = error
+    if not results:
+        raise failure
+    return min(results, key=lambda result: result.fitness)
 
 
 def _step(current: NormalEquations, position: np.ndarray, damping: np.ndarray) -> Float[np.ndarray, " d"]:

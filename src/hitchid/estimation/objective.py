@@ -13,8 +13,8 @@ from jaxtyping import Array, Float
 
 from hitchid.errors import FitError
 from hitchid.estimation.bounds import Bounds
-from hitchid.estimation.least_squares import NormalEquations
-from hitchid.estimation.search import LeastSquaresResult, SearchProblem, best_refined
+from hitchid.estimation.least_squares import LeastSquaresResult, best_refined
+from hitchid.estimation.search_problem import NormalEquations, SearchProblem
 from hitchid.structures import Batch, ModelSpec, Scales
 from hitchid.structures.structure import Scale
 

@@ -10,17 +10,17 @@ from hitchid._support.checkpoints import DISABLED, Checkpoints
 from hitchid._support.storage import digest
 from hitchid._support.versions import installed_versions
 from hitchid.errors import FitError
-from hitchid.estimation.objective import Objective
-from hitchid.estimation.search import (
+from hitchid.estimation.correlations import search_problem
+from hitchid.estimation.global_search import (
     DifferentialEvolution,
     MultiStart,
     Search,
-    SearchProblem,
     SearchResult,
     Whale,
+    WhaleConfig,
 )
-from hitchid.estimation.search_problem import search_problem
-from hitchid.estimation.whale import WhaleConfig
+from hitchid.estimation.objective import Objective
+from hitchid.estimation.search_problem import SearchProblem
 
 BUDGET = 600
 SEEDS = 8

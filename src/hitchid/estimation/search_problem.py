@@ -1,56 +1,53 @@
-"""What a global search minimises: the error from correlations where that is defined, else by simulation."""
+"""The problem that searches and least squares solve: fitness and normal equations over the unit cube."""
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-from hitchid.estimation.bounds import Bounds
-from hitchid.estimation.correlations import Correlations, correlations_applicable
-from hitchid.estimation.objective import Objective, traced
-from hitchid.estimation.search import SearchProblem
-from hitchid.structures import ModelSpec, Scales, pulse_response
-from hitchid.structures.structure import LinearStructure
+FitnessFunction = Callable[[Float[Array, "p d"]], Float[Array, " p"]]
 
 
-class CorrelationObjective(eqx.Module):
-    """J of a linear form over tests, at the same cost for any number of them; see `Correlations`.
+class NormalEquations(NamedTuple):
+    """The sum of squared residuals at a position, to second order as Gauss and Newton have it.
 
     Attributes:
-        correlations: of the tests.
-        spec: what is searched.
-        scales: what the form's curves would be measured in.
-        bounds: of its parameters.
-        step_s: sampling time, s.
+        cost: ‖r‖².
+        gradient: Jᵀ r, shape [D].
+        curvature: Jᵀ J, shape [D, D].
     """
 
-    correlations: Correlations
-    spec: ModelSpec = eqx.field(static=True)
-    scales: Scales
-    bounds: Bounds
-    step_s: float
+    cost: float
+    gradient: Float[np.ndarray, " d"]
+    curvature: Float[np.ndarray, "d d"]
 
-    def __call__(self, positions: Float[Array, "p d"]) -> Float[Array, " p"]:
-        """Return J at each of p positions."""
+    @property
+    def finite(self) -> bool:
+        """Whether every number is finite."""
+        return bool(
+            np.isfinite(self.cost) and np.isfinite(self.gradient).all() and np.isfinite(self.curvature).all()
+        )
 
-        def response(position: Float[Array, " d"]) -> Float[Array, " n"]:
-            benchmark = self.spec.physical_model(self.bounds.values(position), self.scales)
-            return pulse_response(
-                benchmark.discretised(self.step_s), self.correlations.cross_correlation.size
-            )
-
-        return jnp.sqrt(self.correlations.mean_square(jax.vmap(response)(positions)))
+    def subset(self, columns: np.ndarray) -> "NormalEquations":
+        """Return those of some of the parameters, by their numbers."""
+        return NormalEquations(self.cost, self.gradient[columns], self.curvature[np.ix_(columns, columns)])
 
 
-def search_problem(objective: Objective) -> SearchProblem:
-    """Return the problem that a global search of a misfit is given."""
-    problem = objective.problem()
-    spec, batch = objective.spec, objective.batch
-    linear = isinstance(spec.structure, LinearStructure) and not spec.nonlinearity_parameters
-    if not (linear and correlations_applicable(batch)):
-        return problem
-    correlations = Correlations.of(batch)
-    fitness = CorrelationObjective(correlations, spec, objective.scales, objective.bounds, batch.step_s)
-    return replace(problem, fitness=traced(fitness))
+@dataclass(frozen=True)
+class SearchProblem:
+    """What is minimised: the root mean square of residuals over the unit cube.
+
+    Attributes:
+        dimensions: D.
+        fitness: from positions of shape [P, D] to fitness of shape [P], fit for jit; as a module it is
+            compiled once for all searches over tests of one shape.
+        samples: M, how many residuals there are.
+        normal_equations: of the residuals at a position of shape [D], compiled.
+    """
+
+    dimensions: int
+    fitness: FitnessFunction
+    samples: int
+    normal_equations: Callable[[np.ndarray], NormalEquations]

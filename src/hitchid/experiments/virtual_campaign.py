@@ -16,7 +16,7 @@ from hitchid._support.storage import write_folder
 from hitchid.data.record import COMMAND, DIRECTIONS, DISPLACEMENT, LIFTING, LOWERING, RAMP, Record
 from hitchid.errors import InputError
 from hitchid.experiments import excitation
-from hitchid.identification.deadzone import from_ramps
+from hitchid.identification.dead_zone import from_ramps
 from hitchid.readers import write_table
 from hitchid.rig import Rig, load_rig, measure, rig_limits, simulate
 

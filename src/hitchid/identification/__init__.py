@@ -1,9 +1,9 @@
 """Identification: dead zones, phase 1, phase 2; `identify` is the way in."""
 
-from hitchid.estimation.search import DifferentialEvolution as DifferentialEvolution
-from hitchid.estimation.search import MultiStart as MultiStart
-from hitchid.estimation.search import Search as Search
-from hitchid.estimation.search import Whale as Whale
+from hitchid.estimation import DifferentialEvolution as DifferentialEvolution
+from hitchid.estimation import MultiStart as MultiStart
+from hitchid.estimation import Search as Search
+from hitchid.estimation import Whale as Whale
 from hitchid.identification.campaign_job import Identification as Identification
 from hitchid.identification.direction import ChannelTrace as ChannelTrace
 from hitchid.identification.identify import identify as identify

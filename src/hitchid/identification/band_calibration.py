@@ -98,7 +98,8 @@ def _parameter_vector(channel: Channel, phase1: Phase1, position: np.ndarray) ->
             jnp.asarray(objective.values(position)), objective.scales
         ).parameter_vector
     )
-    vector[0] *= float(channel.benchmark.values[0]) / phase1.fit.values[0]
+    if objective.spec.structure.gain:
+        vector[objective.spec.structure.gain_index] *= float(channel.benchmark.gain) / phase1.fit.gain
     return tuple(map(float, vector))
 
 

@@ -14,7 +14,7 @@ from hitchid.data.campaign import Campaign
 from hitchid.data.record import COMMAND, CYCLE, DISPLACEMENT, Record
 from hitchid.errors import InputError, SettingsError
 from hitchid.estimation import Search, SearchComparison
-from hitchid.identification.deadzone import DeadZone
+from hitchid.identification.dead_zone import DeadZone
 from hitchid.identification.direction import ChannelConfig, ChannelTrace, with_calibrated_gain
 from hitchid.identification.gain_calibration import calibrate_gains, calibration_improves
 from hitchid.identification.hold_drift import hold_drift
@@ -26,7 +26,6 @@ from hitchid.identification.selection import AutoStructure
 from hitchid.identification.trace import describe_channel
 from hitchid.model import Channel, Hitch, Provenance, TravelLimits, save
 from hitchid.structures import ModelSpec
-from hitchid.structures.nonlinear import NonlinearStructure
 
 ChannelResults = Mapping[str, tuple[Channel, ChannelTrace]]
 
@@ -315,8 +314,8 @@ def _fingerprints(campaign: Campaign, kinds: tuple[str, ...]) -> set[str]:
 
 
 def _uses_raw_command(spec: ModelSpec | AutoStructure) -> bool:
-    """Tell whether a form hears the whole command, dead zone and all."""
-    return isinstance(spec, ModelSpec) and isinstance(spec.structure, NonlinearStructure)
+    """Tell whether a form takes the whole command, from which no dead zone is removed."""
+    return isinstance(spec, ModelSpec) and spec.structure.uses_raw_command
 
 
 def _with_covariate(spec: ModelSpec | AutoStructure, *covariates: str) -> ModelSpec | AutoStructure:

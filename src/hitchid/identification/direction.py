@@ -24,7 +24,7 @@ from hitchid.data.record import DIRECTIONS
 from hitchid.estimation import Objective, Search, SearchComparison, SearchHistory, compare_searches
 from hitchid.identification.band_calibration import calibrate_bands
 from hitchid.identification.baselines import fit_arx, fit_black_box
-from hitchid.identification.deadzone import DeadZone
+from hitchid.identification.dead_zone import DeadZone
 from hitchid.identification.gain_calibration import with_gain
 from hitchid.identification.narx import fit_narx
 from hitchid.identification.optional import attempt
@@ -136,7 +136,7 @@ def with_calibrated_gain(
 ) -> tuple[Channel, ChannelTrace]:
     """Return a channel with a factor on its gain, and its trace with it."""
     channel = with_gain(channel, factor)
-    assessment = trace.phase1.assessment.scaled(factor)
+    assessment = trace.phase1.assessment.scaled(channel.benchmark.structure.gain, factor)
     phase1 = replace(trace.phase1, benchmark=channel.benchmark, assessment=assessment)
     notice = f"gain times {factor:.4f}, so that whole mixed logs agree best in free run"
     scaled_characteristics = trace.characteristics and trace.characteristics.scaled(factor)

@@ -3,14 +3,12 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-import equinox as eqx
 import numpy as np
 from scipy.optimize import least_squares
 
 from hitchid._support.metrics import proven_better
 from hitchid.data.record import Record
 from hitchid.model import Channel, Hitch
-from hitchid.structures.structure import LinearStructure
 
 MAX_LOG_FACTOR = 0.1
 SAMPLE_STRIDE = 10
@@ -83,11 +81,7 @@ def calibration_improves(hitch: Hitch, records: Sequence[Record]) -> bool:
 def _with_gains(hitch: Hitch) -> list[str]:
     """Return the modes whose channels have a gain."""
     channels = hitch.channels.items()
-    return [
-        direction
-        for direction, channel in channels
-        if isinstance(channel.benchmark.structure, LinearStructure)
-    ]
+    return [direction for direction, channel in channels if channel.benchmark.structure.gain]
 
 
 def _residuals(
@@ -103,15 +97,14 @@ def _residuals(
 
 def scaled(hitch: Hitch, factors: Mapping[str, float]) -> Hitch:
     """Return a hitch with factors on the gains of its channels."""
-    channels = {
-        direction: with_gain(channel, factors.get(direction, 1.0))
-        for direction, channel in hitch.channels.items()
-    }
-    return replace(hitch, channels=channels)
+    scaled_channels = {name: with_gain(hitch.channels[name], factor) for name, factor in factors.items()}
+    return replace(hitch, channels={**hitch.channels, **scaled_channels})
 
 
 def with_gain(channel: Channel, factor: float) -> Channel:
-    """Return a channel with a factor on its gain, the first parameter of a linear structure."""
-    return eqx.tree_at(
-        lambda target: target.benchmark.values, channel, channel.benchmark.values.at[0].multiply(factor)
-    )
+    """Return a channel with its gain multiplied by a factor.
+
+    Raises:
+        InputError: its structure has no gain.
+    """
+    return replace(channel, benchmark=channel.benchmark.with_gain(factor))

@@ -7,8 +7,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 from hitchid._support.metrics import proven_better
-from hitchid.estimation import Objective
-from hitchid.estimation.search import refine
+from hitchid.estimation import Objective, refine
 from hitchid.identification.preparation import ChannelData
 from hitchid.model import TwoModes
 from hitchid.structures import Batch, ModelSpec, structure_named

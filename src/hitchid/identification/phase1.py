@@ -11,7 +11,6 @@ from hitchid._support.progress import IterationCallback
 from hitchid.estimation import Objective, Search, SearchResult, best_refined, refine, search_problem
 from hitchid.identification.optional import attempt
 from hitchid.structures import Batch, ModelSpec, PhysicalModel
-from hitchid.structures.nonlinear import NonlinearStructure
 from hitchid.uncertainty import NO_ERROR, DeadZoneError, Estimate, Estimates, Influence, assess, unassessed
 
 GAIN_ITERATIONS = 3
@@ -37,6 +36,11 @@ class Fit:
     def values(self) -> np.ndarray:
         """The parameters, shape [D]."""
         return self.objective.values(self.position)
+
+    @property
+    def gain(self) -> float:
+        """The gain; raises InputError where the structure has none."""
+        return float(self.values[self.objective.spec.structure.gain_index])
 
 
 @dataclass(frozen=True)
@@ -179,12 +183,10 @@ def _with_calibrated_gain(objective: Objective, position: np.ndarray) -> np.ndar
     for _ in range(GAIN_ITERATIONS):
         travel = objective.spec.physical_model(jnp.asarray(values), objective.scales).travel(objective.batch)
         travel = jnp.where(objective.batch.loss_mask, travel, 0.0)
-        values[0] *= float(jnp.sum(travel * measured) / jnp.sum(travel**2))
+        values[objective.spec.structure.gain_index] *= float(jnp.sum(travel * measured) / jnp.sum(travel**2))
     return objective.position(values)
 
 
 def _local_starts(spec: ModelSpec, seed: int) -> list[np.ndarray]:
-    """Return further positions to start least squares from, for a structure with more than one valley."""
-    if not isinstance(spec.structure, NonlinearStructure):
-        return []
+    """Return further starting points of least squares, for a structure with more than one minimum."""
     return list(np.random.default_rng(seed).random((spec.structure.local_starts, len(spec.parameters))))

@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from hitchid.data.campaign import STROKE_SEPARATOR, Campaign
-from hitchid.data.left_out import LeftOut, refuse, sentences, split_usable
+from hitchid.data.left_out import LeftOut, left_out_notices, refuse, split_usable
 from hitchid.data.record import CYCLE, DIRECTIONS, LIFTING, Record
 from hitchid.data.test_kinds import ACTIVE_FRACTION, end_stop_contact, split_by_direction
 from hitchid.errors import InputError, LogError
-from hitchid.identification.deadzone import (
+from hitchid.identification.dead_zone import (
     DeadZone,
     from_onsets,
     from_tests,
@@ -87,7 +87,8 @@ def prepare(
     records = campaign.identification(direction)
     if not records:
         raise InputError(
-            f"all {len(campaign.of_kind(direction))} {direction} tests are held out; none is left to identify from"
+            f"all {len(campaign.of_kind(direction))} {direction} tests are held out; none is left to identify "
+            "from"
         )
     strict, total = campaign.strict, len(records)
     records, without_covariate = split_usable(
@@ -110,20 +111,21 @@ def prepare(
             f"{r.name.partition(STROKE_SEPARATOR)[0]}: {notice}" for r in records for notice in r.notices
         )
     )
-    notices += sentences(left_out, total, f"{direction} tests")
+    notices += map(str, left_out_notices(left_out, total, f"{direction} tests"))
     if sign != _expected_sign(direction):
         notices.append(
             f"the displacement {'grows' if sign > 0 else 'falls'} in {direction}: taken as measured"
         )
     if end_stop is not None:
         notices.append(
-            f"end stop at {end_stop:.4g} {records[0].unit}, met in {contacts} of {total - len(without_covariate)} "
-            "tests; samples at it are left out"
+            f"end stop at {end_stop:.4g} {records[0].unit}, met in {contacts} of "
+            f"{total - len(without_covariate)} tests; samples at it are left out"
         )
     signals = [_test_signals(record, direction, sign, end_stop) for record in records]
     if dead_zone is None:
         dead_zone, unmoved_ramps = _dead_zone_from_ramps(campaign, direction, sign, signals)
-        notices += sentences(unmoved_ramps, len(campaign.ramps(direction)), f"{direction} ramps")
+        ramps = len(campaign.ramps(direction))
+        notices += map(str, left_out_notices(unmoved_ramps, ramps, f"{direction} ramps"))
         left_out += unmoved_ramps
     if dead_zone is None:
         dead_zone = from_tests(signals, campaign.step_s)

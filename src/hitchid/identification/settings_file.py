@@ -10,8 +10,8 @@ from pydantic import Field
 from hitchid.data.record import DIRECTIONS
 from hitchid.data.signal_map import Strict, parse_settings
 from hitchid.errors import InputError, SettingsError
-from hitchid.estimation import DifferentialEvolution, MultiStart, Search, SearchComparison, Whale, whale
-from hitchid.estimation.search import EVALUATIONS
+from hitchid.estimation import DifferentialEvolution, MultiStart, Search, SearchComparison, Whale
+from hitchid.estimation.global_search import EVALUATIONS, WhaleConfig
 from hitchid.identification.identify import DEFAULT_STRUCTURES
 from hitchid.identification.phase2 import CompensatorConfig
 from hitchid.identification.rollouts import Rollouts
@@ -67,9 +67,9 @@ class SearchSection(Strict):
         if self.method == "differential-evolution":
             members = self.population or DifferentialEvolution.population
             return DifferentialEvolution(evaluations=self.evaluations, population=members)
-        population = self.population or whale.WhaleConfig.population
+        population = self.population or WhaleConfig.population
         return Whale(
-            whale.WhaleConfig(
+            WhaleConfig(
                 population=population,
                 iterations=max(1, self.evaluations // population),
                 evaluations=self.evaluations,
@@ -149,17 +149,10 @@ def read_settings(path: Path) -> Settings:
 
 def _spec(direction: str, section: ChannelSection) -> ModelSpec | AutoStructure:
     if section.structure == AUTOMATIC:
-        decided_fields = {
-            "dead_time",
-            "curve",
-            "spool",
-            "slope",
-            "position",
-            "bounds",
-        } & section.model_fields_set
-        if decided_fields:
+        decided = section.model_fields_set - {"structure", "load", "dead_zone"}
+        if decided:
             raise InputError(
-                f"{direction}: structure '{AUTOMATIC}' decides on {' and '.join(sorted(decided_fields))} itself; "
+                f"{direction}: structure '{AUTOMATIC}' decides on {' and '.join(sorted(decided))} itself; "
                 "required the name of a structure beside it"
             )
         return replace(DEFAULT_STRUCTURES[direction], covariate=section.load)

@@ -1,6 +1,7 @@
 """A look at logs before any fit, and a first `campaign.toml` from them."""
 
-from hitchid.inspection.inspect_logs import Inspection as Inspection
 from hitchid.inspection.inspect_logs import inspect as inspect
 from hitchid.inspection.inspect_logs import inspect_campaign as inspect_campaign
 from hitchid.inspection.propose import propose as propose
+from hitchid.inspection.results import InspectedRecord as InspectedRecord
+from hitchid.inspection.results import Inspection as Inspection

@@ -1,9 +1,12 @@
-"""From files to a campaign: `read` finds the logs, their signal map and their format."""
+"""From log files to a campaign; formats are registered in `formats`."""
 
 from hitchid.readers.content import ChannelSelection as ChannelSelection
 from hitchid.readers.content import Content as Content
+from hitchid.readers.content import LogChannel as LogChannel
+from hitchid.readers.content import match_channels as match_channels
 from hitchid.readers.folders import find_logs as find_logs
 from hitchid.readers.folders import settings_of as settings_of
+from hitchid.readers.formats import Format as Format
 from hitchid.readers.formats import format_of as format_of
 from hitchid.readers.formats import write_table as write_table
 from hitchid.readers.process import ReaderProcess as ReaderProcess

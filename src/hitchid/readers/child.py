@@ -1,7 +1,7 @@
-"""The program that reads logs for another process; see `process`.
+"""The program of the reader process; see `process`.
 
-A request is a line of JSON. The answer is a line once the format's libraries are loaded, then a line of JSON
-and the samples behind it, float64 in the machine's byte order.
+A request is a line of JSON. The response is a line once the format's libraries are loaded, a line of JSON,
+and the samples, float64 in the machine's byte order.
 """
 
 import importlib
@@ -9,8 +9,9 @@ import json
 import os
 import signal
 import sys
+from collections.abc import Mapping
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 import numpy as np
 
@@ -19,14 +20,15 @@ from hitchid.readers.content import MAX_UNPACK_RATIO, ChannelSelection, Content,
 from hitchid.readers.formats import Format, format_of
 from hitchid.readers.process import READY
 
+# Memory limit, bytes: a part for the interpreter and libraries, and bytes a byte of the file; chosen.
 BASE_MEMORY_BYTES, MEMORY_PER_FILE_BYTE = 3 * 2**29, 16
 
 
 def main() -> None:
     """Answer requests from standard input until it ends."""
     output = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # whatever a library prints must not come between the answers
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that asks decides when this one ends
+    os.dup2(2, 1)  # output of a library must not mix with the responses
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent process decides when this one ends
     for request in sys.stdin.buffer:
         query = json.loads(request)
         path = Path(query["path"])
@@ -53,7 +55,7 @@ def _load_libraries(log_format: Format) -> None:
     for library in log_format.libraries:
         try:
             importlib.import_module(library)
-        except ImportError:  # the reader says what is missing
+        except ImportError:  # the reader's error names the missing library
             return
 
 
@@ -83,13 +85,13 @@ def _send_content(output: IO[bytes], content: Content, max_bytes: int) -> None:
     output.flush()
 
 
-def _send(output: IO[bytes], response: dict[str, Any]) -> None:
+def _send(output: IO[bytes], response: Mapping[str, object]) -> None:
     output.write(json.dumps(response).encode() + b"\n")
     output.flush()
 
 
 def _limit_memory(path: Path) -> None:
-    """Bound what a damaged file may ask for by its size, where the system can."""
+    """Limit the memory by the size of the file, on systems that can."""
     try:
         import resource
     except ImportError:

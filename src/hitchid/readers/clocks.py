@@ -1,4 +1,4 @@
-"""Several time bases in one file, taken to the slowest of them."""
+"""Resampling of channels with several clocks onto the slowest of them."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,19 +10,19 @@ from hitchid.data.resampling import GAP_FACTOR, unique_stamp_rows
 from hitchid.errors import LogError
 from hitchid.readers.content import LogChannel
 
-SIGNED_COMMAND = "command"
-HOLD_ROLES = (SIGNED_COMMAND, *COMMAND.values())
-CLOCK_TOLERANCE_S = 1e-9
+SIGNED_COMMAND = "command"  # role of one command for both directions
+HOLD_ROLES = (SIGNED_COMMAND, *COMMAND.values())  # hold their last value between samples
+CLOCK_TOLERANCE_S = 1e-9  # s; rounding of time stamps
 
 
 def resample_to_common_clock(
     source: Path, time: LogChannel | None, channels: Mapping[str, LogChannel], names: Mapping[str, str]
 ) -> tuple[np.ndarray, dict[str, np.ndarray], list[str]]:
-    """Return time stamps, s, and every channel's samples at them, and what was done.
+    """Return time stamps, s, every channel's samples at them, and notices.
 
-    Where a channel holds the time, it counts for all. Else each channel has a clock of its own, and all are
-    taken to the slowest: commands as they are in force, everything else interpolated. What falls into a gap
-    of some channel is left out; of samples with one time stamp the first is kept.
+    A channel that holds the time applies to all. Otherwise each channel has a clock of its own, and all are
+    resampled onto the slowest: commands are held, other signals interpolated. Samples in a gap of any channel
+    are left out; of samples with equal time stamps the first is kept.
 
     Args:
         source: the file, for messages.
@@ -71,7 +71,7 @@ def resample_to_common_clock(
 
 
 def _check_agrees(source: Path, time_s: np.ndarray, channel: LogChannel, name: str) -> None:
-    """Refuse a time for a channel whose own clock runs otherwise: one of the two is not of this channel."""
+    """Refuse a time that lasts longer or shorter than the channel's own clock."""
     clock = channel.clock_s
     if clock is None or clock.size < 2:
         return
@@ -105,7 +105,7 @@ def _resample(
 
 
 def _is_covered(target: np.ndarray, clock: np.ndarray, step_s: float, *, extend_ends: bool) -> np.ndarray:
-    """Tell when a channel has samples around, or up to half a step `extend_ends` its ends, shape [N]."""
+    """Return where a channel has samples on both sides; `extend_ends` adds half a step at its ends; [N]."""
     slack = step_s / 2 if extend_ends else CLOCK_TOLERANCE_S
     after = np.clip(np.searchsorted(clock, target), 1, clock.size - 1)
     nearest_s = np.minimum(np.abs(target - clock[after]), np.abs(target - clock[after - 1]))

@@ -1,4 +1,4 @@
-"""What every reader is asked for, and what it hands over: channels of numbers, their units and clocks."""
+"""Argument and result of every reader: selected channels; their samples, units and clocks."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -9,18 +9,19 @@ import numpy as np
 
 from hitchid.errors import LogError
 
-MAX_LISTED = 30
+MAX_LISTED = 30  # names in one message
+# Limits of unpacked logs: bytes a byte of the file, and a size that is always allowed, bytes; chosen.
 MAX_UNPACK_RATIO, ALWAYS_ALLOWED_BYTES = 200, 2**28
 CHANNEL_HINT = "required it, or another named in campaign.toml"
 
 
 class ChannelSelection(NamedTuple):
-    """What is asked of a log.
+    """The channels to read from a log.
 
     Attributes:
-        time: channel that holds the time; not asked for where the file keeps a clock for each channel.
+        time: channel that holds the time; optional in a file with a clock for each channel.
         signals: channels; None for all that hold numbers.
-        databases: DBC files that say what is on a CAN bus.
+        databases: DBC files, which define the messages of a CAN bus.
     """
 
     time: str
@@ -29,13 +30,13 @@ class ChannelSelection(NamedTuple):
 
 
 class LogChannel(NamedTuple):
-    """One channel as it stands in the file.
+    """One channel as stored in the file.
 
     Attributes:
         values: shape [N], float64.
-        unit: as the file spells it, None where it says nothing.
-        clock_s: time of each sample, s, shape [N]; None where the file keeps no clock for it. Channels on
-            one clock share one array.
+        unit: as written in the file; None if it has none.
+        clock_s: time of each sample, s, shape [N]; None if the file has no clock for it. Channels on one
+            clock share one array.
     """
 
     values: np.ndarray
@@ -44,7 +45,7 @@ class LogChannel(NamedTuple):
 
 
 def max_unpacked_bytes(path: Path) -> int:
-    """Return to how many bytes a file may unpack without being taken for a trap."""
+    """Return the largest size, bytes, to which a file may unpack."""
     return max(ALWAYS_ALLOWED_BYTES, MAX_UNPACK_RATIO * path.stat().st_size)
 
 
@@ -54,13 +55,13 @@ def _no_lines(_: int) -> int | None:
 
 @dataclass(frozen=True)
 class Content:
-    """What a reader hands over.
+    """What a reader returns.
 
     Attributes:
         source: the file.
-        channels: each under the name it was asked by; where all were, under its full name.
-        notices: what the user should know of how they were read.
-        line_of: from a sample to its line in the file, None where the format has no lines.
+        channels: each under its requested name; if all are selected, under its full name.
+        notices: messages on what was converted, assumed or left out.
+        line_of: from a sample to its line in the file, None for a format without lines.
     """
 
     source: Path
@@ -72,20 +73,20 @@ class Content:
 def match_channels(
     source: Path, names: Sequence[str], selection: ChannelSelection, *, has_clocks: bool = False
 ) -> dict[str, str]:
-    """Return the name each channel is asked by to its full name in the file.
+    """Return requested name to full name in the file.
 
-    A full name is made of the groups it is in and its own, `group/channel`; what comes after the last stroke
-    suffices where no other channel ends so.
+    A full name is the names of the groups and the channel, `group/channel`; the part after the last slash
+    suffices if it is unique.
 
     Args:
         source: the file.
         names: full names of the channels that hold numbers.
-        selection: what is asked for.
-        has_clocks: whether the file keeps a clock for each channel, so that the time may be missing, or be
-            several: one in each group.
+        selection: the requested channels.
+        has_clocks: whether the file has a clock for each channel; the time may then be missing, or be in
+            several groups.
 
     Raises:
-        LogError: a channel is not there, or several are meant.
+        LogError: a channel is missing or ambiguous.
     """
     if selection.signals is None:
         return {name: name for name in names}
@@ -114,7 +115,7 @@ def match_channels(
 
 
 def _check_one_group(source: Path, matches: Mapping[str, str], time: str) -> None:
-    """Refuse the time of one group for the channels of another, unless it is asked for by its full name."""
+    """Refuse the time of one group for channels of another, unless it is requested by its full name."""
     group = matches.get(time, "").rpartition("/")[0]
     if not group or matches[time] == time:
         return
@@ -125,6 +126,6 @@ def _check_one_group(source: Path, matches: Mapping[str, str], time: str) -> Non
 
 
 def format_names(names: Sequence[str]) -> str:
-    """Return names as a message lists them, of many the first thirty."""
+    """Return the first names for a message, and how many more there are."""
     more = f" and {len(names) - MAX_LISTED} more" if len(names) > MAX_LISTED else ""
     return (", ".join(names[:MAX_LISTED]) or "none with numbers") + more

@@ -1,4 +1,4 @@
-"""Where logs lie, and the settings beside them."""
+"""Find logs in folders, and their settings."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -14,7 +14,7 @@ DATABASE_SUFFIX = ".dbc"
 def find_logs(logs: str | Path | Iterable[str | Path]) -> list[Path]:
     """Return every log among files and folders, sorted within each folder.
 
-    Files that are named are taken whatever their format, as long as that of one is known.
+    Named files are returned whatever their format, if at least one format is known.
 
     Raises:
         InputError: a path does not exist, no file's format is known, a folder holds no log, or a link out
@@ -46,9 +46,9 @@ def find_logs(logs: str | Path | Iterable[str | Path]) -> list[Path]:
 
 
 def settings_of(paths: Iterable[Path], signals: str | Path | None = None) -> dict[Path, CampaignFile]:
-    """Return folder to settings for the folders of some logs: those given, else its own, else the default.
+    """Return folder to settings for the folders of logs: `signals`, else the folder's own, else the default.
 
-    CAN databases are those the settings name, beside the file that names them, else all in the logs' folder.
+    CAN databases are those named in the settings, relative to that file, else all in the folder of the logs.
 
     Raises:
         InputError: a folder's settings or databases are a link out of it.
@@ -88,7 +88,7 @@ def _databases(folder: Path) -> tuple[str, ...]:
 def _with_databases(
     settings: CampaignFile, folder: Path, names: tuple[str, ...] | None = None
 ) -> CampaignFile:
-    """Return the settings with their databases where they lie."""
+    """Return the settings with the paths of their databases."""
     database_names = settings.can.databases if names is None else names
     paths = tuple(str(inside_folder(folder / name)) for name in database_names)
     return settings.model_copy(update={"can": settings.can.model_copy(update={"databases": paths})})

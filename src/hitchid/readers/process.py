@@ -1,6 +1,6 @@
-"""Logs whose formats other libraries read, read in a process of their own.
+"""The reader process, in which third-party libraries read logs.
 
-A damaged file can make such a library crash, hang or ask for all memory there is; here it costs a message.
+On a damaged file such a library may crash, hang or exhaust the memory; here that becomes an error message.
 """
 
 import json
@@ -9,9 +9,8 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
-from types import TracebackType
 from typing import IO
 
 import numpy as np
@@ -20,32 +19,30 @@ from hitchid.errors import LogError
 from hitchid.readers.content import ChannelSelection, Content, LogChannel
 
 READY = b"begun\n"
+# Time limits, chosen well above what intact files take: start of the child, s; reading a log, s, and bytes/s.
 LONGEST_START_S, LONGEST_S, BYTES_PER_S = 120.0, 8.0, 2e6
-LONGEST_DATABASES_S, DATABASE_BYTES_PER_S = 60.0, 1e5
+LONGEST_DATABASES_S, DATABASE_BYTES_PER_S = (
+    60.0,
+    1e5,
+)  # s and bytes/s; a database of 50 000 signals takes 10 s
 
 
-class ReaderProcess:
-    """A process that reads logs one after the other; it starts with the first and ends with the context."""
+class ReaderProcess(AbstractContextManager["ReaderProcess"]):
+    """A process that reads logs one by one; it starts at the first log and ends with the context."""
 
     def __init__(self) -> None:
-        """Start nothing yet."""
+        """Leave the process to be started by the first log."""
         self._child: subprocess.Popen[bytes] | None = None
 
-    def __enter__(self) -> "ReaderProcess":
-        """Return the process."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """End it."""
+    def __exit__(self, *_: object) -> None:
+        """End the process."""
         self._end()
 
     def read(self, path: Path, selection: ChannelSelection) -> Content:
-        """Read the wanted channels of a log.
+        """Read the selected channels of a log.
 
         Raises:
-            LogError: it cannot be read, or reading it takes too long or too much memory.
+            LogError: the log cannot be read, or reading takes too long or too much memory.
         """
         try:
             limit_s = (
@@ -59,7 +56,7 @@ class ReaderProcess:
         request["databases"] = [str(database) for database in selection.databases]
         try:
             return _request_content(self._child, path, json.dumps(request).encode() + b"\n", limit_s)
-        except LogError:  # an answer like any other: the process goes on
+        except LogError:  # a response like any other: the process goes on
             raise
         except TimeoutError:
             self._end()
@@ -79,7 +76,7 @@ class ReaderProcess:
 
 
 def _database_time_limit_s(databases: Sequence[Path]) -> float:
-    """Return the longest time that reading databases may take, s: one of 50 000 signals takes ten."""
+    """Return the longest time that reading databases may take, s."""
     size = sum(database.stat().st_size for database in databases if database.is_file())
     return min(size / DATABASE_BYTES_PER_S, LONGEST_DATABASES_S)
 
@@ -135,10 +132,10 @@ def _read_samples(stdout: IO[bytes], size: int) -> np.ndarray:
 
 @contextmanager
 def _time_limit(child: "subprocess.Popen[bytes]", limit_s: float) -> Iterator[None]:
-    """Kill the child where what follows takes longer.
+    """Kill the child if the body of the context takes longer.
 
     Raises:
-        TimeoutError: it did.
+        TimeoutError: the body took longer.
     """
     timed_out = threading.Event()
 

@@ -1,4 +1,4 @@
-"""The one way in: `read` takes files and folders and returns a campaign."""
+"""`read`: from files and folders of logs to a campaign."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from hitchid._support import checks
+from hitchid._support.notices import Notice
 from hitchid.data.campaign import Campaign
 from hitchid.data.left_out import LeftOut, refuse, split_usable
 from hitchid.data.record import COMMAND, DISPLACEMENT, Record, resampled
@@ -21,7 +22,7 @@ from hitchid.readers.formats import format_of, known_format, record_name
 from hitchid.readers.process import ReaderProcess
 from hitchid.readers.table import LogTable, table_of
 
-MIN_SAMPLES = 20
+MIN_SAMPLES = 20  # samples of the shortest usable stretch; chosen
 LOGS = "files and folders of logs"
 
 
@@ -31,21 +32,21 @@ def read(
     signals: str | Path | None = None,
     strict: bool = False,
 ) -> Campaign:
-    """Read logs into a campaign; those that cannot be used are left out, see `Campaign.left_out`.
+    """Read logs into a campaign; unusable logs are left out and listed in `Campaign.left_out`.
 
     Args:
         logs: files and folders of any known format.
         signals: a file like `campaign.toml`; without it each folder's own is used, or the default columns
             `time_s, current_up_A, current_down_A, displacement_mm`.
-        strict: whether one log that cannot be used is an error for all.
+        strict: raise an error for an unusable log.
 
     Returns:
-        One record a test, a log with gaps giving several, on one clock and in one set of units.
+        One record a test, several for a log with gaps; all with one sampling time and one set of units.
 
     Raises:
         LogError: no log can be used.
         SettingsError: a settings file cannot be used.
-        InputError: there are no logs, or none of a direction can be used.
+        InputError: there are no logs, or no log of a direction can be used.
     """
     inputs = logs if isinstance(logs, str | Path) else checks.tuple_of(logs, (str, Path), "logs", LOGS)
     paths = find_logs(inputs)
@@ -59,7 +60,7 @@ def read(
 def read_logs(
     paths: Sequence[Path], settings: Mapping[Path, CampaignFile], *, strict: bool = False
 ) -> tuple[list[Record], list[LeftOut]]:
-    """Read logs one by one; return their records, and the logs that cannot be read.
+    """Read logs one by one; return their records and the unreadable logs.
 
     Raises:
         LogError: with `strict`, a log cannot be read.
@@ -81,12 +82,12 @@ def assemble(
     *,
     strict: bool = False,
 ) -> Campaign:
-    """Make a campaign of records and what the settings of each one's folder say of split and kinds.
+    """Make a campaign of records, with the split and the kinds from the settings of each folder.
 
     Args:
         records: tests.
         settings: of each folder.
-        left_out: logs that could not be read; a pattern that matches one of them is not misspelt.
+        left_out: logs that could not be read; a pattern may match one of them.
         strict: see `Campaign.of`.
 
     Raises:
@@ -124,7 +125,7 @@ def read_log(path: Path, settings: CampaignFile, process: ReaderProcess) -> list
     Args:
         path: the log.
         settings: of its folder.
-        process: what reads it, where another's library does.
+        process: reads formats of third-party libraries.
 
     Raises:
         LogError: a column is missing, holds no numbers, or the clock cannot be used.
@@ -133,7 +134,7 @@ def read_log(path: Path, settings: CampaignFile, process: ReaderProcess) -> list
 
 
 def read_table(path: Path, settings: CampaignFile, process: ReaderProcess) -> LogTable:
-    """Read the signals of one log as they stand in it, on one clock; see `read_log`."""
+    """Read the signals of one log without cutting or resampling it at gaps; see `read_log`."""
     selection = ChannelSelection(
         settings.signals.time.column,
         _signal_columns(settings.signals),
@@ -143,7 +144,7 @@ def read_table(path: Path, settings: CampaignFile, process: ReaderProcess) -> Lo
 
 
 def read_content(path: Path, selection: ChannelSelection, process: ReaderProcess) -> Content:
-    """Read the wanted channels of a log as they stand in it; see `read_log`."""
+    """Read the selected channels of a log as stored; see `read_log`."""
     log_format = format_of(path)
     return process.read(path, selection) if log_format.libraries else log_format.read(path, selection)
 
@@ -170,12 +171,14 @@ def records_of(table: LogTable, signals: SignalMap) -> list[Record]:
         _record(name if len(usable) == 1 else f"{name}@{number}", table, section)
         for number, section in enumerate(usable, start=1)
     ]
-    notices = list(table.notices)
+    notices = [Notice("as-read", sentence) for sentence in table.notices]
     if repeated:
-        notices.append(f"{repeated} rows are left out: their time is that of the row before")
+        sentence = f"{repeated} rows are left out: their time is that of the row before"
+        notices.append(Notice("rows-left-out", sentence))
     left_out = time_s.size - sum(section.stop - section.start for section in usable)
     if left_out:
-        notices.append(f"{left_out} of {time_s.size} samples are left out: fewer than {MIN_SAMPLES} in a row")
+        sentence = f"{left_out} of {time_s.size} samples are left out: fewer than {MIN_SAMPLES} in a row"
+        notices.append(Notice("samples-left-out", sentence))
     records[0] = replace(records[0], notices=(*records[0].notices, *notices))
     return records
 
@@ -197,7 +200,7 @@ def _record(name: str, table: LogTable, section: LogSection) -> Record:
         units=table.units,
         start_s=float(stamps[0]),
         source=table.source,
-        notices=(section.notice,) if section.notice else (),
+        notices=section.notices,
         clock=section.clock,
     )
 

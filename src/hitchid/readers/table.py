@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from hitchid.errors import LogError
 from hitchid.readers.clocks import SIGNED_COMMAND, resample_to_common_clock
 from hitchid.readers.content import Content, LogChannel
 
-TIME = "time"
+TIME = "time"  # role of the time among the signals of a log
 
 
 @dataclass(frozen=True)
@@ -27,8 +26,8 @@ class LogTable:
         signals: role to samples, each of shape [N].
         units: role to unit.
         columns: the columns they come from, in the order of the signal map.
-        notices: what the user should know of how they were read.
-        line_of: from a sample to its line in the file, None where the format has no lines.
+        notices: messages on conversions, resampling and left-out samples.
+        line_of: from a sample to its line in the file, None for a format without lines.
     """
 
     source: Path
@@ -41,15 +40,14 @@ class LogTable:
 
 
 def table_of(content: Content, signals: SignalMap) -> LogTable:
-    """Return what a reader handed over as signals: in one unit each, on one clock.
+    """Return the channels of a log as signals: in one unit each, on one clock.
 
-    What the file says of a unit counts: a signal map in another unit of the same dimension has the numbers
-    converted, with a notice; one of another dimension is refused, and so is a name that contradicts the file.
-    Channels with clocks of their own are taken to the slowest of them.
+    The unit in the file has precedence. Where the signal map gives another unit of the same dimension, the
+    numbers are converted, with a notice. A unit of another dimension and a name that contradicts the file are
+    refused. Channels with clocks of their own are resampled onto the slowest of them.
 
     Raises:
-        LogError: a unit is missing or contradicted, a channel holds what is no number, or the clocks do not
-            fit together.
+        LogError: a unit is missing or contradictory, a sample is not finite, or the clocks do not overlap.
     """
     columns = _columns_by_role(signals, content)
     if TIME not in columns and signals.time.column != DEFAULT_SIGNALS.time.column:
@@ -62,11 +60,12 @@ def table_of(content: Content, signals: SignalMap) -> LogTable:
     time = converted.pop(TIME, None)
     names = {role: column.column for role, column in columns.items() if role != TIME}
     time_s, sampled, clock_notices = resample_to_common_clock(content.source, time, converted, names)
+    split = _split_signed_command(sampled)
     return LogTable(
         source=content.source,
         time_s=time_s,
-        signals=_split_signed_command(sampled),
-        units=_split_signed_command({role: channel.unit or "1" for role, channel in converted.items()}),
+        signals=split,
+        units={role: converted[role if role in converted else SIGNED_COMMAND].unit or "1" for role in split},
         columns={names[role]: values for role, values in sampled.items()},
         notices=(*notices, *clock_notices),
         line_of=content.line_of,
@@ -87,7 +86,7 @@ def _columns_by_role(signals: SignalMap, content: Content) -> dict[str, Column]:
 
 
 def _convert_unit(content: Content, role: str, column: Column) -> tuple[LogChannel, list[str]]:
-    """Return a channel in the unit it is asked in, (reading − zero) · scale, and what was done to it."""
+    """Return a channel as (reading − zero) · scale in the unit of the signal map, and the notices."""
     name, source = column.column, content.source
     channel = content.channels[name]
     _check_finite(content, name)
@@ -103,7 +102,7 @@ def _convert_unit(content: Content, role: str, column: Column) -> tuple[LogChann
     _check_dimension(source, role, name, declared_unit)
     unit = "s" if role == TIME else declared_unit
     if column.scale is not None:
-        # The scale says what a reading is worth, whatever unit the file gives it.
+        # The scale replaces the unit of the file.
         factor = column.scale * UNITS[declared_unit].factor / UNITS[unit].factor
         notices = (
             []
@@ -139,7 +138,7 @@ def _check_dimension(source: Path, role: str, name: str, declared_unit: str) -> 
 
 
 def _check_agrees(source: Path, name: str, declared_unit: str, file_unit: str | None) -> None:
-    """Refuse a unit that the file says in its name and beside it, or as the map, in two ways."""
+    """Refuse a unit of the file that contradicts the column's name or the signal map."""
     if file_unit is None:
         return
     dimension = UNITS[declared_unit].dimension
@@ -168,13 +167,11 @@ def _check_finite(content: Content, name: str) -> None:
         )
 
 
-def _split_signed_command(by_role: Mapping[str, Any]) -> dict[str, Any]:
-    """Return roles with a signed command taken apart: lifting above zero, lowering below; units likewise."""
-    displacement = {DISPLACEMENT: by_role[DISPLACEMENT]}
-    roles = displacement | {role: value for role, value in by_role.items() if role != SIGNED_COMMAND}
-    if SIGNED_COMMAND not in by_role:
-        return roles
-    signed = by_role[SIGNED_COMMAND]
-    if isinstance(signed, str):
-        return {**roles, COMMAND[LIFTING]: signed, COMMAND[LOWERING]: signed}
-    return {**roles, COMMAND[LIFTING]: np.maximum(signed, 0.0), COMMAND[LOWERING]: np.maximum(-signed, 0.0)}
+def _split_signed_command(samples: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return role to samples with a signed command split: positive is lifting, negative lowering."""
+    displacement = {DISPLACEMENT: samples[DISPLACEMENT]}
+    split = displacement | {role: values for role, values in samples.items() if role != SIGNED_COMMAND}
+    if SIGNED_COMMAND in samples:
+        signed = samples[SIGNED_COMMAND]
+        split |= {COMMAND[LIFTING]: np.maximum(signed, 0.0), COMMAND[LOWERING]: np.maximum(-signed, 0.0)}
+    return split

@@ -110,6 +110,59 @@ def cylinder_amount(state: RigState) -> Values:
     return state.cylinder_oil + oils.lifted - oils.lowered - oils.leaked - oils.safety_relieved
 
 
+class _Valves(NamedTuple):
+    """Spools and compensator at the end of a step, and their mean openings over it, m²."""
+
+    lifting: SpoolState
+    lowering: SpoolState
+    compensator: Values
+    lift_area: Values
+    lower_area: Values
+    compensator_area: Values
+
+
+class _Flows(NamedTuple):
+    """Flow, m³/s, and its derivative by the pressure that drives it, m³/(s·Pa), of every path."""
+
+    pump: tuple[Values, Values]
+    relief: tuple[Values, Values]
+    lift: tuple[Values, Values]
+    lower: tuple[Values, Values]
+    safety: tuple[Values, Values]
+    leak: tuple[Values, Values]
+
+
+class _Friction(NamedTuple):
+    """Friction force F, N, bristle speed ż, m/s, and their derivatives.
+
+    `decay` is −∂ż/∂z, 1/s; `gain` is ∂ż/∂v; `damping` is ∂F/∂ż, N·s/m.
+    """
+
+    force: Values
+    bristle_speed: Values
+    decay: Values
+    gain: Values
+    damping: Values
+
+
+class _Momentum(NamedTuple):
+    """Mass, kg, and force, N, on the piston; −∂F/∂x, N/m, and ∂F/∂v without friction, N·s/m."""
+
+    mass: Values
+    force: Values
+    stiffness: Values
+    damping: Values
+
+
+class _Increments(NamedTuple):
+    """Changes over the step of p_s, p, Pa, v, m/s, and z, m."""
+
+    supply: Values
+    pressure: Values
+    speed: Values
+    bristle: Values
+
+
 def advance(
     rig: Rig,
     load: Load,
@@ -133,104 +186,148 @@ def advance(
         ripple: the pump's flow over its mean, averaged over the step.
         steps: factors that belong to its length.
     """
-    dt, oil, cylinder, friction = steps.dt, rig.oil, rig.cylinder, rig.cylinder.friction
-    lift_valve, lower_valve = rig.lifting_valve, rig.lowering_valve
-    supply_pressure, pressure, speed = state.supply_pressure, state.pressure, state.speed
-
-    lifting = lift_valve.spool.advance(state.lifting, inputs.lifting, steps.lifting)
-    lowering = lower_valve.spool.advance(state.lowering, inputs.lowering, steps.lowering)
-    lift_area = lift_valve.spool.area(0.5 * (state.lifting.position + lifting.position))
-    lower_area = lower_valve.spool.area(0.5 * (state.lowering.position + lowering.position))
-    drop = supply_pressure - pressure
-    balanced = lift_valve.balanced_opening(lift_area, state.compensator, drop - lift_valve.check_pressure)
-    compensator = balanced + (state.compensator - balanced) * steps.compensator
-    mean_compensator = 0.5 * (state.compensator + compensator)
-
-    pump, pump_slope = rig.supply.pump_delivery(supply_pressure, ripple)
-    relief, relief_slope = rig.supply.relief_flow(supply_pressure)
-    lift, lift_slope = lift_valve.flow(lift_area, mean_compensator, drop, oil.density)
-    lower, lower_slope = lower_valve.flow(lower_area, pressure, oil.density)
-    safety, safety_slope = lower_valve.safety_flow(pressure)
-    leak = cylinder.leakage * (pressure - TANK_PRESSURE_PA)
-
-    supply_capacity = rig.supply.capacity(oil, supply_pressure, supply_amount(state))
-    capacity = oil.capacity(pressure, cylinder_amount(state), cylinder.compliance)
-    effective_area = cylinder.area / oil.specific_volume(pressure)
-
-    stribeck_factor, stribeck_level, stribeck_slope = friction.stribeck(speed)
-    bristle_damping = friction.bristle_damping * stribeck_factor
-    rate = friction.bristle_stiffness * jnp.abs(speed) / stribeck_level
-    rate_slope = (
-        friction.bristle_stiffness * jnp.sign(speed) / stribeck_level - rate * stribeck_slope / stribeck_level
-    )
-    bristle_speed = speed - rate * state.bristle
-    bristle_gain = 1 - rate_slope * state.bristle
-    friction_force = friction.bristle_stiffness * state.bristle + bristle_damping * bristle_speed
-    friction_force = friction_force + friction.viscous * speed
-
-    offset = state.displacement - origin
-    stop, stop_slope, stop_damping = cylinder.stop_force(state.displacement, speed)
-    carried_force = load.weight + load.weight_slope * offset
-    carried_force = carried_force + (load.lever + load.lever_slope * offset) * inputs.load_force
-    carried_force_slope = load.weight_slope + load.lever_slope * inputs.load_force
-    mass = load.mass + load.mass_slope * offset
-    force = (pressure - TANK_PRESSURE_PA) * cylinder.area - carried_force - friction_force + stop
-    force = force - 0.5 * load.mass_slope * speed**2
-
-    # Unknown increments Δ of p_s, p, v, x, z over the step; eliminated in the order z, x, p_s, p, v.
-    half = 0.5 * dt
-    implicit_factor = 1 / (1 + half * rate)
-    bristle_fixed, bristle_by_speed = (
-        dt * bristle_speed * implicit_factor,
-        half * bristle_gain * implicit_factor,
-    )
-    stiffness = carried_force_slope - stop_slope
-    bristle_force = friction.bristle_stiffness - bristle_damping * rate
-    drag = friction.viscous + bristle_damping * bristle_gain - stop_damping + load.mass_slope * speed
-    drag = drag + bristle_force * bristle_by_speed + stiffness * half
-    force_fixed = dt * (force - 0.5 * stiffness * dt * speed - 0.5 * bristle_force * bristle_fixed)
-
-    supply_denominator = supply_capacity + half * (relief_slope + lift_slope - pump_slope)
-    supply_fixed = dt * (pump - relief - lift) / supply_denominator
-    supply_by_pressure = half * lift_slope / supply_denominator
-    pressure_denominator = capacity + half * (lift_slope + lower_slope + cylinder.leakage + safety_slope)
-    pressure_denominator = pressure_denominator - half * lift_slope * supply_by_pressure
-    pressure_rhs = (
-        dt * (lift - lower - leak - safety - effective_area * speed) + half * lift_slope * supply_fixed
-    )
-    pressure_by_speed = -half * effective_area / pressure_denominator
-    pressure_fixed = pressure_rhs / pressure_denominator
-
-    speed_change = (force_fixed + half * cylinder.area * pressure_fixed) / (
-        mass + half * drag - half * cylinder.area * pressure_by_speed
-    )
-    pressure_change = pressure_fixed + pressure_by_speed * speed_change
-    supply_change = supply_fixed + supply_by_pressure * pressure_change
-    bristle_change = bristle_fixed + bristle_by_speed * speed_change
-
-    oils = OilVolumes(
-        state.oils.pumped + dt * (pump + 0.5 * pump_slope * supply_change),
-        state.oils.relieved + dt * (relief + 0.5 * relief_slope * supply_change),
-        state.oils.lifted + dt * (lift + 0.5 * lift_slope * (supply_change - pressure_change)),
-        state.oils.lowered + dt * (lower + 0.5 * lower_slope * pressure_change),
-        state.oils.leaked + dt * (leak + 0.5 * cylinder.leakage * pressure_change),
-        state.oils.safety_relieved + dt * (safety + 0.5 * safety_slope * pressure_change),
-    )
+    dt, cylinder = steps.dt, rig.cylinder
+    valves = _step_valves(rig, state, inputs, steps)
+    flows = _flows(rig, state, valves, ripple)
+    friction = _friction(rig, state)
+    momentum = _momentum(rig, load, origin, state, inputs, friction)
+    change = _solve(rig, load, state, flows, friction, momentum, dt)
     updated = RigState(
-        lifting=lifting,
-        lowering=lowering,
-        compensator=compensator,
-        supply_pressure=supply_pressure,
-        pressure=pressure,
-        displacement=state.displacement + dt * (speed + 0.5 * speed_change),
-        speed=speed + speed_change,
-        bristle=state.bristle + bristle_change,
-        oils=oils,
+        lifting=valves.lifting,
+        lowering=valves.lowering,
+        compensator=valves.compensator,
+        supply_pressure=state.supply_pressure,
+        pressure=state.pressure,
+        displacement=state.displacement + dt * (state.speed + 0.5 * change.speed),
+        speed=state.speed + change.speed,
+        bristle=state.bristle + change.bristle,
+        oils=_book(state.oils, flows, change, dt),
         supply_oil=state.supply_oil,
         cylinder_oil=state.cylinder_oil,
     )
     volume = cylinder.volume(updated.displacement)
     return updated._replace(
-        supply_pressure=rig.supply.pressure(oil, supply_amount(updated)),
-        pressure=oil.pressure(cylinder_amount(updated), volume, cylinder.compliance),
+        supply_pressure=rig.supply.pressure(rig.oil, supply_amount(updated)),
+        pressure=rig.oil.pressure(cylinder_amount(updated), volume, cylinder.compliance),
+    )
+
+
+def _step_valves(rig: Rig, state: RigState, inputs: RigInputs, steps: StepFactors) -> _Valves:
+    lift_valve, lower_valve = rig.lifting_valve, rig.lowering_valve
+    lifting = lift_valve.spool.advance(state.lifting, inputs.lifting, steps.lifting)
+    lowering = lower_valve.spool.advance(state.lowering, inputs.lowering, steps.lowering)
+    lift_area = lift_valve.spool.area(0.5 * (state.lifting.position + lifting.position))
+    lower_area = lower_valve.spool.area(0.5 * (state.lowering.position + lowering.position))
+    drop = state.supply_pressure - state.pressure
+    balanced = lift_valve.balanced_opening(lift_area, state.compensator, drop - lift_valve.check_pressure)
+    compensator = balanced + (state.compensator - balanced) * steps.compensator
+    return _Valves(
+        lifting, lowering, compensator, lift_area, lower_area, 0.5 * (state.compensator + compensator)
+    )
+
+
+def _flows(rig: Rig, state: RigState, valves: _Valves, ripple: Values) -> _Flows:
+    supply, lift_valve, lower_valve = rig.supply, rig.lifting_valve, rig.lowering_valve
+    pressure, drop = state.pressure, state.supply_pressure - state.pressure
+    return _Flows(
+        pump=supply.pump_delivery(state.supply_pressure, ripple),
+        relief=supply.relief_flow(state.supply_pressure),
+        lift=lift_valve.flow(valves.lift_area, valves.compensator_area, drop, rig.oil.density),
+        lower=lower_valve.flow(valves.lower_area, pressure, rig.oil.density),
+        safety=lower_valve.safety_flow(pressure),
+        leak=(rig.cylinder.leakage * (pressure - TANK_PRESSURE_PA), rig.cylinder.leakage),
+    )
+
+
+def _friction(rig: Rig, state: RigState) -> _Friction:
+    """Return the LuGre friction; see `hitchid.rig.cylinder.Friction`."""
+    friction, speed = rig.cylinder.friction, state.speed
+    stiffness = friction.bristle_stiffness
+    stribeck_factor, stribeck_level, stribeck_slope = friction.stribeck(speed)
+    damping = friction.bristle_damping * stribeck_factor
+    decay = stiffness * jnp.abs(speed) / stribeck_level
+    decay_slope = stiffness * jnp.sign(speed) / stribeck_level - decay * stribeck_slope / stribeck_level
+    bristle_speed = speed - decay * state.bristle
+    force = stiffness * state.bristle + damping * bristle_speed
+    force = force + friction.viscous * speed
+    return _Friction(force, bristle_speed, decay, 1 - decay_slope * state.bristle, damping)
+
+
+def _momentum(
+    rig: Rig, load: Load, origin: Values, state: RigState, inputs: RigInputs, friction: _Friction
+) -> _Momentum:
+    cylinder, offset = rig.cylinder, state.displacement - origin
+    stop, stop_slope, stop_damping = cylinder.stop_force(state.displacement, state.speed)
+    carried_force = load.weight + load.weight_slope * offset
+    carried_force = carried_force + (load.lever + load.lever_slope * offset) * inputs.load_force
+    force = (state.pressure - TANK_PRESSURE_PA) * cylinder.area - carried_force - friction.force + stop
+    return _Momentum(
+        mass=load.mass + load.mass_slope * offset,
+        force=force - 0.5 * load.mass_slope * state.speed**2,
+        stiffness=load.weight_slope + load.lever_slope * inputs.load_force - stop_slope,
+        damping=stop_damping,
+    )
+
+
+def _solve(
+    rig: Rig,
+    load: Load,
+    state: RigState,
+    flows: _Flows,
+    friction: _Friction,
+    momentum: _Momentum,
+    dt: Values,
+) -> _Increments:
+    """Solve the stage's linear system for the increments, eliminated in the order z, x, p_s, p, v."""
+    cylinder, half = rig.cylinder, 0.5 * dt
+    supply_capacity = rig.supply.capacity(rig.oil, state.supply_pressure, supply_amount(state))
+    capacity = rig.oil.capacity(state.pressure, cylinder_amount(state), cylinder.compliance)
+    effective_area = cylinder.area / rig.oil.specific_volume(state.pressure)
+    (pump, pump_slope), (relief, relief_slope), (lift, lift_slope) = flows.pump, flows.relief, flows.lift
+    (lower, lower_slope), (safety, safety_slope), (leak, leak_slope) = flows.lower, flows.safety, flows.leak
+
+    implicit_factor = 1 / (1 + half * friction.decay)
+    bristle_fixed = dt * friction.bristle_speed * implicit_factor
+    bristle_by_speed = half * friction.gain * implicit_factor
+    bristle_force = cylinder.friction.bristle_stiffness - friction.damping * friction.decay
+    drag = cylinder.friction.viscous + friction.damping * friction.gain - momentum.damping
+    drag = drag + load.mass_slope * state.speed
+    drag = drag + bristle_force * bristle_by_speed + momentum.stiffness * half
+    force_fixed = momentum.force - 0.5 * momentum.stiffness * dt * state.speed
+    force_fixed = dt * (force_fixed - 0.5 * bristle_force * bristle_fixed)
+
+    supply_denominator = supply_capacity + half * (relief_slope + lift_slope - pump_slope)
+    supply_fixed = dt * (pump - relief - lift) / supply_denominator
+    supply_by_pressure = half * lift_slope / supply_denominator
+    pressure_denominator = capacity + half * (lift_slope + lower_slope + leak_slope + safety_slope)
+    pressure_denominator = pressure_denominator - half * lift_slope * supply_by_pressure
+    net_flow = lift - lower - leak - safety - effective_area * state.speed
+    pressure_by_speed = -half * effective_area / pressure_denominator
+    pressure_fixed = (dt * net_flow + half * lift_slope * supply_fixed) / pressure_denominator
+
+    speed_change = (force_fixed + half * cylinder.area * pressure_fixed) / (
+        momentum.mass + half * drag - half * cylinder.area * pressure_by_speed
+    )
+    pressure_change = pressure_fixed + pressure_by_speed * speed_change
+    return _Increments(
+        supply=supply_fixed + supply_by_pressure * pressure_change,
+        pressure=pressure_change,
+        speed=speed_change,
+        bristle=bristle_fixed + bristle_by_speed * speed_change,
+    )
+
+
+def _book(oils: OilVolumes, flows: _Flows, change: _Increments, dt: Values) -> OilVolumes:
+    """Add the mean flows over the step to the accounts."""
+
+    def flowed(flow: tuple[Values, Values], pressure_change: Values) -> Values:
+        return dt * (flow[0] + 0.5 * flow[1] * pressure_change)
+
+    return OilVolumes(
+        oils.pumped + flowed(flows.pump, change.supply),
+        oils.relieved + flowed(flows.relief, change.supply),
+        oils.lifted + flowed(flows.lift, change.supply - change.pressure),
+        oils.lowered + flowed(flows.lower, change.pressure),
+        oils.leaked + flowed(flows.leak, change.pressure),
+        oils.safety_relieved + flowed(flows.safety, change.pressure),
     )

@@ -1,12 +1,13 @@
-"""A benchmark one sample at a time: its valve hears every command, its plant moves when it is in charge."""
+"""A physical model one sample at a time: the state of its valve, and the state of its plant."""
 
+import abc
 from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from hitchid.structures.discretise import DiscreteStateSpace
+from hitchid.structures.discretisation import DiscreteStateSpace
 from hitchid.structures.nonlinear import NonlinearStructure, rk4_step
 from hitchid.structures.physical_model import PhysicalModel
 from hitchid.structures.static_nonlinearity import PlayState
@@ -18,8 +19,8 @@ class ValveState(NamedTuple):
     Attributes:
         spool: of the valve.
         effective: what of the last command lies beyond the dead zone, in the command's unit.
-        flows: what the linear model hears, the newest first, as far back as the dead time, shape [m + 2].
-        motion_demand: whether the command asked for motion, likewise, shape [m + 1].
+        flows: input of the plant, the newest first, as far back as the dead time, shape [m + 2].
+        motion_demand: whether the command demanded motion, likewise, shape [m + 1].
     """
 
     spool: PlayState
@@ -29,20 +30,18 @@ class ValveState(NamedTuple):
 
 
 class DiscretePhysicalModel(eqx.Module):
-    """A benchmark of one direction on a clock.
+    """A physical model of one direction at a fixed sampling time.
 
     Attributes:
         benchmark: the model.
-        discrete: its linear part on the clock; None where it is not linear.
         dead_zone: of the command, in its unit.
-        min_command: size of a command below which it asks for no motion.
+        min_command: size of a command below which no motion is demanded.
         sign: +1 where the displacement grows with the command, −1 where it falls.
         delay_samples: m, whole samples of dead time.
         step_s: sampling time, s.
     """
 
     benchmark: PhysicalModel
-    discrete: DiscreteStateSpace | None
     dead_zone: float = eqx.field(static=True)
     min_command: float = eqx.field(static=True)
     sign: int = eqx.field(static=True)
@@ -53,14 +52,16 @@ class DiscretePhysicalModel(eqx.Module):
     def of(
         cls, benchmark: PhysicalModel, *, dead_zone: float, min_command: float, sign: int, step_s: float
     ) -> "DiscretePhysicalModel":
-        """Put a benchmark on a clock."""
-        linear = not isinstance(benchmark.structure, NonlinearStructure)
-        discrete = benchmark.discretised(step_s) if linear else None
-        delay_samples = 0 if discrete is None else int(discrete.delay_samples)
-        return cls(benchmark, discrete, dead_zone, min_command, sign, delay_samples, step_s)
+        """Discretise a physical model."""
+        structure = benchmark.structure
+        if isinstance(structure, NonlinearStructure):
+            return _NonlinearModel(benchmark, dead_zone, min_command, sign, 0, step_s, structure)
+        discrete = benchmark.discretised(step_s)
+        delay_samples = int(discrete.delay_samples)
+        return _LinearModel(benchmark, dead_zone, min_command, sign, delay_samples, step_s, discrete)
 
     def closed_valve(self) -> ValveState:
-        """Return the valve before it has heard any command."""
+        """Return the valve before any command."""
         zero = jnp.zeros(())
         motion_demand = jnp.zeros(self.delay_samples + 1, jnp.bool_)
         return ValveState(PlayState(zero, zero), zero, jnp.zeros(self.delay_samples + 2), motion_demand)
@@ -68,10 +69,10 @@ class DiscretePhysicalModel(eqx.Module):
     def step_valve(
         self, valve: ValveState, command: Float[Array, ""], covariate: Float[Array, ""]
     ) -> ValveState:
-        """Let the valve hear one sample of its command."""
+        """Advance the valve by one sample of its command."""
         nonlinearity, spool = self.benchmark.nonlinearity, valve.spool
         effective = jnp.sign(command) * jnp.maximum(jnp.abs(command) - self.dead_zone, 0.0)
-        flow = command if self.discrete is None else effective
+        flow = command if self.benchmark.structure.uses_raw_command else effective
         if nonlinearity is not None:
             spool, excess = nonlinearity.step_spool(spool, command, jnp.asarray(self.dead_zone), self.step_s)
             flow = nonlinearity.flow(excess, covariate)
@@ -83,15 +84,43 @@ class DiscretePhysicalModel(eqx.Module):
             jnp.concatenate([demanded[None], valve.motion_demand[:-1]]),
         )
 
+    @abc.abstractmethod
     def init_state(
         self, displacement: Float[Array, ""], speed: Float[Array, ""], load: Float[Array, ""]
     ) -> Float[Array, " n"]:
         """Return the plant's state at a displacement and a speed, in the displacement's unit and 1/s."""
-        structure, values = self.benchmark.structure, self.benchmark.values
-        if isinstance(structure, NonlinearStructure):
-            return structure.init_state(values, displacement[None])[:, 0]
-        return self.benchmark.linear.state_at_speed(
-            values, self.sign * speed / self._gain(displacement, load)
+
+    @abc.abstractmethod
+    def advance(
+        self,
+        plant_state: Float[Array, " n"],
+        valve: ValveState,
+        displacement: Float[Array, ""],
+        covariate: Float[Array, ""],
+    ) -> tuple[Float[Array, " n"], Float[Array, ""]]:
+        """Return the plant's state one sample later and the change of the displacement."""
+
+    @abc.abstractmethod
+    def speed(
+        self,
+        plant_state: Float[Array, " n"],
+        valve: ValveState,
+        displacement: Float[Array, ""],
+        covariate: Float[Array, ""],
+    ) -> Float[Array, ""]:
+        """Return the speed of the displacement under the input of the sample before."""
+
+
+class _LinearModel(DiscretePhysicalModel):
+    """A linear structure with its nonlinearities; `discrete` is its linear part at the sampling time."""
+
+    discrete: DiscreteStateSpace
+
+    def init_state(
+        self, displacement: Float[Array, ""], speed: Float[Array, ""], load: Float[Array, ""]
+    ) -> Float[Array, " n"]:
+        return self.benchmark.structure.require_linear().state_at_speed(
+            self.benchmark.values, speed / self._scale(displacement, load)
         )
 
     def advance(
@@ -101,17 +130,12 @@ class DiscretePhysicalModel(eqx.Module):
         displacement: Float[Array, ""],
         covariate: Float[Array, ""],
     ) -> tuple[Float[Array, " n"], Float[Array, ""]]:
-        """Return the plant's state one sample later and how far the displacement changes."""
-        structure, values = self.benchmark.structure, self.benchmark.values
-        if isinstance(structure, NonlinearStructure):
-            next_state = rk4_step(structure, values, plant_state[:, None], valve.flows[:1], self.step_s)[:, 0]
-            return next_state, next_state[0] - plant_state[0]
-        model = self.discrete or self.benchmark.discretised(self.step_s)
+        model = self.discrete
         current_flow, previous_flow = valve.flows[self.delay_samples], valve.flows[self.delay_samples + 1]
         # A sum, not a product of matrices: so small, the call would cost more than the work.
         free_response = jnp.sum(model.transition * plant_state, axis=1)
         next_state = free_response + current_flow * model.gamma0 + previous_flow * model.gamma1
-        return next_state, self.sign * self._gain(displacement, covariate) * (next_state[0] - plant_state[0])
+        return next_state, self._scale(displacement, covariate) * (next_state[0] - plant_state[0])
 
     def speed(
         self,
@@ -120,18 +144,45 @@ class DiscretePhysicalModel(eqx.Module):
         displacement: Float[Array, ""],
         covariate: Float[Array, ""],
     ) -> Float[Array, ""]:
-        """Return the speed of the displacement, the input being that of the sample before."""
-        structure, values = self.benchmark.structure, self.benchmark.values
+        a, b = self.benchmark.structure.require_linear().state_space(self.benchmark.values)
         previous_flow = valve.flows[self.delay_samples + 1]
-        if isinstance(structure, NonlinearStructure):
-            return structure.vector_field(values, plant_state[:, None], previous_flow[None])[0, 0]
-        a, b = self.benchmark.linear.state_space(values)
-        return (
-            self.sign
-            * self._gain(displacement, covariate)
-            * (jnp.sum(a[0] * plant_state) + b[0] * previous_flow)
-        )
+        travel_speed = jnp.sum(a[0] * plant_state) + b[0] * previous_flow
+        return self._scale(displacement, covariate) * travel_speed
 
-    def _gain(self, displacement: Float[Array, ""], covariate: Float[Array, ""]) -> Float[Array, ""]:
+    def _scale(self, displacement: Float[Array, ""], covariate: Float[Array, ""]) -> Float[Array, ""]:
+        """Return the change of displacement per travel of the linear part."""
         nonlinearity = self.benchmark.nonlinearity
-        return jnp.ones(()) if nonlinearity is None else nonlinearity.gain(displacement, covariate)
+        gain = jnp.ones(()) if nonlinearity is None else nonlinearity.gain(displacement, covariate)
+        return self.sign * gain
+
+
+class _NonlinearModel(DiscretePhysicalModel):
+    """A nonlinear structure, integrated over each sample; its first state is the displacement."""
+
+    structure: NonlinearStructure
+
+    def init_state(
+        self, displacement: Float[Array, ""], speed: Float[Array, ""], load: Float[Array, ""]
+    ) -> Float[Array, " n"]:
+        return self.structure.init_state(self.benchmark.values, displacement[None])[:, 0]
+
+    def advance(
+        self,
+        plant_state: Float[Array, " n"],
+        valve: ValveState,
+        displacement: Float[Array, ""],
+        covariate: Float[Array, ""],
+    ) -> tuple[Float[Array, " n"], Float[Array, ""]]:
+        state, values = plant_state[:, None], self.benchmark.values
+        next_state = rk4_step(self.structure, values, state, valve.flows[:1], self.step_s)[:, 0]
+        return next_state, next_state[0] - plant_state[0]
+
+    def speed(
+        self,
+        plant_state: Float[Array, " n"],
+        valve: ValveState,
+        displacement: Float[Array, ""],
+        covariate: Float[Array, ""],
+    ) -> Float[Array, ""]:
+        previous_flow = valve.flows[self.delay_samples + 1][None]
+        return self.structure.vector_field(self.benchmark.values, plant_state[:, None], previous_flow)[0, 0]

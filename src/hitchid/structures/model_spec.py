@@ -1,7 +1,7 @@
 """What is searched for one direction: a structure, and which curves stand around it."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -20,7 +20,7 @@ from hitchid.structures.static_nonlinearity import (
     Scales,
     StaticNonlinearity,
 )
-from hitchid.structures.structure import DEAD_TIME, LinearStructure, Parameter, Structure
+from hitchid.structures.structure import DEAD_TIME, ModelOption, Parameter, Structure
 
 
 @dataclass(frozen=True)
@@ -51,12 +51,12 @@ class ModelSpec:
     covariate: str | None = None
 
     def __post_init__(self) -> None:
-        """Refuse curves around what is not linear, and bounds that do not fit."""
-        extended = self.dead_time or bool(self.nonlinearity_parameters)
-        if extended and not isinstance(self.structure, LinearStructure):
+        """Refuse options that the structure does not take, and bounds that do not fit."""
+        refused = [option.value for option in ModelOption if option in self.options - self.structure.options]
+        if refused:
             raise InputError(
-                f"'{self.structure.name}' stands alone; required no dead time, curve, spool, slope, position "
-                "or load beside it"
+                f"structure '{self.structure.name}' takes no {' and no '.join(refused)}; required a form "
+                "without"
             )
         by_name = {parameter.name: parameter for parameter in self.parameters}
         for name, (lower, upper) in self.bounds.items():
@@ -68,6 +68,34 @@ class ModelSpec:
                 raise InputError(
                     f"bounds of '{name}': required 0 < lower < upper, came {lower:g} and {upper:g}"
                 )
+
+    @property
+    def options(self) -> frozenset[ModelOption]:
+        """What stands beside the structure."""
+        enabled = {
+            ModelOption.DEAD_TIME: self.dead_time,
+            ModelOption.VALVE_CURVE: self.valve_curve,
+            ModelOption.SPOOL_DYNAMICS: self.spool_dynamics,
+            ModelOption.STROKE_GAIN: self.stroke_gain_linear or self.stroke_gain_quadratic,
+            ModelOption.COVARIATE: self.covariate is not None,
+        }
+        return frozenset(option for option, is_enabled in enabled.items() if is_enabled)
+
+    def with_structure(self, structure: Structure) -> "ModelSpec":
+        """Return the form with another structure and those of the options that it takes."""
+        taken = structure.options
+        has_stroke_gain = ModelOption.STROKE_GAIN in taken
+        spec = ModelSpec(
+            structure,
+            dead_time=self.dead_time and ModelOption.DEAD_TIME in taken,
+            valve_curve=self.valve_curve and ModelOption.VALVE_CURVE in taken,
+            spool_dynamics=self.spool_dynamics and ModelOption.SPOOL_DYNAMICS in taken,
+            stroke_gain_linear=self.stroke_gain_linear and has_stroke_gain,
+            stroke_gain_quadratic=self.stroke_gain_quadratic and has_stroke_gain,
+            covariate=self.covariate if ModelOption.COVARIATE in taken else None,
+        )
+        kept = {parameter.name for parameter in spec.parameters} - {p.name for p in structure.parameters}
+        return replace(spec, bounds={name: self.bounds[name] for name in kept & self.bounds.keys()})
 
     @property
     def nonlinearity_parameters(self) -> tuple[Parameter, ...]:

@@ -1,4 +1,4 @@
-"""Structures that no matrices describe: a rate of change, integrated by Runge and Kutta's method."""
+"""Nonlinear structures: a vector field, integrated by the classical Runge-Kutta method."""
 
 import abc
 from typing import ClassVar
@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 from jaxtyping import Array, Float
 
-from hitchid.structures.discretise import Scalar
+from hitchid.structures.discretisation import Scalar
 from hitchid.structures.structure import Structure
 
 
@@ -16,11 +16,10 @@ class NonlinearStructure(Structure):
 
     Attributes:
         substeps: steps of integration in one sample.
-        local_starts: random starts its least squares needs beside the search, where a fit has many valleys.
     """
 
+    uses_raw_command: ClassVar[bool] = True
     substeps: ClassVar[int]
-    local_starts: ClassVar[int]
 
     @abc.abstractmethod
     def init_state(self, values: Float[Array, " p"], displacement: Float[Array, " t"]) -> Float[Array, "n t"]:
@@ -66,7 +65,7 @@ def rk4_step(
     command: Float[Array, " t"],
     step_s: Scalar,
 ) -> Float[Array, "n t"]:
-    """Return the state one sample later, the command held; see `simulated`."""
+    """Return the state one sample later, the command held; see `simulate_nonlinear`."""
     width = step_s / structure.substeps
 
     def step(_: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:

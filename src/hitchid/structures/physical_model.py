@@ -11,7 +11,7 @@ from hitchid._support.checks import number
 from hitchid._support.precision import double_precision
 from hitchid.errors import InputError
 from hitchid.structures.batch import Batch
-from hitchid.structures.discretise import DiscreteStateSpace, Scalar, discretise, simulate_linear
+from hitchid.structures.discretisation import DiscreteStateSpace, Scalar, discretise, simulate_linear
 from hitchid.structures.nonlinear import NonlinearStructure, simulate_nonlinear
 from hitchid.structures.static_nonlinearity import NONLINEARITY_PARAMETERS, StaticNonlinearity
 from hitchid.structures.structure import DEAD_TIME, LinearStructure, Structure
@@ -75,7 +75,7 @@ class PhysicalModel(eqx.Module):
         Raises:
             InputError: the structure is not linear.
         """
-        return _discretised(self.linear, self.values, self.dead_time_s, step_s)
+        return _discretised(self.structure.require_linear(), self.values, self.dead_time_s, step_s)
 
     def named_values(self) -> dict[str, float]:
         """Return parameter name to value, with `dead_time` where there is one."""
@@ -142,14 +142,21 @@ class PhysicalModel(eqx.Module):
         return control.TransferFunction(numerator, denominator, step_s)
 
     @property
-    def linear(self) -> LinearStructure:
-        """The structure where it is linear; raises InputError where it is not."""
-        if not isinstance(self.structure, LinearStructure):
-            raise InputError(f"'{self.structure.name}' is not linear; required a structure that is")
-        return self.structure
+    def gain(self) -> Float[Array, ""]:
+        """The parameter to which the speed is proportional; raises InputError where there is none."""
+        return self.values[self.structure.gain_index]
+
+    def with_gain(self, factor: float) -> "PhysicalModel":
+        """Return the model with its gain multiplied by a factor.
+
+        Raises:
+            InputError: the structure has no gain.
+        """
+        values = self.values.at[self.structure.gain_index].multiply(factor)
+        return eqx.tree_at(lambda model: model.values, self, values)
 
     def _transfer_function(self, step_s: float | None) -> tuple[np.ndarray, np.ndarray]:
-        structure = self.linear
+        structure = self.structure.require_linear()
         if self.nonlinearity is not None:
             raise InputError(
                 "a benchmark with curves of valve or stroke has no transfer function; "

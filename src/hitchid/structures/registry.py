@@ -1,7 +1,8 @@
-"""The structures by name: a new one is one file and one line here."""
+"""The structures by name: a new one is one file and one line here, or an entry point of another package."""
 
-from types import MappingProxyType
+from collections.abc import Mapping
 
+from hitchid._support.extensions import with_extensions
 from hitchid.errors import InputError
 from hitchid.structures.cascaded_tanks import CascadedTanks
 from hitchid.structures.first_order_lag import FirstOrderLag
@@ -11,27 +12,41 @@ from hitchid.structures.integrator_first_order import IntegratorFirstOrder
 from hitchid.structures.integrator_second_order import IntegratorSecondOrder
 from hitchid.structures.structure import Structure
 
-STRUCTURES = MappingProxyType(
-    {
-        structure.name: structure
-        for structure in (
-            IntegratorSecondOrder(),
-            FirstOrderLag(),
-            IntegratorFirstOrder(),
-            Integrator(),
-            InertiaWithFriction(),
-            CascadedTanks(),
-        )
-    }
+BUILT_IN = (
+    IntegratorSecondOrder(),
+    FirstOrderLag(),
+    IntegratorFirstOrder(),
+    Integrator(),
+    InertiaWithFriction(),
+    CascadedTanks(),
 )
+
+
+def registered_structures() -> Mapping[str, Structure]:
+    """Return the structures of this and of other installed packages by name.
+
+    Raises:
+        InputError: a structure of another package cannot be imported, is of another type, or has a name that
+            is taken.
+    """
+    return with_extensions("hitchid.structures", BUILT_IN, kind=Structure, name=lambda part: part.name)
+
+
+def external_structures() -> tuple[Structure, ...]:
+    """Return the structures of other installed packages; raises as `registered_structures`."""
+    return tuple(registered_structures().values())[len(BUILT_IN) :]
 
 
 def structure_named(name: str) -> Structure:
     """Return a structure by its name.
 
     Raises:
-        InputError: there is none of that name.
+        InputError: there is none of that name, or as `registered_structures`.
     """
-    if name not in STRUCTURES:
-        raise InputError(f"there is no structure '{name}'; required one of {', '.join(STRUCTURES)}")
-    return STRUCTURES[name]
+    for structure in BUILT_IN:
+        if structure.name == name:
+            return structure
+    structures = registered_structures()
+    if name not in structures:
+        raise InputError(f"there is no structure '{name}'; required one of {', '.join(structures)}")
+    return structures[name]

@@ -1,4 +1,4 @@
-"""What a benchmark structure is: identifiable parameters, a state space, a transfer function."""
+"""What a structure promises: parameters, gain, linearity, options, state space and transfer function."""
 
 import abc
 from collections.abc import Mapping
@@ -10,9 +10,11 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from hitchid.errors import InputError
+
 
 class Scale(Enum):
-    """What the data say of the size of a parameter, by which its default bounds are multiplied."""
+    """Size taken from the tests, by which the default bounds of a parameter are multiplied."""
 
     NONE = "nothing: the bounds are absolute"
     SPEED = "mean speed per command"
@@ -25,13 +27,13 @@ class Parameter(NamedTuple):
     """One identifiable parameter.
 
     Attributes:
-        name: the field's word for it.
+        name: name in settings, reports and model folders.
         unit: unit with `{x}` for the displacement's and `{u}` for the command's.
         lower, upper: default search bounds, factors on `scale`.
-        scale: what they are factors on.
-        linear: whether it is searched between its bounds as it is, not by its logarithm.
-        symbol: how formulas call it; its name where there is none.
-        excitation_hint: what a test that determines it must have, where its unit does not say.
+        scale: size that the bounds multiply.
+        linear: whether the search is linear between the bounds; otherwise it is logarithmic.
+        symbol: symbol in formulas; empty for the name.
+        excitation_hint: what a test must contain to determine it; empty where the unit implies it.
     """
 
     name: str
@@ -44,22 +46,68 @@ class Parameter(NamedTuple):
     excitation_hint: str = ""
 
 
+# Valves and their amplifiers answer within 1 s; the lower bound is zero to any clock of a bench.
 DEAD_TIME = Parameter("dead_time", "s", 1e-4, 1.0, symbol="dead time")
 
 
+class ModelOption(Enum):
+    """What a model may have beside its structure."""
+
+    DEAD_TIME = "dead time"
+    VALVE_CURVE = "valve curve"
+    SPOOL_DYNAMICS = "spool dynamics"
+    STROKE_GAIN = "gain along the stroke"
+    COVARIATE = "second measured input"
+
+
 class Structure(eqx.Module):
-    """A model from command to displacement.
+    """A model from command to displacement: a subclass of `LinearStructure` or `NonlinearStructure`.
+
+    Another package registers a structure, with default bounds that need no setting, by an entry point of the
+    group `hitchid.structures`; its value is an instance.
 
     Attributes:
-        name, formula: how settings and reports call it.
-        parameters: what can be identified.
-        fallback_quantity: parameter to what of the others or of the derived is determined where it is not.
+        name, formula: as in settings and reports.
+        parameters: what is identified.
+        gain: name of the parameter to which the speed is proportional; empty for none.
+        options: what a model of it may have beside it.
+        uses_raw_command: whether it takes the whole command, from which no dead zone is removed.
+        local_starts: further random starts of the least squares, where a fit has several minima.
+        fallback_quantity: parameter to the parameter or derived quantity that is reported as determined where
+            it is not itself.
     """
 
     name: ClassVar[str]
     formula: ClassVar[str]
     parameters: ClassVar[tuple[Parameter, ...]]
+    gain: ClassVar[str] = ""
+    options: ClassVar[frozenset[ModelOption]] = frozenset()
+    uses_raw_command: ClassVar[bool] = False
+    local_starts: ClassVar[int] = 0
     fallback_quantity: ClassVar[Mapping[str, str]] = MappingProxyType({})
+
+    @property
+    def linear(self) -> "LinearStructure | None":
+        """The structure itself where it is linear, else None."""
+        return None
+
+    def require_linear(self) -> "LinearStructure":
+        """Return the structure itself.
+
+        Raises:
+            InputError: it is not linear.
+        """
+        if self.linear is None:
+            raise InputError(f"structure '{self.name}' is not linear; required a linear structure")
+        return self.linear
+
+    @property
+    def gain_index(self) -> int:
+        """Number of the gain among the parameters; raises InputError where there is none."""
+        for index, parameter in enumerate(self.parameters):
+            if parameter.name == self.gain:
+                return index
+        raise InputError(f"structure '{self.name}' has no gain; required a structure with one")
 
     def derived(self, values: tuple[float, ...]) -> dict[str, tuple[float, str]]:
         """Return quantities computed from the parameters: name to value and unit template."""
@@ -69,11 +117,19 @@ class Structure(eqx.Module):
 class LinearStructure(Structure):
     """A linear model from effective command to displacement away from its start.
 
-    Every parameter is positive. Output is the first state; the second, where there is one, is its rate.
+    Every parameter is positive. The output is the first state; the second, where there is one, is its rate.
     """
 
+    gain: ClassVar[str] = "gain"
+    options: ClassVar[frozenset[ModelOption]] = frozenset(ModelOption)
+
+    @property
+    def linear(self) -> "LinearStructure":
+        """The structure itself."""
+        return self
+
     def state_at_speed(self, values: Float[Array, " p"], speed: Float[Array, ""]) -> Float[Array, " n"]:
-        """Return the state at travel zero and a given speed; without a second state speed is none of it."""
+        """Return the state at travel zero and a given speed; with one state the speed is not part of it."""
         count = self.state_space(values)[1].shape[0]
         return jnp.zeros(count, values.dtype).at[1:2].set(speed)
 

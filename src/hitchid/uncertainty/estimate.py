@@ -53,6 +53,17 @@ class Estimate:
             return inf
         return 4 * (upper - lower) / (self.upper - self.lower) if self.linear else log(upper / lower)
 
+    def scaled(self, factor: float) -> "Estimate":
+        """Return it multiplied by a factor."""
+        return replace(
+            self,
+            value=factor * self.value,
+            error=None if self.error is None else factor * self.error,
+            interval=_scale_interval(self.interval, factor),
+            bootstrap=self.bootstrap and _scale_interval(self.bootstrap, factor),
+            profile=tuple((factor * value, fitness) for value, fitness in self.profile),
+        )
+
     def value_at(self, position: np.ndarray) -> np.ndarray:
         """Return the values at positions between the bounds, 0 the lower and 1 the upper one."""
         if self.linear:
@@ -100,19 +111,10 @@ class Estimates:
     tests: int
     rows: int
 
-    def scaled(self, factor: float) -> "Estimates":
-        """Return it with a factor on the gain, which comes first; what follows from it is left out."""
-        gain = self.parameters[0]
-
-        scaled_gain = replace(
-            gain,
-            value=factor * gain.value,
-            error=None if gain.error is None else factor * gain.error,
-            interval=_scale_interval(gain.interval, factor),
-            bootstrap=gain.bootstrap and _scale_interval(gain.bootstrap, factor),
-            profile=tuple((factor * value, fitness) for value, fitness in gain.profile),
-        )
-        return replace(self, parameters=(scaled_gain, *self.parameters[1:]), derived=())
+    def scaled(self, name: str, factor: float) -> "Estimates":
+        """Return them with one parameter multiplied by a factor, without the derived quantities."""
+        parameters = [each.scaled(factor) if each.name == name else each for each in self.parameters]
+        return replace(self, parameters=tuple(parameters), derived=())
 
 
 def _scale_interval(interval: Interval, factor: float) -> Interval:

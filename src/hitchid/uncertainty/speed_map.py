@@ -11,7 +11,6 @@ from jaxtyping import Array, Float
 
 from hitchid.estimation import Objective
 from hitchid.structures import ModelSpec, Scales
-from hitchid.structures.structure import LinearStructure
 from hitchid.uncertainty.characteristics import (
     TIME_RESOLUTION_SAMPLES,
     Characteristics,
@@ -72,7 +71,7 @@ def characteristics(
     model_spec, batch = objective.spec, objective.batch
     largest = float(np.abs(np.asarray(batch.raw_command)[np.asarray(batch.loss_mask)]).max())
     has_load = model_spec.covariate is not None
-    if not isinstance(model_spec.structure, LinearStructure):
+    if model_spec.structure.linear is None:
         return None
     loads = operating_loads(batch, measured=has_load)
     physical_model = model_spec.physical_model(jnp.asarray(objective.values(position)), objective.scales)
@@ -244,8 +243,7 @@ def _open_ends(
 
 def _evaluate(objective: Objective, positions: np.ndarray, points: _Points) -> Float[np.ndarray, "p q"]:
     """Return the quantities at each position: speeds, then delay, response time and opening."""
-    structure, rows = objective.spec.structure, []
-    assert isinstance(structure, LinearStructure)  # noqa: S101 - others have no characteristics
+    structure, rows = objective.spec.structure.require_linear(), []
     for start in range(0, len(positions), BATCH_SIZE):
         chunk = positions[start : start + BATCH_SIZE]
         padded = np.concatenate([chunk, np.repeat(chunk[-1:], BATCH_SIZE - len(chunk), axis=0)])

@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hitchid.structures import NONLINEARITY_PARAMETERS, PhysicalModel, StaticNonlinearity, discretise
-from hitchid.structures.discretise import simulate_linear
+from hitchid.structures.discretisation import simulate_linear
 from hitchid.structures.structure import LinearStructure
 
 Scalar = Float[Array, ""] | float
@@ -39,25 +39,21 @@ def steady_speed(
     """
     effective_command = jnp.maximum(levels - dead_zone, 0.0)
     if physical_model.nonlinearity is None:
-        return physical_model.values[0] * effective_command
+        return physical_model.gain * effective_command
     flow = physical_model.nonlinearity.flow(effective_command, loads)
-    return (
-        physical_model.values[0]
-        * flow
-        * physical_model.nonlinearity.gain(jnp.full_like(loads, displacement), loads)
-    )
+    stroke_gain = physical_model.nonlinearity.gain(jnp.full_like(loads, displacement), loads)
+    return physical_model.gain * flow * stroke_gain
 
 
 def speed_lag(structure: LinearStructure, values: np.ndarray) -> float:
     """Return how slow the speed is, |a₁| + √a₂ + … of the denominator 1 + a₁ s + a₂ s² + … of s G(s), s.
 
-    Without an integrator the command moves the speed at once.
+    Without an integrator the slowest pole takes its place, and the lag is that of the others, Σ 1/|p|.
     """
-    *higher_coefficients, linear_coefficient, constant_coefficient = structure.transfer_function(
-        tuple(map(float, values))
-    )[1]
+    denominator = structure.transfer_function(tuple(map(float, values)))[1]
+    *higher_coefficients, linear_coefficient, constant_coefficient = denominator
     if constant_coefficient != 0:
-        return 0.0
+        return float(np.sum(1 / np.sort(np.abs(np.roots(denominator)))[1:]))
     return float(
         sum(
             abs(a / linear_coefficient) ** (1 / power)
@@ -74,7 +70,7 @@ def step_times(
     The form is simulated from rest on a clock that its lags set, without its gain along the stroke; the dead
     time is added. Both are zero for a form that has neither lag nor dead time. `lag_s` is `speed_lag`.
     """
-    nonlinearity, structure = physical_model.nonlinearity, physical_model.linear
+    nonlinearity, structure = physical_model.nonlinearity, physical_model.structure.require_linear()
     lag = jnp.asarray(lag_s)
     if nonlinearity is not None:
         # A lagging spool reaches the opening only after a while: c (1 − exp(−t/τ)) = d.
@@ -88,7 +84,7 @@ def step_times(
         final = nonlinearity.flow(final, jnp.asarray(load))
         flow = nonlinearity.flow(nonlinearity.effective(command, dead_zones, step_s), jnp.full((1, 1), load))
     travel = simulate_linear(discretise(structure, physical_model.values, 0.0, step_s), flow)[0]
-    relative_speed = jnp.diff(travel) / (step_s * physical_model.values[0] * final)
+    relative_speed = jnp.diff(travel) / (step_s * physical_model.gain * final)
     step_response = jnp.concatenate([jnp.zeros(1), relative_speed])
     # Differences of travel are mean speeds of cells, which belong to their middles.
     time_s = jnp.concatenate([jnp.zeros(1), (jnp.arange(CELLS - 1) + 0.5) * step_s])

@@ -12,7 +12,6 @@ from hitchid.baselines.black_box import BlackBox
 from hitchid.data.record import Record
 from hitchid.model import Channel, remove_padding
 from hitchid.structures import Batch
-from hitchid.structures.structure import LinearStructure
 from hitchid.uncertainty import Uncertainty
 from hitchid.validation.pooled import pooled
 from hitchid.validation.predictions import Predictions
@@ -195,7 +194,5 @@ def paper_channel(channel: Channel) -> Channel | None:
     if channel.paper is not None:
         return channel.paper
     physical_model = channel.benchmark
-    is_paper_model = (
-        isinstance(physical_model.structure, LinearStructure) and physical_model.nonlinearity is None
-    )
+    is_paper_model = physical_model.structure.linear is not None and physical_model.nonlinearity is None
     return channel if is_paper_model and channel.arx is not None else None

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from hitchid.data.campaign import Campaign
-from hitchid.data.left_out import refuse, sentences, split_usable
+from hitchid.data.left_out import left_out_notices, refuse, split_usable
 from hitchid.data.record import CYCLE, Record
 from hitchid.model import Hitch
 
@@ -26,4 +26,5 @@ def with_covariates(campaign: Campaign, *models: Hitch) -> tuple[Campaign, tuple
     usable, lacking = split_usable(records, complete, strict=campaign.strict)
     if lacking and not usable:
         refuse(lacking, "tests")
-    return replace(campaign, records=tuple(usable)), sentences(lacking, len(records), "tests")
+    notices = left_out_notices(lacking, len(records), "tests")
+    return replace(campaign, records=tuple(usable)), tuple(map(str, notices))

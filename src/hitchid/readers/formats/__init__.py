@@ -1,11 +1,14 @@
-"""Which formats there are: a line for each."""
+"""The registry of log formats: one line for each; other packages add theirs by entry point."""
 
+from collections import Counter
 from collections.abc import Callable, Mapping
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from hitchid._support.extensions import with_extensions
 from hitchid.errors import InputError
 from hitchid.readers.content import ChannelSelection, Content
 from hitchid.readers.formats import can, csv, hdf5, mat, mdf, parquet, tdms
@@ -15,12 +18,14 @@ class Format(NamedTuple):
     """One log format.
 
     Attributes:
-        suffixes: the endings of its files.
-        read: reads the wanted channels.
-        write: writes columns of equal length, name to numbers; None where logs are not written in it.
-        libraries: modules of others that read it; files of such a format are read in a process of their own.
+        name: unique among all formats.
+        suffixes: endings of its files, in lower case, each with its point.
+        read: reads the selected channels.
+        write: writes columns of equal length, name to numbers; None for a format that is only read.
+        libraries: third-party modules that read it; such files are read in a process of their own.
     """
 
+    name: str
     suffixes: tuple[str, ...]
     read: Callable[[Path, ChannelSelection], Content]
     write: Callable[[Path, Mapping[str, np.ndarray]], None] | None = None
@@ -33,25 +38,40 @@ def _read_mdf(path: Path, selection: ChannelSelection) -> Content:
     return can.read_mf4(path, selection) if is_bus else mdf.read(path, selection)
 
 
-FORMATS = (
-    Format(csv.SUFFIXES, csv.read, csv.write_table),
-    Format(tdms.SUFFIXES, tdms.read, tdms.write_table, ("nptdms",)),
-    Format(mdf.SUFFIXES, _read_mdf, mdf.write_table, ("asammdf",)),
-    Format(mat.SUFFIXES, mat.read, None, ("scipy.io",)),
-    Format(hdf5.SUFFIXES, hdf5.read, None, ("h5py",)),
-    Format(parquet.SUFFIXES, parquet.read, parquet.write_table, ("pyarrow.parquet",)),
-    Format(can.SUFFIXES, can.read, None, ("can", "cantools")),
+BUILT_IN = (
+    Format("text", csv.SUFFIXES, csv.read, csv.write_table),
+    Format("tdms", tdms.SUFFIXES, tdms.read, tdms.write_table, ("nptdms",)),
+    Format("mdf", mdf.SUFFIXES, _read_mdf, mdf.write_table, ("asammdf",)),
+    Format("matlab", mat.SUFFIXES, mat.read, None, ("scipy.io",)),
+    Format("hdf5", hdf5.SUFFIXES, hdf5.read, None, ("h5py",)),
+    Format("parquet", parquet.SUFFIXES, parquet.read, parquet.write_table, ("pyarrow.parquet",)),
+    Format("can", can.SUFFIXES, can.read, None, ("can", "cantools")),
 )
 
 
+@cache
+def formats() -> Mapping[str, Format]:
+    """Return all formats by name: those of this package, then the entry points `hitchid.formats`.
+
+    Raises:
+        InputError: a registered format cannot be loaded, or its name or an ending is taken.
+    """
+    known = with_extensions("hitchid.formats", BUILT_IN, kind=Format, name=lambda known: known.name)
+    count = Counter(suffix for log_format in known.values() for suffix in log_format.suffixes)
+    for suffix in (suffix for suffix in count if count[suffix] > 1):
+        names = " and ".join(name for name, known_format in known.items() if suffix in known_format.suffixes)
+        raise InputError(f"hitchid.formats: {names} both read '{suffix}'; required one format for an ending")
+    return known
+
+
 def known_format(path: Path) -> Format | None:
-    """Return the format of a file, told by its ending; None where it is not known."""
+    """Return the format of a file by its ending; None for an unknown ending."""
     name = path.name.lower()
-    return next((log_format for log_format in FORMATS if name.endswith(log_format.suffixes)), None)
+    return next((known for known in formats().values() if name.endswith(known.suffixes)), None)
 
 
 def format_of(path: Path) -> Format:
-    """Return the format of a file, told by its ending.
+    """Return the format of a file by its ending.
 
     Raises:
         InputError: the ending is not known.
@@ -63,8 +83,8 @@ def format_of(path: Path) -> Format:
 
 
 def known_suffixes() -> str:
-    """Return the endings of all formats, in words."""
-    return ", ".join(suffix for log_format in FORMATS for suffix in log_format.suffixes)
+    """Return the endings of all formats, separated by commas."""
+    return ", ".join(suffix for log_format in formats().values() for suffix in log_format.suffixes)
 
 
 def record_name(path: Path) -> str:
@@ -74,7 +94,7 @@ def record_name(path: Path) -> str:
 
 
 def write_table(path: Path, columns: Mapping[str, np.ndarray]) -> None:
-    """Write columns of equal length as a log; the ending of its name says the format.
+    """Write columns of equal length as a log in the format of its ending.
 
     Raises:
         InputError: the ending is not known, or logs are not written in this format.

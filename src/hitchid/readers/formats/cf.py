@@ -1,4 +1,4 @@
-"""What NetCDF attributes say of numbers: units of time, scaling, fill values."""
+"""NetCDF attributes of the CF conventions: units of time, scaling, fill values."""
 
 from collections.abc import Mapping
 
@@ -9,12 +9,12 @@ from hitchid.readers.formats.extra import floats, unit_text
 
 
 def is_time(unit: str | None) -> bool:
-    """Return whether the unit is one of time, with or without `since ...`."""
+    """Return whether a unit is one of time, with or without `since ...`."""
     return _seconds_per_unit(unit) is not None
 
 
 def to_seconds(values: np.ndarray, unit: str | None) -> np.ndarray:
-    """Return times in seconds, rounded once; as they are where the unit is none of time."""
+    """Return times in seconds, rounded once; unchanged if the unit is not one of time."""
     factor = _seconds_per_unit(unit) or 1.0
     if factor == 1.0:
         return values
@@ -22,7 +22,7 @@ def to_seconds(values: np.ndarray, unit: str | None) -> np.ndarray:
 
 
 def decode_values(raw: np.ndarray, attributes: Mapping[str, object]) -> np.ndarray:
-    """Return the numbers that stored ones stand for: scaled, shifted, NaN where they are filled or not valid.
+    """Return physical from stored numbers: scaled, shifted, NaN where filled or out of the valid range.
 
     Args:
         raw: as stored, any shape with one long side.
@@ -46,7 +46,7 @@ def decode_values(raw: np.ndarray, attributes: Mapping[str, object]) -> np.ndarr
 
 
 def _as_unsigned(stored: np.ndarray, attributes: Mapping[str, object]) -> np.ndarray:
-    """Return whole numbers without a sign where the file says so: NetCDF 3 has none to store them in."""
+    """Return integers as unsigned if the attribute `_Unsigned` is set: NetCDF 3 has no unsigned type."""
     unsigned = (unit_text(attributes.get("_Unsigned")) or "").lower() == "true"
     return (
         stored.view(f"{stored.dtype.byteorder}u{stored.dtype.itemsize}")
@@ -56,7 +56,7 @@ def _as_unsigned(stored: np.ndarray, attributes: Mapping[str, object]) -> np.nda
 
 
 def _valid_range(attributes: Mapping[str, object]) -> tuple[float, float]:
-    """Return the range outside of which stored numbers are none."""
+    """Return the range of valid stored numbers."""
     limits = np.asarray(attributes.get("valid_range", ())).ravel()
     if limits.size == 2 and limits.dtype.kind in "fiu":
         return float(limits[0]), float(limits[1])
@@ -65,12 +65,12 @@ def _valid_range(attributes: Mapping[str, object]) -> tuple[float, float]:
 
 
 def unit_attribute(attributes: Mapping[str, object]) -> str | None:
-    """Return the unit among the attributes, None where there is none."""
+    """Return the unit among the attributes, None if there is none."""
     return unit_text(attributes.get("units")) or unit_text(attributes.get("unit"))
 
 
 def _seconds_per_unit(unit: str | None) -> float | None:
-    """Return the seconds of a unit of time, None for any other."""
+    """Return the seconds in a unit of time, None for any other unit."""
     unit_name = parse_unit((unit or "").partition(" since ")[0])
     return UNITS[unit_name].factor if unit_name and UNITS[unit_name].dimension == "time" else None
 

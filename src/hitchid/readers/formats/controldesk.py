@@ -1,19 +1,20 @@
-"""The label rows of text that dSPACE ControlDesk exports, below which every row holds time and samples."""
+"""The label rows above the samples in text exported by dSPACE ControlDesk."""
 
 from collections import Counter
 from collections.abc import Sequence
 from typing import NamedTuple
 
+# First cells of the label rows.
 NAMES, UNITS, RASTERS, PATHS, SAMPLES = "trace_names", "trace_units", "raster", "path", "trace_values"
-TIME = "time_s"
+TIME = "time_s"  # name given to the time, which has none in the file
 
 
 class Labels(NamedTuple):
-    """What the label rows say.
+    """Content of the label rows.
 
     Attributes:
-        names: of the columns, in order; the first holds labels alone.
-        units: name to unit, where there is one.
+        names: of the columns, in order; the first column holds the labels.
+        units: name to unit, for columns with a unit.
         header: line of the names, from 1.
         first: line of the first sample, from 1.
     """
@@ -25,10 +26,10 @@ class Labels(NamedTuple):
 
 
 def labels_of(rows: Sequence[tuple[int, Sequence[str]]]) -> Labels | None:
-    """Return what label rows say, None where a text has none.
+    """Return the content of the label rows, None for a text without them.
 
-    A name that stands twice gives way to the last part of its path. The time has no name: it is `time_s`;
-    where there are several, one for each raster, `time_s/` and the raster.
+    A name that occurs twice is replaced by the last part of its path. The time is named `time_s`, and
+    `time_s/` with the raster if there is a time for each of several rasters.
 
     Args:
         rows: line and cells of the first rows of a text.

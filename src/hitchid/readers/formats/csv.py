@@ -1,4 +1,4 @@
-"""Text logs, a line a sample: separator, decimal sign, header and units as the logger wrote them."""
+"""Text logs, one line a sample, in any dialect: separator, decimal sign, header, units."""
 
 import codecs
 import csv
@@ -27,17 +27,17 @@ from hitchid.readers.content import (
 from hitchid.readers.formats.dialect import Dialect, check_width, dialect_of, encoding_of
 
 SUFFIXES = (".csv", ".csv.gz", ".tsv", ".tsv.gz", ".lvm")
-HEAD, BLOCK = 2**20, 2**25
-LONGEST_SHOWN = 40
+HEAD, BLOCK = 2**20, 2**25  # bytes: beginning that decides the dialect; part parsed at once
+LONGEST_SHOWN = 40  # characters of a cell in a message
 NO_FINAL_NEWLINE = "the last line has no line end: it may have been cut short"
 
 
 def read(path: Path, selection: ChannelSelection) -> Content:
-    """Read the wanted columns of a text log, block by block; text in other columns does no harm.
+    """Read the selected columns of a text log, block by block; other columns may hold text.
 
     Raises:
-        LogError: the file cannot be read, or a wanted column is missing or holds something that is no number;
-            the message names line and column.
+        LogError: the file cannot be read, a column is missing, or a cell is not a number; the message names
+            line and column.
     """
     blocks = _blocks(path)
     head = next(blocks, "")
@@ -45,7 +45,7 @@ def read(path: Path, selection: ChannelSelection) -> Content:
         () if selection.signals is None else tuple(dict.fromkeys((selection.time, *selection.signals)))
     )
     dialect = dialect_of(head[:HEAD], path, requested)
-    # Where all are wanted, a name that stands twice names none.
+    # If all columns are selected, those with a name that occurs twice are left out.
     requested = requested or tuple(
         name for name, count in Counter(dialect.names).items() if name and count == 1
     )
@@ -71,9 +71,9 @@ def read(path: Path, selection: ChannelSelection) -> Content:
 
 
 def _join_column(blocks: Sequence[list[np.ndarray]]) -> np.ndarray:
-    """Return the last column of all parts as one that nobody can change, and take it from the parts.
+    """Remove the last column of all blocks and return it as one read-only array.
 
-    A day of samples is large: there is never more than one column of it twice.
+    This limits the memory for a long log: no more than one column exists twice.
     """
     column = np.concatenate([block.pop() for block in blocks])
     column.setflags(write=False)
@@ -83,7 +83,7 @@ def _join_column(blocks: Sequence[list[np.ndarray]]) -> np.ndarray:
 def read_rows(path: Path) -> tuple[list[str], list[list[str]]]:
     """Return header and rows of a text log as text; every row has as many cells as the header.
 
-    Numbers with a decimal comma get a point.
+    A decimal comma becomes a point.
     """
     text = "".join(_blocks(path))
     dialect = dialect_of(text[:HEAD], path)
@@ -132,7 +132,7 @@ def write_rows(path: Path, header: Sequence[str], rows: Sequence[Sequence[str]])
 
 
 def _with_decimal_point(text: str) -> str:
-    """Return text with points for decimal commas; what were points make no number, thousands among them."""
+    """Return text with decimal points for commas; points become `?`, which no number contains."""
     return text.replace(".", "?").replace(",", ".")
 
 
@@ -161,7 +161,7 @@ class _ParsedBlock(NamedTuple):
 
 
 class _ColumnReader(NamedTuple):
-    """The columns that are read of a log: their names, and which they are."""
+    """Parser of the selected columns: their names and indices."""
 
     path: Path
     dialect: Dialect
@@ -169,7 +169,7 @@ class _ColumnReader(NamedTuple):
     indices: tuple[int, ...]
 
     def parse_block(self, first: int, block: str) -> _ParsedBlock:
-        """Return the numbers of a block that begins at a line."""
+        """Return the numbers of a block whose first line is `first`."""
         self.check_width(first, block)
         separator = None if self.dialect.separator == " " else self.dialect.separator
         text = io.StringIO(_with_decimal_point(block) if self.dialect.comma else block)
@@ -183,17 +183,17 @@ class _ColumnReader(NamedTuple):
         return _ParsedBlock(len(rows), columns, _lines(block, first, len(rows)))
 
     def check_width(self, first: int, block: str) -> None:
-        """Refuse rows that are wider than the header; cells are told apart only where there may be some."""
+        """Refuse rows that are wider than the header; blocks with too few separators are not parsed."""
         separator, names = self.dialect.separator, self.dialect.names
         if max(line.count(separator) for line in block.split("\n")) < len(names) or separator == " ":
             return
         reader = csv.reader(io.StringIO(block), delimiter=separator)
         rows = ((first + reader.line_num - 1, [cell.strip() for cell in row]) for row in reader)
-        with suppress(csv.Error):  # what cannot be told apart is no number either, and refused as none
+        with suppress(csv.Error):  # such a row is refused later, as one that holds no number
             check_width(self.path, separator, names, rows, self.dialect.header)
 
     def first_error(self, first: int, block: str) -> LogError:
-        """Find the first cell that is no number."""
+        """Return the error for the first cell that is not a number."""
         spaced = self.dialect.separator == " "
         text = "\n".join(" ".join(line.split()) for line in block.split("\n")) if spaced else block
         reader = csv.reader(io.StringIO(text), delimiter=self.dialect.separator)
@@ -210,7 +210,7 @@ class _ColumnReader(NamedTuple):
 
 
 def _blocks_from_line(blocks: Iterable[str], first: int) -> Iterator[tuple[int, str]]:
-    """Return what stands from a line on, block by block, each with its first line."""
+    """Yield the text from line `first` on, block by block, each with the number of its first line."""
     line = 1
     for block in blocks:
         lines = block.count("\n") + (not block.endswith("\n"))
@@ -230,7 +230,7 @@ def _line_of(line_blocks: Sequence[tuple[int, int | np.ndarray]], row: int) -> i
 
 
 def _lines(block: str, first: int, rows: int) -> np.ndarray | int:
-    """Return the line of the first sample, or of each where there are others between."""
+    """Return the line of the first sample, or of each sample if there are blank lines."""
     if block.rstrip("\n").count("\n") + 1 == rows:
         return first
     return np.array([number for number, line in enumerate(block.split("\n"), start=first) if line.strip()])
@@ -256,7 +256,7 @@ def _blocks(path: Path) -> Iterator[str]:
     """Return the text of a plain or gzip-compressed log in blocks of whole lines.
 
     Raises:
-        LogError: the file cannot be read, is damaged, unpacks to absurd size, or is no text.
+        LogError: the file cannot be read, is damaged, unpacks to too many bytes, or is not text.
     """
     rest = ""
     try:
@@ -275,7 +275,7 @@ def _blocks(path: Path) -> Iterator[str]:
 
 
 def _check_unpacked(path: Path) -> None:
-    """Refuse what unpacks to absurd size, or does not unpack, before the first number of it is read."""
+    """Refuse a file that unpacks to too many bytes, or not at all, before it is parsed."""
     max_bytes, size = max_unpacked_bytes(path), 0
     with gzip.open(path) as file:
         for chunk in iter(partial(file.read, BLOCK), b""):
@@ -285,7 +285,7 @@ def _check_unpacked(path: Path) -> None:
 
 
 def _decode_text(path: Path) -> Iterator[str]:
-    """Return the text in parts; without any line feed, carriage returns end its lines."""
+    """Yield the text in parts; in a text without line feeds, carriage returns end the lines."""
     is_gzip = path.suffix.lower() == ".gz"
     with gzip.open(path) if is_gzip else path.open("rb") as file:
         head = file.read(HEAD)

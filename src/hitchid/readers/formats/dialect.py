@@ -1,4 +1,4 @@
-"""How a text log is written, told from its beginning: separator, decimal sign, header, units."""
+"""Detection of the dialect of a text log from its beginning: separator, decimal sign, header, units."""
 
 import csv
 import io
@@ -14,8 +14,9 @@ from hitchid.errors import LogError
 from hitchid.readers.formats.controldesk import labels_of
 
 SEPARATORS = ("\t", ";", "|", ",", " ")
-LINES, HEADER_ROWS, LONGEST_SHOWN, LONGEST_NAME = 200, 10, 60, 200
-NOT_TEXT = 0.3
+LINES, HEADER_ROWS = 200, 10  # lines that decide the dialect; rows above the samples that may be the header
+LONGEST_SHOWN, LONGEST_NAME = 60, 200  # characters: in a message; of a column's name
+NOT_TEXT = 0.3  # share of suspect characters above which a file is not text; chosen
 NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf(inity)?)", re.IGNORECASE)
 THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+")
 UNIT_LABELS = ("unit", "units", "einheit", "einheiten")
@@ -30,15 +31,15 @@ class _Row(NamedTuple):
 
 
 class Dialect(NamedTuple):
-    """How a text log is written.
+    """The dialect of a text log.
 
     Attributes:
-        separator: between columns; a space stands for any run of white space.
-        comma: whether decimals follow a comma.
+        separator: between columns; a space means any run of white space.
+        comma: whether the decimal sign is a comma.
         names: of the columns, in order.
-        units: name to unit as it stands in a row of units or in brackets behind the name.
+        units: name to unit, from a row of units or from brackets behind the name.
         header: line of the names, from 1.
-        first: line of the first sample, from 1; the line after the last where there is none.
+        first: line of the first sample, from 1; the line after the last if there is none.
     """
 
     separator: str
@@ -49,16 +50,16 @@ class Dialect(NamedTuple):
     first: int
 
     def column_indices(self, requested: str) -> list[int]:
-        """Return which columns may be meant: those of that name, or those with a bracket behind it."""
+        """Return the columns of that name, else those of that name with a unit in brackets."""
         exact = [index for index, name in enumerate(self.names) if name == requested]
         return exact or [index for index, name in enumerate(self.names) if _without_unit(name) == requested]
 
 
 def encoding_of(head: bytes, source: Path) -> str:
-    """Return the encoding of a text that begins so.
+    """Return the encoding of a text from its first bytes.
 
     Raises:
-        LogError: it is no text.
+        LogError: the bytes are not text.
     """
     for mark, encoding in BYTE_ORDER_MARKS.items():
         if head.startswith(mark):
@@ -78,15 +79,15 @@ def encoding_of(head: bytes, source: Path) -> str:
 
 
 def dialect_of(text: str, source: Path, requested: Sequence[str] = ()) -> Dialect:
-    """Tell how a log is written from its first lines.
+    """Return the dialect of a log from its first lines.
 
-    The separator is the one that yields most numbers. The header is what stands above the first two lines of
-    numbers, up to ten lines with a name each; of these the one with most of the names asked for.
+    The separator is the one that yields most numbers. The header is one of the ten lines above the first two
+    lines of numbers: the one with most of the requested names.
 
     Args:
         text: the beginning of the log.
         source: its file, for messages.
-        requested: names of columns that are wanted.
+        requested: names of columns.
 
     Raises:
         LogError: the log is empty, or has no header line.
@@ -117,7 +118,7 @@ def dialect_of(text: str, source: Path, requested: Sequence[str] = ()) -> Dialec
     samples = [
         row for row in rows_below if first_data_row is not None and row.line >= rows[first_data_row].line
     ]
-    # A row of numbers above a bad line is a sample, too: the bad line is told, and none is lost.
+    # A row of numbers above a bad line is a sample, too; the bad line is then an error.
     first = next((row.line for row in rows_below if _is_sample(row.cells)), header + 1)
     check_width(source, separator, names, samples, header)
     unit_cells = next(
@@ -141,7 +142,7 @@ def check_width(
     samples: Iterable[tuple[int, Sequence[str]]],
     header: int,
 ) -> None:
-    """Refuse samples that do not lie under the names: read by place, they would be taken for each other."""
+    """Refuse rows with more or fewer cells than names: they would be assigned to the wrong columns."""
     for line, cells in samples:
         width = max((column for column, cell in enumerate(cells, start=1) if cell), default=0)
         if width > len(names) or (separator == " " and len(cells) < len(names)):
@@ -150,9 +151,9 @@ def check_width(
 
 
 def _check_thousands(source: Path, samples: Sequence[_Row]) -> None:
-    """Refuse commas that may be thousands: all of them are, and others of the column have none.
+    """Refuse commas that may separate thousands: each precedes three digits, and some cells have none.
 
-    12,345 among 1,234 and 999 is a thousand; 0,345 or 12,5 anywhere says that commas are decimal.
+    12,345 among 1,234 and 999 may be a thousand; 0,345 or 12,5 anywhere proves that commas are decimal.
     """
     cells = [(column, cell) for row in samples for column, cell in enumerate(row.cells)]
     commas = [(column, cell) for column, cell in cells if "," in cell and _is_number(cell)]
@@ -166,12 +167,12 @@ def _check_thousands(source: Path, samples: Sequence[_Row]) -> None:
 
 
 def _without_unit(name: str) -> str:
-    """Return a name without the unit in brackets behind it; what is too long for a name is left as it is."""
+    """Return a name without the unit in brackets behind it; too long a name is returned unchanged."""
     return BRACKETS.sub(r"\1", name) if len(name) <= LONGEST_NAME else name
 
 
 def _rows(text: str, separator: str) -> list[_Row]:
-    """Return the first rows that are not blank, each with its line; quotes hold cells together."""
+    """Return the first rows that are not blank, each with its line number; cells may be quoted."""
     rows: list[_Row] = []
     lines = io.StringIO(text)
     if separator == " ":
@@ -179,7 +180,7 @@ def _rows(text: str, separator: str) -> list[_Row]:
         return [_Row(number, cells) for number, cells in islice(split, LINES) if cells]
     reader = csv.reader(lines, delimiter=separator)
     line = 1
-    with suppress(csv.Error):  # a cell beyond all measure: what stands above it tells enough
+    with suppress(csv.Error):  # a cell above the size limit; the rows before it suffice
         for cells in islice(reader, LINES):
             stripped = [cell.strip() for cell in cells]
             if any(stripped):
@@ -189,7 +190,7 @@ def _rows(text: str, separator: str) -> list[_Row]:
 
 
 def _count_numbers(rows: Sequence[_Row]) -> int:
-    """Return how many cells are numbers, over the rows of two cells or more."""
+    """Return the count of cells that are numbers, in rows of two cells or more."""
     return sum(sum(map(_is_number, row.cells)) for row in rows if len(row.cells) > 1)
 
 
@@ -198,26 +199,21 @@ def _is_number(cell: str) -> bool:
 
 
 def _first_sample(rows: Sequence[_Row]) -> int | None:
-    """Return which is the first of two rows of numbers, or the only one; None where there is none."""
+    """Return the index of the first of two successive rows of numbers, or of the only one, or None."""
     is_sample = [_is_sample(row.cells) for row in rows]
     is_first_of_two = [one and other for one, other in zip(is_sample, [*is_sample[1:], True], strict=True)]
-    return (
-        is_first_of_two.index(True)
-        if True in is_first_of_two
-        else is_sample.index(True)
-        if True in is_sample
-        else None
-    )
+    flags = is_first_of_two if True in is_first_of_two else is_sample
+    return flags.index(True) if True in flags else None
 
 
 def _is_sample(cells: Sequence[str]) -> bool:
-    """Tell whether most cells, or at least the first of several, are numbers; a row of units is none."""
+    """Return whether most cells, or the first of several, are numbers; a row of units is not a sample."""
     numbers = sum(map(_is_number, cells))
     return len(cells) > 1 and (2 * numbers > len(cells) or _is_number(cells[0])) and not _is_unit_row(cells)
 
 
 def _header_rows(rows_above: Sequence[_Row]) -> list[_Row]:
-    """Return the rows right above the samples that may be names or units."""
+    """Return the rows above the samples that may be names or units."""
     rows: list[_Row] = []
     for line, cells in rows_above[: -HEADER_ROWS - 1 : -1]:
         if rows and len(cells) < len(rows[0].cells):
@@ -227,7 +223,7 @@ def _header_rows(rows_above: Sequence[_Row]) -> list[_Row]:
 
 
 def _is_unit_row(cells: Sequence[str]) -> bool:
-    """Tell whether a row names units: half of its filled cells do at least, a label in front apart."""
+    """Return whether at least half of the filled cells of a row, without a label in front, are units."""
     stripped = [cell.strip("[]() ") for cell in cells]
     body = stripped[1:] if stripped and stripped[0].lower() in UNIT_LABELS else stripped
     filled = [cell for cell in body if cell]
@@ -239,9 +235,9 @@ def _is_unit_row(cells: Sequence[str]) -> bool:
 
 
 def _has_decimal_comma(text: str, separator: str) -> bool:
-    """Tell whether decimals follow a comma: some number in the text has one."""
-    # Where white space separates, padding must not take it, too: long runs of it would be gone through anew
-    # from each of their places.
+    """Return whether some number in the text has a decimal comma."""
+    # If white space is the separator, the padding must not match it too: the search in a long run of it would
+    # take quadratic time.
     gap, pad = (r"\s", '"*') if separator == " " else (re.escape(separator), '[ "]*')
     comma_match = re.search(
         rf"(?:^|{gap}){pad}[+-]?\d*,\d+(?:[eE][+-]?\d+)?{pad}(?:{gap}|\r?$)", text, re.MULTILINE

@@ -1,4 +1,4 @@
-"""What the readers of optional formats share: loading their library, damaged files, names."""
+"""Functions shared by the readers of optional formats: import of the library, damaged files, names."""
 
 import importlib
 from collections.abc import Collection, Iterator, Sequence
@@ -21,7 +21,7 @@ def import_optional(module: str, extra: str, path: Path, purpose: str = "read") 
         module: its name.
         extra: the extra of this package that installs it.
         path: the file it is needed for.
-        purpose: what is to be done with the file.
+        purpose: `read` or `write`, for the message.
 
     Raises:
         LogError: the module is not installed.
@@ -36,7 +36,7 @@ def import_optional(module: str, extra: str, path: Path, purpose: str = "read") 
 
 @contextmanager
 def as_log_errors(path: Path, kind: str) -> Iterator[None]:
-    """Turn whatever a damaged file leads a library to into an error that names the file.
+    """Turn any exception of a library into an error that names the file.
 
     Raises:
         LogError: the file cannot be read as `kind`.
@@ -53,16 +53,16 @@ def as_log_errors(path: Path, kind: str) -> Iterator[None]:
 def match_clocked_channels(
     source: Path, names: Sequence[str], selection: ChannelSelection, clocked: Collection[str]
 ) -> dict[str, str]:
-    """Return the name each channel is asked by to its full name; the time may miss where all have clocks.
+    """Return requested name to full name; the time is optional if all requested channels have clocks.
 
     Args:
         source: the file.
         names: full names of the channels that hold numbers.
-        selection: what is asked for.
-        clocked: full names of those the file keeps a clock for.
+        selection: the requested channels.
+        clocked: full names of the channels with a clock in the file.
 
     Raises:
-        LogError: a channel is not there, or several are meant.
+        LogError: a channel is missing or ambiguous.
     """
     matches = match_channels(source, names, selection, has_clocks=True)
     if all(name in clocked for name in matches.values()):
@@ -71,7 +71,7 @@ def match_clocked_channels(
 
 
 def unique_names(names: Sequence[str]) -> list[str]:
-    """Return the names, each that came before with a number behind it, so that all differ."""
+    """Return the names, repeated ones with a number behind them, so that all differ."""
     unique: dict[str, None] = {}
     for name in names:
         number, candidate = 1, name
@@ -83,7 +83,7 @@ def unique_names(names: Sequence[str]) -> list[str]:
 
 
 def floats(values: np.ndarray) -> np.ndarray:
-    """Return real numbers as a vector of doubles that is nobody else's memory."""
+    """Return real numbers as a vector of doubles, copied."""
     return np.array(values, dtype=np.float64).ravel()
 
 
@@ -93,7 +93,7 @@ def is_vector(shape: Sequence[int]) -> bool:
 
 
 def unit_text(unit: object) -> str | None:
-    """Return a unit as the file spells it, None where that is blank or no text."""
+    """Return a unit as written in the file, None if it is blank or not text."""
     if isinstance(unit, np.ndarray) and unit.size == 1:
         unit = unit.ravel()[0]
     if isinstance(unit, bytes):

@@ -1,4 +1,4 @@
-"""HDF5 and NetCDF files: datasets in groups, and the time on the scale of their dimension."""
+"""HDF5 and NetCDF files: datasets in groups, with the time in the scale of their dimension."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -13,22 +13,23 @@ from hitchid.readers.formats.cf import decode_values, is_time, to_seconds, unit_
 from hitchid.readers.formats.extra import as_log_errors, import_optional, is_vector, match_clocked_channels
 
 SUFFIXES = (".h5", ".hdf5", ".nc")
-NUMERIC_KINDS = "fiub"  # kinds of numpy
+NUMERIC_KINDS = "fiub"  # numpy's kinds of real numbers
 KIND = "an HDF5 file"
-# NetCDF 4 keeps a dimension without coordinates as a dataset of nothing under this name.
+# Name attribute of the empty dataset that NetCDF 4 stores for a dimension without coordinates.
 NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"
+Dataset = Any  # of h5py, which has no types
 
 
 def read(path: Path, selection: ChannelSelection) -> Content:
-    """Read the wanted datasets of an HDF5 or NetCDF file.
+    """Read the selected datasets of an HDF5 or NetCDF file.
 
     Args:
         path: the file.
-        selection: what is asked for; the time may be missing where each is on a scale of time.
+        selection: the requested datasets; the time is optional if each has a time scale.
 
     Raises:
-        LogError: the file is damaged or was cut short, a dataset is missing or kept outside of it, or h5py is
-            missing.
+        LogError: the file is damaged or was cut short, a dataset is missing or in another file, or h5py is
+            not installed.
     """
     with as_log_errors(path, KIND), path.open("rb") as stream:
         if stream.read(3) == netcdf3.MAGIC:
@@ -51,10 +52,10 @@ def read(path: Path, selection: ChannelSelection) -> Content:
     return Content(path, channels)
 
 
-def _datasets(h5py: Any, group: Any) -> Iterator[tuple[str, Any]]:
-    """Yield full name and dataset of all that lies in a group; None for what a link leads out to.
+def _datasets(h5py: Any, group: Any) -> Iterator[tuple[str, Dataset]]:
+    """Yield full name and dataset of everything in a group; None for a link to another file.
 
-    Soft links are left out: what they lead to has a name of its own.
+    Soft links are left out: their target has a name of its own.
     """
     seen = {_address(h5py, group)}
     pending = [("", group)]
@@ -81,10 +82,10 @@ def _is_real(dataset: Any) -> bool:
 
 
 def read_dataset(path: Path, dataset: Any, name: str) -> np.ndarray:
-    """Return what a dataset holds, as stored.
+    """Return the stored numbers of a dataset.
 
     Raises:
-        LogError: it is kept in another file.
+        LogError: the dataset is in another file.
     """
     if is_external(dataset):
         raise LogError(path, "is kept in another file, required it in this one", column=name)
@@ -92,7 +93,7 @@ def read_dataset(path: Path, dataset: Any, name: str) -> np.ndarray:
 
 
 def is_external(dataset: Any) -> bool:
-    """Return whether a dataset, None behind a link that leads out, is kept in another file."""
+    """Return whether a dataset, None for a link to another file, is stored in another file."""
     return dataset is None or dataset.is_virtual or bool(dataset.external)
 
 
@@ -102,8 +103,8 @@ def _address(h5py: Any, item: Any) -> tuple[int, int]:
 
 
 def _holds_numbers(dataset: Any) -> bool:
-    # Not even the shape of one kept outside is looked at: HDF5 would open the other file for it. It is
-    # listed, so that who asks for it is told why it cannot be had.
+    # The shape of an external dataset is not read: HDF5 would open the other file. It is listed so that a
+    # request for it gives an error with the reason.
     if is_external(dataset):
         return True
     return _is_real(dataset) and not _text(dataset.attrs.get("NAME")).startswith(NO_VARIABLE)
@@ -113,26 +114,18 @@ def _text(value: object) -> str:
     return value.decode("utf-8", errors="replace") if isinstance(value, bytes) else str(value)
 
 
-def _attributes(dataset: Any) -> Mapping[str, object]:
-    return dataset.attrs
-
-
 def _time_scale(dataset: Any) -> Any:
-    """Return the scale of time that a dataset is on, itself where it is one, None where there is none."""
+    """Return the time scale of a dataset, the dataset itself if it is a scale, or None."""
     if is_external(dataset):
         return None
     for scale in _scales(dataset):
-        if (
-            not is_external(scale)
-            and is_time(unit_attribute(_attributes(scale)))
-            and scale.size == dataset.size
-        ):
+        if not is_external(scale) and is_time(unit_attribute(scale.attrs)) and scale.size == dataset.size:
             return scale if _is_real(scale) else None
     return None
 
 
 def _scales(dataset: Any) -> list[Any]:
-    # Read from the attributes that hold it: HDF5's own calls for scales end the process on damaged files.
+    # From the attributes: HDF5's functions for scales crash the process on damaged files.
     if _text(dataset.attrs.get("CLASS")) == "DIMENSION_SCALE":
         return [dataset]
     references = dataset.attrs.get("DIMENSION_LIST")
@@ -144,18 +137,15 @@ def _scales(dataset: Any) -> list[Any]:
 
 
 def _read_clock(path: Path, scale: Any) -> np.ndarray:
-    attributes = _attributes(scale)
-    return to_seconds(
-        decode_values(read_dataset(path, scale, scale.name), attributes), unit_attribute(attributes)
-    )
+    raw = read_dataset(path, scale, scale.name)
+    return to_seconds(decode_values(raw, scale.attrs), unit_attribute(scale.attrs))
 
 
 def _channel(
-    path: Path, name: str, datasets: Mapping[str, Any], scale: Any, clocks: Mapping[str, np.ndarray]
+    path: Path, name: str, datasets: Mapping[str, Dataset], scale: Dataset, clocks: Mapping[str, np.ndarray]
 ) -> LogChannel:
     clock_s, dataset = (None if scale is None else clocks[scale.name]), datasets[name]
     if clock_s is not None and dataset == scale:
         return LogChannel(clock_s, "s", clock_s)
     raw = read_dataset(path, dataset, name)
-    attributes = _attributes(dataset)
-    return LogChannel(decode_values(raw, attributes), unit_attribute(attributes), clock_s)
+    return LogChannel(decode_values(raw, dataset.attrs), unit_attribute(dataset.attrs), clock_s)

@@ -12,26 +12,24 @@ from hitchid.readers.formats.extra import as_log_errors, is_vector, match_clocke
 
 MAGIC = b"CDF"
 KIND = "a NetCDF file"
+Variable = Any  # of scipy.io.netcdf_file, which has no types
 
 
 def read(path: Path, selection: ChannelSelection) -> Content:
-    """Read the wanted variables of a classic NetCDF file.
+    """Read the selected variables of a classic NetCDF file.
 
     Args:
         path: the file.
-        selection: what is asked for; the time may be missing where each has a coordinate of time.
+        selection: the requested variables; the time is optional if each has a time coordinate.
 
     Raises:
         LogError: the file is damaged or was cut short, or a variable is missing.
     """
     from scipy.io import netcdf_file  # not at the top: a quarter of a second
 
-    # Not mapped into memory: scipy would leave the map open behind arrays that still show it.
+    # Without memory mapping: scipy would leave the map open as long as an array uses it.
     with as_log_errors(path, KIND), netcdf_file(path, mmap=False) as file:
-        variables = file.variables
-        numeric_variables = {
-            name: variable for name, variable in variables.items() if _holds_numbers(variable)
-        }
+        numeric_variables = {name: v for name, v in file.variables.items() if _holds_numbers(v)}
         scales = {
             name: scale
             for name, v in numeric_variables.items()
@@ -47,26 +45,26 @@ def read(path: Path, selection: ChannelSelection) -> Content:
     return Content(path, channels)
 
 
-def _holds_numbers(variable: Any) -> bool:
+def _holds_numbers(variable: Variable) -> bool:
     return variable.data.dtype.kind in "fiu" and is_vector(variable.data.shape)
 
 
-def _attributes(variable: Any) -> Mapping[str, object]:
+def _attributes(variable: Variable) -> Mapping[str, object]:
     return vars(variable)["_attributes"]
 
 
-def _time_scale(numeric_variables: Mapping[str, Any], variable: Any) -> str | None:
+def _time_scale(numeric_variables: Mapping[str, Variable], variable: Variable) -> str | None:
     name = variable.dimensions[int(np.argmax(variable.data.shape))]
     scale = numeric_variables.get(name)
     return name if scale is not None and is_time(unit_attribute(_attributes(scale))) else None
 
 
-def _read_clock(scale: Any) -> np.ndarray:
+def _read_clock(scale: Variable) -> np.ndarray:
     attributes = _attributes(scale)
     return to_seconds(decode_values(scale.data, attributes), unit_attribute(attributes))
 
 
-def _channel(name: str, variable: Any, clock_s: np.ndarray | None) -> LogChannel:
+def _channel(name: str, variable: Variable, clock_s: np.ndarray | None) -> LogChannel:
     if clock_s is not None and variable.dimensions == (name,):
         return LogChannel(clock_s, "s", clock_s)
     attributes = _attributes(variable)

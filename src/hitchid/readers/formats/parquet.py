@@ -17,17 +17,17 @@ TICKS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 
 
 def read(path: Path, selection: ChannelSelection) -> Content:
-    """Read the wanted columns of a Parquet file.
+    """Read the selected columns of a Parquet file.
 
     Args:
         path: the file.
-        selection: what is asked for; columns of time stamps turn into seconds since their first.
+        selection: the requested columns; time stamps become seconds since the first.
 
     Raises:
-        LogError: the file is damaged, a column is missing or there twice, or pyarrow is missing.
+        LogError: the file is damaged, a column is missing or not unique, or pyarrow is not installed.
     """
     arrow, parquet = (import_optional(module, "parquet", path) for module in ("pyarrow", "pyarrow.parquet"))
-    # Handed the open file: Arrow knows no names that are not UTF-8.
+    # From the open file: Arrow opens no path that is not UTF-8.
     with (
         as_log_errors(path, KIND),
         path.open("rb") as stream,
@@ -51,11 +51,11 @@ def write_table(path: Path, columns: Mapping[str, np.ndarray]) -> None:
     """Write columns of doubles, with a checksum for each page.
 
     Args:
-        path: the file; one that is there is replaced.
+        path: the file; an existing file is replaced.
         columns: each under a name that may end in its unit, all of one length.
 
     Raises:
-        LogError: pyarrow is missing.
+        LogError: pyarrow is not installed.
     """
     arrow, parquet = (
         import_optional(module, "parquet", path, purpose="write") for module in ("pyarrow", "pyarrow.parquet")
@@ -94,9 +94,9 @@ def _channel(arrow: Any, field: Any, column: Any) -> LogChannel:
 
 
 def _seconds(arrow: Any, column: Any) -> np.ndarray:
-    """Return time stamps as seconds since the first, durations as seconds; NaN where there is none."""
+    """Return time stamps as seconds since the first, durations as seconds; NaN where missing."""
     valid = column.is_valid().to_numpy()
     ticks = column.cast(arrow.int64()).fill_null(0).to_numpy()
     if valid.any() and arrow.types.is_timestamp(column.type):
-        ticks = ticks - ticks[np.argmax(valid)]  # as whole numbers, for a double holds no date in ns
+        ticks = ticks - ticks[np.argmax(valid)]  # as integers: a double cannot represent a date in ns
     return np.where(valid, ticks / TICKS[column.type.unit], np.nan)

@@ -22,12 +22,13 @@ from hitchid.readers.formats.extra import (
 
 SUFFIXES = (".tdms",)
 KIND = "a TDMS file"
-GROUP = "log"
-LEAD_IN = 28
-BIG_ENDIAN = 1 << 6
-UNFINISHED = 0xFFFF_FFFF_FFFF_FFFF
-# A channel's path, or its start: type and value behind the name.
+GROUP = "log"  # group of written channels
+# From the TDMS file format: bytes of a lead-in, its flag for big-endian, the length of an unfinished segment.
+LEAD_IN, BIG_ENDIAN, UNFINISHED = 28, 1 << 6, 0xFFFF_FFFF_FFFF_FFFF
+# A channel's path, or its start time: type and value behind the name.
 START = re.compile(rb"(?P<path>/'(?:[^']|'')*'/'(?:[^']|'')*')|wf_start_time(?P<start>.{20})", re.DOTALL)
+
+Channel = Any  # of npTDMS, which has no types
 
 
 class _Waveform(NamedTuple):
@@ -38,19 +39,19 @@ class _Waveform(NamedTuple):
 
 
 def read(path: Path, selection: ChannelSelection) -> Content:
-    """Read the wanted channels of a TDMS file.
+    """Read the selected channels of a TDMS file.
 
     Args:
         path: the file.
-        selection: what is asked for; the time may be missing where all of it are waveforms.
+        selection: the requested channels; the time is optional if all are waveforms.
 
     Raises:
-        LogError: the file is damaged or was cut short, a channel is missing, or npTDMS is.
+        LogError: the file is damaged or was cut short, a channel is missing, or npTDMS is not installed.
     """
     nptdms = import_optional("nptdms", "tdms", path)
     with as_log_errors(path, KIND), path.open("rb") as stream:
         data_bytes = _count_data_bytes(path, stream)
-        # Handed the open file, npTDMS leaves alone an index beside it, which may be of another recording.
+        # From the open file: npTDMS then ignores an index file, which may belong to another recording.
         with nptdms.TdmsFile.open(stream, raw_timestamps=True) as log:
             all_channels = [channel for group in log.groups() for channel in group.channels()]
             _check_sample_counts(path, all_channels, data_bytes, log.file_status.channel_statuses or {})
@@ -69,11 +70,11 @@ def write_table(path: Path, columns: Mapping[str, np.ndarray]) -> None:
     """Write columns of doubles as channels of the group `log`.
 
     Args:
-        path: the file; one that is there is replaced.
+        path: the file; an existing file is replaced.
         columns: each under a name that may end in its unit.
 
     Raises:
-        LogError: npTDMS is missing.
+        LogError: npTDMS is not installed.
     """
     nptdms = import_optional("nptdms", "tdms", path, purpose="write")
     with nptdms.TdmsWriter(path) as writer:
@@ -91,7 +92,7 @@ def write_table(path: Path, columns: Mapping[str, np.ndarray]) -> None:
 
 
 def _count_data_bytes(path: Path, stream: BinaryIO) -> int:
-    """Walk from segment to segment and return how many bytes of raw data there are in all."""
+    """Return the bytes of raw data in all segments."""
     size = stream.seek(0, 2)
     position = segment_number = data_bytes = 0
     starts: dict[bytes, bytes] = {}
@@ -113,8 +114,10 @@ def _count_data_bytes(path: Path, stream: BinaryIO) -> int:
             )
         for channel, start in _starts(stream.read(end - stream.tell() - raw)):
             if starts.setdefault(channel, start) != start:
-                problem = f"holds several recordings, the next from segment {segment_number} on; required one a file"
-                raise LogError(path, problem, column=channel.decode(errors="replace"))
+                problem = f"holds several recordings, the next from segment {segment_number} on"
+                raise LogError(
+                    path, f"{problem}; required one a file", column=channel.decode(errors="replace")
+                )
         data_bytes += raw
         position = end
     stream.seek(0)
@@ -122,9 +125,9 @@ def _count_data_bytes(path: Path, stream: BinaryIO) -> int:
 
 
 def _starts(metadata: bytes) -> Iterator[tuple[bytes, bytes]]:
-    """Return path and start, as stored, of each channel whose start stands in a segment's metadata.
+    """Yield path and start time, as stored, of each channel with a start time in a segment's metadata.
 
-    npTDMS keeps the last one only: a recording that was appended would follow on the one before it.
+    npTDMS keeps only the last one: an appended recording would continue the one before it.
     """
     path = b""
     for entry in START.finditer(metadata):
@@ -140,9 +143,9 @@ def _extent(lead_in: bytes, position: int) -> tuple[int, int]:
 
 
 def _check_sample_counts(
-    path: Path, channels: Sequence[Any], data_bytes: int, last_segment: Mapping[str, Any]
+    path: Path, channels: Sequence[Channel], data_bytes: int, last_segment: Mapping[str, Channel]
 ) -> None:
-    """Check that there are as many samples as the metadata promise, in the last segment and in all."""
+    """Check the number of samples against the metadata, in the last segment and in all."""
     for channel in channels:
         status = last_segment.get(channel.path)
         if status is not None and status.read_length < status.expected_length:
@@ -152,13 +155,14 @@ def _check_sample_counts(
             )
     non_empty = [channel for channel in channels if len(channel)]
     sizes = [channel.data_type.size for channel in non_empty]
-    if None in sizes:  # text and raw DAQmx data: npTDMS itself follows their offsets
+    if None in sizes:  # text and raw DAQmx data: npTDMS checks their offsets
         return
     expected_bytes = sum(len(channel) * size for channel, size in zip(non_empty, sizes, strict=True))
     if expected_bytes != data_bytes:
         raise LogError(
             path,
-            f"cannot be read as {KIND}: its channels take {expected_bytes} bytes, its segments hold {data_bytes}",
+            f"cannot be read as {KIND}: its channels take {expected_bytes} bytes, "
+            f"its segments hold {data_bytes}",
         )
 
 
@@ -176,7 +180,7 @@ def _channel(path: Path, name: str, channel: Any, clock_s: np.ndarray | None) ->
 
 
 def _since_first(stamps: Any) -> np.ndarray:
-    """Return time stamps as seconds since the first; whole seconds and their parts are subtracted apart."""
+    """Return time stamps as seconds since the first; seconds and fractions are subtracted separately."""
     seconds = stamps["seconds"].astype(np.int64)
     fractions = stamps["second_fractions"].astype(np.float64)
     return (seconds - seconds[0]).astype(np.float64) + (fractions - fractions[0]) * 2.0**-64
@@ -187,7 +191,7 @@ def _waveform(channel: Any) -> _Waveform | None:
     axis = unit_text(channel.properties.get("wf_xunit_string"))
     if not isinstance(increment, int | float) or not np.isfinite(increment) or increment <= 0:
         return None
-    if axis is not None and not is_time(axis):  # a spectrum is a waveform, too
+    if axis is not None and not is_time(axis):  # such as a spectrum
         return None
     stamp = channel.properties.get("wf_start_time")
     start = (0, 0) if stamp is None else (int(stamp.seconds), int(stamp.second_fractions))
@@ -195,11 +199,10 @@ def _waveform(channel: Any) -> _Waveform | None:
 
 
 def _clocks(path: Path, waveforms: Mapping[str, _Waveform]) -> dict[str, np.ndarray]:
-    """Return the clock of each waveform, one array for all alike, from where the first of them starts."""
+    """Return the clock of each waveform from the earliest start, one array for equal waveforms."""
     starts = [waveform.start for waveform in waveforms.values()]
-    # LabVIEW writes 1904 where nobody set the start.
+    # LabVIEW writes 1904 for a start that was not set.
     without_start = [name for name, waveform in waveforms.items() if not waveform.start[0]]
-    has_start_times = not without_start
     if without_start and len(without_start) < len(waveforms):
         raise LogError(
             path, "has no start time, others have one; required all or none", column=without_start[0]
@@ -207,7 +210,7 @@ def _clocks(path: Path, waveforms: Mapping[str, _Waveform]) -> dict[str, np.ndar
     clocks: dict[_Waveform, np.ndarray] = {}
     for waveform in waveforms.values():
         delay = [start - first_start for start, first_start in zip(waveform.start, min(starts), strict=True)]
-        delay_s = delay[0] + delay[1] * 2.0**-64 if has_start_times else 0.0
+        delay_s = delay[0] + delay[1] * 2.0**-64 if not without_start else 0.0
         ticks = waveform.increment_s * np.arange(waveform.sample_count)
         clocks.setdefault(waveform, waveform.offset_s + delay_s + ticks)
     return {name: clocks[waveform] for name, waveform in waveforms.items()}

@@ -34,16 +34,16 @@ def logs(campaign: Campaign, model: Hitch) -> ReportSection:
     findings = tuple(
         _report_finding(finding) for finding in inspection.findings if finding.severity in LEVELS
     )
-    notices = (*campaign.warnings, *inspection.notices)
-    findings += tuple(Finding(Rating.CAUTION, sentence(notice)) for notice in notices)
+    notices = (*campaign.notices, *inspection.notices)
+    findings += tuple(Finding(Rating.CAUTION, sentence(str(notice))) for notice in notices)
     summary: Block = Findings(findings) if findings else Text("The audit of the logs found nothing to mend.")
     blocks: list[Block] = [summary, _table(campaign, model)]
     if inspection.mixed:
         shown_logs = inspection.mixed[:MAX_MIXED_SHOWN]
-        names = ", ".join(record.name for record, _ in shown_logs)
+        names = ", ".join(log.name for log in shown_logs)
         picture = Picture(
             "timeline",
-            timeline(shown_logs),
+            timeline([(log.record, log.segments) for log in shown_logs]),
             f"What mixed logs do, stretch by stretch: {names} ({len(inspection.mixed)} in all).",
             f"Displacement and commands of {names} over time, coloured by what the hitch does.",
             wide=True,

@@ -9,7 +9,7 @@ import numpy as np
 from hitchid._support.progress import ProgressCallback, ProgressUpdate, silent, subtask_progress
 from hitchid._support.storage import write_files, write_folder
 from hitchid.estimation import SearchComparison
-from hitchid.estimation.whale import WhaleConfig
+from hitchid.estimation.global_search.whale import WhaleConfig
 from hitchid.experiments.virtual_campaign import REPEATS, Protocol, write_campaign
 from hitchid.identification import AdamConfig, CompensatorConfig, Identification, Search, Whale, identify
 from hitchid.identification.identify import COMPARISON, PAPER_SPECS, TRAINING, WHALE

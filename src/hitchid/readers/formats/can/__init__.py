@@ -1,4 +1,4 @@
-"""CAN logs, with DBC files that say what is in their frames: `.asc` and `.blf` of Vector, MF4 of buses."""
+"""CAN logs, decoded by DBC files: `.asc` and `.blf` of Vector, MF4 with bus frames."""
 
 import gzip
 from collections.abc import Iterable, Iterator
@@ -24,11 +24,11 @@ def read(path: Path, selection: ChannelSelection) -> Content:
 
     Args:
         path: the log.
-        selection: what is asked for, and the DBC files.
+        selection: the requested signals, and the DBC files.
 
     Raises:
-        LogError: the log or a DBC file cannot be read or is missing, a signal is not there, or python-can or
-            cantools is missing.
+        LogError: the log or a DBC file is missing or unreadable, a signal is missing, or python-can or
+            cantools is not installed.
     """
     library = import_optional("can", "can", path)
     notices: list[str] = []
@@ -43,7 +43,7 @@ def read(path: Path, selection: ChannelSelection) -> Content:
 
 @dataclass
 class _AscText:
-    """What was seen of an ASC log so far: its lines, whether its end came, what is to be said."""
+    """State while an ASC log is read: line number, block markers seen, notices."""
 
     line: int = 0
     begun: bool = False
@@ -51,7 +51,7 @@ class _AscText:
     notices: list[str] = field(default_factory=list)
 
     def lines(self, text: Iterable[str]) -> Iterator[str]:
-        """Give the lines python-can is to see."""
+        """Yield the lines for python-can."""
         before_frames = True
         for self.line, line in enumerate(text, start=1):
             words = line.split(None, 4)
@@ -59,16 +59,16 @@ class _AscText:
                 continue
             is_event = words[0][0].isdigit()
             if is_event and not line.endswith("\n"):
-                # Half a frame may still look like a whole one: the last digit of a byte may be missing.
+                # A cut frame may look complete: the last digit of a byte may be missing.
                 self.notices.append("the last line is left out: it does not end")
                 return
             if is_event and before_frames:
-                # python-can takes the first line that is not of the header for its end, and drops it.
+                # python-can drops the first line after the header.
                 yield "\n"
             before_frames &= not is_event
             self.begun |= line.lower().lstrip().startswith("begin triggerblock")
             self.ended |= line.lower().lstrip().startswith("end triggerblock")
-            # A request to send is no frame on the bus; that comes as Tx.
+            # A send request is not a frame on the bus; the frame follows as Tx.
             if not (is_event and "TxRq" in words):
                 yield line
 
@@ -76,7 +76,7 @@ class _AscText:
 def _read_asc(path: Path, library: Any, notices: list[str]) -> Iterator[Frame]:
     text = _AscText(notices=notices)
     try:
-        # Any byte is a character of Latin-1; names and comments, where others stand, are not read.
+        # Latin-1 decodes any byte; names and comments, which may hold others, are not used.
         open_text = gzip.open if path.name.lower().endswith(".gz") else open
         with open_text(path, "rt", encoding="latin-1") as stream:
             reader = library.ASCReader(text.lines(stream))
@@ -85,7 +85,7 @@ def _read_asc(path: Path, library: Any, notices: list[str]) -> Iterator[Frame]:
                 yield _to_frame(message)
     except (LogError, MemoryError):
         raise
-    except Exception as error:  # python-can raises whatever a damaged line leads it to
+    except Exception as error:  # python-can may raise anything on a damaged line
         detail = str(error) or type(error).__name__
         raise LogError(path, f"cannot be read as {KIND}: {detail}", line=text.line or None) from error
     if text.begun and not text.ended:
@@ -105,16 +105,14 @@ def _read_blf(path: Path, library: Any, notices: list[str]) -> Iterator[Frame]:
             notices.append("the log was never closed: its end may be missing")
         frame_count = 0
         with library.BLFReader(path) as reader:
-            # Counted from 1970, stamps would be rounded to a quarter of a microsecond.
+            # From 1970, the stamps would be rounded to 0.25 µs.
             reader.start_timestamp = 0.0
             for message in reader:
                 frame_count += 1
                 yield _to_frame(message)
         if frame_count != log_inventory.frame_count:
-            raise LogError(
-                path,
-                f"cannot be read as {KIND}: {frame_count} of its {log_inventory.frame_count} frames can be read",
-            )
+            problem = f"{frame_count} of its {log_inventory.frame_count} frames can be read"
+            raise LogError(path, f"cannot be read as {KIND}: {problem}")
 
 
 def _to_frame(message: Any) -> Frame:

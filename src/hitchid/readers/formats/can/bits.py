@@ -11,8 +11,8 @@ Payload = UInt8[np.ndarray, "frames bytes"]
 def raw_numbers(payload: Payload, signal: CanSignal) -> UInt64[np.ndarray, " frames"]:
     """Return the bits of a signal in each frame as an unsigned number.
 
-    Bits are taken here, not by cantools frame by frame: it refuses a whole frame for one multiplexer value
-    that the database does not list, and takes several microseconds for each.
+    All frames at once, without cantools: it refuses a whole frame for one multiplexer value that is not in
+    the database, and takes several microseconds a frame.
     """
     positions = signal.bit_positions
     first, last = int(positions.min()) // 8, int(positions.max()) // 8
@@ -41,7 +41,7 @@ def _as_typed(raw: np.ndarray, signal: CanSignal) -> np.ndarray:
 def frames_with_signal(
     payload: Payload, signal: CanSignal, message: CanMessage
 ) -> Bool[np.ndarray, " frames"]:
-    """Return which frames hold a signal by what their multiplexers say."""
+    """Return which frames hold a signal, by their multiplexer values."""
     by_name = {candidate.name: candidate for candidate in message.signals}
     present = np.ones(len(payload), dtype=bool)
     # At most as many steps as there are signals: a damaged database may let a multiplexer select itself.
@@ -59,11 +59,11 @@ def frames_with_signal(
 
 
 def available(raw: UInt64[np.ndarray, " frames"], signal: CanSignal) -> Bool[np.ndarray, " frames"]:
-    """Return which raw numbers of a J1939 signal are measured ones.
+    """Return which raw numbers of a J1939 signal are valid.
 
-    Of unsigned signals of 1 to 4 bytes those from 0xFB.. on are none: 0xFF.. is 'not available', 0xFE.. an
-    error, the rest reserved. Of 2 to 7 bits all ones is 'not available' and one less an error. Of any
-    other only all ones counts, and one bit is always a number: J1939 leaves no room in it.
+    In unsigned signals of 1 to 4 bytes 0xFF.. is 'not available', 0xFE.. an error, and the rest from 0xFB..
+    on reserved. In 2 to 7 bits all ones is 'not available' and one less an error. In all others only all ones
+    is invalid, and a single bit is always valid.
 
     Source: SAE J1939-71, ranges of transmitted signals.
     """

@@ -1,4 +1,4 @@
-"""Whether a BLF log is whole: python-can reads one that was cut short as far as it goes, without a word."""
+"""Completeness of a BLF log: python-can reads a truncated log without an error."""
 
 import struct
 import zlib
@@ -10,23 +10,23 @@ from hitchid.errors import LogError
 
 # Signature, size of the header, size of the file.
 HEADER = struct.Struct("<4sL8xQ")
-# Signature, sizes of its header and of all of it, kind.
+# Signature, sizes of the header and of the object, kind.
 OBJECT = struct.Struct("<4s4xLL")
-# How it is compressed, how long it is when it is not.
+# Compression method, uncompressed length.
 CONTAINER = struct.Struct("<H6xL4x")
 OBJECT_SIGNATURE = b"LOBJ"
-PADDING = 4
-CONTAINER_KIND, UNCOMPRESSED, DEFLATED = 10, 0, 2
-# Frames, frames of CAN FD twice, errors: what python-can hands over.
+PADDING = 4  # bytes; objects begin at multiples of it
+CONTAINER_KIND, UNCOMPRESSED, DEFLATED = 10, 0, 2  # kind of object; compression methods
+# Kinds of objects that python-can returns: frames, two of CAN FD, errors.
 FRAME_KINDS = frozenset((1, 86, 100, 101, 73))
 
 
 class Inventory(NamedTuple):
-    """What a BLF log holds.
+    """Content of a BLF log.
 
     Attributes:
-        frame_count: how many frames, error frames too.
-        closed: whether it was closed, so that a missing end would have been noticed.
+        frame_count: number of frames, error frames included.
+        closed: whether the recording was closed; only then can a missing end be detected.
     """
 
     frame_count: int
@@ -34,13 +34,13 @@ class Inventory(NamedTuple):
 
 
 def inventory(path: Path) -> Inventory:
-    """Walk through a BLF log.
+    """Count the frames of a BLF log and check its structure.
 
     Args:
         path: the log.
 
     Raises:
-        LogError: it is none, was cut short, or holds something else where an object should be.
+        LogError: the file is not a BLF log, was cut short, or has no object where one is expected.
     """
     size = path.stat().st_size
     with path.open("rb") as stream:
@@ -68,7 +68,7 @@ def _count_frames(path: Path, stream: BinaryIO) -> int:
 
 
 def _iterate_objects(path: Path, stream: BinaryIO) -> Iterator[tuple[int, bytes]]:
-    """Give kind and content of each object of the file itself."""
+    """Yield kind and content of each top-level object."""
     while start := stream.read(OBJECT.size):
         if len(start) < OBJECT.size:
             raise LogError(path, "was cut short: it ends within the start of an object")
@@ -91,7 +91,7 @@ def _unpack(path: Path, content: bytes) -> bytes:
     if method not in (UNCOMPRESSED, DEFLATED):
         raise LogError(path, f"cannot be read as a CAN log: its compression, number {method}, is not known")
     try:
-        # A damaged length must not make room for more than is said to be there.
+        # A damaged file must not unpack to more than the stated length.
         unpacked = zlib.decompressobj().decompress(packed, length + 1) if method == DEFLATED else packed
     except zlib.error as error:
         raise LogError(path, f"cannot be read as a CAN log: {error}") from error
@@ -103,7 +103,7 @@ def _unpack(path: Path, content: bytes) -> bytes:
 
 
 def _count_container_frames(path: Path, data: bytes) -> tuple[int, bytes]:
-    """Return how many frames are in a container, and the start of what goes on in the next."""
+    """Return the number of frames in a container, and the beginning of a frame that the next continues."""
     count, position = 0, 0
     while True:
         start = data.find(OBJECT_SIGNATURE, position, position + 2 * PADDING)

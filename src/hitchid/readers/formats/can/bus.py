@@ -1,4 +1,4 @@
-"""From the frames of a log to the channels that are asked for."""
+"""From the frames of a log to the requested channels."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -29,35 +29,35 @@ from hitchid.readers.formats.can.streams import BusTraffic, Frame, Stream, colle
 
 
 class _SignalLocation(NamedTuple):
-    """Where one channel is found."""
+    """Stream and signal of one channel."""
 
     stream: Stream
     signal: CanSignal
 
 
 def read_bus(frames: Iterable[Frame], source: Path, selection: ChannelSelection) -> Content:
-    """Decode the wanted signals of the frames of a log.
+    """Decode the selected signals of the frames of a log.
 
-    A channel's full name is `Message/Signal`. Where a message comes on several buses, or from several nodes
-    of J1939, each has its own channels: `Message@can2/Signal`, `Message@0x03/Signal` or, where both,
-    `Message@can2@0x03/Signal`. These may always be asked for; a shorter name suffices where it means one.
+    A channel's full name is `Message/Signal`. A message on several buses, or from several J1939 nodes, has
+    channels for each: `Message@can2/Signal`, `Message@0x03/Signal` or `Message@can2@0x03/Signal`. The long
+    names are always accepted, a shorter one if it is unique.
 
-    A message is met by its id. Messages of J1939 and ISO 11783 are met by their parameter group, from any
-    node, at any priority, to any destination, and what is 'not available' by J1939's ranges is left out.
-    They are those the database marks so (`VFrameFormat` J1939PG, or `ProtocolType` for all of it); in a
-    database that marks nothing also those whose id ends in 0xFE, an address no node sends from, unless that
-    very id is in the log. Other 29-bit ids are met exactly: the low byte of an id that is not of J1939 tells
-    messages apart, not nodes. Several databases may define one id; what is asked for says which is meant.
+    Messages are matched by id. Those of J1939 and ISO 11783 are matched by parameter group, from any node, at
+    any priority, to any destination, without samples that are 'not available' by J1939. They are marked in
+    the database (`VFrameFormat` J1939PG, or `ProtocolType` for the whole database); in a database without
+    marks they are also those whose id ends in 0xFE, the null address, unless that very id is in the log.
+    Other 29-bit ids are matched exactly: their low byte distinguishes messages, not nodes. If several
+    databases define one id, the requested name decides.
 
-    Messages of several frames by J1939's transport protocol are not put together.
+    Messages of several frames (J1939 transport protocol) are not reassembled.
 
     Args:
         frames: in the order of the log.
         source: the log.
-        selection: what is asked for; None gives every signal that comes in the log.
+        selection: the requested signals; None selects every signal in the log.
 
     Raises:
-        LogError: a database is missing or cannot be read, or a wanted signal is not there or never a number.
+        LogError: a database is missing or unreadable, or a requested signal is missing or never valid.
     """
     databases = read_databases(selection.databases, source)
     traffic = collect_streams(frames, databases.messages, _message_filter(selection))
@@ -75,7 +75,7 @@ def read_bus(frames: Iterable[Frame], source: Path, selection: ChannelSelection)
 
 
 def _message_filter(selection: ChannelSelection) -> Callable[[CanMessage], bool]:
-    """Return a function that says whether a message may hold what is asked for."""
+    """Return a function that returns whether a message may hold a requested signal."""
     if selection.signals is None:
         return lambda _: True
     signal_names = {requested.rpartition("/")[2] for requested in (selection.time, *selection.signals)}
@@ -83,7 +83,7 @@ def _message_filter(selection: ChannelSelection) -> Callable[[CanMessage], bool]
 
 
 def _channel_names(streams: Sequence[Stream]) -> tuple[dict[str, _SignalLocation], dict[str, list[str]]]:
-    """Return full name to place, and every other way to write a name to the full names it may mean."""
+    """Return full name to location, and every alias to the full names it may stand for."""
     buses = Counter(name for name, _ in {(bus_stream.message.name, bus_stream.bus) for bus_stream in streams})
     nodes = Counter(
         name for name, _ in {(node_stream.message.name, node_stream.node) for node_stream in streams}
@@ -109,7 +109,7 @@ def _match_requested(
     traffic: BusTraffic,
     names: list[str],
 ) -> dict[str, str]:
-    """Return the name each channel is asked by to its full name, as `content.chosen` does."""
+    """Return requested name to full name, as `match_channels` does."""
     if selection.signals is None:
         return match_channels(source, names, selection, has_clocks=True)
     matches: dict[str, str] = {}
@@ -166,14 +166,14 @@ class _FrameBlock(NamedTuple):
 
 @dataclass(frozen=True)
 class _BusReader:
-    """Channels to be read: the log, its first stamp, where each is found."""
+    """Decoder of the requested channels: the log, its first stamp, the location of each."""
 
     source: Path
     first_s: float
     locations: dict[str, _SignalLocation]
 
     def channels(self, *, required: bool) -> tuple[dict[str, LogChannel], list[str]]:
-        """Return the channels and the notices; one without a number is an error only where required."""
+        """Return channels and notices; a channel without a valid sample is an error if `required`."""
         channels: dict[str, LogChannel] = {}
         notices, empty = list(self._stream_notices()), []
         blocks = {
@@ -192,7 +192,8 @@ class _BusReader:
             if unavailable_count:
                 total = values.size + unavailable_count
                 notices.append(
-                    f"'{requested}': {unavailable_count} of {total} samples are left out: J1939 has no number in them"
+                    f"'{requested}': {unavailable_count} of {total} samples are left out: "
+                    "J1939 has no number in them"
                 )
             # Channels on one clock share one array: the record is cut and resampled by clocks.
             key = id(location.stream), np.packbits(present).tobytes()
@@ -228,7 +229,7 @@ def _frame_block(stream: Stream, first_s: float) -> _FrameBlock:
 
 
 def _decode(payload: Payload, location: _SignalLocation) -> tuple[np.ndarray, np.ndarray, int]:
-    """Return a signal's numbers, which frames they are of, and how many it had that J1939 calls none."""
+    """Return a signal's values, the mask of their frames, and the count of samples invalid by J1939."""
     present = frames_with_signal(payload, location.signal, location.stream.message)
     raw = raw_numbers(payload, location.signal)
     present_count = int(present.sum())

@@ -1,4 +1,4 @@
-"""DBC databases: which messages are on a CAN bus, and how their signals lie in the frames."""
+"""DBC databases: the messages of a CAN bus, and the layout of their signals."""
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -11,16 +11,16 @@ import numpy as np
 from hitchid.errors import LogError
 from hitchid.readers.formats.extra import as_log_errors, import_optional, unit_text
 
-NULL_ADDRESS = 0xFE
-MAX_SIGNAL_BITS = 64
+NULL_ADDRESS = 0xFE  # source address of no node; SAE J1939-81
+MAX_SIGNAL_BITS = 64  # bits of a raw number
 
 
 class CanSignal(NamedTuple):
-    """How one signal lies in a frame, in the terms of a DBC.
+    """Layout of one signal in a frame, in the terms of a DBC.
 
     Attributes:
         name: of the signal.
-        unit: as the database spells it, None where it says nothing.
+        unit: as written in the database; None if it has none.
         start: the least significant bit, for Motorola's byte order the most significant one.
         length: bits.
         little_endian: whether the least significant byte comes first.
@@ -28,8 +28,8 @@ class CanSignal(NamedTuple):
         is_float: whether it is an IEEE 754 number.
         scale: physical units a raw one.
         offset: physical value of raw zero.
-        multiplexer: the multiplexer that says whether a frame holds it, None where each does.
-        multiplexer_values: values of the multiplexer at which it is there.
+        multiplexer: the multiplexer that selects it; None if every frame holds it.
+        multiplexer_values: values of the multiplexer that select it.
     """
 
     name: str
@@ -46,7 +46,7 @@ class CanSignal(NamedTuple):
 
     @property
     def bit_positions(self) -> np.ndarray:
-        """Where its bits are, the least significant one first; bit b of byte n is at 8 n + b."""
+        """Positions of its bits, the least significant first; bit b of byte n is at 8 n + b."""
         if self.little_endian:
             return self.start + np.arange(self.length)
         # Motorola counts on from the most significant bit, within each byte from bit 7 to bit 0.
@@ -59,13 +59,13 @@ class CanMessage(NamedTuple):
     """One message of a database.
 
     Attributes:
-        name: of the message; with the database's name before it where another's differs from it.
+        name: of the message; after the database's name if another database defines it differently.
         identifier: id of its frames, 11 or 29 bits.
         extended: whether the id has 29 bits.
         length: bytes.
         signals: its signals.
-        is_j1939: whether the database says it is of J1939 or ISO 11783: a parameter group of any node.
-        maybe_j1939: whether it may be such a group, though the database says nothing of it.
+        is_j1939: whether the database marks it as J1939 or ISO 11783: a parameter group of any node.
+        maybe_j1939: whether it may be such a group in a database without marks.
     """
 
     name: str
@@ -78,11 +78,11 @@ class CanMessage(NamedTuple):
 
 
 class Databases(NamedTuple):
-    """What several databases say.
+    """Content of several databases.
 
     Attributes:
         messages: their messages, each once.
-        notices: what the user should know of how they were read.
+        notices: messages on databases with errors.
     """
 
     messages: tuple[CanMessage, ...]
@@ -133,7 +133,7 @@ def _read_database(path: Path) -> Databases:
     return database
 
 
-# A large database takes seconds, and every log of a campaign asks for the same one.
+# A large database takes seconds, and every log of a campaign uses the same one.
 @lru_cache(maxsize=8)
 def _parse(content: bytes) -> Databases:
     from cantools.database import load_string

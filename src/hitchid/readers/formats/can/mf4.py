@@ -1,4 +1,4 @@
-"""Bus logs in MF4: the frames of a CAN bus as they stand in an MDF file."""
+"""Bus logs in MF4: the frames of a CAN bus in an MDF file."""
 
 from collections.abc import Iterator
 from heapq import merge
@@ -15,8 +15,9 @@ from hitchid.readers.formats.extra import as_log_errors, import_optional
 from hitchid.readers.formats.mdf.blocks import check_complete
 
 KIND = "an MDF file"
-ID_BITS, EXTENDED_BIT = 0x1FFFFFFF, 0x80000000
+ID_BITS, EXTENDED_BIT = 0x1FFFFFFF, 0x80000000  # of the stored id: 29 bits, and the flag for them
 DATA, WITHOUT_DATA = "CAN_DataFrame", ("CAN_ErrorFrame", "CAN_RemoteFrame")
+# Bytes for each data length code; ISO 11898-1.
 FD_LENGTHS = np.array([0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64])
 
 
@@ -27,7 +28,7 @@ def is_bus_log(path: Path) -> bool:
         path: the file.
 
     Raises:
-        LogError: the file is damaged or was cut short, or asammdf is missing.
+        LogError: the file is damaged or was cut short, or asammdf is not installed.
     """
     asammdf = import_optional("asammdf", "mdf", path)
     with as_log_errors(path, KIND):
@@ -39,15 +40,15 @@ def is_bus_log(path: Path) -> bool:
 
 
 def read_mf4(path: Path, selection: ChannelSelection) -> Content:
-    """Read the wanted signals of a CAN bus log in MF4; `read_bus` says how they are named and met.
+    """Read the selected signals of a CAN bus log in MF4; `read_bus` describes their names.
 
     Args:
         path: the log.
-        selection: what is asked for, and the DBC files.
+        selection: the requested signals, and the DBC files.
 
     Raises:
-        LogError: the log or a DBC file cannot be read or is missing, a signal is not there, or asammdf or
-            cantools is missing.
+        LogError: the log or a DBC file is missing or unreadable, a signal is missing, or asammdf or cantools
+            is not installed.
     """
     asammdf = import_optional("asammdf", "mdf", path)
     return read_bus(_read_frames(path, asammdf), path, selection)
@@ -58,13 +59,8 @@ def _read_frames(path: Path, asammdf: Any) -> Iterator[Frame]:
         check_complete(path)
         with asammdf.MDF(path, process_bus_logging=False) as log:
             frames_by_group = [_group_frames(path, log, index) for index in range(len(log.groups))]
-    frames_by_group = [frames for frames in frames_by_group if frames]
-    # Frames of one message may stand in several groups, those received and those sent.
-    yield from (
-        frames_by_group[0]
-        if len(frames_by_group) == 1
-        else merge(*frames_by_group, key=lambda frame: frame.stamp_s)
-    )
+    # One message may have frames in several groups, received and sent.
+    yield from merge(*frames_by_group, key=lambda frame: frame.stamp_s)
 
 
 def _channel_names(group: Any) -> set[str]:
@@ -83,7 +79,7 @@ def _group_frames(path: Path, log: Any, index: int) -> list[Frame]:
     stamps = log.get(f"{DATA}.ID", group=index).timestamps
     if not count == len(stamps) == len(identifiers) == len(data):
         raise LogError(path, f"was cut short: holds {min(len(identifiers), len(data))} of {count} frames")
-    # Without a field of its own, the top bit of the id says that it has 29.
+    # Without a field of its own, the top bit of the id marks 29 bits.
     extended = _column(log, index, "IDE") if f"{DATA}.IDE" in names else identifiers & EXTENDED_BIT
     buses = _column(log, index, "BusChannel") if f"{DATA}.BusChannel" in names else np.zeros(count)
     headers = zip(

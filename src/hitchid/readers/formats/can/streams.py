@@ -1,4 +1,4 @@
-"""From frames to streams: which frames are which message, and whose they are."""
+"""From frames to streams: the message and the sending node of each frame."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
@@ -12,10 +12,10 @@ class Frame(NamedTuple):
 
     Attributes:
         stamp_s: time, s, from any origin.
-        bus: number of the bus as the log has it.
+        bus: number of the bus in the log.
         identifier: 11 or 29 bits.
-        extended: whether it has 29.
-        data: its bytes; none where some are missing, None for an error or a remote frame.
+        extended: whether the identifier has 29 bits.
+        data: its bytes, empty if some are missing; None for an error or a remote frame.
     """
 
     stamp_s: float
@@ -39,7 +39,7 @@ class Stream:
 
 
 class MessageMatch(NamedTuple):
-    """A message an id may stand for, the node that sends it by J1939, whether J1939 is only assumed."""
+    """A possible message of an id, the sending node by J1939, and whether J1939 is only assumed."""
 
     message: CanMessage
     node: int | None
@@ -47,7 +47,7 @@ class MessageMatch(NamedTuple):
 
 
 def _message_matcher(messages: Sequence[CanMessage]) -> Callable[[int, bool], list[MessageMatch]]:
-    """Return a function from an id to the messages it may stand for."""
+    """Return a function from an id to its possible messages."""
     exact: dict[tuple[int, bool], list[CanMessage]] = {}
     groups: dict[tuple[int, bool], list[CanMessage]] = {}
     for message in messages:
@@ -74,7 +74,7 @@ def _message_matcher(messages: Sequence[CanMessage]) -> Callable[[int, bool], li
 
 
 class BusTraffic(NamedTuple):
-    """What is in a log: streams, the 29-bit ids met, its first stamp, frames without data, data frames."""
+    """Content of a log: streams, 29-bit ids, first stamp, counts of frames without and with data."""
 
     streams: list[Stream]
     extended_ids: set[int]
@@ -86,7 +86,7 @@ class BusTraffic(NamedTuple):
 def collect_streams(
     frames: Iterable[Frame], messages: Sequence[CanMessage], message_filter: Callable[[CanMessage], bool]
 ) -> BusTraffic:
-    """Sort the frames of the messages that are kept into streams; of the others, note that they come."""
+    """Sort the frames of the messages that pass the filter into streams; of the others, record the ids."""
     matches = _message_matcher(messages)
     streams: dict[tuple[str, int, int | None, bool], Stream] = {}
     routes: dict[tuple[int, bool, int], list[Stream]] = {}
@@ -121,15 +121,15 @@ def collect_streams(
 
 
 def _without_assumed_duplicates(streams: Sequence[Stream]) -> list[Stream]:
-    """Leave out what was only assumed to be a message whose very id is in the log."""
+    """Remove streams assumed to be a message whose exact id is in the log."""
     exact_names = {stream.message.name for stream in streams if not stream.j1939_assumed}
     return [stream for stream in streams if not (stream.j1939_assumed and stream.message.name in exact_names)]
 
 
 def _messages_of_node(group: Sequence[CanMessage], address: int) -> list[CanMessage]:
-    """Return the definitions of one parameter group that hold for a node."""
+    """Return the definitions of one parameter group that apply to a node."""
     exact = [message for message in group if node(message.identifier) == address]
     any_node = [message for message in group if node(message.identifier) == NULL_ADDRESS]
-    # One node's definition stands for all nodes unless the database tells them apart.
+    # A definition for one node applies to all nodes if it is the only one in the database.
     shared = list(group) if len({node(message.identifier) for message in group}) == 1 else []
     return exact or any_node or shared

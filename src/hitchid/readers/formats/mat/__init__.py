@@ -17,15 +17,15 @@ KIND = "a MATLAB file"
 
 
 def read(path: Path, selection: ChannelSelection) -> Content:
-    """Read the wanted vectors of a MATLAB file.
+    """Read the selected vectors of a MATLAB file.
 
     Args:
         path: the file.
-        selection: what is asked for; the time may be missing in exports that keep it for each signal.
+        selection: the requested vectors; the time is optional in exports with a time for each signal.
 
     Raises:
-        LogError: the file is damaged or was cut short, a vector is missing or not real, or h5py is missing
-            for a file of version 7.3.
+        LogError: the file is damaged or was cut short, a vector is missing or not real, or h5py, required for
+            version 7.3, is not installed.
     """
     with as_log_errors(path, KIND):
         reader = version73 if version73.is_hdf5(path) else version5
@@ -51,7 +51,7 @@ def _channels(
         if values.dtype.kind not in "fiub":
             if strict:
                 raise LogError(path, "required a real numeric vector", column=requested)
-            continue  # before it is read, a complex vector cannot be told from a real one
+            continue  # whether a vector is complex is known only after reading
         clock_s = None if source.time is None else _clock(source.time, source.time_unit, variables, clocks)
         channels[requested] = LogChannel(floats(values), source.unit, clock_s)
     return channels

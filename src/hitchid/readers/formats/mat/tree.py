@@ -1,4 +1,4 @@
-"""What a MATLAB file holds, whichever its version: structs, lists of structs, numbers, texts."""
+"""The content of a MATLAB file of any version: structs, lists of structs, numbers, texts."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
@@ -9,12 +9,12 @@ from hitchid.readers.formats.extra import is_vector, unique_names
 
 
 class Leaf(NamedTuple):
-    """An array of numbers that need not be in memory yet.
+    """An array of numbers, loaded on demand.
 
     Attributes:
         shape: its shape.
-        load: gives the numbers; it is handed the variables that were loaded.
-        variable: the variable that has to be loaded for it, None where it is at hand.
+        load: returns the numbers, given the loaded variables.
+        variable: the variable that must be loaded first; None if there is none.
     """
 
     shape: tuple[int, ...]
@@ -23,7 +23,7 @@ class Leaf(NamedTuple):
 
 
 class ChannelSource(NamedTuple):
-    """Where the numbers of a channel are, with their unit and time."""
+    """The arrays of a channel and of its time, with their units."""
 
     values: Leaf
     unit: str | None = None
@@ -84,7 +84,7 @@ def _control_desk(node: Mapping[str, object], prefix: str) -> list[tuple[str, Ch
 
 
 def _axis(axes: Sequence[Mapping[str, object]], index: object, data: Leaf) -> Mapping[str, object]:
-    """Return the axis a signal names, counted from one, else the first that is as long; empty if none is."""
+    """Return the axis of a signal's index, from 1, else the first of equal length, else an empty one."""
     matching = [
         number for number, axis in enumerate(axes, start=1) if _length(axis.get("Data")) == max(data.shape)
     ]

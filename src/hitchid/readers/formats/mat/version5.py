@@ -1,4 +1,4 @@
-"""MATLAB files up to version 7, read by scipy once their sizes have been checked."""
+"""MATLAB files up to version 7, read by scipy after a check of all declared sizes."""
 
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,14 +19,15 @@ NUMERIC_CLASSES = (
     "logical",
     *(f"{u}int{bits}" for u in ("", "u") for bits in (8, 16, 32, 64)),
 )
-HEADER = 128
-MATRIX, COMPRESSED, SPARSE = 14, 15, 5
-MAX_COMPRESSION_RATIO = 1032  # zlib makes nothing smaller by more than this
-MAX_EMPTY_STRUCTS = 10_000  # structs without fields take no bytes: so many are believed
+# From the MAT-file format: bytes of the header; data types of elements; class of sparse arrays.
+HEADER, MATRIX, COMPRESSED, SPARSE = 128, 14, 15, 5
+MAX_COMPRESSION_RATIO = 1032  # largest of zlib
+MAX_EMPTY_STRUCTS = 10_000  # accepted structs without fields, which take no bytes; chosen
+StructValue = Any  # of scipy.io.loadmat, which has no types
 
 
 class MatFile(NamedTuple):
-    """A file: what it holds, and how variables are loaded."""
+    """A MATLAB file: the tree of its content, and a method that loads variables."""
 
     path: Path
     tree: Mapping[str, object]
@@ -35,7 +36,7 @@ class MatFile(NamedTuple):
         """Load variables of plain numbers.
 
         Args:
-            names: theirs.
+            names: of the variables.
 
         Raises:
             LogError: the file is damaged.
@@ -45,7 +46,7 @@ class MatFile(NamedTuple):
 
 @contextmanager
 def open_log(path: Path) -> Iterator[MatFile]:
-    """Look into a MATLAB file: vectors by name and shape, structs with all they hold.
+    """Open a MATLAB file: vectors by name and shape, structs with their content.
 
     Raises:
         LogError: the file is damaged or was cut short.
@@ -54,7 +55,7 @@ def open_log(path: Path) -> Iterator[MatFile]:
 
     with as_log_errors(path, KIND):
         check_sizes(path)
-        # What scipy adds of its own begins with two underscores, as no name in MATLAB does.
+        # Names that scipy adds begin with two underscores, which no name in MATLAB does.
         listing = [variable for variable in whosmat(path) if not variable[0].startswith("__")]
     structs = _load_variables(path, [name for name, _, kind in listing if kind == "struct"])
     tree: dict[str, object] = {}
@@ -70,12 +71,12 @@ def check_sizes(path: Path) -> None:
     """Check that the parts of a file of version 5 to 7 lie within it and are no larger than their bytes.
 
     Raises:
-        LogError: one ends beyond the file, or declares more than its bytes can hold.
+        LogError: a part ends beyond the file, or declares more than its bytes can hold.
     """
     with path.open("rb") as stream:
         header = stream.read(HEADER)
         order = {b"IM": "<", b"MI": ">"}.get(header[126:128])
-        if order is None:  # version 4, or none of MATLAB: scipy tells
+        if order is None:  # version 4, or another format: scipy raises
             return
         size, position = stream.seek(0, 2), HEADER
         while position < size:
@@ -114,7 +115,7 @@ def _check_declared_size(path: Path, stream: BinaryIO, order: str, kind: int, le
         raise LogError(path, f"cannot be read as {KIND}: {length} bytes are said to hold {count} values")
 
 
-def _load_variables(path: Path, names: Sequence[str]) -> dict[str, Any]:
+def _load_variables(path: Path, names: Sequence[str]) -> dict[str, StructValue]:
     from scipy.io import loadmat
 
     if not names:
@@ -125,8 +126,8 @@ def _load_variables(path: Path, names: Sequence[str]) -> dict[str, Any]:
 
 
 def _node(value: Any) -> object:
-    """Return the node for what scipy makes of a struct and all in it; None for what holds no numbers."""
-    if type(value) is not np.ndarray:  # objects and functions of MATLAB are kinds of array, too
+    """Return the node of a value loaded by scipy and of all in it; None for a value without numbers."""
+    if type(value) is not np.ndarray:  # objects and functions are subclasses of the array
         return None
     if value.dtype.names is not None:
         structs = [_fields(struct, value.dtype.names) for struct in value.ravel()]

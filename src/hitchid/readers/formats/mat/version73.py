@@ -1,4 +1,4 @@
-"""MATLAB files of version 7.3: HDF5 files whose groups are structs."""
+"""MATLAB files of version 7.3: HDF5 files in which groups are structs."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -12,18 +12,18 @@ from hitchid.readers.formats.hdf5 import NUMERIC_KINDS, is_external, read_datase
 from hitchid.readers.formats.mat.tree import Leaf
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
-SIGNATURE_OFFSETS = (0, 512)  # MATLAB keeps 512 bytes for its own header
-MAX_DEPTH = 30
+SIGNATURE_OFFSETS = (0, 512)  # bytes; MATLAB puts a header of 512 bytes in front
+MAX_DEPTH = 30  # nested structs; chosen
 NON_NUMERIC_CLASSES = ("char", "cell", "struct", "function_handle", "table", "string", "categorical")
 
 
 class MatFile(NamedTuple):
-    """An open file: what it holds, and how variables are loaded."""
+    """An open file: the tree of its content; each leaf loads itself."""
 
     tree: Mapping[str, object]
 
     def load(self, names: Sequence[str]) -> Mapping[str, np.ndarray]:
-        """Return nothing: each leaf reads its own dataset."""
+        """Return no variables: each leaf reads its own dataset."""
         return {}
 
 
@@ -39,7 +39,7 @@ def open_log(path: Path) -> Iterator[MatFile]:
     """Open a MATLAB 7.3 file.
 
     Raises:
-        LogError: h5py is missing.
+        LogError: h5py is not installed.
     """
     h5py = import_optional("h5py", "hdf5", path)
     with h5py.File(path, "r") as file:
@@ -52,7 +52,7 @@ class _Reader(NamedTuple):
 
 
 class _Column(NamedTuple):
-    """One field of an array of structs: a node for each of them."""
+    """One field of an array of structs: a node for each struct."""
 
     nodes: list[object]
 
@@ -60,7 +60,7 @@ class _Column(NamedTuple):
 def _fields(reader: _Reader, group: Any, depth: int) -> dict[str, object]:
     fields: dict[str, object] = {}
     for name in group if depth < MAX_DEPTH else ():
-        if name.startswith("#"):  # where MATLAB keeps what references lead to
+        if name.startswith("#"):  # targets of references
             continue
         link = group.get(name, getlink=True)
         if isinstance(link, reader.h5py.ExternalLink):
@@ -94,7 +94,7 @@ def _array(reader: _Reader, item: Any, depth: int) -> object:
 
 
 def _structs(fields: dict[str, object]) -> object:
-    """Return an array of structs where each field is one of references, else the one struct as it is."""
+    """Return a list of structs if each field is an array of references, else the struct itself."""
     columns = {name: inner.nodes for name, inner in fields.items() if isinstance(inner, _Column)}
     lengths = {len(inner) for inner in columns.values()}
     if len(columns) != len(fields) or len(lengths) != 1:

@@ -1,4 +1,4 @@
-"""MDF files of ASAM, versions 2 to 4: groups of channels, each on the clock of its group's master."""
+"""ASAM MDF files, versions 2 to 4: groups of channels, each on the clock of its group's master."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hitchid.data.units import unit_of_column
-from hitchid.errors import LogError
+from hitchid.errors import InputError, LogError
 from hitchid.readers.content import ChannelSelection, Content, LogChannel
 from hitchid.readers.formats.cf import is_time, to_seconds
 from hitchid.readers.formats.extra import (
@@ -30,18 +30,18 @@ from hitchid.readers.formats.mdf.numbers import (
 
 SUFFIXES = (".mf4", ".mdf")
 KIND = "an MDF file"
-TIME = "time_s"
+TIME = "time_s"  # name of the master channel of written files
 
 
 def read(path: Path, selection: ChannelSelection) -> Content:
-    """Read the wanted channels of an MDF file.
+    """Read the selected channels of an MDF file.
 
     Args:
         path: the file.
-        selection: what is asked for; the time is that of each group's master.
+        selection: the requested channels; the time is that of each group's master.
 
     Raises:
-        LogError: the file is damaged or was cut short, a channel is missing, or asammdf is.
+        LogError: the file is damaged or was cut short, a channel is missing, or asammdf is not installed.
     """
     asammdf = import_optional("asammdf", "mdf", path)
     with as_log_errors(path, KIND):
@@ -64,15 +64,15 @@ def write_table(path: Path, columns: Mapping[str, np.ndarray]) -> None:
     """Write columns of doubles as one group on the clock `time_s`, in version 4.10.
 
     Args:
-        path: the file; one that is there is replaced.
+        path: the file; an existing file is replaced.
         columns: each under a name that may end in its unit; `time_s` and at least one more.
 
     Raises:
-        LogError: asammdf is missing.
-        ValueError: there is no column `time_s`, or none beside it.
+        LogError: asammdf is not installed.
+        InputError: there is no column `time_s`, or no other.
     """
     if TIME not in columns or len(columns) < 2:
-        raise ValueError(f"required a column '{TIME}' and one more, got {', '.join(columns) or 'none'}")
+        raise InputError(f"required a column '{TIME}' and one more, came {', '.join(columns) or 'none'}")
     asammdf = import_optional("asammdf", "mdf", path, purpose="write")
     signals = [
         asammdf.Signal(
@@ -91,7 +91,7 @@ def write_table(path: Path, columns: Mapping[str, np.ndarray]) -> None:
 
 
 def _channel_locations(log: Any) -> dict[str, tuple[int, int]]:
-    """Return the full name of each channel that holds numbers, to its group and its place in there."""
+    """Return full name to group and index of each channel that holds numbers."""
     group_names = _group_names(log)
     names, locations = [], []
     for number, group in enumerate(log.groups):
@@ -103,7 +103,7 @@ def _channel_locations(log: Any) -> dict[str, tuple[int, int]]:
 
 
 def _group_names(log: Any) -> list[str]:
-    """Return what each group is called: its number where it has no name or shares it."""
+    """Return the name of each group: its number if it has no unique name."""
     names = [unit_text(getattr(group.channel_group, "acq_name", None)) for group in log.groups]
     if names == [None]:
         return [""]
@@ -112,8 +112,8 @@ def _group_names(log: Any) -> list[str]:
 
 
 def _master(log: Any, group: int) -> tuple[int, int] | None:
-    """Return group and place of the channel that is this group's clock, if it has one that counts time."""
-    # In version 4.2 a group may be on the master of another one.
+    """Return group and index of the master channel of a group, if it counts time."""
+    # In version 4.2 a group may use the master of another group.
     remote_group = getattr(log.groups[group].channel_group, "cg_master_index", None)
     master_group = group if remote_group is None else remote_group
     index = log.masters_db.get(master_group)

@@ -1,4 +1,4 @@
-"""Whether an MDF file is whole: each block of version 4 says how long it is and which ones follow."""
+"""Completeness of an MDF file: each block of version 4 holds its length and the links to others."""
 
 import struct
 from pathlib import Path
@@ -6,20 +6,21 @@ from typing import BinaryIO
 
 from hitchid.errors import LogError
 
+# From ASAM MDF 4: bytes of the identification block; name, length and links of a block; offsets, bytes.
 IDENTIFICATION = 64
 HEADER = struct.Struct("<4s4xQQ")
 VERSION_OFFSET, FLAGS_OFFSET = 28, 60
 
 
 def check_complete(path: Path) -> None:
-    """Follow every link of an MDF file of version 4; of older ones look at the identification alone.
+    """Follow every link of an MDF file of version 4; of older versions check the identification only.
 
     Args:
         path: the file.
 
     Raises:
-        LogError: the file is none of MDF, was never finished, was cut short, or holds something else
-            where a block should be.
+        LogError: the file is not an MDF file, was never finalized, was cut short, or has no block where a
+            link points.
     """
     with path.open("rb") as stream:
         identification = stream.read(IDENTIFICATION)

@@ -10,16 +10,17 @@ from hitchid.readers.formats.extra import floats
 
 
 class _Codes(NamedTuple):
-    """What the numbers in a generation of MDF files mean."""
+    """Codes in the blocks of one generation of MDF files."""
 
-    types: frozenset[int]  # of data: whole and real numbers
+    types: frozenset[int]  # data types: integers and real numbers
     masters: frozenset[int]
-    channels: frozenset[int]  # kinds that hold one value of fixed size a record, masters among them
-    texts: frozenset[int]  # conversions
-    formulas: frozenset[int]
+    channels: frozenset[int]  # channel types with one value of fixed size a record, masters included
+    texts: frozenset[int]  # conversions to text
+    formulas: frozenset[int]  # conversions by a formula
 
 
-VIRTUAL = 3  # master of version 4 that is not in the file
+# Codes of ASAM MDF 3 and 4.
+VIRTUAL = 3  # channel type of a master without stored samples, version 4
 MDF3_CODES = _Codes(
     types=frozenset({0, 1, 2, 3, *range(9, 17)}),
     masters=frozenset({1}),
@@ -37,17 +38,17 @@ MDF4_CODES = _Codes(
 
 
 def is_master(log: Any, channel: Any) -> bool:
-    """Return whether this is a channel that its group's samples are counted by."""
+    """Return whether a channel is the master of its group."""
     return channel.channel_type in _codes(log).masters
 
 
 def is_stored(log: Any, channel: Any) -> bool:
-    """Return whether a master's samples are in the file; else they are made from their number."""
+    """Return whether a master's samples are stored; else they are computed from their index."""
     return channel.channel_type != VIRTUAL if log.version >= "4" else channel.bit_count > 0
 
 
 def holds_numbers(log: Any, group: int, index: int) -> bool:
-    """Return whether a channel is one of more than one real number."""
+    """Return whether a channel holds more than one real number."""
     codes, data_group = _codes(log), log.groups[group]
     channel = data_group.channels[index]
     is_scalar = not (data_group.channel_dependencies and data_group.channel_dependencies[index])
@@ -68,11 +69,11 @@ def physical_values(path: Path, log: Any, group: int, index: int) -> np.ndarray:
         LogError: the samples are converted by a formula.
     """
     channel = log.groups[group].channels[index]
-    # Told to ignore them, asammdf hands out which samples are invalid; else it leaves these out.
+    # With this option asammdf returns the invalidation bits; without it, it removes invalid samples.
     raw, invalid = log.get(
         group=group, index=index, raw=True, samples_only=True, ignore_invalidation_bits=True
     )
-    # asammdf multiplies single-precision samples in single precision: doubles go in, so doubles come out.
+    # asammdf would scale single-precision samples in single precision.
     values = _convert(path, log, channel, floats(raw))
     if invalid is not None:
         values[np.asarray(invalid, dtype=bool)] = np.nan
@@ -80,7 +81,7 @@ def physical_values(path: Path, log: Any, group: int, index: int) -> np.ndarray:
 
 
 def virtual_master_values(path: Path, log: Any, group: int, index: int) -> np.ndarray:
-    """Return the samples of a master that is made from their number.
+    """Return the samples of a master, computed from their index.
 
     Args:
         path: the file.
@@ -106,15 +107,15 @@ def _convert(path: Path, log: Any, channel: Any, values: np.ndarray) -> np.ndarr
     if conversion is None or not values.size:
         return values
     blocks = [conversion, *_scales(conversion)]
-    # asammdf falls back to evaluating a formula as Python: a file must not bring code with it.
+    # asammdf may evaluate a formula as Python: a file must not execute code.
     if any(block.conversion_type in codes.formulas for block in blocks):
         raise LogError(path, "is converted by a formula, required numbers", column=channel.name)
     if conversion.conversion_type in codes.texts and len(blocks) == 1:
-        return values  # the number of a state, whose names are text
+        return values  # numbers of states, whose names are text
     converted = np.asarray(conversion.convert(values))
     if converted.dtype.kind in "fiub":
         return floats(converted)
-    # Text for some numbers, like 'sensor fault' for the largest, and a scale for the others.
+    # Text for some numbers, such as 'sensor fault' for the largest, and a scale for the others.
     return np.array([value if isinstance(value, int | float) else np.nan for value in converted.tolist()])
 
 

@@ -1,4 +1,4 @@
-"""The command that makes a model from logs."""
+"""`hitchid identify`: from logs to a model folder."""
 
 import json
 import shutil

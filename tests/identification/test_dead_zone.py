@@ -8,7 +8,7 @@ from scipy import stats
 
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import LogError
-from hitchid.identification.deadzone import (
+from hitchid.identification.dead_zone import (
     CANDIDATES,
     from_onsets,
     from_ramps,

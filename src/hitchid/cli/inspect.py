@@ -1,4 +1,4 @@
-"""Commands on logs alone."""
+"""`hitchid inspect`: what logs hold, an audit of them, a first campaign.toml."""
 
 import json
 from pathlib import Path
@@ -10,7 +10,7 @@ from hitchid.cli.options import AsJson, Force, Logs, Signals, Strict
 from hitchid.errors import InputError
 
 if TYPE_CHECKING:
-    from hitchid.inspection.inspect_logs import Inspection
+    from hitchid.inspection import Inspection
 
 MAX_DRAWN = 12
 PICTURES = (".png", ".svg", ".pdf")
@@ -90,7 +90,7 @@ def _check_picture(path: Path, *, force: bool, inputs: list[Path | None]) -> Non
 
 
 def _draw(inspection: "Inspection", path: Path, *, force: bool) -> None:
-    if not inspection.inspected:
+    if not inspection.usable:
         raise InputError("--draw: none of the logs can be used; there is nothing to draw")
     from hitchid.report.figures.timeline import Mark, draw
 
@@ -99,13 +99,10 @@ def _draw(inspection: "Inspection", path: Path, *, force: bool) -> None:
         for finding in inspection.findings
         for record, *span in finding.locations
     ]
-    stretches = {record.name: segments for record, segments in inspection.mixed}
-    marked_names = stretches.keys() | {mark.record for mark in marks}
-    records = [
-        record for record in inspection.inspected if record.name in marked_names
-    ] or inspection.inspected
+    marked_names = {mark.record for mark in marks}
+    marked = [r for r in inspection.usable if r.segments or r.name in marked_names]
     draw(
-        [(record, stretches.get(record.name, ())) for record in records[:MAX_DRAWN]],
+        [(record.record, record.segments) for record in (marked or inspection.usable)[:MAX_DRAWN]],
         path,
         marks=marks,
         force=force,

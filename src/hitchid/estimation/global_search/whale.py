@@ -4,9 +4,7 @@ Mirjalili & Lewis 2016, Advances in Engineering Software 95, 51-67. The search r
 compiled program for the whole population and every iteration.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from enum import Enum
 
 import equinox as eqx
 import jax
@@ -14,17 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from hitchid.errors import InputError
-
-FitnessFunction = Callable[[Float[Array, "p d"]], Float[Array, " p"]]
-
-
-class SearchStopReason(Enum):
-    """Why a search stopped, with what to try."""
-
-    ITERATIONS = "all iterations were run; more of them may still improve the fit"
-    BUDGET = "the budget of evaluations was spent; a larger one may still improve the fit"
-    STAGNATION = "the best fitness no longer improved; the search has settled"
-    FAILED = "no whale gave a finite error; widen or move the bounds"
+from hitchid.estimation.search_problem import FitnessFunction
 
 
 @dataclass(frozen=True)

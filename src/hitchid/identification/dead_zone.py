@@ -114,8 +114,8 @@ def ramp_onset(record: Record, direction: str, sign: int) -> float:
     if residual_norms.min() >= (1 - MIN_RESIDUAL_REDUCTION) * float(np.linalg.norm(target)):
         raise LogError(
             record.source or record.name,
-            f"the ramp reaches {command.max():.4g} {record.units[f'{direction}_command']} and the piston does not "
-            "move; required a ramp that goes on until it does",
+            f"the ramp reaches {command.max():.4g} {record.units[f'{direction}_command']} and the piston "
+            "does not move; required a ramp that goes on until it does",
         )
     return _parabola_minimum(candidates, residual_norms**2)
 

@@ -1,0 +1,41 @@
+"""`hitchid reproduce`: the published study on the virtual test bench."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hitchid.cli.cache import prepare_jax
+from hitchid.cli.options import AsJson, Force, Quiet
+from hitchid.cli.program import command_line
+
+
+def reproduce(
+    out: Annotated[Path, typer.Option("--out", help="Folder to write.")],
+    quick: Annotated[
+        bool, typer.Option("--quick", help="A first look: fewer tests, short training.")
+    ] = False,
+    rig: Annotated[str, typer.Option("--rig", help="Parameter set: a name or a TOML file.")] = "nominal",
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of every random draw.")] = 0,
+    force: Force = False,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Redo the published study on the virtual bench: every table and figure, ours beside theirs."""
+    from hitchid._support.storage import check_folder, check_inputs
+    from hitchid.cli import terminal as display
+
+    check_folder(out, result_kind="study.md", force=force)
+    check_inputs(out, [Path(rig)] if rig.endswith(".toml") else [])
+    prepare_jax()
+    from hitchid.studies.sun2025 import Plan, quick_plan
+    from hitchid.studies.sun2025 import reproduce as run
+
+    plan = quick_plan() if quick else Plan()
+    with display.progress(quiet=quiet) as report:
+        study = run(out, rig=rig, plan=plan, seed=seed, force=force, progress=report, command=command_line())
+    if as_json:
+        typer.echo(json.dumps(study.validation.metrics, indent=1))
+    elif not quiet:
+        display.show_study(study, out)

@@ -1,0 +1,33 @@
+"""`hitchid run`: a model that predicts one sample at a time from standard input."""
+
+import sys
+from io import TextIOWrapper
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hitchid.cli.cache import prepare_jax
+
+
+def run(
+    model: Annotated[Path, typer.Argument(help="Model folder.", show_default=False)],
+    initial: Annotated[
+        float | None,
+        typer.Option("--initial", help="Displacement to start from, in the model's unit [first measured]."),
+    ] = None,
+    load: Annotated[float, typer.Option("--load", help="Second input before motion, if one is heard.")] = 0.0,
+) -> None:
+    """Answer samples from standard input, line by line, with the displacement one sample later (JSON)."""
+    prepare_jax()
+    from hitchid.model import load as load_model
+    from hitchid.online.live import Live
+
+    live = Live(load_model(model), initial=initial, load=load)
+    if isinstance(sys.stdin, TextIOWrapper):
+        sys.stdin.reconfigure(encoding="utf-8", errors="replace")
+    sys.stderr.write("ready\n")
+    sys.stderr.flush()
+    for line in sys.stdin:
+        sys.stdout.write(live.process(line).to_json() + "\n")
+        sys.stdout.flush()

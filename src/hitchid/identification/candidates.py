@@ -1,0 +1,169 @@
+"""Candidate forms of one direction, evaluated in free run on operating points held out in turn."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import jax.numpy as jnp
+import numpy as np
+
+from hitchid._support.metrics import proven_better
+from hitchid.estimation import Objective, allows_per_test_gain, refine_subset
+from hitchid.structures import Batch, ModelSpec
+
+FOLDS = 4  # every fourth operating point is held out together
+LEVEL_TOLERANCE = 0.01  # share of the range of levels within which tests are of one operating point
+STEPS = 40  # positions of least squares from each start
+REFIT_STEPS = 4  # positions of the refit to a fold: the start and three damped steps
+MIN_GAIN_TESTS = 6  # held-out tests from which forms are compared apart from a factor on each test's speed
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One form that was tried.
+
+    Attributes:
+        name: what it has that the ones before have not.
+        spec: the form.
+        values: its parameters at the optimum, shape [D].
+        rmse: free run over all identification tests, each weighing the same.
+        dead_zone: dead zone at which it was fitted, in the command's unit.
+        held_out: the same of each test whose operating point was held out in turn, shape [H].
+        held_out_per_test_gain: likewise, apart from a factor on each test's speed, shape [H].
+        chosen: whether it is the one that was taken.
+    """
+
+    name: str
+    spec: ModelSpec
+    values: np.ndarray
+    rmse: float
+    dead_zone: float
+    held_out: np.ndarray
+    held_out_per_test_gain: np.ndarray
+    chosen: bool = False
+
+    @property
+    def named_values(self) -> dict[str, float]:
+        """Parameter name to value at the optimum."""
+        names = [parameter.name for parameter in self.spec.parameters]
+        return dict(zip(names, self.values.tolist(), strict=True))
+
+    @property
+    def held_out_rmse(self) -> float:
+        """Free run over operating points held out in turn, each test weighing the same."""
+        return float(np.sqrt(np.mean(self.held_out**2)))
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Best positions of a form, those of parameters that it does not have included, and its errors.
+
+    Attributes:
+        positions: in the unit cube, shape [D].
+        rmse, held_out, held_out_per_test_gain: as in `Candidate`.
+    """
+
+    positions: np.ndarray
+    rmse: float
+    held_out: np.ndarray
+    held_out_per_test_gain: np.ndarray
+
+    def candidate(self, name: str, spec: ModelSpec, objective: Objective, free: Sequence[int]) -> Candidate:
+        """Return the candidate; `free` are the numbers of its parameters among those of the objective."""
+        return Candidate(
+            name=name,
+            spec=spec,
+            values=objective.values(self.positions)[list(free)],
+            rmse=self.rmse,
+            dead_zone=float(objective.batch.dead_zone[0]),
+            held_out=self.held_out,
+            held_out_per_test_gain=self.held_out_per_test_gain,
+        )
+
+
+def best_candidate(candidates: Sequence[Candidate], batch: Batch) -> int:
+    """Return the number of the form to take: a later one where held-out tests prove it better.
+
+    Forms whose tests may each have a factor on their speed are compared apart from such factors, by six tests
+    or more.
+    """
+    best = 0
+    for number, candidate in enumerate(candidates):
+        incumbent = candidates[best]
+        if allows_per_test_gain(batch, candidate.spec):
+            errors = candidate.held_out_per_test_gain, incumbent.held_out_per_test_gain
+            is_better = errors[0].size >= MIN_GAIN_TESTS and proven_better(*errors)
+        else:
+            is_better = proven_better(candidate.held_out, incumbent.held_out)
+        best = number if is_better else best
+    return best
+
+
+def with_positions(positions: np.ndarray, names: Sequence[str], start: Mapping[str, float]) -> np.ndarray:
+    """Return positions with some of them, by parameter name, replaced."""
+    changed = positions.copy()
+    for name, value in start.items():
+        changed[names.index(name)] = value
+    return changed
+
+
+def fit_and_evaluate(
+    objective: Objective, free: Sequence[int], starts: Sequence[np.ndarray], folds: Sequence[np.ndarray]
+) -> Evaluation:
+    """Fit the free parameters from several starts, and evaluate the best.
+
+    Raises:
+        FitError: none of the starts can be simulated.
+    """
+    best = refine_subset(objective, free, starts, STEPS)
+    positions = starts[0].copy()
+    positions[list(free)] = best.position
+    return evaluate(objective, free, positions, folds)
+
+
+def evaluate(
+    objective: Objective, free: Sequence[int], positions: np.ndarray, folds: Sequence[np.ndarray]
+) -> Evaluation:
+    """Return the errors of a form on tests held out in turn.
+
+    For each fold the other tests refit it from its best position by three damped steps: enough for what the
+    tests determine. What they hardly determine keeps the value of the fit to all tests, where a full descent
+    would take it anywhere; so the error is a little too small for large forms.
+    """
+    pooled, per_test_gain = objective.pooled(), replace(objective, per_test_gain=True)
+    rmse = pooled.error(positions)
+    held_out, held_out_per_test_gain = [], []
+    for held_tests in folds:
+        training_objective = _with_tests(objective, ~held_tests)
+        refitted = positions.copy()
+        refitted[list(free)] = refine_subset(training_objective, free, [positions], REFIT_STEPS).position
+        held_out += list(pooled.rmse_by_test(refitted)[held_tests])
+        held_out_per_test_gain += list(per_test_gain.rmse_by_test(refitted)[held_tests])
+    return Evaluation(positions, rmse, np.array(held_out), np.array(held_out_per_test_gain))
+
+
+def _with_tests(objective: Objective, tests: np.ndarray) -> Objective:
+    """Return the objective over some of its tests; shapes stay, so that no program is compiled anew."""
+    batch = objective.batch.masked(
+        jnp.asarray(np.broadcast_to(tests[:, None], objective.batch.loss_mask.shape))
+    )
+    return objective.with_data(batch)
+
+
+def operating_point_folds(batch: Batch, *, separate_tests: bool) -> list[np.ndarray]:
+    """Return which tests are held out together, boolean arrays of shape [T].
+
+    Every fourth operating point between the lowest and the highest level, so that a fold's neighbours stay
+    in. Tests of one level are one operating point; with a second input every test is one of its own.
+    """
+    command, loss_mask = np.abs(np.asarray(batch.command)), np.asarray(batch.loss_mask)
+    active = loss_mask & (command > 0)
+    levels = np.array(
+        [row[mask].mean() if mask.any() else 0.0 for row, mask in zip(command, active, strict=True)]
+    )
+    order = np.argsort(levels)
+    is_new_level = separate_tests | (np.diff(levels[order]) > LEVEL_TOLERANCE * float(np.ptp(levels)))
+    level_index = np.concatenate([[0], np.cumsum(is_new_level)])
+    is_interior = (level_index > 0) & (level_index < level_index[-1])
+    fold = np.full(levels.size, -1)
+    fold[order] = np.where(is_interior, (level_index - 1) % FOLDS, -1)
+    return [fold == index for index in range(min(FOLDS, int(level_index[-1]) - 1))]

@@ -1,0 +1,98 @@
+"""Nested forms around the second-order integrator, and starting points of their least squares."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+from hitchid.structures import ModelSpec, Parameter, structure_named
+from hitchid.structures.static_nonlinearity import SPOOL_DYNAMICS, VALVE_CURVE
+
+# Positions between the bounds, 0 to 1, at which an option has no effect, or as little as the bounds allow.
+NEUTRAL_POSITIONS = {
+    "opening": 0.4,
+    "exponent": 0.5,
+    "saturation": 1.0,
+    "hysteresis": 0.0,
+    "spool_lag": 0.0,
+    "dead_time": 0.0,
+}
+MIDDLE = 0.5  # position of the other parameters
+# Opening beside a dead zone from ramps, share of the largest effective command. A ramp shows the opening but
+# for its spread and the plant's delay; the bounds leave room for a rounded onset.
+RAMP_OPENING_BOUNDS = (-0.1, 0.1)
+# Positions between the bounds: a soft, little damped and a stiff, more damped plant; valve curves that are
+# even, rise slowly or saturate early; narrow to wide hysteresis.
+SECOND_ORDER_STARTS = (
+    {"natural_frequency": 0.4, "damping_ratio": 0.45},
+    {"natural_frequency": 0.7, "damping_ratio": 0.7},
+)
+DEAD_TIME_START = 0.6
+CURVE_STARTS = (
+    {"opening": 0.4, "exponent": 0.5, "saturation": 0.4},
+    {"opening": 0.25, "exponent": 0.75, "saturation": 0.3},
+    {"opening": 0.5, "exponent": 0.6, "saturation": 0.3},
+)
+HYSTERESIS_STARTS = (0.05, 0.1, 0.2)
+SPOOL_LAG_START = 0.5
+
+
+def largest_spec(baseline: ModelSpec, covariate: str | None, *, opening_known: bool) -> ModelSpec:
+    """Return the largest form that is tried."""
+    return replace(
+        baseline,
+        structure=structure_named("integrator-second-order"),
+        dead_time=True,
+        bounds={"opening": RAMP_OPENING_BOUNDS} if opening_known else {},
+        valve_curve=True,
+        spool_dynamics=True,
+        stroke_gain_quadratic=True,
+        covariate=covariate,
+    )
+
+
+def nested_specs(largest: ModelSpec) -> list[tuple[str, ModelSpec]]:
+    """Return names and forms from a dead time up to everything."""
+    delayed = replace(
+        largest,
+        bounds={},
+        valve_curve=False,
+        spool_dynamics=False,
+        stroke_gain_quadratic=False,
+        covariate=None,
+    )
+    with_curve = replace(delayed, bounds=largest.bounds, valve_curve=True)
+    with_spool = replace(with_curve, spool_dynamics=True)
+    with_slope = replace(with_spool, stroke_gain_linear=True)
+    with_position = replace(with_spool, stroke_gain_quadratic=True)
+    named_specs = [
+        ("second order, dead time", delayed),
+        ("with valve curve", with_curve),
+        ("with lag and hysteresis of the spool", with_spool),
+        ("with gain growing along the stroke", with_slope),
+        ("with any gain along the stroke", with_position),
+        (f"with {largest.covariate}", largest),
+    ]
+    return named_specs[:1] + [
+        current for previous, current in pairwise(named_specs) if current[1] != previous[1]
+    ]
+
+
+def starts(spec: ModelSpec, previous: Sequence[Parameter]) -> Sequence[Mapping[str, float]]:
+    """Return starting positions, by parameter name, of what a form has beyond the one before it.
+
+    Args:
+        spec: the form.
+        previous: parameters of the form before it, empty for none.
+    """
+    names = {parameter.name for parameter in previous}
+    if not names:
+        return [{**first, "dead_time": DEAD_TIME_START} for first in SECOND_ORDER_STARTS]
+    if spec.valve_curve and VALVE_CURVE[0].name not in names:
+        return CURVE_STARTS
+    if spec.spool_dynamics and SPOOL_DYNAMICS[0].name not in names:
+        return [
+            {"hysteresis": width, "spool_lag": SPOOL_LAG_START, **curve}
+            for width in HYSTERESIS_STARTS
+            for curve in ({}, CURVE_STARTS[0])
+        ]
+    return ({},)

@@ -1,0 +1,71 @@
+"""Formats of other packages: registered by entry point, refused where their endings are taken."""
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hitchid.errors import InputError, LogError
+from hitchid.readers import format_of, read, write_table
+from hitchid.readers.formats import formats
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "format_from_outside"
+ENTRY = tomllib.loads((EXAMPLE / "pyproject.toml").read_text())["project"]["entry-points"]["hitchid.formats"]
+TAKEN = """
+from hitchid.readers import Format
+TAKEN = Format("another text", (".csv",), print)
+"""
+
+
+@pytest.fixture
+def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Return a function that registers one format for a test."""
+
+    def register(entry: str, folder: Path) -> None:
+        info = tmp_path / "some_formats-1.0.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text("Metadata-Version: 2.1\nName: some-formats\nVersion: 1.0\n")
+        (info / "entry_points.txt").write_text(f"[hitchid.formats]\n{entry}\n")
+        monkeypatch.syspath_prepend(str(tmp_path))
+        monkeypatch.syspath_prepend(str(folder))
+        formats.cache_clear()
+
+    yield register
+    formats.cache_clear()
+
+
+@pytest.fixture
+def npz(install, tmp_path: Path) -> Path:
+    """Return a log in the format of the example."""
+    install(f"npz = {ENTRY['npz']}", EXAMPLE)
+    path, rows = tmp_path / "lift.npz", np.arange(100)
+    write_table(
+        path,
+        {
+            "time_s": 0.01 * rows,
+            "current_up_A": 0.5 * (rows > 20),
+            "current_down_A": 0.0 * rows,
+            "displacement_mm": np.maximum(0.0, rows - 20.0),
+        },
+    )
+    return path
+
+
+def test_a_log_in_a_registered_format_is_read(npz):
+    campaign = read(npz)
+    assert [record.name for record in campaign.records] == ["lift"]
+    assert campaign.records[0].signals["displacement"][-1] == 79
+
+
+def test_a_damaged_log_in_a_registered_format_is_an_error(npz):
+    npz.write_bytes(npz.read_bytes()[:100])
+    with pytest.raises(LogError, match="cannot be read"):
+        read(npz)
+
+
+def test_an_ending_has_one_format(install, tmp_path):
+    (tmp_path / "taken_pack.py").write_text(TAKEN)
+    install("taken = taken_pack:TAKEN", tmp_path)
+    with pytest.raises(InputError, match=r"text and another text both read '\.csv'"):
+        format_of(Path("log.csv"))
