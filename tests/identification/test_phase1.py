@@ -241,8 +241,8 @@ def test_a_slope_is_found_again_although_tests_are_faster_or_slower(batch_of, sl
     rng = np.random.default_rng(seed)
     tests = sloping(slope, 1 + 0.03 * rng.choice([-1.0, 1.0], 8))
     batch = batch_of(tests, noise=0.02, rng=rng, start=80.0)
-    found = {each.name: each for each in identified(batch, INTEGRATOR, stroke_gain_linear=True).parameter_estimates}
-    estimate = found["position_slope"]
+    estimates = identified(batch, INTEGRATOR, stroke_gain_linear=True).parameter_estimates
+    (estimate,) = (each for each in estimates if each.name == "position_slope")
     # Noise of 0.02 mm at 2000 samples of some 15 mm of travel: the slope is known to a hundredth.
     assert estimate.error < 0.05 * abs(slope) * half_range(batch)
     # Four standard errors: 1 in 16000 for each.
