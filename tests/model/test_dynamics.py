@@ -564,9 +564,9 @@ def test_a_model_of_one_channel_does_not_hear_the_command_of_the_other():
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_a_start_that_is_no_number_is_refused(value):
-    with pytest.raises(InputError, match="^displacement: .*finite"):
+    with pytest.raises(InputError, match=r"^displacement: .*finite"):
         PLAIN.init_state(value)
-    with pytest.raises(InputError, match="^load: .*finite"):
+    with pytest.raises(InputError, match=r"^load: .*finite"):
         PLAIN.init_state(100.0, value)
 
 

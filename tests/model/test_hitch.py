@@ -183,7 +183,7 @@ def test_a_model_of_one_channel_refuses_a_record_that_needs_the_other(make_recor
         for run in (model.simulate, model.predict):
             with pytest.raises(InputError, match="no lowering channel"):
                 run(other)
-    with pytest.raises(InputError, match="commands for lowering.*for lifting"):
+    with pytest.raises(InputError, match=r"commands for lowering.*for lifting"):
         model.simulate(make_record(record.displacement, None, lowering))
 
 

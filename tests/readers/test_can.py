@@ -218,7 +218,7 @@ def test_nodes_that_send_one_group_are_told_apart(j1939, source):
     for ambiguous in ("EngSpeed", "EEC1/EngSpeed"):
         with pytest.raises(LogError, match=f"'{ambiguous}': several.*EEC1@0x00/EngSpeed, EEC1@0x03/EngSpeed"):
             read_bus(senders(0, 3), source, wanted(ambiguous, databases=[j1939]))
-    with pytest.raises(LogError, match="'EEC1@0x05/EngSpeed': .*no such"):
+    with pytest.raises(LogError, match=r"'EEC1@0x05/EngSpeed': .*no such"):
         read_bus(senders(0, 3), source, wanted("EEC1@0x05/EngSpeed", databases=[j1939]))
 
 
@@ -294,7 +294,7 @@ def test_what_is_not_available_is_left_out_of_its_own_signal_alone(j1939, source
 
 def test_a_signal_that_is_never_available_is_an_error_only_where_it_is_asked_for(j1939, source):
     frames = [frame(0.1 * n, EXTENDED | 0x0CF00400, *speeds(0xFFFF)) for n in range(4)]
-    with pytest.raises(LogError, match="'EngSpeed': .*4 samples.*'not available'"):
+    with pytest.raises(LogError, match=r"'EngSpeed': .*4 samples.*'not available'"):
         read_bus(frames, source, wanted("EngSpeed", databases=[j1939]))
     content = read_bus(frames, source, wanted(databases=[j1939]))
     assert list(content.channels) == ["EEC1/Torque"]
@@ -457,7 +457,7 @@ def test_remote_frames_are_no_data(tmp_path, plain):
 
 
 def test_a_message_whose_frames_are_all_short_is_refused(plain, source):
-    with pytest.raises(LogError, match="'Count': .*8 bytes"):
+    with pytest.raises(LogError, match=r"'Count': .*8 bytes"):
         read_bus([frame(0, 0x123, bytes(7))], source, wanted("Count", databases=[plain]))
 
 

@@ -422,5 +422,5 @@ def test_a_name_that_stands_twice_does_no_harm_unless_it_is_asked_for(log):
         "time_s"
     ].values.size == len(ROWS)
     assert "In1" not in read(log(doubled), ChannelSelection("time_s", None)).channels
-    with pytest.raises(LogError, match="column 'In1': .*In1, In1"):
+    with pytest.raises(LogError, match=r"column 'In1': .*In1, In1"):
         read(log(doubled), ChannelSelection("time_s", ("In1",)))

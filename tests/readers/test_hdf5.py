@@ -130,7 +130,7 @@ def test_scales_of_anything_else_are_no_clocks(log, units):
 
     path = log(fill)
     assert read(path, ALL).channels["x"].clock_s is None
-    with pytest.raises(LogError, match="column 'time_s': .*no such"):
+    with pytest.raises(LogError, match=r"column 'time_s': .*no such"):
         read(path, ChannelSelection("time_s", ("x",)))
 
 
@@ -165,7 +165,7 @@ def test_what_is_kept_in_another_file_is_refused(log, tmp_path, fill):
 
     path = log(both)
     for wanted in (ALL, ChannelSelection("y", ("x",))):
-        with pytest.raises(LogError, match="column 'x': .*another file"):
+        with pytest.raises(LogError, match=r"column 'x': .*another file"):
             read(path, wanted)
     np.testing.assert_array_equal(read(path, ChannelSelection("y", ())).channels["y"].values, np.arange(8.0))
 

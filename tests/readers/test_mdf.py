@@ -89,7 +89,7 @@ def test_groups_without_a_name_of_their_own_go_by_number(log):
     path = log(("same", [signal("x")]), ("same", [signal("x")]), ("other", [signal("y"), signal("y")]))
     content = read(path, ALL)
     assert list(content.channels) == ["0/x", "1/x", "other/y", "other/y (2)"]
-    with pytest.raises(LogError, match="column 'x': .*0/x, 1/x"):
+    with pytest.raises(LogError, match=r"column 'x': .*0/x, 1/x"):
         read(path, ChannelSelection("t", ("x",)))
 
 
@@ -176,7 +176,7 @@ def test_text_for_some_numbers_leaves_the_scale_of_the_others(log):
 def test_a_formula_is_not_evaluated(log, version):
     formula = {"formula": "__import__('os').abort() + X1"}
     path = log(("g", [signal("x", conversion=formula), signal("y")]), version=version)
-    with pytest.raises(LogError, match="column 'x': .*formula"):
+    with pytest.raises(LogError, match=r"column 'x': .*formula"):
         read(path, ChannelSelection("t", ("x",)))
     np.testing.assert_array_equal(read(path, ChannelSelection("t", ("y",))).channels["y"].values, STROKE)
 
@@ -197,7 +197,7 @@ def test_a_master_that_counts_an_angle_is_no_clock(log):
     assert list(channels) == ["g/crank", "g/x"]
     assert channels["g/x"].clock_s is None
     np.testing.assert_array_equal(channels["g/crank"].values, FAST)
-    with pytest.raises(LogError, match="column 'time_s': .*no such"):
+    with pytest.raises(LogError, match=r"column 'time_s': .*no such"):
         read(path, ChannelSelection("time_s", ("x",)))
 
 
@@ -261,7 +261,7 @@ def test_an_unfinished_recording_is_refused(tmp_path, change):
     write_table(tmp_path / "log.mf4", table())
     whole, (at, mark) = (tmp_path / "log.mf4").read_bytes(), change
     (tmp_path / "log.mf4").write_bytes(whole[:at] + mark + whole[at + len(mark) :])
-    with pytest.raises(LogError, match="cut short: .*never finished"):
+    with pytest.raises(LogError, match=r"cut short: .*never finished"):
         read(tmp_path / "log.mf4", ALL)
 
 

@@ -88,7 +88,7 @@ def test_waveforms_that_start_later_are_later(log):
 def test_waveforms_of_which_some_start_nobody_knows_when_are_refused(log):
     start = np.datetime64("2024-05-01T10:00:00.000000")
     path = log([waveform("a", range(3), wf_start_time=start), waveform("b", range(3))])
-    with pytest.raises(LogError, match="column 'Bench/b': .*start time"):
+    with pytest.raises(LogError, match=r"column 'Bench/b': .*start time"):
         read(path, ChannelSelection("time_s", ("a", "b")))
     assert list(read(path, ChannelSelection("time_s", ("b",))).channels) == ["b"]
 
@@ -99,7 +99,7 @@ def test_a_recording_that_was_appended_is_refused(log):
     first = [waveform(name, range(3), wf_start_time=start) for name in "ab"]
     assert list(read(log(first, [waveform("b", range(3))]), ALL).channels) == ["Bench/a", "Bench/b"]
     path = log(first, [waveform("b", range(3), wf_start_time=later)])
-    with pytest.raises(LogError, match="several recordings.*segment 2"):
+    with pytest.raises(LogError, match=r"several recordings.*segment 2"):
         read(path, ALL)
 
 
@@ -186,7 +186,7 @@ def test_a_segment_that_was_never_finished_is_refused(log):
     path = log([ChannelObject("Bench", "x", np.arange(40.0))])
     whole = path.read_bytes()
     path.write_bytes(whole[:12] + b"\xff" * 8 + whole[20:])
-    with pytest.raises(LogError, match="cut short: segment 1 .*never finished"):
+    with pytest.raises(LogError, match=r"cut short: segment 1 .*never finished"):
         read(path, ALL)
 
 
@@ -206,7 +206,7 @@ def test_a_segment_in_between_that_ends_within_a_sample_is_refused(log):
     length = SEGMENT.unpack_from(whole)[3]
     end = SEGMENT.size + length
     path.write_bytes(whole[:12] + struct.pack("<Q", length - 4) + whole[20 : end - 4] + whole[end:])
-    with pytest.raises(LogError, match="632 bytes.*636"):
+    with pytest.raises(LogError, match=r"632 bytes.*636"):
         read(path, ALL)
 
 

@@ -156,7 +156,7 @@ def test_misuse_is_refused(rig, held):
         simulate(rig, -currents, initial_displacement_m=0.1)
     with pytest.raises(InputError, match="load_force_n: came shape"):
         simulate(rig, currents, initial_displacement_m=0.1, load_force_n=np.zeros(7))
-    with pytest.raises(InputError, match="oil_temperature_c: .*finite"):
+    with pytest.raises(InputError, match=r"oil_temperature_c: .*finite"):
         simulate(rig, currents, initial_displacement_m=0.1, oil_temperature_c=np.nan)
     with pytest.raises(SettingsError, match="substeps: came 0"):
         simulate(rig, currents, initial_displacement_m=0.1, substeps=0)

@@ -86,7 +86,7 @@ def test_both_models_stand_in_every_table(campaign):
 
 def test_models_without_a_direction_in_common_cannot_be_compared(campaign):
     lifting, lowering = (hitch_of(handmade_channel(mode)) for mode in (LIFTING, LOWERING))
-    with pytest.raises(InputError, match="A .*lifting, .*B .*lowering"):
+    with pytest.raises(InputError, match=r"A .*lifting, .*B .*lowering"):
         compare(lifting, lowering, campaign)
 
 

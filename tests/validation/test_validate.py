@@ -125,7 +125,7 @@ def test_a_test_that_lacks_a_covariate_of_its_direction_is_left_out(tests_of):
     assert compared.second.metrics["channels"][LIFTING]["tests"] == ["lifting-01", "lifting-02"]
     assert compared.notices[:2] == found.notices[:2]
     for refused in (Campaign.of([bare]), Campaign.of([bare, *complete], strict=True)):
-        with pytest.raises(InputError, match="'lifting-00'.*'pressure'"):
+        with pytest.raises(InputError, match=r"'lifting-00'.*'pressure'"):
             validate(model, refused)
 
 
