@@ -27,7 +27,7 @@ math_eqref_format = "({number})"
 
 napoleon_numpy_docstring = False
 napoleon_use_ivar = True
-napoleon_attr_annotations = False  # Docstrings tell shapes and units.
+napoleon_attr_annotations = False  # docstrings contain shapes and units
 autodoc_typehints = "none"
 autodoc_member_order = "bysource"
 autodoc_default_options = {"members": True}
@@ -45,13 +45,12 @@ html_theme_options = {"top_of_page_buttons": []}
 
 
 def mend(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
-    """Put right what napoleon takes for a type.
+    """Correct what napoleon mistakes for a type.
 
     That is the sentence of a property up to its first colon, and the first of several names before one text.
     """
     if what == "property":
-        said = [line for line in lines if line.startswith(":type: ")]
-        for line in said:
+        for line in [line for line in lines if line.startswith(":type: ")]:
             lines.remove(line)
             lines[0] = f"{line.removeprefix(':type: ')}: {lines[0]}"
     for number, line in enumerate(lines):
@@ -66,7 +65,7 @@ def skip_fields(app: Sphinx, what: str, name: str, obj: object, skip: bool, opti
 
 
 def setup(app: Sphinx) -> None:
-    """Fit docstrings to their pages."""
+    """Connect the handlers of docstrings."""
     app.connect("autodoc-process-docstring", mend, priority=600)
     app.connect("autodoc-skip-member", skip_fields)
     for field in PyObject.doc_field_types:

@@ -1,4 +1,4 @@
-"""The directive `command-line`: the help text of every command, as the program itself prints it."""
+"""The directive `command-line`: the help text of every command, as printed by the program."""
 
 from docutils import nodes
 from sphinx.application import Sphinx
@@ -13,11 +13,11 @@ COLUMNS = 90
 def help_texts() -> dict[str, str]:
     """Return each command and its help text, the program's own under its own name."""
     group = get_command(program)
-    asked = {program.info.name: group}
-    asked |= {f"{program.info.name} {name}": command for name, command in group.commands.items()}
+    commands = {program.info.name: group}
+    commands |= {f"{program.info.name} {name}": command for name, command in group.commands.items()}
     return {
         name: command.get_help(command.make_context(name, [], resilient_parsing=True, terminal_width=COLUMNS))
-        for name, command in asked.items()
+        for name, command in commands.items()
     }
 
 
@@ -26,17 +26,17 @@ class CommandLine(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         """Return the sections."""
-        found = []
+        sections = []
         for name, text in help_texts().items():
             section = nodes.section(ids=[nodes.make_id(name)], names=[nodes.fully_normalize_name(name)])
             section += nodes.title(text=name)
             section += nodes.literal_block(text=text, language="text")
             self.state.document.note_explicit_target(section)
-            found.append(section)
-        return found
+            sections.append(section)
+        return sections
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Offer the directive."""
+    """Register the directive."""
     app.add_directive("command-line", CommandLine)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

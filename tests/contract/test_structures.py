@@ -12,8 +12,8 @@ from scipy import signal
 
 from hitchid.errors import InputError
 from hitchid.structures import (
-    NONLINEARITY_PARAMETERS,
     BUILT_IN,
+    NONLINEARITY_PARAMETERS,
     ModelSpec,
     PhysicalModel,
     Scales,

@@ -8,7 +8,7 @@ from hypothesis.extra.numpy import arrays
 
 from hitchid.data.record import Record, resampled
 from hitchid.data.resampling import GRID_TOLERANCE
-from hitchid.errors import InputError, SettingsError
+from hitchid.errors import InputError
 
 EPS = np.finfo(np.float64).eps
 with_fixture = settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -146,7 +146,7 @@ def test_millimetres_convert_to_metres_and_commands_to_milliamperes():
 
 
 def test_a_unit_of_another_dimension_is_refused_with_record_and_role():
-    with pytest.raises(SettingsError, match=r"'test', displacement: 'mm'.*'bar'"):
+    with pytest.raises(InputError, match=r"'test', displacement: 'mm'.*'bar'"):
         fresh().convert({"displacement": "bar"})
 
 

@@ -16,7 +16,7 @@ from hitchid.data.units import (
     parse_unit,
     unit_of_column,
 )
-from hitchid.errors import SettingsError
+from hitchid.errors import InputError
 
 EPS = np.finfo(np.float64).eps
 POUND_KG, GRAVITY_M_S2, INCH_M = 0.45359237, 9.80665, 0.0254
@@ -76,7 +76,7 @@ def test_units_of_two_dimensions_do_not_convert(unit, target):
     if UNITS[unit].dimension == UNITS[target].dimension:
         assert conversion_factor(unit, target, "x") > 0
         return
-    with pytest.raises(SettingsError) as caught:
+    with pytest.raises(InputError) as caught:
         conversion_factor(unit, target, "log.csv: time")
     for said in ("log.csv: time", f"'{unit}'", f"'{target}'", UNITS[unit].dimension, UNITS[target].dimension):
         assert said in str(caught.value)
@@ -84,7 +84,7 @@ def test_units_of_two_dimensions_do_not_convert(unit, target):
 
 @pytest.mark.parametrize("pair", [("furlong", "mm"), ("mm", "furlong"), ("MM", "mm"), ("", "mm")])
 def test_an_unknown_unit_is_named_beside_all_that_are_known(pair):
-    with pytest.raises(SettingsError) as caught:
+    with pytest.raises(InputError) as caught:
         conversion_factor(*pair, "campaign.toml")
     message = str(caught.value)
     assert message.startswith("campaign.toml: ")

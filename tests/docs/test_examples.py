@@ -1,4 +1,4 @@
-"""Every example of README.md and docs/ is run as it is written, page by page."""
+"""Every example of README.md and docs/ is run as written, page by page."""
 
 import json
 import os
@@ -25,17 +25,17 @@ from hitchid.validation import read_limits
 
 ROOT = Path(__file__).parents[2]
 TUTORIAL = "docs/tutorial.md"
-# Told to the reader, not run here.
-ELSEWHERE = ("pip install ", "make ", "recorder | ")
+# Commands that are not run here.
+NOT_RUN = ("pip install ", "make ", "recorder | ")
 DIRECTIVES = ("{toctree}", "{figure}", "{include}", "{eval-rst}", "{command-line}")
-ALSO_SET = {"can", "signals", "split", "tests"}
-LEFT_OUT = "…"
+CAMPAIGN_KEYS = {"can", "signals", "split", "tests"}
+OMITTED = "…"
 NUMBER = re.compile(r"\d+(?:\.\d+)?(?:e-?\d+)?")
 COLUMNS = 120
 
 
 class Block(NamedTuple):
-    """A fenced block: its language, the file it is to be put into if any, its text and where it stands."""
+    """A fenced block: its language, the file it is written to if any, its text and its place."""
 
     language: str
     file: str | None
@@ -44,7 +44,7 @@ class Block(NamedTuple):
 
 
 class Command(NamedTuple):
-    """A line of a console: what is asked, the exit code that is said, what is printed below it."""
+    """A command of a console: its line, the stated exit code, and the output below it."""
 
     line: str
     code: int
@@ -52,19 +52,19 @@ class Command(NamedTuple):
 
 
 def blocks(page: str) -> list[Block]:
-    """Return the fenced blocks of a page that are no directives."""
-    found = []
+    """Return the fenced blocks of a page that are not directives."""
+    fenced = []
     text = (ROOT / page).read_text(encoding="utf-8")
     for token in MarkdownIt("commonmark").parse(text):
         place = f"{page}:{token.map[0] + 1}" if token.map else page
-        assert token.type != "code_block" or page == "README.md", f"{place}: not fenced, so nobody runs it"
+        assert token.type != "code_block" or page == "README.md", f"{place}: not fenced, so it is not run"
         if token.type == "fence" and not token.info.startswith(DIRECTIVES):
-            found.append(block(token.info, token.content, place))
-    return found
+            fenced.append(block(token.info, token.content, place))
+    return fenced
 
 
 def block(info: str, text: str, place: str) -> Block:
-    """Return one block; its file is said by `:caption:`, or in TOML by a comment at its top."""
+    """Return one block; its file is given by `:caption:`, or in TOML by a comment on the first line."""
     language, file = info.removeprefix("{code-block}").strip(), None
     if info.startswith("{code-block}"):
         options = list(takewhile(lambda line: line.startswith(":"), text.splitlines(keepends=True)))
@@ -76,9 +76,9 @@ def block(info: str, text: str, place: str) -> Block:
 
 
 PAGES = {
-    page: found
+    page: page_blocks
     for page in ("README.md", *sorted(str(path.relative_to(ROOT)) for path in (ROOT / "docs").rglob("*.md")))
-    if (found := blocks(page))
+    if (page_blocks := blocks(page))
 }
 
 
@@ -89,12 +89,12 @@ def run_page(page: str, folder: Path) -> None:
         patch.chdir(folder)
         patch.setenv("XDG_CACHE_HOME", str(folder / ".cache"))
         patch.setenv("COLUMNS", str(COLUMNS))
-        for each in PAGES[page]:
-            run_block(each, names)
+        for page_block in PAGES[page]:
+            run_block(page_block, names)
 
 
 def run_block(block: Block, names: dict[str, object]) -> None:
-    """Run a block, or write the file it is, and hold it against the program's own reader."""
+    """Run a block, or write it to its file and read it by the program."""
     if block.file is not None:
         path = Path(block.file)
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -113,42 +113,42 @@ def run_block(block: Block, names: dict[str, object]) -> None:
         case "text":
             pass
         case other:
-            pytest.fail(f"{block.place}: a block of a kind that nobody runs: '{other}'")
+            pytest.fail(f"{block.place}: a block of a kind that is not run: '{other}'")
 
 
 def commands(block: Block) -> Iterator[Command]:
-    """Return the commands of a console, each with what is printed below it."""
+    """Return the commands of a console, each with the output below it."""
     lines = block.text.splitlines()
     starts = [number for number, line in enumerate(lines) if line.startswith("$ ")]
     assert starts[:1] == [0], f"{block.place}: required a first line that begins with '$ '"
     for start, stop in zip(starts, [*starts[1:], len(lines)], strict=True):
-        line, _, said = lines[start].removeprefix("$ ").partition("  # exit code ")
-        yield Command(line, int(said or 0), tuple(lines[start + 1 : stop]))
+        line, _, code = lines[start].removeprefix("$ ").partition("  # exit code ")
+        yield Command(line, int(code or 0), tuple(lines[start + 1 : stop]))
 
 
 def run_command(command: Command, place: str) -> None:
-    """Run one command of the program and compare exit code and what it printed."""
-    if command.line.startswith(ELSEWHERE):
+    """Run one command of the program and compare exit code and output."""
+    if command.line.startswith(NOT_RUN):
         return
     program, *arguments = shlex.split(command.line)
-    assert program == "hitchid", f"{place}: a command that nobody runs: '{command.line}'"
-    heard = None
+    assert program == "hitchid", f"{place}: a command that is not run: '{command.line}'"
+    standard_input = None
     if "<" in arguments:
-        at = arguments.index("<")
-        heard = Path(arguments[at + 1]).read_text(encoding="utf-8")
-        del arguments[at : at + 2]
-    code, printed = call(arguments, heard)
-    told = f"{place}: $ {command.line}"
-    assert code == command.code, f"{told}\nexit code {code}, required {command.code}\n{printed}"
-    left = iter(printed.splitlines())
+        index = arguments.index("<")
+        standard_input = Path(arguments[index + 1]).read_text(encoding="utf-8")
+        del arguments[index : index + 2]
+    code, printed = call(arguments, standard_input)
+    context = f"{place}: $ {command.line}"
+    assert code == command.code, f"{context}\nexit code {code}, required {command.code}\n{printed}"
+    remaining = iter(printed.splitlines())
     for line in command.shown:
-        found = line in ("", LEFT_OUT) or any(alike(line, each) for each in left)
-        assert found, f"{told}\ndid not print: {line}\n{printed}"
+        matched = line in ("", OMITTED) or any(alike(line, printed_line) for printed_line in remaining)
+        assert matched, f"{context}\ndid not print: {line}\n{printed}"
 
 
-def call(arguments: list[str], heard: str | None) -> tuple[int, str]:
+def call(arguments: list[str], standard_input: str | None) -> tuple[int, str]:
     """Return exit code and output of the program; its own errors end it as they do in `hitchid.cli.main`."""
-    result = CliRunner().invoke(cli.app, arguments, input=heard)
+    result = CliRunner().invoke(cli.app, arguments, input=standard_input)
     error, printed = result.exception, result.output
     if isinstance(error, hitchid.HitchError):
         return 2 if isinstance(error, InputError) else 1, f"{printed}hitchid: {error}\n"
@@ -158,7 +158,7 @@ def call(arguments: list[str], heard: str | None) -> tuple[int, str]:
 
 
 def alike(one: str, other: str) -> bool:
-    """Tell whether two lines say the same, frames aside; numbers to a fifth, which depend on the machine."""
+    """Return whether two lines are equal without frames; numbers to 20 %: they depend on the machine."""
     words, numbers = split(one)
     others, theirs = split(other)
     return words == others and numbers == pytest.approx(theirs, rel=0.2, abs=1e-9)
@@ -167,29 +167,29 @@ def alike(one: str, other: str) -> bool:
 def split(line: str) -> tuple[str, list[float]]:
     """Return a line without its frame, with # for every number, and the numbers."""
     plain = " ".join(re.sub(r"[\u2500-\u257f]", " ", line).split())
-    return NUMBER.sub("#", plain), [float(each[0]) for each in NUMBER.finditer(plain)]
+    return NUMBER.sub("#", plain), [float(number[0]) for number in NUMBER.finditer(plain)]
 
 
 def check_toml(block: Block) -> None:
-    """Read a TOML block by that reader of the program which it is for."""
+    """Read a TOML block by the program."""
     keys = set(tomllib.loads(block.text))
     path = Path(block.file or "unnamed.toml")
     path.write_text(block.text, encoding="utf-8")
-    reader = read_campaign_file if keys & ALSO_SET else read_limits if "unit" in keys else read_settings
+    reader = read_campaign_file if keys & CAMPAIGN_KEYS else read_limits if "unit" in keys else read_settings
     reader(path)
 
 
 def test_there_are_examples_of_every_command():
     shown = {
         command.line.split()[1]
-        for found in PAGES.values()
-        for each in found
-        if each.language == "console"
-        for command in commands(each)
+        for page_blocks in PAGES.values()
+        for page_block in page_blocks
+        if page_block.language == "console"
+        for command in commands(page_block)
         if command.line.startswith("hitchid ")
     }
-    known = {command.callback.__name__ for command in cli.app.registered_commands}
-    assert shown >= known - {"reproduce"}  # takes minutes; test_sun2025.py runs it
+    names = {command.callback.__name__ for command in cli.app.registered_commands}
+    assert shown >= names - {"reproduce"}  # takes minutes; test_sun2025.py runs it
 
 
 def test_the_examples_work(subtests, tmp_path):

@@ -1,4 +1,4 @@
-"""The documentation as it is built: every link leads somewhere, nothing comes from outside."""
+"""The built documentation: links have targets, nothing is loaded from outside."""
 
 import importlib.util
 import subprocess
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.skipif(bool(MISSING), reason=f"not installed: {', '.joi
 
 
 class Page(HTMLParser):
-    """What a page holds: headings, targets, links, what it loads, pictures, equations."""
+    """Content of a page: headings, targets, links, loaded files, pictures, equations."""
 
     def __init__(self, path: Path) -> None:
         """Read a page."""
@@ -35,7 +35,7 @@ class Page(HTMLParser):
         self.feed(self.text)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """Take in one element."""
+        """Record one element."""
         given = dict(attrs)
         self.targets |= {value for name, value in attrs if name in ("id", "name") and value}
         self.equations += tag == "math"
@@ -45,7 +45,7 @@ class Page(HTMLParser):
             self.links.append(given["href"])
         if tag == "img":
             self.alternatives.append(given.get("alt"))
-        # An address that is only told, such as that of the page itself, is not loaded.
+        # An address that is only given, such as that of the page itself, is not loaded.
         if tag != "link" or given.get("rel") not in ("canonical", "next", "prev", "index", "search"):
             self.loaded += [given[name] for name in LOADING.get(tag, ()) if given.get(name)]
         if given.get("style"):
@@ -59,7 +59,7 @@ def addresses(style: str) -> list[str]:
 
 
 def outside(address: str) -> bool:
-    """Tell whether an address leads to another machine; `data:` carries what it names."""
+    """Return whether an address leads to another machine; `data:` contains its content."""
     parts = urlsplit(address)
     return bool(parts.netloc) or parts.scheme not in ("", "data")
 
@@ -68,8 +68,19 @@ def outside(address: str) -> bool:
 def site(tmp_path_factory):
     """Return the folder of the built site; a warning is an error."""
     folder = tmp_path_factory.mktemp("site")
-    asked = ["-W", "--keep-going", "-n", "-q", "-b", "html", "-d", folder / "doctrees", DOCS, folder / "html"]
-    command = [sys.executable, "-m", "sphinx", *map(str, asked)]
+    options = [
+        "-W",
+        "--keep-going",
+        "-n",
+        "-q",
+        "-b",
+        "html",
+        "-d",
+        folder / "doctrees",
+        DOCS,
+        folder / "html",
+    ]
+    command = [sys.executable, "-m", "sphinx", *map(str, options)]
     done = subprocess.run(command, capture_output=True, text=True)  # noqa: S603
     assert done.returncode == 0, done.stderr
     return folder / "html"
@@ -104,7 +115,7 @@ def test_every_link_inside_leads_somewhere(pages, site):
     assert not broken
 
 
-def test_links_outside_are_only_told(pages):
+def test_links_outside_are_https(pages):
     schemes = {urlsplit(link).scheme for page in pages.values() for link in page.links}
     assert schemes <= {"", "https"}
 
@@ -139,12 +150,12 @@ def test_every_page_has_one_title_and_skips_no_rank(pages, site):
         assert all(after - before <= 1 for before, after in pairwise(ranks)), name
 
 
-def test_every_picture_has_words(pages, site):
-    told = [(path, words) for path, page in pages.items() for words in page.alternatives]
-    assert told
-    for path, words in told:
-        assert words, path.relative_to(site)
-        assert len(words.split()) > 3, (path.relative_to(site), words)
+def test_every_picture_has_alternative_text(pages, site):
+    texts = [(path, text) for path, page in pages.items() for text in page.alternatives]
+    assert texts
+    for path, text in texts:
+        assert text, path.relative_to(site)
+        assert len(text.split()) > 3, (path.relative_to(site), text)
 
 
 def test_equations_are_mathml(pages, site):
@@ -158,7 +169,7 @@ def test_equations_are_mathml(pages, site):
         assert "$$" not in page.text, path.relative_to(site)
 
 
-def test_the_help_of_every_command_is_told(pages, site):
+def test_the_help_of_every_command_is_shown(pages, site):
     from hitchid.cli import app
 
     text = pages[site / "reference" / "command-line.html"].text

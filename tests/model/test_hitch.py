@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from handmade import DEAD_ZONES, ERROR_STEP, GAINS, hitch
 from hitchid.data.record import CYCLE, LIFTING, LOWERING
-from hitchid.errors import InputError, SettingsError
+from hitchid.errors import InputError
 from truth import STEP_S, levels
 
 EPS = np.finfo(np.float64).eps
@@ -146,7 +146,7 @@ def test_other_units_give_the_same_motion_in_the_units_of_the_record(make_record
     for run in (model.simulate, model.predict):
         np.testing.assert_allclose(1000.0 * run(theirs), run(ours), rtol=0, atol=tolerance)
     wrong = replace(theirs, units={**theirs.units, "displacement": "rad"})
-    with pytest.raises(SettingsError, match="unit of angle"):
+    with pytest.raises(InputError, match="unit of angle"):
         model.simulate(wrong)
 
 

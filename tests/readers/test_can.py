@@ -201,7 +201,7 @@ def test_a_multiplexer_says_which_frames_hold_a_signal(tmp_path, source):
         read_bus(frames, source, wanted("Never", databases=[database]))
     everything = read_bus(frames, source, wanted(databases=[database]))
     assert "Mux/Never" not in everything.channels
-    assert "left out, for they never hold a number: Mux/Never" in everything.notices
+    assert "left out, without a valid sample: Mux/Never" in everything.notices
 
 
 # --- J1939 ------------------------------------------------------------------------------------------------
@@ -289,7 +289,7 @@ def test_what_is_not_available_is_left_out_of_its_own_signal_alone(j1939, source
     np.testing.assert_array_equal(speed.values, [100.0, 0xFAFF / 8, 101.0])
     np.testing.assert_allclose(speed.clock_s, [0.1, 0.4, 0.5], rtol=4 * EPS)
     assert content.channels["Torque"].values.size == 6
-    assert content.notices == ("'EngSpeed': 3 of 6 samples are left out: J1939 has no number in them",)
+    assert content.notices == ("'EngSpeed': 3 of 6 samples are left out: not valid by J1939",)
 
 
 def test_a_signal_that_is_never_available_is_an_error_only_where_it_is_asked_for(j1939, source):
@@ -298,7 +298,7 @@ def test_a_signal_that_is_never_available_is_an_error_only_where_it_is_asked_for
         read_bus(frames, source, wanted("EngSpeed", databases=[j1939]))
     content = read_bus(frames, source, wanted(databases=[j1939]))
     assert list(content.channels) == ["EEC1/Torque"]
-    assert content.notices == ("left out, for they never hold a number: EEC1/EngSpeed",)
+    assert content.notices == ("left out, without a valid sample: EEC1/EngSpeed",)
 
 
 def test_outside_j1939_all_ones_are_a_number(plain, source):
@@ -324,14 +324,14 @@ def test_an_id_of_no_node_stands_for_all_unless_it_is_met(tmp_path, source):
     content = read_bus(senders(0), source, wanted("EngSpeed", databases=[database]))
     np.testing.assert_array_equal(content.channels["EngSpeed"].values, np.arange(6))
     assert content.notices == (
-        "'EEC1' was met by its parameter group 61444, from 0x00: "
-        "the id in the DBC file, 0xcf004fe, is of no node",
+        "'EEC1' was matched by its parameter group 61444, from 0x00: "
+        "the id in the DBC file, 0xcf004fe, has the null address",
     )
     content = read_bus(senders(0, 0xFE), source, wanted("EngSpeed", databases=[database]))
     np.testing.assert_array_equal(content.channels["EngSpeed"].values, 10 * 0xFE + np.arange(6))
     assert content.notices == ()
     database = write_dbc(tmp_path / "said.dbc", message(EEC1, "EEC1", SPEED), behind=marked())
-    with pytest.raises(LogError, match="does not come in the log"):
+    with pytest.raises(LogError, match="is not in the log"):
         read_bus(senders(0), source, wanted("EngSpeed", databases=[database]))
 
 
@@ -416,7 +416,7 @@ def test_signals_that_overlap_are_read_and_those_that_do_not_fit_are_left_out_wi
         "A/x": [0x0201],
         "A/y": [0x0302],
     }
-    assert content.notices[0].startswith("bad.dbc: read, though not sound (")
+    assert content.notices[0].startswith("bad.dbc: read with errors (")
 
 
 def test_a_signal_of_more_than_64_bits_is_no_number(tmp_path, source):
@@ -463,7 +463,7 @@ def test_a_message_whose_frames_are_all_short_is_refused(plain, source):
 
 def test_a_log_without_a_database_says_what_is_required(source):
     with pytest.raises(
-        LogError, match=r"log\.asc: required a DBC file: put it beside the log or name it in camp"
+        LogError, match=r"log\.asc: required a DBC file: put it into the log's folder or name it in camp"
     ):
         read_bus([], source, wanted("x"))
 
@@ -473,7 +473,7 @@ def test_a_log_without_frames_or_without_known_ones_is_refused(plain, source):
         read_bus([Frame(0.0, 1, 0, False, None)], source, wanted(databases=[plain]))
     with pytest.raises(LogError, match="1 frames"):
         read_bus([frame(0, 0x7FF, bytes(8))], source, wanted(databases=[plain]))
-    with pytest.raises(LogError, match=r"'Count': .*'Hitch', id 0x123"):
+    with pytest.raises(LogError, match=r"'Count': its message 'Hitch', id 0x123, is not in the log$"):
         read_bus([frame(0, 0x7FF, bytes(8))], source, wanted("Count", databases=[plain]))
     with pytest.raises(LogError, match=r"'Nothing': .*Other/Speed"):
         read_bus([frame(0, 0x200, bytes(8))], source, wanted("Nothing", databases=[plain]))

@@ -238,7 +238,7 @@ def test_what_is_kept_in_another_file_is_refused(tmp_path):
     mat73(tmp_path / "log.mat", {"t": SIGNALS["t"]})
     with h5py.File(tmp_path / "log.mat", "r+") as file:
         file["x"] = h5py.ExternalLink("secret.mat", "/x")
-    with pytest.raises(LogError, match=r"column 'x': .*another file"):
+    with pytest.raises(LogError, match="column 'x': is in another file; required in this one"):
         read(tmp_path / "log.mat", ChannelSelection("t", ("x",)))
 
 
@@ -300,7 +300,7 @@ def test_absurd_sizes_are_refused_before_memory_is_asked_for(tmp_path, kind, pac
         variable = struct.pack("<II", 15, len(squeezed)) + squeezed
     header = b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack("<H2s", 0x0100, b"IM")
     (tmp_path / "log.mat").write_bytes(header + variable)
-    with pytest.raises(LogError, match=r"\d+ bytes .*1152921504606846976"):
+    with pytest.raises(LogError, match=r"\d+ bytes declare 1152921504606846976 values"):
         read(tmp_path / "log.mat", ALL)
 
 
@@ -308,7 +308,7 @@ def test_a_compressed_part_larger_than_compression_allows_is_refused(tmp_path):
     squeezed = zlib.compress(matrix(6, (1, 2), length=0xFFFFFFF0))
     header = b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack("<H2s", 0x0100, b"IM")
     (tmp_path / "log.mat").write_bytes(header + struct.pack("<II", 15, len(squeezed)) + squeezed)
-    with pytest.raises(LogError, match=rf"{len(squeezed)} bytes .*4294967280"):
+    with pytest.raises(LogError, match=rf"{len(squeezed)} bytes declare 4294967280"):
         read(tmp_path / "log.mat", ALL)
 
 

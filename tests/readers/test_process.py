@@ -84,18 +84,18 @@ def refused(read, script, name="odd.log"):
 
 
 MISBEHAVING = {
-    "crashes": ("os.abort()", "the reader gave up"),
-    "ends": ("os._exit(0)", "the reader gave up"),
-    "is killed": ("os.kill(os.getpid(), 9)", "the reader gave up"),
-    "leaves": ("sys.exit(3)", "the reader gave up"),
-    "is interrupted": ("raise KeyboardInterrupt", "the reader gave up"),
+    "crashes": ("os.abort()", "its reader crashed"),
+    "ends": ("os._exit(0)", "its reader crashed"),
+    "is killed": ("os.kill(os.getpid(), 9)", "its reader crashed"),
+    "leaves": ("sys.exit(3)", "its reader crashed"),
+    "is interrupted": ("raise KeyboardInterrupt", "its reader crashed"),
     # The answers go through a copy of standard output that only the child knows.
     "dies within its answer": (
         "import gc, io\nout = [o for o in gc.get_objects() if type(o) is io.BufferedWriter][-1]\n"
         'out.write(b\'{"channels": [["x"\'); out.flush(); os.abort()',
-        "the reader gave up",
+        "its reader crashed",
     ),
-    "eats memory": ("np.ones(2**33)", "needs more memory than a log of its size may"),
+    "eats memory": ("np.ones(2**33)", "needs more memory than allowed for its size"),
     "recurses": ("def f(): f()\nf()", "RecursionError"),
     "raises anything": ("class Odd(Exception): pass\nraise Odd('\\udcff \\u2028 line\\nline')", "Odd"),
     "raises nothing": ("raise ValueError", "cannot be read: ValueError"),

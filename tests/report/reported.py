@@ -1,4 +1,4 @@
-"""What a report is made of, put together by hand: predictions, figures of `metrics.json`, traces, pages."""
+"""Records that a report is made of, put together by hand: predictions, figures, traces, documents."""
 
 from dataclasses import asdict
 from functools import cache
@@ -7,12 +7,23 @@ import numpy as np
 
 from hitchid.data.record import Record
 from hitchid.data.segmentation import segments
-from hitchid.report import Document, Finding, Picture, Pictures, Rating, ReportSection, Text, figures
+from hitchid.report import (
+    Document,
+    Finding,
+    Picture,
+    Pictures,
+    Rating,
+    ReportSection,
+    Table,
+    Text,
+    figures,
+    read_trace,
+)
 from hitchid.report.document import Findings
 from hitchid.uncertainty import Characteristics, Estimate, Estimates, MeasuredSpeed, Quantity, SpeedPoint
-from hitchid.validation import Predictions, Table
+from hitchid.validation import BandFigures, Horizons, Predictions, SearchSummary
 from hitchid.validation.residuals import residual_tests
-from hitchid.validation.uncertainty import parameter_figures
+from hitchid.validation.results import BandHorizons
 
 STEP_S = 0.01
 MODELS = ("benchmark", "one_step", "free_run", "persistence", "lstm", "narx", "arx", "transfer_function")
@@ -38,14 +49,15 @@ def predictions(sizes=(300, 250, 280), *, models=MODELS, band=True, seed=0):
 def horizons(
     *, names=("persistence", "benchmark", "greybox", "arx", "narx", "lstm", "transfer_function", "paper")
 ):
-    """Return errors over horizons in the form of `metrics.json`."""
-    return {"steps": list(STEPS)} | {
-        name: [0.01 * (1 + place) * step**0.7 for step in STEPS] for place, name in enumerate(names)
+    """Return errors over horizons."""
+    errors = {
+        name: tuple(0.01 * (1 + place) * step**0.7 for step in STEPS) for place, name in enumerate(names)
     }
+    return Horizons(STEPS, errors)
 
 
 def residuals(*, seed=0, level=None):
-    """Return what tests of errors found, in the form of `metrics.json`; `level` makes the errors constant."""
+    """Return tests of errors; `level` makes the errors constant."""
     rng = np.random.default_rng(seed)
     sizes = (300, 250)
     command = [np.repeat(rng.uniform(0, 0.5, size // 25), 25) for size in sizes]
@@ -54,7 +66,7 @@ def residuals(*, seed=0, level=None):
         errors = [np.full(each.size, level) for each in command]
     displacement = [100.0 + np.cumsum(each) for each in command]
     speed = [each / STEP_S for each in command]
-    return asdict(residual_tests(errors, command, displacement, speed, step_s=STEP_S))
+    return residual_tests(errors, command, displacement, speed, step_s=STEP_S)
 
 
 def estimate(name="gain", *, symbol="K", unit="mm/(s·A)", value=30.0, error=1.0, interval=None, **options):
@@ -108,11 +120,6 @@ def known_estimates(*parameters):
     return Estimates(parameters or ESTIMATES, (), (), 5, 5)
 
 
-def known_parameters(*parameters):
-    """Return parameters in the form of `metrics.json`."""
-    return parameter_figures(known_estimates(*parameters))
-
-
 def characteristics(unit="mm"):
     """Return operating characteristics at three levels and three loads, one end of them open."""
     points = tuple(
@@ -135,7 +142,12 @@ def characteristics(unit="mm"):
     )
 
 
-def trace(*parameters, iterations=20, candidates=3, phase2=True, notices=("the search ended early",)):
+def trace(*parameters, **options):
+    """Return how one direction was identified."""
+    return read_trace({"lifting": trace_json(*parameters, **options)})["lifting"]
+
+
+def trace_json(*parameters, iterations=20, candidates=3, phase2=True, notices=("the search ended early",)):
     """Return how one direction was identified, in the form of `trace.json`."""
     found = parameters or ESTIMATES[:2]
     falling = np.linspace(2.0, 1.0, iterations)
@@ -169,23 +181,24 @@ def trace(*parameters, iterations=20, candidates=3, phase2=True, notices=("the s
 
 
 def searches():
-    """Return how searches went, in the form of `metrics.json`; one seed of one of them failed."""
-    return {
-        name: {
-            "seeds": 3,
-            "rmse": [end, 1.1 * end, None if name == "whale" else 1.2 * end],
-            "evaluations": [600, 590, 610],
-            "failures": [0, 0, 1],
-            "median_run": {"rmse": [None, 3.0, 2.0, 1.1 * end], "values": [[1.0]] * 4},
-        }
+    """Return searches compared; one seed of one of them failed."""
+    return tuple(
+        SearchSummary(
+            name=name,
+            rmse=(end, 1.1 * end, None if name == "whale" else 1.2 * end),
+            evaluations=(600, 590, 610),
+            failures=(0, 0, 1),
+            median_rmse=(None, 3.0, 2.0, 1.1 * end),
+            median_values=((1.0,),) * 4,
+        )
         for name, end in (("whale", 1.0), ("differential-evolution", 0.9), ("multi-start", 0.8))
-    }
+    )
 
 
 def bands(*, covered=0.9, ahead=0.93):
-    """Return how well bands hold, in the form of `metrics.json`."""
-    horizons = {"steps": list(STEPS), "covered": [ahead] * len(STEPS), "width": [0.5] * len(STEPS)}
-    return {"coverage": 0.9, "free_run": {"covered": covered, "width": 2.0}, "horizons": horizons}
+    """Return coverage of bands."""
+    horizons = BandHorizons(STEPS, (ahead,) * len(STEPS), (0.5,) * len(STEPS))
+    return BandFigures(0.9, covered, 0.01, 2.0, horizons=horizons)
 
 
 def mixed(*names):

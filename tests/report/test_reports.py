@@ -20,20 +20,11 @@ from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError, OutputError
 from hitchid.model import Provenance
 from hitchid.readers import read, write_table
-from hitchid.report import (
-    FIGURES,
-    Pictures,
-    Rating,
-    Text,
-    comparison_report,
-    sections,
-    validation_report,
-    write_report,
-)
+from hitchid.report import FIGURES, Pictures, Rating, Table, Text, sections, write_report
 from hitchid.report.document import Findings
-from hitchid.report.svg import svg
 from hitchid.uncertainty import Uncertainty
-from hitchid.validation import Table, check_limits, compare, read_limits, validate
+from hitchid.validation import compare, read_limits, validate
+from hitchid.validation.report_data import Origin, log_data
 
 MODES = (LIFTING, LOWERING)
 COMMAND = "hitchid validate 'my model' logs --out report"
@@ -105,7 +96,7 @@ def report(validated, campaign):
     def make(name):
         if name not in found:
             told = {"trace": trace} if name == "whole" else {}
-            found[name] = validation_report(validated(name), PARTS[name], campaign, command=COMMAND, **told)
+            found[name] = validated(name).report(command=COMMAND, **told)
         return found[name]
 
     return make
@@ -148,7 +139,7 @@ def test_every_figure_has_a_name_of_its_own_a_caption_and_words_for_who_cannot_s
 @pytest.mark.parametrize("name", ["whole", "diverging"])
 def test_no_figure_is_drawn_with_a_warning(report, name, recwarn):
     for each in report(name).pictures:
-        assert "<svg" in svg(each.figure)
+        assert "<svg" in each.svg
     assert not [str(each.message) for each in recwarn]
 
 
@@ -234,7 +225,7 @@ def test_logs_of_cycles_alone_are_reported_by_their_strokes(logs, tmp_path):
     (tmp_path / "logs").mkdir()
     shutil.copy(logs / "cycle-01.csv", tmp_path / "logs")
     campaign = read(tmp_path / "logs")
-    document = validation_report(validate(PLAIN, campaign), PLAIN, campaign)
+    document = validate(PLAIN, campaign).report()
     assert titles(document.sections)[:3] == ["Lifting", "Lowering", "Mixed cycles"]
     assert [each for each in document.pictures if each.name == "timeline"]
 
@@ -373,11 +364,11 @@ def test_nothing_is_said_of_parameters_that_nobody_told(judged):
 
 
 def test_one_cycle_is_too_few_to_judge(report, validated):
-    own = validated("whole").metrics["cycles"]["greybox"]["free_run"]
+    own = validated("whole").cycles.accuracy.free_run()
     said = finding(report("whole").verdict, "Mixed cycles")
     assert said.level in (Rating.CAUTION, Rating.BAD)
     assert "1 unseen cycle " in said.sentence
-    assert f"{own['rmse']:.4g} mm" in said.sentence
+    assert f"{own.rmse:.4g} mm" in said.sentence
 
 
 LIMITS = 'unit = "mm"\n[lifting]\ntests = {tests}\nfree_run.rmse = {rmse}\n'
@@ -387,7 +378,7 @@ LIMITS = 'unit = "mm"\n[lifting]\ntests = {tests}\nfree_run.rmse = {rmse}\n'
 def test_acceptance_stands_first_and_tells_what_fails(validated, tmp_path, tests, rmse, failed):
     (tmp_path / "limits.toml").write_text(LIMITS.format(tests=tests, rmse=rmse))
     result = validated("lifting alone")
-    acceptance = check_limits(result.metrics, read_limits(tmp_path / "limits.toml"))
+    acceptance = result.check(read_limits(tmp_path / "limits.toml"))
     first = sections.verdict(result, acceptance)[0]
     assert first.level == (Rating.BAD if failed else Rating.GOOD)
     assert first.sentence.startswith("Not accepted" if failed else "Accepted")
@@ -405,8 +396,8 @@ def test_acceptance_stands_first_and_tells_what_fails(validated, tmp_path, tests
 def test_limits_stand_before_the_directions(validated, campaign, tmp_path):
     (tmp_path / "limits.toml").write_text(LIMITS.format(tests=3, rmse=1.0))
     result = validated("lifting alone")
-    acceptance = check_limits(result.metrics, read_limits(tmp_path / "limits.toml"))
-    document = validation_report(result, PARTS["lifting alone"], campaign, acceptance=acceptance)
+    acceptance = result.check(read_limits(tmp_path / "limits.toml"))
+    document = result.report(acceptance=acceptance)
     assert titles(document.sections)[:2] == ["Acceptance", "Lifting"]
     assert "ccepted" in document.verdict[0].sentence
 
@@ -451,7 +442,7 @@ def test_the_table_of_logs_says_what_each_was_used_for(logs, tmp_path):
         validation={LIFTING: ("lifting-02",)},
         seen=frozenset(records[name].fingerprint for name in ("lifting-01", "lifting-02")),
     )
-    found = sections.logs(campaign, handmade.hitch("integrator", provenance=used))
+    found = sections.logs(log_data(handmade.hitch("integrator", provenance=used), campaign))
     (table,) = blocks(found, Table)
     assert {row[0]: row[2] for row in table.rows} == {
         "lifting-01": "identification",
@@ -471,7 +462,7 @@ def test_what_the_audit_found_stands_with_the_logs(logs, tmp_path):
     header, *rows = path.read_text().splitlines()
     spiked = [*rows[:90], rows[90].rpartition(",")[0] + ",999.0", *rows[91:]]
     path.write_text("\n".join([header, *spiked, ""]))
-    found = sections.logs(read(place), handmade.hitch("integrator"))
+    found = sections.logs(log_data(handmade.hitch("integrator"), read(place)))
     said = [item for group in blocks(found, Findings) for item in group.items]
     assert any(item.level is Rating.CAUTION and "lifting-02: spikes" in item.sentence for item in said)
 
@@ -494,7 +485,7 @@ def test_how_to_reproduce_names_command_seed_settings_and_versions():
     provenance = Provenance(
         seed=7, settings={"search": {"evaluations": 60}}, versions={**now, "jax": "0.0.1"}, digest="f00d"
     )
-    (table,) = blocks(sections.origin(replace(PLAIN, provenance=provenance), COMMAND), Table)
+    (table,) = blocks(sections.origin(Origin(provenance, PLAIN.step_s, now), COMMAND), Table)
     told = dict(table.rows)
     assert told["command"] == COMMAND
     assert told["model's digest"] == "f00d"
@@ -522,7 +513,7 @@ def compared(bench_folder):
         if name not in found:
             with np.errstate(all="ignore"):
                 result = compare(*pairs[name], campaign)
-            found[name] = result, comparison_report(result, names=("old", "new"), command=COMMAND)
+            found[name] = result, result.report(names=("old", "new"), command=COMMAND)
         return found[name]
 
     return run
@@ -597,9 +588,7 @@ def test_a_report_is_written_with_its_figures_and_what_goes_with_it(write, tmp_p
 
 def test_the_same_result_is_written_as_the_same_bytes(validated, campaign, tmp_path):
     for name in ("one", "two"):
-        document = validation_report(
-            validated("lifting alone"), PARTS["lifting alone"], campaign, command=COMMAND
-        )
+        document = validated("lifting alone").report(command=COMMAND)
         write_report(tmp_path / name, document, {"metrics.json": b"{}"}, mark="metrics.json")
     written = [path for path in (tmp_path / "one").rglob("*.*") if path.is_file()]
     assert len(written) > 8
@@ -627,7 +616,7 @@ def test_what_is_there_is_replaced_by_force_and_only_where_it_is_a_report(write,
 def test_a_report_that_cannot_be_made_leaves_nothing_and_the_older_one(write, tmp_path, monkeypatch):
     write(tmp_path / "out")
     before = (tmp_path / "out" / "report.html").read_bytes()
-    monkeypatch.setattr("hitchid.report.pdf.find_spec", lambda name: None)
+    monkeypatch.setattr("hitchid.report.renderers.pdf.find_spec", lambda name: None)
     for place in (tmp_path / "new", tmp_path / "out"):
         with pytest.raises(InputError, match=r"hitchid\[pdf\]"):
             write(place, as_pdf=True, force=True)
@@ -648,7 +637,7 @@ def test_logs_of_any_name_are_reported(logs, tmp_path):
     shutil.copy(place / "cycle-01.csv", place / f"cycle-{half}.csv")
     (place / "cycle-01.csv").rename(place / f"cycle-{markup}.csv")
     campaign, model = read(place), PARTS["lifting alone"]
-    document = validation_report(validate(model, campaign), model, campaign)
+    document = validate(model, campaign).report()
     write_report(tmp_path / "out", document, {"metrics.json": b"{}"}, mark="metrics.json")
     page = (tmp_path / "out" / "report.html").read_text()
     assert "<script" not in page
@@ -659,7 +648,7 @@ def test_logs_of_any_name_are_reported(logs, tmp_path):
 def test_a_report_of_forty_tests_is_smaller_than_3_megabytes(tmp_path):
     campaign = read(benches.write_bench(tmp_path / "logs", tests=20, samples=1000))
     assert len(campaign.records) == 40
-    document = validation_report(validate(PLAIN, campaign), PLAIN, campaign)
+    document = validate(PLAIN, campaign).report()
     write_report(tmp_path / "out", document, {"metrics.json": b"{}"}, mark="metrics.json")
     assert (tmp_path / "out" / "report.html").stat().st_size < 3e6
     assert all(len(each.caption) < 400 for each in document.pictures)

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hitchid.errors import InputError, SettingsError
+from hitchid.errors import InputError
 from hitchid.rig import measure, simulate
 from hitchid.rig.measurement import _first_order_filter
 
@@ -105,5 +105,5 @@ def test_misuse_is_refused(rig):
     motion = simulate(rig, currents, initial_displacement_m=0.1)
     with pytest.raises(InputError, match="required"):
         measure(rig, motion, np.zeros((4, 1000, 2)), jax.random.key(0))
-    with pytest.raises(SettingsError, match=r"jitter: .*0\.5.*0 to 0\.1"):
+    with pytest.raises(InputError, match=r"jitter: .*0\.5.*0 to 0\.1"):
         measure(rig, motion, currents, jax.random.key(0), jitter=0.5)

@@ -45,33 +45,31 @@ def validate(
     from hitchid._support.progress import ProgressUpdate
     from hitchid.model import load, load_trace
     from hitchid.readers import read
-    from hitchid.report import check_pdf, validation_report, write_report
-    from hitchid.validation import check_limits, junit_xml, read_limits
+    from hitchid.report import check_pdf, read_trace, render, write_report
+    from hitchid.validation import read_limits
     from hitchid.validation import validate as run
 
     check_pdf(requested=as_pdf)
     limits = None if accept is None else read_limits(accept)
-    hitch, trace = load(model), load_trace(model)
+    hitch, trace = load(model), read_trace(load_trace(model))
     campaign = read(logs, signals=signals, strict=strict)
     display.show_left_out(campaign, quiet=quiet)
     if limits is not None:
         limits.check_convertible(campaign.records[0].unit)
     with display.progress(quiet=quiet) as report:
         result = run(hitch, campaign, progress=report)
-        acceptance = None if limits is None else check_limits(result.metrics, limits)
+        acceptance = None if limits is None else result.check(limits)
         report(ProgressUpdate("report", 0.98))
-        document = validation_report(
-            result, hitch, campaign, trace=trace, acceptance=acceptance, command=command_line()
-        )
+        document = result.report(trace=trace, acceptance=acceptance, command=command_line())
         write_report(out, document, result.files(), as_pdf=as_pdf, mark="metrics.json", force=force)
     if junit is not None and acceptance is not None:
-        write_bytes(junit, junit_xml(acceptance.checks), force=force)
+        write_bytes(junit, render(document, "junit"), force=force)
     if as_json:
         accepted = {} if acceptance is None else {"acceptance": acceptance.describe()}
         typer.echo(json.dumps({**result.metrics, **accepted}, indent=1))
     else:
         if not quiet:
-            display.show_validation(result, document, out)
+            display.show_report(document, result.notices, out)
         if acceptance is not None:
             display.show_acceptance(acceptance, quiet=quiet)
     if acceptance is not None and not acceptance.passed:
@@ -100,7 +98,7 @@ def compare(
     from hitchid._support.progress import ProgressUpdate
     from hitchid.model import load
     from hitchid.readers import read
-    from hitchid.report import check_pdf, comparison_report, write_report
+    from hitchid.report import check_pdf, write_report
     from hitchid.validation import compare as run
 
     check_pdf(requested=as_pdf)
@@ -109,9 +107,9 @@ def compare(
     with display.progress(quiet=quiet) as report:
         comparison = run(load(first), load(second), campaign, progress=report)
         report(ProgressUpdate("report", 0.98))
-        document = comparison_report(comparison, names=(str(first), str(second)), command=command_line())
+        document = comparison.report(names=(str(first), str(second)), command=command_line())
         write_report(out, document, comparison.files(), as_pdf=as_pdf, mark="comparison.json", force=force)
     if as_json:
         typer.echo(json.dumps(comparison.metrics, indent=1))
     elif not quiet:
-        display.show_comparison(comparison, document, out)
+        display.show_report(document, comparison.notices, out)

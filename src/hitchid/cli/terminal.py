@@ -1,10 +1,10 @@
 """What a terminal shows: tables, verdicts, notices."""
 
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 from textwrap import fill
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rich import box
 from rich.console import Console
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from hitchid.model import Hitch
     from hitchid.report import Document
     from hitchid.studies.sun2025 import Study
-    from hitchid.validation import Acceptance, ModelComparison, Table, Validation
+    from hitchid.validation import Acceptance
 
 COLUMNS = 80
 MAX_SPANS = 3
@@ -104,7 +104,7 @@ def _time_spans(finding: "AuditFinding") -> list[str]:
 
 def show_identification(identification: "Identification", out: Path) -> None:
     """Print what was found of each direction, in 80 columns, and where the model lies."""
-    from hitchid.uncertainty import characteristic_sentences
+    from hitchid.report.characteristics import characteristic_sentences
 
     for direction, trace in identification.channels.items():
         _narrow_console().print(
@@ -129,15 +129,15 @@ def show_identification(identification: "Identification", out: Path) -> None:
 
 def _parameters(direction: str, unit: str, trace: "ChannelTrace") -> RichTable:
     """Return the dead zone and every parameter; what is not determined is told by its verdict alone."""
-    from hitchid.uncertainty import format_with_error
+    from hitchid.report import numbers
 
     table = _table(direction, "value ± std error", "unit", "verdict", kind=box.SIMPLE_HEAD)
     zone = trace.dead_zone
-    value = format_with_error(zone.value, zone.error.standard_error or None)
+    value = numbers.with_error(zone.value, zone.error.standard_error or None)
     origin = f"from {zone.count} {zone.origin}" if zone.count else zone.origin
     table.add_row("dead zone", value, unit, origin)
     for estimate in trace.phase1.parameter_estimates:
-        value = format_with_error(estimate.value, estimate.error) if estimate.determined else ""
+        value = numbers.estimate(estimate)
         table.add_row(
             estimate.symbol or estimate.name.replace("_", " "), value, estimate.unit, estimate.verdict
         )
@@ -179,93 +179,31 @@ def show_advice(advice: "Advice", model: "Hitch") -> None:
 
 
 def show_study(study: "Study", out: Path) -> None:
-    """Print the tables of the study, and what a reader should not miss."""
-    _show_tables(study.tables)
+    """Print the tables of the study, notices, and where the report is."""
+    from hitchid.report.renderers.terminal import rich_table
+
+    for table in study.tables:
+        _console().print(rich_table(table))
     write_messages("notice", study.validation.notices)
     _print_wrapped(f"report: {out / 'report.html'}")
 
 
-def show_validation(result: "Validation", document: "Document", out: Path) -> None:
-    """Print the verdict and how every model errs, in 80 columns, and where the report lies."""
-    from hitchid.validation import NAMES
+def show_report(document: "Document", notices: Iterable[str], out: Path) -> None:
+    """Print the verdict and the summary of a report, in 80 columns, notices, and where the report is."""
+    from hitchid.report import render
 
-    _show_verdict(document)
-    unit = result.metrics["unit"]
-    for direction, channel in result.metrics["channels"].items():
-        table = _errors_table(f"{direction}, RMSE / {unit}")
-        models = {
-            **channel["baselines"],
-            "benchmark": channel["benchmark"],
-            "greybox": channel["greybox"],
-        }
-        for name, figures in models.items():
-            table.add_row(NAMES[name], *_errors(figures))
-        _narrow_console().print(table)
-    cycles = result.metrics["cycles"]
-    if cycles["tests"]:
-        table = _errors_table(f"cycles, RMSE / {unit}")
-        for name in (name for name in NAMES if name in cycles):
-            table.add_row(NAMES[name], *_errors(cycles[name]))
-        _narrow_console().print(table)
-    write_messages("notice", result.notices)
-    _print_wrapped(f"report: {out / 'report.html'}")
-
-
-def show_comparison(comparison: "ModelComparison", document: "Document", out: Path) -> None:
-    """Print which model errs less, and both side by side, in 80 columns."""
-    _show_verdict(document)
-    for subset in comparison.sections:
-        table = _errors_table(f"{subset}, RMSE / {comparison.unit}")
-        for name, figures in zip("AB", comparison.figures(subset), strict=True):
-            table.add_row(f"model {name}", *_errors(figures["greybox"]))
-        _narrow_console().print(table)
-    write_messages("notice", comparison.notices)
+    sys.stdout.write(render(document, "terminal").decode())
+    write_messages("notice", notices)
     _print_wrapped(f"report: {out / 'report.html'}")
 
 
 def show_acceptance(acceptance: "Acceptance", *, quiet: bool = False) -> None:
-    """Print whether each limit holds, a line for each; quietly, those alone that do not."""
-    from hitchid.validation import line
+    """Print whether each limit holds, a line for each; quietly, failed ones alone."""
+    from hitchid.report.sections import check_line
 
     for check in acceptance.checks:
         if not (quiet and check.passed):
-            sys.stdout.write(f"{line(check)}\n")
-
-
-def _show_verdict(document: "Document") -> None:
-    for finding in document.verdict:
-        _print_wrapped(f"{finding.level.value:8}{finding.sentence}", indent=8)
-
-
-def _errors_table(title: str) -> RichTable:
-    table = _table(title, kind=box.SIMPLE_HEAD)
-    for name in ("one step", "free run", "fit / %", "largest"):
-        table.add_column(name, justify="right")
-    return table
-
-
-def _errors(figures: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return RMSE one step ahead and in free run, fit and largest error in free run where there is one."""
-    from hitchid.validation import error_cells
-
-    one_step, free_run = (figures.get(run) for run in ("one_step", "free_run"))
-    step = error_cells(one_step)[0] if one_step else ""
-    if not free_run:
-        return step, "", "", ""
-    rmse, _, _, fit, largest, _ = error_cells(free_run)
-    return step, rmse, fit, largest
-
-
-def _show_tables(tables: Iterable["Table"]) -> None:
-    from hitchid.validation import numeric
-
-    for content in tables:
-        table = RichTable(title=content.title, title_justify="left", title_style="bold")
-        for name, right in zip(content.header, numeric(content), strict=True):
-            table.add_column(name, justify="right" if right else "left")
-        for row in content.rows:
-            table.add_row(*row)
-        _console().print(table)
+            sys.stdout.write(f"{check_line(check)}\n")
 
 
 def _table(*header: str, kind: box.Box = box.HEAVY_HEAD) -> RichTable:

@@ -17,7 +17,7 @@ from hitchid.data.left_out import LeftOut, left_out_notices, refuse, split_usabl
 from hitchid.data.record import COMMAND, CYCLE, DIRECTIONS, DISPLACEMENT, IDLE, KINDS, RAMP, Record
 from hitchid.data.test_kinds import detect_kind, full_scales, ramp_direction, strokes
 from hitchid.data.units import UNITS
-from hitchid.errors import InputError, LogError, SettingsError
+from hitchid.errors import InputError, LogError
 
 HELD_OUT_FRACTION = 0.2
 STROKE_SEPARATOR = "#"
@@ -226,12 +226,7 @@ def _to_reference_units(record: Record, reference: Record) -> Record:
             f"record '{record.name}' has commands for {' and '.join(record.directions)}, "
             f"'{reference.name}' for {' and '.join(reference.directions)}; one campaign needs one signal map"
         )
-    if record.units == reference.units:
-        return record
-    try:
-        return record.convert(reference.units)
-    except SettingsError as error:  # a unit that the log itself says, mostly
-        raise InputError(str(error)) from error
+    return record if record.units == reference.units else record.convert(reference.units)
 
 
 def _require_motion(record: Record) -> Record:

@@ -183,7 +183,7 @@ class Record:
         """Return the record in other units of the same dimensions.
 
         Raises:
-            SettingsError: a unit is of another dimension.
+            InputError: a unit is unknown or of another dimension.
         """
         checks.instance(units, Mapping, "units", "role to unit")
         factors = {

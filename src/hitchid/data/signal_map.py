@@ -10,7 +10,7 @@ from typing import Literal, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from hitchid.data.units import UNITS, check_unit, unit_of_column
-from hitchid.errors import SettingsError
+from hitchid.errors import InputError, SettingsError
 
 CAMPAIGN_FILE = "campaign.toml"
 MAX_LENGTH, MAX_DOTS = 2**20, 100
@@ -63,7 +63,7 @@ class Column(Strict):
     def _known_unit(cls, unit: str | None) -> str | None:
         try:
             return None if unit is None else check_unit(unit, "unit")
-        except SettingsError as error:
+        except InputError as error:
             raise ValueError(str(error)) from error
 
     @field_validator("scale")

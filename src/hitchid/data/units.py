@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from hitchid.errors import SettingsError
+from hitchid.errors import InputError
 
 
 class _Unit(NamedTuple):
@@ -134,9 +134,9 @@ def parse_unit(spelling: str) -> str | None:
 
 
 def check_unit(unit: str, where: str) -> str:
-    """Return `unit` if it is known, else raise `SettingsError` naming `where` it stands."""
+    """Return `unit` if it is known; raises `InputError` that names `where` it was given."""
     if not isinstance(unit, str) or unit not in UNITS:
-        raise SettingsError(f"{where}: unit '{unit}' is not known; required one of {', '.join(UNITS)}")
+        raise InputError(f"{where}: unit '{unit}' is not known; required one of {', '.join(UNITS)}")
     return unit
 
 
@@ -150,11 +150,11 @@ def conversion_factor(unit: str, target: str, where: str) -> float:
     """Return the factor that takes a number in `unit` to `target`.
 
     Raises:
-        SettingsError: one of the two is unknown, or their dimensions differ.
+        InputError: one of the two is unknown, or their dimensions differ.
     """
     source, wanted = UNITS[check_unit(unit, where)], UNITS[check_unit(target, where)]
     if source.dimension != wanted.dimension:
-        raise SettingsError(
+        raise InputError(
             f"{where}: '{unit}' is a unit of {source.dimension}, "
             f"required one of {wanted.dimension} like '{target}'"
         )

@@ -13,12 +13,12 @@ from hitchid.estimation.objective import Objective, traced
 from hitchid.estimation.search_problem import SearchProblem
 from hitchid.structures import Batch, ModelSpec, Scales, pulse_response
 
-MAX_SAMPLES = 4096
-MAX_SAMPLES_PER_TEST = 256
+MAX_SAMPLES = 4096  # of a test: R then has 128 MiB
+MAX_SAMPLES_PER_TEST = 256  # samples a test for every test: with fewer tests simulating costs less
 
 
 class Correlations(eqx.Module):
-    """What the squared error of every linear model depends on: an evaluation costs the same for any tests.
+    """Correlations that give the squared error of every linear model at a cost that no test adds to.
 
     A model's travel is ŷ(n) = Σⱼ hⱼ u(n−j), with h its response to a command of one sample. With an
     integrator's h = κ as reference, e = y − κ Σ u what that one misses, and δ = h − κ,
@@ -42,10 +42,10 @@ class Correlations(eqx.Module):
 
     @classmethod
     def of(cls, batch: Batch) -> "Correlations":
-        """Collect the correlations of tests; those without a sample that counts say nothing.
+        """Collect the correlations of tests; those without a sample that counts are left out.
 
         Args:
-            batch: tests whose samples count up to some sample each; see `collectable`.
+            batch: tests whose samples count up to some sample each; see `correlations_applicable`.
         """
         counts = np.asarray(batch.loss_mask).sum(axis=1)
         test_indices = np.flatnonzero(counts)
@@ -85,7 +85,7 @@ class Correlations(eqx.Module):
 
 
 def correlations_applicable(batch: Batch) -> bool:
-    """Tell whether correlations are defined for tests and cheaper than simulating them.
+    """Return whether correlations are defined for tests and cheaper than simulating them.
 
     The samples that count must be the first ones of each test. R has N² numbers: for a few long tests
     simulating them costs less.

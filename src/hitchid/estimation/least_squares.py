@@ -11,10 +11,11 @@ from jaxtyping import Float
 from hitchid.errors import FitError
 from hitchid.estimation.search_problem import NormalEquations, SearchProblem
 
-INITIAL_DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-3, 1e-12, 1e12
-MIN_GAIN_RATIO = 1e-4
+INITIAL_DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-3, 1e-12, 1e12  # λ, relative to the scaled curvature
+MIN_GAIN_RATIO = 1e-4  # share of the predicted decrease that a step must reach
+# Of the unit cube: longest step; share of the way to a bound that a step may go; what is closer may reach it.
 MAX_STEP, BOUND_FRACTION, BOUND_TOLERANCE = 0.1, 0.9, 1e-3
-MIN_SCALE = 1e-300
+MIN_SCALE = 1e-300  # of a parameter without effect
 
 
 class StopReason(Enum):
@@ -48,7 +49,7 @@ def minimise(
     limit: int,
     tolerance: float,
 ) -> Minimum | None:
-    """Descend from a position to the bottom of its valley within the unit cube.
+    """Descend from a position to its local minimum within the unit cube.
 
     (JᵀJ + λ D) s = −Jᵀr with D the largest diagonal of JᵀJ met so far, projected onto the cube; parameters at
     a bound that the gradient holds there stay. λ follows the gain ratio (Nielsen 1999, IMM-REP-1999-05); a
@@ -121,7 +122,7 @@ class LeastSquaresResult:
 def refine(
     problem: SearchProblem, start: np.ndarray, *, limit: int = 200, tolerance: float = 1e-14
 ) -> LeastSquaresResult:
-    """Descend from a position to the bottom of its valley by bounded nonlinear least squares; see `minimise`.
+    """Descend from a position to its local minimum by bounded nonlinear least squares; see `minimise`.
 
     Args:
         problem: what to minimise.
@@ -146,7 +147,7 @@ def refine(
 def best_refined(
     problem: SearchProblem, starts: Iterable[np.ndarray], *, limit: int, tolerance: float
 ) -> LeastSquaresResult:
-    """Return the best of several least squares; a start that cannot be simulated counts for nothing.
+    """Return the best of several least squares; a start that cannot be simulated is left out.
 
     Raises:
         FitError: none of the starts can be simulated.
@@ -165,8 +166,8 @@ def best_refined(
 def _step(current: NormalEquations, position: np.ndarray, damping: np.ndarray) -> Float[np.ndarray, " d"]:
     """Return the damped step, which ends within the cube.
 
-    It goes no farther than a tenth of the cube, and nine tenths of the way to a bound until it is close: what
-    meets a bound early stays there while the others go the wrong way. The others are solved anew without it.
+    It goes no farther than a tenth of the cube, and nine tenths of the way to a bound until it is close, for
+    a parameter that meets a bound early stays there. The others are solved again without it.
     """
     step = np.zeros_like(position)
     fixed = ((position <= 0) & (current.gradient > 0)) | ((position >= 1) & (current.gradient < 0))

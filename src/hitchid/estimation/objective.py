@@ -1,4 +1,4 @@
-"""From positions in the unit cube to the misses of a form over tests: what searches minimise."""
+"""The objective of an estimation: residuals of a form over tests at positions in the unit cube."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -20,10 +20,12 @@ from hitchid.structures.structure import Scale
 
 _Fitness = TypeVar("_Fitness", bound=eqx.Module)
 
-GAIN_RIDGE = 0.01
-RIDGE_FLOOR = 1e-9
-MIN_SPARE_TESTS = 4
-TOLERANCE = 1e-6
+GAIN_RIDGE = (
+    0.01  # ρ, share of a test's energy: a factor of its own 10 % from one costs 1 % of its rms travel
+)
+RIDGE_FLOOR = 1e-9  # share of the mean energy, which holds the factor of a test without motion at one
+MIN_SPARE_TESTS = 4  # tests beyond the number of parameters; see `allows_per_test_gain`
+TOLERANCE = 1e-6  # relative change of fitness or position at which least squares stops
 
 
 class Objective(eqx.Module):
@@ -32,9 +34,9 @@ class Objective(eqx.Module):
     Attributes:
         batch: tests.
         spec: what is searched.
-        scales: what the form's curves are measured in.
+        scales: of the nonlinearities.
         bounds: of its parameters.
-        per_test_gain: whether each test may be faster or slower by a factor of its own; see
+        per_test_gain: whether each test has a factor on its speed; see
             `allows_per_test_gain`.
     """
 
@@ -46,7 +48,7 @@ class Objective(eqx.Module):
 
     @classmethod
     def of(cls, batch: Batch, spec: ModelSpec) -> "Objective":
-        """Set up the misfit of a form over tests.
+        """Set up the objective of a form over tests.
 
         Raises:
             FitError: nothing moves.
@@ -60,11 +62,11 @@ class Objective(eqx.Module):
         )
 
     def with_data(self, batch: Batch) -> "Objective":
-        """Return the misfit over other tests, its bounds and scales kept."""
+        """Return the objective over other tests, its bounds and scales kept."""
         return replace(self, batch=batch)
 
     def pooled(self) -> "Objective":
-        """Return the misfit without factors of the tests' own."""
+        """Return the objective without a factor on each test."""
         return replace(self, per_test_gain=False)
 
     def values(self, position: np.ndarray) -> np.ndarray:
@@ -72,21 +74,21 @@ class Objective(eqx.Module):
         return np.asarray(_values(self.bounds, jnp.asarray(position)))
 
     def slopes(self, position: np.ndarray) -> np.ndarray:
-        """Return the parameters' derivatives by their place between the bounds."""
+        """Return the parameters' derivatives by their positions."""
         return np.asarray(self.bounds.slopes(jnp.asarray(position)))
 
     def position(self, values: np.ndarray) -> np.ndarray:
-        """Return where between their bounds values lie; the inverse of `values`."""
+        """Return the position of values; the inverse of `values`."""
         return self.bounds.position(values)
 
     def residuals(self, position: Float[Array, " d"]) -> Float[Array, "t n"]:
-        """Return the misses at a position; see `misses`."""
+        """Return the residuals at a position; see `residuals_of_values`."""
         return self.residuals_of_values(self.bounds.values(position))
 
     def residuals_of_values(self, values: Float[Array, " d"]) -> Float[Array, "t n"]:
-        """Return misses weighted so that every test weighs the same: their mean square is J².
+        """Return residuals weighted so that every test weighs the same: their mean square is J².
 
-        With a factor s of each test's own the misses are s ŷ − y with s = (ŷ·y + ρ y·y)/(ŷ·ŷ + ρ y·y), which
+        With a factor s on each test the residuals are s ŷ − y with s = (ŷ·y + ρ y·y)/(ŷ·ŷ + ρ y·y), which
         minimises (s ŷ − y)² + ρ y·y (s − 1)²: the smaller ρ, the freer the factors. The last term stands at
         the test's first sample, where nothing has moved.
         """
@@ -135,9 +137,9 @@ class Objective(eqx.Module):
         )
 
     def equations_by_segment(self, position: np.ndarray, n_segments: int) -> "TestEquations":
-        """Return the squared residuals of as many stretches of each test, weighted as in the whole.
+        """Return the squared residuals of as many segments of each test, weighted as in the whole.
 
-        A stretch without samples that count is left out.
+        A segment without samples that count is left out.
         """
         loss_mask = np.asarray(self.batch.loss_mask)
         counts, weights = loss_mask.sum(axis=1), self._weights()
@@ -154,13 +156,13 @@ class Objective(eqx.Module):
         return TestEquations(*(np.concatenate(rows) for rows in zip(*equations, strict=True)))
 
     def errors(self, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the weighted misses of the samples that count, and which test each belongs to, shape [M]."""
+        """Return the weighted residuals of the samples that count, and the test of each, shape [M]."""
         loss_mask = np.asarray(self.batch.loss_mask)
         residuals = self._compiled().residuals(position)[: len(loss_mask)]
         return residuals[loss_mask], np.repeat(np.arange(len(loss_mask)), loss_mask.sum(axis=1))
 
     def _weights(self) -> Float[np.ndarray, " t"]:
-        """Return by what the squares of each test are multiplied; see `misses`."""
+        """Return the factors on the squares of each test; see `residuals_of_values`."""
         counts = np.asarray(self.batch.loss_mask).sum(axis=1)
         return counts.sum() / (np.count_nonzero(counts) * np.maximum(counts, 1))
 
@@ -169,10 +171,10 @@ class Objective(eqx.Module):
 
 
 def allows_per_test_gain(batch: Batch, spec: ModelSpec) -> bool:
-    """Tell whether the tests of a form with a gain along the stroke may each have a speed of their own.
+    """Return whether each test of a form with a gain along the stroke may have a factor on its speed.
 
     Only where there are four tests more than parameters: of fewer, each at a level of its own, the factors
-    take up the curve of the valve.
+    absorb the curve of the valve.
     """
     tests = int(np.sum(np.asarray(batch.loss_mask).any(axis=1)))
     return spec.stroke_gain_linear and tests >= len(spec.parameters) + MIN_SPARE_TESTS
@@ -181,9 +183,9 @@ def allows_per_test_gain(batch: Batch, spec: ModelSpec) -> bool:
 def _per_test_gain_residuals(
     travel: Float[Array, "t n"], measured: Float[Array, "t n"]
 ) -> Float[Array, "t n"]:
-    """Return misses apart from a factor of each test's own; see `Objective.misses`."""
+    """Return residuals with a factor on each test; see `Objective.residuals_of_values`."""
     energy = jnp.sum(measured**2, axis=1)
-    # A test in which nothing moves has no factor of its own: a trace of the others' motion ties it to one.
+    # A test in which nothing moves determines no factor: a share of the others' energy holds it at one.
     ridge = GAIN_RIDGE * (energy + RIDGE_FLOOR * jnp.mean(energy))
     correlation = jnp.sum(travel * measured, axis=1) + ridge
     gain = correlation / (jnp.sum(travel**2, axis=1) + ridge)
@@ -222,23 +224,23 @@ class TestEquations(NamedTuple):
 
 
 class CompiledObjective(NamedTuple):
-    """Misses of one misfit and their derivative, compiled; taken apart once for thousands of calls."""
+    """Residuals of one objective and their derivatives, compiled; flattened once for thousands of calls."""
 
     treedef: Any
     leaves: list[Array]
 
     @classmethod
     def of(cls, objective: Objective) -> "CompiledObjective":
-        """Take a misfit apart."""
+        """Flatten an objective."""
         leaves, treedef = jax.tree.flatten(objective)
         return cls(treedef, leaves)
 
     def residuals(self, position: np.ndarray) -> np.ndarray:
-        """Return the misses at a position, shape [T, N]."""
+        """Return the residuals at a position, shape [T, N]."""
         return np.asarray(_equations_by_test(self.treedef, self.leaves, position)[0])
 
     def equations_by_test(self, position: np.ndarray) -> TestEquations:
-        """Return the squared misses of each test at a position, to second order."""
+        """Return the squared residuals of each test at a position, to second order."""
         return TestEquations(*map(np.asarray, _equations_by_test(self.treedef, self.leaves, position)[1:]))
 
     def normal_equations(self, position: np.ndarray) -> NormalEquations:
@@ -247,7 +249,7 @@ class CompiledObjective(NamedTuple):
         return NormalEquations(float(costs.sum()), gradients.sum(axis=0), curvatures.sum(axis=0))
 
 
-# One program for all that is asked of a misfit: compiling takes longer than most fits.
+# One program for all functions of an objective: compiling takes longer than most fits.
 @partial(jax.jit, static_argnums=0)
 def _equations_by_test(
     treedef: Any, leaves: list[Array], position: Float[Array, " d"]
@@ -269,7 +271,7 @@ def _values(bounds: Bounds, position: Float[Array, "*p d"]) -> Float[Array, "*p 
 
 
 def scales_of(batch: Batch) -> Scales:
-    """Return what a form's curves are measured in, from the samples of tests that count."""
+    """Return the scales of the nonlinearities, from the samples of tests that count."""
     loss_mask = np.asarray(batch.loss_mask)
     displacement, covariate = np.asarray(batch.displacement)[loss_mask], np.asarray(batch.covariate)
     lowest, highest = float(displacement.min()), float(displacement.max())

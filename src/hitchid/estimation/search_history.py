@@ -1,4 +1,4 @@
-"""The trail of a search: several searches on one budget, each from several seeds, step by step."""
+"""Histories of several searches on one budget, each from several seeds."""
 
 from dataclasses import dataclass, field
 from functools import partial
@@ -22,9 +22,9 @@ from hitchid.estimation.global_search import (
 from hitchid.estimation.objective import Objective
 from hitchid.estimation.search_problem import SearchProblem
 
-BUDGET = 600
-SEEDS = 8
-SAMPLES = 256
+BUDGET = 600  # simulations of all tests for each run
+SEEDS = 8  # runs of each search
+SAMPLES = 256  # largest number of samples of a test, which keeps a comparison within seconds
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class SearchComparison:
     Attributes:
         searches: what is compared; by default whale, differential evolution and multi-start least squares.
         seeds: how many runs of each.
-        checkpoints: where finished runs are kept and found again.
+        checkpoints: where finished runs are kept and read back.
     """
 
     searches: tuple[Search, ...] = field(default_factory=default_searches)

@@ -12,7 +12,7 @@ from hitchid.identification.phase2 import CompensatorConfig
 from hitchid.identification.selection import AutoStructure
 from hitchid.structures import ModelSpec, structure_named
 
-LARGEST_SEED = 2**32 - 1
+LARGEST_SEED = 2**32 - 1  # of NumPy's and JAX's generators alike
 CAMPAIGN = 'a campaign as hitchid.read("logs") returns it'
 
 
@@ -33,7 +33,7 @@ def identification_config(
     comparison: SearchComparison | None,
     seed: int,
 ) -> IdentificationConfig:
-    """Return what is asked of a campaign; see `identify`.
+    """Return the configuration of an identification; see `identify`.
 
     Args:
         default_specs: direction to how its form is chosen where `structure` has none.
@@ -44,8 +44,8 @@ def identification_config(
         InputError: one of them is not what `identify` takes.
     """
     checks.instance(search, Search, "search", "Whale, DifferentialEvolution or MultiStart")
-    checks.instance(training, (CompensatorConfig, type(None)), "training", "Training or None")
-    checks.instance(comparison, (SearchComparison, type(None)), "comparison", "Comparison or None")
+    checks.instance(training, (CompensatorConfig, type(None)), "training", "CompensatorConfig or None")
+    checks.instance(comparison, (SearchComparison, type(None)), "comparison", "SearchComparison or None")
     checks.instance(drift, bool, "drift", "True or False")
     if checks.integer(seed, "seed") > LARGEST_SEED:
         raise checks.input_error("seed", f"at most {LARGEST_SEED}", seed)
@@ -63,5 +63,5 @@ def identification_config(
 def _spec_of(value: object, direction: str) -> ModelSpec | AutoStructure:
     if isinstance(value, str):
         return ModelSpec(structure_named(value))
-    required = "the name of a structure, Form or Automatic"
+    required = "the name of a structure, ModelSpec or AutoStructure"
     return checks.instance(value, (ModelSpec, AutoStructure), f"structure, {direction}", required)

@@ -17,20 +17,20 @@ from hitchid.uncertainty.bands import (
     sensor_noise,
 )
 
-FEWEST_TESTS = 3
-MAX_STEP = 0.25
-VARIANCE_SHARE = 0.99
+FEWEST_TESTS = 3  # of fewer, no order statistic of held-out errors means a level
+MAX_STEP = 0.25  # share of the range between bounds that an ensemble member may be off
+VARIANCE_SHARE = 0.99  # share of the ensemble's variance that the members kept must have
 
 
 def calibrate_bands(channel: Channel, phase1: Phase1, all_tests: Batch, validation: Batch) -> Bands | None:
     """Find bands around the predictions of a channel.
 
-    Each test is predicted in free run by what it has not taught: parameters without it, to first order, and
-    the one network that has not seen it. Looking ahead is judged on the tests that stopped the training.
+    Each test is predicted in free run by a model that was fitted without it: parameters to first order, and
+    the one network that was not trained on it. Horizons are evaluated on the validation tests.
 
     Args:
         channel: compensators and all.
-        phase1: its benchmark, and how far other tests would move it.
+        phase1: its benchmark, and the influence of each test on it.
         all_tests: all identification tests.
         validation: those that stopped the training.
 
@@ -44,6 +44,8 @@ def calibrate_bands(channel: Channel, phase1: Phase1, all_tests: Batch, validati
     ensemble = _ensemble(channel, phase1)
     _, deviations = ensemble_deviations(channel, ensemble, all_tests)
     mean_squares = np.mean(deviations[:, loss_mask] ** 2, axis=1)
+    # A member whose free run diverges gives no width to a band.
+    mean_squares = np.where(np.isfinite(mean_squares), mean_squares, 0.0)
     order = np.argsort(mean_squares)[::-1]
     n_selected = 1 + int(np.searchsorted(np.cumsum(mean_squares[order]), VARIANCE_SHARE * mean_squares.sum()))
     selected = np.sort(order[:n_selected])
@@ -68,9 +70,9 @@ def calibrate_bands(channel: Channel, phase1: Phase1, all_tests: Batch, validati
 
 
 def _ensemble(channel: Channel, phase1: Phase1) -> list[EnsembleMember]:
-    """Return what might as well be true: a standard error along each principal axis, each network alone.
+    """Return the ensemble: one standard error along each principal axis, and each network alone.
 
-    No axis goes farther than a quarter of the room between bounds, or beyond these.
+    No member lies farther off than a quarter of the range between bounds, or beyond these.
     """
     influence, position = phase1.influence, phase1.fit.position
     sizes, axes = np.linalg.eigh(influence.covariance)
@@ -91,7 +93,7 @@ def _ensemble(channel: Channel, phase1: Phase1) -> list[EnsembleMember]:
 
 
 def _parameter_vector(channel: Channel, phase1: Phase1, position: np.ndarray) -> tuple[float, ...]:
-    """Return the numbers of the benchmark at a position, its gain levelled as the channel's was."""
+    """Return the benchmark's parameter vector at a position, its gain calibrated as the channel's."""
     objective = phase1.fit.objective
     vector = np.array(
         objective.spec.physical_model(
@@ -104,7 +106,7 @@ def _parameter_vector(channel: Channel, phase1: Phase1, position: np.ndarray) ->
 
 
 def _held_out(channel: Channel, phase1: Phase1, batch: Batch) -> np.ndarray:
-    """Return each test's free run by what it has not taught, shape [T, N]."""
+    """Return each test's free run by the model fitted without it, shape [T, N]."""
     tests = batch.command.shape[0]
     influence_by_test, position = phase1.influence.by_test, phase1.fit.position
     members = 1 if channel.speed_compensator is None else len(channel.speed_compensator.networks.head.weight)

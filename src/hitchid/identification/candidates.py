@@ -11,10 +11,10 @@ from hitchid.estimation import Objective, allows_per_test_gain, refine_subset
 from hitchid.structures import Batch, ModelSpec
 
 FOLDS = 4  # every fourth operating point is held out together
-LEVEL_TOLERANCE = 0.01  # share of the range of levels within which tests are of one operating point
+LEVEL_TOLERANCE = 0.01  # share of the range of levels within which tests are at one operating point
 STEPS = 40  # positions of least squares from each start
 REFIT_STEPS = 4  # positions of the refit to a fold: the start and three damped steps
-MIN_GAIN_TESTS = 6  # held-out tests from which forms are compared apart from a factor on each test's speed
+MIN_GAIN_TESTS = 6  # fewest held-out tests for comparing forms with a factor on each test's speed
 
 
 @dataclass(frozen=True)

@@ -13,14 +13,15 @@ from hitchid.errors import LogError
 from hitchid.uncertainty import NO_ERROR, DeadZoneError, Quantity, make_quantity
 from hitchid.uncertainty.dead_zone_error import t_quantile
 
-CANDIDATES = 400
-FLAT_TOLERANCE = 1e-3
-ROUNDING = 1e-6
-MIN_RESIDUAL_REDUCTION = 0.2
-UNKNOWN_SPREAD = 0.5
-MIN_GROUPS, MAX_GROUPS = 6, 24
-SAMPLES, MAX_ELEMENTS = 2048, 1_000_000
-# Lags of hydraulics on clocks up to 0.1 s, s; on a slower clock they are as many samples longer.
+CANDIDATES = 400  # dead zones that are compared, a quarter of a percent of the largest command apart
+FLAT_TOLERANCE = 1e-3  # share of the largest residual sum by which dead zones must differ
+ROUNDING = 1e-6  # share of the travel's energy: residual sums below it are rounding
+MIN_RESIDUAL_REDUCTION = 0.2  # share of the drift's residual norm that motion must explain
+UNKNOWN_SPREAD = 0.5  # share of the largest command: standard error of a dead zone that tests do not show
+MIN_GROUPS, MAX_GROUPS = 6, 24  # groups of the jackknife
+SAMPLES, MAX_ELEMENTS = 2048, 1_000_000  # of a test; of one array, which bounds the memory
+# Lags of hydraulics at sampling times up to 0.1 s, s; at longer ones they are as many samples, see
+# `slow_clock_factor`.
 LAGS_S, FAST_STEP_S = (0.03, 0.1, 0.3, 1.0), 0.1
 
 
@@ -257,7 +258,12 @@ def _gains(product: np.ndarray) -> tuple[np.ndarray, float]:
 
 def _lags_s(step_s: float) -> list[float]:
     """Return the lags by which an integrator's speed may follow, s."""
-    return [lag * max(1.0, step_s / FAST_STEP_S) for lag in LAGS_S]
+    return [lag * slow_clock_factor(step_s) for lag in LAGS_S]
+
+
+def slow_clock_factor(step_s: float) -> float:
+    """Return the factor on times of hydraulics at sampling times above 0.1 s, else one."""
+    return max(1.0, step_s / FAST_STEP_S)
 
 
 def _parabola_minimum(candidates: np.ndarray, residual_sums: np.ndarray) -> float:

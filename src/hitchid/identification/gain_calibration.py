@@ -1,4 +1,4 @@
-"""Gains of a hitch identified from strokes of mixed logs, levelled so that whole logs agree."""
+"""Calibration of the gains of a hitch that was identified from strokes, so that whole logs agree."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -10,16 +10,16 @@ from hitchid._support.metrics import proven_better
 from hitchid.data.record import Record
 from hitchid.model import Channel, Hitch
 
-MAX_LOG_FACTOR = 0.1
-SAMPLE_STRIDE = 10
-STEP = 1e-3
+MAX_LOG_FACTOR = 0.1  # largest logarithm of a factor: a gain from strokes is known better than that
+SAMPLE_STRIDE = 10  # samples; errors in free run change slowly against the clock
+STEP = 1e-3  # of the logarithm, for finite differences
 
 
 def calibrate_gains(hitch: Hitch, records: Sequence[Record]) -> dict[str, float]:
-    """Return the factors on the gains with which whole records in free run agree best with what was measured.
+    """Return the factors on the gains with which free runs of whole records fit the measurement best.
 
-    Strokes each begin at a measured displacement, so a gain that is a little off shows in each but little;
-    over a whole record it adds up. Least squares over the logarithms of the factors, each test weighing the
+    Each stroke begins at a measured displacement, so a small error of the gain has little effect in it; over
+    a whole record it adds up. Least squares over the logarithms of the factors, each test weighing the
     same.
 
     Args:
@@ -27,7 +27,7 @@ def calibrate_gains(hitch: Hitch, records: Sequence[Record]) -> dict[str, float]
         records: the mixed records they come from.
 
     Returns:
-        Mode to factor, within ±10 %; a channel without a gain is left out.
+        Direction to factor, within ±10 %; a channel without a gain is left out.
     """
     directions = _with_gains(hitch)
 
@@ -45,12 +45,12 @@ def calibrate_gains(hitch: Hitch, records: Sequence[Record]) -> dict[str, float]
 
 
 def calibration_improves(hitch: Hitch, records: Sequence[Record]) -> bool:
-    """Tell whether records held out in turn are followed better with factors that the others give.
+    """Return whether factors fitted to the other records improve records held out in turn.
 
-    To first order in the logarithms of the factors; see `proven_better`. One record alone proves nothing.
+    To first order in the logarithms of the factors; see `proven_better`. False for one record alone.
 
     Args:
-        hitch, records: as for `levelling`.
+        hitch, records: as for `calibrate_gains`.
     """
     directions = _with_gains(hitch)
     zeros = np.zeros(len(directions))
@@ -79,7 +79,7 @@ def calibration_improves(hitch: Hitch, records: Sequence[Record]) -> bool:
 
 
 def _with_gains(hitch: Hitch) -> list[str]:
-    """Return the modes whose channels have a gain."""
+    """Return the directions whose channels have a gain."""
     channels = hitch.channels.items()
     return [direction for direction, channel in channels if channel.benchmark.structure.gain]
 
@@ -87,7 +87,7 @@ def _with_gains(hitch: Hitch) -> list[str]:
 def _residuals(
     hitch: Hitch, directions: Sequence[str], logarithms: np.ndarray, records: Sequence[Record]
 ) -> list[np.ndarray]:
-    """Return what each record misses in free run, its norm the root mean square."""
+    """Return the free-run errors of each record; their norm is the root mean square."""
     scaled_hitch = scaled(hitch, dict(zip(directions, np.exp(logarithms), strict=True)))
     all_errors = [
         (scaled_hitch.simulate(record) - record.displacement)[::SAMPLE_STRIDE] for record in records

@@ -1,4 +1,4 @@
-"""Does the plant need two modes? One shared linear model against one a direction."""
+"""Test for two modes: one shared linear model against one for each direction."""
 
 from collections.abc import Mapping
 
@@ -13,11 +13,12 @@ from hitchid.model import TwoModes
 from hitchid.structures import Batch, ModelSpec, structure_named
 
 SPEC = ModelSpec(structure_named("integrator-first-order"), dead_time=True)
+# Positions of gain, time constant and dead time between their bounds; time constants of 0.1, 0.01 and 3 s.
 STARTS = ((0.5, 0.4, 0.5), (0.5, 0.2, 0.5), (0.5, 0.7, 0.2))
-FOLDS = 4
-STEPS, REFIT_STEPS = 40, 10
-SAMPLES = 1024
-SIGNIFICANT = 0.01
+FOLDS = 4  # every fourth test of a direction is held out together
+STEPS, REFIT_STEPS = 40, 10  # positions of least squares, over all tests and without a fold
+SAMPLES = 1024  # largest number of samples of a test
+SIGNIFICANT = 0.01  # largest p-value of the F statistic
 
 
 def compare_modes(channel_data: Mapping[str, ChannelData]) -> TwoModes | None:
@@ -33,7 +34,7 @@ def compare_modes(channel_data: Mapping[str, ChannelData]) -> TwoModes | None:
     held-out tests prove two models better and F is significant at 1 %.
 
     Args:
-        channel_data: mode to its tests.
+        channel_data: direction to its tests.
 
     Returns:
         The comparison; None where there is one direction only, or too few tests.

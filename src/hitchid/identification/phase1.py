@@ -1,4 +1,4 @@
-"""Phase 1: the benchmark's parameters by a global search and a least-squares polish."""
+"""Phase 1: the physical model's parameters by a global search and least squares."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,9 +13,14 @@ from hitchid.identification.optional import attempt
 from hitchid.structures import Batch, ModelSpec, PhysicalModel
 from hitchid.uncertainty import NO_ERROR, DeadZoneError, Estimate, Estimates, Influence, assess, unassessed
 
-GAIN_ITERATIONS = 3
-SEARCH_SAMPLES, COARSE_SAMPLES = 8192, 2048
-ROUGH_TOLERANCE, ROUGH_STEPS, STEPS = 1e-9, 60, 60
+GAIN_ITERATIONS = (
+    3  # of the gain against a travel that depends on it weakly, through the gain along the stroke
+)
+SEARCH_SAMPLES, COARSE_SAMPLES = (
+    8192,
+    2048,
+)  # of a test, largest numbers in the search and in the first descents
+ROUGH_TOLERANCE, ROUGH_STEPS, STEPS = 1e-9, 60, 60  # of the first descents; positions of each descent
 
 
 @dataclass(frozen=True)
@@ -45,15 +50,15 @@ class Fit:
 
 @dataclass(frozen=True)
 class Phase1:
-    """The benchmark of one direction, how it was found, and how well it is known.
+    """The benchmark of one direction, how it was found, and its uncertainty.
 
     Attributes:
         benchmark: structure with values.
         fit: the parameters, and the search for them.
-        assessment: what the tests say of each, and of what follows from them.
-        influence: by how much each test moves each of them.
+        assessment: estimates of the parameters and of derived quantities, with intervals.
+        influence: of each test on each parameter.
         rmse: root mean square error over the identification tests, free run, in the displacement's unit.
-        search_rmse: the same before the polish.
+        search_rmse: the same before least squares.
     """
 
     benchmark: PhysicalModel
@@ -81,12 +86,12 @@ def identify_benchmark(
     callback: IterationCallback | None = None,
     checkpoints: Checkpoints = DISABLED,
 ) -> Phase1:
-    """Find the parameters that minimise the free-run error over all tests, and say how well they are known.
+    """Find the parameters that minimise the free-run error over all tests, with their intervals.
 
     Args:
         batch, spec, search, seed, start, callback, checkpoints: see `find_parameters`.
         units: `x` and `u` to the units of displacement and command.
-        dead_zone: how well it is known.
+        dead_zone: its standard error.
 
     Raises:
         FitError: nothing moves, or no parameters give a finite error.
@@ -117,8 +122,8 @@ def find_parameters(
         search: global search; least squares follows it whatever it is.
         seed: every random draw comes from it.
         start: values of the form's parameters from which least squares starts too, shape [D].
-        callback: told how the search goes.
-        checkpoints: where what was found is kept and found again.
+        callback: called with the state of the search.
+        checkpoints: where finished results are kept and read back.
 
     Raises:
         FitError: nothing moves, or no parameters give a finite error.
@@ -145,15 +150,15 @@ def _refine_from_starts(objective: Objective, starts: Sequence[np.ndarray]) -> n
     rough_result = best_refined(coarse, starts, limit=ROUGH_STEPS, tolerance=ROUGH_TOLERANCE)
     problem = objective.problem()
     best = refine(problem, rough_result.position, limit=STEPS)
-    # The rough descent is over thinned samples: over all of them the end of the search may be better.
+    # The first descents are over fewer samples: over all of them the end of the search may be better.
     search_error = objective.error(starts[0])
     return _with_calibrated_gain(objective, best.position if best.fitness <= search_error else starts[0])
 
 
 def assess_fit(fit: Fit, *, units: Mapping[str, str], dead_zone: DeadZoneError, seed: int) -> Phase1:
-    """Return a fit as a benchmark, with what the tests say of its parameters; see `assess`.
+    """Return a fit as a benchmark, with the intervals of its parameters; see `assess`.
 
-    Where that cannot be computed every interval is open, and the verdict says why.
+    Where these cannot be computed every interval is open, and the verdict names the cause.
     """
     failures: list[str] = []
     result = attempt(
@@ -175,7 +180,7 @@ def assess_fit(fit: Fit, *, units: Mapping[str, str], dead_zone: DeadZoneError, 
 
 
 def _with_calibrated_gain(objective: Objective, position: np.ndarray) -> np.ndarray:
-    """Return a position with the gain that fits all tests together, where each had a factor of its own."""
+    """Return a position with the gain that fits all tests together, where each had a factor on its speed."""
     if not objective.per_test_gain:
         return position
     measured = jnp.where(objective.batch.loss_mask, objective.batch.travel, 0.0)

@@ -22,7 +22,7 @@ from hitchid.networks.error_compensator import FEATURES, Compensator, Sample, me
 from hitchid.networks.lstm import Lstm
 from hitchid.structures import Batch
 
-MAX_STRETCHES = 1000
+MAX_STRETCHES = 1000  # sequences of one training, which bounds the time of an epoch
 
 
 @dataclass(frozen=True)

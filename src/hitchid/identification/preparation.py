@@ -21,12 +21,12 @@ from hitchid.identification.dead_zone import (
 )
 from hitchid.structures import Batch, before_end_stop
 
-VALIDATION_EVERY = 4
-VALIDATION_FRACTION = 0.25
-STOP_AGREEMENT = 0.02
-MAX_LENGTH_RATIO, SETTLING_S = 2.0, 2.0
+VALIDATION_EVERY = 4  # every fourth test stops the training
+VALIDATION_FRACTION = 0.25  # share of one test alone that stops the training
+STOP_AGREEMENT = 0.02  # share of the range of displacements within which tests meet one end stop
+MAX_LENGTH_RATIO, SETTLING_S = 2.0, 2.0  # of the median stroke; s of rest that are kept: lags have died away
 TestSignals = tuple[np.ndarray, np.ndarray, np.ndarray]
-FEWEST_SAMPLES = 3
+FEWEST_SAMPLES = 3  # of a test: displacement, speed and one residual
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class ChannelData:
         all_tests: all identification tests, for phase 1.
         training, validation: those that train and those that stop the training, for phase 2.
         validation_names: names of the latter.
-        notices: what the user should know.
+        notices: sentences for the user.
         left_out: tests and ramps that cannot be used.
     """
 
@@ -87,8 +87,8 @@ def prepare(
     records = campaign.identification(direction)
     if not records:
         raise InputError(
-            f"all {len(campaign.of_kind(direction))} {direction} tests are held out; none is left to identify "
-            "from"
+            f"all {len(campaign.of_kind(direction))} {direction} tests are held out; "
+            "none is left to identify from"
         )
     strict, total = campaign.strict, len(records)
     records, without_covariate = split_usable(
@@ -154,7 +154,7 @@ def prepare(
 def mixed_dead_zones(campaign: Campaign) -> dict[str, DeadZone]:
     """Return a first dead zone of each direction, to cut the cycles of a campaign that has nothing else.
 
-    Every stretch with a command of one direction counts as a test. Held-out cycles are not looked at.
+    Every stretch with a command of one direction counts as a test. Held-out cycles are not used.
     """
     cycles = campaign.identification(CYCLE)
     dead_zones = {}
@@ -223,7 +223,7 @@ def _dead_zone_from_ramps(
 ) -> tuple[DeadZone | None, list[LeftOut]]:
     """Return the dead zone from the ramps that move the piston, None without any, and the other ramps.
 
-    A ramp shows motion late by the plant's delay, in which its command rises on: the tests tell that delay.
+    A ramp shows motion late by the plant's delay, in which its command rises on: the tests give that delay.
     """
     ramps, unmoved_ramps = split_usable(
         _by_name(campaign.ramps(direction)),
@@ -257,7 +257,7 @@ def _direction(records: Sequence[Record], direction: str) -> int:
 
 
 def _end_stop(records: Sequence[Record], direction: str, sign: int) -> tuple[float | None, int]:
-    """Return the displacement at which tests come to stand under command, and in how many they do.
+    """Return the displacement at which tests come to stand under command, and the number of these tests.
 
     An end stop is one place, and the farthest: at least two tests must stand within 2 % of the range of all
     displacements of their median, and none may go farther beyond it.

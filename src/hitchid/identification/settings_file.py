@@ -12,6 +12,7 @@ from hitchid.data.signal_map import Strict, parse_settings
 from hitchid.errors import InputError, SettingsError
 from hitchid.estimation import DifferentialEvolution, MultiStart, Search, SearchComparison, Whale
 from hitchid.estimation.global_search import EVALUATIONS, WhaleConfig
+from hitchid.identification.arguments import LARGEST_SEED
 from hitchid.identification.identify import DEFAULT_STRUCTURES
 from hitchid.identification.phase2 import CompensatorConfig
 from hitchid.identification.rollouts import Rollouts
@@ -20,7 +21,6 @@ from hitchid.identification.training import AdamConfig
 from hitchid.structures import ModelSpec, structure_named
 
 AUTOMATIC = "automatic"
-LARGEST_SEED = 2**32 - 1
 Count = Annotated[int, Field(ge=1, le=10**9)]
 
 
@@ -61,7 +61,7 @@ class SearchSection(Strict):
     compare: bool = True
 
     def search(self) -> Search:
-        """Return the search asked for."""
+        """Return the search of these settings."""
         if self.method == "multi-start":
             return MultiStart(evaluations=self.evaluations)
         if self.method == "differential-evolution":
@@ -93,7 +93,7 @@ class TrainingSection(Strict):
     baselines: bool = True
 
     def training(self) -> CompensatorConfig | None:
-        """Return the training asked for, None for benchmarks alone."""
+        """Return the training of these settings, None for benchmarks alone."""
         if not self.compensator:
             return None
         adam = AdamConfig(self.epochs, self.patience, self.batch, self.learning_rate)

@@ -59,7 +59,7 @@ def inspect_campaign(campaign: Campaign, command_thresholds: ThresholdLookup | N
         command_thresholds: as for `inspect`.
 
     Raises:
-        SettingsError: the model's commands are of another dimension than the logs'.
+        InputError: the model's commands are of another dimension than the logs'.
     """
     held_out = {record.name for direction in DIRECTIONS for record in campaign.held_out(direction)}
     scales = full_scales(campaign.records)

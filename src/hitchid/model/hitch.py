@@ -86,7 +86,7 @@ class Hitch:
             record: as `simulate` takes it.
 
         Raises:
-            InputError, SettingsError: as `simulate`.
+            InputError: as `simulate`.
         """
         model_record = self.to_model_units(record)
         displacement, active_channel = self.free_run(model_record)
@@ -144,7 +144,7 @@ class Hitch:
             units: role to unit of the logs that are looked at.
 
         Raises:
-            SettingsError: a unit is of another dimension than the model's.
+            InputError: a unit is of another dimension than the model's.
         """
         checks.instance(units, Mapping, "units", "role to unit")
         thresholds = {}
@@ -164,7 +164,7 @@ class Hitch:
             units: role to unit of the logs that are cut.
 
         Raises:
-            SettingsError: a unit is of another dimension than the model's.
+            InputError: a unit is of another dimension than the model's.
         """
         checks.instance(units, Mapping, "units", "role to unit")
         dead_zones = self.provenance.cut_at or self.dead_zones
@@ -248,7 +248,7 @@ class Hitch:
 
         Raises:
             InputError: a command is effective that the model has no channel for.
-            SettingsError: a unit is of another dimension than the model's.
+            InputError: a unit is of another dimension than the model's.
         """
         model_record = self.to_model_units(record)
         return self._to_record_units(
@@ -269,7 +269,7 @@ class Hitch:
 
         Raises:
             InputError: the horizon is below 1, or as `simulate`.
-            SettingsError: a unit is of another dimension than the model's.
+            InputError: a unit is of another dimension than the model's.
         """
         return self.predictions(record, (horizon,))[0]
 
@@ -336,7 +336,7 @@ class Hitch:
 
         Raises:
             InputError: the model has no bands, the share lies beyond them, or as `simulate`.
-            SettingsError: a unit is of another dimension than the model's.
+            InputError: a unit is of another dimension than the model's.
         """
         checks.number(coverage, "coverage")
         bands = self._bands
@@ -401,7 +401,7 @@ class Hitch:
 
         Raises:
             InputError: the record has no command for any channel, or one effective that no channel hears.
-            SettingsError: a unit is of another dimension than the model's.
+            InputError: a unit is of another dimension than the model's.
         """
         checks.instance(record, Record, "record", 'one of hitchid.read("logs").records')
         if not any(direction in record.directions for direction in self.channels):

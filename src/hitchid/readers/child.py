@@ -44,7 +44,7 @@ def main() -> None:
         except LogError as error:
             _send(output, {"problem": error.problem, "line": error.line, "column": error.column})
         except MemoryError:
-            _send(output, {"problem": "needs more memory than a log of its size may; refused"})
+            _send(output, {"problem": "needs more memory than allowed for its size; refused"})
         except Exception as error:  # a library may raise anything on a damaged file
             _send(output, {"problem": f"cannot be read: {type(error).__name__}: {error}"})
         else:

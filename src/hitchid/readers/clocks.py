@@ -26,13 +26,13 @@ def resample_to_common_clock(
 
     Args:
         source: the file, for messages.
-        time: the channel that holds the time, s; None where the file keeps clocks.
+        time: the channel that holds the time, s; None if the file has clocks.
         channels: role to channel.
         names: role to column, for messages.
 
     Raises:
-        LogError: a channel has no clock, another length than the time, or time that runs backwards or stands
-            still; or the channels have no time in common.
+        LogError: a channel has no clock, another length than the time, or time that decreases or is
+            constant; or the channels have no time in common.
     """
     if time is not None:
         for role, channel in channels.items():
@@ -87,7 +87,7 @@ def _with_increasing_clock(source: Path, channel: LogChannel, name: str) -> LogC
     """Return a channel whose clock increases from sample to sample."""
     clock = channel.clock_s
     if clock is None:
-        problem = 'the file keeps no clock for it; required the time\'s column: time = "…" in campaign.toml'
+        problem = 'has no clock in the file; required the time\'s column: time = "…" in campaign.toml'
         raise LogError(source, problem, column=name)
     if clock.size < 2:
         raise LogError(source, f"has {clock.size} samples, required at least 2", column=name)

@@ -99,9 +99,7 @@ def match_channels(
         )
         is_required = requested != selection.time or not has_clocks
         if len(candidates) > 1 and is_required:
-            raise LogError(
-                source, f"several channels are meant: {format_names(candidates)}", column=requested
-            )
+            raise LogError(source, f"the name is ambiguous: {format_names(candidates)}", column=requested)
         if len(candidates) == 1:
             matches[requested] = candidates[0]
         elif is_required:

@@ -21,10 +21,7 @@ from hitchid.readers.content import ChannelSelection, Content, LogChannel
 READY = b"begun\n"
 # Time limits, chosen well above what intact files take: start of the child, s; reading a log, s, and bytes/s.
 LONGEST_START_S, LONGEST_S, BYTES_PER_S = 120.0, 8.0, 2e6
-LONGEST_DATABASES_S, DATABASE_BYTES_PER_S = (
-    60.0,
-    1e5,
-)  # s and bytes/s; a database of 50 000 signals takes 10 s
+LONGEST_DATABASES_S, DATABASE_BYTES_PER_S = 60.0, 1e5  # a database of 50 000 signals takes 10 s
 
 
 class ReaderProcess(AbstractContextManager["ReaderProcess"]):
@@ -63,7 +60,7 @@ class ReaderProcess(AbstractContextManager["ReaderProcess"]):
             raise LogError(path, f"cannot be read within {limit_s:.0f} s: it is damaged") from None
         except (EOFError, BrokenPipeError):
             self._end()
-            raise LogError(path, "cannot be read: it is damaged so that the reader gave up") from None
+            raise LogError(path, "cannot be read: it is damaged, and its reader crashed") from None
         except BaseException:
             self._end()
             raise

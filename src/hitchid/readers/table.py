@@ -51,7 +51,9 @@ def table_of(content: Content, signals: SignalMap) -> LogTable:
     """
     columns = _columns_by_role(signals, content)
     if TIME not in columns and signals.time.column != DEFAULT_SIGNALS.time.column:
-        problem = "there is no such channel; the file keeps clocks of its own, so leave the time out"
+        problem = (
+            "there is no such channel; the file has clocks of its own; required no time in campaign.toml"
+        )
         raise LogError(content.source, problem, column=signals.time.column)
     converted, notices = {}, list(content.notices)
     for role, column in columns.items():
@@ -95,7 +97,7 @@ def _convert_unit(content: Content, role: str, column: Column) -> tuple[LogChann
     if declared_unit is None:
         raise LogError(
             source,
-            "neither its name nor the file says its unit; "
+            "no unit in its name or in the file; "
             f'required {{ column = "{name}", unit = "…" }} in campaign.toml',
             column=name,
         )
@@ -115,10 +117,10 @@ def _convert_unit(content: Content, role: str, column: Column) -> tuple[LogChann
     if channel.unit and file_unit is None:
         notices.append(f"{name}: the unit '{channel.unit}' in the file is not known; read as {declared_unit}")
     elif file_unit not in (None, declared_unit):
-        notices.append(f"{name}: converted from {file_unit}, as the file says, to {declared_unit}")
+        notices.append(f"{name}: converted from {file_unit}, the unit in the file, to {declared_unit}")
     elif file_unit is None and unit_of_column(name) not in (None, declared_unit):
         notices.append(
-            f"{name}: read as {declared_unit}, as the signal map says, although its name ends otherwise"
+            f"{name}: read as {declared_unit}, the unit in the signal map, although its name ends otherwise"
         )
     source_unit = file_unit or declared_unit
     factor = 1.0 if source_unit == unit else UNITS[source_unit].factor / UNITS[unit].factor
@@ -144,12 +146,12 @@ def _check_agrees(source: Path, name: str, declared_unit: str, file_unit: str | 
     dimension = UNITS[declared_unit].dimension
     name_unit = unit_of_column(name)
     if name_unit not in (None, file_unit) and UNITS[name_unit].dimension == dimension:
-        problem = f"the name says '{name_unit}', the file '{file_unit}'; required one of them to be put right"
+        problem = f"the unit is '{name_unit}' in the name, '{file_unit}' in the file; required equal units"
         raise LogError(source, problem, column=name)
     if UNITS[file_unit].dimension != dimension:
         raise LogError(
             source,
-            f"the file says '{file_unit}', the signal map '{declared_unit}': no units of one kind",
+            f"the unit is '{file_unit}' in the file, '{declared_unit}' in the map; required one dimension",
             column=name,
         )
 

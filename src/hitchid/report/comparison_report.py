@@ -1,8 +1,8 @@
-"""The report of a comparison: which model errs less, side by side and overlaid."""
+"""The report of a comparison: errors of two models side by side and overlaid."""
 
 import numpy as np
 
-from hitchid.report import figures, sections
+from hitchid.report import figures, numbers, sections, tables
 from hitchid.report.document import (
     Document,
     Finding,
@@ -10,78 +10,128 @@ from hitchid.report.document import (
     Pictures,
     Rating,
     ReportSection,
+    Table,
     sentence,
 )
-from hitchid.validation import ModelComparison, Table
+from hitchid.validation import Horizons, ModelComparison
+from hitchid.validation.comparison import MODELS
+from hitchid.validation.names import GREYBOX, PERSISTENCE
+from hitchid.validation.predictions import MIN_TESTS
 
 
 def comparison_report(comparison: ModelComparison, *, names: tuple[str, str], command: str = "") -> Document:
-    """Compose what a comparison found for people to read.
+    """Return the report of a comparison.
 
     Args:
         comparison: the two models on tests that neither has seen.
-        names: what the models are called, A and B.
+        names: of the models A and B.
         command: that wrote the report.
     """
-    findings = []
-    for subset in comparison.sections:
-        better, text = comparison.verdict(subset)
-        findings.append(
-            Finding(Rating.CAUTION if better is None else Rating.GOOD, sentence(f"{subset}: {text}"))
-        )
-    parameters = comparison.parameters()
+    parameters = tables.comparison_parameters(comparison)
     return Document(
         title="Comparison of two hitch models",
         subtitle=f"A: {names[0]}; B: {names[1]}",
-        verdict=tuple(findings),
+        verdict=tuple(_finding(comparison, section) for section in comparison.sections),
         notices=tuple(map(sentence, comparison.notices)),
         sections=(
-            *(_subset_section(comparison, subset) for subset in comparison.sections),
+            *(_section(comparison, section) for section in comparison.sections),
             *([ReportSection("Parameters", tuple(parameters))] if parameters else []),
             ReportSection("How to reproduce", (Table("Origin", ("what", "value"), (("command", command),)),)),
         ),
+        summary=tuple(_summary(comparison, section) for section in comparison.sections),
+        data=comparison.metrics,
     )
 
 
-def _subset_section(comparison: ModelComparison, subset: str) -> ReportSection:
-    unit, tests = comparison.unit, comparison.free_runs(subset)
+def comparison_tables(comparison: ModelComparison) -> Document:
+    """Return every table of a comparison, as `tables.md` has them."""
+    found: list[Table] = []
+    for section in comparison.sections:
+        found += [
+            tables.comparison_accuracy(comparison, section),
+            tables.comparison_horizons(comparison, section),
+        ]
+    found += tables.comparison_parameters(comparison)
+    verdicts = (f"{section}: {verdict_text(comparison, section)}" for section in comparison.sections)
+    return Document(
+        title="Comparison",
+        notices=(*verdicts, *comparison.notices),
+        sections=(ReportSection("", tuple(found)),),
+        data=comparison.metrics,
+    )
+
+
+def verdict_text(comparison: ModelComparison, section: str) -> str:
+    """Return which model has the smaller error in free run, or that the tests do not prove it."""
+    runs = [accuracy.free_run() for accuracy in comparison.accuracy(section)]
+    a, b = (
+        numbers.DIVERGED
+        if run.rmse is None
+        else f"{numbers.with_error(run.rmse, run.rmse_error)} {comparison.unit}"
+        for run in runs
+    )
+    figures_text = f"RMSE {a} with A, {b} with B"
+    verdict = comparison.verdict(section)
+    if verdict.tests < MIN_TESTS:
+        tests = numbers.count(verdict.tests, "test")
+        return f"{tests}, too few to tell the models apart in free run: {figures_text}"
+    if verdict.better is None:
+        return f"{verdict.tests} tests do not tell the models apart in free run: {figures_text}"
+    wins = f"on {verdict.wins} of {verdict.tests} tests"
+    return f"{verdict.better} errs less in free run, {wins}: {figures_text}"
+
+
+def _finding(comparison: ModelComparison, section: str) -> Finding:
+    rating = Rating.CAUTION if comparison.verdict(section).better is None else Rating.GOOD
+    return Finding(rating, sentence(f"{section}: {verdict_text(comparison, section)}"))
+
+
+def _summary(comparison: ModelComparison, section: str) -> Table:
+    pairs = zip(MODELS, comparison.accuracy(section), strict=True)
+    models = [(f"model {name}", accuracy.models[GREYBOX]) for name, accuracy in pairs]
+    return tables.summary_table(section, models, comparison.unit)
+
+
+def _section(comparison: ModelComparison, section: str) -> ReportSection:
+    unit, tests = comparison.unit, comparison.free_runs(section)
     selected_tests, selection_text = sections.shown_tests(tests, "b")
-    model_figures = comparison.figures(subset)
-    steps = {"steps": model_figures[0]["horizons"]["steps"]}
-    horizon_errors = {
-        name: model_metrics["horizons"]["greybox"]
-        for name, model_metrics in zip("ab", model_figures, strict=True)
-    }
-    persistence = {"persistence": model_figures[0]["horizons"]["persistence"]}
-    rows = {name: tests.errors(name) for name in "ab"}
-    finite = all(np.all(np.isfinite(errors)) for errors in rows.values())
+    one, other = (accuracy.horizons for accuracy in comparison.accuracy(section))
+    rmse = {PERSISTENCE: one.rmse[PERSISTENCE], "a": one.rmse[GREYBOX], "b": other.rmse[GREYBOX]}
     pictures = [
         Picture(
-            f"{subset}-overlay",
+            f"{section}-overlay",
             figures.outputs(selected_tests, unit, ("a", "b")),
-            f"Free runs of both models and their errors: {selection_text} ({', '.join(selected_tests.names)}).",
+            "Free runs of both models and their errors: "
+            f"{selection_text} ({', '.join(selected_tests.names)}).",
             f"Displacement and error over time of {', '.join(selected_tests.names)} for both models.",
         ),
+        *_distribution(section, {name: tests.errors(name) for name in "ab"}, unit),
         Picture(
-            f"{subset}-horizons",
-            figures.horizons({**steps, **persistence, **horizon_errors}, comparison.step_s, unit),
+            f"{section}-horizons",
+            figures.horizons(Horizons(one.steps, rmse), comparison.step_s, unit),
             "Error over how far is looked ahead.",
             f"RMSE in {unit} over the horizon for both models.",
         ),
         Picture(
-            f"{subset}-tests",
+            f"{section}-tests",
             figures.errors_by_test(tests, unit, ("b", "a")),
             "Error of every test in free run; the bar is the figure over all tests.",
             f"RMSE of each of {len(tests.names)} tests for both models.",
         ),
     ]
-    if finite:
-        distribution = Picture(
-            f"{subset}-distribution",
-            figures.error_distribution(rows, unit),
+    accuracy = tables.comparison_accuracy(comparison, section)
+    horizons = tables.comparison_horizons(comparison, section)
+    return ReportSection(section.capitalize(), (accuracy, horizons, Pictures(tuple(pictures))))
+
+
+def _distribution(section: str, errors: dict[str, np.ndarray], unit: str) -> list[Picture]:
+    if not all(np.all(np.isfinite(rows)) for rows in errors.values()):
+        return []
+    return [
+        Picture(
+            f"{section}-distribution",
+            figures.error_distribution(errors, unit),
             "Errors in free run on all tests.",
             f"Distribution of errors in {unit} for both models.",
         )
-        pictures.insert(1, distribution)
-    tables = (comparison.accuracy(subset), comparison.horizons(subset))
-    return ReportSection(subset.capitalize(), (*tables, Pictures(tuple(pictures))))
+    ]

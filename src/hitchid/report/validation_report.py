@@ -1,17 +1,17 @@
 """The report of a validation: verdict first, then each direction, mixed cycles, logs, origin."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 
-from hitchid.data.campaign import Campaign
 from hitchid.data.record import DISPLACEMENT
-from hitchid.model import Hitch
-from hitchid.report import sections
-from hitchid.report.document import Document, ReportSection, sentence
+from hitchid.report import numbers, sections, tables
+from hitchid.report.document import Document, ReportSection, Table, sentence
 from hitchid.report.sections import DirectionContext
-from hitchid.validation import CYCLES, Acceptance, Validation
+from hitchid.report.trace_file import ChannelTraceFile
+from hitchid.validation import CYCLES, Acceptance, ReportData, Validation
+from hitchid.validation.names import in_table_order, model_name
 
-DIRECTION_SECTIONS = (
+SectionBuilder = Callable[[DirectionContext], ReportSection]
+DIRECTION_SECTIONS: tuple[SectionBuilder, ...] = (
     sections.accuracy,
     sections.errors,
     sections.trust,
@@ -22,80 +22,112 @@ DIRECTION_SECTIONS = (
 
 def validation_report(
     result: Validation,
-    model: Hitch,
-    campaign: Campaign,
+    data: ReportData,
     *,
-    trace: Mapping[str, Any] | None = None,
+    trace: Mapping[str, ChannelTraceFile] | None = None,
     acceptance: Acceptance | None = None,
     command: str = "",
 ) -> Document:
-    """Compose what a validation found for people to read.
+    """Return the report of a validation.
 
     Args:
         result: of the validation.
-        model: that was validated.
-        campaign: the logs it was validated on.
-        trace: how it was identified, as `load_trace` gives it.
-        acceptance: which limits hold; None where none were set.
+        data: its `report_data()`.
+        trace: how the model was identified, as `read_trace` returns it.
+        acceptance: limits and whether they hold; None where none were set.
         command: that wrote the report.
     """
-    counts = [_count(subset, len(tests.names)) for subset, tests in result.predictions.items()]
+    counts = [_count(direction, len(accuracy.tests)) for direction, accuracy in result.accuracy.items()]
     return Document(
         title="Validation of a hitch model",
-        subtitle=f"{', '.join(counts)}; {DISPLACEMENT} in {result.metrics['unit']}",
+        subtitle=f"{', '.join(counts)}; {DISPLACEMENT} in {result.unit}",
         verdict=sections.verdict(result, acceptance),
         notices=tuple(map(sentence, result.notices)),
         sections=(
             *([] if acceptance is None else [sections.limits(acceptance)]),
-            *direction_sections(result, model, campaign, trace or {}, DIRECTION_SECTIONS),
-            sections.logs(campaign, model),
-            sections.origin(model, command),
+            *direction_sections(result, data, trace or {}, DIRECTION_SECTIONS),
+            sections.logs(data.logs),
+            sections.origin(data.origin, command),
         ),
+        summary=tuple(_summary(result)),
+        checks=() if acceptance is None else acceptance.checks,
+        data=result.metrics,
     )
 
 
 def direction_sections(
     result: Validation,
-    model: Hitch,
-    campaign: Campaign,
-    trace: Mapping[str, Any],
-    section_builders: Sequence[Callable[[DirectionContext], ReportSection]],
+    data: ReportData,
+    trace: Mapping[str, ChannelTraceFile],
+    builders: Sequence[SectionBuilder],
 ) -> list[ReportSection]:
     """Return a section for each direction that was validated, and one for mixed cycles.
 
     Args:
-        result, model, campaign, trace: as for `validation_report`.
-        section_builders: of the section of a direction.
+        result, data, trace: as for `validation_report`.
+        builders: of the sections of a direction.
     """
-    unit = result.metrics["unit"]
-    segmented = (
-        campaign if campaign.directions else campaign.segmented(model.segmentation_dead_zones(campaign.units))
-    )
+    step_s, unit = data.origin.step_s, result.unit
     result_sections = []
-    for direction, metrics in result.metrics["channels"].items():
+    for direction, channel in result.channels.items():
         context = DirectionContext(
-            direction=direction,
-            metrics=metrics,
-            predictions=result.predictions[direction],
-            trace=trace.get(direction, {}),
-            model=model,
-            tests=segmented.of_kind(direction),
-            ramps=segmented.ramps(direction),
-            unit=unit,
+            direction, channel, trace.get(direction), data.directions[direction], step_s, unit
         )
-        subsections = [build_section(context) for build_section in section_builders]
-        result_sections.append(
-            ReportSection(
-                direction.capitalize(),
-                sections=tuple(subsection for subsection in subsections if subsection.blocks),
-            )
-        )
-    if CYCLES in result.predictions:
-        tests = result.predictions[CYCLES]
-        result_sections.append(sections.cycles(result.metrics[CYCLES], tests, model.step_s, unit))
+        below = tuple(section for section in (build(context) for build in builders) if section.blocks)
+        result_sections.append(ReportSection(direction.capitalize(), sections=below))
+    if result.cycles is not None:
+        result_sections.append(sections.cycles(result.cycles.accuracy, step_s, unit))
     return result_sections
 
 
-def _count(subset: str, count: int) -> str:
-    noun = "cycle" if subset == CYCLES else f"{subset} test"
-    return f"{count} unseen {noun}{'s' if count != 1 else ''}"
+def validation_tables(result: Validation) -> Document:
+    """Return every table of a validation, as `tables.md` has them."""
+    return Document(
+        title="Validation",
+        notices=result.notices,
+        sections=(ReportSection("", tuple(all_tables(result))),),
+        data=result.metrics,
+    )
+
+
+def all_tables(result: Validation) -> list[Table]:
+    """Return accuracy, horizons, single tests, parameters, bands, residuals and searches of each direction,
+    and the tables of mixed cycles."""
+    unit = result.unit
+    found: list[Table] = []
+    for direction, channel in result.channels.items():
+        accuracy = channel.accuracy
+        found += [
+            tables.accuracy_table(direction, accuracy, unit),
+            tables.horizon_table(direction, accuracy, unit),
+            tables.single_test_table(direction, accuracy, unit),
+        ]
+        if channel.parameters is not None:
+            title = f"{direction}: parameters of the benchmark"
+            found.append(tables.parameter_table(title, channel.parameters))
+        if channel.characteristics is not None:
+            found += tables.characteristic_tables(direction, channel.characteristics)
+        if channel.paper_parameters is not None:
+            title = f"{direction}: parameters of the paper's transfer function"
+            found.append(tables.parameter_table(title, channel.paper_parameters))
+        if accuracy.bands is not None:
+            found.append(tables.band_table(direction, accuracy.bands, unit))
+        found.append(tables.residual_table(direction, channel.residuals, unit))
+        if channel.searches:
+            found.append(tables.search_table(direction, channel.searches, unit))
+    return found if result.cycles is None else found + tables.cycle_tables(result.cycles.accuracy, unit)
+
+
+def _summary(result: Validation) -> list[Table]:
+    return [
+        tables.summary_table(
+            direction,
+            [(model_name(name), accuracy.models[name]) for name in in_table_order(accuracy.models)],
+            result.unit,
+        )
+        for direction, accuracy in result.accuracy.items()
+    ]
+
+
+def _count(direction: str, count: int) -> str:
+    return numbers.count(count, "unseen cycle" if direction == CYCLES else f"unseen {direction} test")

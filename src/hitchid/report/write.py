@@ -5,9 +5,7 @@ from pathlib import Path
 
 from hitchid._support.storage import write_files, write_folder
 from hitchid.report.document import Document
-from hitchid.report.page import html
-from hitchid.report.pdf import pdf
-from hitchid.report.svg import svg
+from hitchid.report.renderers import render
 
 REPORT_FILE = "report.html"
 PDF_FILE = "report.pdf"
@@ -23,18 +21,18 @@ def write_report(
     as_pdf: bool = False,
     force: bool = False,
 ) -> None:
-    """Write a report and what goes with it, whole or not at all.
+    """Write a report and the files beside it, whole or not at all.
 
     Args:
         folder: where to.
         document: the report.
-        files: what goes with it, name to content.
-        mark: a file of these that an older result holds; `force` replaces nothing else.
+        files: name to content of what is written beside it.
+        mark: a file of these by which an older result is recognised; `force` replaces nothing else.
         as_pdf: whether `report.pdf` is written too.
         force: replace an older result.
 
     Raises:
-        OutputError: something stands there already, or it cannot be written.
+        OutputError: the folder exists and `force` is not given, or it cannot be written.
         InputError: a PDF is asked for and typst is not installed.
     """
 
@@ -51,14 +49,14 @@ def write_report_files(document: Document, folder: Path, *, as_pdf: bool = False
     Raises:
         InputError: a PDF is asked for and typst is not installed.
     """
-    svgs = {picture.name: svg(picture.figure) for picture in document.pictures}
+    figures = {f"{picture.name}.svg": _utf8(picture.svg) for picture in document.pictures}
     (folder / FIGURES).mkdir()
-    write_files(folder / FIGURES, {f"{name}.svg": _utf8(content) for name, content in svgs.items()})
-    write_files(folder, {REPORT_FILE: _utf8(html(document, svgs))})
+    write_files(folder / FIGURES, figures)
+    write_files(folder, {REPORT_FILE: render(document, "html")})
     if as_pdf:
-        (folder / PDF_FILE).write_bytes(pdf(document, svgs))
+        (folder / PDF_FILE).write_bytes(render(document, "pdf"))
 
 
 def _utf8(text: str) -> bytes:
-    """Return text as UTF-8; the name of a log may hold what is no character."""
+    """Return text as UTF-8; what is no character, as in names of logs, is replaced."""
     return text.encode("utf-8", errors="replace")

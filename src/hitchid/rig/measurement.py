@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from hitchid._support.precision import double_precision
-from hitchid.errors import InputError, SettingsError
+from hitchid.errors import InputError
 from hitchid.rig.sensors import CalibrationCurve
 from hitchid.rig.simulation import SAMPLE_S, RigMotion
 from hitchid.rig.test_bench import Rig
@@ -40,14 +40,13 @@ def measure(
             stamps tell when the samples were truly taken.
 
     Raises:
-        InputError: motion and currents are of different tests.
-        SettingsError: the jitter is out of range.
+        InputError: motion and currents are of different tests, or the jitter is out of range.
     """
     shape = motion.displacement_m.shape
     if np.shape(currents) != (*shape, 2):
         raise InputError(f"currents: came shape {np.shape(currents)}, required {(*shape, 2)}")
     if not 0 <= jitter <= LARGEST_JITTER:
-        raise SettingsError(f"jitter: came {jitter:g}, required 0 to {LARGEST_JITTER:g}")
+        raise InputError(f"jitter: came {jitter:g}, required 0 to {LARGEST_JITTER:g}")
     # Drawn on the host: a compiler takes longer over the generator than over all the rest.
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)))
     noise = jnp.asarray(rng.standard_normal((4, *shape)))

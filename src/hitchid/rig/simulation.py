@@ -10,7 +10,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from hitchid._support.precision import double_precision
-from hitchid.errors import InputError, SettingsError
+from hitchid.errors import InputError
 from hitchid.rig.oil import Scalar
 from hitchid.rig.plant import (
     OilVolumes,
@@ -89,14 +89,14 @@ def simulate(
         substeps: integration steps a sample.
 
     Raises:
-        InputError: an array has not the required shape or is not finite.
-        SettingsError: a test starts outside the stroke, a current is negative, or there are no substeps.
+        InputError: an array has another shape or is not finite, a test starts outside the stroke, a current
+            is negative, or there are no substeps.
     """
     shape = np.shape(currents)
     if len(shape) != 3 or shape[2] != 2 or 0 in shape:
         raise InputError(f"currents: came shape {shape}, required [tests, samples, 2]")
     if substeps < 1:
-        raise SettingsError(f"substeps: came {substeps}, required at least 1")
+        raise InputError(f"substeps: came {substeps}, required at least 1")
     tests, samples, _ = shape
     temperature = rig.oil.temperature if oil_temperature_c is None else oil_temperature_c
     inputs = {
@@ -137,7 +137,7 @@ def _check(name: str, array: Array, low: float, high: object) -> None:
         raise InputError(f"{name}: a value is not finite")
     if np.any(values < low) or np.any(values > top):
         worst = values[(values < low) | (values > top)].flat[0]
-        raise SettingsError(f"{name}: came {worst:g}, required {low:g} to {top:g}")
+        raise InputError(f"{name}: came {worst:g}, required {low:g} to {top:g}")
 
 
 @eqx.filter_jit

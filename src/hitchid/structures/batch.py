@@ -1,4 +1,4 @@
-"""Tests of unequal length side by side, padded and masked."""
+"""Tests of unequal length in one set of arrays, padded and masked."""
 
 from collections.abc import Sequence
 
@@ -11,13 +11,13 @@ from jaxtyping import Array, Bool, Float
 from hitchid.data.record import Record
 from hitchid.data.test_kinds import effective_command
 
-MIN_PADDED_LENGTH, MIN_PADDED_TESTS = 256, 4
-REST_SAMPLES = 50
-STOP_FRACTION = 0.01
+MIN_PADDED_LENGTH, MIN_PADDED_TESTS = 256, 4  # samples, tests; smaller programs cost as much to compile
+REST_SAMPLES = 50  # samples: their mean has a seventh of the sensor's noise
+STOP_FRACTION = 0.01  # share of the way to the end stop that is left where a sample counts as at it
 
 
 class Batch(eqx.Module):
-    """Single-direction tests of one mode, padded to one length.
+    """Tests of one direction, padded to one length.
 
     Attributes:
         command: effective command, shape [T, N].
@@ -55,7 +55,7 @@ class Batch(eqx.Module):
         initial: Sequence[float] | None = None,
         covariate: str | None = None,
     ) -> "Batch":
-        """Lay records side by side, padded so that like shapes compile once.
+        """Stack records, padded so that like shapes compile once.
 
         The padded length is a power of two, 256 or more, or one and a half of it.
 
@@ -161,7 +161,7 @@ class Batch(eqx.Module):
         )
 
     def pad_batch(self) -> "Batch":
-        """Return the tests with others behind them that count nowhere, so that like numbers compile once.
+        """Return the tests padded with tests of no weight, so that like numbers compile once.
 
         The number of tests becomes four, eight, twelve, sixteen, and so on as lengths do.
         """
@@ -212,7 +212,7 @@ def mean_before_motion(samples: np.ndarray, effective: np.ndarray) -> float:
 
 
 def before_end_stop(displacement: np.ndarray, sign: int, end_stop: float | None) -> np.ndarray:
-    """Tell which samples come before the piston is within 1 % of its way to the end stop, shape [N]."""
+    """Return which samples come before the piston is within 1 % of its way to the end stop, shape [N]."""
     loss_mask = np.ones(displacement.size, dtype=bool)
     if end_stop is not None:
         remaining_travel = sign * (end_stop - displacement)

@@ -9,8 +9,8 @@ from jaxtyping import Array, Float
 from hitchid.structures.nonlinear import NonlinearStructure
 from hitchid.structures.structure import Parameter, Scale
 
-UPPER_BRIM, LOWER_BRIM = 0.005, 0.002
-EMPTY = 1e-7
+UPPER_BRIM, LOWER_BRIM = 0.005, 0.002  # share of a full tank over which overflow sets in; it smooths the edge
+EMPTY = 1e-7  # share of a full tank below which the outflow law is held: the root has no derivative at zero
 
 
 class CascadedTanks(NonlinearStructure):

@@ -8,8 +8,8 @@ from jaxtyping import Array, Float
 from hitchid.structures.nonlinear import NonlinearStructure
 from hitchid.structures.structure import Parameter, Scale
 
-SIGN_SMOOTHING = 0.01
-STRIBECK = 0.2
+# Shares of the speed at which viscous friction equals Coulomb friction: v₀ and v₁.
+SIGN_SMOOTHING, STRIBECK = 0.01, 0.2
 
 
 class InertiaWithFriction(NonlinearStructure):

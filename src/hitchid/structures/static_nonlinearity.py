@@ -1,4 +1,4 @@
-"""What a linear model leaves out: the valve's opening curve, the gain along the stroke, the load."""
+"""Nonlinearities around a linear model: valve curve, spool dynamics, gain along the stroke, load."""
 
 from typing import NamedTuple
 
@@ -9,11 +9,13 @@ from jaxtyping import Array, Float, Int
 
 from hitchid.structures.structure import Parameter
 
-SHARPNESS = 4
-MIN_RELATIVE_COMMAND = 1e-3
-LINEAR_OPENING = 1e-6
-QUADRATIC_RANGE = 1.5
-MAX_EXTRAPOLATION = 0.7
+# Commands are in shares of U, the largest effective command, displacements in half ranges from their centre.
+SHARPNESS = 4  # power of the saturation curve: the larger, the sharper its corner
+MIN_RELATIVE_COMMAND = 1e-3  # share of U below which the valve is closed; see `StaticNonlinearity`
+LINEAR_OPENING = 1e-6  # share of U above the opening within which flow is a straight line
+QUADRATIC_RANGE = 1.5  # half ranges beyond which the quadratic term is held: half as far as was measured
+MAX_EXTRAPOLATION = 0.7  # ln 2: farther out the gain changes by a factor of two at most
+# What a test must contain to determine a parameter.
 LOW_LEVELS = "levels just above the dead zone"
 LEVELS = "more levels of command"
 HIGH_LEVELS = "higher levels of command"
@@ -42,7 +44,7 @@ NEUTRAL = {"opening": 0.0, "exponent": 1.0, "saturation": 1e4, "spool_lag": 1e-1
 
 
 class Scales(eqx.Module):
-    """What the shape's parameters are measured in, taken from the identification tests.
+    """Scales of the nonlinearities' parameters, taken from the identification tests.
 
     Attributes:
         command: largest effective command.
@@ -80,8 +82,8 @@ class StaticNonlinearity(eqx.Module):
     With z = u/U and the second input c in its own spread, v = max(z − s c − d, 0)ⁿ and
     w = U v/(1 + (v/σ)⁴)^¼: beyond the opening d flow grows with the power n of the command until it
     saturates. Within a millionth of U of its opening flow is a straight line, for a power below one has no
-    derivative at zero. A negative opening says that the valve opens below the dead zone. Where u is less than
-    a thousandth of U nothing flows: h ≤ 1 and the end of the lag make sure of that for a command of zero.
+    derivative at zero. With a negative opening the valve opens below the dead zone. Where u is less than
+    a thousandth of U nothing flows; with h ≤ 1 that includes a command of zero once the lag has died away.
     Travel grows by g = exp(a ξ + b (ξ² − ⅓) + γ c) times what the linear model's does, ξ the displacement
     within its range; farther out than 1½ of it b ξ² is held, and a ξ goes on to at most twice or half.
 
@@ -99,7 +101,7 @@ class StaticNonlinearity(eqx.Module):
         dead_zone: Float[Array, " t"],
         step_s: Float[Array, ""] | float,
     ) -> Float[Array, "t n"]:
-        """Return u, in the command's unit, from the command as logged; before its first sample it is zero."""
+        """Return u, in the command's unit, from the command as logged, zero before its first sample."""
 
         def advance(spool: PlayState, command: Array) -> tuple[PlayState, Array]:
             return self.step_spool(spool, command, dead_zone, step_s)
@@ -114,7 +116,7 @@ class StaticNonlinearity(eqx.Module):
         dead_zone: Float[Array, "*b"],
         step_s: Float[Array, ""] | float,
     ) -> tuple[PlayState, Float[Array, "*b"]]:
-        """Let the spool follow the command over one sample; return it, and u in the command's unit."""
+        """Advance the spool by one sample; return it, and u in the command's unit."""
         hysteresis, lag = self._named("hysteresis", "spool_lag")
         half_width = 0.5 * hysteresis * dead_zone
         decay = jnp.exp(-step_s / lag)
@@ -142,7 +144,7 @@ class StaticNonlinearity(eqx.Module):
         return jnp.sign(command) * self.scales.command * saturated
 
     def gain(self, displacement: Float[Array, "*b"], covariate: Float[Array, "*b"]) -> Float[Array, "*b"]:
-        """Return g, what the linear model's speed is multiplied by.
+        """Return g, the factor on the linear model's speed.
 
         Args:
             displacement: where the piston is.

@@ -46,7 +46,7 @@ class Parameter(NamedTuple):
     excitation_hint: str = ""
 
 
-# Valves and their amplifiers answer within 1 s; the lower bound is zero to any clock of a bench.
+# Bounds in s: amplifiers, buses and valves answer within 1 s at any sampling time; 0.1 ms is as good as none.
 DEAD_TIME = Parameter("dead_time", "s", 1e-4, 1.0, symbol="dead time")
 
 

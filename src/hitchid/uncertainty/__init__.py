@@ -14,10 +14,7 @@ from hitchid.uncertainty.estimate import Estimate as Estimate
 from hitchid.uncertainty.estimate import Estimates as Estimates
 from hitchid.uncertainty.estimate import Interval as Interval
 from hitchid.uncertainty.estimate import Quantity as Quantity
-from hitchid.uncertainty.formatting import format_interval as format_interval
-from hitchid.uncertainty.formatting import format_with_error as format_with_error
 from hitchid.uncertainty.influence import Influence as Influence
 from hitchid.uncertainty.information import Information as Information
-from hitchid.uncertainty.sentences import characteristic_sentences as characteristic_sentences
 from hitchid.uncertainty.speed_map import characteristics as characteristics
 from hitchid.uncertainty.uncertainty import Uncertainty as Uncertainty

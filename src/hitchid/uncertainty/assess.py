@@ -10,9 +10,9 @@ from hitchid.structures import Parameter
 from hitchid.uncertainty.dead_zone_error import NO_ERROR, DeadZoneError
 from hitchid.uncertainty.derived import derived, sensitivities
 from hitchid.uncertainty.estimate import MAX_INTERVAL_RATIO, Estimate, Estimates, Interval, Quantity
-from hitchid.uncertainty.formatting import verdict
 from hitchid.uncertainty.influence import Influence, compute_influence
 from hitchid.uncertainty.profile import Profile, open_ends, profile
+from hitchid.uncertainty.verdict import verdict
 
 AT_BOUND = 1e-3
 MAX_LINEAR_SHARE = 0.5

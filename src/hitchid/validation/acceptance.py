@@ -1,4 +1,4 @@
-"""Acceptance: whether the figures of a validation keep limits."""
+"""Acceptance: whether the figures of a validation are within limits."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
@@ -6,29 +6,30 @@ from decimal import Context
 from fractions import Fraction
 from itertools import count
 from math import inf, isfinite
-from typing import Any, NamedTuple, TypeGuard
+from typing import NamedTuple, TypeGuard
 
 from hitchid.data.units import UNITS
-from hitchid.validation.limits import BASELINES, CYCLES, AcceptanceLimits, DirectionLimits, FigureLimits
-from hitchid.validation.tables import RUNS
-from hitchid.validation.uncertainty import COVERAGE
+from hitchid.validation.bands import COVERAGE
+from hitchid.validation.limits import AcceptanceLimits, DirectionLimits, FigureLimits
+from hitchid.validation.names import GREYBOX, RUNS
+from hitchid.validation.results import Accuracy, ModelFigures, RunFigures
 
 NO_TEST = "missing: no unseen test"
 
 
 @dataclass(frozen=True)
 class Check:
-    """One limit and what was found.
+    """One limit and the figure it applies to.
 
     Attributes:
-        mode: `lifting`, `lowering` or `cycles`.
-        name: what is limited, unique among the checks of a file.
-        limit: what was required, with its unit.
-        found: what came, with its unit, or why there is no figure.
-        passed: whether the limit is kept.
+        direction: `lifting`, `lowering` or `cycles`.
+        name: of the figure, unique among the checks of a file.
+        limit: what is required, with its unit.
+        found: the figure with its unit, or why there is none.
+        passed: whether the figure is within the limit.
     """
 
-    mode: str
+    direction: str
     name: str
     limit: str
     found: str
@@ -37,52 +38,48 @@ class Check:
 
 @dataclass(frozen=True)
 class Acceptance:
-    """All limits of a file and what was found."""
+    """All limits of a file and the figures they apply to."""
 
     checks: tuple[Check, ...]
 
     @property
     def passed(self) -> bool:
-        """Tell whether every limit is kept."""
+        """Whether every figure is within its limit."""
         return bool(self.checks) and all(check.passed for check in self.checks)
 
     def describe(self) -> dict[str, object]:
         """Return the verdict and every check, as JSON can hold them."""
-        return {"passed": self.passed, "checks": [asdict(check) for check in self.checks]}
+        checks = [asdict(check) for check in self.checks]
+        return {
+            "passed": self.passed,
+            "checks": [{"mode": check.pop("direction"), **check} for check in checks],
+        }
 
 
-def check_limits(metrics: Mapping[str, Any], limits: AcceptanceLimits) -> Acceptance:
-    """Hold the figures of a validation against limits.
+def check_limits(unit: str, accuracy: Mapping[str, Accuracy], limits: AcceptanceLimits) -> Acceptance:
+    """Compare the figures of a validation with limits.
 
-    A figure that is not there, or diverged, keeps no limit.
+    A figure that does not exist, or diverged, is within no limit.
 
     Args:
-        metrics: in the form of `metrics.json`: errors in the logs' unit, R², `within_1` and coverage as
-            fractions, fit in percent.
+        unit: of the errors.
+        accuracy: direction, or `cycles`, to its figures.
         limits: of `read_limits`.
 
     Raises:
         SettingsError: the limits cannot be converted to the unit of the figures.
     """
-    unit = metrics["unit"]
     limits.check_convertible(unit)
     error = _FigureKind("RMSE", limits.unit, _exact(UNITS[unit].factor) / _exact(UNITS[limits.unit].factor))
     checks: list[Check] = []
     for direction, direction_limits in limits.by_direction.items():
-        checks += _mode_checks(_DirectionFigures.of(metrics, direction), direction_limits, error)
+        section = _DirectionFigures.of(direction, accuracy.get(direction))
+        checks += _direction_checks(section, direction_limits, error)
     return Acceptance(tuple(checks))
 
 
-def line(check: Check) -> str:
-    """Return a check as one line for a terminal."""
-    verdict = "pass" if check.passed else "fail"
-    text = f"{verdict}  {check.name} {check.found}, required {check.limit}"
-    # The name of a log may hold anything, a line break too.
-    return "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in text)
-
-
 class _FigureKind(NamedTuple):
-    """What a figure is called, the unit it is told in, and the factor that takes it there."""
+    """Name of a figure, the unit of its limit, and the factor from the figure's unit to that one."""
 
     title: str
     unit: str
@@ -115,41 +112,41 @@ class _AllowedRange(NamedTuple):
 
 
 class _DirectionFigures(NamedTuple):
-    """One direction of `metrics.json`, or its cycles, in one layout."""
+    """Figures of one direction or of the cycles; empty where it has no unseen test."""
 
     direction: str
-    tests: int
-    runs: Mapping[str, Mapping[str, float | None]]
-    per_test: Mapping[str, Mapping[str, float | None]]
-    horizon: Mapping[int, float | None]
-    covered: float | None
-    baselines: Mapping[str, Mapping[str, Mapping[str, float | None]]]
+    tests: int = 0
+    models: Mapping[str, ModelFigures] = {}
+    per_test: Mapping[str, RunFigures] = {}
+    horizon: Mapping[int, float | None] = {}
+    covered: float | None = None
 
     @staticmethod
-    def of(metrics: Mapping[str, Any], direction: str) -> "_DirectionFigures":
-        section_metrics = metrics[CYCLES] if direction == CYCLES else metrics["channels"].get(direction, {})
-        # Cycles hold their baselines beside the grey box, directions hold all but the benchmark apart.
-        models = {**section_metrics, **section_metrics.get("baselines", {})}
-        horizons = section_metrics.get("horizons", {"steps": [], "greybox": []})
+    def of(direction: str, accuracy: Accuracy | None) -> "_DirectionFigures":
+        if accuracy is None:
+            return _DirectionFigures(direction)
+        horizons = accuracy.horizons
         return _DirectionFigures(
             direction=direction,
-            tests=len(section_metrics.get("tests", ())),
-            runs=section_metrics.get("greybox", {}),
-            per_test={name: test["free_run"] for name, test in section_metrics.get("per_test", {}).items()},
-            horizon=dict(zip(horizons["steps"], horizons["greybox"], strict=True)),
-            covered=section_metrics["bands"]["free_run"]["covered"] if "bands" in section_metrics else None,
-            baselines={name: models[name] for name in BASELINES if name in models},
+            tests=len(accuracy.tests),
+            models=accuracy.models,
+            per_test=accuracy.per_test,
+            horizon=dict(zip(horizons.steps, horizons.rmse[GREYBOX], strict=True)),
+            covered=accuracy.bands and accuracy.bands.covered,
         )
 
+    def run(self, name: str, model: str = GREYBOX) -> RunFigures | None:
+        return self.models[model].run(name) if model in self.models else None
 
-def _mode_checks(
+
+def _direction_checks(
     section: _DirectionFigures, direction_limits: DirectionLimits, error: _FigureKind
 ) -> Iterator[Check]:
     if direction_limits.tests is not None:
         at_least = _AllowedRange(minimum=float(direction_limits.tests))
         yield _check(section, "unseen tests", float(section.tests), _FigureKind("", "1"), at_least)
     for run, label in RUNS.items():
-        yield from _run_checks(section, run, label, getattr(direction_limits, run), error)
+        yield from _run_checks(section, run, label, direction_limits.run(run), error)
     yield from _worst_checks(section, direction_limits.worst_test, error)
     for steps, limit in (direction_limits.horizon or {}).items():
         name = f"{steps} sample{'s' if steps > 1 else ''} ahead, RMSE"
@@ -164,7 +161,7 @@ def _mode_checks(
 
 
 def _kinds(error: _FigureKind) -> dict[str, _FigureKind]:
-    """Return how each figure is told; `error` tells the unit of errors."""
+    """Return name, unit and factor of each figure; `error` has the unit of errors."""
     return {
         "rmse": error,
         "mae": error._replace(title="MAE"),
@@ -185,7 +182,8 @@ def _run_checks(
 ) -> Iterator[Check]:
     kinds = _kinds(error)
     for key, limit in _given_limits(limits).items():
-        figure = section.runs[run][key] if run in section.runs else f"missing: no {label}"
+        figures = section.run(run)
+        figure = f"missing: no {label}" if figures is None else figures.value(key)
         kind = kinds[key]
         yield _check(section, f"{label}, {kind.title}", figure, kind, kind.allowed_range(limit))
 
@@ -196,7 +194,7 @@ def _worst_checks(
     kinds = _kinds(error)
     for key, limit in _given_limits(limits).items():
         kind = kinds[key]
-        figures_by_test = {test: figures[key] for test, figures in section.per_test.items()}
+        figures_by_test = {test: figures.value(key) for test, figures in section.per_test.items()}
         worst = max(figures_by_test, key=lambda test: _severity(figures_by_test[test], kind), default="")
         figure = figures_by_test.get(worst, NO_TEST)
         yield _check(
@@ -219,15 +217,16 @@ def _horizon_figure(section: _DirectionFigures, steps: int) -> float | str | Non
 
 def _baseline_checks(section: _DirectionFigures, baseline: str, error: _FigureKind) -> Iterator[Check]:
     """Compare the grey box with a baseline in each run that both have."""
-    runs = section.baselines.get(baseline, {})
-    common_runs = [run for run in RUNS if run in runs and run in section.runs]
+    pairs = {run: (section.run(run), section.run(run, baseline)) for run in RUNS}
+    common = {run: (own, other) for run, (own, other) in pairs.items() if own and other}
     requirement = "below the baseline's"
-    if not common_runs:
-        result = f"missing: {'no run of both' if runs else 'no such baseline'}" if section.tests else NO_TEST
+    if not common:
+        absent = "no run of both" if baseline in section.models else "no such baseline"
+        result = f"missing: {absent}" if section.tests else NO_TEST
         yield Check(section.direction, f"{section.direction}: RMSE vs {baseline}", requirement, result, False)
-    for run in common_runs:
+    for run, (own, other) in common.items():
         name = f"{section.direction}: {RUNS[run]} vs {baseline}, RMSE"
-        own_rmse, baseline_rmse = section.runs[run]["rmse"], runs[run]["rmse"]
+        own_rmse, baseline_rmse = own.rmse, other.rmse
         if not _finite(own_rmse):
             yield Check(section.direction, name, requirement, "diverged", False)
         elif not _finite(baseline_rmse):
@@ -235,15 +234,14 @@ def _baseline_checks(section: _DirectionFigures, baseline: str, error: _FigureKi
                 section.direction, name, requirement, f"nothing to compare: {baseline} diverged", False
             )
         else:
-            one, other = _exact(own_rmse) * error.scale, _exact(baseline_rmse) * error.scale
+            exact, exact_limit = _exact(own_rmse) * error.scale, _exact(baseline_rmse) * error.scale
+            passed = exact < exact_limit
             result, limit = next(
                 pair
-                for pair in zip(_decimal_texts(one), _decimal_texts(other), strict=True)
-                if (Fraction(pair[0]) < Fraction(pair[1])) == (one < other)
+                for pair in zip(_decimal_texts(exact), _decimal_texts(exact_limit), strict=True)
+                if (Fraction(pair[0]) < Fraction(pair[1])) == passed
             )
-            yield Check(
-                section.direction, name, f"below {error.format(limit)}", error.format(result), one < other
-            )
+            yield Check(section.direction, name, f"below {error.format(limit)}", error.format(result), passed)
 
 
 def _check(
@@ -254,15 +252,15 @@ def _check(
     allowed: _AllowedRange,
     location: str = "",
 ) -> Check:
-    """Hold one figure against its limits.
+    """Compare one figure with its limits.
 
     Args:
-        section: where the figure stands.
-        name: what the figure is.
-        figure: as `metrics.json` has it; None where it diverged, text where there is none.
-        kind: how it is told.
+        section: of the direction.
+        name: of the figure.
+        figure: None where it diverged, text where there is none.
+        kind: name, unit and factor of the figure.
         allowed: the limits, in the unit of `kind`.
-        location: where the figure was found.
+        location: the test it comes from.
     """
     passed = False
     if isinstance(figure, str):
@@ -296,5 +294,5 @@ def _decimal_texts(value: Fraction) -> Iterator[str]:
 
 
 def _shortest_consistent(value: Fraction, predicate: Callable[[Fraction], bool]) -> str:
-    """Return the shortest spelling of a number that keeps the limits just when the number does."""
+    """Return the shortest spelling of a number that is within the limits exactly when the number is."""
     return next(text for text in _decimal_texts(value) if predicate(Fraction(text)) == predicate(value))

@@ -1,6 +1,7 @@
-"""One channel on tests it has not seen: every figure beside its baselines."""
+"""One channel and its baselines on unseen tests."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -10,16 +11,27 @@ from hitchid._support.metrics import HORIZONS
 from hitchid.baselines.autoregression import predict_ahead
 from hitchid.baselines.black_box import BlackBox
 from hitchid.data.record import Record
+from hitchid.estimation import SearchHistory
 from hitchid.model import Channel, remove_padding
 from hitchid.structures import Batch
-from hitchid.uncertainty import Uncertainty
-from hitchid.validation.pooled import pooled
+from hitchid.uncertainty import Estimates, Uncertainty
+from hitchid.validation.bands import band_figures, free_run_band
+from hitchid.validation.names import BENCHMARK, FREE_RUN, GREYBOX, ONE_STEP, PERSISTENCE
 from hitchid.validation.predictions import Predictions
-from hitchid.validation.uncertainty import band_figures, free_run_band, residual_figures, trust_figures
+from hitchid.validation.residuals import ResidualTests, residual_tests
+from hitchid.validation.results import (
+    Accuracy,
+    ChannelResult,
+    Horizons,
+    ModelFigures,
+    RunFigures,
+    SearchSummary,
+    figures_by_test,
+)
 
 
 class _ModelRuns(NamedTuple):
-    """What a channel and its baselines say of tests, in the model's unit, rows of shape [T, N].
+    """Predictions of a channel and its baselines, in the model's unit, rows of shape [T, N].
 
     Attributes:
         batch: the tests.
@@ -40,29 +52,38 @@ class _ModelRuns(NamedTuple):
 
 def channel_result(
     channel: Channel, tests: Sequence[Record], factor: float, uncertainty: Uncertainty | None
-) -> tuple[dict, Predictions]:
-    """Return a channel's figures on unseen tests, in the form of `metrics.json`, and what is behind them.
+) -> ChannelResult:
+    """Return the results of a channel on unseen tests.
 
     Args:
         channel: of the model.
         tests: on the model's clock and in its units.
         factor: from the model's unit of displacement to that of the figures.
-        uncertainty: how far the channel can be trusted; None where that was not asked for.
+        uncertainty: estimates and bands of the channel; None where the model holds none.
     """
     runs = _run(channel, tests)
     half_width = _half_width(channel, runs, uncertainty)
-    trust = {} if uncertainty is None else trust_figures(uncertainty, factor)
+    multi_step = runs.multi_step[GREYBOX]
+    accuracy = _accuracy(runs, tests, factor, half_width)
     if uncertainty is not None and uncertainty.bands is not None and half_width is not None:
-        multi_step = np.stack(runs.multi_step["greybox"])
-        trust["bands"] = band_figures(
+        bands = band_figures(
             uncertainty.bands, runs.batch, runs.free_run, half_width, multi_step, runs.steps, factor
         )
+        accuracy = replace(accuracy, bands=bands)
     residuals = {
-        run: residual_figures(channel, runs.batch, rows, factor)
-        for run, rows in (("one_step", runs.multi_step["greybox"][0]), ("free_run", runs.free_run))
+        ONE_STEP: _residual_tests(runs, multi_step[0], factor),
+        FREE_RUN: _residual_tests(runs, runs.free_run, factor),
     }
-    metrics = {**_figures(runs, tests, factor), "residuals": residuals, **trust}
-    return metrics, _predictions(runs, half_width, tests, factor)
+    if uncertainty is None:
+        return ChannelResult(accuracy, residuals)
+    return ChannelResult(
+        accuracy,
+        residuals,
+        parameters=_with_profiles_scaled(uncertainty.benchmark, factor),
+        paper_parameters=uncertainty.paper and _with_profiles_scaled(uncertainty.paper, factor),
+        characteristics=uncertainty.characteristics,
+        searches=tuple(_search_summary(history, factor) for history in uncertainty.searches),
+    )
 
 
 def _run(channel: Channel, tests: Sequence[Record]) -> _ModelRuns:
@@ -79,9 +100,9 @@ def _run(channel: Channel, tests: Sequence[Record]) -> _ModelRuns:
 
     baselines = _baseline_runs(channel, batch, steps)
     multi_step = {
-        "persistence": [delayed(measured, h) for h in steps],
-        "benchmark": restarted(benchmark),
-        "greybox": list(np.asarray(channel.predict(batch, tuple(steps)))),
+        PERSISTENCE: [delayed(measured, h) for h in steps],
+        BENCHMARK: restarted(benchmark),
+        GREYBOX: list(np.asarray(channel.predict(batch, tuple(steps)))),
         **{name: baseline.multi_step or restarted(baseline.free_run) for name, baseline in baselines.items()},
     }
     return _ModelRuns(batch, steps, benchmark, np.asarray(channel.simulate(batch)), multi_step, baselines)
@@ -95,36 +116,39 @@ def _half_width(channel: Channel, runs: _ModelRuns, uncertainty: Uncertainty | N
     return half_width if np.all(np.isfinite(runs.free_run)) and np.all(np.isfinite(half_width)) else None
 
 
-def _figures(runs: _ModelRuns, tests: Sequence[Record], factor: float) -> dict:
-    """Return accuracy of every model, horizons, and single tests."""
-    actual = [factor * record.displacement for record in tests]
+def _accuracy(
+    runs: _ModelRuns, tests: Sequence[Record], factor: float, half_width: np.ndarray | None
+) -> Accuracy:
+    """Return figures of every model, horizons, single tests, and the predictions behind them."""
+    predictions = _predictions(runs, half_width, tests, factor)
 
-    def figures(rows: np.ndarray, skip: int = 0) -> dict:
+    def figures(rows: np.ndarray, skip: int = 0) -> RunFigures:
         predicted = [factor * row for row in remove_padding(rows, tests)]
-        return pooled([a[skip:] for a in actual], [p[skip:] for p in predicted])
+        return RunFigures.of([a[skip:] for a in predictions.actual], [p[skip:] for p in predicted])
 
-    one_step = runs.multi_step["greybox"][0]
     baselines = {
-        name: ({"one_step": figures(baseline.multi_step[0], 1)} if baseline.multi_step else {})
-        | {"free_run": figures(baseline.free_run)}
+        name: ModelFigures(
+            figures(baseline.multi_step[0], 1) if baseline.multi_step else None, figures(baseline.free_run)
+        )
         for name, baseline in runs.baselines.items()
     }
-    horizons = {
-        name: [figures(row, h)["rmse"] for h, row in zip(runs.steps, rows, strict=True)]
-        for name, rows in runs.multi_step.items()
-    }
-    pairs = zip(tests, actual, remove_padding(runs.free_run, tests), strict=True)
-    return {
-        "tests": [record.name for record in tests],
-        "benchmark": {"free_run": figures(runs.benchmark)},
-        "greybox": {"one_step": figures(one_step, 1), "free_run": figures(runs.free_run)},
-        "baselines": {
-            "persistence": {"one_step": figures(runs.multi_step["persistence"][0], 1)},
+    return Accuracy(
+        models={
+            PERSISTENCE: ModelFigures(one_step=figures(runs.multi_step[PERSISTENCE][0], 1)),
             **baselines,
+            BENCHMARK: ModelFigures(free_run=figures(runs.benchmark)),
+            GREYBOX: ModelFigures(figures(runs.multi_step[GREYBOX][0], 1), figures(runs.free_run)),
         },
-        "horizons": {"steps": runs.steps, **horizons},
-        "per_test": {record.name: {"free_run": pooled([a], [factor * f])} for record, a, f in pairs},
-    }
+        horizons=Horizons(
+            tuple(runs.steps),
+            {
+                name: tuple(figures(row, h).rmse for h, row in zip(runs.steps, rows, strict=True))
+                for name, rows in runs.multi_step.items()
+            },
+        ),
+        per_test=figures_by_test(predictions),
+        predictions=predictions,
+    )
 
 
 def _predictions(
@@ -134,9 +158,9 @@ def _predictions(
         return tuple(factor * row for row in remove_padding(rows, tests))
 
     models = {
-        "benchmark": runs.benchmark,
-        "one_step": runs.multi_step["greybox"][0],
-        "free_run": runs.free_run,
+        BENCHMARK: runs.benchmark,
+        ONE_STEP: runs.multi_step[GREYBOX][0],
+        FREE_RUN: runs.free_run,
         **{name: baseline.free_run for name, baseline in runs.baselines.items()},
     }
     return Predictions(
@@ -147,6 +171,52 @@ def _predictions(
         band=None
         if half_width is None
         else (of_tests(runs.free_run - half_width), of_tests(runs.free_run + half_width)),
+    )
+
+
+def _residual_tests(runs: _ModelRuns, predicted: np.ndarray, factor: float) -> ResidualTests | None:
+    """Test the errors of predictions, rows of shape [T, N]; None where they or the free run diverged."""
+    batch = runs.batch
+    loss_mask = np.asarray(batch.loss_mask)
+    simulated = runs.free_run
+    with np.errstate(over="ignore", invalid="ignore"):
+        if not all(np.isfinite(np.sum(rows[loss_mask] ** 2)) for rows in (predicted, simulated)):
+            return None
+    speed = np.gradient(simulated, batch.step_s, axis=1)
+
+    def rows(values: np.ndarray) -> list[np.ndarray]:
+        return [row[mask] for row, mask in zip(np.asarray(values), loss_mask, strict=True)]
+
+    return residual_tests(
+        rows(factor * (np.asarray(batch.displacement) - predicted)),
+        rows(np.asarray(batch.command)),
+        rows(factor * simulated),
+        rows(factor * speed),
+        step_s=batch.step_s,
+    )
+
+
+def _with_profiles_scaled(estimates: Estimates, factor: float) -> Estimates:
+    """Return estimates with the RMSE of their profiles in the unit of the figures."""
+    parameters = (
+        replace(estimate, profile=tuple((value, factor * rmse) for value, rmse in estimate.profile))
+        for estimate in estimates.parameters
+    )
+    return replace(estimates, parameters=tuple(parameters))
+
+
+def _search_summary(history: SearchHistory, factor: float) -> SearchSummary:
+    def scale(errors: Sequence[float | None]) -> tuple[float | None, ...]:
+        return tuple(None if error is None else factor * error for error in errors)
+
+    median_run = history.runs[int(np.argsort(history.final_fitnesses)[len(history.runs) // 2])]
+    return SearchSummary(
+        name=history.name,
+        rmse=scale([run.final_fitness for run in history.runs]),
+        evaluations=tuple(run.evaluations for run in history.runs),
+        failures=tuple(run.failures for run in history.runs),
+        median_rmse=scale(median_run.fitness),
+        median_values=median_run.values,
     )
 
 

@@ -1,9 +1,8 @@
-"""Two models on tests that neither has seen: which errs less, and whether the tests prove it."""
+"""Comparison of two models on tests that neither identification has used."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isclose
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,17 +12,34 @@ from hitchid._support.storage import canonical_json
 from hitchid.data.campaign import Campaign
 from hitchid.errors import InputError
 from hitchid.model import Hitch
-from hitchid.uncertainty import format_with_error
-from hitchid.validation.limits import CYCLES
-from hitchid.validation.predictions import MIN_TESTS, Predictions
-from hitchid.validation.table import Table, digits, error_cells
-from hitchid.validation.tables import RUNS, error_header, markdown
+from hitchid.validation.names import FREE_RUN
+from hitchid.validation.predictions import Predictions
+from hitchid.validation.results import Accuracy
 from hitchid.validation.usable import with_covariates
-from hitchid.validation.validate import TABLES_FILE, Validation, validate
+from hitchid.validation.validate import validate
+from hitchid.validation.validation import TABLES_FILE, Validation
+
+if TYPE_CHECKING:
+    from hitchid.report import Document
 
 COMPARISON_FILE = "comparison.json"
 MODELS = ("A", "B")
-SAME_CLOCK = 1e-3
+SAME_CLOCK = 1e-3  # relative difference of two sampling times that counts as none
+
+
+@dataclass(frozen=True)
+class ComparisonVerdict:
+    """Which of two models has the smaller error in free run.
+
+    Attributes:
+        better: `A` or `B`; None where the tests do not prove either better.
+        wins: on how many tests the better one has the smaller error.
+        tests: how many there are.
+    """
+
+    better: str | None
+    wins: int
+    tests: int
 
 
 @dataclass(frozen=True)
@@ -31,7 +47,7 @@ class ModelComparison:
     """Two models on the same unseen tests.
 
     Attributes:
-        first, second: what the validation of each found; the tests are the same, in the same order.
+        first, second: validation of each; the tests are the same, in the same order.
         left_out: how many tests one of them has seen.
         step_s: sampling time of both, s.
         lacking: which tests lack a covariate that one of them requires, as sentences.
@@ -46,89 +62,35 @@ class ModelComparison:
     @property
     def unit(self) -> str:
         """Unit of every error."""
-        return self.first.metrics["unit"]
+        return self.first.unit
 
     @property
     def sections(self) -> tuple[str, ...]:
         """The directions that both models have, and `cycles` where both were run over some."""
-        return tuple(name for name in self.first.predictions if name in self.second.predictions)
+        return tuple(name for name in self.first.accuracy if name in self.second.accuracy)
 
-    def figures(self, section: str) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
-        """Return the figures of both models for one of `parts`."""
-        pair = (self.first.metrics, self.second.metrics)
-        if section == CYCLES:
-            return pair[0][CYCLES], pair[1][CYCLES]
-        return pair[0]["channels"][section], pair[1]["channels"][section]
+    def accuracy(self, section: str) -> tuple[Accuracy, Accuracy]:
+        """Return the errors of both models in one of `sections`."""
+        return self.first.accuracy[section], self.second.accuracy[section]
 
     def free_runs(self, section: str) -> Predictions:
-        """Return the tests of one of `parts` with the free runs of both models, `a` and `b`."""
-        one, other = self.first.predictions[section], self.second.predictions[section]
-        runs = {"a": one.models["free_run"], "b": other.models["free_run"]}
+        """Return the tests of one of `sections` with the free runs of both models, `a` and `b`."""
+        one, other = (accuracy.predictions for accuracy in self.accuracy(section))
+        runs = {"a": one.models[FREE_RUN], "b": other.models[FREE_RUN]}
         return Predictions(one.names, one.time_s, one.actual, runs)
 
-    def verdict(self, section: str) -> tuple[str | None, str]:
-        """Return which model surely errs less in free run, None for neither, and a sentence that says so."""
+    def verdict(self, section: str) -> ComparisonVerdict:
+        """Return which model has the smaller error in free run, tested at 2.5 % over the tests."""
         tests = self.free_runs(section)
-        error_texts = [
-            "diverged"
-            if free["rmse"] is None
-            else f"{format_with_error(free['rmse'], free['rmse_error'])} {self.unit}"
-            for free in (figures["greybox"]["free_run"] for figures in self.figures(section))
-        ]
-        figures = f"RMSE {error_texts[0]} with A, {error_texts[1]} with B"
-        count = len(tests.names)
-        if count < MIN_TESTS:
-            count_text = f"{count} test{'s' if count > 1 else ''}"
-            return None, f"{count_text}, too few to tell the models apart in free run: {figures}"
         for better, worse in (MODELS, MODELS[::-1]):
             if tests.is_significantly_better(better.lower(), worse.lower()):
                 wins = int(np.sum(tests.rmse(better.lower()) < tests.rmse(worse.lower())))
-                return better, f"{better} errs less in free run, on {wins} of {count} tests: {figures}"
-        return None, f"{count} tests do not tell the models apart in free run: {figures}"
-
-    def tables(self) -> list[Table]:
-        """Return for each of `parts` figures and horizons of both models side by side, then parameters."""
-        all_tables = []
-        for section in self.sections:
-            all_tables += [self.accuracy(section), self.horizons(section)]
-        return [*all_tables, *self.parameters()]
-
-    def accuracy(self, section: str) -> Table:
-        """Return how far both models err."""
-        rows = [
-            (f"model {name}", label, *error_cells(figures["greybox"][run]))
-            for run, label in reversed(RUNS.items())
-            for name, figures in zip(MODELS, self.figures(section), strict=True)
-        ]
-        count = len(self.first.predictions[section].names)
-        title = f"{section}: accuracy on {count} test{'s' if count > 1 else ''} that neither has seen"
-        return Table(title, error_header(self.unit, "model", "run"), tuple(rows))
-
-    def horizons(self, section: str) -> Table:
-        """Return how far both models err over each horizon."""
-        pair = [figures["horizons"] for figures in self.figures(section)]
-        rows = [
-            (f"model {name}", *(digits(value) for value in horizons["greybox"]))
-            for name, horizons in zip(MODELS, pair, strict=True)
-        ]
-        header = ("model", *(str(step) for step in pair[0]["steps"]))
-        return Table(f"{section}: RMSE / {self.unit} over the horizon in samples", header, tuple(rows))
-
-    def parameters(self) -> list[Table]:
-        """Return the parameters of both models side by side, as far as they are told."""
-        all_tables = []
-        for direction in (name for name in self.sections if name != CYCLES):
-            pair = [figures.get("parameters", {}).get("estimates", {}) for figures in self.figures(direction)]
-            names = dict.fromkeys([*pair[0], *pair[1]])
-            rows = [(_label(name), *(_cell(estimates.get(name)) for estimates in pair)) for name in names]
-            if rows:
-                header = ("parameter", *(f"model {name}" for name in MODELS))
-                all_tables.append(Table(f"{direction}: parameters", header, tuple(rows)))
-        return all_tables
+                return ComparisonVerdict(better, wins, len(tests.names))
+        return ComparisonVerdict(None, 0, len(tests.names))
 
     @property
     def notices(self) -> tuple[str, ...]:
-        """What a reader should know of the tests and of either model."""
+        """Findings on the tests and on either model that a reader must not miss."""
         ours, theirs = self.first.notices, self.second.notices
         left_out_notices = [f"{self.left_out} tests are left out: one of the models was identified from them"]
         return (
@@ -140,24 +102,33 @@ class ModelComparison:
         )
 
     @property
-    def metrics(self) -> dict[str, Any]:
+    def metrics(self) -> dict[str, object]:
         """All figures, in the form of `comparison.json`."""
         return {
             "unit": self.unit,
             "left_out": self.left_out,
             "A": self.first.metrics,
             "B": self.second.metrics,
-            "better": {name: self.verdict(name)[0] for name in self.sections},
+            "better": {name: self.verdict(name).better for name in self.sections},
         }
 
+    def report(self, *, names: tuple[str, str], command: str = "") -> "Document":
+        """Return the report, for `hitchid.report.render`.
+
+        Args:
+            names: of the models A and B.
+            command: that wrote the report.
+        """
+        from hitchid.report import comparison_report
+
+        return comparison_report(self, names=names, command=command)
+
     def files(self) -> dict[str, bytes]:
-        """Return `comparison.json` and `tables.md` with what they hold."""
-        verdicts = [f"{name}: {self.verdict(name)[1]}" for name in self.sections]
-        text = markdown(self.tables(), [*verdicts, *self.notices], title="Comparison")
-        return {
-            COMPARISON_FILE: canonical_json(self.metrics),
-            TABLES_FILE: text.encode("utf-8", errors="backslashreplace"),
-        }
+        """Return `comparison.json` and `tables.md` with their content."""
+        from hitchid.report import comparison_tables, render
+
+        tables = render(comparison_tables(self), "markdown")
+        return {COMPARISON_FILE: canonical_json(self.metrics), TABLES_FILE: tables}
 
 
 def compare(
@@ -172,7 +143,7 @@ def compare(
 
     Raises:
         InputError: no test is left, or the models have no direction or not one clock in common.
-        SettingsError: a unit is of another dimension than a model's.
+        InputError: a unit is of another dimension than a model's.
     """
     for model in (first, second):
         checks.instance(model, Hitch, "model", "a model as hitchid.load returns it")
@@ -212,17 +183,3 @@ def compare(
     if not comparison.sections:
         raise InputError("the models have no test in common; required tests of a direction that both have")
     return comparison
-
-
-def _label(name: str) -> str:
-    return name.replace("_", " ")
-
-
-def _cell(estimate: Mapping[str, Any] | None) -> str:
-    """Return a parameter as `K = 39.4 ± 0.6 mm/(s·A)`, or what is known of one that is not determined."""
-    if estimate is None:
-        return "not in the model"
-    if not estimate["determined"]:
-        return estimate["verdict"]
-    unit = "" if estimate["unit"] == "1" else f" {estimate['unit']}"
-    return f"{estimate['symbol']} = {format_with_error(estimate['value'], estimate['standard_error'])}{unit}"

@@ -1,4 +1,4 @@
-"""A model on mixed cycles it has not seen: both channels, switched by the commands."""
+"""A model on unseen mixed cycles: both channels, switched by the commands."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -8,72 +8,80 @@ import numpy as np
 from hitchid._support.metrics import HORIZONS
 from hitchid.data.record import Record
 from hitchid.model import Band, FreeRun, Hitch
+from hitchid.validation.bands import COVERAGE, cycle_band_figures
 from hitchid.validation.channels import paper_channel
-from hitchid.validation.pooled import pooled
+from hitchid.validation.names import BENCHMARK, FREE_RUN, GREYBOX, PERSISTENCE
 from hitchid.validation.predictions import Predictions
-from hitchid.validation.uncertainty import COVERAGE, cycle_band_figures
+from hitchid.validation.results import (
+    Accuracy,
+    CycleResult,
+    Horizons,
+    ModelFigures,
+    RunFigures,
+    figures_by_test,
+)
 
-ORIGIN_STRIDE = 5
+ORIGIN_STRIDE = 5  # samples from one origin of a prediction to the next; all of them take five times as long
 
 
-def cycle_result(model: Hitch, cycles: Sequence[Record], factor: float) -> tuple[dict, Predictions]:
-    """Return a model's figures on unseen cycles, in the form of `metrics.json`, and what is behind them.
+def cycle_result(model: Hitch, cycles: Sequence[Record], factor: float) -> CycleResult:
+    """Return a model's results on unseen cycles.
 
     Args:
         model: with two channels.
         cycles: mixed logs on the model's clock and in its units, at least one.
         factor: from the model's unit of displacement to that of the figures.
     """
-    actual = [factor * record.displacement for record in cycles]
-    paper_model = _paper_model(model)
     free_runs = [model.free_run(record) for record in cycles]
-    runs = {
-        "greybox": [run.displacement for run in free_runs],
-        "benchmark": [model.simulate(record, compensated=False) for record in cycles],
-        **(
-            {}
-            if paper_model is None
-            else {"transfer_function": [paper_model.simulate(record) for record in cycles]}
-        ),
-    }
-    displacements = {name: tuple(factor * row for row in rows) for name, rows in runs.items()}
+    predictions = _predictions(model, cycles, free_runs, factor)
+    actual = predictions.actual
     steps = [h for h in HORIZONS if h < min(map(len, cycles))]
-    multi_step = [factor * model.predictions(record, steps, stride=ORIGIN_STRIDE) for record in cycles]
+    ahead = [factor * model.predictions(record, steps, stride=ORIGIN_STRIDE) for record in cycles]
 
-    def multi_step_figures(predicted: Sequence[np.ndarray], h: int) -> dict[str, float | None]:
+    def figures(predicted: Sequence[np.ndarray], h: int) -> RunFigures:
         """Return figures of predictions h samples ahead, at the samples that the model predicted."""
-        return pooled([y[h::ORIGIN_STRIDE] for y in actual], [p[h::ORIGIN_STRIDE] for p in predicted])
+        return RunFigures.of([y[h::ORIGIN_STRIDE] for y in actual], [p[h::ORIGIN_STRIDE] for p in predicted])
 
-    def last_measured(h: int) -> list[np.ndarray]:
-        return [np.concatenate([y[:h], y[:-h]]) for y in actual]
-
-    figures = {name: {"free_run": pooled(actual, rows)} for name, rows in displacements.items()}
-    figures["greybox"]["one_step"] = multi_step_figures([rows[0] for rows in multi_step], 1)
-    bands = _bands(model, cycles, factor)
-    metrics = {
-        "tests": [record.name for record in cycles],
-        **figures,
-        "persistence": {"one_step": multi_step_figures(last_measured(1), 1)},
-        "horizons": {
-            "steps": steps,
-            "greybox": [
-                multi_step_figures([rows[i] for rows in multi_step], h)["rmse"] for i, h in enumerate(steps)
-            ],
-            "persistence": [multi_step_figures(last_measured(h), h)["rmse"] for h in steps],
-        },
-        "per_test": {
-            record.name: {"free_run": pooled([y], [run])}
-            for record, y, run in zip(cycles, actual, displacements["greybox"], strict=True)
-        },
-        "max_jump": factor * max(map(_largest_jump, free_runs)),
-        **({} if bands is None else {"bands": cycle_band_figures(bands, actual)}),
+    multi_step = {
+        GREYBOX: [figures([rows[i] for rows in ahead], h) for i, h in enumerate(steps)],
+        PERSISTENCE: [figures([np.concatenate([y[:h], y[:-h]]) for y in actual], h) for h in steps],
     }
-    return metrics, Predictions(
+    free = {name: RunFigures.of(actual, rows) for name, rows in predictions.models.items()}
+    models = {name: ModelFigures(free_run=run) for name, run in free.items() if name != FREE_RUN}
+    models[PERSISTENCE] = ModelFigures(one_step=multi_step[PERSISTENCE][0])
+    models[GREYBOX] = ModelFigures(multi_step[GREYBOX][0], free[FREE_RUN])
+    bands = _bands(model, cycles, factor)
+    if bands is not None:
+        ends = (tuple(band.lower for band in bands), tuple(band.upper for band in bands))
+        predictions = replace(predictions, band=ends)
+    max_jump = factor * max(map(_largest_jump, free_runs))
+    accuracy = Accuracy(
+        models=models,
+        horizons=Horizons(
+            tuple(steps), {name: tuple(run.rmse for run in runs) for name, runs in multi_step.items()}
+        ),
+        per_test=figures_by_test(predictions),
+        predictions=predictions,
+        bands=None if bands is None else cycle_band_figures(bands, actual),
+    )
+    return CycleResult(accuracy, max_jump if np.isfinite(max_jump) else None)
+
+
+def _predictions(
+    model: Hitch, cycles: Sequence[Record], free_runs: Sequence[FreeRun], factor: float
+) -> Predictions:
+    paper_model = _paper_model(model)
+    runs = {
+        BENCHMARK: [model.simulate(record, compensated=False) for record in cycles],
+        FREE_RUN: [run.displacement for run in free_runs],
+    }
+    if paper_model is not None:
+        runs["transfer_function"] = [paper_model.simulate(record) for record in cycles]
+    return Predictions(
         names=tuple(record.name for record in cycles),
         time_s=tuple(record.step_s * np.arange(len(record)) for record in cycles),
-        actual=tuple(actual),
-        models={"free_run" if name == "greybox" else name: rows for name, rows in displacements.items()},
-        band=None if bands is None else (tuple(b.lower for b in bands), tuple(b.upper for b in bands)),
+        actual=tuple(factor * record.displacement for record in cycles),
+        models={name: tuple(factor * row for row in rows) for name, rows in runs.items()},
     )
 
 

@@ -1,4 +1,4 @@
-"""Limits that a validation is held against, from a file."""
+"""Acceptance limits of a validation, from a file."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,20 +10,19 @@ from hitchid._support.metrics import HORIZONS
 from hitchid.data.record import DIRECTIONS
 from hitchid.data.signal_map import Strict, parse_settings
 from hitchid.data.units import UNITS, conversion_factor
-from hitchid.errors import SettingsError
-from hitchid.validation.tables import NAMES
+from hitchid.errors import InputError, SettingsError
+from hitchid.validation.names import CYCLES, GREYBOX, NAMES, ONE_STEP
 
-CYCLES = "cycles"
-BASELINES = tuple(name for name in NAMES if name != "greybox")
+BASELINES = tuple(name for name in NAMES if name != GREYBOX)
 
-# TOML knows numbers from text: strict keeps rmse = "0.5" from being read as a number.
+# Strict: text such as rmse = "0.5" is refused rather than read as a number.
 PositiveError = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
 Percent = Annotated[float, Field(strict=True, gt=0, le=100, allow_inf_nan=False)]
 Share = Annotated[float, Field(strict=True, gt=0, le=1, allow_inf_nan=False)]
 
 
 class _NonEmptyLimits(Strict):
-    """Limits of which at least one is given: what demands nothing accepts everything."""
+    """Limits of which at least one is given; a file without limits would accept every model."""
 
     @model_validator(mode="after")
     def _require_any(self) -> "_NonEmptyLimits":
@@ -71,6 +70,10 @@ class DirectionLimits(_NonEmptyLimits):
     coverage: tuple[Percent, Percent] | None = None
     better_than: tuple[str, ...] | None = None
 
+    def run(self, name: str) -> FigureLimits | None:
+        """Return the limits of `one_step` or `free_run`."""
+        return self.one_step if name == ONE_STEP else self.free_run
+
     @field_validator("horizon", mode="before")
     @classmethod
     def _validated_horizons(cls, value: object) -> object:
@@ -109,7 +112,7 @@ class AcceptanceLimits(_NonEmptyLimits):
 
     Attributes:
         unit: of every error limit.
-        lifting, lowering, cycles: what is demanded of each.
+        lifting, lowering, cycles: limits of each.
     """
 
     unit: str
@@ -126,12 +129,12 @@ class AcceptanceLimits(_NonEmptyLimits):
 
     @property
     def by_direction(self) -> dict[str, DirectionLimits]:
-        """Return what is demanded, by direction or `cycles`."""
+        """Return the limits by direction or `cycles`."""
         all_limits = {direction: getattr(self, direction) for direction in (*DIRECTIONS, CYCLES)}
         return {direction: limits for direction, limits in all_limits.items() if limits is not None}
 
     def check_convertible(self, unit: str) -> None:
-        """Complain about limits that errors in the logs' unit cannot be held against.
+        """Raise where errors in the logs' unit cannot be compared with the limits.
 
         Args:
             unit: of the logs' displacement.
@@ -139,14 +142,17 @@ class AcceptanceLimits(_NonEmptyLimits):
         Raises:
             SettingsError: the dimensions differ, or `within_1` is limited and the units differ.
         """
-        conversion_factor(self.unit, unit, "limits: key 'unit'")
+        try:
+            conversion_factor(self.unit, unit, "limits: key 'unit'")
+        except InputError as error:
+            raise SettingsError(str(error)) from error
         for direction, limits in self.by_direction.items():
-            for run in ("one_step", "free_run", "worst_test"):
-                figures: FigureLimits | None = getattr(limits, run)
+            runs = {"one_step": limits.one_step, "free_run": limits.free_run, "worst_test": limits.worst_test}
+            for run, figures in runs.items():
                 if figures is not None and figures.within_1 is not None and self.unit != unit:
                     raise SettingsError(
-                        f"limits: key '{direction}.{run}.within_1': counts errors below 1 {unit}, the logs' unit, "
-                        f"and cannot be converted to '{self.unit}'; required unit = \"{unit}\""
+                        f"limits: key '{direction}.{run}.within_1': counts errors below 1 {unit}, the logs' "
+                        f"unit, and cannot be converted to '{self.unit}'; required unit = \"{unit}\""
                     )
 
 

@@ -1,4 +1,4 @@
-"""Tests of what a model leaves unexplained: is it white, does it follow the command, where is it large?"""
+"""Tests of a model's errors: whiteness, independence of the command, normality, size by operating point."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -8,12 +8,10 @@ from scipy.special import chdtrc, ndtr, ndtri
 
 from hitchid.errors import InputError
 
-LEVEL = 0.01
-BOUND = float(-ndtri(LEVEL / 2))
-MIN_SAMPLES = 8
-MAX_BINS = 8
-# Eighths of autocorrelated errors differ by chance; by less than this no place is called the worst.
-DISTINCT_RATIO = 1.25
+LEVEL = 0.01  # significance of every decision
+BOUND = float(-ndtri(LEVEL / 2))  # quantile of the standard normal distribution at this level, two-sided
+MIN_SAMPLES = 8  # errors, fewer of which no test is made of
+MAX_BINS = 8  # of a quantity
 
 
 @dataclass(frozen=True)
@@ -46,7 +44,7 @@ class Binned:
 
 @dataclass(frozen=True)
 class ResidualTests:
-    """What the errors of a model show, all tests together; every decision is taken at 1 %.
+    """Tests of the errors of a model, all tests together; every decision is taken at 1 %.
 
     Attributes:
         step_s: sampling time, s.
@@ -58,7 +56,7 @@ class ResidualTests:
         autocorrelation: of the errors at lags 1..h.
         autocorrelation_bounds: 2.576/√N_k, which one lag of white noise leaves in 1 of 100 cases; N_k is the
             number of pairs of samples k apart in the same test.
-        cross_lags: −h..h; at lag k the error is held against the command k samples before it.
+        cross_lags: −h..h; at lag k the error is compared with the command k samples before it.
         cross_correlation: of errors and command at these lags.
         cross_bounds: what one lag leaves in 1 of 100 cases where errors and command are independent.
         lags_outside: the lags beyond these bounds; of 51 lags half a lag is, by chance.
@@ -94,50 +92,10 @@ class ResidualTests:
     by_speed: Binned
     by_command: Binned
 
-    def sentence(self, unit: str, command_unit: str) -> str:
-        """Say in one sentence what the errors show; `unit` is the displacement's."""
-        white = "are white" if self.white else f"are not white ({_p_text(self.whiteness_p)})"
-        command = "do not follow the command" if self.independent else self._command_phrase()
-        units = {"position": unit, "speed": f"{unit}/s", "command": command_unit}
-        return f"errors {white}, {command}; {self._worst_bin_phrase(unit, units)}"
-
-    def _command_phrase(self) -> str:
-        """Name the lags outside that adjoin the one farthest outside."""
-        ratio = np.abs(self.cross_correlation) / np.asarray(self.cross_bounds)
-        first = last = self.cross_lags[int(np.argmax(ratio))]
-        while first - 1 in self.lags_outside:
-            first -= 1
-        while last + 1 in self.lags_outside:
-            last += 1
-        lags = f"lag {first}" if first == last else f"lags {first} to {last}"
-        time = f"{first * self.step_s:.3g}"
-        time += f" to {last * self.step_s:.3g} s" if last > first else " s"
-        # What comes before the command cannot be its effect.
-        verb = "run ahead of" if last < 0 else "follow"
-        return f"{verb} the command at {lags} ({time})"
-
-    def _worst_bin_phrase(self, unit: str, units: Mapping[str, str]) -> str:
-        """Name the bin whose squared errors exceed its due by most."""
-        groups = {"position": self.by_position, "speed": self.by_speed, "command": self.by_command}
-        overall = float(np.hypot(self.mean, self.deviation))
-        # Relative to the overall figure, so that no square of a very small error becomes nothing.
-        largest = [
-            (error_bin.count * ((error_bin.rmse / (overall or 1.0)) ** 2 - 1.0), name, error_bin)
-            for name, group in groups.items()
-            for error_bin in group.bins
-            if error_bin.count < self.count
-        ]
-        excess, name, worst = max(largest, key=lambda candidate: candidate[0], default=(0.0, "", None))
-        if worst is not None:
-            rest = overall * float(np.sqrt(max(0.0, 1.0 - excess / (self.count - worst.count))))
-            if worst.rmse > DISTINCT_RATIO * rest:
-                low, high = f"{worst.lower:.3g}", f"{worst.upper:.3g}"
-                location = f"at {low}" if low == high else f"between {low} and {high}"
-                return (
-                    f"largest by {name}: RMSE {worst.rmse:.2g} {unit} {location} {units[name]}, "
-                    f"{rest:.2g} {unit} elsewhere"
-                )
-        return f"about as large everywhere: RMSE {overall:.2g} {unit}"
+    @property
+    def by_quantity(self) -> dict[str, Binned]:
+        """The errors by displacement (`position`), speed and command."""
+        return {"position": self.by_position, "speed": self.by_speed, "command": self.by_command}
 
 
 def residual_tests(
@@ -252,7 +210,8 @@ def _check_series(
             if not np.all(np.isfinite(test)):
                 sample = int(np.flatnonzero(~np.isfinite(test))[0])
                 raise InputError(
-                    f"{name} of test {test_index} are {test[sample]} at sample {sample}: finite ones are required"
+                    f"{name} of test {test_index} are {test[sample]} at sample {sample}: finite ones are "
+                    "required"
                 )
     count = sum(shape[0] for shape in shapes)
     if count < MIN_SAMPLES:
@@ -335,7 +294,3 @@ def _binned(errors: np.ndarray, standardised: np.ndarray, values: np.ndarray) ->
             )
         )
     return Binned(share=min(1.0, explained / errors.size), bins=tuple(bins))
-
-
-def _p_text(p: float) -> str:
-    return "p < 0.001" if p < 0.001 else f"p = {p:.3f}"

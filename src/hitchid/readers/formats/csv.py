@@ -140,7 +140,7 @@ def _column_index(path: Path, dialect: Dialect, name: str) -> int:
     indices = dialect.column_indices(name)
     if len(indices) > 1:
         candidates = ", ".join(dialect.names[index] for index in indices)
-        raise LogError(path, f"several columns are meant: {candidates}", line=dialect.header, column=name)
+        raise LogError(path, f"the name is ambiguous: {candidates}", line=dialect.header, column=name)
     if not indices:
         known_names = ", ".join(dialect.names)
         raise LogError(

@@ -13,7 +13,7 @@ from hitchid.readers.formats.extra import as_log_errors, floats, import_optional
 
 SUFFIXES = (".parquet",)
 KIND = "a Parquet file"
-TICKS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
+TICKS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}  # 1/s of the units of Arrow's time stamps
 
 
 def read(path: Path, selection: ChannelSelection) -> Content:

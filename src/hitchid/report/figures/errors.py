@@ -1,7 +1,6 @@
 """How a model errs: predicted against actual error, distributions, outputs, tests, horizons."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,17 +11,18 @@ from hitchid.report.figures.style import (
     COLUMN_IN,
     DASHES,
     INK,
-    LABELS,
     MARKERS,
     SUBSET_COLOURS,
     decimate,
+    finite_or_nan,
+    label,
     legend_above,
     logarithmic,
     styled,
 )
-from hitchid.validation import Predictions
+from hitchid.validation import Horizons, Predictions
 
-MAX_SAMPLES, QUANTILES = 2000, 201
+MAX_SAMPLES, QUANTILES = 2000, 201  # samples, as in the paper; points of a cumulative curve
 PAPER_MODELS = ("one_step", "free_run", "benchmark")
 
 
@@ -71,11 +71,9 @@ def error_distribution(rows: Mapping[str, np.ndarray], unit: str) -> Figure:
     for name, errors in rows.items():
         colour = SUBSET_COLOURS.get(name) or COLOURS.get(name, INK)
         if not _has_finite_mean_square(errors):
-            histogram_axis.plot(
-                [], [], color=colour, linewidth=0.9, label=f"{LABELS.get(name, name)}: diverged"
-            )
+            histogram_axis.plot([], [], color=colour, linewidth=0.9, label=f"{label(name)}: diverged")
             continue
-        _histogram(histogram_axis, errors, half_width, colour, LABELS.get(name, name))
+        _histogram(histogram_axis, errors, half_width, colour, label(name))
         share = np.linspace(0, 1, QUANTILES)
         distribution_axis.plot(
             np.quantile(np.abs(errors), share),
@@ -120,8 +118,8 @@ def outputs(tests: Predictions, unit: str, models: Sequence[str] = PAPER_MODELS)
     displacement_axis.plot(*decimate(time_s, measured), color=INK, label="measured")
     for model in models:
         predicted = concatenate_tests(tests.models[model])
-        line_style = {"color": COLOURS[model], "dashes": DASHES.get(model, (None, None))}
-        displacement_axis.plot(*decimate(time_s, predicted), label=LABELS[model], **line_style)
+        line_style = {"color": COLOURS.get(model, INK), "dashes": DASHES.get(model, (None, None))}
+        displacement_axis.plot(*decimate(time_s, predicted), label=label(model), **line_style)
         error_axis.plot(*decimate(time_s, measured - predicted), linewidth=0.8, **line_style)
     displacement_axis.set_ylabel(f"displacement / {unit}")
     error_axis.set_ylabel(f"error / {unit}")
@@ -146,12 +144,17 @@ def errors_by_test(tests: Predictions, unit: str, models: Sequence[str]) -> Figu
         errors = np.where(np.isfinite(tests.rmse(model)), tests.rmse(model), np.nan)
         sign = MARKERS.get(model, "o")
         axis.plot(
-            errors, np.full(errors.size, row_index), sign, color=COLOURS[model], markersize=4, alpha=0.6
+            errors,
+            np.full(errors.size, row_index),
+            sign,
+            color=COLOURS.get(model, INK),
+            markersize=4,
+            alpha=0.6,
         )
         with np.errstate(over="ignore", invalid="ignore"):
             overall = float(np.sqrt(np.average(errors**2, weights=[row.size for row in tests.actual])))
         axis.plot([overall], [row_index], "|", color=INK, markersize=12, markeredgewidth=1.2)
-    axis.set_yticks(range(len(models)), [LABELS[model].partition(", free")[0] for model in models])
+    axis.set_yticks(range(len(models)), [label(model).partition(", free")[0] for model in models])
     axis.set_ylim(-0.6, len(models) - 0.4)
     logarithmic(axis.xaxis)
     axis.set_xlabel(f"RMSE of each test in free run / {unit}")
@@ -159,31 +162,28 @@ def errors_by_test(tests: Predictions, unit: str, models: Sequence[str]) -> Figu
 
 
 @styled
-def horizons(horizon_errors: Mapping[str, Any], step_s: float, unit: str) -> Figure:
-    """Return the error over how far is looked ahead.
+def horizons(errors: Horizons, step_s: float, unit: str) -> Figure:
+    """Return the error over the prediction horizon.
 
     Args:
-        horizon_errors: `horizons` of one direction, as `metrics.json` holds them.
+        errors: RMSE of each model.
         step_s: sampling time, s.
         unit: of the displacement.
     """
     figure = Figure(figsize=(COLUMN_IN, 3.0))
     axis = figure.subplots()
-    ahead_s = step_s * np.array(horizon_errors["steps"])
-    for model, values in horizon_errors.items():
-        if model == "steps":
-            continue
-        errors = np.array([np.nan if value is None else value for value in values])
+    ahead_s = step_s * np.array(errors.steps)
+    for model, values in errors.rmse.items():
         main = model in ("greybox", "benchmark", "persistence")
         axis.plot(
             ahead_s,
-            errors,
+            finite_or_nan(values),
             marker=MARKERS.get(model, "o"),
-            color=COLOURS[model],
+            color=COLOURS.get(model, INK),
             dashes=DASHES.get(model, (None, None)),
             markersize=3.5 if main else 2.5,
             linewidth=1.6 if model == "greybox" else 0.9,
-            label=LABELS[model].partition(", free")[0],
+            label=label(model).partition(", free")[0],
             zorder=3 if main else 2,
         )
     logarithmic(axis.xaxis)

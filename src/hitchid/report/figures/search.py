@@ -1,42 +1,51 @@
 """How a model was found: convergence of the search, searches compared, losses, structures compared."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from textwrap import fill
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from hitchid.report.figures.style import COLOURS, COLUMN_IN, FAINT, INK, legend_above, logarithmic, styled
+from hitchid.report.figures.style import (
+    COLOURS,
+    COLUMN_IN,
+    FAINT,
+    INK,
+    finite_or_nan,
+    legend_above,
+    logarithmic,
+    styled,
+)
+from hitchid.report.trace_file import TracedCandidate, TracedSearch, TracedTraining
+from hitchid.validation import SearchSummary
 
 SEARCH_COLOURS = {"whale": "one_step", "differential-evolution": "benchmark", "multi-start": "greybox"}
 WRAP = 24
 
 
 @styled
-def convergence(trace: Mapping[str, Any], unit: str) -> Figure:
+def convergence(search: TracedSearch, unit: str) -> Figure:
     """Return best fitness and each parameter over the iterations of the search (paper, Fig. 5 and 6).
 
     Args:
-        trace: of one direction, as `trace.json` of a model folder holds it.
+        search: for the parameters of one direction.
         unit: of the displacement.
     """
-    phase1 = trace["phase1"]
-    parameters = phase1["uncertainty"]["parameters"]
-    fitness = np.array([np.nan if value is None else value for value in phase1["fitness"]])
+    parameters = search.parameters
+    fitness = finite_or_nan(search.fitness)
     iteration = np.arange(1, fitness.size + 1)
     figure = Figure(figsize=(COLUMN_IN, 0.5 + 0.78 * (1 + len(parameters))))
     axes = np.atleast_1d(figure.subplots(1 + len(parameters), 1, sharex=True))
     axes[0].plot(iteration, fitness, color=COLOURS["benchmark"])
     axes[0].set_ylabel(f"RMSE\n/ {unit}")
     logarithmic(axes[0].yaxis)
-    for axis, parameter, values in zip(axes[1:], parameters, np.array(phase1["values"]).T, strict=True):
+    for axis, parameter, values in zip(axes[1:], parameters, np.array(search.values).T, strict=True):
         axis.plot(iteration, values, color=COLOURS["one_step"], label="best so far")
-        axis.axhline(parameter["value"], color=INK, linewidth=0.7, linestyle=":", label="after least squares")
-        unit_suffix = "" if parameter["unit"] == "1" else f"\n/ {parameter['unit']}"
-        axis.set_ylabel(f"{parameter['symbol'] or parameter['name'].replace('_', ' ')}{unit_suffix}")
-        if not parameter["linear"]:
+        axis.axhline(parameter.value, color=INK, linewidth=0.7, linestyle=":", label="after least squares")
+        unit_suffix = "" if parameter.unit == "1" else f"\n/ {parameter.unit}"
+        axis.set_ylabel(f"{parameter.symbol or parameter.name.replace('_', ' ')}{unit_suffix}")
+        if not parameter.linear:
             logarithmic(axis.yaxis)
     legend_above(figure, *axes[1:])
     axes[-1].set_xlabel("iteration")
@@ -45,20 +54,20 @@ def convergence(trace: Mapping[str, Any], unit: str) -> Figure:
 
 
 @styled
-def searches(results: Mapping[str, Any], unit: str) -> Figure:
-    """Return where several searches ended from several seeds, and how the one in the middle went.
+def searches(results: Sequence[SearchSummary], unit: str) -> Figure:
+    """Return the final error of several searches from several seeds, and the course of the median run.
 
     Args:
-        results: `searches` of one direction, as `metrics.json` holds them.
+        results: of one direction.
         unit: of the displacement.
     """
     figure = Figure(figsize=(COLUMN_IN, 2.6))
     history_axis, final_axis = figure.subplots(1, 2, sharey=True, width_ratios=[2, 1])
-    for index, (name, result) in enumerate(results.items()):
-        colour = COLOURS[SEARCH_COLOURS.get(name, "faint")]
-        steps = [np.nan if value is None else value for value in result["median_run"]["rmse"]]
-        history_axis.plot(np.linspace(0, 100, len(steps)), steps, color=colour, label=name)
-        final_errors = [value for value in result["rmse"] if value is not None]
+    for index, result in enumerate(results):
+        colour = COLOURS[SEARCH_COLOURS.get(result.name, "faint")]
+        steps = finite_or_nan(result.median_rmse)
+        history_axis.plot(np.linspace(0, 100, len(steps)), steps, color=colour, label=result.name)
+        final_errors = [value for value in result.rmse if value is not None]
         final_axis.plot([index] * len(final_errors), final_errors, "o", color=colour, markersize=3, alpha=0.7)
     logarithmic(history_axis.yaxis)
     history_axis.set_xlabel("budget spent / %")
@@ -71,19 +80,22 @@ def searches(results: Mapping[str, Any], unit: str) -> Figure:
 
 
 @styled
-def losses(trace: Mapping[str, Any]) -> Figure:
+def losses(training: TracedTraining) -> Figure:
     """Return the loss of the compensator's training on training and validation tests over the epochs.
 
     Args:
-        trace: of one direction, as `trace.json` of a model folder holds it; its phase 2 took place.
+        training: of the compensator of one direction.
     """
-    phase2 = trace["phase2"]
     figure = Figure(figsize=(COLUMN_IN, 2.2))
     axis = figure.subplots()
-    for subset, colour in (("training", "one_step"), ("validation", "transfer_function")):
-        loss = [np.nan if value is None else value for value in phase2[f"{subset}_loss"]]
-        axis.plot(np.arange(1, len(loss) + 1), loss, color=COLOURS[colour], label=subset)
-    axis.axvline(phase2["best_epoch"], color=FAINT, linewidth=0.8, linestyle="--", label="kept")
+    curves = (
+        ("training", training.training_loss, "one_step"),
+        ("validation", training.validation_loss, "transfer_function"),
+    )
+    for subset, loss, colour in curves:
+        epochs = np.arange(1, len(loss) + 1)
+        axis.plot(epochs, finite_or_nan(loss), color=COLOURS[colour], label=subset)
+    axis.axvline(training.best_epoch, color=FAINT, linewidth=0.8, linestyle="--", label="kept")
     logarithmic(axis.yaxis)
     axis.xaxis.set_major_locator(MaxNLocator(integer=True))
     axis.set_xlabel("epoch")
@@ -93,23 +105,36 @@ def losses(trace: Mapping[str, Any]) -> Figure:
 
 
 @styled
-def structures(candidates: Sequence[Mapping[str, Any]], unit: str) -> Figure:
+def structures(candidates: Sequence[TracedCandidate], unit: str) -> Figure:
     """Return the forms that were compared: error on all tests, and on operating points held out in turn.
 
     Args:
-        candidates: of one direction, as `trace.json` of a model folder holds them.
+        candidates: of one direction.
         unit: of the displacement.
     """
     figure = Figure(figsize=(COLUMN_IN, 0.8 + 0.33 * len(candidates)))
     axis = figure.subplots()
     row_positions = np.arange(len(candidates))[::-1]
-    for key, sign, colour, inside, label in (
-        ("rmse", "o", INK, "none", "all tests"),
-        ("held_out_rmse", "D", COLOURS["benchmark"], "full", "levels held out in turn"),
+    for values, sign, colour, inside, label in (
+        ([candidate.rmse for candidate in candidates], "o", INK, "none", "all tests"),
+        (
+            [candidate.held_out_rmse for candidate in candidates],
+            "D",
+            COLOURS["benchmark"],
+            "full",
+            "levels held out in turn",
+        ),
     ):
-        values = [candidate[key] if candidate[key] is not None else np.nan for candidate in candidates]
-        axis.plot(values, row_positions, sign, color=colour, fillstyle=inside, markersize=4, label=label)
-    names = [f"{candidate['name']}{' (taken)' if candidate['chosen'] else ''}" for candidate in candidates]
+        axis.plot(
+            finite_or_nan(values),
+            row_positions,
+            sign,
+            color=colour,
+            fillstyle=inside,
+            markersize=4,
+            label=label,
+        )
+    names = [f"{candidate.name}{' (taken)' if candidate.chosen else ''}" for candidate in candidates]
     axis.set_yticks(row_positions, [fill(name, WRAP) for name in names])
     axis.set_ylim(-0.6, len(candidates) - 0.4)
     logarithmic(axis.xaxis)

@@ -1,6 +1,6 @@
 """One look for every figure: column width, the same colour for the same model, units on every axis."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import wraps
 from typing import Any, NamedTuple, ParamSpec
@@ -134,6 +134,16 @@ def styled(draw: Callable[_Params, Figure]) -> Callable[_Params, Figure]:
             return draw(*args, **kwargs)
 
     return wrapper
+
+
+def label(model: str) -> str:
+    """Return what a model is called in a legend."""
+    return LABELS.get(model, model)
+
+
+def finite_or_nan(values: Iterable[float | None]) -> np.ndarray:
+    """Return values as an array to draw; NaN, which leaves a gap, for None."""
+    return np.array([np.nan if value is None else value for value in values])
 
 
 def decimate(x: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,7 +1,6 @@
 """How far a model can be trusted: parameter intervals, bands, what the errors still show."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,6 +15,9 @@ from matplotlib.ticker import (
 )
 
 from hitchid.report.figures.style import COLOURS, COLUMN_IN, FAINT, INK, legend_above, logarithmic, styled
+from hitchid.uncertainty import Estimate
+from hitchid.validation import BandFigures
+from hitchid.validation.residuals import ResidualTests
 
 MARGIN, MIN_BAR_SHARE, WIDE_RATIO = 0.6, 0.02, 5
 VARIABLES = {
@@ -26,15 +28,14 @@ VARIABLES = {
 
 
 @styled
-def intervals(parameters: Mapping[str, Any]) -> Figure:
+def intervals(estimates: Sequence[Estimate]) -> Figure:
     """Return each parameter with its 95 % interval, a row of its own scale for each.
 
     Open ends run to the edge as an arrow; the thin line is the bootstrap's interval.
 
     Args:
-        parameters: `parameters` of one direction, as `metrics.json` holds them.
+        estimates: of the parameters of one direction.
     """
-    estimates = list(parameters["estimates"].values())
     figure = Figure(figsize=(COLUMN_IN, 0.25 + 0.62 * len(estimates)))
     for axis, estimate in zip(np.atleast_1d(figure.subplots(len(estimates), 1)), estimates, strict=True):
         _interval(axis, estimate)
@@ -48,9 +49,9 @@ def _ticks(edge: np.ndarray) -> Locator:
     return FixedLocator(sorted({float(f"{x:.1g}") for x in np.geomspace(edge[0], edge[1], 5)[1:-1]}))
 
 
-def _interval(axis: Axes, estimate: Mapping[str, Any]) -> None:
-    interval, value = estimate["interval_95"], estimate["value"]
-    positive = estimate["bounds"][0] > 0 and min([value, *(end for end in interval if end is not None)]) > 0
+def _interval(axis: Axes, estimate: Estimate) -> None:
+    interval, value = estimate.interval, estimate.value
+    positive = estimate.lower > 0 and min([value, *(end for end in interval if end is not None)]) > 0
     finite_values = [np.log(x) if positive else x for x in (value, *interval) if x is not None]
     spread = (max(finite_values) - min(finite_values)) or (1.0 if positive else abs(value) or 1.0)
     low, high = min(finite_values) - MARGIN * spread, max(finite_values) + MARGIN * spread
@@ -58,14 +59,14 @@ def _interval(axis: Axes, estimate: Mapping[str, Any]) -> None:
     axis.set_xscale("log" if positive else "linear")
     axis.set_xlim(*edge)
     line_ends = [edge[side] if end is None else end for side, end in enumerate(interval)]
-    colour = COLOURS["benchmark"] if estimate["determined"] else FAINT
+    colour = COLOURS["benchmark"] if estimate.determined else FAINT
     axis.plot(line_ends, [0, 0], color=colour, linewidth=4, solid_capstyle="butt")
     for side, marker in enumerate("<>"):
         if interval[side] is None:
             axis.plot([edge[side]], [0], marker, color=colour, markersize=6, clip_on=False)
-    if estimate["bootstrap_95"] and estimate["determined"]:
-        axis.plot(estimate["bootstrap_95"], [-0.45, -0.45], color=FAINT, linewidth=1.2)
-    if estimate["determined"]:
+    if estimate.bootstrap and estimate.determined:
+        axis.plot(np.array(estimate.bootstrap, dtype=float), [-0.45, -0.45], color=FAINT, linewidth=1.2)
+    if estimate.determined:
         axis.plot([value], [0], "|", color=INK, markersize=11, markeredgewidth=1.4)
     axis.set_ylim(-1, 1)
     axis.set_yticks([])
@@ -74,29 +75,27 @@ def _interval(axis: Axes, estimate: Mapping[str, Any]) -> None:
     axis.xaxis.set_major_formatter(StrMethodFormatter("{x:.4g}"))
     axis.xaxis.set_minor_locator(NullLocator())
     axis.xaxis.set_minor_formatter(NullFormatter())
-    unit = "" if estimate["unit"] == "1" else f" / {estimate['unit']}"
-    axis.set_ylabel(f"{estimate['symbol']}{unit}", rotation=0, ha="right", va="center")
+    unit = "" if estimate.unit == "1" else f" / {estimate.unit}"
+    axis.set_ylabel(f"{estimate.symbol}{unit}", rotation=0, ha="right", va="center")
 
 
 @styled
-def residual_correlations(residuals: Mapping[str, Any]) -> Figure:
+def residual_correlations(residuals: ResidualTests) -> Figure:
     """Return autocorrelation of the errors and their correlation with the command, with 99 % bounds.
 
     Args:
-        residuals: `residuals` of one direction and run, as `metrics.json` holds them.
+        residuals: of one direction and run.
     """
-    step_s = residuals["step_s"]
+    step_s = residuals.step_s
     figure = Figure(figsize=(COLUMN_IN, 3.4))
     autocorrelation_axis, cross_correlation_axis = figure.subplots(2, 1)
-    bounds = np.array(residuals["autocorrelation_bounds"])
+    bounds = np.array(residuals.autocorrelation_bounds)
     lags = step_s * np.arange(1, bounds.size + 1)
-    _correlation(autocorrelation_axis, lags, residuals["autocorrelation"], bounds)
+    _correlation(autocorrelation_axis, lags, residuals.autocorrelation, bounds)
     autocorrelation_axis.set_ylabel("autocorrelation\nof errors")
     autocorrelation_axis.set_xlabel("lag / s")
-    lags = step_s * np.array(residuals["cross_lags"])
-    _correlation(
-        cross_correlation_axis, lags, residuals["cross_correlation"], np.array(residuals["cross_bounds"])
-    )
+    lags = step_s * np.array(residuals.cross_lags)
+    _correlation(cross_correlation_axis, lags, residuals.cross_correlation, np.array(residuals.cross_bounds))
     cross_correlation_axis.set_ylabel("correlation of errors\nwith command")
     cross_correlation_axis.set_xlabel("errors after command / s")
     legend_above(figure, autocorrelation_axis)
@@ -113,27 +112,27 @@ def _correlation(axis: Axes, lags: np.ndarray, values: Sequence[float], bounds: 
 
 
 @styled
-def residuals_by_variable(residuals: Mapping[str, Any], unit: str, command_unit: str) -> Figure:
+def residuals_by_variable(residuals: ResidualTests, unit: str, command_unit: str) -> Figure:
     """Return mean and spread of the errors over displacement, speed and command.
 
     Args:
-        residuals: `residuals` of one direction and run, as `metrics.json` holds them.
+        residuals: of one direction and run.
         unit, command_unit: of displacement and command.
     """
     figure = Figure(figsize=(COLUMN_IN, 4.4))
     axes = figure.subplots(len(VARIABLES), 1, sharey=True)
     for axis, (name, label) in zip(axes, VARIABLES.items(), strict=True):
-        bins = residuals[f"by_{name}"]["bins"]
+        bins = residuals.by_quantity[name].bins
         least = MIN_BAR_SHARE * (
-            max(interval["upper"] for interval in bins) - min(interval["lower"] for interval in bins)
+            max(interval.upper for interval in bins) - min(interval.lower for interval in bins)
         )
         for interval in bins:
-            spread = float(np.sqrt(max(interval["rmse"] ** 2 - interval["mean"] ** 2, 0.0)))
-            middle = 0.5 * (interval["lower"] + interval["upper"])
-            axis.plot([middle] * 2, [interval["mean"] - spread, interval["mean"] + spread], color=FAINT)
-            half = 0.5 * max(interval["upper"] - interval["lower"], least)
+            spread = float(np.sqrt(max(interval.rmse**2 - interval.mean**2, 0.0)))
+            middle = 0.5 * (interval.lower + interval.upper)
+            axis.plot([middle] * 2, [interval.mean - spread, interval.mean + spread], color=FAINT)
+            half = 0.5 * max(interval.upper - interval.lower, least)
             bar = [middle - half, middle + half]
-            axis.plot(bar, [interval["mean"]] * 2, color=COLOURS["free_run"], linewidth=2)
+            axis.plot(bar, [interval.mean] * 2, color=COLOURS["free_run"], linewidth=2)
         axis.axhline(0, color=INK, linewidth=0.6)
         axis.set_xlabel(label.format(unit=unit, command=command_unit))
     axes[1].set_ylabel(f"error, mean ± std / {unit}")
@@ -141,30 +140,26 @@ def residuals_by_variable(residuals: Mapping[str, Any], unit: str, command_unit:
 
 
 @styled
-def coverage(bands: Mapping[str, Any], step_s: float) -> Figure:
-    """Return what share of unseen samples the bands cover, over how far is looked ahead.
+def coverage(bands: BandFigures, step_s: float) -> Figure:
+    """Return the share of unseen samples inside the bands, over the prediction horizon.
 
     Args:
-        bands: `bands` of one direction, as `metrics.json` holds them.
+        bands: of one direction.
         step_s: sampling time, s.
     """
     figure = Figure(figsize=(COLUMN_IN, 2.2))
     axis = figure.subplots()
-    horizons = bands["horizons"]
-    covered = 100 * np.array(horizons["covered"])
-    axis.plot(
-        step_s * np.array(horizons["steps"]),
-        covered,
-        "o-",
-        color=COLOURS["one_step"],
-        label="ahead",
-        clip_on=False,
-    )
-    free = 100 * bands["free_run"]["covered"]
+    free = 100 * bands.covered
+    least = free
+    if bands.horizons is not None:
+        covered = 100 * np.array(bands.horizons.covered)
+        ahead_s = step_s * np.array(bands.horizons.steps)
+        axis.plot(ahead_s, covered, "o-", color=COLOURS["one_step"], label="ahead", clip_on=False)
+        least = min(free, covered.min())
     axis.axhline(free, color=COLOURS["free_run"], linestyle="--", label="free run")
-    axis.axhline(100 * bands["coverage"], color=INK, linewidth=0.8, label="asked for")
+    axis.axhline(100 * bands.coverage, color=INK, linewidth=0.8, label="asked for")
     logarithmic(axis.xaxis)
-    axis.set_ylim(min(70.0, covered.min() - 2, free - 2), 100)
+    axis.set_ylim(min(70.0, least - 2), 100)
     axis.set_xlabel("looked ahead / s")
     axis.set_ylabel("unseen samples covered / %")
     legend_above(figure, axis, columns=3)

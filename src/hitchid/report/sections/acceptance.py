@@ -1,11 +1,11 @@
-"""Limits, and whether they hold."""
+"""Acceptance limits and the figures they apply to."""
 
-from hitchid.report.document import Finding, Findings, Rating, ReportSection
-from hitchid.validation import Acceptance, Table
+from hitchid.report.document import Finding, Findings, Rating, ReportSection, Table
+from hitchid.validation import Acceptance, Check
 
 
 def limits(acceptance: Acceptance) -> ReportSection:
-    """Return the section on limits: what fails first, then all of them."""
+    """Return the section on limits: failed ones first, then all of them."""
     rows = tuple(
         (check.name, check.limit, check.found, "pass" if check.passed else "fail")
         for check in acceptance.checks
@@ -17,3 +17,10 @@ def limits(acceptance: Acceptance) -> ReportSection:
     )
     table = Table("Limits", ("figure", "required", "found", "verdict"), rows)
     return ReportSection("Acceptance", ((Findings(failed), table) if failed else (table,)))
+
+
+def check_line(check: Check) -> str:
+    """Return a check as one line; characters that cannot be printed, as in names of logs, are replaced."""
+    verdict = "pass" if check.passed else "fail"
+    text = f"{verdict}  {check.name} {check.found}, required {check.limit}"
+    return "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in text)

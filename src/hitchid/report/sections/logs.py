@@ -1,14 +1,9 @@
-"""The logs of a validation: what each was used for, what was found in them, and their hashes."""
+"""The logs of a validation: use of each, findings of the audit, and their hashes."""
 
-import hashlib
-from pathlib import Path
+from collections.abc import Sequence
 
-from hitchid import audit
-from hitchid.audit import AuditFinding
-from hitchid.data.campaign import Campaign
-from hitchid.data.record import CYCLE, IDLE, RAMP, Record
-from hitchid.inspection.inspect_logs import inspect_campaign
-from hitchid.model import Hitch
+from hitchid.audit import AuditFinding, Severity
+from hitchid.report import numbers
 from hitchid.report.document import (
     Block,
     Finding,
@@ -17,27 +12,27 @@ from hitchid.report.document import (
     Pictures,
     Rating,
     ReportSection,
+    Table,
     Text,
     sentence,
 )
 from hitchid.report.figures import timeline
-from hitchid.validation import Table
+from hitchid.validation.report_data import HASH_DIGITS, LogData, LogUse
 
-LEVELS = {audit.Severity.FAULT: Rating.BAD, audit.Severity.WARNING: Rating.CAUTION}
-MAX_MIXED_SHOWN = 2
-HASH_DIGITS = 16
+LEVELS = {Severity.FAULT: Rating.BAD, Severity.WARNING: Rating.CAUTION}
+MAX_MIXED_SHOWN = 2  # mixed logs in the picture
 
 
-def logs(campaign: Campaign, model: Hitch) -> ReportSection:
+def logs(data: LogData) -> ReportSection:
     """Return the section on the logs: the audit's findings, every log, mixed ones as a picture."""
-    inspection = inspect_campaign(campaign, model.command_thresholds)
+    inspection = data.inspection
     findings = tuple(
         _report_finding(finding) for finding in inspection.findings if finding.severity in LEVELS
     )
-    notices = (*campaign.notices, *inspection.notices)
+    notices = (*data.notices, *inspection.notices)
     findings += tuple(Finding(Rating.CAUTION, sentence(str(notice))) for notice in notices)
     summary: Block = Findings(findings) if findings else Text("The audit of the logs found nothing to mend.")
-    blocks: list[Block] = [summary, _table(campaign, model)]
+    blocks: list[Block] = [summary, _table(data.logs)]
     if inspection.mixed:
         shown_logs = inspection.mixed[:MAX_MIXED_SHOWN]
         names = ", ".join(log.name for log in shown_logs)
@@ -57,19 +52,18 @@ def _report_finding(finding: AuditFinding) -> Finding:
     return Finding(LEVELS[finding.severity], f"{prefix}{finding.check}: {finding.what}; {finding.advice}.")
 
 
-def _table(campaign: Campaign, model: Hitch) -> Table:
-    hashes: dict[Path, str] = {}
+def _table(logs: Sequence[LogUse]) -> Table:
     rows = tuple(
         (
-            record.name,
-            record.kind,
-            _usage(record, model),
-            str(len(record)),
-            f"{record.step_s:.4g}",
-            f"{(len(record) - 1) * record.step_s:.4g}",
-            _digest(record.source, hashes),
+            log.name,
+            log.kind,
+            log.used_as,
+            str(log.samples),
+            numbers.digits(log.step_s),
+            numbers.digits(log.duration_s),
+            log.digest,
         )
-        for record in campaign.records
+        for log in logs
     )
     header = (
         "log",
@@ -81,28 +75,3 @@ def _table(campaign: Campaign, model: Hitch) -> Table:
         f"SHA-256, first {HASH_DIGITS}",
     )
     return Table(f"{len(rows)} logs", header, rows)
-
-
-def _usage(record: Record, model: Hitch) -> str:
-    """Return what a log was to the model; of a cycle cut into strokes all strokes are known by its name."""
-    provenance = model.provenance
-    if record.kind == RAMP:
-        return "dead zone's ramp"
-    if record.kind == IDLE or (record.kind == CYCLE and len(model.channels) < 2):
-        return "not used"
-    if record.fingerprint in provenance.seen:
-        stopping = any(record.name in names for names in provenance.validation.values())
-        strokes = ", by strokes" if record.kind == CYCLE else ""
-        return "validation while training" if stopping else f"identification{strokes}"
-    if record.kind == CYCLE:
-        return "unseen cycle"
-    return "unseen test" if record.kind in model.channels else "not used"
-
-
-def _digest(path: Path | None, cache: dict[Path, str]) -> str:
-    if path is None or not path.is_file():
-        return ""
-    if path not in cache:
-        with path.open("rb") as file:
-            cache[path] = hashlib.file_digest(file, "sha256").hexdigest()[:HASH_DIGITS]
-    return cache[path]

@@ -1,29 +1,28 @@
-"""Where a result comes from: everything that is needed to get it again."""
+"""Origin of a result: everything that is needed to reproduce it."""
 
 from collections.abc import Mapping
 
-from hitchid._support.versions import installed_versions
-from hitchid.model import Hitch
-from hitchid.report.document import ReportSection, Text
-from hitchid.validation import Table
+from hitchid.report.document import ReportSection, Table, Text
+from hitchid.validation.report_data import Origin
 
 
-def origin(model: Hitch, command: str) -> ReportSection:
+def origin(source: Origin, command: str) -> ReportSection:
     """Return the section on how to get the same result again.
 
     Args:
-        model: what was validated.
+        source: of the model.
         command: that wrote the report.
     """
-    model_versions, current_versions = model.provenance.versions, installed_versions()
+    provenance, current_versions = source.provenance, source.versions
+    model_versions = provenance.versions
     rows = [
         ("command", command),
-        ("model's digest", model.provenance.digest),
-        ("seed of the identification", str(model.provenance.seed)),
-        ("sampling time", f"{model.step_s:g} s"),
+        ("model's digest", provenance.digest),
+        ("seed of the identification", str(provenance.seed)),
+        ("sampling time", f"{source.step_s:g} s"),
         *(
             (f"setting: {name.replace('_', ' ')}", _setting_text(value))
-            for name, value in model.provenance.settings.items()
+            for name, value in provenance.settings.items()
         ),
         *(
             (f"version of {name}", _versions(model_versions.get(name), current_versions.get(name)))

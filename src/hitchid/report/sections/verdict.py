@@ -1,33 +1,29 @@
-"""The verdict: what a reader of a validation should know who reads no further."""
-
-from collections.abc import Mapping
-from typing import Any
+"""The verdict of a report: findings for a reader who reads no further."""
 
 import numpy as np
 
+from hitchid.report import numbers
 from hitchid.report.document import Finding, Rating
-from hitchid.uncertainty import format_with_error
-from hitchid.validation import CYCLES, NAMES, Acceptance, Predictions, Validation
+from hitchid.uncertainty import Estimates
+from hitchid.validation import Acceptance, Accuracy, BandFigures, Validation
+from hitchid.validation.names import BENCHMARK, GREYBOX, model_name
 from hitchid.validation.predictions import MIN_TESTS
 
-COVERAGE_TOLERANCE = 0.05
-BASELINES = ("transfer_function", "paper", "arx", "narx", "lstm")
+COVERAGE_TOLERANCE = 0.05  # share of samples by which a band may miss its level without a caution
 
 
 def verdict(result: Validation, acceptance: Acceptance | None) -> tuple[Finding, ...]:
-    """Return whether limits hold, and of each direction how free run, bands and parameters do."""
-    unit = result.metrics["unit"]
+    """Return whether limits hold, and of each direction findings on free run, bands and parameters."""
     findings = [] if acceptance is None else [_acceptance_finding(acceptance)]
-    for direction, channel in result.metrics["channels"].items():
-        tests = result.predictions[direction]
-        findings.append(_free_run_finding(direction, channel["greybox"]["free_run"], tests, unit))
-        if "bands" in channel:
-            findings.append(_band_finding(direction, channel["bands"], len(tests.names), unit))
-        if channel.get("parameters", {}).get("estimates"):
-            findings.append(_parameter_finding(direction, channel["parameters"]["estimates"]))
-    if CYCLES in result.predictions:
-        accuracy = result.metrics[CYCLES]["greybox"]["free_run"]
-        findings.append(_free_run_finding("mixed cycles", accuracy, result.predictions[CYCLES], unit))
+    for direction, channel in result.channels.items():
+        accuracy = channel.accuracy
+        findings.append(_free_run_finding(direction, accuracy, result.unit))
+        if accuracy.bands is not None:
+            findings.append(_band_finding(direction, accuracy.bands, len(accuracy.tests), result.unit))
+        if channel.parameters is not None and channel.parameters.parameters:
+            findings.append(_parameter_finding(direction, channel.parameters))
+    if result.cycles is not None:
+        findings.append(_free_run_finding("mixed cycles", result.cycles.accuracy, result.unit))
     return tuple(findings)
 
 
@@ -44,50 +40,46 @@ def _all_text(count: int, what: str) -> str:
     return f"the one {what}" if count == 1 else f"all {count} {what}s"
 
 
-def _free_run_finding(subset: str, accuracy: Mapping[str, Any], tests: Predictions, unit: str) -> Finding:
-    """Return how the free run does beside the best baseline; good is what tests tell apart from it."""
+def _free_run_finding(subset: str, accuracy: Accuracy, unit: str) -> Finding:
+    """Return the error of the free run beside the best baseline; good where tests prove it smaller."""
+    tests, free_run = accuracy.predictions, accuracy.free_run()
     count = len(tests.names)
-    tests_text = f"{count} unseen {'cycle' if subset == 'mixed cycles' else 'test'}{'s' if count > 1 else ''}"
-    if accuracy["rmse"] is None or accuracy["fit"] is None:
+    tests_text = numbers.count(count, "unseen cycle" if subset == "mixed cycles" else "unseen test")
+    if free_run.rmse is None or free_run.fit is None:
         return Finding(Rating.BAD, f"{subset.capitalize()}: the free run diverged on {tests_text}.")
     errors = tests.rmse("free_run")
     worst = int(np.argmax(errors))
-    text = (
-        f"{subset.capitalize()}, free run: RMSE {format_with_error(accuracy['rmse'], accuracy['rmse_error'])} {unit} on {tests_text} (fit "
-        f"{accuracy['fit']:.3g} %)"
-    )
+    rmse = numbers.with_error(free_run.rmse, free_run.rmse_error)
+    text = f"{subset.capitalize()}, free run: RMSE {rmse} {unit} on {tests_text} (fit {free_run.fit:.3g} %)"
     if count > 1:
         text += f", worst {tests.names[worst]} with {errors[worst]:.3g} {unit}"
-    if accuracy["fit"] < 0:
+    if free_run.fit < 0:
         return Finding(Rating.BAD, f"{text}: worse than each test's own mean.")
-    baselines = {name: _pooled(tests, name) for name in BASELINES if name in tests.models}
+    baselines = {
+        name: np.inf if figures.free_run.rmse is None else figures.free_run.rmse
+        for name, figures in accuracy.models.items()
+        if name not in (BENCHMARK, GREYBOX) and figures.free_run is not None
+    }
     if not baselines:
-        return Finding(Rating.CAUTION, f"{text}; no baseline stands beside it.")
+        return Finding(Rating.CAUTION, f"{text}; no baseline was fitted.")
     best = min(baselines, key=lambda name: baselines[name])
     if not np.isfinite(baselines[best]):
         return Finding(Rating.CAUTION, f"{text}; every baseline diverged.")
-    text += f"; best baseline: {NAMES[best]}, {baselines[best]:.3g} {unit}"
+    text += f"; best baseline: {model_name(best)}, {baselines[best]:.3g} {unit}"
     if count < MIN_TESTS:
         return Finding(Rating.CAUTION, f"{text}: too few tests to tell how the next will go.")
     if tests.is_significantly_better("free_run", best):
         return Finding(Rating.GOOD, f"{text}.")
-    less = accuracy["rmse"] < baselines[best]
+    less = free_run.rmse < baselines[best]
     return Finding(Rating.CAUTION, f"{text}: {'not surely better' if less else 'no better'} than that.")
 
 
-def _pooled(tests: Predictions, model: str) -> float:
-    with np.errstate(over="ignore"):
-        sizes = [row.size for row in tests.actual]
-        return float(np.sqrt(np.average(tests.rmse(model) ** 2, weights=sizes)))
-
-
-def _band_finding(direction: str, bands: Mapping[str, Any], count: int, unit: str) -> Finding:
-    """Return whether a band holds its share; tests stand and fall together, so few of them tell little."""
-    free, nominal = bands["free_run"], bands["coverage"]
-    covered, error = free["covered"], free["covered_error"]
+def _band_finding(direction: str, bands: BandFigures, count: int, unit: str) -> Finding:
+    """Return whether a band covers its share of samples, as far as the number of tests allows."""
+    nominal, covered, error = bands.coverage, bands.covered, bands.covered_error
     text = (
-        f"{direction.capitalize()}: the band for {100 * nominal:.0f} % of the samples, {free['width']:.3g} {unit} "
-        f"wide on average, held {100 * covered:.0f} %"
+        f"{direction.capitalize()}: the band for {100 * nominal:.0f} % of the samples, {bands.width:.3g} "
+        f"{unit} wide on average, held {100 * covered:.0f} %"
     )
     if count < MIN_TESTS or error is None:
         return Finding(Rating.CAUTION, f"{text}: too few tests to judge it.")
@@ -103,11 +95,11 @@ def _band_finding(direction: str, bands: Mapping[str, Any], count: int, unit: st
     return Finding(Rating.GOOD, f"{text}.")
 
 
-def _parameter_finding(direction: str, estimates: Mapping[str, Any]) -> Finding:
-    undetermined = [estimate["symbol"] for estimate in estimates.values() if not estimate["determined"]]
+def _parameter_finding(direction: str, estimates: Estimates) -> Finding:
+    parameters = estimates.parameters
+    undetermined = [estimate.symbol for estimate in parameters if not estimate.determined]
     if not undetermined:
-        return Finding(
-            Rating.GOOD, f"{direction.capitalize()}: {_all_text(len(estimates), 'parameter')} determined."
-        )
-    text = f"{len(undetermined)} of {len(estimates)} parameters not determined by the tests: {', '.join(undetermined)}"
-    return Finding(Rating.CAUTION, f"{direction.capitalize()}: {text}.")
+        text = f"{direction.capitalize()}: {_all_text(len(parameters), 'parameter')} determined."
+        return Finding(Rating.GOOD, text)
+    text = f"{len(undetermined)} of {len(parameters)} parameters not determined by the tests"
+    return Finding(Rating.CAUTION, f"{direction.capitalize()}: {text}: {', '.join(undetermined)}.")

@@ -1,13 +1,21 @@
 """The study as a report: the paper's tables and figures with ours beside them, then how far to trust ours."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
-from hitchid.data.campaign import Campaign
-from hitchid.model import Hitch
-from hitchid.report import Document, Pictures, ReportSection, Text, direction_sections, sections, sentence
+from hitchid.report import (
+    ChannelTraceFile,
+    Document,
+    Pictures,
+    ReportSection,
+    Table,
+    Text,
+    all_tables,
+    direction_sections,
+    sections,
+    sentence,
+)
 from hitchid.studies.sun2025.figures import PaperFigure
-from hitchid.validation import Table, Validation
+from hitchid.validation import Validation
 
 PREFACE = (
     "Sun et al. 2025 (Processes 13, 3608) measured on a bench of their own; these tests ran on the virtual "
@@ -19,19 +27,19 @@ def study_report(
     tables: Sequence[Table],
     figures: Sequence[PaperFigure],
     result: Validation,
-    model: Hitch,
-    campaign: Campaign,
     *,
-    trace: Mapping[str, Any],
+    trace: Mapping[str, ChannelTraceFile],
     command: str,
 ) -> Document:
-    """Compose what the study found for people to read.
+    """Return the report of the study.
 
     Args:
         tables: Tables 2 to 4 of the paper and what its text names.
         figures: Figures 5 to 12 of the paper.
-        result, model, campaign, trace, command: as for `validation_report`.
+        result: of the validation.
+        trace, command: as for `validation_report`.
     """
+    data = result.report_data()
     pictures = tuple(picture for figure in figures for picture in figure.pictures)
     section_builders = (sections.accuracy, sections.trust, sections.parameters)
     return Document(
@@ -42,8 +50,16 @@ def study_report(
         sections=(
             ReportSection("Tables of the paper", (Text(PREFACE), *tables)),
             ReportSection("Figures of the paper", (Pictures(pictures),)),
-            *direction_sections(result, model, campaign, trace, section_builders),
-            sections.logs(campaign, model),
-            sections.origin(model, command),
+            *direction_sections(result, data, trace, section_builders),
+            sections.logs(data.logs),
+            sections.origin(data.origin, command),
         ),
+        summary=tuple(tables),
+        data=result.metrics,
     )
+
+
+def study_tables_document(tables: Sequence[Table], result: Validation) -> Document:
+    """Return the tables of the paper and those of the validation, as `study.md` has them."""
+    section = ReportSection("", (*tables, *all_tables(result)))
+    return Document(title="Study", notices=result.notices, sections=(section,), data=result.metrics)

@@ -1,16 +1,19 @@
 """The paper's Figures 5 to 12, each with the data behind it."""
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from hitchid.data.record import LIFTING, LOWERING
-from hitchid.report import Picture, figures
+from hitchid.report import ChannelTraceFile, Picture, figures
+from hitchid.report.figures.style import finite_or_nan
+from hitchid.report.trace_file import TracedSearch
 from hitchid.studies.sun2025.results import DirectionResult
 from hitchid.validation import Predictions
 
-MAX_SAMPLES = 2000
+MAX_SAMPLES = 2000  # of a test, as in the paper
+# Numbers of the figures in the paper, by direction.
 CONVERGENCE = {LIFTING: 5, LOWERING: 6}
 TRAINING = {LIFTING: 7, LOWERING: 8}
 DISTRIBUTION = {LIFTING: 9, LOWERING: 10}
@@ -27,35 +30,35 @@ class PaperFigure(NamedTuple):
 
 
 def paper_figures(
-    direction: str, trace: Mapping[str, Any], result: DirectionResult, unit: str
+    direction: str, trace: ChannelTraceFile, result: DirectionResult, unit: str
 ) -> list[PaperFigure]:
     """Return the four figures the paper shows of one direction.
 
     Args:
         direction: direction.
-        trace: how it was identified, as `trace.json` holds it.
+        trace: how it was identified.
         result: predictions on training, validation and test tests.
         unit: of the displacement.
     """
     return [
-        _convergence(direction, trace, unit),
+        _convergence(direction, trace.phase1, unit),
         _predicted_errors(direction, result, unit),
         _error_distribution(direction, result, unit),
         _test_set(direction, result.test, unit),
     ]
 
 
-def _convergence(direction: str, trace: Mapping[str, Any], unit: str) -> PaperFigure:
-    phase1, number = trace["phase1"], CONVERGENCE[direction]
-    names = [parameter["name"] for parameter in phase1["uncertainty"]["parameters"]]
+def _convergence(direction: str, search: TracedSearch, unit: str) -> PaperFigure:
+    number = CONVERGENCE[direction]
+    names = [parameter.name for parameter in search.parameters]
     picture = Picture(
         _name(number),
-        figures.convergence(trace, unit),
+        figures.convergence(search, unit),
         f"Figure {number} of the paper: convergence of fitness and of each parameter, {direction}.",
         f"Best RMSE and {', '.join(names)} over the iterations of the whale optimisation.",
     )
-    fitness = np.array([np.nan if rmse is None else rmse for rmse in phase1["fitness"]])
-    columns = dict(zip(names, np.array(phase1["values"]).T, strict=True))
+    fitness = finite_or_nan(search.fitness)
+    columns = dict(zip(names, np.array(search.values).T, strict=True))
     data = {"iteration": np.arange(1, fitness.size + 1), f"rmse_{unit}": fitness, **columns}
     return PaperFigure(number, (picture,), data)
 

@@ -14,13 +14,13 @@ from hitchid.experiments.virtual_campaign import REPEATS, Protocol, write_campai
 from hitchid.identification import AdamConfig, CompensatorConfig, Identification, Search, Whale, identify
 from hitchid.identification.identify import COMPARISON, PAPER_SPECS, TRAINING, WHALE
 from hitchid.readers import read, write_table
-from hitchid.report import FIGURES, write_report_files
-from hitchid.studies.sun2025.document import study_report
+from hitchid.report import FIGURES, Table, read_trace, render, write_report_files
+from hitchid.studies.sun2025.document import study_report, study_tables_document
 from hitchid.studies.sun2025.figures import PaperFigure, paper_figures
 from hitchid.studies.sun2025.mechanistic import mechanistic
 from hitchid.studies.sun2025.results import DirectionResult, direction_result
 from hitchid.studies.sun2025.tables import study_tables
-from hitchid.validation import Table, Validation, markdown, tables, validate
+from hitchid.validation import Validation, validate
 
 LOGS, MODEL, DATA = "logs", "model", "data"
 STUDY_FILE = "study.md"
@@ -28,7 +28,7 @@ STUDY_FILE = "study.md"
 
 @dataclass(frozen=True)
 class Plan:
-    """How much of the study is done.
+    """Extent of the study.
 
     Attributes:
         tests: dynamic tests a direction.
@@ -53,12 +53,12 @@ def quick_plan() -> Plan:
 
 @dataclass(frozen=True)
 class Study:
-    """Everything the study found.
+    """Results of the study.
 
     Attributes:
         identification: the identified model and its traces.
-        results: mode to predictions.
-        validation: all figures beside their baselines.
+        results: direction to predictions.
+        validation: figures of the model and its baselines.
         figures: the figures of the paper.
         tables: Tables 2 to 4 of the paper and what its text names.
     """
@@ -90,7 +90,7 @@ def reproduce(
         seed: every random draw comes from it.
         force: replace an older study.
         progress: called with what is being done and the fraction of all work that is done.
-        command: that asked for the study, for its report.
+        command: that started the study, for its report.
 
     Raises:
         OutputError: the folder exists and `force` is not given, or it cannot be written.
@@ -127,7 +127,7 @@ def reproduce(
             for direction in identification.channels
         }
         unit = campaign.records[0].unit
-        trace = identification.describe()
+        trace = read_trace(identification.describe())
         figures = [
             figure
             for direction in results
@@ -136,9 +136,7 @@ def reproduce(
         ordered = tuple(sorted(figures, key=lambda figure: figure.number))
         summary = tuple(study_tables(identification.channels, results, unit))
         studies.append(Study(identification, results, validation, ordered, summary))
-        document = study_report(
-            summary, ordered, validation, identification.model, campaign, trace=trace, command=command
-        )
+        document = study_report(summary, ordered, validation, trace=trace, command=command)
         write_report_files(document, folder)
         _write(folder, studies[0])
 
@@ -151,9 +149,7 @@ def _write(folder: Path, study: Study) -> None:
     for figure in study.figures:
         write_table(folder / DATA / f"figure-{figure.number:02d}.csv", _equal_lengths(figure.data))
     write_files(folder, study.validation.files())
-    text = markdown(
-        (*study.tables, *tables(study.validation.metrics)), study.validation.notices, title="Study"
-    )
+    text = render(study_tables_document(study.tables, study.validation), "markdown").decode()
     pictures = [
         f"## {picture.caption}\n\n![{picture.alt}]({FIGURES}/{picture.name}.svg)\n"
         for figure in study.figures

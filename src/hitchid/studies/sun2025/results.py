@@ -56,8 +56,27 @@ def direction_result(
     )
 
 
-def summary(predictions: Predictions, model: str) -> dict[str, float]:
-    """Return RMSE and its standard error, MAE, R², the share within 1 mm, and mean and spread of the error.
+@dataclass(frozen=True)
+class ErrorSummary:
+    """Errors as the paper's Tables 3 and 4 have them, in mm, R² and `within_1` as fractions.
+
+    Attributes:
+        rmse, mae, r2, within_1: as in `ErrorFigures`.
+        mean, std: mean and standard deviation of measured minus predicted.
+        rmse_error: standard error of the RMSE over tests; None where it is not known.
+    """
+
+    rmse: float
+    mae: float
+    r2: float
+    within_1: float
+    mean: float
+    std: float
+    rmse_error: float | None = None
+
+
+def summary(predictions: Predictions, model: str) -> ErrorSummary:
+    """Return the errors of one model.
 
     One step ahead the first sample of a test is left out, for it is given.
     """
@@ -66,16 +85,15 @@ def summary(predictions: Predictions, model: str) -> dict[str, float]:
     predicted = [row[first:] for row in predictions.models[model]]
     figures = error_figures(actual, predicted)
     errors = np.concatenate([a - p for a, p in zip(actual, predicted, strict=True)])
-    return {
-        "rmse": figures.rmse,
-        "rmse_error": rmse_error(actual, predicted),
-        "mae": figures.mae,
-        "r2": figures.r2,
-        "within_1": figures.within_1,
-        "mean": float(errors.mean()),
-        "std": float(errors.std()),
-        "max_abs": figures.max_abs,
-    }
+    return ErrorSummary(
+        rmse=figures.rmse,
+        mae=figures.mae,
+        r2=figures.r2,
+        within_1=figures.within_1,
+        mean=float(errors.mean()),
+        std=float(errors.std()),
+        rmse_error=rmse_error(actual, predicted),
+    )
 
 
 def end_deviation(predictions: Predictions, model: str) -> float:

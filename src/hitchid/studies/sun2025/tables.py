@@ -6,22 +6,23 @@ import numpy as np
 
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.identification import ChannelTrace
-from hitchid.studies.sun2025.results import DirectionResult, end_deviation, summary
-from hitchid.uncertainty import Estimate, Quantity, format_interval, format_with_error
-from hitchid.validation import Table, rounded
+from hitchid.report import Table, numbers
+from hitchid.studies.sun2025.results import DirectionResult, ErrorSummary, end_deviation, summary
+from hitchid.uncertainty import Estimate, Quantity
 
+# Values that Sun et al. 2025 print; errors in mm, currents in A.
 PAPER_COEFFICIENTS = {
     LIFTING: {"alpha1": 6.625, "beta1": 0.001, "beta2": 0.065, "beta3": 0.318},
     LOWERING: {"alpha2": 654.473, "beta4": 42.808},
 }
 PAPER_TEST = {
     LIFTING: {
-        "benchmark": {"rmse": 0.79, "mae": 0.59, "r2": 0.9881, "within_1": 0.79, "mean": 0.42, "std": 0.66},
-        "one_step": {"rmse": 0.33, "mae": 0.24, "r2": 0.9986, "within_1": 0.98, "mean": 0.21, "std": 0.24},
+        "benchmark": ErrorSummary(rmse=0.79, mae=0.59, r2=0.9881, within_1=0.79, mean=0.42, std=0.66),
+        "one_step": ErrorSummary(rmse=0.33, mae=0.24, r2=0.9986, within_1=0.98, mean=0.21, std=0.24),
     },
     LOWERING: {
-        "benchmark": {"rmse": 3.79, "mae": 3.33, "r2": 0.9606, "within_1": 0.15, "mean": 3.06, "std": 2.24},
-        "one_step": {"rmse": 0.48, "mae": 0.40, "r2": 0.9963, "within_1": 0.97, "mean": 0.30, "std": 0.38},
+        "benchmark": ErrorSummary(rmse=3.79, mae=3.33, r2=0.9606, within_1=0.15, mean=3.06, std=2.24),
+        "one_step": ErrorSummary(rmse=0.48, mae=0.40, r2=0.9963, within_1=0.97, mean=0.30, std=0.38),
     },
 }
 PAPER_FITNESS = {LIFTING: 1.142, LOWERING: 1.611}
@@ -60,7 +61,7 @@ def _parameters(traces: Mapping[str, ChannelTrace]) -> Table:
         rows += [
             (
                 f"{direction}: {name.replace('_', ' ')}",
-                _with_unit(_value_or_interval(estimate), estimate.unit),
+                numbers.with_unit(_value_or_interval(estimate), estimate.unit),
                 _equivalent(direction, name),
                 estimate.verdict,
             )
@@ -69,7 +70,7 @@ def _parameters(traces: Mapping[str, ChannelTrace]) -> Table:
         rows += [
             (
                 f"{direction}: {name}",
-                _with_unit(value, unit),
+                numbers.with_unit(value, unit),
                 f"{PAPER_COEFFICIENTS[direction][name]:.4g}",
                 "",
             )
@@ -98,7 +99,7 @@ def _coefficients(direction: str, trace: ChannelTrace) -> dict[str, tuple[str, s
 
 def _value_or_interval(estimate: Estimate | Quantity) -> str:
     """Return a value, or of what is not determined its interval."""
-    return f"{estimate.value:.4g}" if estimate.determined else format_interval(estimate.interval)
+    return f"{estimate.value:.4g}" if estimate.determined else numbers.interval(estimate.interval)
 
 
 def _equivalent(direction: str, name: str) -> str:
@@ -117,11 +118,7 @@ def _equivalent(direction: str, name: str) -> str:
     if name not in values:
         return ""
     value, unit = values[name]
-    return _with_unit(f"{value:.4g}", unit)
-
-
-def _with_unit(value: str, unit: str) -> str:
-    return value if unit == "1" else f"{value} {unit}"
+    return numbers.with_unit(f"{value:.4g}", unit)
 
 
 def _test_set(direction: str, result: DirectionResult, unit: str) -> Table:
@@ -138,7 +135,7 @@ def _test_set(direction: str, result: DirectionResult, unit: str) -> Table:
             f"{np.sqrt(np.mean(persistence**2)):.3g}",
             f"{np.mean(np.abs(persistence)):.3g}",
             "",
-            f"{100 * np.mean(np.abs(persistence) < 1):.1f}",
+            numbers.percent(float(np.mean(np.abs(persistence) < 1))),
             f"{persistence.mean():.2f} ± {persistence.std():.2f}",
         )
     )
@@ -146,13 +143,13 @@ def _test_set(direction: str, result: DirectionResult, unit: str) -> Table:
     return Table(f"Table {TABLE_OF[direction]}. Test set, {direction}", header, tuple(rows))
 
 
-def _row(figures: Mapping[str, float]) -> tuple[str, ...]:
+def _row(figures: ErrorSummary) -> tuple[str, ...]:
     return (
-        format_with_error(figures["rmse"], figures.get("rmse_error")),
-        rounded(figures["mae"], figures.get("rmse_error")),
-        f"{figures['r2']:.4f}",
-        f"{100 * figures['within_1']:.1f}",
-        f"{figures['mean']:.2f} ± {figures['std']:.2f}",
+        numbers.with_error(figures.rmse, figures.rmse_error),
+        numbers.rounded(figures.mae, figures.rmse_error),
+        f"{figures.r2:.4f}",
+        numbers.percent(figures.within_1),
+        f"{figures.mean:.2f} ± {figures.std:.2f}",
     )
 
 
@@ -172,13 +169,12 @@ def _identification(
             )
         )
         paper = PAPER_COMPENSATOR[direction]
-        for subset in ("training", "validation"):
-            figures = summary(getattr(results[direction], subset), "one_step")
+        subsets = {"training": results[direction].training, "validation": results[direction].validation}
+        for subset, predictions in subsets.items():
+            figures = summary(predictions, "one_step")
             rmse, mae = paper[subset]
-            rows.append(
-                (f"{direction}: compensator, {subset}, RMSE", f"{figures['rmse']:.3f}", f"{rmse:.3f}")
-            )
-            rows.append((f"{direction}: compensator, {subset}, MAE", f"{figures['mae']:.3f}", f"{mae:.3f}"))
+            rows.append((f"{direction}: compensator, {subset}, RMSE", f"{figures.rmse:.3f}", f"{rmse:.3f}"))
+            rows.append((f"{direction}: compensator, {subset}, MAE", f"{figures.mae:.3f}", f"{mae:.3f}"))
         errors = np.abs(results[direction].validation.errors("one_step"))
         rows.append(
             (f"{direction}: 95 % of errors below", f"{np.quantile(errors, 0.95):.3f}", f"{paper['p95']:.2f}")

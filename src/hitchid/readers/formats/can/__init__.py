@@ -20,7 +20,7 @@ KIND = "a CAN log"
 
 
 def read(path: Path, selection: ChannelSelection) -> Content:
-    """Read the wanted signals of a CAN log; `read_bus` says how they are named and met.
+    """Read the selected signals of a CAN log; `read_bus` describes their names.
 
     Args:
         path: the log.

@@ -116,9 +116,7 @@ def _match_requested(
     for requested in dict.fromkeys((selection.time, *selection.signals)):
         candidates = aliases.get(requested, [])
         if len(candidates) > 1:
-            raise LogError(
-                source, f"several channels are meant: {format_names(candidates)}", column=requested
-            )
+            raise LogError(source, f"the name is ambiguous: {format_names(candidates)}", column=requested)
         if candidates:
             matches[requested] = candidates[0]
         elif requested != selection.time and requested not in {name.rpartition("/")[2] for name in names}:
@@ -143,7 +141,7 @@ def _check_not_in_log(
             name for signal in message.signals for name in (signal.name, f"{message.name}/{signal.name}")
         }:
             continue
-        problem = f"its message '{message.name}', id {message.identifier:#x}, does not come in the log"
+        problem = f"its message '{message.name}', id {message.identifier:#x}, is not in the log"
         group = parameter_group(message.identifier)
         nodes = [
             f"{node(identifier):#04x}"
@@ -153,7 +151,7 @@ def _check_not_in_log(
         if message.extended and nodes:
             problem += f"; its parameter group {group} does, from {format_names(nodes)}"
         if message.extended and nodes and not message.is_j1939:
-            problem += ": where the bus is J1939, let the DBC file say so by VFrameFormat 'J1939PG'"
+            problem += ": if the bus is J1939, set VFrameFormat 'J1939PG' in the DBC file"
         raise LogError(source, problem, column=requested)
 
 
@@ -192,15 +190,14 @@ class _BusReader:
             if unavailable_count:
                 total = values.size + unavailable_count
                 notices.append(
-                    f"'{requested}': {unavailable_count} of {total} samples are left out: "
-                    "J1939 has no number in them"
+                    f"'{requested}': {unavailable_count} of {total} samples are left out: not valid by J1939"
                 )
             # Channels on one clock share one array: the record is cut and resampled by clocks.
             key = id(location.stream), np.packbits(present).tobytes()
             clock_s = clocks.setdefault(key, block.clock_s if present.all() else block.clock_s[present])
             channels[requested] = LogChannel(values, location.signal.unit, clock_s)
         if empty:
-            notices.append(f"left out, for they never hold a number: {format_names(empty)}")
+            notices.append(f"left out, without a valid sample: {format_names(empty)}")
         return channels, notices
 
     def _stream_notices(self) -> Iterator[str]:
@@ -214,8 +211,8 @@ class _BusReader:
             if stream.j1939_assumed:
                 identifier = stream.message.identifier
                 yield (
-                    f"'{name}' was met by its parameter group {parameter_group(identifier)}, from "
-                    f"{stream.node:#04x}: the id in the DBC file, {identifier:#x}, is of no node"
+                    f"'{name}' was matched by its parameter group {parameter_group(identifier)}, from "
+                    f"{stream.node:#04x}: the id in the DBC file, {identifier:#x}, has the null address"
                 )
 
 

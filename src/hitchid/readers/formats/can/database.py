@@ -101,7 +101,7 @@ def read_databases(paths: Sequence[Path], source: Path) -> Databases:
     """
     if not paths:
         problem = (
-            "required a DBC file: put it beside the log or name it in campaign.toml under [can] databases"
+            "required a DBC file: put it into the log's folder or name it in campaign.toml, [can] databases"
         )
         raise LogError(source, problem)
     import_optional("cantools", "can", source)
@@ -116,7 +116,7 @@ def read_databases(paths: Sequence[Path], source: Path) -> Databases:
 def parameter_group(identifier: int) -> int:
     """Return the number of the J1939 parameter group of a 29-bit id, the destination address left out."""
     group = (identifier >> 8) & 0x3FFFF
-    # A format below 240 is sent to one node, whose address stands in the low byte.
+    # A format below 240 is sent to one node, whose address is in the low byte.
     return group if (group >> 8) & 0xFF >= 240 else group & 0x3FF00
 
 
@@ -129,7 +129,7 @@ def _read_database(path: Path) -> Databases:
     with as_log_errors(path, "a DBC file"):
         database = _parse(path.read_bytes())
     if not database.messages:
-        raise LogError(path, "holds no messages with signals; required a DBC file of what is on the bus")
+        raise LogError(path, "holds no messages with signals; required a DBC file of the bus")
     return database
 
 
@@ -149,7 +149,7 @@ def _parse(content: bytes) -> Databases:
     except Error as error:
         # Databases in use often hold signals that overlap; what fits its message can still be read.
         database = load_string(text, database_format="dbc", strict=False)
-        notices = (f"read, though not sound ({error}); signals that do not fit their message are left out",)
+        notices = (f"read with errors ({error}); signals that do not fit their message are left out",)
     return Databases(tuple(_messages(database)), notices)
 
 

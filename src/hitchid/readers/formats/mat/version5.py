@@ -104,7 +104,9 @@ def _check_declared_size(path: Path, stream: BinaryIO, order: str, kind: int, le
             return
         kind, packed_length, length = *_read_tag(head, order)[:1], length, _read_tag(head, order)[1]
         if length > MAX_COMPRESSION_RATIO * packed_length:
-            raise LogError(path, f"cannot be read as {KIND}: {packed_length} bytes are said to hold {length}")
+            raise LogError(
+                path, f"cannot be read as {KIND}: {packed_length} bytes declare {length} unpacked bytes"
+            )
         head = head[8:]
     if kind != MATRIX or len(head) < 24:
         return
@@ -112,7 +114,7 @@ def _check_declared_size(path: Path, stream: BinaryIO, order: str, kind: int, le
     shape = numbers[6 : 6 + min(numbers[5] // 4, 32)]
     count = int(np.prod(shape, dtype=object))
     if numbers[2] & 0xFF != SPARSE and count > max(length, MAX_EMPTY_STRUCTS):
-        raise LogError(path, f"cannot be read as {KIND}: {length} bytes are said to hold {count} values")
+        raise LogError(path, f"cannot be read as {KIND}: {length} bytes declare {count} values")
 
 
 def _load_variables(path: Path, names: Sequence[str]) -> dict[str, StructValue]:

@@ -1,16 +1,15 @@
-"""Operating characteristics in plain words."""
+"""Operating characteristics as sentences."""
 
-from hitchid.uncertainty.characteristics import Characteristics
-from hitchid.uncertainty.estimate import Interval, Quantity
-from hitchid.uncertainty.formatting import format_interval
+from hitchid.report import numbers
+from hitchid.uncertainty import Characteristics, Interval, Quantity
 
 VERBS = {"lifting": "lifts", "lowering": "lowers"}
 
 
 def characteristic_sentences(characteristics: Characteristics, direction: str) -> tuple[str, ...]:
-    """Return dead zone, speeds and times of one direction in plain words, a sentence each.
+    """Return dead zone, speeds and times of one direction, a sentence each.
 
-    Of several loads the middle one is told.
+    Of several loads the middle one is taken.
 
     Args:
         characteristics: the characteristics.
@@ -35,7 +34,8 @@ def characteristic_sentences(characteristics: Characteristics, direction: str) -
     if characteristics.delay is not None and characteristics.response_time is not None:
         sentences.append(
             f"after a step to {characteristics.level:.3g} {unit} motion begins (5 % of the speed) after "
-            f"{_quantity_text(characteristics.delay, 's')} and has 63 % of its speed after {_quantity_text(characteristics.response_time, 's')}"
+            f"{_quantity_text(characteristics.delay, 's')} and has 63 % of its speed after "
+            f"{_quantity_text(characteristics.response_time, 's')}"
         )
     return tuple(sentences)
 
@@ -48,4 +48,4 @@ def _value_text(value: float, unit: str, interval: Interval, *, determined: bool
     if interval == (value, value):
         return f"{value:.3g} {unit}"
     caveat = "" if determined else ", not determined"
-    return f"{value:.3g} {unit} ({format_interval(interval)}{caveat})"
+    return f"{value:.3g} {unit} ({numbers.interval(interval)}{caveat})"

@@ -1,6 +1,6 @@
-"""Words and digits: what the tests say of a parameter, and what a test would have to have."""
+"""Verdict on a parameter: determined or not, its interval, and the excitation that would determine it."""
 
-from math import floor, log10, pi
+from math import pi
 
 from hitchid.structures import Parameter
 from hitchid.uncertainty.estimate import Interval
@@ -16,7 +16,7 @@ def verdict(
     fallback_quantity: str,
     step_s: float,
 ) -> str:
-    """Return what is known of a parameter.
+    """Return whether tests determine a parameter, its interval, and what would determine it.
 
     Args:
         parameter: of the structure.
@@ -24,7 +24,7 @@ def verdict(
         interval: 95 % interval, None for an end that is not given.
         determined: whether that is closed and narrow.
         bound: `lower` or `upper` where the estimate lies at one, else empty.
-        fallback_quantity: what is determined in its place, empty where nothing is.
+        fallback_quantity: the combination that is determined in its place, empty where none is.
         step_s: sampling time of the tests, s.
     """
     if determined:
@@ -55,7 +55,7 @@ def _range_text(parameter: Parameter, unit: str, interval: Interval) -> str:
 
 
 def _excitation_hint(parameter: Parameter, interval: Interval, step_s: float) -> str:
-    """Return what would determine a parameter; of a time or a frequency the corner that must be excited."""
+    """Return the excitation that would determine a parameter; of a time or a frequency its corner."""
     lower, upper = interval
     nyquist_rad_s = pi / step_s
     frequency_too_high = parameter.unit == "rad/s" and lower is not None and lower > nyquist_rad_s
@@ -71,24 +71,3 @@ def _excitation_hint(parameter: Parameter, interval: Interval, step_s: float) ->
     if parameter.unit == "s" and lower is not None and upper is None:
         return f"excite below {1 / (2 * pi * lower):.2g} Hz"
     return parameter.excitation_hint
-
-
-def format_with_error(value: float, error: float | None) -> str:
-    """Return a value to the digits its standard error leaves it: two of the error, `41.85 ± 0.30`."""
-    if error is None or not error > 0 or not value:
-        return f"{value:.4g}"
-    decimals = 1 - floor(log10(error))
-    if decimals <= 0 or abs(value) < 1e-3:
-        significant = max(floor(log10(abs(value))) + decimals + 1, 4)
-        return f"{value:.{significant}g} ± {error:.2g}"
-    return f"{value:.{decimals}f} ± {error:.{decimals}f}"
-
-
-def format_interval(interval: Interval) -> str:
-    """Return an interval in words of a table cell; an end that is not given is left out."""
-    lower, upper = interval
-    if lower is not None and upper is not None:
-        return f"{lower:.4g} … {upper:.4g}"
-    if lower is not None:
-        return f"> {lower:.3g}"
-    return "any" if upper is None else f"< {upper:.3g}"

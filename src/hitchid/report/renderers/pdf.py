@@ -3,7 +3,6 @@
 import json
 import shutil
 import tempfile
-from collections.abc import Mapping
 from importlib.resources import as_file, files
 from importlib.util import find_spec
 from pathlib import Path
@@ -12,14 +11,14 @@ import matplotlib as mpl
 
 from hitchid.errors import InputError
 from hitchid.report.document import Block, Document, Finding, Findings, Pictures, ReportSection, Text
-from hitchid.report.page import SIGNS
-from hitchid.validation import numeric
+from hitchid.report.renderers.html import SIGNS
+from hitchid.report.renderers.renderer import Renderer
 
 TEMPLATE = "report.typ"
 
 
 def check_pdf(*, requested: bool) -> None:
-    """Complain early where a PDF is asked for and cannot be made.
+    """Raise before any work where a PDF is required and cannot be made.
 
     Raises:
         InputError: typst is not installed.
@@ -28,24 +27,30 @@ def check_pdf(*, requested: bool) -> None:
         raise InputError("typst is not installed; required: pip install 'hitchid[pdf]'")
 
 
-def pdf(document: Document, svgs: Mapping[str, str]) -> bytes:
-    """Return a report as PDF, the same each time.
+class Pdf(Renderer):
+    """PDF, set by typst."""
 
-    Args:
-        document: the report.
-        svgs: name of each picture to its SVG file.
+    name, suffix = "pdf", ".pdf"
 
-    Raises:
-        InputError: typst is not installed.
-    """
+    def render(self, document: Document) -> bytes:
+        """Return the document as PDF.
+
+        Raises:
+            InputError: typst is not installed.
+        """
+        return _pdf(document)
+
+
+def _pdf(document: Document) -> bytes:
     check_pdf(requested=True)
     import typst
 
     with tempfile.TemporaryDirectory() as temporary_folder:
         folder = Path(temporary_folder)
         (folder / "figures").mkdir()
-        for name, content in svgs.items():
-            (folder / "figures" / f"{name}.svg").write_bytes(content.encode("utf-8", errors="replace"))
+        for picture in document.pictures:
+            path = folder / "figures" / f"{picture.name}.svg"
+            path.write_bytes(picture.svg.encode("utf-8", errors="replace"))
         report_json = json.dumps(_document_dict(document), ensure_ascii=False)
         (folder / "report.json").write_bytes(report_json.encode("utf-8", errors="replace"))
         with as_file(files("hitchid.report") / "templates" / TEMPLATE) as template:
@@ -78,7 +83,7 @@ def _section(content: ReportSection) -> dict:
 def _block(block: Block) -> dict:
     match block:
         case Text(text):
-            return {"kind": "text", "said": text}
+            return {"kind": "text", "text": text}
         case Findings(items):
             return {"kind": "findings", "items": [_finding(finding) for finding in items]}
         case Pictures(items):
@@ -89,7 +94,7 @@ def _block(block: Block) -> dict:
             }
         case table:
             title = f"{table.title[:1].upper()}{table.title[1:]}"
-            return {"kind": "table", "numeric": numeric(table), **table._asdict(), "title": title}
+            return {"kind": "table", "numeric": table.numeric, **table._asdict(), "title": title}
 
 
 def _finding(finding: Finding) -> dict[str, str]:

@@ -1,0 +1,98 @@
+"""Numbers as text: values with standard errors, intervals, p-values, shares, errors."""
+
+from math import floor, log10
+
+from hitchid.uncertainty import Estimate, Interval, Quantity
+from hitchid.validation import RunFigures
+
+DIVERGED = "diverged"
+
+
+def digits(value: float | None) -> str:
+    """Return a number with four significant digits; None reads 'diverged'."""
+    return DIVERGED if value is None else f"{value:.4g}"
+
+
+def percent(share: float, decimals: int = 1) -> str:
+    """Return a share in percent."""
+    return f"{100 * share:.{decimals}f}"
+
+
+def p_value(probability: float) -> str:
+    """Return a p-value with two digits, `< 0.001` below that."""
+    return f"p {'< 0.001' if probability < 1e-3 else f'= {probability:.2g}'}"
+
+
+def count(number: int, noun: str) -> str:
+    """Return a number with a noun, in the plural where there is not one."""
+    return f"{number} {noun}{'s' if number != 1 else ''}"
+
+
+def rounded(value: float | None, error: float | None, max_decimals: int = 12) -> str:
+    """Return a number to the second digit of its standard error, to four digits where that is not known.
+
+    Args:
+        value, error: the number and its standard error.
+        max_decimals: places after the point, at most.
+    """
+    if value is None or error is None or not error > 0:
+        return digits(value)
+    return f"{value:.{min(max(0, 1 - floor(log10(error))), max_decimals)}f}"
+
+
+def with_error(value: float | None, error: float | None) -> str:
+    """Return a value to two digits of its standard error, `41.85 ± 0.30`; None reads 'diverged'."""
+    if value is None or error is None or not error > 0 or not value:
+        return digits(value)
+    decimals = 1 - floor(log10(error))
+    if decimals <= 0 or abs(value) < 1e-3:
+        significant = max(floor(log10(abs(value))) + decimals + 1, 4)
+        return f"{value:.{significant}g} ± {error:.2g}"
+    return f"{value:.{decimals}f} ± {error:.{decimals}f}"
+
+
+def interval(ends: Interval) -> str:
+    """Return an interval for a table cell; an end that is None is open."""
+    lower, upper = ends
+    if lower is not None and upper is not None:
+        return f"{lower:.4g} … {upper:.4g}"
+    if lower is not None:
+        return f"> {lower:.3g}"
+    return "any" if upper is None else f"< {upper:.3g}"
+
+
+def with_unit(text: str, unit: str) -> str:
+    """Return a number with its unit, without one where that is 1."""
+    return text if unit == "1" else f"{text} {unit}"
+
+
+def estimate(found: Estimate) -> str:
+    """Return a parameter with its standard error; empty where it is not determined."""
+    return with_error(found.value, found.error) if found.determined else ""
+
+
+def determined(found: Quantity | Estimate | bool) -> str:
+    """Return whether a quantity is determined."""
+    is_determined = found if isinstance(found, bool) else found.determined
+    return "determined" if is_determined else "not determined"
+
+
+def error_cells(figures: RunFigures) -> tuple[str, ...]:
+    """Return RMSE, MAE, R², fit, largest error and share below one unit, to the digits that tests can tell.
+
+    The standard error s of the RMSE r over tests sets all of them: R² = 1 − (r/y)² has 2 (1 − R²) s/r and the
+    fit 100 (1 − r/y) has (100 − fit) s/r; five places of R² and two of the fit at most.
+    """
+    rmse, r2, fit, within_1 = figures.rmse, figures.r2, figures.fit, figures.within_1
+    if rmse is None or r2 is None or fit is None or within_1 is None:
+        return (DIVERGED,) * 6
+    error = figures.rmse_error
+    relative = error / rmse if error and rmse else None
+    return (
+        with_error(rmse, error),
+        rounded(figures.mae, error),
+        rounded(r2, 2 * (1 - r2) * relative, 5) if relative else f"{r2:.4f}",
+        rounded(fit, (100 - fit) * relative, 2) if relative else f"{fit:.2f}",
+        rounded(figures.max_abs, error),
+        percent(within_1),
+    )

@@ -1,0 +1,51 @@
+"""A document as Markdown: findings, notices and tables, without figures."""
+
+from collections.abc import Iterator, Sequence
+
+from hitchid.report.document import Document, Finding, Findings, ReportSection, Table, Text
+from hitchid.report.renderers.renderer import Renderer
+
+
+class Markdown(Renderer):
+    """Markdown with tables."""
+
+    name, suffix = "markdown", ".md"
+
+    def render(self, document: Document) -> bytes:
+        """Return the document as UTF-8; what is no character, as in names of logs, is escaped."""
+        lines = [f"# {document.title}", ""]
+        items = [*_items(document.verdict), *(f"- {notice}" for notice in document.notices)]
+        lines += [*items, ""] if items else []
+        for section in document.sections:
+            lines += _section(section, 2)
+        return "\n".join(lines).encode("utf-8", errors="backslashreplace")
+
+
+def _items(findings: Sequence[Finding]) -> list[str]:
+    return [f"- {finding.level.value}: {finding.sentence}" for finding in findings]
+
+
+def _section(section: ReportSection, level: int) -> Iterator[str]:
+    """Yield the lines of a section; one without a title has its tables on the level above."""
+    if section.title:
+        yield from (f"{'#' * level} {section.title}", "")
+        level += 1
+    for block in section.blocks:
+        match block:
+            case Text(text):
+                yield from (text, "")
+            case Findings(items):
+                yield from (*_items(items), "")
+            case Table():
+                yield from _table(block, level)
+            case _:
+                continue
+    for below in section.sections:
+        yield from _section(below, level)
+
+
+def _table(table: Table, level: int) -> Iterator[str]:
+    yield from (f"{'#' * level} {table.title}", "")
+    for row in (table.header, ("---", *("---:" for _ in table.header[1:])), *table.rows):
+        yield f"| {' | '.join(row)} |"
+    yield ""

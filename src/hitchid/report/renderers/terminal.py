@@ -1,0 +1,46 @@
+"""A document as text for a terminal: verdict, short tables, acceptance limits."""
+
+from io import StringIO
+from textwrap import fill
+
+from rich import box
+from rich.console import Console
+from rich.table import Table as RichTable
+
+from hitchid.report.document import Document, Table
+from hitchid.report.renderers.renderer import Renderer
+
+COLUMNS = 80
+
+
+class Terminal(Renderer):
+    """Lines of 80 columns."""
+
+    name, suffix = "terminal", ".txt"
+
+    def render(self, document: Document) -> bytes:
+        """Return the verdict and the summary of the document, without colours."""
+        stream = StringIO()
+        for finding in document.verdict:
+            text = f"{finding.level.value:8}{finding.sentence}"
+            stream.write(fill(text, COLUMNS, subsequent_indent=" " * 8, break_on_hyphens=False) + "\n")
+        console = Console(file=stream, width=COLUMNS, markup=False, highlight=False)
+        for table in document.summary:
+            console.print(rich_table(table, kind=box.SIMPLE_HEAD))
+        return stream.getvalue().encode("utf-8", errors="replace")
+
+
+def rich_table(table: Table, *, kind: box.Box = box.HEAVY_HEAD) -> RichTable:
+    """Return a table for rich; columns of numbers are aligned on the right."""
+    content = RichTable(
+        title=table.title or None,
+        title_justify="left",
+        title_style="bold",
+        box=kind,
+        pad_edge=bool(table.title),
+    )
+    for name, right in zip(table.header, table.numeric, strict=True):
+        content.add_column(name, justify="right" if right else "left")
+    for row in table.rows:
+        content.add_row(*row)
+    return content

@@ -1,0 +1,74 @@
+"""Errors of one direction: every model over horizons and by test, over time, distributed."""
+
+import numpy as np
+
+from hitchid.report import figures
+from hitchid.report.document import Picture, Pictures, ReportSection
+from hitchid.report.figures.style import LABELS
+from hitchid.report.sections.context import DirectionContext
+from hitchid.report.sections.shown_tests import shown_tests
+from hitchid.report.tables import accuracy_table, horizon_table, single_test_table
+from hitchid.validation.names import BENCHMARK, FREE_RUN, ONE_STEP
+
+COMPARED_MODELS = ("lstm", "narx", "arx", "transfer_function", BENCHMARK, FREE_RUN)
+
+
+def accuracy(context: DirectionContext) -> ReportSection:
+    """Return the section on the errors of the model and of every baseline."""
+    found, unit, tests = context.accuracy, context.unit, context.accuracy.predictions
+    outside = [name for name in tests.models if name not in LABELS]
+    models = [*outside, *(name for name in COMPARED_MODELS if name in tests.models)]
+    pictures = (
+        Picture(
+            context.figure_name("horizons"),
+            figures.horizons(found.horizons, context.step_s, unit),
+            "Error over how far is looked ahead. A model is of use where it lies below persistence.",
+            f"RMSE in {unit} over the horizon for each model, from one sample on.",
+        ),
+        Picture(
+            context.figure_name("tests"),
+            figures.errors_by_test(tests, unit, models),
+            "Error of every unseen test in free run; the bar is the figure over all tests.",
+            f"RMSE of each of {len(tests.names)} tests in free run, for {len(models)} models.",
+        ),
+    )
+    tables = (accuracy_table(context.direction, found, unit), horizon_table(context.direction, found, unit))
+    return ReportSection("Accuracy", (*tables, Pictures(pictures)))
+
+
+def errors(context: DirectionContext) -> ReportSection:
+    """Return the section on the errors themselves: over time, distributed, test by test."""
+    tests, unit = context.accuracy.predictions, context.unit
+    selected_tests, selection_text = shown_tests(tests)
+    names = ", ".join(selected_tests.names)
+    models_equal = all(map(np.array_equal, tests.models[BENCHMARK], tests.models[FREE_RUN]))
+    equal_note = " In free run the grey box is the benchmark alone." if models_equal else ""
+    models = (FREE_RUN, ONE_STEP) if models_equal else (BENCHMARK, FREE_RUN, ONE_STEP)
+    rmse = context.accuracy.free_run().rmse
+    error_text = "the free run diverged" if rmse is None else f"the free run errs by {rmse:.3g} {unit} RMSE"
+    pictures = [
+        Picture(
+            context.figure_name("outputs"),
+            figures.outputs(selected_tests, unit, models),
+            f"Measured and predicted displacement, and the errors: {selection_text} ({names}).{equal_note}",
+            f"Displacement and error over time of {names}; {error_text}.",
+        ),
+        Picture(
+            context.figure_name("distribution"),
+            figures.error_distribution({name: tests.errors(name) for name in reversed(models)}, unit),
+            "Errors on all unseen tests: histogram with fitted normal, and the share of samples below a "
+            "limit. The axes end where 99.5 % of the samples lie.",
+            f"Histogram and cumulative distribution of errors in {unit}.",
+        ),
+    ]
+    if context.data.compensated:
+        pictures.append(
+            Picture(
+                context.figure_name("predicted-errors"),
+                figures.predicted_errors({"test": tests}, unit),
+                "Error of the benchmark, and the compensator's prediction of it one step ahead.",
+                f"Benchmark's error in {unit} over the sample, actual and predicted.",
+            )
+        )
+    table = single_test_table(context.direction, context.accuracy, unit)
+    return ReportSection("Errors", (Pictures(tuple(pictures)), table))

@@ -1,0 +1,93 @@
+"""Parameters of one direction with their intervals, operating characteristics, valve, dead zone."""
+
+from collections.abc import Iterator
+
+from hitchid.report import figures
+from hitchid.report.characteristics import characteristic_sentences
+from hitchid.report.document import Picture, Pictures, ReportSection, Table, Text, sentence
+from hitchid.report.sections.context import DirectionContext
+from hitchid.report.tables import characteristic_tables, parameter_table
+from hitchid.report.trace_file import TracedDeadZone
+from hitchid.uncertainty import Characteristics, Estimates
+
+
+def parameters(context: DirectionContext) -> ReportSection:
+    """Return the section on parameters with their intervals, the valve, and the dead zone."""
+    result = context.result
+    blocks: list[Text | Table] = []
+    pictures = []
+    if result.characteristics is not None:
+        blocks += _characteristic_blocks(context.direction, result.characteristics)
+        pictures.append(_speed_map(context, result.characteristics))
+    pictures.append(_valve_map(context))
+    for estimates, model, name in (
+        (result.parameters, "benchmark", "intervals"),
+        (result.paper_parameters, "paper's transfer function", "paper-intervals"),
+    ):
+        if estimates is not None and estimates.parameters:
+            title = f"parameters of the {model}"
+            blocks.append(parameter_table(f"{context.direction}: {title}", estimates))
+            pictures.append(_intervals(context.figure_name(name), title, estimates))
+    pictures += _dead_zone(context)
+    return ReportSection("Parameters", (*blocks, Pictures(tuple(pictures))))
+
+
+def _characteristic_blocks(direction: str, characteristics: Characteristics) -> list[Text | Table]:
+    sentences = map(sentence, characteristic_sentences(characteristics, direction))
+    return [Text(" ".join(sentences)), *characteristic_tables(direction, characteristics)]
+
+
+def _speed_map(context: DirectionContext, characteristics: Characteristics) -> Picture:
+    load = f" One line for each load ({characteristics.load})." if characteristics.load else ""
+    return Picture(
+        context.figure_name("speed-map"),
+        figures.speed_map(characteristics),
+        "Speed map: steady speed at mid stroke over the command, as the fitted form has it, with its "
+        f"95 % band; open circles are mean speeds of identification tests while their command stood.{load}",
+        " ".join(map(sentence, characteristic_sentences(characteristics, context.direction))),
+    )
+
+
+def _valve_map(context: DirectionContext) -> Picture:
+    data = context.data
+    return Picture(
+        context.figure_name("valve"),
+        figures.valve_map(data.valve_map, data.unit, data.command_unit),
+        "Map of the valve: speed over command. Below the dead zone, points show motion dying away.",
+        f"Speed in {data.unit}/s over command in {data.command_unit}: benchmark, tests and ramps.",
+    )
+
+
+def _intervals(name: str, title: str, estimates: Estimates) -> Picture:
+    return Picture(
+        name,
+        figures.intervals(estimates.parameters),
+        f"{title.capitalize()}: estimate and 95 % interval, each on its own scale; the thin line is the "
+        "bootstrap's. Grey: not determined by the tests.",
+        "; ".join(f"{estimate.symbol}: {estimate.verdict}" for estimate in estimates.parameters),
+    )
+
+
+def _dead_zone(context: DirectionContext) -> Iterator[Picture]:
+    data, trace = context.data, context.trace
+    if not data.ramps or trace is None or not trace.dead_zone.value > 0:
+        return
+    zone = trace.dead_zone
+    yield Picture(
+        context.figure_name("dead-zone"),
+        figures.dead_zone(
+            data.ramps, context.direction, zone.value, zone.spread, data.unit, data.command_unit
+        ),
+        _dead_zone_caption(zone),
+        f"Travel of the piston over command on {len(data.ramps)} ramps; dead zone {zone.value:.4g} "
+        f"{data.command_unit}.",
+    )
+
+
+def _dead_zone_caption(zone: TracedDeadZone) -> str:
+    """Return the origin of a dead zone, as a caption."""
+    if zone.origin == "ramps":
+        return f"Dead zone from {zone.count} slow ramps, ± its spread: where they set the piston moving."
+    if zone.origin == "tests":
+        return f"Dead zone from {zone.count} dynamic tests, ± its standard error; the ramps were not used."
+    return "Dead zone as it was given; the ramps were not used."

@@ -1,0 +1,58 @@
+"""Search and training of one direction."""
+
+from collections.abc import Iterator
+
+from hitchid.report import figures
+from hitchid.report.document import Block, Picture, Pictures, ReportSection, Text, sentence
+from hitchid.report.sections.context import DirectionContext
+from hitchid.report.tables import search_table
+from hitchid.report.trace_file import ChannelTraceFile
+
+
+def search(context: DirectionContext) -> ReportSection:
+    """Return the section on the identification; its trace is in the model's units."""
+    trace, searches = context.trace, context.result.searches
+    blocks: list[Block] = []
+    pictures = []
+    if trace is not None:
+        blocks += [Text(sentence(notice)) for notice in trace.notices]
+        pictures += _trace_pictures(context, trace)
+    if searches:
+        blocks.append(search_table(context.direction, searches, context.unit))
+        pictures.append(
+            Picture(
+                context.figure_name("searches"),
+                figures.searches(searches, context.unit),
+                "Searches compared on one budget: the median run, and the final error of each seed.",
+                f"Best RMSE over the budget for {', '.join(found.name for found in searches)}.",
+            )
+        )
+    return ReportSection("Search and training", (*blocks, *([Pictures(tuple(pictures))] if pictures else [])))
+
+
+def _trace_pictures(context: DirectionContext, trace: ChannelTraceFile) -> Iterator[Picture]:
+    unit = context.data.unit
+    yield Picture(
+        context.figure_name("convergence"),
+        figures.convergence(trace.phase1, unit),
+        "Search: best fitness so far, over the tests as the search weighs them, and the parameters "
+        "that gave it.",
+        "Best RMSE and the parameters that gave it, over the iterations of the search.",
+    )
+    if trace.phase2 is not None:
+        yield Picture(
+            context.figure_name("losses"),
+            figures.losses(trace.phase2),
+            "Training of the compensator; the epoch with the least validation loss is kept.",
+            f"Losses over epochs; that of epoch {trace.phase2.best_epoch} is kept.",
+        )
+    if trace.candidates:
+        chosen = next(candidate.name for candidate in trace.candidates if candidate.chosen)
+        yield Picture(
+            context.figure_name("structures"),
+            figures.structures(trace.candidates, unit),
+            "Structures compared in free run, on all tests and on levels held out in turn. A gain "
+            "that grows along the stroke is judged with each test's own speed, so it may be taken "
+            "with a larger error here.",
+            f"RMSE of {len(trace.candidates)} structures; taken: {chosen}.",
+        )

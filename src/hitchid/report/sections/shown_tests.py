@@ -1,0 +1,21 @@
+"""Tests that a figure of a report shows."""
+
+import numpy as np
+
+from hitchid.validation import Predictions
+
+MAX_SHOWN_TESTS = 4  # as many as can be told apart in one figure
+
+
+def shown_tests(tests: Predictions, model: str = "free_run") -> tuple[Predictions, str]:
+    """Return four tests at most, from the best to the worst, and how they were picked."""
+    count = len(tests.names)
+    if count <= MAX_SHOWN_TESTS:
+        return tests, "all unseen tests"
+    order = np.argsort(tests.rmse(model))
+    selected = sorted(
+        {int(order[round(position)]) for position in np.linspace(0, count - 1, MAX_SHOWN_TESTS)}
+    )
+    best, worst = tests.names[order[0]], tests.names[order[-1]]
+    selection = f"{len(selected)} of {count} unseen tests, {best} the best, {worst} the worst"
+    return tests.take(selected), selection

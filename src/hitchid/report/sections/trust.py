@@ -1,0 +1,45 @@
+"""Bands of one direction, and tests of its errors."""
+
+from hitchid.report import figures
+from hitchid.report.document import Block, Picture, Pictures, ReportSection
+from hitchid.report.sections.context import DirectionContext
+from hitchid.report.tables import band_table, residual_table
+from hitchid.validation.names import FREE_RUN
+
+
+def trust(context: DirectionContext) -> ReportSection:
+    """Return the section on bands and on tests of the errors."""
+    result, unit = context.result, context.unit
+    blocks: list[Block] = []
+    pictures = []
+    bands = context.accuracy.bands
+    if bands is not None:
+        blocks.append(band_table(context.direction, bands, unit))
+        pictures.append(
+            Picture(
+                context.figure_name("coverage"),
+                figures.coverage(bands, context.step_s),
+                "Share of unseen samples inside the bands, and the share they are made for.",
+                "Coverage of the bands in percent over the horizon.",
+            )
+        )
+    free_run = result.residuals[FREE_RUN]
+    if free_run is not None:
+        blocks.append(residual_table(context.direction, result.residuals, unit))
+        pictures += [
+            Picture(
+                context.figure_name("correlations"),
+                figures.residual_correlations(free_run),
+                "Free run: correlation of the errors with themselves and with the command. Beyond the bounds "
+                "is what a model could still explain.",
+                "Autocorrelation of the errors and their correlation with the command, with 99 % bounds.",
+            ),
+            Picture(
+                context.figure_name("places"),
+                figures.residuals_by_variable(free_run, unit, context.data.command_unit),
+                "Free run: mean error (bar) and its spread (line) by displacement, speed and command beyond "
+                "the dead zone. A bar off zero shows where the model is wrong.",
+                f"Mean and spread of the errors in {unit} by displacement, speed and command.",
+            ),
+        ]
+    return ReportSection("Trust", (*blocks, *([Pictures(tuple(pictures))] if pictures else [])))

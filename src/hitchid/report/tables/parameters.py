@@ -1,0 +1,86 @@
+"""Tables of parameters with their intervals, and of operating characteristics."""
+
+from hitchid.report import numbers
+from hitchid.report.document import Table
+from hitchid.uncertainty import Characteristics, Estimates
+
+
+def parameter_table(title: str, estimates: Estimates) -> Table:
+    """Return parameters and what follows from them; one that is not determined has an interval only."""
+    rows = [
+        (
+            estimate.symbol,
+            estimate.unit,
+            numbers.estimate(estimate),
+            numbers.interval(estimate.interval),
+            numbers.interval(estimate.bootstrap) if estimate.bootstrap and estimate.determined else "",
+            f"{100 * estimate.sensitivity:.3g}",
+            estimate.verdict,
+        )
+        for estimate in estimates.parameters
+    ]
+    rows += [
+        (
+            quantity.name,
+            quantity.unit,
+            numbers.digits(quantity.value) if quantity.determined else "",
+            numbers.interval(quantity.interval),
+            "",
+            "",
+            numbers.determined(quantity),
+        )
+        for quantity in estimates.derived
+    ]
+    header = (
+        "parameter",
+        "unit",
+        "value ± standard error",
+        "95 %",
+        "bootstrap",
+        "RMSE for ±1 % / %",
+        "verdict",
+    )
+    return Table(title, header, tuple(rows))
+
+
+def characteristic_tables(direction: str, characteristics: Characteristics) -> list[Table]:
+    """Return the speed map of a direction, and its dead zone, delay and response time."""
+    unit, load = characteristics.command_unit, characteristics.load
+    rows = tuple(
+        (
+            numbers.digits(point.command),
+            *([numbers.digits(point.load)] if load else []),
+            numbers.digits(point.speed),
+            numbers.interval(point.interval),
+            numbers.determined(point.determined),
+        )
+        for point in characteristics.speed_map
+    )
+    speed_header = f"speed / ({characteristics.speed_unit})"
+    header = (f"command / {unit}", *([load] if load else []), speed_header, "95 %", "verdict")
+    quantities = (
+        ("dead zone", unit, characteristics.dead_zone),
+        ("command at which flow begins", unit, characteristics.opening),
+        ("delay (5 %)", "s", characteristics.delay),
+        ("response time (63 %)", "s", characteristics.response_time),
+    )
+    quantity_rows = tuple(
+        (
+            name,
+            quantity_unit,
+            numbers.digits(quantity.value),
+            numbers.interval(quantity.interval),
+            numbers.determined(quantity),
+        )
+        for name, quantity_unit, quantity in quantities
+        if quantity is not None
+    )
+    step = f"step to {numbers.digits(characteristics.level)} {unit}"
+    return [
+        Table(f"{direction}: speed map, at mid stroke", header, rows),
+        Table(
+            f"{direction}: dead zone, delay, response time ({step})",
+            ("quantity", "unit", "value", "95 %", "verdict"),
+            quantity_rows,
+        ),
+    ]

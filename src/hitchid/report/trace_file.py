@@ -1,0 +1,101 @@
+"""The trace of an identification, read from the content of `trace.json`."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from pydantic import TypeAdapter, ValidationError
+
+from hitchid.uncertainty import Estimate
+
+
+@dataclass(frozen=True)
+class TracedDeadZone:
+    """A dead zone, its standard deviation, and how many logs of which origin it comes from."""
+
+    value: float
+    spread: float | None
+    count: int
+    origin: str
+
+
+@dataclass(frozen=True)
+class TracedEstimates:
+    """Estimates of the parameters, in the order of the search's values."""
+
+    parameters: tuple[Estimate, ...]
+
+
+@dataclass(frozen=True)
+class TracedSearch:
+    """The search for the parameters.
+
+    Attributes:
+        uncertainty: estimates after least squares.
+        fitness: best RMSE so far over the iterations, in the model's unit; None while none was finite.
+        values: the parameters that gave it, a row an iteration.
+    """
+
+    uncertainty: TracedEstimates
+    fitness: tuple[float | None, ...]
+    values: tuple[tuple[float, ...], ...]
+
+    @property
+    def parameters(self) -> tuple[Estimate, ...]:
+        """Estimates after least squares."""
+        return self.uncertainty.parameters
+
+
+@dataclass(frozen=True)
+class TracedTraining:
+    """Losses of the error compensator over the epochs, and the epoch that was kept."""
+
+    training_loss: tuple[float | None, ...]
+    validation_loss: tuple[float | None, ...]
+    best_epoch: int
+
+
+@dataclass(frozen=True)
+class TracedCandidate:
+    """A model form that was compared: RMSE in free run on all tests and on held-out levels."""
+
+    name: str
+    rmse: float | None
+    held_out_rmse: float | None
+    chosen: bool
+
+
+@dataclass(frozen=True)
+class ChannelTraceFile:
+    """How one direction was identified.
+
+    Attributes:
+        dead_zone: of the command.
+        phase1: search for the parameters.
+        phase2: training of the compensator; None where there was none.
+        candidates: model forms that were compared.
+        notices: of the identification.
+    """
+
+    dead_zone: TracedDeadZone
+    phase1: TracedSearch
+    phase2: TracedTraining | None
+    candidates: tuple[TracedCandidate, ...]
+    notices: tuple[str, ...]
+
+
+def read_trace(content: Mapping[str, object]) -> dict[str, ChannelTraceFile]:
+    """Return direction to trace; directions in the form of an older version are left out.
+
+    Args:
+        content: of `trace.json`, as `hitchid.model.load_trace` returns it.
+    """
+    traces = {}
+    for direction, trace in content.items():
+        try:
+            traces[direction] = _ADAPTER.validate_python(trace)
+        except ValidationError:
+            continue
+    return traces
+
+
+_ADAPTER = TypeAdapter(ChannelTraceFile)

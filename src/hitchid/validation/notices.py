@@ -1,0 +1,82 @@
+"""Notices of a validation: findings that a reader of the figures must not miss."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hitchid.data.record import DISPLACEMENT, Record
+from hitchid.model import Channel, Hitch
+from hitchid.validation.names import BENCHMARK, GREYBOX, RUNS, model_name
+from hitchid.validation.results import Accuracy, CycleResult
+
+
+def channel_notices(
+    direction: str, accuracy: Accuracy, channel: Channel, tests: Sequence[Record]
+) -> list[str]:
+    """Return the notices of one direction.
+
+    Args:
+        direction: lifting or lowering.
+        accuracy: of the channel.
+        channel: of the model.
+        tests: on the model's clock and in its units.
+    """
+    notices = _accuracy_notices(direction, accuracy) + _out_of_range_notices(direction, channel, tests)
+    covariate = channel.benchmark.covariate
+    if covariate is not None:
+        notices.append(f"{direction}: the free run takes '{covariate}' as measured before motion")
+    return notices
+
+
+def cycle_notices(model: Hitch, result: CycleResult, factor: float) -> list[str]:
+    """Return the notices of mixed cycles.
+
+    Args:
+        model: the hitch.
+        result: its results.
+        factor: from the model's unit of displacement to that of the figures.
+    """
+    accuracy = result.accuracy
+    notices = _limit_notices(model, accuracy, factor)
+    if not accuracy.free_run().errs_less(accuracy.free_run(BENCHMARK)):
+        notices.append(f"cycles: in free run the grey box is no better than {model_name(BENCHMARK)}")
+    return notices
+
+
+def _accuracy_notices(direction: str, accuracy: Accuracy) -> list[str]:
+    uncompensated = accuracy.uncompensated
+    left_out = (GREYBOX, BENCHMARK) if uncompensated else (GREYBOX,)
+    notices = [f"{direction}: in free run the grey box is the benchmark alone"] if uncompensated else []
+    for run, label in RUNS.items():
+        greybox = accuracy.models[GREYBOX].run(run)
+        others = {name: models.run(run) for name, models in accuracy.models.items() if name not in left_out}
+        better = [
+            model_name(name)
+            for name, figures in others.items()
+            if figures is not None and greybox is not None and not greybox.errs_less(figures)
+        ]
+        if better:
+            notices.append(f"{direction}: in {label} the grey box is no better than {' and '.join(better)}")
+    return notices
+
+
+def _out_of_range_notices(direction: str, channel: Channel, tests: Sequence[Record]) -> list[str]:
+    batch = channel.batch(tests)
+    out_of_range = channel.out_of_range(batch, channel.simulate(batch))
+    return [
+        f"{direction}: in {int(rows.any(axis=1).sum())} of {len(tests)} tests the {name} leaves what the "
+        "identification covered"
+        for name, rows in out_of_range.items()
+        if rows.any()
+    ]
+
+
+def _limit_notices(model: Hitch, accuracy: Accuracy, factor: float) -> list[str]:
+    """Return in how many mixed logs the free run is held at a limit that is no mechanical stop."""
+    limits = model.limits
+    if limits is None:
+        return []
+    free_runs = accuracy.predictions.models["free_run"]
+    limited_runs = sum(bool(np.any(limits.at_soft_limit(run / factor))) for run in free_runs)
+    sentence = limits.sentence(model.units[DISPLACEMENT])
+    return [f"cycles: {sentence}; {limited_runs} of {len(free_runs)} reach a limit"] if limited_runs else []

@@ -1,0 +1,168 @@
+"""What a report shows beside the figures: logs and their audit, speed over command, origin of the model."""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from hitchid._support.notices import Notice
+from hitchid._support.versions import installed_versions
+from hitchid.data.campaign import Campaign
+from hitchid.data.record import COMMAND, CYCLE, DISPLACEMENT, IDLE, RAMP, Record
+from hitchid.inspection.inspect_logs import Inspection, inspect_campaign
+from hitchid.model import Hitch, Provenance
+from hitchid.validation.valve_map import ValveMap, valve_map
+
+HASH_DIGITS = 16  # of the 64 hexadecimal digits of a SHA-256
+
+
+@dataclass(frozen=True)
+class LogUse:
+    """One log of the campaign.
+
+    Attributes:
+        name, kind: of the record.
+        used_as: part of the log in identification and validation.
+        samples: number of samples.
+        step_s, duration_s: sampling time and duration, s.
+        digest: first digits of the SHA-256 of its file; empty where it was not read from one.
+    """
+
+    name: str
+    kind: str
+    used_as: str
+    samples: int
+    step_s: float
+    duration_s: float
+    digest: str
+
+
+@dataclass(frozen=True)
+class LogData:
+    """The logs of a campaign and what their audit found.
+
+    Attributes:
+        inspection: audit and segments of mixed logs.
+        notices: of the campaign: logs that are left out, and why.
+        logs: every log.
+    """
+
+    inspection: Inspection
+    notices: tuple[Notice, ...]
+    logs: tuple[LogUse, ...]
+
+
+@dataclass(frozen=True)
+class DirectionData:
+    """One direction of the model beside the logs, in the model's units.
+
+    Attributes:
+        unit, command_unit: of displacement and command.
+        compensated: whether the channel has an error compensator.
+        valve_map: speed over command.
+        ramps: slow ramps.
+    """
+
+    unit: str
+    command_unit: str
+    compensated: bool
+    valve_map: ValveMap
+    ramps: tuple[Record, ...]
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Origin of a model: provenance, sampling time in s, and the versions installed now."""
+
+    provenance: Provenance
+    step_s: float
+    versions: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class ReportData:
+    """Content of a report beside the figures of the validation.
+
+    Attributes:
+        directions: each direction that the model and the logs have.
+        logs: of the campaign.
+        origin: of the model.
+    """
+
+    directions: Mapping[str, DirectionData]
+    logs: LogData
+    origin: Origin
+
+
+def report_data(model: Hitch, campaign: Campaign) -> ReportData:
+    """Return what a report on a model shows of the logs it was validated on."""
+    segmented = (
+        campaign if campaign.directions else campaign.segmented(model.segmentation_dead_zones(campaign.units))
+    )
+    return ReportData(
+        directions={
+            direction: _direction_data(model, segmented, direction)
+            for direction in segmented.directions
+            if direction in model.channels
+        },
+        logs=log_data(model, campaign),
+        origin=Origin(model.provenance, model.step_s, installed_versions()),
+    )
+
+
+def log_data(model: Hitch, campaign: Campaign) -> LogData:
+    """Return the logs of a campaign, their use by a model, and what their audit found."""
+    digests: dict[Path, str] = {}
+    logs = tuple(
+        LogUse(
+            name=record.name,
+            kind=record.kind,
+            used_as=_use(record, model),
+            samples=len(record),
+            step_s=record.step_s,
+            duration_s=(len(record) - 1) * record.step_s,
+            digest=_digest(record.source, digests),
+        )
+        for record in campaign.records
+    )
+    return LogData(inspect_campaign(campaign, model.command_thresholds), campaign.notices, logs)
+
+
+def _direction_data(model: Hitch, campaign: Campaign, direction: str) -> DirectionData:
+    channel = model.channels[direction]
+    tests, ramps = (
+        [model.to_model_units(record) for record in records]
+        for records in (campaign.of_kind(direction), campaign.ramps(direction))
+    )
+    return DirectionData(
+        unit=model.units[DISPLACEMENT],
+        command_unit=model.units[COMMAND[direction]],
+        compensated=channel.compensator is not None,
+        valve_map=valve_map(channel, tests, ramps),
+        ramps=tuple(ramps),
+    )
+
+
+def _use(record: Record, model: Hitch) -> str:
+    """Return what a log was to the model; of a cycle cut into strokes all strokes have its name."""
+    provenance = model.provenance
+    if record.kind == RAMP:
+        return "dead zone's ramp"
+    if record.kind == IDLE or (record.kind == CYCLE and len(model.channels) < 2):
+        return "not used"
+    if record.fingerprint in provenance.seen:
+        stopping = any(record.name in names for names in provenance.validation.values())
+        strokes = ", by strokes" if record.kind == CYCLE else ""
+        return "validation while training" if stopping else f"identification{strokes}"
+    if record.kind == CYCLE:
+        return "unseen cycle"
+    return "unseen test" if record.kind in model.channels else "not used"
+
+
+def _digest(path: Path | None, cache: dict[Path, str]) -> str:
+    if path is None or not path.is_file():
+        return ""
+    if path not in cache:
+        with path.open("rb") as file:
+            cache[path] = hashlib.file_digest(file, "sha256").hexdigest()[:HASH_DIGITS]
+    return cache[path]

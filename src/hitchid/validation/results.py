@@ -1,0 +1,211 @@
+"""Results of a validation as frozen records: one layout for directions and for mixed cycles."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hitchid._support.metrics import error_figures, rmse_error
+from hitchid.uncertainty import Characteristics, Estimates
+from hitchid.validation.names import BENCHMARK, FREE_RUN, GREYBOX, ONE_STEP
+from hitchid.validation.predictions import Predictions
+from hitchid.validation.residuals import ResidualTests
+
+
+@dataclass(frozen=True)
+class RunFigures:
+    """Errors of one model in one kind of run, pooled over tests; None where the run diverged.
+
+    Attributes:
+        rmse, mae, max_abs: root mean square, mean and largest absolute error, in the displacement's unit.
+        r2: coefficient of determination, a fraction.
+        fit: 100 (1 − ‖y − ŷ‖ / ‖y − ȳ‖), percent.
+        within_1: fraction of samples whose absolute error is below one unit.
+        rmse_error: standard error of the RMSE; None where there is one test alone.
+    """
+
+    rmse: float | None
+    mae: float | None
+    r2: float | None
+    fit: float | None
+    max_abs: float | None
+    within_1: float | None
+    rmse_error: float | None = None
+
+    @classmethod
+    def of(cls, actual: Sequence[np.ndarray], predicted: Sequence[np.ndarray]) -> "RunFigures":
+        """Return the figures of predicted against measured displacement, an array [N_i] for each test."""
+        figures = (*error_figures(actual, predicted), rmse_error(actual, predicted))
+        return cls(*(value if np.isfinite(value) else None for value in figures))
+
+    def value(self, figure: str) -> float | None:
+        """Return one figure by its name."""
+        return getattr(self, figure)
+
+    def errs_less(self, other: "RunFigures") -> bool:
+        """Tell whether this RMSE is finite and below the other; a run that diverged is never better."""
+        return self.rmse is not None and (other.rmse is None or self.rmse < other.rmse)
+
+
+def figures_by_test(tests: Predictions) -> dict[str, RunFigures]:
+    """Return the figures of the free run on each test alone."""
+    rows = zip(tests.names, tests.actual, tests.models[FREE_RUN], strict=True)
+    return {name: RunFigures.of([actual], [predicted]) for name, actual, predicted in rows}
+
+
+@dataclass(frozen=True)
+class ModelFigures:
+    """Figures of one model by run; None for a run that the model does not have."""
+
+    one_step: RunFigures | None = None
+    free_run: RunFigures | None = None
+
+    def run(self, name: str) -> RunFigures | None:
+        """Return the figures of `one_step` or `free_run`."""
+        return self.one_step if name == ONE_STEP else self.free_run
+
+
+@dataclass(frozen=True)
+class Horizons:
+    """RMSE over prediction horizons.
+
+    Attributes:
+        steps: horizons, in samples.
+        rmse: model to its RMSE at each horizon, in the displacement's unit; None where it diverged.
+    """
+
+    steps: tuple[int, ...]
+    rmse: Mapping[str, tuple[float | None, ...]]
+
+
+@dataclass(frozen=True)
+class BandHorizons:
+    """Coverage of prediction bands by horizon.
+
+    Attributes:
+        steps: horizons, in samples.
+        covered: share of samples inside the band.
+        width: full width of the band, in the displacement's unit.
+    """
+
+    steps: tuple[int, ...]
+    covered: tuple[float, ...]
+    width: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class BandFigures:
+    """Coverage of prediction bands on unseen tests, each test weighing the same.
+
+    Attributes:
+        coverage: nominal share of samples.
+        covered: share of samples inside the band of the free run.
+        covered_error: its standard error over tests; None of one test.
+        width: mean width of that band, in the displacement's unit.
+        calibrated_on: number of held-out tests behind the bands of free run and of horizons; None for cycles.
+        sensor_noise: standard deviation, in the displacement's unit; None for cycles.
+        horizons: bands of predictions over horizons; None for cycles.
+    """
+
+    coverage: float
+    covered: float
+    covered_error: float | None
+    width: float
+    calibrated_on: tuple[int, int] | None = None
+    sensor_noise: float | None = None
+    horizons: BandHorizons | None = None
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """Errors of every model on the unseen tests of one direction, or on the unseen mixed cycles.
+
+    Attributes:
+        models: name of a model, `greybox`, `benchmark` or a baseline, to its figures.
+        horizons: of every model that predicts over horizons.
+        per_test: test to the grey box's figures in free run.
+        predictions: the tests and the predictions behind the figures.
+        bands: of the grey box; None where it has none, or where its free run diverged.
+    """
+
+    models: Mapping[str, ModelFigures]
+    horizons: Horizons
+    per_test: Mapping[str, RunFigures]
+    predictions: Predictions
+    bands: BandFigures | None = None
+
+    @property
+    def tests(self) -> tuple[str, ...]:
+        """Names of the tests."""
+        return self.predictions.names
+
+    def free_run(self, model: str = GREYBOX) -> RunFigures:
+        """Return the figures of the grey box or the benchmark in free run.
+
+        Raises:
+            KeyError: the model has no free run.
+        """
+        figures = self.models[model].free_run
+        if figures is None:
+            raise KeyError(f"{model} has no free run")
+        return figures
+
+    @property
+    def uncompensated(self) -> bool:
+        """Whether the grey box in free run is the benchmark alone."""
+        return self.free_run() == self.free_run(BENCHMARK)
+
+
+@dataclass(frozen=True)
+class SearchSummary:
+    """Runs of one search for the parameters, one run for each seed.
+
+    Attributes:
+        name: of the search.
+        rmse: final RMSE of each run, in the displacement's unit; None where it failed.
+        evaluations, failures: simulations of each run, and how many of them were not finite.
+        median_rmse: best RMSE so far over the iterations of the median run.
+        median_values: the parameters that gave it.
+    """
+
+    name: str
+    rmse: tuple[float | None, ...]
+    evaluations: tuple[int, ...]
+    failures: tuple[int, ...]
+    median_rmse: tuple[float | None, ...]
+    median_values: tuple[tuple[float, ...], ...]
+
+
+@dataclass(frozen=True)
+class ChannelResult:
+    """Results of one direction.
+
+    Attributes:
+        accuracy: on the unseen tests.
+        residuals: run to tests of the grey box's errors; None where the run diverged.
+        parameters, paper_parameters: estimates of the benchmark's parameters and of the paper's transfer
+            function, in the model's units; None where the model holds none.
+        characteristics: speed map, dead zone, delay and response time; None where the model holds none.
+        searches: searches compared with one another; empty where they were not.
+    """
+
+    accuracy: Accuracy
+    residuals: Mapping[str, ResidualTests | None]
+    parameters: Estimates | None = None
+    paper_parameters: Estimates | None = None
+    characteristics: Characteristics | None = None
+    searches: tuple[SearchSummary, ...] = ()
+
+
+@dataclass(frozen=True)
+class CycleResult:
+    """Results of the unseen mixed cycles.
+
+    Attributes:
+        accuracy: on the unseen cycles.
+        max_jump: largest jump of the free run where the channel changes, in the displacement's unit; None
+            where it diverged.
+    """
+
+    accuracy: Accuracy
+    max_jump: float | None

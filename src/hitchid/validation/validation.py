@@ -1,0 +1,142 @@
+"""The result of a validation, with its files and its report."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hitchid._support import checks
+from hitchid._support.storage import canonical_json, write_bytes, write_files, write_folder
+from hitchid.data.campaign import Campaign
+from hitchid.model import Hitch, TwoModes
+from hitchid.validation.acceptance import Acceptance, check_limits
+from hitchid.validation.limits import AcceptanceLimits
+from hitchid.validation.metrics_json import validation_json
+from hitchid.validation.names import CYCLES
+from hitchid.validation.predictions import Predictions
+from hitchid.validation.report_data import ReportData, report_data
+from hitchid.validation.results import Accuracy, ChannelResult, CycleResult
+
+if TYPE_CHECKING:
+    from hitchid.report import ChannelTraceFile, Document
+
+METRICS_FILE = "metrics.json"
+TABLES_FILE = "tables.md"
+
+
+@dataclass(frozen=True)
+class Validation:
+    """Errors of a model and its baselines on tests that the identification has not used.
+
+    Attributes:
+        unit: of the displacement in the logs, and of every error.
+        channels: direction to its results.
+        cycles: results of the mixed cycles; None where there are none.
+        mode_test: test of one shared model against one for each direction; None where it was not made.
+        notices: findings that a reader must not miss.
+        model, campaign: what was validated, on which logs.
+    """
+
+    unit: str
+    channels: Mapping[str, ChannelResult]
+    cycles: CycleResult | None
+    mode_test: TwoModes | None
+    notices: tuple[str, ...]
+    model: Hitch = field(repr=False, compare=False)
+    campaign: Campaign = field(repr=False, compare=False)
+
+    @property
+    def accuracy(self) -> dict[str, Accuracy]:
+        """Errors by direction, and under `cycles` those of mixed cycles."""
+        by_direction = {direction: result.accuracy for direction, result in self.channels.items()}
+        return by_direction if self.cycles is None else {**by_direction, CYCLES: self.cycles.accuracy}
+
+    @property
+    def predictions(self) -> dict[str, Predictions]:
+        """Unseen tests with the predictions of every model, by direction, and under `cycles` mixed cycles."""
+        return {direction: accuracy.predictions for direction, accuracy in self.accuracy.items()}
+
+    @property
+    def metrics(self) -> dict[str, object]:
+        """All figures, in the form of `metrics.json`: errors in `unit`, R² a fraction, fit in percent."""
+        return validation_json(self.unit, self.channels, self.cycles, self.mode_test)
+
+    def check(self, limits: AcceptanceLimits) -> Acceptance:
+        """Return whether the figures are within limits, as `check_limits` does."""
+        return check_limits(self.unit, self.accuracy, limits)
+
+    def report_data(self) -> ReportData:
+        """Return what a report shows beside the figures: logs, their audit, speed over command, origin."""
+        return report_data(self.model, self.campaign)
+
+    def report(
+        self,
+        *,
+        trace: Mapping[str, "ChannelTraceFile"] | None = None,
+        acceptance: Acceptance | None = None,
+        command: str = "",
+    ) -> "Document":
+        """Return the report, for `hitchid.report.render`.
+
+        Args:
+            trace: how the model was identified, as `hitchid.report.read_trace` returns it.
+            acceptance: limits and whether they hold; None where none were set.
+            command: that wrote the report.
+        """
+        from hitchid.report import validation_report
+
+        return validation_report(
+            self, self.report_data(), trace=trace, acceptance=acceptance, command=command
+        )
+
+    def markdown(self) -> str:
+        """Return every table as Markdown."""
+        from hitchid.report import render, validation_tables
+
+        return render(validation_tables(self), "markdown").decode("utf-8", errors="surrogateescape")
+
+    def to_html(self, path: str | Path, *, force: bool = False) -> None:
+        """Write the report as one HTML page.
+
+        Raises:
+            OutputError: the file exists and `force` is not given, or it cannot be written.
+        """
+        self.write_as("html", path, force=force)
+
+    def to_pdf(self, path: str | Path, *, force: bool = False) -> None:
+        """Write the report as PDF.
+
+        Raises:
+            OutputError: the file exists and `force` is not given, or it cannot be written.
+            InputError: typst is not installed.
+        """
+        self.write_as("pdf", path, force=force)
+
+    def write_as(self, renderer: str, path: str | Path, *, force: bool = False) -> None:
+        """Write the report by one of `hitchid.report.renderers()`.
+
+        Raises:
+            OutputError: the file exists and `force` is not given, or it cannot be written.
+            InputError: there is no such renderer.
+        """
+        from hitchid.report import render
+
+        write_bytes(checks.path(path, "path"), render(self.report(), renderer), force=force)
+
+    def write(self, folder: str | Path, *, force: bool = False) -> None:
+        """Write `metrics.json` and `tables.md`, both or neither; `report.write_report` adds a report.
+
+        Raises:
+            OutputError: the folder exists and `force` is not given, or it cannot be written.
+        """
+        write_folder(
+            checks.path(folder, "folder"),
+            lambda target: write_files(target, self.files()),
+            result_kind=METRICS_FILE,
+            force=force,
+        )
+
+    def files(self) -> dict[str, bytes]:
+        """Return `metrics.json` and `tables.md` with their content."""
+        text = self.markdown().encode("utf-8", errors="backslashreplace")
+        return {METRICS_FILE: canonical_json(self.metrics), TABLES_FILE: text}
