@@ -6,6 +6,7 @@ from dataclasses import asdict, replace
 import equinox as eqx
 import numpy as np
 import pytest
+from hitchid.validation.tables import NAMES
 
 from handmade import AHEAD, DEAD_ZONES, GAINS, channel, envelope, hitch, hitch_of, with_bands
 from hitchid._support.metrics import HORIZONS
@@ -17,7 +18,6 @@ from hitchid.estimation import SearchHistory, SearchRun
 from hitchid.model import Provenance, TwoModes, remove_padding
 from hitchid.validation import compare, validate
 from hitchid.validation.cycles import ORIGIN_STRIDE
-from hitchid.validation.tables import NAMES
 from truth import STEP_S, levels
 
 SIZES = (200, 150, 180)
