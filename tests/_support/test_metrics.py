@@ -135,6 +135,8 @@ def test_tests_and_predictions_must_be_as_many():
         ([0.9, 0.9, 0.9], True),
         # Two of three tests are enough, one is not, however much better it is there.
         ([0.8, 0.8, 0.8, 0.8, 1.01, 1.01], True),
+        # Half of the tests are not enough.
+        ([0.8, 0.8, 0.8, 1.01, 1.01, 1.01], False),
         # With fewer than six tests the scatter between them weighs more: Student's t at 90 %.
         ([0.8, 0.8, 1.05], False),
         ([0.1, 1.001, 1.001], False),
