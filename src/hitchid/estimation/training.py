@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 from hitchid._support.checkpoints import DISABLED, Arrays, Checkpoints
 
 Network = TypeVar("Network")
-# Share of the learning rate at the end of the cosine, and largest norm of a gradient: common choices for an LSTM.
+# Share of the learning rate at the end of the cosine, and largest norm of a gradient: common for an LSTM.
 FINAL_RATE, MAX_GRADIENT = 0.1, 1.0
 Data = TypeVar("Data")
 EpochCallback = Callable[[int, float, float], None]
