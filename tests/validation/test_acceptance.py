@@ -257,22 +257,22 @@ def test_a_limit_holds_at_itself_and_fails_beyond(mode, run, key, at, worse, lim
         check = only(metrics, limits_of(mode, **{run: {key: limit}}))
         assert (check.direction, check.passed) == (mode, passes)
         if figure is None or figure != figure:
-            assert check.found.startswith("diverged")
+            assert check.figure.startswith("diverged")
 
 
 def test_the_worst_test_is_named_whatever_its_place():
     check = only(campaign(), limits_of(worst_test={"rmse": 0.35}))
-    assert (check.passed, check.found) == (False, "0.4 mm in up-4")
+    assert (check.passed, check.figure) == (False, "0.4 mm in up-4")
     metrics = campaign()
     metrics["channels"]["lifting"]["per_test"]["up-2"]["free_run"] = figures(None, r2=0.5)
-    assert only(metrics, limits_of(worst_test={"rmse": 9})).found == "diverged in up-2"
-    assert only(metrics, limits_of(worst_test={"r2": 0.9})).found == "0.5 in up-2"
+    assert only(metrics, limits_of(worst_test={"rmse": 9})).figure == "diverged in up-2"
+    assert only(metrics, limits_of(worst_test={"r2": 0.9})).figure == "0.5 in up-2"
 
 
 @pytest.mark.parametrize(("at_least", "passes"), [(3, True), (4, True), (5, False)])
 def test_unseen_tests_are_counted(at_least, passes):
     check = only(campaign(), limits_of(tests=at_least))
-    assert (check.found, check.passed) == ("4", passes)
+    assert (check.figure, check.passed) == ("4", passes)
 
 
 @pytest.mark.parametrize(
@@ -309,8 +309,8 @@ def test_what_diverged_is_nothing_to_be_better_than(ours):
     metrics["channels"]["lifting"]["benchmark"]["free_run"] = figures(None)
     check = only(metrics, limits_of(better_than=["benchmark"]))
     assert not check.passed
-    assert "diverged" in check.found
-    assert ("benchmark" in check.found) == (ours is not None)
+    assert "diverged" in check.figure
+    assert ("benchmark" in check.figure) == (ours is not None)
 
 
 @pytest.mark.parametrize(
@@ -336,14 +336,14 @@ def test_what_is_missing_fails_and_is_named(mode, demanded, found):
     lifting["baselines"]["lstm"] = {"one_step": figures(9.0)}
     del lifting["greybox"]["one_step"]
     check = only(metrics, limits_of(mode, **demanded))
-    assert (check.direction, check.found, check.passed) == (mode, found, False)
+    assert (check.direction, check.figure, check.passed) == (mode, found, False)
 
 
 def test_cycles_that_were_not_driven_keep_no_limit():
     metrics = campaign() | {"cycles": {"tests": []}}
     demanded = {"tests": 1, "free_run": {"rmse": 9}, "horizon": {"1": 9}, "better_than": ["benchmark"]}
     checks = check_limits(metrics, limits_of("cycles", **demanded)).checks
-    assert [(check.found, check.passed) for check in checks] == [
+    assert [(check.figure, check.passed) for check in checks] == [
         ("0", False),
         *[("missing: no unseen test", False)] * 3,
     ]
@@ -353,7 +353,7 @@ def test_a_horizon_that_diverged_keeps_no_limit():
     metrics = campaign()
     metrics["channels"]["lifting"]["horizons"]["greybox"][1] = None
     check = only(metrics, limits_of(horizon={"10": 9}))
-    assert (check.found, check.passed) == ("diverged", False)
+    assert (check.figure, check.passed) == ("diverged", False)
 
 
 def test_one_failed_check_fails_the_whole_and_all_is_told_as_json():
@@ -404,7 +404,7 @@ def test_errors_are_converted_to_the_unit_of_the_limits(logs, figure, limits, at
         demanded = {"free_run": run, "one_step": run, "worst_test": run, "horizon": {"10": limit}}
         checks = check_limits(metrics, limits_of(unit=limits, **demanded)).checks
         assert [check.passed for check in checks] == [passes] * 4
-        assert all(Fraction(check.found.split()[0]) == Fraction(str(at)) for check in checks)
+        assert all(Fraction(check.figure.split()[0]) == Fraction(str(at)) for check in checks)
 
 
 def test_shares_are_not_converted():
@@ -414,7 +414,7 @@ def test_shares_are_not_converted():
 
 def test_both_figures_of_a_comparison_are_told_in_the_unit_of_the_limits():
     check = only(campaign("mm"), limits_of(unit="m", better_than=["benchmark"]))
-    assert (check.found, check.limit, check.passed) == ("0.0003 m", "below 0.0006 m", True)
+    assert (check.figure, check.limit, check.passed) == ("0.0003 m", "below 0.0006 m", True)
 
 
 def test_a_unit_of_another_dimension_is_refused():
@@ -447,9 +447,9 @@ def checked(figure, limit, key="rmse"):
 
 def test_a_figure_just_beyond_its_limit_is_told_with_digits_enough():
     check = checked(0.50004, 0.5)
-    assert (check.found, check.limit, check.passed) == ("0.50004 mm", "at most 0.5 mm", False)
-    assert checked(0.50004, 0.6).found == "0.500 mm"
-    assert checked(0.5, 0.5).found == "0.5 mm"
+    assert (check.figure, check.limit, check.passed) == ("0.50004 mm", "at most 0.5 mm", False)
+    assert checked(0.50004, 0.6).figure == "0.500 mm"
+    assert checked(0.5, 0.5).figure == "0.5 mm"
 
 
 @settings(deadline=None)
@@ -458,7 +458,7 @@ def test_words_never_contradict_a_limit_of_an_error(limit, ratio):
     figure = limit * (1 + ratio)
     check = checked(figure, limit)
     assert check.passed == (figure <= limit)
-    assert check.passed == (number(check.found) <= number(check.limit))
+    assert check.passed == (number(check.figure) <= number(check.limit))
     assert float(number(check.limit)) == limit
 
 
@@ -466,7 +466,7 @@ def test_words_never_contradict_a_limit_of_an_error(limit, ratio):
 @given(limit=st.floats(1e-3, 100), ratio=st.floats(-1e-3, 1e-3) | st.sampled_from([-3e-16, 0.0, 3e-16]))
 def test_words_never_contradict_a_limit_of_a_share(limit, ratio):
     check = checked(limit * (1 + ratio) / 100, limit, "within_1")
-    assert check.passed == (number(check.found) >= number(check.limit))
+    assert check.passed == (number(check.figure) >= number(check.limit))
 
 
 @settings(deadline=None)
@@ -478,7 +478,7 @@ def test_words_never_contradict_a_comparison(ours, ratio):
     metrics["channels"]["lifting"]["benchmark"]["free_run"]["rmse"] = theirs
     check = only(metrics, limits_of(better_than=["benchmark"]))
     assert check.passed == (ours < theirs)
-    assert check.passed == (number(check.found) < number(check.limit))
+    assert check.passed == (number(check.figure) < number(check.limit))
 
 
 @settings(deadline=None)
@@ -488,7 +488,7 @@ def test_words_never_contradict_a_limit_in_another_unit(figure, unit, ratio):
     metrics = campaign()
     metrics["channels"]["lifting"]["greybox"]["free_run"]["rmse"] = figure
     check = only(metrics, limits_of(unit=unit, free_run={"rmse": figure * factor * (1 + ratio)}))
-    assert check.passed == (number(check.found) <= number(check.limit))
+    assert check.passed == (number(check.figure) <= number(check.limit))
     assume(abs(ratio) > 1e-12)
     assert check.passed == (ratio > 0)
 
@@ -552,7 +552,7 @@ def test_a_lighter_demand_turns_no_pass_into_a_failure(metrics, demanded, factor
 @given(metrics=validated(), demanded=demands)
 def test_nothing_passes_without_a_number(metrics, demanded):
     for check in check_limits(metrics, limits_of(**demanded)).checks:
-        assert check.found[0].isdigit() or not check.passed
+        assert check.figure[0].isdigit() or not check.passed
 
 
 @pytest.mark.parametrize("name", BASELINES)

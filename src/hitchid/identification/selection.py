@@ -158,13 +158,13 @@ class _Choice:
 
     def final_fit(self, candidate: Candidate, dead_zone: float) -> Fit:
         """Fit the chosen form over all samples, from its optimum too; the tests have another dead zone."""
-        moved = candidate.dead_zone != dead_zone
+        was_reduced = candidate.dead_zone != dead_zone
         return self.search_fit(
             candidate.spec,
             candidate.name,
             begin=LAST_BEGINS,
             checkpoint=f"chosen {candidate.name}",
-            batch=self.batch.with_dead_zone(candidate.dead_zone) if moved else None,
+            batch=self.batch.with_dead_zone(candidate.dead_zone) if was_reduced else None,
             start=candidate.values,
         )
 
@@ -204,11 +204,11 @@ class _Choice:
         """
         if structure.uses_raw_command:
             return []
-        plain = ModelSpec(structure, dead_time=ModelOption.DEAD_TIME in structure.options)
+        baseline_spec = ModelSpec(structure, dead_time=ModelOption.DEAD_TIME in structure.options)
         candidates: list[Candidate] = []
         values: dict[str, float] = {}
-        for spec in dict.fromkeys((plain, incumbent.spec.with_structure(structure))):
-            extended = spec != plain
+        for spec in dict.fromkeys((baseline_spec, incumbent.spec.with_structure(structure))):
+            extended = spec != baseline_spec
             name = f"{structure.name}, {incumbent.name}" if extended else structure.name
             batch = self.coarse.with_dead_zone(incumbent.dead_zone) if extended else self.coarse
             objective, names = Objective.of(batch, spec), [parameter.name for parameter in spec.parameters]

@@ -98,4 +98,8 @@ def free_run_half_width(bands: Sequence[Bands], spreads: Sequence[np.ndarray], c
     """
     floor = float(ndtri(0.5 + coverage / 2)) * max(channel_bands.noise for channel_bands in bands)
     pairs = zip(bands, spreads, strict=True)
-    return reduce(np.hypot, (each.multiplier(coverage) * spread for each, spread in pairs), np.asarray(floor))
+    return reduce(
+        np.hypot,
+        (bands_of_channel.multiplier(coverage) * spread for bands_of_channel, spread in pairs),
+        np.asarray(floor),
+    )

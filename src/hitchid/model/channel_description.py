@@ -27,8 +27,8 @@ _TRAINED = ("compensator", "speed_compensator", "operating_range")
 
 def channel_tensors(channel: Channel, prefix: str) -> dict[str, np.ndarray]:
     """Return every array of the trained parts, `prefix/part/path`."""
-    parts = [tensors_of(getattr(channel, part), f"{prefix}/{part}") for part in _TRAINED]
-    return {name: array for part in parts for name, array in part.items()}
+    parts = [tensors_of(getattr(channel, component), f"{prefix}/{component}") for component in _TRAINED]
+    return {name: array for component in parts for name, array in component.items()}
 
 
 def describe_channel(channel: Channel) -> dict[str, object]:

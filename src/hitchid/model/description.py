@@ -54,7 +54,7 @@ def describe(hitch: Hitch) -> dict[str, object]:
 def deployed_tensors(hitch: Hitch) -> dict[str, np.ndarray]:
     """Return every array of the channels, `direction/part/path`."""
     parts = [channel_tensors(channel, direction) for direction, channel in hitch.channels.items()]
-    return {name: array for part in parts for name, array in part.items()}
+    return {name: array for component in parts for name, array in component.items()}
 
 
 def comparison_tensors(hitch: Hitch) -> dict[str, np.ndarray]:

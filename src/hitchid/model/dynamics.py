@@ -110,20 +110,8 @@ class HitchDynamics(eqx.Module):
         for number, demand in enumerate(demands):
             # Where both valves demand motion, the last direction counts: lowering.
             mode = jnp.where(demand, number, mode)
-        next_state = state._replace(
-            error=jnp.where(
-                is_measured, measured - clip_at_end_stops(self.channels, state, state.benchmark), state.error
-            ),
+        next_state = self._with_measurement(state, measured, is_measured)._replace(
             mode=mode,
-            samples_since_measurement=jnp.where(
-                is_measured,
-                0,
-                jnp.where(
-                    state.samples_since_measurement >= 0,
-                    state.samples_since_measurement + 1,
-                    state.samples_since_measurement,
-                ),
-            ),
             commands=commands,
             command_missing=~jnp.all(
                 jnp.stack([command_valid[DIRECTIONS.index(channel.direction)] for channel in self.channels])
@@ -156,6 +144,17 @@ class HitchDynamics(eqx.Module):
             benchmark=clip_at_end_stops(self.channels, next_state, next_state.benchmark),
             free_run=clip_at_end_stops(self.channels, next_state, next_state.free_run),
             has_measurement=next_state.samples_since_measurement >= 0,
+        )
+
+    def _with_measurement(
+        self, state: HitchState, measured: Float[Array, ""], is_measured: Bool[Array, ""]
+    ) -> HitchState:
+        """Return the state with the benchmark's error and the number of samples since the last measurement."""
+        count = state.samples_since_measurement
+        error = measured - clip_at_end_stops(self.channels, state, state.benchmark)
+        return state._replace(
+            error=jnp.where(is_measured, error, state.error),
+            samples_since_measurement=jnp.where(is_measured, 0, jnp.where(count >= 0, count + 1, count)),
         )
 
     def advance_network(

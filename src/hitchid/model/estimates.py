@@ -113,7 +113,9 @@ class Estimates:
 
     def scaled(self, name: str, factor: float) -> "Estimates":
         """Return them with one parameter multiplied by a factor, without the derived quantities."""
-        parameters = [each.scaled(factor) if each.name == name else each for each in self.parameters]
+        parameters = [
+            estimate.scaled(factor) if estimate.name == name else estimate for estimate in self.parameters
+        ]
         return replace(self, parameters=tuple(parameters), derived=())
 
 

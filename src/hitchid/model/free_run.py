@@ -67,11 +67,11 @@ def multi_step_predictions(
     commands, measured = (
         pad_with_nan(samples, longest) for samples in (commands_of(record), record.displacement)
     )
-    ahead = np.asarray(
+    predictions = np.asarray(
         predict_from_origins(dynamics, jnp.array(initial), commands, measured, longest, stride)
     )
     return [
-        align_predictions(ahead, initial.displacement, min(horizon, longest), count, stride)
+        align_predictions(predictions, initial.displacement, min(horizon, longest), count, stride)
         for horizon in horizons
     ]
 

@@ -67,11 +67,13 @@ def _tensor_name(name: str) -> str:
 
 
 def _channel(described: Description) -> Description:
-    kept = {key: value for key, value in described.items() if key not in (*_FITTED, "paper", "envelope")}
+    description = {
+        key: value for key, value in described.items() if key not in (*_FITTED, "paper", "envelope")
+    }
     speed = described.get("speed_compensator")
     if speed is not None:
         speed = _renamed(speed, every="block_size")
-    return {"limits": None, **kept, "speed_compensator": speed}
+    return {"limits": None, **description, "speed_compensator": speed}
 
 
 def _comparison(channel: Description, uncertainty: Description) -> Description:

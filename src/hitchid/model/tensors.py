@@ -11,9 +11,9 @@ Part = TypeVar("Part")
 Tensors = Mapping[str, np.ndarray]
 
 
-def tensors_of(part: object, prefix: str) -> dict[str, np.ndarray]:
+def tensors_of(tree: object, prefix: str) -> dict[str, np.ndarray]:
     """Return every array of a part by its path, `prefix/field/…`."""
-    leaves = jax.tree_util.tree_leaves_with_path(part)
+    leaves = jax.tree_util.tree_leaves_with_path(tree)
     return {_name(prefix, path): np.array(leaf, order="C") for path, leaf in leaves}
 
 

@@ -45,18 +45,18 @@ def comparison_report(comparison: ModelComparison, *, names: tuple[str, str], co
 
 def comparison_tables(comparison: ModelComparison) -> Document:
     """Return every table of a comparison, as `tables.md` has them."""
-    found: list[Table] = []
+    table_list: list[Table] = []
     for section in comparison.sections:
-        found += [
+        table_list += [
             tables.comparison_accuracy(comparison, section),
             tables.comparison_horizons(comparison, section),
         ]
-    found += tables.comparison_parameters(comparison)
+    table_list += tables.comparison_parameters(comparison)
     verdicts = (f"{section}: {verdict_text(comparison, section)}" for section in comparison.sections)
     return Document(
         title="Comparison",
         notices=(*verdicts, *comparison.notices),
-        sections=(ReportSection("", tuple(found)),),
+        sections=(ReportSection("", tuple(table_list)),),
         data=comparison.metrics,
     )
 

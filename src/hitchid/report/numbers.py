@@ -66,14 +66,14 @@ def with_unit(text: str, unit: str) -> str:
     return text if unit == "1" else f"{text} {unit}"
 
 
-def estimate(found: Estimate) -> str:
+def estimate(parameter: Estimate) -> str:
     """Return a parameter with its standard error; empty where it is not determined."""
-    return with_error(found.value, found.error) if found.determined else ""
+    return with_error(parameter.value, parameter.error) if parameter.determined else ""
 
 
-def determined(found: Quantity | Estimate | bool) -> str:
+def determined(result: Quantity | Estimate | bool) -> str:
     """Return whether a quantity is determined."""
-    is_determined = found if isinstance(found, bool) else found.determined
+    is_determined = result if isinstance(result, bool) else result.determined
     return "determined" if is_determined else "not determined"
 
 

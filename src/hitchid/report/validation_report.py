@@ -94,28 +94,32 @@ def all_tables(result: Validation) -> list[Table]:
     """Return accuracy, horizons, single tests, parameters, bands, residuals and searches of each direction,
     and the tables of mixed cycles."""
     unit = result.unit
-    found: list[Table] = []
+    table_list: list[Table] = []
     for direction, channel in result.channels.items():
         accuracy = channel.accuracy
-        found += [
+        table_list += [
             tables.accuracy_table(direction, accuracy, unit),
             tables.horizon_table(direction, accuracy, unit),
             tables.single_test_table(direction, accuracy, unit),
         ]
         if channel.parameters is not None:
             title = f"{direction}: parameters of the benchmark"
-            found.append(tables.parameter_table(title, channel.parameters))
+            table_list.append(tables.parameter_table(title, channel.parameters))
         if channel.characteristics is not None:
-            found += tables.characteristic_tables(direction, channel.characteristics)
+            table_list += tables.characteristic_tables(direction, channel.characteristics)
         if channel.paper_parameters is not None:
             title = f"{direction}: parameters of the paper's transfer function"
-            found.append(tables.parameter_table(title, channel.paper_parameters))
+            table_list.append(tables.parameter_table(title, channel.paper_parameters))
         if accuracy.bands is not None:
-            found.append(tables.band_table(direction, accuracy.bands, unit))
-        found.append(tables.residual_table(direction, channel.residuals, unit))
+            table_list.append(tables.band_table(direction, accuracy.bands, unit))
+        table_list.append(tables.residual_table(direction, channel.residuals, unit))
         if channel.searches:
-            found.append(tables.search_table(direction, channel.searches, unit))
-    return found if result.cycles is None else found + tables.cycle_tables(result.cycles.accuracy, unit)
+            table_list.append(tables.search_table(direction, channel.searches, unit))
+    return (
+        table_list
+        if result.cycles is None
+        else table_list + tables.cycle_tables(result.cycles.accuracy, unit)
+    )
 
 
 def _summary(result: Validation) -> list[Table]:

@@ -219,8 +219,8 @@ def _step_valves(rig: Rig, state: RigState, inputs: RigInputs, steps: StepFactor
     lift_area = lift_valve.spool.area(0.5 * (state.lifting.position + lifting.position))
     lower_area = lower_valve.spool.area(0.5 * (state.lowering.position + lowering.position))
     drop = state.supply_pressure - state.pressure
-    balanced = lift_valve.balanced_opening(lift_area, state.compensator, drop - lift_valve.check_pressure)
-    compensator = balanced + (state.compensator - balanced) * steps.compensator
+    spools = lift_valve.balanced_opening(lift_area, state.compensator, drop - lift_valve.check_pressure)
+    compensator = spools + (state.compensator - spools) * steps.compensator
     return _Valves(
         lifting, lowering, compensator, lift_area, lower_area, 0.5 * (state.compensator + compensator)
     )

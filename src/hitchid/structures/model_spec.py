@@ -93,8 +93,10 @@ class ModelSpec:
             stroke_gain_quadratic=self.stroke_gain_quadratic and has_stroke_gain,
             covariate=self.covariate if ModelOption.COVARIATE in taken else None,
         )
-        kept = {parameter.name for parameter in spec.parameters} - {p.name for p in structure.parameters}
-        return replace(spec, bounds={name: self.bounds[name] for name in kept & self.bounds.keys()})
+        option_names = {parameter.name for parameter in spec.parameters} - {
+            p.name for p in structure.parameters
+        }
+        return replace(spec, bounds={name: self.bounds[name] for name in option_names & self.bounds.keys()})
 
     @property
     def nonlinearity_parameters(self) -> tuple[Parameter, ...]:

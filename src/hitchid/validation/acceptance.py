@@ -32,7 +32,7 @@ class Check:
     direction: str
     name: str
     limit: str
-    found: str
+    figure: str
     passed: bool
 
 
@@ -218,15 +218,15 @@ def _horizon_figure(section: _DirectionFigures, steps: int) -> float | str | Non
 def _baseline_checks(section: _DirectionFigures, baseline: str, error: _FigureKind) -> Iterator[Check]:
     """Compare the grey box with a baseline in each run that both have."""
     pairs = {run: (section.run(run), section.run(run, baseline)) for run in RUNS}
-    common = {run: (own, other) for run, (own, other) in pairs.items() if own and other}
+    common = {run: (figures, other) for run, (figures, other) in pairs.items() if figures and other}
     requirement = "below the baseline's"
     if not common:
         absent = "no run of both" if baseline in section.models else "no such baseline"
         result = f"missing: {absent}" if section.tests else NO_TEST
         yield Check(section.direction, f"{section.direction}: RMSE vs {baseline}", requirement, result, False)
-    for run, (own, other) in common.items():
+    for run, (figures, other) in common.items():
         name = f"{section.direction}: {RUNS[run]} vs {baseline}, RMSE"
-        own_rmse, baseline_rmse = own.rmse, other.rmse
+        own_rmse, baseline_rmse = figures.rmse, other.rmse
         if not _finite(own_rmse):
             yield Check(section.direction, name, requirement, "diverged", False)
         elif not _finite(baseline_rmse):

@@ -36,14 +36,14 @@ def cycle_result(model: Hitch, cycles: Sequence[Record], factor: float) -> Cycle
     predictions = _predictions(model, cycles, free_runs, factor)
     actual = predictions.actual
     steps = [h for h in HORIZONS if h < min(map(len, cycles))]
-    ahead = [factor * model.predictions(record, steps, stride=ORIGIN_STRIDE) for record in cycles]
+    multi_step = [factor * model.predictions(record, steps, stride=ORIGIN_STRIDE) for record in cycles]
 
     def figures(predicted: Sequence[np.ndarray], h: int) -> RunFigures:
         """Return figures of predictions h samples ahead, at the samples that the model predicted."""
         return RunFigures.of([y[h::ORIGIN_STRIDE] for y in actual], [p[h::ORIGIN_STRIDE] for p in predicted])
 
     multi_step = {
-        GREYBOX: [figures([rows[i] for rows in ahead], h) for i, h in enumerate(steps)],
+        GREYBOX: [figures([rows[i] for rows in multi_step], h) for i, h in enumerate(steps)],
         PERSISTENCE: [figures([np.concatenate([y[:h], y[:-h]]) for y in actual], h) for h in steps],
     }
     free = {name: RunFigures.of(actual, rows) for name, rows in predictions.models.items()}

@@ -59,7 +59,7 @@ def _models(accuracy: Accuracy) -> JsonObject:
 
 
 def _runs(figures: ModelFigures) -> JsonObject:
-    return {run: _run(found) for run in RUNS if (found := figures.run(run)) is not None}
+    return {run: _run(run_figures) for run in RUNS if (run_figures := figures.run(run)) is not None}
 
 
 def _run(figures: RunFigures) -> JsonObject:

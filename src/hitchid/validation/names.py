@@ -2,14 +2,14 @@
 
 from collections.abc import Iterable
 
+from hitchid.baselines.registry import BASELINES, all_baselines
+
 CYCLES = "cycles"
 GREYBOX, BENCHMARK, PERSISTENCE = "greybox", "benchmark", "persistence"
 ONE_STEP, FREE_RUN = "one_step", "free_run"
 NAMES = {
     PERSISTENCE: "persistence",
-    "arx": "ARX",
-    "narx": "NARX",
-    "lstm": "black-box LSTM",
+    **{baseline.name: baseline.title for baseline in BASELINES},
     "transfer_function": "paper's transfer function",
     "paper": "paper's grey box",
     BENCHMARK: "benchmark",
@@ -19,8 +19,9 @@ RUNS = {ONE_STEP: "one step", FREE_RUN: "free run"}
 
 
 def model_name(key: str) -> str:
-    """Return the name of a model; one of another package is called by its key."""
-    return NAMES.get(key, key)
+    """Return the name of a model; the key where the package of a baseline is not installed."""
+    extensions = all_baselines()
+    return NAMES.get(key) or (extensions[key].title if key in extensions else key)
 
 
 def in_table_order(keys: Iterable[str]) -> list[str]:

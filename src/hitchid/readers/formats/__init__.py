@@ -56,18 +56,22 @@ def formats() -> Mapping[str, Format]:
     Raises:
         InputError: a registered format cannot be loaded, or its name or an ending is taken.
     """
-    known = with_extensions("hitchid.formats", BUILT_IN, kind=Format, name=lambda known: known.name)
-    count = Counter(suffix for log_format in known.values() for suffix in log_format.suffixes)
+    log_format = with_extensions(
+        "hitchid.formats", BUILT_IN, kind=Format, name=lambda log_format: log_format.name
+    )
+    count = Counter(suffix for log_format in log_format.values() for suffix in log_format.suffixes)
     for suffix in (suffix for suffix in count if count[suffix] > 1):
-        names = " and ".join(name for name, known_format in known.items() if suffix in known_format.suffixes)
+        names = " and ".join(
+            name for name, known_format in log_format.items() if suffix in known_format.suffixes
+        )
         raise InputError(f"hitchid.formats: {names} both read '{suffix}'; required one format for an ending")
-    return known
+    return log_format
 
 
 def known_format(path: Path) -> Format | None:
     """Return the format of a file by its ending; None for an unknown ending."""
     name = path.name.lower()
-    return next((known for known in formats().values() if name.endswith(known.suffixes)), None)
+    return next((log_format for log_format in formats().values() if name.endswith(log_format.suffixes)), None)
 
 
 def format_of(path: Path) -> Format:

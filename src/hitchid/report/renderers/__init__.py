@@ -35,7 +35,7 @@ def render(document: Document, renderer: str) -> bytes:
     Raises:
         InputError: there is no such renderer, or it requires a package that is not installed.
     """
-    found = registered_renderers()
-    if renderer not in found:
-        raise InputError(f"renderer: came '{renderer}', required one of {', '.join(found)}")
-    return found[renderer].render(document)
+    renderers = registered_renderers()
+    if renderer not in renderers:
+        raise InputError(f"renderer: came '{renderer}', required one of {', '.join(renderers)}")
+    return renderers[renderer].render(document)

@@ -7,11 +7,11 @@ from hitchid.validation import Acceptance, Check
 def limits(acceptance: Acceptance) -> ReportSection:
     """Return the section on limits: failed ones first, then all of them."""
     rows = tuple(
-        (check.name, check.limit, check.found, "pass" if check.passed else "fail")
+        (check.name, check.limit, check.figure, "pass" if check.passed else "fail")
         for check in acceptance.checks
     )
     failed = tuple(
-        Finding(Rating.BAD, f"{check.name}: {check.found}, required {check.limit}.")
+        Finding(Rating.BAD, f"{check.name}: {check.figure}, required {check.limit}.")
         for check in acceptance.checks
         if not check.passed
     )
@@ -22,5 +22,5 @@ def limits(acceptance: Acceptance) -> ReportSection:
 def check_line(check: Check) -> str:
     """Return a check as one line; characters that cannot be printed, as in names of logs, are replaced."""
     verdict = "pass" if check.passed else "fail"
-    text = f"{verdict}  {check.name} {check.found}, required {check.limit}"
+    text = f"{verdict}  {check.name} {check.figure}, required {check.limit}"
     return "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in text)

@@ -15,13 +15,13 @@ COMPARED_MODELS = ("lstm", "narx", "arx", "transfer_function", BENCHMARK, FREE_R
 
 def accuracy(context: DirectionContext) -> ReportSection:
     """Return the section on the errors of the model and of every baseline."""
-    found, unit, tests = context.accuracy, context.unit, context.accuracy.predictions
-    outside = [name for name in tests.models if name not in LABELS]
-    models = [*outside, *(name for name in COMPARED_MODELS if name in tests.models)]
+    result, unit, tests = context.accuracy, context.unit, context.accuracy.predictions
+    unlabelled = [name for name in tests.models if name not in LABELS]
+    models = [*unlabelled, *(name for name in COMPARED_MODELS if name in tests.models)]
     pictures = (
         Picture(
             context.figure_name("horizons"),
-            figures.horizons(found.horizons, context.step_s, unit),
+            figures.horizons(result.horizons, context.step_s, unit),
             "Error over how far is looked ahead. A model is of use where it lies below persistence.",
             f"RMSE in {unit} over the horizon for each model, from one sample on.",
         ),
@@ -32,7 +32,7 @@ def accuracy(context: DirectionContext) -> ReportSection:
             f"RMSE of each of {len(tests.names)} tests in free run, for {len(models)} models.",
         ),
     )
-    tables = (accuracy_table(context.direction, found, unit), horizon_table(context.direction, found, unit))
+    tables = (accuracy_table(context.direction, result, unit), horizon_table(context.direction, result, unit))
     return ReportSection("Accuracy", (*tables, Pictures(pictures)))
 
 

@@ -24,7 +24,7 @@ def search(context: DirectionContext) -> ReportSection:
                 context.figure_name("searches"),
                 figures.searches(searches, context.unit),
                 "Searches compared on one budget: the median run, and the final error of each seed.",
-                f"Best RMSE over the budget for {', '.join(found.name for found in searches)}.",
+                f"Best RMSE over the budget for {', '.join(summary.name for summary in searches)}.",
             )
         )
     return ReportSection("Search and training", (*blocks, *([Pictures(tuple(pictures))] if pictures else [])))
