@@ -135,6 +135,8 @@ def test_tests_and_predictions_must_be_as_many():
         ([0.9, 0.9, 0.9], True),
         # Two of three tests are enough, one is not, however much better it is there.
         ([0.8, 0.8, 0.8, 0.8, 1.01, 1.01], True),
+        # Half of the tests are not enough.
+        ([0.8, 0.8, 0.8, 1.01, 1.01, 1.01], False),
         # With fewer than six tests the scatter between them weighs more: Student's t at 90 %.
         ([0.8, 0.8, 1.05], False),
         ([0.1, 1.001, 1.001], False),
@@ -196,19 +198,19 @@ def test_the_standard_error_is_what_campaigns_drawn_anew_show():
     assert told == pytest.approx(np.std(figures), rel=0.08)
 
 
-@pytest.mark.parametrize("tests", [3, 4, 5, 8, 20])
+@pytest.mark.parametrize("tests", [3, 5, 20])
 def test_of_models_alike_neither_surely_errs_less_but_by_chance(tests):
     """Per-test errors differ by 30 %: either is called better in 5 % of campaigns, and the jackknife is near.
 
-    Of 2000 campaigns 5 % are 100 ± 10; held to 8 %, for the root of few squares is skewed.
+    Of 500 campaigns 5 % are 25 ± 5; held to 9 %, for the root of few squares is skewed.
     """
     rng = np.random.default_rng(tests)
     samples = np.full(tests, 1000)
     called = 0
-    for _ in range(2000):
+    for _ in range(500):
         one, other = np.exp(0.3 * rng.standard_normal((2, tests)))
         called += significantly_better(one, other, samples) or significantly_better(other, one, samples)
-    assert called <= 0.08 * 2000
+    assert called <= 0.09 * 500
 
 
 def test_a_model_twice_as_good_on_every_test_surely_errs_less():

@@ -70,7 +70,7 @@ def test_a_name_with_brackets_is_matched_by_its_escaped_pattern():
     records = [a_test("run [1]"), a_test("run [2]"), a_test("run 1")]
     campaign = Campaign.of(records, test_patterns=[escape("run [1]")])
     assert names(campaign.held_out(LIFTING)) == ["run [1]"]
-    with pytest.raises(InputError, match=r"'run \[2\]' matches none of the 3 tests"):
+    with pytest.raises(InputError, match=r"'run \[2\]'.*3 tests"):
         Campaign.of(records, test_patterns=["run [2]"])
 
 

@@ -113,7 +113,7 @@ def test_no_more_is_simulated_than_the_budget_and_one_local_round(search, evalua
 
 
 def test_a_budget_of_less_than_two_generations_is_refused():
-    with pytest.raises(InputError, match="two generations of 15 members, came 29"):
+    with pytest.raises(InputError, match=r"15 members.*29"):
         Counter().run(evolution(29))
 
 

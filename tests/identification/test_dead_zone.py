@@ -76,7 +76,7 @@ def test_repeats_give_their_mean_and_their_spread(ramp):
 
 @pytest.mark.parametrize(("drift", "noise"), [(0.0, 0.0), (0.5, 0.01), (0.0, 0.01)])
 def test_a_ramp_that_ends_before_the_piston_moves_is_refused(ramp, drift, noise):
-    with pytest.raises(LogError, match="reaches 1 A and the piston does not move"):
+    with pytest.raises(LogError, match=r"1 A .*piston"):
         from_ramps([ramp(1.5, drift=drift, noise=noise)], LIFTING, 1)
 
 

@@ -165,14 +165,14 @@ def test_a_lag_far_longer_than_the_tests_is_not_called_determined(batch_of):
     # With τ = 500 s a test of 2.5 s bends by K u t²/2τ ≈ 0.05 mm, below the 0.1 mm by which the start, a mean
     # of six samples, is uncertain: a standard error of 1/τ of more than 1/τ itself. That an estimate lies two
     # standard errors out, which is 50 % of itself, has probability 0.023 for a normal distribution and 0.12
-    # for four degrees of freedom (one-sided 0.06); more than five of twenty seeds, less than 0.001.
+    # for four degrees of freedom (one-sided 0.06); more than three of ten seeds, 0.002.
     tests = plants(lag(15.0, 500.0), tests=6)
     called = []
-    for seed in range(20):
+    for seed in range(10):
         batch = batch_of(tests, noise=0.3, rng=np.random.default_rng(seed))
         found = identified(batch, LAG, search=MultiStart(evaluations=60))
         called.append(found.parameter_estimates[1].determined)
-    assert called.count(True) <= 5
+    assert called.count(True) <= 3
 
 
 @pytest.mark.parametrize(
@@ -236,17 +236,14 @@ def half_range(batch):
     return 0.5 * float(np.ptp(np.asarray(batch.displacement)[np.asarray(batch.loss_mask)]))
 
 
-@pytest.mark.parametrize("slope", [0.015, -0.01])
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize(("slope", "seed"), [(0.015, 0), (-0.01, 1)])
 def test_a_slope_is_found_again_although_tests_are_faster_or_slower(batch_of, slope, seed):
     rng = np.random.default_rng(seed)
-    tests = sloping(slope, 1 + 0.03 * rng.choice([-1.0, 1.0], 10))
+    tests = sloping(slope, 1 + 0.03 * rng.choice([-1.0, 1.0], 8))
     batch = batch_of(tests, noise=0.02, rng=rng, start=80.0)
-    found = {
-        each.name: each for each in identified(batch, INTEGRATOR, stroke_gain_linear=True).parameter_estimates
-    }
-    estimate = found["position_slope"]
-    # Noise of 0.02 mm at 2500 samples of some 15 mm of travel: the slope is known to a hundredth.
+    estimates = identified(batch, INTEGRATOR, stroke_gain_linear=True).parameter_estimates
+    (estimate,) = (each for each in estimates if each.name == "position_slope")
+    # Noise of 0.02 mm at 2000 samples of some 15 mm of travel: the slope is known to a hundredth.
     assert estimate.error < 0.05 * abs(slope) * half_range(batch)
     # Four standard errors: 1 in 16000 for each.
     assert abs(estimate.value - slope * half_range(batch)) <= 4 * estimate.error
@@ -327,11 +324,11 @@ def test_a_test_that_is_only_faster_misses_by_what_ties_its_factor():
     assert squares < 0.02 * float(np.sum((travel - measured) ** 2))
 
 
-@pytest.mark.parametrize("slope", [False, True])
-def test_tests_that_fill_up_a_batch_change_nothing(batch_of, slope):
+@pytest.mark.parametrize(("structure", "slope"), [(SECOND_ORDER, False), (INTEGRATOR, True)])
+def test_tests_that_fill_up_a_batch_change_nothing(batch_of, structure, slope):
     """Five tests are laid beside three that count nowhere, so that five to eight compile once."""
     batch = batch_of(plants(second_order(21.0, 18.0, 0.3), tests=5), noise=0.1, rng=np.random.default_rng(3))
-    misfit = Objective.of(batch, ModelSpec(SECOND_ORDER, stroke_gain_linear=slope))
+    misfit = Objective.of(batch, ModelSpec(structure, stroke_gain_linear=slope))
     position = np.full(len(misfit.spec.parameters), 0.4)
     residuals, test = misfit.errors(position)
     assert misfit.with_data(batch.pad_batch()).batch.command.shape[0] == 8

@@ -15,7 +15,8 @@ from hitchid.structures import Batch, PhysicalModel, structure_named
 from truth import STEP_S, levels
 
 SAMPLES, GAIN, NOISE = 240, 30.0, 0.02
-QUICK = Rollouts(hidden=4, epochs=100)
+# Two settings for all tests: a program is compiled for each.
+QUICK, SHORT = Rollouts(hidden=4, epochs=100), Rollouts(hidden=2, epochs=20)
 BENCHMARK = PhysicalModel(structure_named("integrator"), jnp.array([GAIN]), jnp.asarray(0.0))
 
 
@@ -96,11 +97,11 @@ def test_where_the_benchmark_is_the_truth_nothing_ships(tests_of):
 
 def test_the_gates_figures_of_the_benchmark_are_those_of_its_free_run(tests_of):
     batch = tests_of(along_the_stroke)
-    _, gate = trained(batch, settings=Rollouts(hidden=2, epochs=5))
+    _, gate = trained(batch, settings=SHORT)
     assert len(gate.benchmark) == len(gate.compensated) == 12
     expected = free_run_errors(batch, BENCHMARK.travel(batch))
     np.testing.assert_allclose(gate.benchmark, expected, rtol=1e-9)
-    assert gate.training.shape == gate.validation.shape == (5, 4)
+    assert gate.training.shape == gate.validation.shape == (20, 4)
     assert len(gate.best_epochs) == 4
 
 
@@ -108,29 +109,27 @@ def test_samples_that_do_not_count_are_neither_learnt_nor_judged(tests_of):
     batch = tests_of(along_the_stroke)
     early = batch.masked(jnp.broadcast_to(jnp.arange(batch.command.shape[1]) < 150, batch.loss_mask.shape))
     spoilt = with_displacement(early, jnp.where(early.loss_mask, early.displacement, 1e3))
-    quick = Rollouts(hidden=2, epochs=10)
     envelope = operating_range_of(early)
     gates = [
-        train_on_rollouts(each, BENCHMARK.travel(each), envelope, quick, jax.random.key(0))[1]
+        train_on_rollouts(each, BENCHMARK.travel(each), envelope, SHORT, jax.random.key(0))[1]
         for each in (early, spoilt)
     ]
     np.testing.assert_array_equal(gates[0].benchmark, gates[1].benchmark)
     np.testing.assert_allclose(gates[0].benchmark, free_run_errors(early, BENCHMARK.travel(early)), rtol=1e-9)
-    # In ten epochs the last six are on whole tests, which start at rest and are anchored nowhere else.
+    # The last epochs are on whole tests, which start at rest and are anchored nowhere else.
     assert np.isfinite(gates[1].compensated).all()
 
 
 def test_a_test_judges_only_who_has_not_seen_it(tests_of):
     """What is measured in a test changes nothing in the training of the member that is judged by it."""
     batch = tests_of(along_the_stroke)
-    quick = Rollouts(hidden=2, epochs=20)
-    _, gate = trained(batch, settings=quick)
+    _, gate = trained(batch, settings=SHORT)
     # Test 0 is judged by member 0, which neither trains nor stops on tests 0, 4 and 8. Mirrored at the
     # benchmark, its errors are as large as before, and so is the unit of the loss.
     travel = BENCHMARK.travel(batch)
     mirrored = jnp.where(batch.valid, 2 * batch.to_displacement(travel) - batch.displacement, 0.0)
     changed = with_displacement(batch, batch.displacement.at[0].set(mirrored[0]))
-    _, other = train_on_rollouts(changed, travel, operating_range_of(batch), quick, jax.random.key(0))
+    _, other = train_on_rollouts(changed, travel, operating_range_of(batch), SHORT, jax.random.key(0))
     np.testing.assert_allclose(other.benchmark, gate.benchmark, rtol=1e-9)
     # The same weights but for rounding in single precision over twenty epochs.
     np.testing.assert_allclose(other.compensated[[4, 8]], gate.compensated[[4, 8]], rtol=1e-4)
@@ -152,13 +151,13 @@ def test_too_few_tests_train_nothing_and_say_so(tests_of, tests):
 
 
 def test_three_tests_are_enough_for_three_members(tests_of):
-    _, gate = trained(tests_of(along_the_stroke, tests=3), settings=Rollouts(hidden=2, epochs=5))
+    _, gate = trained(tests_of(along_the_stroke, tests=3), settings=SHORT)
     assert len(gate.benchmark) == len(gate.best_epochs) == 3
 
 
 def test_one_seed_twice_gives_the_same_weights_and_another_does_not(tests_of):
     batch = tests_of(along_the_stroke)
-    runs = [trained(batch, seed=seed, settings=Rollouts(hidden=4, epochs=60)) for seed in (3, 3, 4)]
+    runs = [trained(batch, seed=seed) for seed in (3, 3, 4)]
     (one, first), (two, second), (three, _) = runs
     assert None not in (one, two, three)
     for ours, theirs in zip(*(jax.tree.leaves(each) for each in (one, two)), strict=True):

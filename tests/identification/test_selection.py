@@ -156,5 +156,5 @@ def test_where_nothing_is_asked_for_the_form_is_chosen(tmp_path):
 def test_a_choice_does_not_go_with_what_it_decides_itself(tmp_path, structure, asked, decided):
     path = tmp_path / "settings.toml"
     path.write_text(f"[lifting]\n{structure}{asked}\n")
-    with pytest.raises(SettingsError, match=f"lifting: structure 'automatic' decides on {decided} itself"):
+    with pytest.raises(SettingsError, match=f"lifting: .*'automatic'.*{decided}"):
         read_settings(path)

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from handmade import DEAD_ZONES, ERROR_STEP, GAINS, VALUES, WINDOW, channel, hitch_of
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError
+from hitchid.model.dynamics import HitchDynamics
 from hitchid.model.error_prediction import MAX_COASTING_SAMPLES
 from hitchid.model.packing import Packing
 from truth import STEP_S, levels
@@ -28,8 +29,8 @@ REST, BOTH = np.zeros(2), RISE + FALL
 SPEED = 0.5
 
 
-def stepped(model, commands, measured=None, *, start=100.0, load=0.0):
-    """Return the displacement at every sample by single steps, shape [N + 1], and the states, of N + 1."""
+def stepped_singly(model, commands, measured=None, *, start=100.0, load=0.0):
+    """Return the displacement at every sample by calls of `step`, shape [N + 1], and N + 1 packed states."""
     state = model.init_state(start, load)
     displacements, states = [start], [state]
     for k, command in enumerate(commands):
@@ -39,9 +40,32 @@ def stepped(model, commands, measured=None, *, start=100.0, load=0.0):
     return np.array(displacements), states
 
 
-def modes_of(model, states):
-    """Return the channel in charge during each step, shape [N]."""
-    return np.array([int(model.unpack_state(state).mode) for state in states[1:]])
+def stepped(model, commands, measured=None, *, start=100.0, load=0.0):
+    """Return displacement and state at every sample, shape [N + 1], by the same steps in one program.
+
+    Lengths are rounded up to a power of two, 256 at least, so that models of one structure share the program.
+    """
+    count = len(commands)
+    measured = np.full(count, np.nan) if measured is None else np.array(measured, dtype=float)
+    rows = np.column_stack([commands, measured])
+    padded = np.pad(rows, ((0, max(256, 1 << (count - 1).bit_length()) - count), (0, 0)))
+    dynamics = HitchDynamics.of(tuple(model.channels.values()), model.step_s, model.drift)
+    found = scanned(dynamics, jnp.array([start, load]), jnp.asarray(padded))
+    states = jax.tree.map(lambda each: np.asarray(each)[: count + 1], found)
+    return states.displacement, states
+
+
+@eqx.filter_jit
+def scanned(dynamics, initial, rows):
+    """Return the state at every sample; rows hold lifting and lowering command and the measurement."""
+
+    def advance(state, row):
+        state, _ = dynamics.step(state, row[:2], row[2])
+        return state, state
+
+    first = dynamics.init_state(*initial)
+    states = jax.lax.scan(advance, first, rows)[1]
+    return jax.tree.map(lambda one, others: jnp.concatenate([one[None], others]), first, states)
 
 
 def sequence(*pieces):
@@ -98,26 +122,27 @@ by_name = pytest.mark.parametrize("model", MODELS.values(), ids=MODELS.keys())
 
 @by_name
 def test_a_free_run_by_single_steps_is_that_of_the_whole_record(record_of, model):
-    commands = np.concatenate([np.zeros((60, 2)), cycles(np.random.default_rng(0), 2100)])
+    commands = np.concatenate([np.zeros((60, 2)), cycles(np.random.default_rng(0), 600)])
     record = record_of(np.full(len(commands), 100.0), commands)
     load = LOAD if any(each.benchmark.covariate for each in model.channels.values()) else 0.0
-    found, _ = stepped(model, commands[:-1], load=load)
+    found, _ = stepped_singly(model, commands[:-1], load=load)
     np.testing.assert_allclose(found, model.simulate(record), rtol=0, atol=1e-9)
-    assert np.ptp(found) > 10.0
+    assert np.ptp(found) > 5.0
 
 
 FAST = [
-    *({"structure": structure} for structure in VALUES),
     *({"structure": structure, "dead_time_s": 0.037} for structure in VALUES),
     {"structure": "integrator-second-order", "dead_time_s": 0.05, "shape": True},
-    {"structure": "integrator-first-order", "free_run": True},
     {"structure": "integrator-second-order", "shape": True, "free_run": True},
     {"structure": "integrator-first-order", "end_stop": {LIFTING: 110.0, LOWERING: 92.0}},
 ]
 
 
-@pytest.mark.parametrize("mode", [LIFTING, LOWERING])
-@pytest.mark.parametrize("options", FAST, ids=str)
+@pytest.mark.parametrize(
+    ("mode", "options"),
+    [*((LIFTING, options) for options in FAST), (LOWERING, FAST[-1])],
+    ids=str,
+)
 def test_a_test_of_one_direction_moves_as_its_fast_form_says(record_of, mode, options):
     options = dict(options)
     if "end_stop" in options:
@@ -133,9 +158,9 @@ def test_a_test_of_one_direction_moves_as_its_fast_form_says(record_of, mode, op
     assert own.sign * (found[-1] - 100.0) > 5.0
 
 
-@by_name
-@pytest.mark.parametrize("horizon", [1, 4])
-def test_predictions_by_single_steps_are_those_of_the_whole_record(record_of, model, horizon):
+@pytest.mark.parametrize("name", ["lag, free run compensated", "everything"])
+def test_predictions_by_single_steps_are_those_of_the_whole_record(record_of, name):
+    model, horizon = MODELS[name], 4
     rng = np.random.default_rng(2)
     commands = np.concatenate([np.zeros((5, 2)), cycles(rng, 145)])
     measured = 100.0 + np.cumsum(rng.normal(0, 0.1, len(commands)))
@@ -143,7 +168,7 @@ def test_predictions_by_single_steps_are_those_of_the_whole_record(record_of, mo
     record = record_of(measured, commands)
     load = LOAD if any(each.benchmark.covariate for each in model.channels.values()) else 0.0
     expected = model.predict(record, horizon=horizon)
-    _, states = stepped(model, commands[:-1], measured, start=measured[0], load=load)
+    _, states = stepped_singly(model, commands[:-1], measured, start=measured[0], load=load)
     for origin in range(len(commands) - horizon):
         state = states[origin]
         for ahead in range(horizon):
@@ -154,9 +179,8 @@ def test_predictions_by_single_steps_are_those_of_the_whole_record(record_of, mo
         assert float(found) == pytest.approx(expected[origin + horizon], abs=horizon * 1e-9 + HEARD)
 
 
-@pytest.mark.parametrize("every", [1, 3, 7])
-def test_predictions_from_some_samples_are_those_from_all(record_of, every):
-    rng = np.random.default_rng(10)
+def test_predictions_from_some_samples_are_those_from_all(record_of):
+    rng, every = np.random.default_rng(10), 3
     commands = np.concatenate([np.zeros((5, 2)), cycles(rng, 75)])
     record = record_of(100.0 + np.cumsum(rng.normal(0, 0.1, 80)), commands)
     horizons = (1, 4)
@@ -172,9 +196,8 @@ def test_predictions_from_some_samples_are_those_from_all(record_of, every):
 HEARD = 20 * 14 * 4 * SINGLE * ERROR_STEP
 
 
-@pytest.mark.parametrize("mode", [LIFTING, LOWERING])
-def test_predictions_of_one_direction_are_those_of_its_channel(record_of, mode):
-    rng = np.random.default_rng(3)
+def test_predictions_of_one_direction_are_those_of_its_channel(record_of):
+    rng, mode = np.random.default_rng(3), LOWERING
     own = channel(mode, "integrator-first-order", compensated=True, dead_time_s=0.02)
     commands = np.zeros((200, 2))
     commands[:, (LIFTING, LOWERING).index(mode)] = levels(rng, 200, low=0.3)
@@ -202,7 +225,7 @@ def check(model, commands, up, down, modes):
     """Check motion, and the channels in charge, run by run, of integrators that hear `up` and `down`."""
     found, states = stepped(model, commands)
     np.testing.assert_allclose(found, travelled(up, down), rtol=0, atol=len(found) * EPS * 200)
-    charge = modes_of(model, states)
+    charge = states.mode[1:]
     turns = np.flatnonzero(np.diff(charge, prepend=charge[0] - 1))
     runs = np.diff([*turns, len(charge)])
     assert list(zip(charge[turns].tolist(), runs.tolist(), strict=True)) == modes
@@ -230,7 +253,7 @@ def test_the_channel_in_charge_is_the_last_that_was_called(pieces, modes):
     commands = sequence(*pieces)
     up, down = SPEED * (commands > 0).T
     states = check(PLAIN, commands, up, down, modes)
-    assert not any(bool(PLAIN.unpack_state(state).both_valves_active) for state in states)
+    assert not np.any(states.both_valves_active)
 
 
 @pytest.mark.parametrize("before", [RISE, FALL, REST])
@@ -242,10 +265,10 @@ def test_with_both_valves_on_the_piston_falls_and_the_state_says_so(before):
     standing = [(-1, 6)] if before is REST else []
     modes = [(1, 11), (0, 4)] if before is FALL else [*standing, *first, (1, 5), (0, 4)]
     states = check(PLAIN, commands, up, down, modes)
-    assert [bool(PLAIN.unpack_state(state).both_valves_active) for state in states[1:]] == both.tolist()
+    np.testing.assert_array_equal(states.both_valves_active[1:], both)
 
 
-@pytest.mark.parametrize("late_samples", [1, 3, 6])
+@pytest.mark.parametrize("late_samples", [1, 6])
 def test_a_reversal_within_the_dead_time_plays_out_what_was_commanded(late_samples):
     model = hitch_of(*(channel(mode, dead_time_s=late_samples * STEP_S) for mode in GAINS))
     commands = sequence((RISE, 2), (FALL, 8), (RISE, 3), (REST, 10))
@@ -278,8 +301,15 @@ SMOOTH = ["integrator-first-order", "integrator-second-order"]
 REVERSAL = sequence((RISE, 40), (FALL, 40), (RISE, 40), (REST, 40))
 
 
-@pytest.mark.parametrize("structure", VALUES)
-@pytest.mark.parametrize("shape", [False, True])
+@pytest.mark.parametrize(
+    ("structure", "shape"),
+    [
+        ("integrator", False),
+        ("first-order-lag", False),
+        ("integrator-first-order", True),
+        ("integrator-second-order", True),
+    ],
+)
 def test_nothing_jumps_where_the_mode_changes(structure, shape):
     model = hitch_of(*(channel(mode, structure, shape=shape, free_run=True) for mode in GAINS))
     found, states = stepped(model, REVERSAL, load=LOAD)
@@ -287,7 +317,7 @@ def test_nothing_jumps_where_the_mode_changes(structure, shape):
     # the compensator half of it.
     fastest = 1.5 * 2 * UP * SPEED * (np.exp(0.5) if shape else 1.0)
     assert np.abs(np.diff(found)).max() <= fastest * STEP_S
-    assert len(set(modes_of(model, states))) > 1
+    assert len(set(states.mode[1:].tolist())) > 1
 
 
 def speeds_around(structure, step_s):
@@ -295,7 +325,7 @@ def speeds_around(structure, step_s):
     model = hitch_of(*(channel(mode, structure) for mode in GAINS), step_s=step_s)
     each = round(0.4 / step_s)
     found, states = stepped(model, sequence((RISE, each), (FALL, 3)))
-    assert modes_of(model, states)[each - 1 : each + 1].tolist() == [0, 1]
+    assert states.mode[each : each + 2].tolist() == [0, 1]
     return tuple(np.diff(found)[each - 1 : each + 1] / step_s)
 
 
@@ -309,13 +339,14 @@ def test_the_speed_goes_on_where_the_mode_changes(structure):
         steepest = omega / np.sqrt(1 - damping**2)
     largest = (2 * UP + DOWN) * SPEED * steepest
     jumps = []
-    for step_s in (0.01, 0.005, 0.0025):
+    for step_s in (0.01, 0.0025):
         before, after = speeds_around(structure, step_s)
         assert before > 0.8 * UP * SPEED
         jumps.append(abs(after - before))
         assert jumps[-1] <= largest * step_s
-    # Half the step, half the difference at most, but for terms of second order: some Ts/τ or ω Ts of it.
-    assert np.all(np.array(jumps[:-1]) / np.array(jumps[1:]) >= 2.0 * (1 - 18.0 * 0.01))
+    # A quarter of the step, a quarter of the difference at most, but for terms of second order: some Ts/τ or
+    # ω Ts of it at either halving.
+    assert jumps[0] / jumps[1] >= (2.0 * (1 - 18.0 * 0.01)) ** 2
     # Without the speed carried over the difference would be the speed itself.
     assert jumps[-1] < 0.2 * UP * SPEED
 
@@ -332,8 +363,8 @@ def test_a_hitch_that_has_come_to_rest_stays_where_it_is(structure):
     assert abs(found[-1] - 100.0) > 1.0
 
 
-@pytest.mark.parametrize("speed", [-0.4, 0.25])
-def test_a_held_piston_creeps_at_its_drift_and_a_driven_one_does_not(speed):
+def test_a_held_piston_creeps_at_its_drift_and_a_driven_one_does_not():
+    speed = -0.4
     model = hitch_of(*(channel(mode) for mode in GAINS), drift=speed)
     commands = sequence((REST, 20), (RISE, 30), (REST, 50), (FALL, 30), (REST, 50))
     up, down = SPEED * (commands > 0).T
@@ -344,7 +375,16 @@ def test_a_held_piston_creeps_at_its_drift_and_a_driven_one_does_not(speed):
     )
 
 
-@pytest.mark.parametrize("structure", VALUES)
+BOUNDED = {
+    structure: hitch_of(
+        channel(LIFTING, structure, end_stop=104.0, free_run=True),
+        channel(LOWERING, structure, end_stop=97.0, free_run=True),
+    )
+    for structure in ("first-order-lag", "integrator-second-order")
+}
+
+
+@pytest.mark.parametrize("structure", BOUNDED)
 @settings(deadline=None, max_examples=10)
 @given(seed=st.integers(0, 2**16))
 @example(seed=100)
@@ -361,25 +401,16 @@ def test_no_end_stop_is_passed(structure, seed):
     assert found[-1] == pytest.approx(97.0, abs=rounding)
 
 
-BOUNDED = {
-    structure: hitch_of(
-        channel(LIFTING, structure, end_stop=104.0, free_run=True),
-        channel(LOWERING, structure, end_stop=97.0, free_run=True),
-    )
-    for structure in VALUES
-}
-
-
-@pytest.mark.parametrize("structure", SMOOTH)
 @pytest.mark.parametrize("before_s", [0.32, 0.33])
-def test_a_reversal_just_before_an_end_stop_does_not_pass_it(structure, before_s):
+def test_a_reversal_just_before_an_end_stop_does_not_pass_it(before_s):
+    structure = "integrator-second-order"
     channels = channel(LIFTING, structure, end_stop=104.0), channel(LOWERING, structure, end_stop=97.0)
     found, _ = stepped(hitch_of(*channels), sequence((RISE, round(before_s / STEP_S)), (FALL, 40)))
     assert found.max() <= 104.0
 
 
-@pytest.mark.parametrize("structure", SMOOTH)
-def test_from_an_end_stop_the_other_mode_starts_at_rest(structure):
+def test_from_an_end_stop_the_other_mode_starts_at_rest():
+    structure = "integrator-second-order"
     model = hitch_of(channel(LIFTING, structure, end_stop=104.0), channel(LOWERING, structure))
     found, _ = stepped(model, sequence((RISE, 100), (FALL, 50)))
     assert found[100] == 104.0
@@ -401,22 +432,25 @@ def test_of_a_command_that_is_missing_the_last_one_stands(model):
     found, states = stepped(model, np.where(gone, lost, commands))
     expected, _ = stepped(model, held)
     np.testing.assert_array_equal(found, expected)
-    assert [bool(model.unpack_state(s).missing) for s in states[1:]] == gone.any(axis=1).tolist()
+    np.testing.assert_array_equal(states.command_missing[1:], gone.any(axis=1))
     assert np.any(found != stepped(model, np.where(gone, 0.0, commands))[0])
 
 
 def test_commands_missing_from_the_start_are_taken_for_zero():
     found, states = stepped(PLAIN, np.full((20, 2), np.nan))
     np.testing.assert_array_equal(found, 100.0)
-    assert bool(PLAIN.unpack_state(states[-1]).command_missing)
+    assert np.all(states.command_missing[1:])
+
+
+COASTING = hitch_of(*(channel(mode, "integrator-second-order", compensated=False) for mode in GAINS))
 
 
 @pytest.mark.parametrize("lost", [None, np.nan, np.inf, -np.inf])
 def test_without_a_measurement_the_model_coasts_on_its_last_error(lost):
-    model = hitch_of(*(channel(mode, "integrator-second-order", compensated=False) for mode in GAINS))
+    model = COASTING
     commands = sequence((RISE, 20), (FALL, 20), (REST, 20))
     measured = [*(100.0 + 0.3 * np.arange(15)), *[lost] * 45]
-    found, states = stepped(model, commands, measured)
+    found, states = stepped_singly(model, commands, measured)
     lengths = [int(model.unpack_state(state).samples_since_measurement) for state in states[1:]]
     assert lengths == [*[0] * 15, *range(1, 46)]
     free, _ = stepped(model, commands[:20])
@@ -441,19 +475,10 @@ places = st.one_of(
 @given(given_=st.lists(st.tuples(numbers, numbers, places), min_size=1, max_size=60))
 def test_the_answer_is_a_number_whatever_comes(model, given_):
     commands = np.array([each[:2] for each in given_])
-    found, states = stepped(model, commands, [each[2] for each in given_])
-    after, _ = stepped_on(model, states[-1], cycles(np.random.default_rng(0), 30), [100.0] * 30)
+    measured = [each[2] for each in given_]
+    after = cycles(np.random.default_rng(0), 30)
+    found, _ = stepped(model, np.concatenate([commands, after]), measured + [100.0] * 30)
     assert np.all(np.isfinite(found))
-    assert np.all(np.isfinite(after))
-
-
-def stepped_on(model, state, commands, measured):
-    """Return displacements after further steps from a state, shape [N], and the last state."""
-    displacements = []
-    for command, known in zip(commands, measured, strict=True):
-        state, displacement = model.step(state, command, known)
-        displacements.append(float(displacement))
-    return np.array(displacements), state
 
 
 def lossy(samples, gap):
@@ -468,9 +493,8 @@ def lossy(samples, gap):
 
 
 @pytest.mark.parametrize("gap", [1, 30, MAX_COASTING_SAMPLES + 50])
-@pytest.mark.parametrize("compensated", [None, False])
-def test_untrained_the_first_measurement_after_a_gap_is_enough(compensated, gap):
-    model = hitch_of(channel(LIFTING, "integrator-first-order", compensated=compensated))
+def test_untrained_the_first_measurement_after_a_gap_is_enough(gap):
+    model = hitch_of(channel(LIFTING, "integrator-first-order", compensated=False))
     commands, measured, gone = lossy(250, gap)
     found, expected = (stepped(model, commands, each)[0] for each in (gone, measured))
     back = 40 + gap
@@ -494,8 +518,9 @@ def test_two_windows_after_a_gap_a_compensator_has_forgotten_it(gap):
     assert np.any(np.abs(found - expected)[40 + gap + 1 : back] > 1e-6)
 
 
-@by_name
-def test_a_step_within_a_program_of_the_users_is_the_same(model):
+def test_a_step_within_a_program_of_the_users_is_the_same():
+    model = MODELS["everything"]
+
     @jax.jit
     def twice(state, commands, measured):
         state, first = model.step(state, commands[0], measured)
@@ -526,8 +551,8 @@ def test_a_state_keeps_its_size_and_a_step_leaves_what_it_was_given(model):
     np.testing.assert_array_equal(commands, given_commands)
 
 
-@pytest.mark.parametrize("mode", [LIFTING, LOWERING])
-def test_a_model_of_one_channel_does_not_hear_the_command_of_the_other(mode):
+def test_a_model_of_one_channel_does_not_hear_the_command_of_the_other():
+    mode = LOWERING
     model = hitch_of(channel(mode, "integrator-second-order", compensated=True))
     commands = cycles(np.random.default_rng(8), 150)
     own = (LIFTING, LOWERING).index(mode)
@@ -540,15 +565,15 @@ def test_a_model_of_one_channel_does_not_hear_the_command_of_the_other(mode):
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_a_start_that_is_no_number_is_refused(value):
-    with pytest.raises(InputError, match="displacement: required a finite number"):
+    with pytest.raises(InputError, match=r"^displacement: .*finite"):
         PLAIN.init_state(value)
-    with pytest.raises(InputError, match="load: required a finite number"):
+    with pytest.raises(InputError, match=r"^load: .*finite"):
         PLAIN.init_state(100.0, value)
 
 
 @by_name
 def test_packing_and_unpacking_a_state_changes_nothing(model):
-    _, states = stepped(model, cycles(np.random.default_rng(9), 40), [100.0] * 40)
+    _, states = stepped_singly(model, cycles(np.random.default_rng(9), 40), [100.0] * 40)
     state = model.unpack_state(states[-1])
     packing = Packing(model.unpack_state(states[0]))
     for ours, theirs in zip(

@@ -54,9 +54,9 @@ def test_a_band_is_in_the_unit_of_the_record(cycle):
 
 
 def test_without_bands_for_a_channel_there_is_none(cycle):
-    with pytest.raises(InputError, match="no bands for lowering; required at least three tests"):
+    with pytest.raises(InputError, match="bands for lowering"):
         with_bands(hitch(), LIFTING).band(cycle[0])
-    with pytest.raises(InputError, match="no bands for lifting and lowering"):
+    with pytest.raises(InputError, match="bands for lifting and lowering"):
         hitch().band(cycle[0])
 
 

@@ -183,7 +183,7 @@ def test_a_model_of_one_channel_refuses_a_record_that_needs_the_other(make_recor
         for run in (model.simulate, model.predict):
             with pytest.raises(InputError, match="no lowering channel"):
                 run(other)
-    with pytest.raises(InputError, match="commands for lowering; the model has channels for lifting"):
+    with pytest.raises(InputError, match=r"commands for lowering.*for lifting"):
         model.simulate(make_record(record.displacement, None, lowering))
 
 
@@ -196,9 +196,7 @@ def test_a_model_of_one_channel_refuses_an_effective_command_it_cannot_hear_what
 @pytest.mark.parametrize("horizon", [0, -1])
 def test_a_horizon_below_one_sample_is_refused(make_record, horizon):
     record = make_record(np.full(SAMPLES, 100.0), np.zeros(SAMPLES), np.zeros(SAMPLES))
-    with pytest.raises(
-        InputError, match=f"horizon: required a whole number of at least 1, came int {horizon}"
-    ):
+    with pytest.raises(InputError, match=f"horizon: .*at least 1.* {horizon}"):
         INTEGRATORS.predict(record, horizon=horizon)
 
 

@@ -63,7 +63,7 @@ def test_with_an_initial_displacement_it_starts_at_once():
 
 @pytest.mark.parametrize("initial", [math.nan, math.inf])
 def test_an_initial_displacement_that_is_none_is_refused(initial):
-    with pytest.raises(InputError, match="displacement: required a finite number"):
+    with pytest.raises(InputError, match=r"^displacement: .*finite"):
         Live(MODEL, initial=initial)
 
 

@@ -197,7 +197,7 @@ def test_a_multiplexer_says_which_frames_hold_a_signal(tmp_path, source):
         np.testing.assert_array_equal(channels[name].clock_s, times)
         np.testing.assert_array_equal(channels[name].values, values)
     assert channels["Low"].clock_s is channels["Also"].clock_s
-    with pytest.raises(LogError, match=r"column 'Never': no frame holds it: its multiplexer never"):
+    with pytest.raises(LogError, match=r"column 'Never': .*multiplexer"):
         read_bus(frames, source, wanted("Never", databases=[database]))
     everything = read_bus(frames, source, wanted(databases=[database]))
     assert "Mux/Never" not in everything.channels
@@ -219,7 +219,7 @@ def test_nodes_that_send_one_group_are_told_apart(j1939, source):
         nodes = "EEC1@0x00/EngSpeed, EEC1@0x03/EngSpeed"
         with pytest.raises(LogError, match=f"'{ambiguous}': the name is ambiguous: {nodes}"):
             read_bus(senders(0, 3), source, wanted(ambiguous, databases=[j1939]))
-    with pytest.raises(LogError, match="'EEC1@0x05/EngSpeed': there is no such channel"):
+    with pytest.raises(LogError, match=r"'EEC1@0x05/EngSpeed': .*no such"):
         read_bus(senders(0, 3), source, wanted("EEC1@0x05/EngSpeed", databases=[j1939]))
 
 
@@ -295,7 +295,7 @@ def test_what_is_not_available_is_left_out_of_its_own_signal_alone(j1939, source
 
 def test_a_signal_that_is_never_available_is_an_error_only_where_it_is_asked_for(j1939, source):
     frames = [frame(0.1 * n, EXTENDED | 0x0CF00400, *speeds(0xFFFF)) for n in range(4)]
-    with pytest.raises(LogError, match="'EngSpeed': all 4 samples are 'not available'"):
+    with pytest.raises(LogError, match=r"'EngSpeed': .*4 samples.*'not available'"):
         read_bus(frames, source, wanted("EngSpeed", databases=[j1939]))
     content = read_bus(frames, source, wanted(databases=[j1939]))
     assert list(content.channels) == ["EEC1/Torque"]
@@ -371,7 +371,7 @@ def test_buses_are_told_apart(tmp_path, plain, kind):
     for bus in (1, 2):
         np.testing.assert_array_equal(channels[f"Other@can{bus}/Speed"].values, 10 * bus + np.arange(5))
     for ambiguous in ("Speed", "Other/Speed"):
-        with pytest.raises(LogError, match="the name is ambiguous: Other@can1/Speed, Other@can2/Speed"):
+        with pytest.raises(LogError, match="Other@can1/Speed, Other@can2/Speed"):
             reader(path, wanted(ambiguous, databases=[plain]))
 
 
@@ -381,7 +381,7 @@ def test_buses_and_nodes_are_told_apart_together(j1939, source):
     assert {name for name in names if name.endswith("EngSpeed")} == {
         f"EEC1@can{bus}@{address}/EngSpeed" for bus in (1, 2) for address in ("0x00", "0x03")
     }
-    with pytest.raises(LogError, match="the name is ambiguous: EEC1@can1@0x00/EngSpeed, EEC1@can1@0x03"):
+    with pytest.raises(LogError, match="EEC1@can1@0x00/EngSpeed, EEC1@can1@0x03"):
         read_bus(frames, source, wanted("EEC1@can1/EngSpeed", databases=[j1939]))
 
 
@@ -458,7 +458,7 @@ def test_remote_frames_are_no_data(tmp_path, plain):
 
 
 def test_a_message_whose_frames_are_all_short_is_refused(plain, source):
-    with pytest.raises(LogError, match="'Count': all frames of its message are shorter than 8 bytes"):
+    with pytest.raises(LogError, match=r"'Count': .*8 bytes"):
         read_bus([frame(0, 0x123, bytes(7))], source, wanted("Count", databases=[plain]))
 
 
@@ -472,11 +472,11 @@ def test_a_log_without_a_database_says_what_is_required(source):
 def test_a_log_without_frames_or_without_known_ones_is_refused(plain, source):
     with pytest.raises(LogError, match="holds no CAN frames with data"):
         read_bus([Frame(0.0, 1, 0, False, None)], source, wanted(databases=[plain]))
-    with pytest.raises(LogError, match="none of its 1 frames holds a signal"):
+    with pytest.raises(LogError, match="1 frames"):
         read_bus([frame(0, 0x7FF, bytes(8))], source, wanted(databases=[plain]))
     with pytest.raises(LogError, match=r"'Count': its message 'Hitch', id 0x123, is not in the log$"):
         read_bus([frame(0, 0x7FF, bytes(8))], source, wanted("Count", databases=[plain]))
-    with pytest.raises(LogError, match=r"'Nothing': there is no such channel.*Other/Speed"):
+    with pytest.raises(LogError, match=r"'Nothing': .*Other/Speed"):
         read_bus([frame(0, 0x200, bytes(8))], source, wanted("Nothing", databases=[plain]))
 
 
@@ -660,7 +660,7 @@ def test_text_logs_as_they_come(tmp_path, plain, text):
 
 def test_a_line_that_cannot_be_read_is_named(tmp_path, plain):
     (tmp_path / "log.asc").write_text(HEADER + LINES.replace("03 00", "0g 00"))
-    with pytest.raises(LogError, match=r"log\.asc: line 6: cannot be read as a CAN log"):
+    with pytest.raises(LogError, match=r"log\.asc: line 6: .*CAN"):
         read(tmp_path / "log.asc", wanted("Speed", databases=[plain]))
 
 

@@ -302,5 +302,5 @@ def test_a_time_that_a_channels_own_clock_gives_the_lie_is_refused():
         Path("log.tdms"), LogChannel(time), {"displacement": shifted}, names
     )
     np.testing.assert_array_equal(kept, time)
-    with pytest.raises(LogError, match=r"column 'x': lasts 3.98 s by its own clock, 1.99 s by the time"):
+    with pytest.raises(LogError, match=r"column 'x': .*3\.98 s.*1\.99 s"):
         resample_to_common_clock(Path("log.tdms"), LogChannel(time), {"displacement": slow}, names)

@@ -286,13 +286,13 @@ SHIFTED = {
 
 @pytest.mark.parametrize("content", SHIFTED.values(), ids=SHIFTED.keys())
 def test_samples_that_do_not_lie_under_the_names_are_refused(log, content):
-    with pytest.raises(LogError, match=r"line 2: the line has \d cells, the header in line 1 \d names"):
+    with pytest.raises(LogError, match=r"line 2: .*\d cells.*line 1 \d"):
         read(log(content), ChannelSelection("no", ("such",)))
 
 
 def test_a_row_that_grows_wide_far_below_is_refused(log):
     rest = "".join(f"{k},0,7\n" for k in range(500))
-    with pytest.raises(LogError, match=r"line 502: the line has 4 cells, the header in line 1 3 names"):
+    with pytest.raises(LogError, match=r"line 502: .*4 cells.*line 1 3"):
         read(
             log(f"time_ms,u_A,x_mm\n{rest}500,0,5,7\n501,0,5,8\n"),
             ChannelSelection("time_ms", ("u_A", "x_mm")),
@@ -412,7 +412,7 @@ def test_an_export_of_controldesk_is_read_by_the_last_parts_of_paths(log):
 def test_every_raster_of_controldesk_has_a_time_of_its_own(log):
     content = read(log(exported("1ms", names="In1,In1,")), ChannelSelection("time_s/10ms", ("Head_P",)))
     np.testing.assert_array_equal(content.channels["time_s/10ms"].values, [0.0, 0.0099887, 0.0200245])
-    with pytest.raises(LogError, match=r"no such column.*time_s/10ms.*time_s/1ms"):
+    with pytest.raises(LogError, match=r"time_s/10ms.*time_s/1ms"):
         read(log(exported("1ms", names="In1,In1,")), ChannelSelection("time_s", ("Head_P",)))
 
 

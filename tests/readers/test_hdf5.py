@@ -130,7 +130,7 @@ def test_scales_of_anything_else_are_no_clocks(log, units):
 
     path = log(fill)
     assert read(path, ALL).channels["x"].clock_s is None
-    with pytest.raises(LogError, match="column 'time_s': there is no such channel"):
+    with pytest.raises(LogError, match=r"column 'time_s': .*no such"):
         read(path, ChannelSelection("time_s", ("x",)))
 
 
@@ -182,14 +182,14 @@ def test_damage_is_refused_or_harmless(log):
 @pytest.mark.parametrize("content", FOREIGN.values(), ids=FOREIGN.keys())
 def test_what_is_no_hdf5_file_is_refused(tmp_path, content):
     (tmp_path / "log.h5").write_bytes(content)
-    with pytest.raises(LogError, match=r"log\.h5: cannot be read as an HDF5 file"):
+    with pytest.raises(LogError, match=r"log\.h5: .*HDF5"):
         read(tmp_path / "log.h5", ALL)
 
 
 def test_a_missing_library_is_named_with_its_extra(log, monkeypatch):
     path = log(netcdf4)
     without(monkeypatch, "h5py")
-    with pytest.raises(LogError, match=r"required h5py to read it: pip install 'hitchid\[hdf5\]'"):
+    with pytest.raises(LogError, match=r"pip install 'hitchid\[hdf5\]'"):
         read(path, ALL)
 
 

@@ -58,7 +58,7 @@ def test_a_table_is_written_over_another(tmp_path):
     "columns", [{"x": STROKE}, {"time_s": FAST}, {}], ids=["no time", "only time", "none"]
 )
 def test_a_table_without_time_or_signals_is_not_written(tmp_path, columns):
-    with pytest.raises(InputError, match="required a column 'time_s' and one more"):
+    with pytest.raises(InputError, match="'time_s'"):
         write_table(tmp_path / "log.mf4", columns)
     assert not list(tmp_path.iterdir())
 
@@ -176,7 +176,7 @@ def test_text_for_some_numbers_leaves_the_scale_of_the_others(log):
 def test_a_formula_is_not_evaluated(log, version):
     formula = {"formula": "__import__('os').abort() + X1"}
     path = log(("g", [signal("x", conversion=formula), signal("y")]), version=version)
-    with pytest.raises(LogError, match="column 'x': is converted by a formula, required numbers"):
+    with pytest.raises(LogError, match=r"column 'x': .*formula"):
         read(path, ChannelSelection("t", ("x",)))
     np.testing.assert_array_equal(read(path, ChannelSelection("t", ("y",))).channels["y"].values, STROKE)
 
@@ -197,7 +197,7 @@ def test_a_master_that_counts_an_angle_is_no_clock(log):
     assert list(channels) == ["g/crank", "g/x"]
     assert channels["g/x"].clock_s is None
     np.testing.assert_array_equal(channels["g/crank"].values, FAST)
-    with pytest.raises(LogError, match="column 'time_s': there is no such channel"):
+    with pytest.raises(LogError, match=r"column 'time_s': .*no such"):
         read(path, ChannelSelection("time_s", ("x",)))
 
 
@@ -252,7 +252,7 @@ def test_a_cut_names_where_it_is(tmp_path):
     write_table(tmp_path / "log.mf4", table())
     whole = (tmp_path / "log.mf4").read_bytes()
     (tmp_path / "log.mf4").write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(LogError, match=r"was cut short: a block starts at byte \d+, the file has \d+$"):
+    with pytest.raises(LogError, match=r"cut short: .*byte \d+.* \d+$"):
         read(tmp_path / "log.mf4", ALL)
 
 
@@ -261,7 +261,7 @@ def test_an_unfinished_recording_is_refused(tmp_path, change):
     write_table(tmp_path / "log.mf4", table())
     whole, (at, mark) = (tmp_path / "log.mf4").read_bytes(), change
     (tmp_path / "log.mf4").write_bytes(whole[:at] + mark + whole[at + len(mark) :])
-    with pytest.raises(LogError, match="was cut short: its recording was never finished"):
+    with pytest.raises(LogError, match=r"cut short: .*never finished"):
         read(tmp_path / "log.mf4", ALL)
 
 
@@ -273,13 +273,13 @@ def test_damage_is_refused_or_harmless(log, version):
 @pytest.mark.parametrize("content", FOREIGN.values(), ids=FOREIGN.keys())
 def test_what_is_no_mdf_file_is_refused(tmp_path, content):
     (tmp_path / "log.mf4").write_bytes(content)
-    with pytest.raises(LogError, match=r"log\.mf4: cannot be read as an MDF file"):
+    with pytest.raises(LogError, match=r"log\.mf4: .*MDF"):
         read(tmp_path / "log.mf4", ALL)
 
 
 def test_a_missing_library_is_named_with_its_extra(tmp_path, monkeypatch):
     without(monkeypatch, "asammdf")
-    with pytest.raises(LogError, match=r"required asammdf to read it: pip install 'hitchid\[mdf\]'"):
+    with pytest.raises(LogError, match=r"pip install 'hitchid\[mdf\]'"):
         read(tmp_path / "log.mf4", ALL)
     with pytest.raises(LogError, match="required asammdf to write it"):
         write_table(tmp_path / "log.mf4", table())

@@ -275,7 +275,7 @@ def test_the_time_of_one_group_counts_for_another_by_its_full_name_alone(time):
     if time in names:
         assert match_channels(SOURCE, names, ChannelSelection(time, ("x",))) == {time: time, "x": "pos/x"}
     else:
-        with pytest.raises(LogError, match=r"lies in another group than 'pos/x'; required .* 'valve/t'"):
+        with pytest.raises(LogError, match=r"'pos/x'.*'valve/t'"):
             match_channels(SOURCE, names, ChannelSelection(time, ("x",)))
 
 

@@ -88,7 +88,7 @@ def test_waveforms_that_start_later_are_later(log):
 def test_waveforms_of_which_some_start_nobody_knows_when_are_refused(log):
     start = np.datetime64("2024-05-01T10:00:00.000000")
     path = log([waveform("a", range(3), wf_start_time=start), waveform("b", range(3))])
-    with pytest.raises(LogError, match="column 'Bench/b': has no start time, others have one"):
+    with pytest.raises(LogError, match=r"column 'Bench/b': .*start time"):
         read(path, ChannelSelection("time_s", ("a", "b")))
     assert list(read(path, ChannelSelection("time_s", ("b",))).channels) == ["b"]
 
@@ -99,7 +99,7 @@ def test_a_recording_that_was_appended_is_refused(log):
     first = [waveform(name, range(3), wf_start_time=start) for name in "ab"]
     assert list(read(log(first, [waveform("b", range(3))]), ALL).channels) == ["Bench/a", "Bench/b"]
     path = log(first, [waveform("b", range(3), wf_start_time=later)])
-    with pytest.raises(LogError, match="holds several recordings, the next from segment 2 on"):
+    with pytest.raises(LogError, match=r"several recordings.*segment 2"):
         read(path, ALL)
 
 
@@ -178,9 +178,7 @@ def test_no_cut_within_a_segment_passes(log):
     # Cut between two segments, a file is one that was recorded for less long: nothing in it says otherwise.
     assert cut_everywhere(path, read, cuts=400, whole_at=ends) > 350
     path.write_bytes(whole[: ends[1] - 1])
-    with pytest.raises(
-        LogError, match=rf"was cut short: segment 2 ends at byte {ends[1]}, the file has \d+$"
-    ):
+    with pytest.raises(LogError, match=rf"cut short: segment 2 .*byte {ends[1]}.* \d+$"):
         read(path, ALL)
 
 
@@ -188,7 +186,7 @@ def test_a_segment_that_was_never_finished_is_refused(log):
     path = log([ChannelObject("Bench", "x", np.arange(40.0))])
     whole = path.read_bytes()
     path.write_bytes(whole[:12] + b"\xff" * 8 + whole[20:])
-    with pytest.raises(LogError, match="was cut short: segment 1 from byte 0 on was never finished"):
+    with pytest.raises(LogError, match=r"cut short: segment 1 .*never finished"):
         read(path, ALL)
 
 
@@ -198,9 +196,7 @@ def test_a_segment_with_less_data_than_its_metadata_promise_is_refused(log, less
     whole = path.read_bytes()
     length = SEGMENT.unpack_from(whole)[3]
     path.write_bytes(whole[:12] + struct.pack("<Q", length - less) + whole[20:-less])
-    with pytest.raises(
-        LogError, match=r"column 'Bench/x': was cut short: holds \d+ of 40 samples at its end"
-    ):
+    with pytest.raises(LogError, match=r"column 'Bench/x': .*cut short: .*\d+ of 40"):
         read(path, ALL)
 
 
@@ -210,7 +206,7 @@ def test_a_segment_in_between_that_ends_within_a_sample_is_refused(log):
     length = SEGMENT.unpack_from(whole)[3]
     end = SEGMENT.size + length
     path.write_bytes(whole[:12] + struct.pack("<Q", length - 4) + whole[20 : end - 4] + whole[end:])
-    with pytest.raises(LogError, match="its channels take 632 bytes, its segments hold 636"):
+    with pytest.raises(LogError, match=r"632 bytes.*636"):
         read(path, ALL)
 
 
@@ -227,7 +223,7 @@ def test_an_index_of_another_recording_beside_the_log_is_left_alone(log, tmp_pat
 @pytest.mark.parametrize("content", FOREIGN.values(), ids=FOREIGN.keys())
 def test_what_is_no_tdms_file_is_refused(tmp_path, content):
     (tmp_path / "log.tdms").write_bytes(content)
-    with pytest.raises(LogError, match=r"log\.tdms: cannot be read as a TDMS file"):
+    with pytest.raises(LogError, match=r"log\.tdms: .*TDMS"):
         read(tmp_path / "log.tdms", ALL)
 
 
@@ -238,7 +234,7 @@ def test_what_is_no_file_is_refused(tmp_path):
 
 def test_a_missing_library_is_named_with_its_extra(tmp_path, monkeypatch):
     without(monkeypatch, "nptdms")
-    with pytest.raises(LogError, match=r"required npTDMS to read it: pip install 'hitchid\[tdms\]'"):
+    with pytest.raises(LogError, match=r"pip install 'hitchid\[tdms\]'"):
         read(tmp_path / "log.tdms", ALL)
     with pytest.raises(LogError, match="required npTDMS to write it"):
         write_table(tmp_path / "log.tdms", table())

@@ -150,13 +150,13 @@ def test_misuse_is_refused(rig, held):
     currents = held([0.5], 0.0)
     with pytest.raises(InputError, match=r"came shape \(1001, 2\)"):
         simulate(rig, currents[0], initial_displacement_m=0.1)
-    with pytest.raises(InputError, match=r"initial_displacement_m: came 0\.3, required 0 to 0\.25"):
+    with pytest.raises(InputError, match=r"initial_displacement_m: .*0\.3.*0 to 0\.25"):
         simulate(rig, currents, initial_displacement_m=0.3)
     with pytest.raises(InputError, match=r"currents: came -0\.5"):
         simulate(rig, -currents, initial_displacement_m=0.1)
     with pytest.raises(InputError, match="load_force_n: came shape"):
         simulate(rig, currents, initial_displacement_m=0.1, load_force_n=np.zeros(7))
-    with pytest.raises(InputError, match="oil_temperature_c: a value is not finite"):
+    with pytest.raises(InputError, match=r"oil_temperature_c: .*finite"):
         simulate(rig, currents, initial_displacement_m=0.1, oil_temperature_c=np.nan)
     with pytest.raises(InputError, match="substeps: came 0"):
         simulate(rig, currents, initial_displacement_m=0.1, substeps=0)

@@ -87,12 +87,12 @@ def test_both_models_stand_in_every_table(campaign):
 
 def test_models_without_a_direction_in_common_cannot_be_compared(campaign):
     lifting, lowering = (hitch_of(handmade_channel(mode)) for mode in (LIFTING, LOWERING))
-    with pytest.raises(InputError, match="model A has channels for lifting, model B for lowering"):
+    with pytest.raises(InputError, match=r"A .*lifting, .*B .*lowering"):
         compare(lifting, lowering, campaign)
 
 
 def test_models_of_two_clocks_cannot_be_compared(campaign):
-    with pytest.raises(InputError, match=r"sampling time of 0\.01 s, model B of 0\.02 s; required the same"):
+    with pytest.raises(InputError, match=r"0\.01 s, model B .*0\.02 s"):
         compare(RIGHT, replace(RIGHT, step_s=0.02), campaign)
 
 
