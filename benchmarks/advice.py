@@ -19,9 +19,9 @@ from hitchid.design import ExcitationLimits, command_of, design
 from hitchid.estimation import MultiStart
 from hitchid.identification.direction import operating_range_of
 from hitchid.identification.phase1 import Phase1, identify_benchmark
-from hitchid.model import Channel, Hitch
+from hitchid.model import Channel, Hitch, Uncertainty
 from hitchid.structures import Batch
-from hitchid.uncertainty import Information, Uncertainty
+from hitchid.uncertainty import information_of
 
 
 def main() -> None:
@@ -82,10 +82,10 @@ def _interval_reductions(plant: Plant, rng: np.random.Generator) -> tuple[str, t
 def _hitch(phase1: Phase1, zone: float) -> Hitch:
     fit = phase1.fit
     channel = Channel(
-        LIFTING, 1, zone, None, phase1.benchmark, envelope=operating_range_of(fit.objective.batch)
+        LIFTING, 1, zone, None, phase1.benchmark, operating_range=operating_range_of(fit.objective.batch)
     )
     uncertainty = Uncertainty(
-        phase1.assessment, information=Information.of(fit.objective, fit.position, phase1.influence)
+        phase1.assessment, information=information_of(fit.objective, fit.position, phase1.influence)
     )
     units = {DISPLACEMENT: UNITS["x"], COMMAND[LIFTING]: UNITS["u"]}
     return Hitch({LIFTING: channel}, fit.objective.batch.step_s, units, uncertainty={LIFTING: uncertainty})

@@ -20,8 +20,9 @@ from hitchid.data.record import LIFTING, Record
 from hitchid.estimation import MultiStart
 from hitchid.experiments.excitation import prbs, precompensated
 from hitchid.identification.phase1 import identify_benchmark
+from hitchid.model import Interval
 from hitchid.structures import Batch, ModelSpec, PhysicalModel, Scales, structure_named
-from hitchid.uncertainty import DeadZoneError, Interval
+from hitchid.uncertainty import DeadZoneError
 
 TESTS, DURATION_S, STEP_S = 12, 6.0, 0.01
 DEAD_ZONE_A, DEAD_ZONE_SPREAD_A = 0.38, 0.002

@@ -7,17 +7,25 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hitchid.baselines.autoregression import Arx
+from hitchid.baselines.arx import Arx
 from hitchid.baselines.black_box import BlackBox
 from hitchid.baselines.narx import Narx
 from hitchid.data.record import LIFTING, LOWERING
-from hitchid.model import Channel, Hitch, Provenance
+from hitchid.model import (
+    Bands,
+    Channel,
+    Comparison,
+    EnsembleMember,
+    Estimates,
+    Hitch,
+    Provenance,
+    Uncertainty,
+)
 from hitchid.networks.error_compensator import FEATURES, Compensator
 from hitchid.networks.lstm import Lstm
 from hitchid.networks.operating_range import OperatingRange, SignalRange
 from hitchid.networks.speed_compensator import INPUTS, SpeedCompensator
 from hitchid.structures import PhysicalModel, Scales, StaticNonlinearity, structure_named
-from hitchid.uncertainty import Bands, EnsembleMember, Estimates, Uncertainty
 
 UNITS = {"displacement": "mm", "lifting_command": "A", "lowering_command": "A"}
 DIRECTIONS = {LIFTING: 1, LOWERING: -1}
@@ -70,9 +78,9 @@ def speed_compensator(seed=7, *, trained=True, size=1.0, direction=1, every=EVER
     networks = eqx.tree_at(lambda n: n.head.weight, networks, size * networks.head.weight)
     return SpeedCompensator(
         networks=networks,
-        command=jnp.asarray(0.5),
-        moved=jnp.asarray(0.15),
-        envelope=covered or envelope(),
+        command_scale=jnp.asarray(0.5),
+        increment_scale=jnp.asarray(0.15),
+        operating_range=covered or envelope(),
         sign=direction,
         block_size=every,
     )
@@ -92,7 +100,6 @@ def channel(
     structure="integrator",
     *,
     compensated=None,
-    baselines=False,
     end_stop=None,
     dead_time_s=0.0,
     shape=False,
@@ -103,18 +110,11 @@ def channel(
     curves = SHAPED if shape else (None, None)
     values = jnp.array([GAINS[mode], *VALUES[structure]])
     parts = {} if compensated is None else {"compensator": compensator(3, trained=compensated)}
-    if baselines:
-        scales = [jnp.asarray(scale) for scale in (1.0, 100.0, 20.0, 0.1)]
-        parts["black_box"] = BlackBox(network(2, 5), *scales)
-        parts["arx"] = Arx(np.array([1.5, -0.5]), np.array([0.1, 0.05]))
-        terms, coefficients = np.array([[1, 0], [-1, 0], [-1, 1]]), np.array([1.0, 0.2, -0.05])
-        parts["narx"] = Narx(terms, coefficients, np.array(20.0), np.array(0.5))
-        parts["paper"] = channel(mode, "first-order-lag", compensated=True)
     if free_run is not None:
         direction = DIRECTIONS[mode]
         parts["speed_compensator"] = speed_compensator(trained=free_run, direction=direction, covered=covered)
-    if free_run is not None or covered is not None:
-        parts["envelope"] = covered or envelope()
+    is_bounded = free_run is not None or covered is not None
+    parts["operating_range"] = (covered or envelope()) if is_bounded else OperatingRange.unbounded()
     return Channel(
         direction=mode,
         sign=DIRECTIONS[mode],
@@ -125,10 +125,22 @@ def channel(
     )
 
 
-def hitch(structure="integrator", *, modes=(LIFTING, LOWERING), provenance=None, **options):
+def comparison(mode):
+    """Return the baselines and the paper's method beside a channel."""
+    terms, coefficients = np.array([[1, 0], [-1, 0], [-1, 1]]), np.array([1.0, 0.2, -0.05])
+    baselines = {
+        "arx": Arx(np.array([1.5, -0.5]), np.array([0.1, 0.05])),
+        "narx": Narx(terms, coefficients, np.array(20.0), np.array(0.5)),
+        "lstm": BlackBox(network(2, 5), *(jnp.asarray(scale) for scale in (1.0, 100.0, 20.0, 0.1))),
+    }
+    return Comparison(baselines, channel(mode, "first-order-lag", compensated=True))
+
+
+def hitch(structure="integrator", *, modes=(LIFTING, LOWERING), provenance=None, baselines=False, **options):
     """Return a model of one or two like channels at 100 Hz in mm and A."""
     channels = {mode: channel(mode, structure, **options) for mode in modes}
-    return Hitch(channels, STEP_S, UNITS, provenance or Provenance())
+    compared = {mode: comparison(mode) for mode in modes} if baselines else {}
+    return Hitch(channels, STEP_S, UNITS, provenance or Provenance(), comparison=compared)
 
 
 def hitch_of(*channels, step_s=STEP_S, drift=0.0):

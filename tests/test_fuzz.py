@@ -325,9 +325,8 @@ def put_in(content, path, value):
         ("channels/lifting/compensator/hidden", 10**9),
         ("channels/lifting/compensator/hidden", 20_000),
         ("channels/lifting/speed_compensator/members", 10**9),
-        ("channels/lifting/black_box/hidden", 2**62),
-        ("channels/lifting/arx/order", 10**12),
-        ("channels/lifting/narx/terms", [10**6, 10**6]),
+        ("comparison/lifting/paper/compensator/hidden", 2**62),
+        ("comparison/lifting/baselines", ["oracle"]),
         ("uncertainty", [1]),
     ],
 )

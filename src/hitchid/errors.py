@@ -15,7 +15,7 @@ class HitchError(Exception):
 
 
 class InputError(HitchError):
-    """Something handed in cannot be used: the message says what came and what was required."""
+    """An input cannot be used: the message names the value and the requirement."""
 
 
 class LogError(InputError):
@@ -34,7 +34,7 @@ class LogError(InputError):
 
 
 class SettingsError(InputError):
-    """A settings file or a setting is wrong; the message names the key."""
+    """A settings file is wrong; the message names the key."""
 
 
 class ModelFolderError(InputError):
@@ -42,7 +42,7 @@ class ModelFolderError(InputError):
 
 
 class OutputError(InputError):
-    """A result cannot be written where it was asked for."""
+    """A result cannot be written to the requested place."""
 
 
 class FitError(HitchError):

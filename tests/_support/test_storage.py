@@ -262,14 +262,14 @@ WRITE_TOO_MUCH = """
 import resource, sys
 from pathlib import Path
 from hitchid.errors import OutputError
-from hitchid._support.storage import put, write_bytes, write_folder
+from hitchid._support.storage import write_bytes, write_files, write_folder
 
 resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
 place, much = Path(sys.argv[1]), bytes(10000)
 for write in (
     lambda: write_bytes(place / "file", much, force=True),
-    lambda: write_folder(place / "folder", lambda beside: put(beside, {"mark": b"", "much": much}),
-                         mark="mark", force=True),
+    lambda: write_folder(place / "folder", lambda beside: write_files(beside, {"mark": b"", "much": much}),
+                         result_kind="mark", force=True),
 ):
     try:
         write()

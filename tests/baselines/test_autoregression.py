@@ -6,7 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hitchid.baselines.autoregression import Arx, predict_ahead
+from hitchid.baselines.arx import Arx
+from hitchid.baselines.autoregression import predict_ahead
 from hitchid.baselines.black_box import BlackBox, accumulated
 from hitchid.baselines.narx import Narx
 from hitchid.networks.lstm import Lstm
@@ -54,7 +55,7 @@ def test_free_run_of_arx_is_the_recursion(tests, order):
     command = tests[0][0]
     expected = recursion(command, PAST[:order] / 2, COMMAND[:order])
     # A stable recursion adds at most six rounded products a step.
-    np.testing.assert_allclose(model.free_run(command), expected, atol=1e-13)
+    np.testing.assert_allclose(model.simulate(command), expected, atol=1e-13)
 
 
 def test_one_step_of_arx_uses_what_was_measured_up_to_the_sample_before(tests):
@@ -104,7 +105,7 @@ def test_from_the_first_sample_any_horizon_is_the_free_run(model, measured):
     command, travel = measured
     horizons = [1, 5, 30, SAMPLES - 1]
     rows = predict_ahead(model, command, travel, horizons)
-    free = model.free_run(command)
+    free = model.simulate(command)
     for horizon, row in zip(horizons, rows, strict=True):
         np.testing.assert_array_equal(row[:horizon], 0.0)
         assert row[horizon] == pytest.approx(free[horizon], abs=1e-12)
@@ -141,7 +142,7 @@ def black_box():
     return BlackBox(network, jnp.asarray(2.0), jnp.asarray(50.0), jnp.asarray(30.0), jnp.asarray(0.1))
 
 
-run = eqx.filter_jit(BlackBox.free_run)
+run = eqx.filter_jit(BlackBox.travel)
 
 
 def sigmoid(x):

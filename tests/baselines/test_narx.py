@@ -7,9 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hitchid.baselines.narx import Narx
-from hitchid.identification import narx as fitting
-from hitchid.identification.narx import fit_narx
+from hitchid.baselines import narx as fitting
+from hitchid.baselines.narx import Narx, NarxBaseline
 from hitchid.structures import Batch
 
 # w(k) = 1.2 w(k−1) − 0.3 w(k−2) + 0.5 u(k−1) + 0.1 u(k−2)² − 0.05 w(k−1) u(k−2)
@@ -17,6 +16,11 @@ TRUTH = {(1, 0): 1.2, (2, 0): -0.3, (-1, 0): 0.5, (-2, -2): 0.1, (-2, 1): -0.05}
 SAMPLES = 200
 # Rows at rest, where u(k−1) is exactly zero, come first.
 REST = 7
+
+
+def fitted(training, validation):
+    """Return the fit, which needs no setting of a training."""
+    return NarxBaseline().fit(training, validation, None)
 
 
 def recursion(command):
@@ -91,7 +95,7 @@ def test_free_run_is_the_recursion(truth, commands):
     assert truth.lag == 2
     for command in commands:
         # A stable recursion adds at most ten rounded products a step.
-        np.testing.assert_allclose(truth.free_run(command), recursion(command), atol=1e-12)
+        np.testing.assert_allclose(truth.simulate(command), recursion(command), atol=1e-12)
 
 
 def test_one_step_uses_what_was_measured_up_to_the_sample_before(truth, commands):
@@ -107,7 +111,7 @@ def test_one_step_uses_what_was_measured_up_to_the_sample_before(truth, commands
 
 
 def test_a_run_resumed_from_its_own_past_goes_on_as_it_would_have(truth, commands):
-    whole = truth.free_run(commands[0])
+    whole = truth.simulate(commands[0])
     for past in (2, 5):
         rest = truth.simulate_from(commands[0][60 - past :], whole[60 - past : 60])
         np.testing.assert_allclose(rest, whole[60:], atol=1e-13)
@@ -118,7 +122,7 @@ def test_a_constant_alone_and_no_term_at_all_can_be_run(commands):
     constant = Narx(np.array([[0, 0]]), np.array([0.5]), scale, scale)
     empty = Narx(np.zeros((0, 2), dtype=int), np.zeros(0), scale, scale)
     for model, value in ((constant, 1.5), (empty, 0.0)):
-        for found in (model.free_run(commands[0]), model.one_step(commands[0], commands[0])):
+        for found in (model.simulate(commands[0]), model.one_step(commands[0], commands[0])):
             np.testing.assert_array_equal(found, np.full(SAMPLES, value))
 
 
@@ -127,7 +131,7 @@ def test_what_diverges_is_not_finite_and_warns_of_nothing(commands):
     model = Narx(np.array([[1, 1], [-1, 0], [1, 0]]), np.array([3.0, 5.0, -1.0]), one, one)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        found = model.free_run(commands[0])
+        found = model.simulate(commands[0])
     assert found.shape == (SAMPLES,)
     assert not np.isfinite(found[-1])
 
@@ -135,7 +139,7 @@ def test_what_diverges_is_not_finite_and_warns_of_nothing(commands):
 def test_without_sysidentpy_there_is_no_model(monkeypatch, commands):
     monkeypatch.setitem(sys.modules, "sysidentpy.model_structure_selection", None)
     tests = batch(commands, [recursion(command) for command in commands])
-    assert fit_narx(tests, tests) is None
+    assert fitted(tests, tests) is None
 
 
 @pytest.fixture
@@ -164,29 +168,29 @@ def test_predictions_are_those_of_sysidentpy(selection, commands):
     u, w = (np.pad(samples, (3, 0))[:, None] for samples in (other, measured))
     one_step, free_run = theirs.predict(X=u, y=w, steps_ahead=1), theirs.predict(X=u, y=w)
     np.testing.assert_allclose(ours.one_step(other, measured), one_step[3:, 0], atol=1e-9)
-    np.testing.assert_allclose(ours.free_run(other), free_run[3:, 0], atol=1e-9)
+    np.testing.assert_allclose(ours.simulate(other), free_run[3:, 0], atol=1e-9)
 
 
 def test_the_truth_is_found_again_from_several_tests_without_noise(selection, commands):
     # A row that straddled two tests would miss by the travel at the end of one: 0.3 and more.
     travels = [recursion(command) for command in commands]
-    model = fit_narx(batch(commands[:3], travels[:3]), batch(commands[3:], travels[3:]))
+    model = fitted(batch(commands[:3], travels[:3]), batch(commands[3:], travels[3:]))
     assert_is_the_truth(model, 1e-8)
-    np.testing.assert_allclose(model.free_run(commands[3]), travels[3], atol=1e-8)
+    np.testing.assert_allclose(model.simulate(commands[3]), travels[3], atol=1e-8)
 
 
 def test_it_is_not_fitted_to_samples_that_do_not_count(selection, commands):
     travels = [recursion(command) for command in commands]
     spoilt = [np.where(np.arange(travel.size) < 80, travel, 5.0) for travel in travels]
-    model = fit_narx(batch(commands[:3], spoilt[:3], until=80), batch(commands[3:], spoilt[3:], until=80))
+    model = fitted(batch(commands[:3], spoilt[:3], until=80), batch(commands[3:], spoilt[3:], until=80))
     assert_is_the_truth(model, 1e-8)
 
 
 def test_where_no_sample_counts_nothing_is_fitted_or_compared(selection, commands):
     travels = [recursion(command) for command in commands]
     some, none = batch(commands, travels), batch(commands, travels, until=-1)
-    assert fit_narx(none, some) is None
-    assert fit_narx(some, none) is not None
+    assert fitted(none, some) is None
+    assert fitted(some, none) is not None
 
 
 def test_error_reduction_ratios_add_up_to_what_least_squares_explains(selection, commands):

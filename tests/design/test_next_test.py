@@ -23,10 +23,11 @@ from hitchid.estimation import MultiStart
 from hitchid.experiments.excitation import precompensated
 from hitchid.identification.direction import operating_range_of
 from hitchid.identification.phase1 import identify_benchmark
-from hitchid.model import Channel, Hitch
+from hitchid.model import Channel, Hitch, Uncertainty
 from hitchid.networks.operating_range import SignalRange
 from hitchid.structures import Batch, ModelSpec, structure_named
-from hitchid.uncertainty import NO_ERROR, DeadZoneError, Information, Uncertainty
+from hitchid.uncertainty import NO_ERROR, DeadZoneError, information_of
+from hitchid.uncertainty.information import standard_errors, standard_errors_with
 from truth import STEP_S, held, levels
 
 UNITS = {"displacement": "mm", "lifting_command": "A", "lowering_command": "A"}
@@ -52,17 +53,18 @@ def identified(mode, dead_zone=NO_ERROR):
     form = ModelSpec(structure_named("integrator-first-order"))
     search, units = MultiStart(60, starts=1), {"x": "mm", "u": "A"}
     found = identify_benchmark(batch, form, search, 0, units=units, dead_zone=dead_zone)
-    information = Information.of(found.fit.objective, found.fit.position, found.influence)
-    channel = Channel(mode, 1, ZONE, None, found.benchmark, envelope=operating_range_of(batch))
+    information = information_of(found.fit.objective, found.fit.position, found.influence)
+    channel = Channel(mode, 1, ZONE, None, found.benchmark, operating_range_of(batch))
     known = Uncertainty(found.assessment, information=information)
     return (channel if mode == LIFTING else mirrored(channel)), known
 
 
 def mirrored(channel):
     """Return the channel of the same tests, had they gone the other way."""
-    ends = channel.envelope.displacement
+    ends = channel.operating_range.displacement
     other = SignalRange(2 * START_MM - ends.highest, 2 * START_MM - ends.lowest)
-    return replace(channel, sign=-1, envelope=replace(channel.envelope, displacement=other))
+    covered = replace(channel.operating_range, displacement=other)
+    return replace(channel, sign=-1, operating_range=covered)
 
 
 def hitch_of(*modes, **options):
@@ -119,7 +121,7 @@ def test_a_test_in_which_nothing_happens_is_not_proposed(model):
 
 
 def test_without_limits_tests_are_as_long_and_as_high_and_go_as_far_as_those_there_were(model, advice):
-    covered = model.channels[advice.direction].envelope
+    covered = model.channels[advice.direction].operating_range
     for proposal in advice.proposals:
         assert 0 <= proposal.low < proposal.high <= float(covered.command.highest)
         # A little beyond what was covered is allowed.
@@ -151,7 +153,7 @@ def test_what_a_test_leaves_follows_from_the_plants_own_derivatives(model):
             for step in (1e-4, -1e-4)
         )
         columns.append(slope * (ahead - behind) / (2e-4 * values[name]))
-    left = information.standard_errors_with(np.stack(columns, axis=1)) / information.standard_errors()
+    left = standard_errors_with(information, np.stack(columns, axis=1)) / standard_errors(information)
     assert list(best.remaining_error.values()) == pytest.approx(list(left), rel=1e-6)
 
 

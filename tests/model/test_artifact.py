@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
+from safetensors.numpy import load_file
 
 from handmade import hitch
 from hitchid._support.storage import canonical_json, digest
@@ -16,13 +17,13 @@ from hitchid.data.record import LIFTING
 from hitchid.errors import ModelFolderError, OutputError
 from hitchid.model import Provenance, load, save
 
-FILES = ("model.json", "weights.safetensors", "trace.json")
+FILES = ("model.json", "weights.safetensors", "baselines.safetensors", "trace.json")
 PROVENANCE = Provenance(
     identification={LIFTING: ("a", "b")},
     validation={LIFTING: ("b",)},
     held_out={LIFTING: ("c",)},
     seen=frozenset({"0f", "1e"}),
-    cut_at={LIFTING: 0.1},
+    segmentation_dead_zones={LIFTING: 0.1},
     seed=3,
     settings={"forms": {"lifting": {"bounds": {"gain": [1e-05, 1.0]}}}},
     versions={"hitchid": "0.1.0"},
@@ -38,6 +39,12 @@ def folder(tmp_path_factory):
     place = tmp_path_factory.mktemp("models") / "model"
     save(whole(), place, trace={"lifting": {"fitness": [3.0, 1.5]}})
     return place
+
+
+def parts(model):
+    """Return every array of a model, of what is deployed and of what it is compared with."""
+    compared = {mode: (dict(each.baselines), each.paper) for mode, each in model.comparison.items()}
+    return dict(model.channels), compared
 
 
 @pytest.mark.parametrize(
@@ -56,9 +63,9 @@ def folder(tmp_path_factory):
 def test_a_model_comes_back_as_it_was(model, tmp_path):
     save(model, tmp_path / "model")
     back = load(tmp_path / "model")
-    assert jax.tree.structure(dict(back.channels)) == jax.tree.structure(dict(model.channels))
-    pairs = zip(jax.tree.leaves(dict(back.channels)), jax.tree.leaves(dict(model.channels)), strict=True)
-    for ours, theirs in pairs:
+    ours_all, theirs_all = parts(back), parts(model)
+    assert jax.tree.structure(ours_all) == jax.tree.structure(theirs_all)
+    for ours, theirs in zip(jax.tree.leaves(ours_all), jax.tree.leaves(theirs_all), strict=True):
         assert type(ours) is type(theirs)
         assert np.asarray(ours).dtype == np.asarray(theirs).dtype
         np.testing.assert_array_equal(ours, theirs)
@@ -77,10 +84,12 @@ def test_a_model_with_every_part_simulates_and_predicts_as_before(tmp_path, make
     np.testing.assert_array_equal(back.predict(record, horizon=3), model.predict(record, horizon=3))
     assert np.abs(model.simulate(record) - model.simulate(record, compensated=False)).max() > 0.1
     for mode, channel in model.channels.items():
-        ours, theirs = back.channels[mode], channel
-        assert ours.narx is not None
-        np.testing.assert_array_equal(ours.narx.free_run(up), theirs.narx.free_run(up))
+        ours, theirs = back.comparison[mode], model.comparison[mode]
         batch = channel.batch([record])
+        for name, fitted in theirs.baselines.items():
+            with jax.enable_x64(True):
+                rows = ours.baselines[name].free_run(batch), fitted.free_run(batch)
+            np.testing.assert_array_equal(*rows)
         np.testing.assert_array_equal(
             ours.paper.simulate_closed_loop(batch), theirs.paper.simulate_closed_loop(batch)
         )
@@ -176,7 +185,7 @@ def redescribed(folder, place, change):
 @pytest.mark.parametrize("schema", [0, 2, 99, "5", None])
 def test_another_schema_is_refused_with_both_numbers(folder, tmp_path, schema):
     place = redescribed(folder, tmp_path / "model", lambda content: content.update(schema=schema))
-    with pytest.raises(ModelFolderError, match=f"schema {schema!r}.*3 to 5"):
+    with pytest.raises(ModelFolderError, match=f"schema {schema!r}.*3 to 6"):
         load(place)
 
 
@@ -206,15 +215,30 @@ def test_a_channel_that_cannot_be_is_refused(folder, tmp_path, key, value):
         load(redescribed(folder, tmp_path / "model", change))
 
 
+def test_a_baseline_that_no_package_has_is_refused_by_name(folder, tmp_path):
+    def change(content):
+        content["comparison"]["lifting"]["baselines"].append("oracle")
+
+    with pytest.raises(ModelFolderError, match="oracle"):
+        load(redescribed(folder, tmp_path / "model", change))
+
+
+def test_the_weights_hold_only_what_is_deployed(folder):
+    deployed, compared = (set(load_file(folder / name)) for name in FILES[1:3])
+    assert {name.split("/")[1] for name in deployed} == {
+        "compensator",
+        "speed_compensator",
+        "operating_range",
+    }
+    assert {name.split("/")[1] for name in compared} == {"baselines", "paper"}
+
+
 @pytest.mark.parametrize(
     ("part", "key", "size"),
     [
         ("compensator", "hidden", 5),
         ("speed_compensator", "hidden", 5),
         ("speed_compensator", "members", 3),
-        ("black_box", "hidden", 5),
-        ("arx", "order", 3),
-        ("narx", "terms", [4, 2]),
     ],
 )
 def test_a_part_of_another_size_than_its_weights_is_refused(folder, tmp_path, part, key, size):

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from handmade import DEAD_ZONES, ERROR_STEP, GAINS, VALUES, WINDOW, channel, hitch_of
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError
-from hitchid.model.dynamics import MAX_COASTING_SAMPLES, HitchDynamics
+from hitchid.model.dynamics import HitchDynamics
+from hitchid.model.error_prediction import MAX_COASTING_SAMPLES
 from hitchid.model.packing import Packing
 from truth import STEP_S, levels
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hitchid.data.record import Record
+from hitchid.data.record import LIFTING, Record
 from hitchid.errors import ModelFolderError
 from hitchid.model import load, load_trace, save
 from hitchid.model.migration import MIGRATIONS, SCHEMA, is_readable, migrate
@@ -15,6 +15,8 @@ OLDER = Path(__file__).parent / "older"
 STEP_S = 0.01
 # Predictions were written with twelve digits; libraries may round a little otherwise from one to another.
 DIGITS_MM = 1e-9
+# Networks compute in single precision.
+LSTM_DIGITS_MM = 1e-5
 
 
 def written(schema):
@@ -46,8 +48,9 @@ def test_an_older_model_predicts_what_it_did(schema):
     np.testing.assert_allclose(model.simulate(record(rows)), rows["simulated"], rtol=0, atol=DIGITS_MM)
     ahead = model.predict(record(rows), horizon=5)
     np.testing.assert_allclose(ahead, rows["predicted"], rtol=0, atol=DIGITS_MM)
-    assert model.drift == 0.0
-    assert (model.two_modes, dict(model.uncertainty)) == (None, {})
+    assert model.drift == (0.0 if schema < 5 else 0.2)
+    assert (model.two_modes is None) == (schema < 5)
+    assert set(model.uncertainty) == (set() if schema < 5 else {LIFTING})
     assert load_trace(folder) == {"lifting": {"fitness": [3.0, 1.5]}}
 
 
@@ -75,6 +78,42 @@ def test_what_no_step_leads_from_is_not_readable(schema):
     assert not is_readable(schema)
 
 
+def test_what_schema_5_kept_in_the_channel_is_found_beside_it():
+    folder, rows = written(5)
+    model = load(folder)
+    test = record(rows)
+    batch = model.channels[LIFTING].batch([test])
+    comparison = model.comparison[LIFTING]
+    assert list(comparison.baselines) == ["arx", "narx", "lstm"]
+    samples = slice(len(test))
+    for name, fitted in comparison.baselines.items():
+        simulated = fitted.free_run(batch)[0, samples]
+        np.testing.assert_allclose(simulated, rows[f"{name}_simulated"], rtol=0, atol=LSTM_DIGITS_MM)
+    paper, behind = comparison.paper, batch.with_dead_zone(comparison.paper.dead_zone)
+    simulated = np.asarray(paper.simulate_benchmark(behind))[0, samples]
+    np.testing.assert_allclose(simulated, rows["transfer_function_simulated"], rtol=0, atol=DIGITS_MM)
+    predicted = np.asarray(paper.predict(behind, (5,)))[0, 0, samples]
+    np.testing.assert_allclose(predicted, rows["paper_predicted"], rtol=0, atol=LSTM_DIGITS_MM)
+    for end in ("lower", "upper"):
+        np.testing.assert_allclose(getattr(model.band(test), end), rows[end], rtol=0, atol=DIGITS_MM)
+
+
+def test_the_uncertainty_of_schema_5_keeps_its_numbers():
+    model = load(written(5)[0])
+    uncertainty, comparison = model.uncertainty[LIFTING], model.comparison[LIFTING]
+    assert [estimate.name for estimate in uncertainty.benchmark.parameters] == ["gain", "time_constant"]
+    assert comparison.paper_estimates == uncertainty.benchmark
+    information = uncertainty.information
+    assert (information.block_size, information.per_test_gain) == (2, True)
+    assert (information.score_covariance, information.dead_zone_covariance) == (((2.0,),), ((0.01,),))
+    assert [member.network for member in uncertainty.bands.ensemble] == [None, 1]
+    assert uncertainty.characteristics.speed_map[0].speed == 7.5
+    (search,) = comparison.searches
+    assert (search.name, search.rmse, search.evaluations) == ("multi-start", (0.5,), (60,))
+    assert search.median_rmse == (None, 1.5, 0.5)
+    assert model.provenance.segmentation_dead_zones == {LIFTING: 0.3}
+
+
 def test_a_description_of_this_version_stays_as_it_is():
     content = {"schema": SCHEMA, "drift": 0.3}
-    assert migrate(content) == content
+    assert migrate(content, {}) == (content, {})

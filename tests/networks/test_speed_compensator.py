@@ -100,7 +100,8 @@ def by_hand(model, drive):
     network, count = model.networks, model.networks.head.weight.shape[0]
     ih, hh, bias = (np.asarray(getattr(network.cell, n)) for n in ("weight_ih", "weight_hh", "bias"))
     head, offset = np.asarray(network.head.weight)[:, 0], np.asarray(network.head.bias)[:, 0]
-    lowest, highest = (float(getattr(model.envelope.displacement, end)) for end in ("lowest", "highest"))
+    covered = model.operating_range.displacement
+    lowest, highest = float(covered.lowest), float(covered.highest)
     travels, factors = np.zeros(drive.command.shape), np.zeros(drive.command.shape)
     for test in range(drive.command.shape[1]):
         output, memory, travel = np.zeros((count, 4)), np.zeros((count, 4)), 0.0

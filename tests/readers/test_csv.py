@@ -205,7 +205,7 @@ BAD = {
     "no header": ("\n".join(ROWS[1:]), ["line 1", "'time_s'", "0.01"]),
     "a column too few": (PLAIN.replace("current_up_A", "current_A"), ["'current_up_A'", "current_A"]),
     "another case": (PLAIN.replace("time_s", "Time_s"), ["'time_s'", "Time_s"]),
-    "a name twice": (PLAIN.replace("\n", ",1\n").replace(",1", ",time_s", 1), ["'time_s'", "several"]),
+    "a name twice": (PLAIN.replace("\n", ",1\n").replace(",1", ",time_s", 1), ["'time_s'", "ambiguous"]),
     "a short row": (PLAIN.replace(ROWS[9], "0.09,0"), ["line 11", "'displacement_mm'", "2 cells", "3"]),
     "a cut last row": (PLAIN.removesuffix(",43.5\n"), ["line 31", "'displacement_mm'"]),
     "a line of spaces": (PLAIN.replace(ROWS[9], "   "), ["line 11"]),

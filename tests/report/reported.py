@@ -7,6 +7,15 @@ import numpy as np
 
 from hitchid.data.record import Record
 from hitchid.data.segmentation import segments
+from hitchid.model import (
+    Characteristics,
+    Estimate,
+    Estimates,
+    MeasuredSpeed,
+    Quantity,
+    SearchSummary,
+    SpeedPoint,
+)
 from hitchid.report import (
     Document,
     Finding,
@@ -20,8 +29,7 @@ from hitchid.report import (
     read_trace,
 )
 from hitchid.report.document import Findings
-from hitchid.uncertainty import Characteristics, Estimate, Estimates, MeasuredSpeed, Quantity, SpeedPoint
-from hitchid.validation import BandFigures, Horizons, Predictions, SearchSummary
+from hitchid.validation import BandFigures, Horizons, Predictions
 from hitchid.validation.residuals import residual_tests
 from hitchid.validation.results import BandHorizons
 

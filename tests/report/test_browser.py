@@ -7,10 +7,19 @@ from itertools import product
 import pytest
 
 import reported
-from hitchid.report import Document, Picture, Pictures, Rating, ReportSection, Text, figures, write_report
+from hitchid.report import (
+    Document,
+    Picture,
+    Pictures,
+    Rating,
+    ReportSection,
+    Table,
+    Text,
+    figures,
+    write_report,
+)
 from hitchid.report.document import Findings
 from hitchid.report.figures.style import SHADES
-from hitchid.validation import Table
 
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
 ARGUMENTS = [

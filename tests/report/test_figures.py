@@ -22,6 +22,8 @@ from hitchid.report import figures
 from hitchid.report.figures.style import COLOURS, DECIMATION_BINS, LABELS, SHADES, decimate
 from hitchid.report.figures.valve import ONSET_FACTOR
 from hitchid.report.svg import svg
+from hitchid.validation import Horizons
+from hitchid.validation.valve_map import valve_map
 
 COLUMN_IN, PAGE_IN = 3.5, 7.2
 RIVALS = ("lstm", "narx", "arx", "transfer_function", "benchmark", "free_run")
@@ -67,24 +69,24 @@ def ramp(make_record):
 
 
 DRAWN = {
-    "convergence": lambda unit: figures.convergence(reported.trace(), unit),
+    "convergence": lambda unit: figures.convergence(reported.trace().phase1, unit),
     "coverage": lambda unit: figures.coverage(reported.bands(), reported.STEP_S),
     "error_distribution": lambda unit: figures.error_distribution(
         {name: reported.predictions().errors(name) for name in ("one_step", "free_run")}, unit
     ),
     "errors_by_test": lambda unit: figures.errors_by_test(reported.predictions(), unit, RIVALS),
     "horizons": lambda unit: figures.horizons(reported.horizons(), reported.STEP_S, unit),
-    "intervals": lambda unit: figures.intervals(reported.known_parameters()),
-    "losses": lambda unit: figures.losses(reported.trace()),
+    "intervals": lambda unit: figures.intervals(reported.ESTIMATES),
+    "losses": lambda unit: figures.losses(reported.trace().phase2),
     "outputs": lambda unit: figures.outputs(reported.predictions(), unit),
     "predicted_errors": lambda unit: figures.predicted_errors(
         {part: reported.predictions() for part in ("training", "validation")}, unit
     ),
     "residual_correlations": lambda unit: figures.residual_correlations(reported.residuals()),
-    "residuals_by_place": lambda unit: figures.residuals_by_variable(reported.residuals(), unit, "A"),
+    "residuals_by_variable": lambda unit: figures.residuals_by_variable(reported.residuals(), unit, "A"),
     "searches": lambda unit: figures.searches(reported.searches(), unit),
     "speed_map": lambda unit: figures.speed_map(reported.characteristics(unit)),
-    "structures": lambda unit: figures.structures(reported.trace()["candidates"], unit),
+    "structures": lambda unit: figures.structures(reported.trace().candidates, unit),
 }
 
 
@@ -105,7 +107,7 @@ def draw(pressed, ramp):
                 return figures.timeline(reported.mixed("odd", "even"))
             case "valve_map":
                 channel = handmade.channel(LIFTING)
-                return figures.valve_map(channel, [pressed(0, 0.5, 0, 0.6)], [ramp], unit, "A")
+                return figures.valve_map(valve_map(channel, [pressed(0, 0.5, 0, 0.6)], [ramp]), unit, "A")
         return DRAWN[name](unit)
 
     return drawn
@@ -254,7 +256,7 @@ def test_a_model_has_one_colour_in_all_figures():
 
 def test_no_two_models_of_a_figure_look_alike_even_without_colours():
     lines = figures.horizons(reported.horizons(), reported.STEP_S, "mm").axes[0].get_lines()
-    assert len(lines) == len(reported.horizons()) - 1
+    assert len(lines) == len(reported.horizons().rmse)
     assert len({line.get_marker() for line in lines}) == len(lines)
     assert len({(line.get_color(), str(line._dash_pattern)) for line in lines}) == len(lines)
 
@@ -288,34 +290,34 @@ def test_a_curve_stands_out_from_white_paper_and_from_a_dark_screen(name):
 
 def test_convergence_shows_fitness_and_parameters_as_they_were_found():
     trace = reported.trace()
-    fitness, *parameters = figures.convergence(trace, "mm").axes
-    phase1 = trace["phase1"]
+    fitness, *parameters = figures.convergence(trace.phase1, "mm").axes
+    phase1 = trace.phase1
     np.testing.assert_array_equal(fitness.lines[0].get_xdata(), np.arange(1, 21))
-    np.testing.assert_array_equal(fitness.lines[0].get_ydata(), [np.nan, *phase1["fitness"][1:]])
-    for place, (axes, known) in enumerate(zip(parameters, phase1["uncertainty"]["parameters"], strict=True)):
+    np.testing.assert_array_equal(fitness.lines[0].get_ydata(), [np.nan, *phase1.fitness[1:]])
+    for place, (axes, known) in enumerate(zip(parameters, phase1.parameters, strict=True)):
         best, polished = axes.lines
-        np.testing.assert_array_equal(best.get_ydata(), [row[place] for row in phase1["values"]])
-        assert set(polished.get_ydata()) == {known["value"]}
-        assert axes.get_ylabel() == f"{known['symbol']}\n/ {known['unit']}"
+        np.testing.assert_array_equal(best.get_ydata(), [row[place] for row in phase1.values])
+        assert set(polished.get_ydata()) == {known.value}
+        assert axes.get_ylabel() == f"{known.symbol}\n/ {known.unit}"
 
 
 def test_a_parameter_without_a_symbol_is_called_by_its_name():
     trace = reported.trace(reported.estimate("speed_along", symbol="", unit="1/mm", linear=True))
-    assert figures.convergence(trace, "mm").axes[1].get_ylabel() == "speed along\n/ 1/mm"
+    assert figures.convergence(trace.phase1, "mm").axes[1].get_ylabel() == "speed along\n/ 1/mm"
 
 
 def test_horizons_show_errors_over_seconds():
     known = reported.horizons()
     lines = figures.horizons(known, 0.02, "mm").axes[0].get_lines()
-    assert len(lines) == len(known) - 1
-    for line, errors in zip(lines, list(known.values())[1:], strict=True):
-        np.testing.assert_array_equal(line.get_xdata(), 0.02 * np.array(known["steps"]))
+    assert len(lines) == len(known.rmse)
+    for line, errors in zip(lines, known.rmse.values(), strict=True):
+        np.testing.assert_array_equal(line.get_xdata(), 0.02 * np.array(known.steps))
         np.testing.assert_array_equal(line.get_ydata(), errors)
 
 
 def test_a_horizon_at_which_a_model_diverged_has_no_point():
     line, _ = (
-        figures.horizons({"steps": [1, 2], "greybox": [1.0, None], "persistence": [1.0, 2.0]}, 0.01, "mm")
+        figures.horizons(Horizons((1, 2), {"greybox": (1.0, None), "persistence": (1.0, 2.0)}), 0.01, "mm")
         .axes[0]
         .lines
     )
@@ -461,12 +463,12 @@ def test_correlations_show_what_was_found_and_its_bounds():
     ):
         band, stems = axes.collections
         ends = [segment[1, 1] for segment in stems.get_segments()]
-        np.testing.assert_allclose(ends, found[name])
-        assert band.get_paths()[0].vertices[:, 1].max() == pytest.approx(max(found[bound]))
+        np.testing.assert_allclose(ends, getattr(found, name))
+        assert band.get_paths()[0].vertices[:, 1].max() == pytest.approx(max(getattr(found, bound)))
         assert axes.get_ylim()[1] > max(np.abs(ends))
     np.testing.assert_allclose(
         [segment[0, 0] for segment in below.collections[1].get_segments()],
-        reported.STEP_S * np.array(found["cross_lags"]),
+        reported.STEP_S * np.array(found.cross_lags),
     )
 
 
@@ -475,45 +477,45 @@ def test_places_show_mean_and_spread_of_the_errors_in_each_bin():
     for axes, name in zip(
         figures.residuals_by_variable(found, "mm", "A").axes, ("position", "speed", "command"), strict=True
     ):
-        bins = found[f"by_{name}"]["bins"]
+        bins = found.by_quantity[name].bins
         spreads, means = axes.get_lines()[0:-1:2], axes.get_lines()[1:-1:2]
         assert len(spreads) == len(means) == len(bins)
         for each, spread, mean in zip(bins, spreads, means, strict=True):
-            assert set(mean.get_ydata()) == {each["mean"]}
+            assert set(mean.get_ydata()) == {each.mean}
             low, high = spread.get_ydata()
-            assert (low + high) / 2 == pytest.approx(each["mean"])
+            assert (low + high) / 2 == pytest.approx(each.mean)
             # Mean square = mean² + variance.
-            assert ((high - low) / 2) ** 2 + each["mean"] ** 2 == pytest.approx(each["rmse"] ** 2)
+            assert ((high - low) / 2) ** 2 + each.mean**2 == pytest.approx(each.rmse**2)
 
 
 def test_searches_show_every_end_and_the_run_in_the_middle():
     known = reported.searches()
     went, ended = figures.searches(known, "mm").axes
-    for line, points, each in zip(went.get_lines(), ended.get_lines(), known.values(), strict=True):
-        np.testing.assert_array_equal(line.get_ydata()[1:], each["median_run"]["rmse"][1:])
+    for line, points, each in zip(went.get_lines(), ended.get_lines(), known, strict=True):
+        np.testing.assert_array_equal(line.get_ydata()[1:], each.median_rmse[1:])
         assert (line.get_xdata()[0], line.get_xdata()[-1]) == (0, 100)
-        assert list(points.get_ydata()) == [end for end in each["rmse"] if end is not None]
+        assert list(points.get_ydata()) == [end for end in each.rmse if end is not None]
 
 
 def test_losses_show_both_parts_and_the_epoch_that_is_kept():
-    trace = reported.trace()
+    trace = reported.trace().phase2
     training, validation, kept = figures.losses(trace).axes[0].get_lines()
-    np.testing.assert_array_equal(training.get_ydata()[1:], trace["phase2"]["training_loss"][1:])
-    np.testing.assert_array_equal(validation.get_ydata(), trace["phase2"]["validation_loss"])
+    np.testing.assert_array_equal(training.get_ydata()[1:], trace.training_loss[1:])
+    np.testing.assert_array_equal(validation.get_ydata(), trace.validation_loss)
     assert validation.get_xdata()[0] == 1
-    assert set(kept.get_xdata()) == {trace["phase2"]["best_epoch"]}
+    assert set(kept.get_xdata()) == {trace.best_epoch}
 
 
 def test_structures_show_both_errors_in_the_order_that_was_given():
-    candidates = reported.trace(candidates=4)["candidates"]
+    candidates = reported.trace(candidates=4).candidates
     axes = figures.structures(candidates, "mm").axes[0]
     by_place = sorted(zip(axes.get_yticks(), (t.get_text() for t in axes.get_yticklabels()), strict=True))
-    names = [f"{each['name']}{' (taken)' if each['chosen'] else ''}" for each in candidates]
+    names = [f"{each.name}{' (taken)' if each.chosen else ''}" for each in candidates]
     assert [text for _, text in by_place[::-1]] == [fill(name, 24) for name in names]
     everywhere, held_out = axes.get_lines()
-    np.testing.assert_array_equal(everywhere.get_xdata(), [each["rmse"] for each in candidates])
+    np.testing.assert_array_equal(everywhere.get_xdata(), [each.rmse for each in candidates])
     np.testing.assert_array_equal(
-        held_out.get_xdata(), [np.nan, *(each["held_out_rmse"] for each in candidates[1:])]
+        held_out.get_xdata(), [np.nan, *(each.held_out_rmse for each in candidates[1:])]
     )
 
 
@@ -526,7 +528,7 @@ def marks(axes):
 
 def test_an_interval_runs_from_end_to_end_and_open_ends_are_arrows():
     estimates = reported.ESTIMATES
-    for axes, each in zip(figures.intervals(reported.known_parameters()).axes, estimates, strict=True):
+    for axes, each in zip(figures.intervals(reported.ESTIMATES).axes, estimates, strict=True):
         bar = axes.get_lines()[0].get_xdata()
         edge = axes.get_xlim()
         ends = [place if end is None else end for place, end in zip(edge, each.interval, strict=True)]
@@ -540,7 +542,7 @@ def test_an_interval_runs_from_end_to_end_and_open_ends_are_arrows():
 
 def test_an_undetermined_parameter_shows_no_estimate_though_its_interval_is_closed():
     wide = reported.estimate(determined=False, interval=(2.0, 700.0), verdict="not determined")
-    (axes,) = figures.intervals(reported.known_parameters(wide)).axes
+    (axes,) = figures.intervals([wide]).axes
     assert marks(axes) == []
     assert len(axes.get_lines()) == 1
     assert axes.get_lines()[0].get_color() != COLOURS["benchmark"]
@@ -549,7 +551,7 @@ def test_an_undetermined_parameter_shows_no_estimate_though_its_interval_is_clos
 @pytest.mark.parametrize("interval", [(-0.2, 0.3), (0.0, 0.3), (None, 0.1), (-0.2, None), (0.0, 0.0)])
 def test_an_interval_around_zero_is_drawn_on_a_plain_scale(interval):
     around = reported.estimate("shape", unit="1", value=0.0, linear=True, lower=-1.0, interval=interval)
-    (axes,) = figures.intervals(reported.known_parameters(around)).axes
+    (axes,) = figures.intervals([around]).axes
     assert axes.get_xscale() == "linear"
     assert axes.get_xlim()[0] < 0.0 < axes.get_xlim()[1]
 
@@ -557,7 +559,7 @@ def test_an_interval_around_zero_is_drawn_on_a_plain_scale(interval):
 @pytest.mark.parametrize("value", [1e-4, 0.08, 1.0, 30.0, 1e5])
 def test_an_interval_has_numbers_along_its_scale_that_can_be_told_apart(value):
     for error in (0.003 * value, 0.03 * value, 0.3 * value):
-        figure = figures.intervals(reported.known_parameters(reported.estimate(value=value, error=error)))
+        figure = figures.intervals([reported.estimate(value=value, error=error)])
         figure.draw_without_rendering()
         shown = ticks(figure.axes[0], "x")
         assert len(shown) >= 2
@@ -570,7 +572,7 @@ def test_an_interval_has_numbers_along_its_scale_that_can_be_told_apart(value):
 def test_the_map_of_the_valve_has_gain_and_dead_zone_of_the_benchmark(pressed, ramp):
     channel = handmade.channel(LIFTING)
     test = pressed(*[0.4, 0.5, 0.6] * 8)
-    axes = figures.valve_map(channel, [test], [ramp], "mm", "A").axes[0]
+    axes = figures.valve_map(valve_map(channel, [test], [ramp]), "mm", "A").axes[0]
     lines = {line.get_label(): line for line in axes.get_lines()}
     zone, gain = handmade.DEAD_ZONES[LIFTING], handmade.GAINS[LIFTING]
 
@@ -612,7 +614,7 @@ def test_the_speed_map_shows_speeds_bands_and_measured_points_for_each_load():
 def test_the_map_of_the_valve_needs_no_ramp_and_no_command_that_stands(make_record):
     command = 0.4 + 0.1 * np.sin(np.arange(200))
     moving = make_record(100 + np.arange(200.0), command, 0 * command)
-    axes = figures.valve_map(handmade.channel(LIFTING), [moving], [], "mm", "A").axes[0]
+    axes = figures.valve_map(valve_map(handmade.channel(LIFTING), [moving], []), "mm", "A").axes[0]
     labels = {line.get_label() for line in axes.get_lines()}
     assert {"benchmark", "dead zone"} <= labels
     assert not {"ramps", "tests"} & labels
@@ -670,15 +672,14 @@ def test_a_distribution_leaves_the_errors_of_what_diverged_out(value):
 
 
 def without_finite_fitness():
-    trace = reported.trace()
-    trace["phase1"]["fitness"] = [None] * 20
-    return figures.convergence(trace, "mm")
+    search = replace(reported.trace().phase1, fitness=(None,) * 20)
+    return figures.convergence(search, "mm")
 
 
 def without_an_end():
-    known = reported.searches()
-    known["whale"] |= {"rmse": [None] * 3, "median_run": {"rmse": [None], "values": []}}
-    return figures.searches(known, "mm")
+    whale, *others = reported.searches()
+    failed = replace(whale, rmse=(None,) * 3, median_rmse=(None,), median_values=())
+    return figures.searches([failed, *others], "mm")
 
 
 SPARSE = {
@@ -690,12 +691,12 @@ SPARSE = {
     "constant errors": lambda: figures.error_distribution({"free_run": np.full(100, 0.1)}, "mm"),
     "errors of zero": lambda: figures.error_distribution({"free_run": np.zeros(100)}, "mm"),
     "one error": lambda: figures.error_distribution({"free_run": np.ones(1)}, "mm"),
-    "one horizon": lambda: figures.horizons({"steps": [1], "greybox": [0.1]}, 0.01, "mm"),
-    "one parameter": lambda: figures.intervals(reported.known_parameters(reported.estimate())),
+    "one horizon": lambda: figures.horizons(Horizons((1,), {"greybox": (0.1,)}), 0.01, "mm"),
+    "one parameter": lambda: figures.intervals([reported.estimate()]),
     "no finite fitness": without_finite_fitness,
     "a search without an end": without_an_end,
-    "one candidate": lambda: figures.structures(reported.trace(candidates=1)["candidates"], "mm"),
-    "two epochs": lambda: figures.losses(reported.trace(iterations=2)),
+    "one candidate": lambda: figures.structures(reported.trace(candidates=1).candidates, "mm"),
+    "two epochs": lambda: figures.losses(reported.trace(iterations=2).phase2),
     "errors that stand": lambda: figures.residual_correlations(reported.residuals(level=0.1)),
     "no errors": lambda: figures.residual_correlations(reported.residuals(level=0.0)),
     "errors that stand by place": lambda: figures.residuals_by_variable(

@@ -9,10 +9,17 @@ import pytest
 
 import reported
 from hitchid.errors import InputError
-from hitchid.report import Document, Finding, Pictures, Rating, ReportSection, Text, check_pdf
-from hitchid.report.pdf import pdf
-from hitchid.report.svg import svg
-from hitchid.validation import Table
+from hitchid.report import (
+    Document,
+    Finding,
+    Pictures,
+    Rating,
+    ReportSection,
+    Table,
+    Text,
+    check_pdf,
+    render,
+)
 
 # What typst's own markup is written in, what JSON and SVG escape, and half a letter, as names of files have.
 HOSTILE = {
@@ -31,7 +38,7 @@ def made():
         pytest.skip("typst is not installed; pip install 'hitchid[pdf]'")
 
     def make(document):
-        return pdf(document, {each.name: svg(each.figure) for each in document.pictures})
+        return render(document, "pdf")
 
     return make
 
@@ -139,9 +146,9 @@ def test_a_long_table_goes_on_with_its_header_on_the_next_page(made, words):
 
 
 def test_a_pdf_that_cannot_be_made_is_refused_early(monkeypatch):
-    monkeypatch.setattr("hitchid.report.pdf.find_spec", lambda name: None)
+    monkeypatch.setattr("hitchid.report.renderers.pdf.find_spec", lambda name: None)
     check_pdf(requested=False)
     with pytest.raises(InputError, match=r"hitchid\[pdf\]"):
         check_pdf(requested=True)
     with pytest.raises(InputError, match=r"hitchid\[pdf\]"):
-        pdf(reported.document(), {})
+        render(reported.document(), "pdf")

@@ -1,7 +1,6 @@
 """Reports of made-up benches: a verdict true to the figures, and a section for what there is."""
 
 import hashlib
-import json
 import re
 import shutil
 from dataclasses import replace
@@ -18,12 +17,11 @@ import reported
 from hitchid._support.versions import installed_versions
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError, OutputError
-from hitchid.model import Provenance
+from hitchid.model import Provenance, Uncertainty
 from hitchid.readers import read, write_table
 from hitchid.report import FIGURES, Pictures, Rating, Table, Text, sections, write_report
 from hitchid.report.document import Findings
-from hitchid.uncertainty import Uncertainty
-from hitchid.validation import compare, read_limits, validate
+from hitchid.validation import ModelFigures, RunFigures, compare, read_limits, validate
 from hitchid.validation.report_data import Origin, log_data
 
 MODES = (LIFTING, LOWERING)
@@ -166,7 +164,7 @@ def test_no_section_is_empty_and_every_sentence_is_one(report, name):
 
     for each in document.sections:
         check(each)
-    texts = [text.said for each in document.sections for text in blocks(each, Text)]
+    texts = [text.text for each in document.sections for text in blocks(each, Text)]
     found = [item for each in document.sections for group in blocks(each, Findings) for item in group.items]
     for said in (*document.notices, *texts, *(item.sentence for item in (*document.verdict, *found))):
         assert said[0] == said[0].upper()
@@ -269,15 +267,43 @@ def test_a_free_run_is_good_only_where_it_is_better_than_every_baseline(report, 
 def judged(validated):
     """Return a function that judges the whole model anew after figures or runs of lifting were changed."""
 
-    def judge(change=lambda lifting: None, runs=lambda tests: tests.models):
+    def judge(change=lambda lifting: lifting, runs=lambda tests: tests.models):
         result = validated("whole")
-        metrics = json.loads(json.dumps(result.metrics))
-        change(metrics["channels"][LIFTING])
-        tests = result.predictions[LIFTING]
-        predictions = {**result.predictions, LIFTING: replace(tests, models=runs(tests))}
-        return sections.verdict(replace(result, metrics=metrics, predictions=predictions), None)
+        lifting = change(result.channels[LIFTING])
+        tests = lifting.accuracy.predictions
+        rows = runs(tests)
+        baselines = {
+            name: ModelFigures(free_run=RunFigures.of(tests.actual, rows[name]))
+            for name in BASELINES
+            if name in rows
+        }
+        models = {name: found for name, found in lifting.accuracy.models.items() if name not in BASELINES}
+        accuracy = replace(
+            lifting.accuracy, predictions=replace(tests, models=rows), models={**baselines, **models}
+        )
+        channels = {**result.channels, LIFTING: replace(lifting, accuracy=accuracy)}
+        return sections.verdict(replace(result, channels=channels), None)
 
     return judge
+
+
+def with_free_run(lifting, **figures):
+    """Return the results with other figures of the grey box in free run."""
+    models = lifting.accuracy.models
+    greybox = replace(models["greybox"], free_run=replace(models["greybox"].free_run, **figures))
+    return replace(lifting, accuracy=replace(lifting.accuracy, models={**models, "greybox": greybox}))
+
+
+def with_bands(lifting, **figures):
+    """Return the results with other figures of the bands."""
+    bands = replace(lifting.accuracy.bands, **figures)
+    return replace(lifting, accuracy=replace(lifting.accuracy, bands=bands))
+
+
+def with_parameters(lifting, names):
+    """Return the results with the estimates of some parameters alone."""
+    estimates = tuple(each for each in lifting.parameters.parameters if each.name in names)
+    return replace(lifting, parameters=replace(lifting.parameters, parameters=estimates))
 
 
 def finding(verdict, *words):
@@ -301,12 +327,12 @@ def test_a_free_run_is_good_where_tests_tell_it_apart_from_every_baseline(judged
         return {**tests.models, "free_run": own, **dict.fromkeys(BASELINES, rivals)}
 
     rmse = float(np.sqrt(np.mean(np.square(factors))))
-    verdict = judged(lambda lifting: lifting["greybox"]["free_run"].update(rmse=rmse, fit=95.0), erring)
+    verdict = judged(partial(with_free_run, rmse=rmse, fit=95.0), erring)
     assert finding(verdict, "Lifting, free run").level == level
 
 
 def test_a_free_run_worse_than_a_mean_is_bad(judged):
-    verdict = judged(lambda lifting: lifting["greybox"]["free_run"].update(fit=-1.0))
+    verdict = judged(partial(with_free_run, fit=-1.0))
     assert finding(verdict, "Lifting, free run").level == Rating.BAD
 
 
@@ -317,7 +343,7 @@ def test_baselines_that_all_diverged_are_told_from_none(judged):
     def none(tests):
         return {name: rows for name, rows in tests.models.items() if name not in BASELINES}
 
-    for runs, said in ((wild, "every baseline diverged"), (none, "no baseline stands beside it")):
+    for runs, said in ((wild, "every baseline diverged"), (none, "no baseline was fitted")):
         found = finding(judged(runs=runs), "Lifting, free run")
         assert (found.level, said in found.sentence) in ((Rating.CAUTION, True), (Rating.BAD, False))
 
@@ -328,17 +354,17 @@ def test_baselines_that_all_diverged_are_told_from_none(judged):
 )
 def test_a_band_is_judged_by_what_it_holds(judged, covered, level):
     told = {"covered": covered, "covered_error": 0.01}
-    band = finding(judged(lambda lifting: lifting["bands"]["free_run"].update(told)), "Lifting", "band")
+    band = finding(judged(partial(with_bands, **told)), "Lifting", "band")
     assert band.level == level
     assert f"held {100 * covered:.0f} %" in band.sentence
 
 
 def test_a_band_is_not_judged_by_tests_that_tell_little(judged):
     told = {"covered": 0.8, "covered_error": 0.06}
-    band = finding(judged(lambda lifting: lifting["bands"]["free_run"].update(told)), "Lifting", "band")
+    band = finding(judged(partial(with_bands, **told)), "Lifting", "band")
     assert (band.level, "by chance" in band.sentence) == (Rating.CAUTION, True)
     alone = {"covered": 0.8, "covered_error": None}
-    band = finding(judged(lambda lifting: lifting["bands"]["free_run"].update(alone)), "Lifting", "band")
+    band = finding(judged(partial(with_bands, **alone)), "Lifting", "band")
     assert (band.level, "too few" in band.sentence) == (Rating.CAUTION, True)
 
 
@@ -351,15 +377,14 @@ def test_parameters_that_are_not_determined_are_named(report):
 
 @pytest.mark.parametrize("names", [("gain",), ("gain", "curvature")])
 def test_parameters_that_all_are_determined_are_good(judged, names):
-    def keep(lifting):
-        estimates = lifting["parameters"]["estimates"]
-        lifting["parameters"]["estimates"] = {name: estimates[name] for name in names}
-
-    assert finding(judged(keep), "Lifting", "parameter", "determined").level == Rating.GOOD
+    assert (
+        finding(judged(partial(with_parameters, names=names)), "Lifting", "parameter", "determined").level
+        == Rating.GOOD
+    )
 
 
 def test_nothing_is_said_of_parameters_that_nobody_told(judged):
-    verdict = judged(lambda lifting: lifting["parameters"].update(estimates={}))
+    verdict = judged(partial(with_parameters, names=()))
     assert not [each for each in verdict if "Lifting" in each.sentence and "parameter" in each.sentence]
 
 

@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from hitchid.errors import InputError
-from hitchid.uncertainty import Bands
-from hitchid.uncertainty.bands import (
+from hitchid.model import Bands
+from hitchid.model.bands import free_run_half_width
+from hitchid.uncertainty.conformal import (
     BISECTION_STEPS,
     GRID,
     LEVELS,
@@ -20,12 +21,12 @@ from hitchid.uncertainty.bands import (
 )
 
 BANDS = Bands(
-    alternatives=(),
+    ensemble=(),
     noise=0.1,
     levels=LEVELS,
     free_run=(0.5, 1.1, 1.4, 2.0),
     horizons=(1, 10, 100),
-    ahead=((0.1, 0.2, 0.3, 0.4), (0.3, 0.5, 0.9, 1.2), (1.0, 2.0, 4.0, 8.0)),
+    half_widths=((0.1, 0.2, 0.3, 0.4), (0.3, 0.5, 0.9, 1.2), (1.0, 2.0, 4.0, 8.0)),
     tests=(12, 12),
 )
 SETS = 150
@@ -187,13 +188,13 @@ def test_the_half_width_in_free_run_joins_noise_and_spread():
     spread = np.array([0.0, 0.1, 3.0])
     # z(95 %) = 1.959964 to seven digits.
     expected = np.sqrt((1.959964 * 0.1) ** 2 + (2.0 * spread) ** 2)
-    np.testing.assert_allclose(BANDS.free_run_half_width(0.95, spread), expected, rtol=1e-6)
+    np.testing.assert_allclose(free_run_half_width([BANDS], [spread], 0.95), expected, rtol=1e-6)
 
 
 def test_between_levels_and_horizons_bands_are_interpolated():
     assert [BANDS.multiplier(level) for level in LEVELS] == list(BANDS.free_run)
     assert BANDS.multiplier(0.85) == pytest.approx(1.25)
-    for horizon, row in zip(BANDS.horizons, BANDS.ahead, strict=True):
+    for horizon, row in zip(BANDS.horizons, BANDS.half_widths, strict=True):
         assert [BANDS.half_width(level, horizon) for level in LEVELS] == pytest.approx(row)
     # √(1 · 10) lies halfway on a logarithmic axis; 3 of it are 0.477.
     assert BANDS.half_width(0.9, 3) == pytest.approx(0.3 + np.log10(3) * 0.6)
@@ -208,7 +209,8 @@ def test_a_wider_band_covers_more(levels, horizon):
     less, more = levels
     # Interpolation rounds.
     assert BANDS.half_width(less, horizon) <= BANDS.half_width(more, horizon) * (1 + 1e-12)
-    assert BANDS.free_run_half_width(less, np.ones(1)) <= BANDS.free_run_half_width(more, np.ones(1)) + 1e-12
+    narrow, wide = (free_run_half_width([BANDS], [np.ones(1)], level) for level in (less, more))
+    assert narrow <= wide + 1e-12
 
 
 @pytest.mark.parametrize("coverage", [0.0, 0.49, 0.96, 0.99, 1.0, 95.0, float("nan")])
@@ -217,7 +219,7 @@ def test_coverage_beyond_the_levels_is_refused(coverage):
     for ask in (
         lambda: BANDS.multiplier(coverage),
         lambda: BANDS.half_width(coverage, 1),
-        lambda: BANDS.free_run_half_width(coverage, np.ones(3)),
+        lambda: free_run_half_width([BANDS], [np.ones(3)], coverage),
     ):
         with pytest.raises(InputError, match=complaint):
             ask()

@@ -15,6 +15,8 @@ from hitchid.estimation import Objective, refine
 from hitchid.identification import direction
 from hitchid.identification.dead_zone import DeadZone
 from hitchid.identification.phase1 import Phase1
+from hitchid.model import Characteristics, Estimates, Uncertainty
+from hitchid.report.characteristics import characteristic_sentences
 from hitchid.structures import (
     NONLINEARITY_PARAMETERS,
     Batch,
@@ -25,14 +27,7 @@ from hitchid.structures import (
     structure_named,
 )
 from hitchid.structures.static_nonlinearity import NEUTRAL
-from hitchid.uncertainty import (
-    Characteristics,
-    DeadZoneError,
-    Estimates,
-    Uncertainty,
-    characteristic_sentences,
-    characteristics,
-)
+from hitchid.uncertainty import DeadZoneError, characteristics
 from hitchid.uncertainty.influence import Influence, compute_influence
 from hitchid.uncertainty.operating_points import measured_speeds, operating_levels
 from hitchid.uncertainty.profile import Profile

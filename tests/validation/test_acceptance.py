@@ -10,7 +10,9 @@ from hypothesis import strategies as st
 
 from hitchid._support.metrics import HORIZONS
 from hitchid.errors import SettingsError
-from hitchid.validation.acceptance import check_limits, line
+from hitchid.report.sections import check_line
+from hitchid.validation import Accuracy, BandFigures, Horizons, ModelFigures, Predictions, RunFigures
+from hitchid.validation import check_limits as check_figures
 from hitchid.validation.limits import BASELINES, AcceptanceLimits, read_limits
 
 FILE = """
@@ -64,6 +66,33 @@ def campaign(unit="mm"):
     return {"unit": unit, "channels": {"lifting": direction()}, "cycles": cycles}
 
 
+def run_figures(figures):
+    return RunFigures(**figures)
+
+
+def accuracy(section):
+    """Return the record of one direction, or of the cycles."""
+    models = {name: section[name] for name in section if name in BASELINES or name == "greybox"}
+    horizons = {name: tuple(values) for name, values in section["horizons"].items() if name != "steps"}
+    bands = section.get("bands")
+    return Accuracy(
+        models={
+            name: ModelFigures(**{run: run_figures(found) for run, found in runs.items()})
+            for name, runs in {**models, **section.get("baselines", {})}.items()
+        },
+        horizons=Horizons(tuple(section["horizons"]["steps"]), horizons),
+        per_test={name: run_figures(found["free_run"]) for name, found in section["per_test"].items()},
+        predictions=Predictions(tuple(section["tests"]), (), (), {}),
+        bands=bands and BandFigures(bands["coverage"], bands["free_run"]["covered"], None, 1.0),
+    )
+
+
+def check_limits(metrics, limits):
+    sections = metrics["channels"] | {"cycles": metrics["cycles"]}
+    found = {name: accuracy(section) for name, section in sections.items() if section["tests"]}
+    return check_figures(metrics["unit"], found, limits)
+
+
 def limits_of(mode="lifting", unit="mm", **demanded):
     return AcceptanceLimits.model_validate({"unit": unit, mode: demanded})
 
@@ -113,7 +142,7 @@ def test_a_file_is_read_as_it_stands(read):
 def test_every_limit_of_a_file_gets_a_verdict(read):
     outcome = check_limits(campaign(), read(FILE))
     assert outcome.passed
-    assert [line(check) for check in outcome.checks] == [
+    assert [check_line(check) for check in outcome.checks] == [
         "pass  lifting: unseen tests 4, required at least 4",
         "pass  lifting: one step, RMSE 0.1 mm, required at most 0.2 mm",
         "pass  lifting: free run, RMSE 0.3 mm, required at most 0.5 mm",
@@ -130,7 +159,7 @@ def test_every_limit_of_a_file_gets_a_verdict(read):
         "pass  lifting: free run vs transfer_function, RMSE 0.3 mm, required below 0.9 mm",
         "pass  cycles: free run, RMSE 2 mm, required at most 3 mm",
     ]
-    assert all(len(line(check)) <= 80 for check in outcome.checks)
+    assert all(len(check_line(check)) <= 80 for check in outcome.checks)
     assert len({check.name for check in outcome.checks}) == len(outcome.checks)
 
 
@@ -226,7 +255,7 @@ def test_a_limit_holds_at_itself_and_fails_beyond(mode, run, key, at, worse, lim
         else:
             section["greybox"][run][key] = figure
         check = only(metrics, limits_of(mode, **{run: {key: limit}}))
-        assert (check.mode, check.passed) == (mode, passes)
+        assert (check.direction, check.passed) == (mode, passes)
         if figure is None or figure != figure:
             assert check.found.startswith("diverged")
 
@@ -307,7 +336,7 @@ def test_what_is_missing_fails_and_is_named(mode, demanded, found):
     lifting["baselines"]["lstm"] = {"one_step": figures(9.0)}
     del lifting["greybox"]["one_step"]
     check = only(metrics, limits_of(mode, **demanded))
-    assert (check.mode, check.found, check.passed) == (mode, found, False)
+    assert (check.direction, check.found, check.passed) == (mode, found, False)
 
 
 def test_cycles_that_were_not_driven_keep_no_limit():
@@ -537,5 +566,5 @@ def test_every_baseline_of_the_tables_may_be_demanded(name):
 def test_a_line_stays_one_line_whatever_a_log_is_called():
     metrics = campaign()
     metrics["channels"]["lifting"]["per_test"] = {"a\nb\x1b[31m\udcff\u2028é": {"free_run": figures(0.3)}}
-    text = line(only(metrics, limits_of(worst_test={"rmse": 1})))
+    text = check_line(only(metrics, limits_of(worst_test={"rmse": 1})))
     assert text == "pass  lifting: worst test, RMSE 0.3 mm in a�b�[31m��é, required at most 1 mm"

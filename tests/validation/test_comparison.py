@@ -11,6 +11,8 @@ from hitchid.data.campaign import Campaign
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError
 from hitchid.model import Provenance
+from hitchid.report import comparison_tables
+from hitchid.report.comparison_report import verdict_text
 from hitchid.validation import compare, validate
 from truth import STEP_S, levels
 
@@ -43,18 +45,17 @@ def test_the_model_that_errs_less_on_every_test_is_found_on_either_side(campaign
         compared = compare(first, second, campaign)
         assert compared.sections == (LIFTING, LOWERING)
         for mode in compared.sections:
-            name, said = compared.verdict(mode)
-            assert name == better
-            assert said.startswith(f"{better} errs less in free run, on 5 of 5 tests")
+            verdict = compared.verdict(mode)
+            assert (verdict.better, verdict.wins, verdict.tests) == (better, 5, 5)
+            assert verdict_text(compared, mode).startswith(f"{better} errs less in free run, on 5 of 5 tests")
         assert compared.metrics["better"] == {LIFTING: better, LOWERING: better}
 
 
 def test_a_model_is_never_proven_better_than_itself(campaign):
     compared = compare(RIGHT, RIGHT, campaign)
     for mode in compared.sections:
-        name, said = compared.verdict(mode)
-        assert name is None
-        assert "do not tell the models apart" in said
+        assert compared.verdict(mode).better is None
+        assert "do not tell the models apart" in verdict_text(compared, mode)
 
 
 def test_tests_that_either_has_seen_are_left_out_for_both(campaign):
@@ -62,8 +63,8 @@ def test_tests_that_either_has_seen_are_left_out_for_both(campaign):
     compared = compare(having_seen(RIGHT, first), having_seen(SLOW, second), campaign)
     assert compared.left_out == 2
     assert "2 tests are left out" in compared.notices[0]
-    for figures in compared.figures(LIFTING):
-        assert figures["tests"] == [f"{LIFTING}-{number}" for number in (2, 3, 4)]
+    for accuracy in compared.accuracy(LIFTING):
+        assert accuracy.tests == tuple(f"{LIFTING}-{number}" for number in (2, 3, 4))
 
 
 def test_the_figures_are_those_of_two_validations(campaign):
@@ -79,7 +80,7 @@ def test_the_figures_are_those_of_two_validations(campaign):
 
 def test_both_models_stand_in_every_table(campaign):
     bands = [with_bands(model, LIFTING) for model in (RIGHT, SLOW)]
-    for table in compare(*bands, campaign).tables():
+    for table in comparison_tables(compare(*bands, campaign)).tables:
         cells = {row[0] for row in table.rows} | set(table.header)
         assert {"model A", "model B"} <= cells
 
@@ -119,9 +120,11 @@ def test_cycles_are_cut_alike_for_both_where_there_is_nothing_else(make_record):
         speed -= GAINS[LOWERING] * np.maximum(lowering - DEAD_ZONES[LOWERING], 0)
         measured = 100 + STEP_S * np.cumsum(speed) + 0.02 * rng.standard_normal(speed.size)
         records.append(make_record(measured, lifting, lowering, name=f"cycle-{number}"))
-    cut = replace(RIGHT, provenance=Provenance(cut_at={LIFTING: 0.3, LOWERING: 0.2}))
-    compared = compare(cut, replace(SLOW, provenance=Provenance(cut_at=DEAD_ZONES)), Campaign.of(records))
+    cut = replace(RIGHT, provenance=Provenance(segmentation_dead_zones={LIFTING: 0.3, LOWERING: 0.2}))
+    compared = compare(
+        cut, replace(SLOW, provenance=Provenance(segmentation_dead_zones=DEAD_ZONES)), Campaign.of(records)
+    )
     assert "cycles" in compared.sections
     for part in compared.sections:
-        one, other = compared.figures(part)
-        assert one["tests"] == other["tests"]
+        one, other = compared.accuracy(part)
+        assert one.tests == other.tests

@@ -2,12 +2,12 @@
 
 from xml.etree import ElementTree
 
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hitchid.validation.acceptance import Check, line
-from hitchid.validation.junit import junit_xml
+from hitchid.report.renderers.junit import junit_xml
+from hitchid.report.sections import check_line
+from hitchid.validation import Check
 
 KEPT = Check("lifting", "lifting: free run, RMSE", "at most 0.5 mm", "0.065 mm", True)
 BROKEN = Check("lowering", "lowering: free run, R²", "at least 0.99", "0.98", False)
@@ -40,20 +40,13 @@ def test_a_kept_and_a_broken_limit_become_two_cases():
     assert broken.attrib == {"classname": "hitchid.lowering", "name": BROKEN.name}
     (failure,) = broken
     assert failure.attrib == {"message": "0.98, required at least 0.99", "type": "limit"}
-    assert failure.text == "fail  lowering: free run, R² 0.98, required at least 0.99" == line(BROKEN)
+    assert failure.text == "fail  lowering: free run, R² 0.98, required at least 0.99" == check_line(BROKEN)
 
 
 def test_a_suite_has_the_name_it_is_given():
     root = parsed(KEPT, name="rig-a")
     assert root[0].get("name") == "rig-a"
     assert root[0][0].get("classname") == "rig-a.lifting"
-
-
-@pytest.mark.parametrize(("seconds", "told"), [(None, None), (1.23456, "1.235"), (0.0, "0.000")])
-def test_time_stands_there_only_where_it_is_given(seconds, told):
-    root = parsed(KEPT, seconds=seconds)
-    assert [root.get("time"), root[0].get("time")] == [told, told]
-    assert b"timestamp" not in junit_xml((KEPT,), seconds=seconds)
 
 
 def test_no_check_is_an_empty_suite():

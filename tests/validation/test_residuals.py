@@ -94,8 +94,6 @@ def test_an_error_that_follows_the_command_is_found_at_its_lag(lag):
     assert found.cross_correlation[place] == pytest.approx(np.sqrt(0.5), abs=4 / np.sqrt(700))
     # A command without memory: the bounds are those of white errors, not widened by what was found.
     assert found.cross_bounds[25] == pytest.approx(BOUND / np.sqrt(700), rel=0.15)
-    verb = "run ahead of" if lag < 0 else "follow"
-    assert f"{verb} the command at lag {lag} ({lag * STEP_S:.3g} s)" in found.sentence("mm", "%")
 
 
 def test_a_slow_command_is_followed_at_a_run_of_lags():
@@ -104,9 +102,6 @@ def test_a_slow_command_is_followed_at_a_run_of_lags():
     found = found_in([np.roll(command, 5) + rng.normal(0, 20, 2000)], [command])
     # Held for 10 samples: the correlation falls to nothing 10 lags to either side.
     assert set(range(-1, 12)) <= set(found.lags_outside)
-    first, last = found.sentence("mm", "%").split("at lags ")[1].split(" (")[0].split(" to ")
-    assert -6 <= int(first) <= -1
-    assert 11 <= int(last) <= 16
 
 
 def test_errors_that_alternate_do_not_sharpen_the_bounds():
@@ -183,19 +178,16 @@ def test_errors_that_step_with_speed_are_explained_by_speed_alone():
     for other in (found.by_position, found.by_command):
         assert [b.count for b in other.bins] == [150] * 8
         assert other.share < 25 / 1200
-    # Elsewhere √((0.5² + 0.25²)/2).
-    assert found.sentence("mm", "%").endswith("largest by speed: RMSE 1 mm at 30 mm/s, 0.4 mm elsewhere")
 
 
-def test_a_range_with_larger_scatter_is_named_though_its_mean_is_no_other():
+def test_a_range_with_larger_scatter_is_a_bin_though_its_mean_is_no_other():
     position = np.random.default_rng(6).permutation(np.arange(800.0))
     high = (position >= 300) & (position < 400)
     error = np.where(high, 0.4, 0.1) * (-1.0) ** position
     found = found_in([error], None, [position])
     assert found.by_position.share == pytest.approx(0.0, abs=1e-12)
-    assert "largest by position: RMSE 0.4 mm between 300 and 399 mm, 0.1 mm elsewhere" in found.sentence(
-        "mm", "%"
-    )
+    worst = max(found.by_position.bins, key=lambda error_bin: error_bin.rmse)
+    assert (worst.lower, worst.upper, worst.rmse) == (300, 399, pytest.approx(0.4))
 
 
 def test_a_value_that_is_there_more_than_an_eighth_is_not_divided():
@@ -216,9 +208,6 @@ def test_constant_errors_and_commands_prove_nothing(level, lengths):
     assert (found.white, found.independent, found.normal, found.lags_outside) == (True, True, True, ())
     assert (found.whiteness_p, found.independence_p, found.normality_p) == (1.0, 1.0, 1.0)
     assert (found.mean, found.deviation, found.by_command.share) == (level, 0.0, 0.0)
-    assert found.sentence("mm", "%").startswith(
-        "errors are white, do not follow the command; about as large everywhere"
-    )
 
 
 @pytest.mark.filterwarnings("error")
@@ -231,7 +220,6 @@ def test_results_are_plain_numbers_at_any_size(scale):
     usual = found_in(list(noise), commands)
     assert large.whiteness_p == pytest.approx(usual.whiteness_p, rel=1e-9)
     assert large.by_command.bins[0].rmse == pytest.approx(scale * usual.by_command.bins[0].rmse, rel=1e-9)
-    assert large.sentence("mm", "%").split(";")[0] == usual.sentence("mm", "%").split(";")[0]
     again = json.loads(json.dumps(asdict(large), allow_nan=False))
     assert again["by_command"]["bins"][1]["upper"] == 1.0
     assert again["cross_lags"] == list(range(-25, 26))

@@ -13,11 +13,10 @@ from hitchid.baselines.autoregression import predict_ahead
 from hitchid.data.campaign import Campaign
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError, OutputError
-from hitchid.estimation import SearchHistory, SearchRun
-from hitchid.model import Provenance, TwoModes, remove_padding
+from hitchid.model import Provenance, SearchSummary, TwoModes, remove_padding
 from hitchid.validation import compare, validate
 from hitchid.validation.cycles import ORIGIN_STRIDE
-from hitchid.validation.tables import NAMES
+from hitchid.validation.names import NAMES
 from truth import STEP_S, levels
 
 SIZES = (200, 150, 180)
@@ -212,10 +211,9 @@ def test_figures_are_in_the_unit_of_the_log(tests_of, cycle):
 
 def test_errors_of_the_searches_are_in_the_unit_of_the_log_too(tests_of):
     known = with_bands(MODELS, LIFTING).uncertainty[LIFTING]
-    run = SearchRun(
-        fitness=(None, 20.0, 10.0), values=((1.0,),) * 3, evaluations=3, failures=1, reason="done"
-    )
-    model = replace(MODELS, uncertainty={LIFTING: replace(known, searches=(SearchHistory("whale", (run,)),))})
+    search = SearchSummary("whale", (10.0,), (3,), (1,), (None, 20.0, 10.0), ((1.0,),) * 3)
+    compared = {LIFTING: replace(MODELS.comparison[LIFTING], searches=(search,))}
+    model = replace(MODELS, uncertainty={LIFTING: known}, comparison=compared)
     in_cm = [record.convert({"displacement": "cm"}) for record in tests_of()]
     search = validate(model, Campaign.of(in_cm)).metrics["channels"][LIFTING]["searches"]["whale"]
     assert search["rmse"] == pytest.approx([1.0], rel=1e-12)
@@ -337,7 +335,7 @@ def test_an_autoregression_is_iterated_over_a_horizon_from_what_was_measured(tes
 def test_the_papers_method_is_its_own_transfer_function_and_the_echo_of_its_compensator(tests_of):
     records = tests_of()
     channel = validate(MODELS, Campaign.of(records)).metrics["channels"][LIFTING]
-    paper = MODELS.channels[LIFTING].paper
+    paper = MODELS.comparison[LIFTING].paper
     measured = [record.displacement for record in records]
     batch = paper.batch(records)
     alone = replace(MODELS, channels={LIFTING: paper})
@@ -362,10 +360,9 @@ def one_way(record):
 
 
 def test_a_model_that_is_the_papers_stands_for_the_papers_method(tests_of):
-    papers = {
-        mode: eqx.tree_at(lambda c: c.paper, channel, None) for mode, channel in MODELS.channels.items()
-    }
-    channel = validate(replace(MODELS, channels=papers), Campaign.of(tests_of())).metrics["channels"][LIFTING]
+    compared = {mode: replace(each, paper=None) for mode, each in MODELS.comparison.items()}
+    model = replace(MODELS, comparison=compared)
+    channel = validate(model, Campaign.of(tests_of())).metrics["channels"][LIFTING]
     assert channel["baselines"]["paper"]["one_step"] == channel["greybox"]["one_step"]
     assert channel["baselines"]["transfer_function"]["free_run"] == channel["benchmark"]["free_run"]
 

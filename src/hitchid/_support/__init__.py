@@ -1,1 +1,1 @@
-"""What every room may use and what knows nothing of hydraulics: files, checkpoints, progress, precision."""
+"""Shared support without any hydraulics: files, checkpoints, progress, precision, notices."""

@@ -1,4 +1,4 @@
-"""Finished pieces of long work, each kept in a file of its own and found again after a stop."""
+"""Cache of intermediate results of a long run, one file each, for a resume after a stop."""
 
 import io
 import re
@@ -16,32 +16,32 @@ from hitchid.errors import InputError
 Arrays = Mapping[str, np.ndarray]
 Cached = TypeVar("Cached")
 SUFFIX, RUN_FILE, FAILED_FILE = ".npz", "run.json", "failed"
-DIGEST_LENGTH = 64
-MAX_READABLE, HASH_LENGTH = 80, 16
+DIGEST_LENGTH = 64  # characters of a SHA-256 in hexadecimal
+MAX_READABLE, HASH_LENGTH = 80, 16  # characters of a file name: legible part, and digest of the names
 
 
 @dataclass(frozen=True)
 class Checkpoints:
-    """Where finished pieces are kept.
+    """Place of cached results.
 
     Attributes:
-        folder: of one run, or of pieces whose names say all that went into them; None keeps nothing.
-        parents: the parts of the work that the pieces belong to, from the largest.
+        folder: of one run, or of results whose names are digests of their inputs; None caches nothing.
+        parents: names of the enclosing tasks, outermost first.
     """
 
     folder: Path | None = None
     parents: tuple[str, ...] = ()
 
     @classmethod
-    def of_run(cls, folder: Path, content: Mapping[str, Any]) -> "Checkpoints":
-        """Return the place where the pieces of one run are kept, and found again by the same run alone.
+    def of_run(cls, folder: Path, content: Mapping[str, object]) -> "Checkpoints":
+        """Return the place of the results of one run, which only the same run may read.
 
         Args:
-            folder: where; made with the first piece.
-            content: all that decides on the outcome, as JSON can hold it.
+            folder: created with the first result.
+            content: all that determines the outcome, as JSON values.
 
         Raises:
-            InputError: the folder holds pieces of another run, or something else.
+            InputError: the folder holds results of another run, or something else.
         """
         stamp, run_file = canonical_json(content), folder / RUN_FILE
         if run_file.is_file():
@@ -59,11 +59,11 @@ class Checkpoints:
         return cls(folder)
 
     def child(self, name: str) -> "Checkpoints":
-        """Return the place of the pieces of a part of the work."""
+        """Return the place of the results of a subtask."""
         return replace(self, parents=(*self.parents, name))
 
     def cached_arrays(self, name: str, work: Callable[[], Arrays]) -> Arrays:
-        """Return what was kept under a name, or else do the work and keep what comes.
+        """Return the arrays cached under a name, or compute and cache them.
 
         Raises:
             OutputError: it cannot be written.
@@ -78,12 +78,12 @@ class Checkpoints:
         return arrays
 
     def cached(self, name: str, kind: Callable[..., Cached], work: Callable[[], Cached]) -> Cached:
-        """Return a record of numbers, texts and arrays kept under a name, or else do the work and keep it.
+        """Return the record of numbers, texts and arrays cached under a name, or compute and cache it.
 
         Args:
-            name: of the piece.
+            name: of the result.
             kind: a dataclass of such fields.
-            work: returns one.
+            work: computes one.
 
         Raises:
             OutputError: it cannot be written.
@@ -101,13 +101,13 @@ DISABLED = Checkpoints()
 
 
 def has_results(folder: Path) -> bool:
-    """Tell whether anything was finished in a folder."""
+    """Return whether a folder holds a result."""
     return any(folder.glob(f"*{SUFFIX}"))
 
 
 def mark_failed(folder: Path, *, failed: bool) -> None:
-    """Note whether the run in a folder ended with an error: the next one may then begin in its place."""
-    with suppress(OSError):  # a full disk, mostly: the run can then be gone on with, as after a stop
+    """Mark whether the run in a folder ended with an error: the next one may then replace it."""
+    with suppress(OSError):  # a full disk, mostly: the run can then be resumed, as after a stop
         if failed:
             (folder / FAILED_FILE).touch()
         else:
@@ -115,30 +115,30 @@ def mark_failed(folder: Path, *, failed: bool) -> None:
 
 
 def has_failed(folder: Path) -> bool:
-    """Tell whether the run in a folder ended with an error."""
+    """Return whether the run in a folder ended with an error."""
     return is_run(folder) and (folder / FAILED_FILE).is_file()
 
 
 def is_run(folder: Path) -> bool:
-    """Tell whether a folder holds pieces of one run."""
+    """Return whether a folder holds a run."""
     return (folder / RUN_FILE).is_file()
 
 
 def _file_name(*names: str) -> str:
-    """Return a file name that tells the names, and differs for any others however alike."""
+    """Return a legible file name, unique by a digest of the names."""
     legible = re.sub(r"[^a-z0-9]+", "-", "-".join(names).lower())[:MAX_READABLE]
     return f"{legible}-{digest(repr(names).encode())[:HASH_LENGTH]}{SUFFIX}"
 
 
 def _with_digest(arrays: Arrays) -> bytes:
-    """Return arrays as they lie on disk, behind a digest that tells whether they are whole."""
+    """Return arrays as bytes, preceded by their digest."""
     content = io.BytesIO()
     np.savez(content, allow_pickle=False, **arrays)
     return digest(content.getvalue()).encode() + content.getvalue()
 
 
 def _read(path: Path) -> dict[str, np.ndarray] | None:
-    """Return arrays from disk; None where there are none, or they are not whole."""
+    """Return arrays from disk; None where the file is missing or damaged."""
     if not path.is_file():
         return None
     try:
@@ -147,5 +147,5 @@ def _read(path: Path) -> dict[str, np.ndarray] | None:
             return None
         with np.load(io.BytesIO(data[DIGEST_LENGTH:]), allow_pickle=False) as archive:
             return dict(archive)
-    except Exception:  # an archive may be sealed and yet none that numpy reads
+    except Exception:  # the digest may be right and numpy still refuse the archive
         return None

@@ -1,4 +1,4 @@
-"""What a caller hands in, checked where it enters: a complaint says what was required and what came."""
+"""Checks of arguments of public calls: the error names the argument, the requirement and the value."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -11,7 +11,7 @@ import numpy as np
 from hitchid.errors import InputError
 
 Kind = TypeVar("Kind")
-MAX_SHOWN = 60
+MAX_SHOWN = 60  # characters of a value quoted in a message
 
 
 def instance(value: object, kind: type[Kind] | tuple[type[Kind], ...], name: str, required: str) -> Kind:
@@ -21,7 +21,7 @@ def instance(value: object, kind: type[Kind] | tuple[type[Kind], ...], name: str
         value: what came.
         kind: its type, or several.
         name: of the argument.
-        required: what the complaint asks for.
+        required: the requirement, for the message.
 
     Raises:
         InputError: it is of another kind.
@@ -87,7 +87,7 @@ def mapping_of(values: object, allowed: Iterable[str], name: str) -> Mapping[str
 
 
 def input_error(name: str, required: str, value: object) -> InputError:
-    """Return the complaint about a value."""
+    """Return the error about a value."""
     text = repr(value)
     shown = text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}…"
     return InputError(f"{name}: required {required}, came {type(value).__name__} {shown}")

@@ -6,11 +6,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import stdtrit
 
-HORIZONS = (1, 2, 5, 10, 20, 50, 100)
-MIN_IMPROVEMENT = 1.02
-MIN_WIN_RATE = 2 / 3
+HORIZONS = (1, 2, 5, 10, 20, 50, 100)  # samples predicted ahead, as metrics.json lists them
+MIN_IMPROVEMENT = 1.02  # ratio of RMSE: 2 % better
+MIN_WIN_RATE = 2 / 3  # share of tests on which a better model must be better
+# Tests from which on one standard error (84 %, one-sided) proves a difference; with fewer, 90 %.
 MIN_TESTS, ONE_SIGMA_LEVEL, FEW_TESTS_LEVEL = 6, 0.84, 0.9
-ERROR_FLOOR = 1e-300
+ERROR_FLOOR = 1e-300  # smallest error taken, so that its logarithm is finite
 
 
 class ErrorFigures(NamedTuple):
@@ -77,13 +78,13 @@ def rmse_error(actual: Sequence[np.ndarray], predicted: Sequence[np.ndarray]) ->
     if tests < 2:
         return float("nan")
     sums, counts = np.array([np.sum(e**2) for e in errors]), np.array([e.size for e in errors])
-    with np.errstate(invalid="ignore", over="ignore"):  # of what diverged the figure is none either
+    with np.errstate(invalid="ignore", over="ignore"):  # not finite where a prediction diverged
         leave_one_out = np.sqrt((sums.sum() - sums) / (counts.sum() - counts))
     return float(np.sqrt((tests - 1) / tests * np.sum((leave_one_out - leave_one_out.mean()) ** 2)))
 
 
 def significantly_better(errors: np.ndarray, other_errors: np.ndarray, samples: np.ndarray) -> bool:
-    """Tell whether one model errs less than another beyond what chance between tests gives.
+    """Return whether one model has a significantly smaller error than another over the same tests.
 
     d = ln r_than − ln r over all samples, its standard error s by the jackknife over the tests that both were
     run on; d/s is held against Student's t with T − 1 degrees of freedom, one-sided 2.5 %. Logarithms, for
@@ -121,7 +122,7 @@ def significantly_better(errors: np.ndarray, other_errors: np.ndarray, samples: 
 
 
 def proven_better(errors: np.ndarray, other_errors: np.ndarray) -> bool:
-    """Tell whether held-out tests prove one model better than another.
+    """Return whether held-out tests prove one model better than another.
 
     It is better by 2 % in root mean square over all tests, on two thirds of them, and the mean of ln(r₂/r)
     lies above zero by a standard error, r₂ being the error of the other: by Student's t at 84 %, one-sided,

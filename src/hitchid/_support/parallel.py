@@ -1,4 +1,4 @@
-"""Works that do not wait for each other, on all cores at the same time."""
+"""Independent tasks in parallel, on all cores."""
 
 import os
 from collections.abc import Callable, Iterable
@@ -12,18 +12,18 @@ Result = TypeVar("Result")
 
 
 def parallel(work: Callable[[Name], Result], names: Iterable[Name]) -> dict[Name, Result]:
-    """Do a work for each of several names, as many at a time as there are cores, in double precision.
+    """Run a task for each of several names, as many at a time as there are cores, in double precision.
 
     Threads are enough: JAX compiles and computes outside of Python's lock.
 
     Args:
-        work: what is done; where it raises, the others are finished first.
-        names: for what.
+        work: the task; where one raises, the others are finished first.
+        names: argument of each task.
 
     Returns:
-        Name to what came of it, in the order of the names.
+        Name to result, in the order of the names.
     """
     with ThreadPoolExecutor(max(2, os.cpu_count() or 1)) as executor:
-        # JAX knows its precision thread by thread.
+        # The precision of JAX is a setting of the thread.
         futures = {name: executor.submit(double_precision(work), name) for name in names}
     return {name: future.result() for name, future in futures.items()}

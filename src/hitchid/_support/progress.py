@@ -1,4 +1,4 @@
-"""How long work tells where it stands."""
+"""Progress of long work, reported by callbacks."""
 
 from collections.abc import Callable, Mapping, Sequence
 from threading import Lock
@@ -7,14 +7,14 @@ from typing import NamedTuple
 
 
 class ProgressUpdate(NamedTuple):
-    """Where long work stands.
+    """One report of progress.
 
     Attributes:
-        stage: what is being done.
-        fraction: of all work that is done.
-        iteration: how far the stage is, as `iteration 40`; empty where it has no rounds.
-        figures: what the stage makes smaller, name to its value now.
-        task: which of several works done at the same time tells; empty where there is one.
+        stage: name of the present stage.
+        fraction: completed share of all work.
+        iteration: such as `iteration 40`; empty where the stage has none.
+        figures: name to present value of what the stage minimises.
+        task: which of several parallel tasks reports; empty where there is one.
     """
 
     stage: str
@@ -26,24 +26,24 @@ class ProgressUpdate(NamedTuple):
 
 ProgressCallback = Callable[[ProgressUpdate], None]
 IterationCallback = Callable[[int, float], None]
-"""Called after a round of a search with its number and the best error so far."""
+"""Called after an iteration of a search with its number and the best error so far."""
 
 
-TYPICAL_ITERATIONS = 100
+TYPICAL_ITERATIONS = 100  # after which half of a search's share of the progress is shown
 
 
 def silent(_: ProgressUpdate) -> None:
-    """Tell nobody."""
+    """Report nothing."""
 
 
 def subtask_progress(
     progress: ProgressCallback, start: float, width: float, name: str = ""
 ) -> ProgressCallback:
-    """Return what tells of a part of the work as of the whole.
+    """Return a callback that reports the progress of a part as progress of the whole.
 
     Args:
         progress: of the whole.
-        start, width: where the part begins and how much of the whole it is, fractions.
+        start, width: where the part begins, and its share of the whole, fractions.
         name: put before each stage.
     """
 
@@ -57,11 +57,11 @@ def subtask_progress(
 def parallel_progress(
     progress: ProgressCallback, start: float, width: float, names: Sequence[str]
 ) -> dict[str, ProgressCallback]:
-    """Return what tells of works done at the same time, by name; they tell one after the other.
+    """Return a thread-safe callback for each of several parallel tasks, by name.
 
     Args:
         progress: of the whole.
-        start, width: where they begin and how much of the whole they are together, fractions.
+        start, width: where they begin, and their share of the whole together, fractions.
         names: put before each stage.
     """
     fractions, lock = dict.fromkeys(names, 0.0), Lock()
@@ -81,15 +81,15 @@ def parallel_progress(
 def iteration_progress(
     progress: ProgressCallback, stage: str, start: float, width: float, name: str
 ) -> IterationCallback:
-    """Return what tells of a search round by round.
+    """Return a callback that reports the iterations of a search.
 
-    A search stops when it has converged, so its length is not known before: the fraction nears its end.
+    The number of iterations until convergence is unknown, so the fraction approaches the end asymptotically.
 
     Args:
         progress: of the whole.
-        stage: what is searched.
-        start, width: where the search begins and how much of the whole it is, fractions.
-        name: of the error that is made smaller.
+        stage: name of the search.
+        start, width: where the search begins, and its share of the whole, fractions.
+        name: of the error that is minimised.
     """
 
     def report(number: int, error: float) -> None:

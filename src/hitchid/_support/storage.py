@@ -10,8 +10,8 @@ from pathlib import Path
 
 from hitchid.errors import InputError, OutputError
 
-MANIFEST_FILE = ".hitchid.json"
-MAX_NAMED = 3
+MANIFEST_FILE = ".hitchid.json"  # kind of the result, and SHA-256 of its files
+MAX_NAMED = 3  # foreign files named in a message
 
 
 def canonical_json(content: object) -> bytes:
@@ -25,12 +25,12 @@ def canonical_json(content: object) -> bytes:
 
 
 def inside_folder(path: Path) -> Path:
-    """Return a file found in a folder, unless it is a link out of it.
+    """Return a file of a folder.
 
     Raises:
-        InputError: it is one.
+        InputError: it is a link out of the folder.
     """
-    # A link to itself leads nowhere; unlike Path.resolve, os.path.realpath says so without an error.
+    # Unlike Path.resolve, os.path.realpath accepts a link to itself.
     target = Path(os.path.realpath(path))
     if path.is_symlink() and not target.is_relative_to(os.path.realpath(path.parent)):
         raise InputError(
@@ -52,7 +52,7 @@ def write_folder(folder: Path, write: Callable[[Path], None], *, result_kind: st
         force: replace an older result, as long as nothing in it was added or changed.
 
     Raises:
-        OutputError: something stands there already, or it cannot be written.
+        OutputError: it exists already, or cannot be written.
     """
     check_folder(folder, result_kind=result_kind, force=force)
     target = Path(os.path.realpath(folder))
@@ -67,13 +67,13 @@ def write_folder(folder: Path, write: Callable[[Path], None], *, result_kind: st
             )
             os.chmod(temporary, 0o755)  # noqa: S103
             fsync(*temporary.rglob("*"), temporary)
-            check_folder(folder, result_kind=result_kind, force=force)  # what was put there meanwhile stays
+            check_folder(folder, result_kind=result_kind, force=force)  # it may have appeared meanwhile
             backup = temporary.with_name(f"{temporary.name}-older")
             if target.exists():
                 target.rename(backup)
             try:
                 temporary.rename(target)
-            except BaseException:  # Ctrl-C among them: what was there comes back
+            except BaseException:  # Ctrl-C too: restore the older result
                 if backup.exists():
                     backup.rename(target)
                 raise
@@ -98,7 +98,7 @@ def _digests(folder: Path) -> dict[str, str]:
 
 
 def fsync(*paths: Path) -> None:
-    """Have files and folders written out to the disk, so that what is renamed afterwards is whole.
+    """Flush files and folders to the disk, so that a renamed result is complete.
 
     Raises:
         OSError: the disk is full or fails.
@@ -114,7 +114,7 @@ def fsync(*paths: Path) -> None:
 
 
 def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write files into a folder that is being filled: name to content."""
+    """Write files, name to content, into a folder."""
     for name, content in files.items():
         (folder / name).write_bytes(content)
 
@@ -125,10 +125,10 @@ def digest(data: bytes) -> str:
 
 
 def check_folder(folder: Path, *, result_kind: str, force: bool) -> None:
-    """Complain early about a place where `write_folder` would not write.
+    """Check that `write_folder` would write to a place.
 
     Raises:
-        OutputError: something stands there that must not be replaced.
+        OutputError: it holds something that must not be replaced.
     """
     _check_path(folder)
     occupied = folder.exists() and not (folder.is_dir() and not any(folder.iterdir()))
@@ -145,8 +145,8 @@ def _check_replaceable(folder: Path, result_kind: str) -> None:
         kind, files = manifest["kind"], dict(manifest["files"])
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise OutputError(
-            f"{folder}: holds no {MANIFEST_FILE} that says what of it is a result, so --force does not "
-            "replace it; required another place"
+            f"{folder}: holds no {MANIFEST_FILE} that lists a result, so --force does not replace it; "
+            "required another place"
         ) from error
     if kind != result_kind:
         raise OutputError(
@@ -159,10 +159,10 @@ def _check_replaceable(folder: Path, result_kind: str) -> None:
         raise OutputError(f"{folder}: cannot be read: {error}") from error
     if foreign:
         more = f" and {len(foreign) - MAX_NAMED} more" if len(foreign) > MAX_NAMED else ""
+        names = f"{', '.join(foreign[:MAX_NAMED])}{more}"
         raise OutputError(
             f"{folder}: holds {len(foreign)} file{'s' if len(foreign) > 1 else ''} that the command did not "
-            f"write or that changed since: {', '.join(foreign[:MAX_NAMED])}{more}; --force does not replace it; "
-            "required another place"
+            f"write or that changed since: {names}; --force does not replace it; required another place"
         )
 
 
@@ -195,7 +195,7 @@ def check_inputs(out: Path, inputs: Iterable[Path | None]) -> None:
 
 
 def _check_path(path: Path) -> None:
-    """Refuse a name no file can have, and a place inside something that is no folder."""
+    """Refuse a name that no file can have, and a place inside a file."""
     try:
         ancestor = next(parent for parent in path.absolute().parents if parent.exists())
         path.exists()
@@ -206,10 +206,10 @@ def _check_path(path: Path) -> None:
 
 
 def check_file(path: Path, *, force: bool) -> None:
-    """Complain early about a place where `write_file` would not write.
+    """Check that `write_file` would write to a place.
 
     Raises:
-        OutputError: something stands there that must not be replaced.
+        OutputError: it holds something that must not be replaced.
     """
     _check_path(path)
     if path.exists() and not (force and path.is_file()):
@@ -225,7 +225,7 @@ def write_file(path: Path, write: Callable[[Path], None], *, force: bool) -> Non
         force: replace a file that is there.
 
     Raises:
-        OutputError: something stands there already, or it cannot be written.
+        OutputError: it exists already, or cannot be written.
     """
     check_file(path, force=force)
     try:

@@ -1,4 +1,4 @@
-"""The audit of logs before any fit: what in them would spoil a model, where, and what to do about it."""
+"""Audit of logs before an identification: faults that would spoil a model, where, and the remedy."""
 
 from hitchid._support.notices import Severity as Severity
 from hitchid.audit.audit import audit as audit

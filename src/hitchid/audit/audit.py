@@ -21,7 +21,7 @@ from hitchid.audit.spikes import jumps, spikes
 from hitchid.audit.stuck_sensor import stuck_sensors
 from hitchid.data.campaign import Campaign
 
-MIN_MERGED = 4
+MIN_MERGED = 4  # like findings that become one
 RECORD_CHECKS: tuple[Callable[[RecordContext], list[AuditFinding]], ...] = (
     steps,
     coarse,
@@ -53,7 +53,7 @@ CAMPAIGN_CHECKS: tuple[Callable[[CampaignContext], list[AuditFinding]], ...] = (
 
 
 def audit(campaign: Campaign) -> tuple[AuditFinding, ...]:
-    """Look for what in a campaign's logs would spoil a model; changes nothing.
+    """Check a campaign's logs for faults that would spoil a model; changes nothing.
 
     Args:
         campaign: tests of one plant.
@@ -76,7 +76,7 @@ def audit(campaign: Campaign) -> tuple[AuditFinding, ...]:
 
 
 def _merged(findings: list[AuditFinding], total: int) -> list[AuditFinding]:
-    """Make one finding of each four or more that differ in their record and numbers alone."""
+    """Merge four or more findings that differ in record and numbers alone."""
     alike: dict[tuple[str, Severity, str, str], list[AuditFinding]] = {}
     for finding in findings:
         key = (finding.check, finding.severity, finding.signal, finding.advice)

@@ -8,21 +8,21 @@ from hitchid.audit.finding import AuditFinding
 from hitchid.data.record import COMMAND, DISPLACEMENT, RAMP
 from hitchid.data.units import UNITS
 
-LONGEST_LAG_S = 1.0
-MAX_LAGS = 2000
-MAX_SAMPLES = 2**18
-LEAST_CORRELATION = 0.7
-LEAST_SHARPNESS = 0.02
-LEAD_SAMPLES = 1.0
-MAX_LAG_S = 0.1
-CHANGED_FRACTION = 0.01
-MIN_TRAVEL_FRACTION = 0.005
-FEWEST_BEFORE = 5
-CREEP_FRACTION = 0.3
+LONGEST_LAG_S = 1.0  # s, searched to either side
+MAX_LAGS = 2000  # samples, searched to either side
+MAX_SAMPLES = 2**18  # examined, to bound time and memory
+LEAST_CORRELATION = 0.7  # of command and current at the best lag
+LEAST_SHARPNESS = 0.02  # by which the correlation falls towards both ends
+LEAD_SAMPLES = 1.0  # explained by the order in which a logger samples
+MAX_LAG_S = 0.1  # s; coils take a tenth of it
+CHANGED_FRACTION = 0.01  # of full scale: the command has changed
+MIN_TRAVEL_FRACTION = 0.005  # of the campaign's range: the piston has moved
+FEWEST_BEFORE = 5  # samples at rest before the command
+CREEP_FRACTION = 0.3  # of working speed; slower motion is creep
 
 
 def current_lag(context: RecordContext) -> list[AuditFinding]:
-    """Tell by how much each measured current lags behind its command.
+    """Find the lag of each measured current behind its command.
 
     The lag is where the correlation of command and current is largest within ±1 s, between samples by a
     parabola through the three largest. The command is that of the mode, or the sum of both, which fits best.
@@ -53,7 +53,7 @@ def current_lag(context: RecordContext) -> list[AuditFinding]:
         phrase = f"leads {name} by" if lag < 0 else f"lags behind {name} by"
         advice = {
             Severity.FAULT: "command and current are on different clocks: log both with one device",
-            Severity.WARNING: "check the filter of the current and the clocks; the model takes it for dead time",
+            Severity.WARNING: "check the filter of the current and the clocks; the model has it as dead time",
             Severity.NOTE: "nothing to do: the model takes this into its dead time and lag",
         }[severity]
         findings.append(
@@ -63,7 +63,7 @@ def current_lag(context: RecordContext) -> list[AuditFinding]:
 
 
 def _fit(context: RecordContext, directions: tuple[str, ...], role: str) -> tuple[float, float] | None:
-    """Return lag, s, and correlation of a current and the sum of commands, or None if none can be told."""
+    """Return lag, s, and correlation of a current and the sum of commands; None where no lag is sharp."""
     active = context.any_active()
     if not active.any():
         return None
@@ -110,7 +110,7 @@ def lag_of(command: np.ndarray, current: np.ndarray, *, step_s: float) -> tuple[
 def _correlations(command: np.ndarray, current: np.ndarray, lags: np.ndarray) -> np.ndarray:
     """Return the correlation of c[k] and m[k + l], each over what overlaps, for lags l, shape [L]."""
     count = command.size
-    # Of unit size, so that what has no spread beyond rounding is told from what has.
+    # Scaled to 1, so that rounding is not taken for spread.
     a = (command - command.mean()) / np.max(np.abs(command - command.mean()))
     b = (current - current.mean()) / np.max(np.abs(current - current.mean()))
     length = 1 << int(count + lags.size).bit_length()
@@ -152,12 +152,13 @@ def motion_before_command(context: CampaignContext) -> list[AuditFinding]:
     for test, onset, start in early:
         creeping = _creeps(test, onset, start)
         travelled = float(test.record.displacement[onset] - test.record.displacement[0])
+        verb = "creeps" if creeping else "moves"
         lead_s = (onset - start) * test.record.step_s
         findings.append(
             test.finding(
                 "motion before command",
                 Severity.FAULT if clocks_disagree and not creeping else Severity.WARNING,
-                f"the displacement {'creeps' if creeping else 'moves'} by {travelled:.3g} {test.quality.unit} "
+                f"the displacement {verb} by {travelled:.3g} {test.quality.unit} "
                 f"before any command changes, beginning {lead_s:.3g} s ahead",
                 "let the piston come to rest before a test"
                 if creeping

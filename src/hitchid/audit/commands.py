@@ -1,4 +1,4 @@
-"""Whether the commands are as they should be: one valve at a time, and zero when idle."""
+"""Checks of the commands: one valve at a time, and zero when idle."""
 
 import numpy as np
 
@@ -8,8 +8,8 @@ from hitchid.audit.finding import AuditFinding, true_intervals
 from hitchid.data.record import COMMAND, RAMP
 from hitchid.data.test_kinds import ACTIVE_FRACTION
 
-SHORT_OVERLAP_S = 0.1
-IDLE_FRACTION = 0.01
+SHORT_OVERLAP_S = 0.1  # s: filters and ramps of a controller at a change of direction
+IDLE_FRACTION = 0.01  # of full scale: bias, or zero of a sensor
 
 
 def both_valves(context: RecordContext) -> list[AuditFinding]:
@@ -70,7 +70,7 @@ def idle_commands(context: CampaignContext) -> list[AuditFinding]:
         ]
         level = float(np.median(levels)) if levels else 0.0
         if level > IDLE_FRACTION * scale:
-            what = f"the idle {direction} command stands at {level:.3g} {unit}, {level / scale:.1%} of full scale"
+            what = f"the idle {direction} command is {level:.3g} {unit}, {level / scale:.1%} of full scale"
             advice = "check the zero of the current sensor, or whether the valve is biased"
             findings.append(
                 AuditFinding("idle command", Severity.NOTE, "", COMMAND[direction], (), what, advice)
@@ -79,7 +79,7 @@ def idle_commands(context: CampaignContext) -> list[AuditFinding]:
 
 
 def _idle_command(context: RecordContext, direction: str) -> np.ndarray:
-    """Return |c| where no mode is on, shape [M]; none of a ramp, which passes through there."""
+    """Return |c| where no direction is active, shape [M]; empty for a ramp, which passes through zero."""
     if context.record.kind == RAMP:
         return np.zeros(0)
     return np.abs(context.record.command(direction)[~context.any_active()])

@@ -1,4 +1,4 @@
-"""What the checks share: a record with its quality, and all of a campaign."""
+"""Context of the checks: a record with its quality, and the whole campaign."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,11 +15,11 @@ from hitchid.data.test_kinds import ACTIVE_FRACTION, full_scales
 
 @dataclass(frozen=True, eq=False)
 class RecordContext:
-    """A record as its checks see it.
+    """A record, its quality, and the scales of its campaign.
 
     Attributes:
         record: the record.
-        scales: mode to the largest command of the campaign.
+        scales: direction to the largest command of the campaign.
         campaign_range: range of all displacements of the campaign, in their unit.
         quality: of the record's displacement.
     """
@@ -30,11 +30,11 @@ class RecordContext:
     quality: Quality
 
     def active(self, direction: str) -> np.ndarray:
-        """Tell where a mode's command is above 5 % of full scale, shape [N]."""
+        """Return where a direction's command is above 5 % of full scale, shape [N]."""
         return np.abs(self.record.command(direction)) > ACTIVE_FRACTION * self.scales[direction]
 
     def any_active(self) -> np.ndarray:
-        """Tell where any command is above 5 % of full scale, shape [N]."""
+        """Return where any command is above 5 % of full scale, shape [N]."""
         first, *rest = (self.active(direction) for direction in self.record.directions)
         for other in rest:
             first |= other
@@ -58,7 +58,7 @@ class RecordContext:
 
 @dataclass(frozen=True, eq=False)
 class CampaignContext:
-    """A campaign as its checks see it: with one look at each record, in the campaign's order."""
+    """A campaign with the context of each record, in the campaign's order."""
 
     campaign: Campaign
     tests: tuple[RecordContext, ...]
@@ -66,12 +66,12 @@ class CampaignContext:
     campaign_range: float
 
     def of_kind(self, kind: str) -> list[RecordContext]:
-        """Return the looks at the records of one kind."""
+        """Return the contexts of the records of one kind."""
         return [test for test in self.tests if test.record.kind == kind]
 
 
 def campaign_context(campaign: Campaign) -> CampaignContext:
-    """Look at every record of a campaign that has at least one."""
+    """Return the context of a campaign with at least one record."""
     scales = full_scales(campaign.records)
     qualities = [quality(record) for record in campaign.records]
     lowest = min(test_quality.lowest for test_quality in qualities)
@@ -84,13 +84,13 @@ def campaign_context(campaign: Campaign) -> CampaignContext:
 
 
 def command_unit(record: Record, direction: str) -> str:
-    """Return the unit of a mode's command as it stands behind a number; a plain ratio has none."""
+    """Return the unit of a direction's command as it stands behind a number; a plain ratio has none."""
     unit = record.units[COMMAND[direction]]
     return {"1": "(full = 1)", "percent": "%"}.get(unit, unit)
 
 
 def travel(context: RecordContext, direction: str) -> float:
-    """Return how far the displacement goes while one mode's command alone is active, in its unit.
+    """Return how far the displacement goes while one direction's command alone is active, in its unit.
 
     Σ sign(c[k]) (y[k+1] − y[k]) over the samples at which it is; a single channel's negative command counts
     as the opposite way.

@@ -1,4 +1,4 @@
-"""Where the piston stands at an end stop although its command goes on."""
+"""Check for a piston at an end stop under command."""
 
 import numpy as np
 
@@ -9,14 +9,14 @@ from hitchid.data.record import CYCLE, DIRECTIONS
 from hitchid.data.segmentation import AT_END_FRACTION, END_STOP, segments
 from hitchid.data.test_kinds import end_stop_contact
 
-CHUNK_SAMPLES = 2**19
+CHUNK_SAMPLES = 2**19  # of a long record examined at once, to bound memory
 
 
 def end_stops(context: RecordContext) -> list[AuditFinding]:
     """Find contact with an end stop.
 
-    In tests of one direction by `modes.end_stop_contact`, in mixed ones by `segments.segments`; a note, for
-    identification leaves out what stands at an end stop that two tests meet.
+    By `end_stop_contact` in tests of one direction, by `segments` in mixed ones; a note, since identification
+    leaves out samples at an end stop that two tests reach.
     """
     record = context.record
     if record.kind == CYCLE:
@@ -39,14 +39,14 @@ def end_stops(context: RecordContext) -> list[AuditFinding]:
             Severity.NOTE,
             f"the piston stands at {stop_position:.5g} {record.unit} under command from "
             f"{record.start_s + start * record.step_s:.6g} s on, {time:.3g} s in all",
-            "end tests before the stop: samples at it tell nothing of the valve",
+            "end tests before the stop: samples at it hold no information on the valve",
             intervals=stretches,
         )
     ]
 
 
 def _is_stationary(context: RecordContext, start: int, stop: int) -> bool:
-    """Tell contact from a spike, which also leaves the displacement slow in comparison."""
+    """Return whether the displacement is constant; a spike too makes the rest look slow."""
     displacement = context.record.displacement[start:stop]
     quarter = max(1, displacement.size // 4)
     travel = abs(float(np.median(displacement[-quarter:])) - float(np.median(displacement[:quarter])))
@@ -54,7 +54,7 @@ def _is_stationary(context: RecordContext, start: int, stop: int) -> bool:
 
 
 def _cycle_contacts(context: RecordContext) -> list[tuple[int, int]]:
-    """Return samples `start:stop` of contact; of a long record piece by piece, to keep memory low."""
+    """Return samples `start:stop` of contact; of a long record chunk by chunk, to bound memory."""
     record, contacts = context.record, []
     margin = AT_END_FRACTION * context.quality.peak_to_peak
     for first in range(0, len(record), CHUNK_SAMPLES):
@@ -63,7 +63,7 @@ def _cycle_contacts(context: RecordContext) -> list[tuple[int, int]]:
             if segment.label != END_STOP:
                 continue
             stop_position = float(np.median(chunk.displacement[segment.start : segment.stop]))
-            # The end of a piece's travel need not be the end of the record's.
+            # The end of a chunk's travel need not be the end of the record's.
             if (
                 stop_position >= context.quality.highest - margin
                 or stop_position <= context.quality.lowest + margin

@@ -1,4 +1,4 @@
-"""Whether the tests excite enough: levels, changes, motion, time, and how many there are."""
+"""Checks of the excitation: levels, changes, motion, time, and number of tests."""
 
 import numpy as np
 
@@ -7,15 +7,15 @@ from hitchid.audit.context import CampaignContext, RecordContext, command_unit, 
 from hitchid.audit.finding import AuditFinding, true_intervals
 from hitchid.data.record import COMMAND, CYCLE, DIRECTIONS, IDLE
 
-LEVEL_FRACTION = 0.10
-COMMAND_PERCENTILES = (2.0, 98.0)
-FEWEST_CHANGES = 4
-MIN_NOISE_RATIO = 50.0
-LEAST_ACTIVE = 0.10
-SHORTEST_S = 3.0
-FEWEST_TESTS = 5
-ABOVE_DEAD_ZONE = 1.2
-ONSET_FRACTION = 0.05
+LEVEL_FRACTION = 0.10  # of full scale between two levels of command
+COMMAND_PERCENTILES = (2.0, 98.0)  # %, of the active command: without its transients
+FEWEST_CHANGES = 4  # of the command in a test
+MIN_NOISE_RATIO = 50.0  # range over noise; at 50 noise costs 2 % of fit
+LEAST_ACTIVE = 0.10  # of the time with a command
+SHORTEST_S = 3.0  # s: a few dead times and lags of usual valves
+FEWEST_TESTS = 5  # for the spread of parameters between tests
+ABOVE_DEAD_ZONE = 1.2  # command over that at which ramps start motion
+ONSET_FRACTION = 0.05  # of a ramp's travel, taken as its onset
 
 
 def little_motion(context: RecordContext) -> list[AuditFinding]:
@@ -26,12 +26,13 @@ def little_motion(context: RecordContext) -> list[AuditFinding]:
     quality = context.quality
     if context.record.kind == IDLE or not 0 < quality.peak_to_peak < MIN_NOISE_RATIO * quality.noise:
         return []
+    ratio = quality.peak_to_peak / quality.noise
     return [
         context.finding(
             "excitation",
             Severity.WARNING,
-            f"the displacement moves by {quality.peak_to_peak:.3g} {quality.unit}, "
-            f"{quality.peak_to_peak / quality.noise:.0f} times its noise of {quality.noise:.2g} {quality.unit}",
+            f"the displacement moves by {quality.peak_to_peak:.3g} {quality.unit}, {ratio:.0f} times its "
+            f"noise of {quality.noise:.2g} {quality.unit}",
             "run the test longer or at a higher command",
         )
     ]
@@ -40,7 +41,7 @@ def little_motion(context: RecordContext) -> list[AuditFinding]:
 def short_or_idle(context: RecordContext) -> list[AuditFinding]:
     """Find tests without any command, active less than 10 % of the time, or shorter than 3 s: notes.
 
-    Rest teaches dead time and drift alone; and 3 s hold only a few dead times and lags of usual valves.
+    Rest excites dead time and drift alone; 3 s hold only a few dead times and lags of usual valves.
     """
     record, findings = context.record, []
     active = int(np.count_nonzero(context.any_active()))
@@ -62,12 +63,11 @@ def short_or_idle(context: RecordContext) -> list[AuditFinding]:
 
 
 def changes(context: CampaignContext) -> list[AuditFinding]:
-    """Find modes with one level of command, or fewer than four changes of it a test.
+    """Find directions with one level of command, or tests with fewer than four changes of it.
 
-    One level: the middle 96 % of the active command of all tests lies within 10 % of full scale, which tells
-    neither the dead zone nor how the valve's curve runs: a warning. Changes are counted in steps of 10 % of
-    full scale; a test with few tells of dead time and lag at these alone: a note. Where there are ramps, they
-    have the levels.
+    One level: the middle 96 % of the active command of all tests lies within 10 % of full scale, which
+    determines neither dead zone nor valve curve: a warning, unless ramps supply the levels. Changes
+    are counted in steps of 10 % of full scale; dead time and lag are excited at these alone: a note.
     """
     findings = []
     for direction in context.tests[0].record.directions:
@@ -107,11 +107,11 @@ def _levels(context: RecordContext, direction: str) -> tuple[float, float, int] 
 
 
 def too_few_tests(context: CampaignContext) -> list[AuditFinding]:
-    """Find modes with too few tests to tell a dead zone, an uncertainty, or how good the model is.
+    """Find directions with too few tests for a dead zone, an uncertainty, or a validation.
 
-    Notes all: no ramp (the dead zone is then estimated from the tests), fewer than five tests (the spread of
-    the parameters between tests cannot be told), none held out, never commanded; a warning where in half of
-    the tests the command stays below 1.2 times that at which ramps set the piston off.
+    Notes: no ramp (the dead zone is then estimated from the tests), fewer than five tests (the spread of the
+    parameters between tests cannot be estimated), none held out, never commanded. A warning: in half of the
+    tests the command stays below 1.2 times that at which ramps start motion.
     """
     campaign, findings = context.campaign, []
     directions = context.tests[0].record.directions
@@ -127,7 +127,7 @@ def too_few_tests(context: CampaignContext) -> list[AuditFinding]:
             )
             continue
         if not ramps:
-            what = f"there is no slow ramp of {direction}: its dead zone is estimated from the tests, less surely"
+            what = f"there is no slow ramp of {direction}: its dead zone is estimated from tests, less surely"
             findings.append(
                 _direction_finding(direction, Severity.NOTE, what, "add two or three slow ramps from zero")
             )
@@ -158,10 +158,10 @@ def _weak_commands(context: CampaignContext, direction: str) -> list[AuditFindin
     ]
     if not weak or 2 * len(weak) < len(tests):
         return []
+    unit = command_unit(context.tests[0].record, direction)
     what = (
-        f"in {len(weak)} of {len(tests)} tests the {direction} command stays below "
-        f"{ABOVE_DEAD_ZONE:g} times the {zone:.3g} {command_unit(context.tests[0].record, direction)} at which "
-        f"ramps set the piston off ({join_names(weak)})"
+        f"in {len(weak)} of {len(tests)} tests the {direction} command stays below {ABOVE_DEAD_ZONE:g} times "
+        f"the {zone:.3g} {unit} at which ramps set the piston off ({join_names(weak)})"
     )
     return [
         _direction_finding(

@@ -1,4 +1,4 @@
-"""One thing an audit found, and the stretches of a log where it stands."""
+"""Findings of an audit, and the stretches of a log they concern."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -9,22 +9,22 @@ import numpy as np
 from hitchid._support.notices import Severity
 from hitchid.data.record import Record
 
-MAX_SPANS = 50
+MAX_SPANS = 50  # stretches listed in one finding
 
 
 @dataclass(frozen=True)
 class AuditFinding:
-    """One thing an audit found.
+    """One finding of an audit.
 
     Attributes:
         check: short name of the check.
         severity: `FAULT` (a model from this would be wrong), `WARNING` or `NOTE`.
-        record: name of the record, empty where it is about several or all.
-        signal: role of the signal, empty where it is about none or several.
+        record: name of the record, empty where it concerns several or all.
+        signal: role of the signal, empty where it concerns none or several.
         spans: where, as (start, stop) in s of the log's own time; empty where it is all of it.
         what: what was found, with numbers and units.
         advice: what to do, or to measure again.
-        merged: the findings on single records that it stands for, where it is about several.
+        merged: the findings on single records that it stands for, where it concerns several.
     """
 
     check: str
@@ -38,7 +38,7 @@ class AuditFinding:
 
     @property
     def records(self) -> tuple[str, ...]:
-        """Names of the records it is about; empty where it is about the campaign."""
+        """Names of the records concerned; empty where it concerns the campaign."""
         names = [self.record] if self.record else [finding.record for finding in self.merged]
         return tuple(dict.fromkeys(names))
 
@@ -48,7 +48,7 @@ class AuditFinding:
         return tuple((finding.record, *span) for finding in (self, *self.merged) for span in finding.spans)
 
     def describe(self) -> dict[str, object]:
-        """Return everything as JSON can hold it."""
+        """Return the content of JSON output."""
         return {
             "check": self.check,
             "level": self.severity.value,

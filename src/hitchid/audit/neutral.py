@@ -1,4 +1,4 @@
-"""Whether a signed command rests at a reading other than zero, and moves the piston both ways around it."""
+"""Check for a signed command that rests at a reading other than zero and moves the piston both ways."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -11,10 +11,10 @@ from hitchid.audit.finding import AuditFinding
 from hitchid.data.record import COMMAND, LIFTING, LOWERING, Record
 from hitchid.data.test_kinds import ACTIVE_FRACTION
 
-RESTING_FRACTION = 0.1
-WORKING_FRACTION = 0.01
-BINS = 200
-CREEP_FRACTION = 0.2
+RESTING_FRACTION = 0.1  # of all samples at the rest level
+WORKING_FRACTION = 0.01  # of the time above, and below, the rest level
+BINS = 200  # of the histogram of a noisy command
+CREEP_FRACTION = 0.2  # of the speed off the rest level
 
 
 class CommandResponse(NamedTuple):
@@ -30,7 +30,7 @@ def rest_level(runs: Sequence[CommandResponse]) -> float | None:
 
     The most frequent reading, of at least a tenth of all samples: to it the command returns. Above and below
     it, by 5 % of its range and for 1 % of the time each, the displacement must go opposite ways, and at it
-    less than a fifth as fast as either way: one-sided commands with a favourite level do not pass.
+    less than a fifth as fast as either way: so that a one-sided command with a frequent level is excluded.
     """
     commands = np.concatenate([run.command for run in runs])
     command_range = float(np.ptp(commands))
@@ -71,8 +71,8 @@ def _most_frequent(samples: np.ndarray) -> tuple[float, float]:
 def neutral(context: CampaignContext) -> list[AuditFinding]:
     """Find a signed command that rests at a constant above 5 % of its largest reading.
 
-    Counted from zero such a command calls for one direction even while it rests: a fault where it never
-    changes its sign, for then one direction is not seen at all, else a warning.
+    Relative to zero such a command demands one direction even at rest: a fault where it never changes its
+    sign, since one direction is then missing, else a warning.
     """
     records = [test.record for test in context.tests]
     signed = [_signed(record) for record in records]
@@ -88,10 +88,9 @@ def neutral(context: CampaignContext) -> list[AuditFinding]:
         return []
     unseen = all(np.min(run.command) * np.max(run.command) >= 0 for run in runs)
     direction = LIFTING if LIFTING in records[0].directions else LOWERING
-    what = (
-        f"the command rests at {level:.6g} {command_unit(records[0], direction)} and moves the piston both ways "
-        f"around it{', so that one direction is taken for both' if unseen else ''}"
-    )
+    unit = command_unit(records[0], direction)
+    consequence = ", so that one direction is taken for both" if unseen else ""
+    what = f"the command rests at {level:.6g} {unit} and moves the piston both ways around it{consequence}"
     advice = f"put zero = {level:.6g} beside the column of the command in campaign.toml"
     severity = Severity.FAULT if unseen else Severity.WARNING
     return [AuditFinding("neutral", severity, "", COMMAND[direction], (), what, advice)]

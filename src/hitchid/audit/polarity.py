@@ -1,4 +1,4 @@
-"""Whether lifting raises the displacement and lowering reduces it, over all tests."""
+"""Check of polarity: lifting raises the displacement and lowering reduces it, over all tests."""
 
 import numpy as np
 
@@ -7,8 +7,8 @@ from hitchid.audit.context import CampaignContext, RecordContext, join_names, tr
 from hitchid.audit.finding import AuditFinding
 from hitchid.data.record import COMMAND, CYCLE, DIRECTIONS, DISPLACEMENT, LIFTING, LOWERING, RAMP
 
-CLEAR_FRACTION = 0.02
-CLEAR_OF_TYPICAL = 0.25
+CLEAR_FRACTION = 0.02  # of the campaign's range, smallest clear travel
+CLEAR_OF_TYPICAL = 0.25  # of the median travel, by which a test contradicts the others
 
 
 def signs(context: CampaignContext) -> list[AuditFinding]:
@@ -46,7 +46,7 @@ def signs(context: CampaignContext) -> list[AuditFinding]:
 
 
 def _travels(context: CampaignContext, direction: str) -> list[tuple[RecordContext, float]]:
-    """Return the looks at the tests of a mode whose travel under it is clear, and that travel."""
+    """Return the tests with clear travel under a direction, and that travel."""
     travels = []
     for test in context.tests:
         if test.record.kind not in (direction, CYCLE, RAMP):
@@ -63,8 +63,8 @@ def _verb(sign: float | int) -> str:
 
 def _contradicting(context: RecordContext, direction: str, signed_travel: float, tests: int) -> AuditFinding:
     what = (
-        f"the displacement {_verb(signed_travel)} by {abs(signed_travel):.4g} {context.quality.unit} while {direction} is commanded; "
-        f"in most of the {tests} tests of {direction} it {_verb(-signed_travel)}"
+        f"the displacement {_verb(signed_travel)} by {abs(signed_travel):.4g} {context.quality.unit} while "
+        f"{direction} is commanded; in most of the {tests} tests of {direction} it {_verb(-signed_travel)}"
     )
     advice = "check the sign of the displacement and which command is which in this log; leave it out"
     return context.finding("sign", Severity.FAULT, what, advice)
@@ -72,9 +72,10 @@ def _contradicting(context: RecordContext, direction: str, signed_travel: float,
 
 def _inconsistent(direction: str, opposed: list[tuple[RecordContext, float]], tests: int) -> AuditFinding:
     names = join_names([test.record.name for test, _ in opposed])
+    verb, others = _verb(opposed[0][1]), _verb(-opposed[0][1])
     what = (
-        f"under {direction} the displacement {_verb(opposed[0][1])} in {len(opposed)} of {tests} tests ({names}) "
-        f"and {_verb(-opposed[0][1])} in the others"
+        f"under {direction} the displacement {verb} in {len(opposed)} of {tests} tests ({names}) "
+        f"and {others} in the others"
     )
     advice = "check the sign of the displacement and which command is which, test by test"
     return AuditFinding("sign", Severity.FAULT, "", DISPLACEMENT, (), what, advice)

@@ -1,4 +1,4 @@
-"""How good a record's displacement is: its clock, its smallest step, its noise."""
+"""Quality of a record's displacement: clock, quantum, noise."""
 
 from dataclasses import dataclass
 from math import isfinite
@@ -8,11 +8,11 @@ import numpy as np
 from hitchid.data.record import Record
 from hitchid.data.resampling import GRID_TOLERANCE
 
-MAX_SAMPLES = 2**20
-GRID_DEVIATION = 0.05
-FEWEST_VALUES = 3
-MAX_STEPS = 1e7
-MIN_TURNS = 10
+MAX_SAMPLES = 2**20  # examined, to bound time and memory
+GRID_DEVIATION = 0.05  # of the quantum, largest distance from the grid
+FEWEST_VALUES = 3  # distinct values that make a grid
+MAX_STEPS = 1e7  # of the quantum in the range; more are rounding of a float
+MIN_TURNS = 10  # starts and stops, from which on it is not one constant speed
 # Median of |x| of a normal x of unit variance, and the spread of second differences of white noise.
 NORMAL_MEDIAN = 0.6744897501960817
 SECOND_DIFFERENCE = 6.0**0.5
@@ -20,13 +20,13 @@ SECOND_DIFFERENCE = 6.0**0.5
 
 @dataclass(frozen=True)
 class Quality:
-    """How good a record's displacement is, in its own unit.
+    """Quality of a record's displacement, in its own unit.
 
     Attributes:
         samples: number of samples.
         step_s: sampling time, s.
         duration_s: from the first to the last sample, s.
-        jitter: largest deviation of the clock that reading found, as a fraction of the sampling time; None
+        jitter: largest deviation of the log's clock, as a fraction of the sampling time; None
             where the clock was regular.
         unit: the displacement's unit.
         lowest, highest: its range.
@@ -56,7 +56,7 @@ class Quality:
         return 6.0 * self.noise + 2.0 * (self.quantum or 0.0)
 
     def describe(self) -> dict[str, object]:
-        """Return everything as JSON can hold it."""
+        """Return the content of JSON output."""
         values = {**vars(self), "reach": self.peak_to_peak}
         return {
             name: None if isinstance(value, float) and not isfinite(value) else value
@@ -65,11 +65,11 @@ class Quality:
 
 
 def quality(record: Record) -> Quality:
-    """Measure how good a record's displacement is.
+    """Return the quality of a record's displacement.
 
     With d²y = y[k+1] − 2 y[k] + y[k−1], the noise is σ² = (median|d²y| / 0.6745)² / 6 − q²/12: motion is
     smooth from sample to sample, white noise is not, and rounding to a step q adds q²/12. Noise that a
-    filter has coloured is told too small.
+    filter has coloured is estimated too small.
 
     Args:
         record: any record.
@@ -110,13 +110,13 @@ def _quantum(displacement: np.ndarray) -> float | None:
     deviation = float(np.max(np.abs(grid_positions - np.rint(grid_positions))))
     if not (grid_positions[-1] < MAX_STEPS and deviation < GRID_DEVIATION):
         return None
-    # So few values may lie on a grid by chance alone, unless they come again and again.
+    # So few values may lie on a grid by chance, unless each occurs often.
     may_be_chance = values.size < 10 and displacement.size < 5 * values.size
     return None if may_be_chance or _is_steady(displacement[:MAX_SAMPLES], step) else step
 
 
 def _is_steady(displacement: np.ndarray, step: float) -> bool:
-    """Tell motion at one constant speed, whose samples lie on a grid without any rounding."""
+    """Return whether motion is at one constant speed, whose samples lie on a grid without rounding."""
     steps = np.abs(np.diff(displacement)) / step
     moving = steps > 0.5
     several_speeds = bool(np.any(steps[moving] > 1.5)) and bool(np.any(np.diff(np.sort(steps[moving])) > 0.5))

@@ -1,4 +1,4 @@
-"""Whether the numbers of a signal are possible in the unit it is said to be in."""
+"""Check whether the range of a signal is plausible in its unit."""
 
 from collections.abc import Callable
 from math import pi
@@ -33,7 +33,7 @@ class _SignalRange(NamedTuple):
 
 
 class _PlausibilityRule(NamedTuple):
-    """What makes a range doubtful, and what it probably is."""
+    """Condition of an implausible range, and its probable cause."""
 
     dimension: str
     applies: Callable[[_SignalRange], bool]
@@ -41,14 +41,14 @@ class _PlausibilityRule(NamedTuple):
     suggestion: str
 
 
-LONGEST_M = 20.0
-SHORTEST_M = 1e-3
-LARGEST_CURRENT_A = 20.0
-SMALLEST_MILLIAMPERE = 5.0
-LARGEST_PRESSURE_PA = 1000e5
-LOWEST_PRESSURE_PA = -2e5
-LARGEST_VOLTAGE_V = 100.0
-OVERDRIVE = 1.05
+LONGEST_M = 20.0  # m; no lifting cylinder has a longer stroke
+SHORTEST_M = 1e-3  # m; a model of a shorter stroke is of no use
+LARGEST_CURRENT_A = 20.0  # A; coils take a few
+SMALLEST_MILLIAMPERE = 5.0  # mA; less drives no valve
+LARGEST_PRESSURE_PA = 1000e5  # Pa; above hydraulics
+LOWEST_PRESSURE_PA = -2e5  # Pa; a sensor's offset explains 2 bar
+LARGEST_VOLTAGE_V = 100.0  # V; above signals of a test bench
+OVERDRIVE = 1.05  # of full scale
 
 _POSITION = (
     _PlausibilityRule(

@@ -1,4 +1,4 @@
-"""Whether tests of one mode repeat: their speed, their start, and the command at which ramps set off."""
+"""Checks of repeatability: speed and start of the tests, and the command at which ramps start motion."""
 
 import numpy as np
 from scipy.special import stdtr
@@ -9,15 +9,15 @@ from hitchid.audit.finding import AuditFinding
 from hitchid.data.record import COMMAND, DIRECTIONS, DISPLACEMENT, RAMP
 from hitchid.data.test_kinds import ramp_direction
 
-COMPARABLE = 0.25
-FEWEST_TESTS = 5
-SIGNIFICANCE = 0.005
-MIN_DRIFT = 0.05
-START_FRACTION = 0.05
-ONSET_FRACTION = 0.10
-SAME_RATE = 0.10
-MIN_UNEXPLAINED = 0.1
-ROUNDING = 1e-12
+COMPARABLE = 0.25  # of the median, deviation of a test's mean command
+FEWEST_TESTS = 5  # for a regression on order and command
+SIGNIFICANCE = 0.005  # of the t-test
+MIN_DRIFT = 0.05  # of the gain, first test to last; oil does less in an hour
+START_FRACTION = 0.05  # of the campaign's range
+ONSET_FRACTION = 0.10  # of the median onset
+SAME_RATE = 0.10  # relative difference of ramps that count as equal
+MIN_UNEXPLAINED = 0.1  # of the order's spread, left by the commands
+ROUNDING = 1e-12  # of floating-point sums
 
 
 def drift(context: CampaignContext) -> list[AuditFinding]:
@@ -25,8 +25,8 @@ def drift(context: CampaignContext) -> list[AuditFinding]:
 
     Of tests whose mean command lies within ±25 % of the median (five at least), travel = K (∫|c| dt − d T) is
     fitted for gain K and dead zone d; the logarithm of each test's own gain is then regressed on order and
-    mean command, which takes along what a bent valve curve does; commands in rising order (nine tenths of
-    the order's spread explained by them) tell nothing. A trend counts by its t-test at 0.5 % and
+    mean command, which accounts for a curved valve characteristic; commands in rising order (nine tenths of
+    the order's spread explained by them) are not tested. A trend counts by its t-test at 0.5 % and
     if it changes the speed by 5 % from the first test to the last: less is within what oil does in an hour.
     """
     findings = []
@@ -104,7 +104,7 @@ def _unexplained(values: np.ndarray, regressors: np.ndarray) -> np.ndarray:
 
 
 def start_positions(context: CampaignContext) -> list[AuditFinding]:
-    """Find modes whose tests start at places more than 5 % of the campaign's range apart.
+    """Find directions whose tests start more than 5 % of the campaign's range apart.
 
     A linkage moves the load at another leverage there, so that speeds differ: a note.
     """
@@ -114,7 +114,8 @@ def start_positions(context: CampaignContext) -> list[AuditFinding]:
         if len(starts) < 2 or not max(starts) - min(starts) > START_FRACTION * context.campaign_range:
             continue
         unit = context.tests[0].quality.unit
-        what = f"the {len(starts)} tests of {direction} start between {min(starts):.4g} and {max(starts):.4g} {unit}"
+        span = f"between {min(starts):.4g} and {max(starts):.4g} {unit}"
+        what = f"the {len(starts)} tests of {direction} start {span}"
         advice = "good for a model of the whole stroke; start repeats that are to be compared at one place"
         findings.append(AuditFinding("start position", Severity.NOTE, "", DISPLACEMENT, (), what, advice))
     return findings
@@ -148,9 +149,10 @@ def ramp_onsets(context: CampaignContext) -> list[AuditFinding]:
         if not max(onsets) - min(onsets) > ONSET_FRACTION * middle:
             continue
         unit = command_unit(context.tests[0].record, direction)
+        names = join_names([test.record.name for test in similar_ramps])
         what = (
-            f"{len(similar_ramps)} equal ramps of {direction} set the piston off between {min(onsets):.3g} and "
-            f"{max(onsets):.3g} {unit} ({join_names([test.record.name for test in similar_ramps])})"
+            f"{len(similar_ramps)} equal ramps of {direction} set the piston off between "
+            f"{min(onsets):.3g} and {max(onsets):.3g} {unit} ({names})"
         )
         advice = "repeat the ramps with warm oil and the same load; the dead zone is their mean"
         findings.append(AuditFinding("dead zone", Severity.WARNING, "", COMMAND[direction], (), what, advice))

@@ -6,35 +6,35 @@ from hitchid._support.notices import Severity
 from hitchid.audit.context import RecordContext
 from hitchid.audit.finding import AuditFinding
 
-FEWEST_STEPS = 200
-MUCH_NOISE = 0.01
-HIDDEN_NOISE = 1 / 3
-REPEATS = 3
-FEWEST_HOPS = 10
-HOP_STEPS = 4.0
-MAX_SPACING_RATIO = 1.5
-MAX_SAMPLES = 2**20
+FEWEST_STEPS = 200  # of a quantum over the range: 0.5 % each, as models differ by
+MUCH_NOISE = 0.01  # of the range: the error of a good model in free run
+HIDDEN_NOISE = 1 / 3  # of the quantum; less noise does not dither the rounding
+REPEATS = 3  # exact repeats before and after a change
+FEWEST_HOPS = 10  # isolated changes
+HOP_STEPS = 4.0  # of quantum and noise; smaller changes may be rounding
+MAX_SPACING_RATIO = 1.5  # of the 90th percentile to the median: evenly spaced
+MAX_SAMPLES = 2**20  # examined, to bound time and memory
 
 
 def quantisation(context: RecordContext) -> list[AuditFinding]:
     """Find displacements written in too large a step.
 
     Fewer than 200 steps over the campaign's range (0.5 % each) are coarser than the models to be told apart:
-    a warning. Where less than half a step is moved a sample while commanded, and noise below a third of a
-    step does not hide the rounding, most one-step motions are zero: a note, for errors of one-step
-    predictions then tell of the rounding.
+    a warning. Where the piston moves less than half a step a sample, and noise below a third of a
+    step does not hide the rounding, most one-step motions are zero: a note, since errors of one-step
+    predictions are then rounding.
     """
     step, quality = context.quality.quantum, context.quality
     if step is None or not context.campaign_range > 0:
         return []
-    findings = []
+    findings, count = [], context.campaign_range / step
     if context.campaign_range < FEWEST_STEPS * step:
         findings.append(
             context.finding(
                 "quantisation",
                 Severity.WARNING,
-                f"the displacement comes in steps of {step:.3g} {quality.unit}, only "
-                f"{context.campaign_range / step:.0f} over the range of {context.campaign_range:.4g} {quality.unit}",
+                f"the displacement comes in steps of {step:.3g} {quality.unit}, only {count:.0f} over the "
+                f"range of {context.campaign_range:.4g} {quality.unit}",
                 "use a finer sensor or converter, or log more digits",
             )
         )

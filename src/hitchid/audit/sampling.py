@@ -1,4 +1,4 @@
-"""Whether the clock of the logs is even, fine enough, and without holes."""
+"""Checks of the clock: even, fine enough, and without gaps."""
 
 import numpy as np
 
@@ -6,12 +6,12 @@ from hitchid._support.notices import Severity
 from hitchid.audit.context import CampaignContext, RecordContext
 from hitchid.audit.finding import AuditFinding
 
-UNLIKE_STEPS = 1.5
-MUCH_JITTER = 0.10
-FEWEST_SAMPLES_A_STROKE = 20
-FAST_FRACTION = 0.99
-MUCH_LOST = 0.05
-MAX_SAMPLES = 2**20
+UNLIKE_STEPS = 1.5  # ratio of sampling times; more is interpolated or smoothed
+MUCH_JITTER = 0.10  # of the sampling time: a tenth of the one-step motion at working speed
+FEWEST_SAMPLES_A_STROKE = 20  # at full speed, to resolve dead time and lag
+FAST_FRACTION = 0.99  # percentile of one-step motions; the rest are spikes
+MUCH_LOST = 0.05  # of the samples, or of the time
+MAX_SAMPLES = 2**20  # examined, to bound time and memory
 
 
 def steps(context: RecordContext) -> list[AuditFinding]:
@@ -78,12 +78,13 @@ def coarse(context: RecordContext) -> list[AuditFinding]:
     fast_step = float(steps[percentile_index])
     if not (fast_step > quality.noise_bound and fast_step * FEWEST_SAMPLES_A_STROKE > quality.peak_to_peak):
         return []
+    share = fast_step / quality.peak_to_peak
     return [
         context.finding(
             "sampling",
             Severity.WARNING,
             f"from one sample to the next the piston moves by up to {fast_step:.3g} {quality.unit}, "
-            f"{fast_step / quality.peak_to_peak:.0%} of its range of {quality.peak_to_peak:.4g} {quality.unit}",
+            f"{share:.0%} of its range of {quality.peak_to_peak:.4g} {quality.unit}",
             f"log at a shorter step, so that a stroke has at least {FEWEST_SAMPLES_A_STROKE} samples",
         )
     ]
@@ -92,8 +93,8 @@ def coarse(context: RecordContext) -> list[AuditFinding]:
 def gaps(context: CampaignContext) -> list[AuditFinding]:
     """Find logs that were cut at gaps, and how much of them is lost.
 
-    The parts of a cut log are called log@1, log@2 and so on. A part begins in the middle of a motion, which
-    a note tells; from 5 % of the log's time lost on it is a warning.
+    The parts of a cut log are called log@1, log@2 and so on. A part begins in the middle of a motion:
+    a note; from 5 % of the log's time lost on it is a warning.
     """
     tests_by_log: dict[str, list[RecordContext]] = {}
     for test in context.tests:

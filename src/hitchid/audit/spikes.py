@@ -6,17 +6,17 @@ from hitchid._support.notices import Severity
 from hitchid.audit.context import RecordContext
 from hitchid.audit.finding import AuditFinding
 
-SPIKE_SIGMAS = 8.0
-FASTER_THAN_MOTION = 3.0
-FAST_FRACTION = 0.99
-LONGEST_SPIKE = 3
-MIN_SPIKE_FRACTION = 0.002
-RETURNED_FRACTION = 0.5
-MOST_SPIKES_FRACTION = 0.02
-JUMP_FACTOR = 5.0
-JUMP_AROUND = 5
-JUMP_FRACTION = 0.01
-MAX_SAMPLES = 2**20
+SPIKE_SIGMAS = 8.0  # of the noise of one sample
+FASTER_THAN_MOTION = 3.0  # times the fast one-step motion
+FAST_FRACTION = 0.99  # percentile of one-step motions; the rest may be spikes
+LONGEST_SPIKE = 3  # samples
+MIN_SPIKE_FRACTION = 0.002  # of the range
+RETURNED_FRACTION = 0.5  # of its height; a spike comes back by more
+MOST_SPIKES_FRACTION = 0.02  # of the steps; more are how the sensor works
+JUMP_FACTOR = 5.0  # times the steps around: a piston accelerates over several samples
+JUMP_AROUND = 5  # samples compared before and after
+JUMP_FRACTION = 0.01  # of the range
+MAX_SAMPLES = 2**20  # examined, to bound time and memory
 
 
 def spikes(context: RecordContext) -> list[AuditFinding]:
@@ -73,8 +73,9 @@ def jumps(context: RecordContext) -> list[AuditFinding]:
         context.finding(
             "jumps",
             Severity.WARNING,
-            f"the displacement jumps {jump_samples.size} time{'s' * (jump_samples.size > 1)}, by up to {abs(largest):.3g} "
-            f"{context.quality.unit} from one sample to the next, first at {first_s:.6g} s",
+            f"the displacement jumps {jump_samples.size} time{'s' * (jump_samples.size > 1)}, by up to "
+            f"{abs(largest):.3g} {context.quality.unit} from one sample to the next, "
+            f"first at {first_s:.6g} s",
             "look whether the sensor slips, its slider sticks, or samples were lost; cut the log there",
             intervals=[(int(k), int(k) + 2) for k in jump_samples],
         )

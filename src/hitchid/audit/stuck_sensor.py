@@ -1,4 +1,4 @@
-"""Whether the displacement stands where the piston must move: a stuck sensor, or the end of its range."""
+"""Check for a displacement that is constant although the piston must move: stuck or saturated sensor."""
 
 from typing import NamedTuple
 
@@ -8,14 +8,14 @@ from hitchid._support.notices import Severity
 from hitchid.audit.context import CampaignContext, RecordContext, command_unit
 from hitchid.audit.finding import AuditFinding, true_intervals
 
-STUCK_S = 0.5
-STUCK_SAMPLES = 10
-STUCK_TRAVEL_FRACTION = 0.01
-MAX_CHANCE = 1e-9
-FEWEST_AT_REST = 50
-MOVING_FRACTION = 0.1
-NOISE_SHOWS = 0.5
-STRONG = 0.9
+STUCK_S = 0.5  # s, shortest constant stretch
+STUCK_SAMPLES = 10  # in it at least
+STUCK_TRAVEL_FRACTION = 0.01  # of the range that the command would move the piston
+MAX_CHANCE = 1e-9  # probability of so long a constant stretch by rounding alone
+FEWEST_AT_REST = 50  # samples needed to count repeats
+MOVING_FRACTION = 0.1  # of working speed before and after
+NOISE_SHOWS = 0.5  # standard deviation over the quantum, from which on noise changes readings
+STRONG = 0.9  # of the median active command
 
 
 class _ConstantRun(NamedTuple):
@@ -30,7 +30,7 @@ class _ConstantRun(NamedTuple):
 
 
 def stuck_sensors(context: CampaignContext) -> list[AuditFinding]:
-    """Find sensors that stand although the piston must move: stuck ones, and ones at the end of their range.
+    """Find sensors that are constant although the piston must move: stuck or saturated ones.
 
     Exactly constant for at least 0.5 s and ten samples under a command in the record's upper half, during
     which elsewhere it would move by 1 % of the range, ten steps and twenty σ. An end stop or a dead zone
@@ -65,8 +65,9 @@ def _constant_finding(context: RecordContext, group: list[_ConstantRun], *, satu
     level = float(np.median(np.abs(record.command(first.direction)[first.start : first.stop])))
     begin, end = (record.start_s + sample * record.step_s for sample in (first.start, first.stop - 1))
     what = (
-        f"the displacement stands at {first.level:.5g} {context.quality.unit} from {begin:.6g} to {end:.6g} s "
-        f"although {first.direction} is commanded at {level:.3g} {command_unit(record, first.direction)}"
+        f"the displacement stands at {first.level:.5g} {context.quality.unit} from {begin:.6g} to "
+        f"{end:.6g} s although {first.direction} is commanded at {level:.3g} "
+        f"{command_unit(record, first.direction)}"
     )
     if len(group) > 1:
         what += f", and {len(group) - 1} more times"
@@ -103,7 +104,7 @@ def _constant_runs(context: RecordContext) -> list[_ConstantRun]:
 
 
 def _unchanged_share(context: RecordContext, repeated: np.ndarray, stretches: list[tuple[int, int]]) -> float:
-    """Return which share of samples repeats the one before: at rest, or wherever noise shows by itself."""
+    """Return the share of samples equal to the one before: at rest, or anywhere if noise is visible."""
     resting = ~context.any_active()[:-1]
     quality = context.quality
     if np.count_nonzero(resting) < FEWEST_AT_REST:
@@ -155,7 +156,7 @@ def _speed(displacement: np.ndarray, strong: np.ndarray, repeated: np.ndarray) -
 
 
 def _must_move(run: _ConstantRun, speed: float, strong: np.ndarray) -> bool:
-    """Tell a sensor that stands from a piston that does."""
+    """Return whether the piston would have moved, so that the sensor is stuck."""
     quality, samples = run.test.quality, run.stop - run.start
     required_travel = max(
         STUCK_TRAVEL_FRACTION * quality.peak_to_peak, 10 * (quality.quantum or 0.0), 20 * quality.noise

@@ -1,77 +1,58 @@
-"""Linear autoregression with input (ARX), and predictions by any autoregression from measured samples."""
+"""Autoregressions: simulation and prediction by any model of travel from its own and the command's past."""
 
+from abc import abstractmethod
 from collections.abc import Sequence
-from typing import Protocol, runtime_checkable
 
-import equinox as eqx
 import numpy as np
+from jaxtyping import Float
+
+from hitchid.baselines.fitted import FittedBaseline
+from hitchid.structures import Batch
+
+# One test from rest: command, travel, which samples count, each of shape [N].
+Test = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
-class Arx(eqx.Module):
-    """Linear autoregression with input on travel w (displacement away from the start).
+class Autoregression(FittedBaseline):
+    """A model of travel w (displacement away from the start) from past samples of w and of the command."""
 
-    w(k) = Σ aᵢ w(k−i) + Σ bᵢ u(k−i), i = 1 … n.
+    @property
+    @abstractmethod
+    def lag(self) -> int:
+        """The longest lag n."""
 
-    Attributes:
-        past: a, shape [n].
-        command: b, shape [n].
-    """
+    @abstractmethod
+    def predict_next(self, command: np.ndarray, travel: np.ndarray) -> np.ndarray:
+        """Return w(k) from u(k−1) … u(k−n) and w(k−1) … w(k−n), shape [n, N] each."""
 
-    past: np.ndarray
-    command: np.ndarray
+    @abstractmethod
+    def simulate(self, command: np.ndarray) -> np.ndarray:
+        """Return travel simulated from the command alone, from rest, shape [N]."""
 
-    @classmethod
-    def fit(cls, tests: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], order: int) -> "Arx":
-        """Fit by least squares to command, travel and which samples count, each of shape [N_i], from rest."""
-        rows = np.concatenate(
-            [_lagged(travel, command, order)[loss_mask] for command, travel, loss_mask in tests]
+    def free_run(self, batch: Batch) -> Float[np.ndarray, "t n"]:
+        """Return displacement simulated from commands and initial displacement, shape [T, N]."""
+        return _displacement(
+            batch, np.array([self.simulate(command) for command in np.asarray(batch.command)])
         )
-        target = np.concatenate([travel[loss_mask] for _, travel, loss_mask in tests])
-        solution = np.linalg.lstsq(rows, target, rcond=None)[0]
-        return cls(solution[:order], solution[order:])
 
-    @property
-    def lag(self) -> int:
-        """The longest lag n."""
-        return self.past.size
-
-    def predict_next(self, command: np.ndarray, travel: np.ndarray) -> np.ndarray:
-        """Return w(k) from u(k−1) … u(k−n) and w(k−1) … w(k−n), shape [n, N] each."""
-        return self.command @ command + self.past @ travel
-
-    def one_step(self, command: np.ndarray, travel: np.ndarray) -> np.ndarray:
-        """Return travel predicted from measured travel up to the sample before, shape [N]."""
-        return _lagged(travel, command, self.past.size) @ np.concatenate([self.past, self.command])
-
-    def free_run(self, command: np.ndarray) -> np.ndarray:
-        """Return travel simulated from the command alone, shape [N]."""
-        from scipy.signal import lfilter  # not at the top: half a second
-
-        return np.asarray(lfilter(np.append(0.0, self.command), np.append(1.0, -self.past), command))
+    def predict(self, batch: Batch, horizons: Sequence[int]) -> list[Float[np.ndarray, "t n"]]:
+        """Return displacement predicted from that measured up to h samples before, for each h."""
+        travels = batch.sign * (np.asarray(batch.displacement) - np.asarray(batch.initial)[:, None])
+        rows = [
+            predict_ahead(self, command, travel, horizons)
+            for command, travel in zip(np.asarray(batch.command), travels, strict=True)
+        ]
+        return [_displacement(batch, travel) for travel in np.swapaxes(rows, 0, 1)]
 
 
-def _lagged(travel: np.ndarray, command: np.ndarray, order: int) -> np.ndarray:
-    """Return rows [w(k−1) … w(k−n), u(k−1) … u(k−n)], zero before the test, shape [N, 2 n]."""
-
-    def lags(samples: np.ndarray) -> np.ndarray:
-        padded = np.concatenate([np.zeros(order), samples[:-1]])
-        return np.lib.stride_tricks.sliding_window_view(padded, order)[:, ::-1]
-
-    return np.hstack([lags(travel), lags(command)])
-
-
-@runtime_checkable
-class Autoregression(Protocol):
-    """What predicts travel from the last of its own and of the command's samples."""
-
-    @property
-    def lag(self) -> int:
-        """The longest lag n."""
-        ...
-
-    def predict_next(self, command: np.ndarray, travel: np.ndarray) -> np.ndarray:
-        """Return w(k) from u(k−1) … u(k−n) and w(k−1) … w(k−n), shape [n, N] each."""
-        ...
+def unpadded_tests(batch: Batch) -> list[Test]:
+    """Return command, travel and which samples count of each test, without padding."""
+    return [
+        (np.asarray(command)[valid], np.asarray(travel)[valid], np.asarray(loss_mask)[valid])
+        for command, travel, loss_mask, valid in zip(
+            batch.command, batch.travel, batch.loss_mask, np.asarray(batch.valid), strict=True
+        )
+    ]
 
 
 def predict_ahead(
@@ -100,3 +81,7 @@ def predict_ahead(
             history = [model.predict_next(commands, np.stack(history)), *history[: lag - 1]]
             predictions[step] = history[0]
     return np.stack([np.concatenate([np.zeros(h), predictions[h][: count - h]]) for h in horizons])
+
+
+def _displacement(batch: Batch, travel: np.ndarray) -> np.ndarray:
+    return np.asarray(batch.initial)[:, None] + batch.sign * travel

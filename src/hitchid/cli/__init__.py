@@ -1,14 +1,14 @@
 """The command line: one module a command, named after it."""
 
-from hitchid.cli import bench, design, identify, inspect, judging, reproduce, run, simulate
+from hitchid.cli import bench, compare, design, identify, inspect, reproduce, run, simulate, validate
 from hitchid.cli.program import app as app
 from hitchid.cli.program import main as main
 
 for _command, _example in (
     (inspect.inspect, "hitchid inspect logs/ --draw logs.png"),
     (identify.identify, "hitchid identify logs/ --out model"),
-    (judging.validate, "hitchid validate model logs/ --out results"),
-    (judging.compare, "hitchid compare model-a model-b logs/ --out comparison"),
+    (validate.validate, "hitchid validate model logs/ --out results"),
+    (compare.compare, "hitchid compare model-a model-b logs/ --out comparison"),
     (simulate.simulate, "hitchid simulate model test.csv --out simulated.csv --bands"),
     (design.design, "hitchid design model --direction lifting --out next-test.csv"),
     (run.run, "recorder | hitchid run model | controller"),

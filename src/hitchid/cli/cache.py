@@ -1,4 +1,4 @@
-"""What is kept in the user's cache: compiled programs, and finished searches."""
+"""The user's cache: compiled programs and finished searches."""
 
 import os
 from dataclasses import replace
@@ -8,24 +8,24 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from hitchid.estimation import SearchComparison
 
-MAX_PROGRAMS = 10_000
+MAX_PROGRAMS = 10_000  # compiled programs kept, some 100 MB
 
 
 def prepare_jax() -> None:
-    """Keep compiled programs in the user's cache, unless JAX knows a place: the next run starts faster."""
+    """Cache compiled programs for the user, unless JAX has a folder set: the next run starts faster."""
     import jax
 
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         compiled_folder = _cache_folder() / "compiled"
         _evict_oldest(compiled_folder)
         jax.config.update("jax_compilation_cache_dir", str(compiled_folder))
-        # Small ones too: there are hundreds of them, and together they take longer than the large ones.
+        # Small ones too: hundreds of them together take longer to compile than the large ones.
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
 
 def with_search_cache(comparison: "SearchComparison | None") -> "SearchComparison | None":
-    """Keep finished searches in the user's cache, so that a run that was stopped goes on from there."""
+    """Keep finished searches in the user's cache, so that a stopped run resumes from there."""
     from hitchid._support.checkpoints import Checkpoints
 
     return comparison and replace(comparison, checkpoints=Checkpoints(_cache_folder() / "searches"))
@@ -40,7 +40,7 @@ def _evict_oldest(programs: Path) -> None:
             for entry in entries[: -MAX_PROGRAMS // 2]:
                 Path(entry).unlink(missing_ok=True)
     except OSError:
-        return  # another process tidies up, or nothing may be removed: neither is worth a word
+        return  # another process evicts, or removal is not permitted
 
 
 def _cache_folder() -> Path:

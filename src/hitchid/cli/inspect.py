@@ -12,7 +12,7 @@ from hitchid.errors import InputError
 if TYPE_CHECKING:
     from hitchid.inspection import Inspection
 
-MAX_DRAWN = 12
+MAX_DRAWN = 12  # records in one picture
 PICTURES = (".png", ".svg", ".pdf")
 
 
@@ -20,7 +20,7 @@ def inspect(
     logs: Logs,
     signals: Signals = None,
     model: Annotated[
-        Path | None, typer.Option("--model", help="Model folder that knows dead zones and dead times.")
+        Path | None, typer.Option("--model", help="Model folder with dead zones and dead times.")
     ] = None,
     picture: Annotated[
         Path | None,

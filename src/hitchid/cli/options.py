@@ -13,5 +13,5 @@ Signals = Annotated[
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON instead of tables.")]
 AsPdf = Annotated[bool, typer.Option("--pdf", help="Write report.pdf too; needs hitchid[pdf].")]
 Strict = Annotated[bool, typer.Option("--strict", help="Refuse all logs for one that cannot be used.")]
-Quiet = Annotated[bool, typer.Option("--quiet", help="Say nothing but what fails.")]
+Quiet = Annotated[bool, typer.Option("--quiet", help="Print errors only.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace an older result.")]

@@ -16,9 +16,11 @@ def run(
         float | None,
         typer.Option("--initial", help="Displacement to start from, in the model's unit [first measured]."),
     ] = None,
-    load: Annotated[float, typer.Option("--load", help="Second input before motion, if one is heard.")] = 0.0,
+    load: Annotated[
+        float, typer.Option("--load", help="Covariate before motion.")
+    ] = 0.0,
 ) -> None:
-    """Answer samples from standard input, line by line, with the displacement one sample later (JSON)."""
+    """Read samples from standard input, line by line; write the displacement one sample later (JSON)."""
     prepare_jax()
     from hitchid.model import load as load_model
     from hitchid.online.live import Live

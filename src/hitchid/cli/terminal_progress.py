@@ -14,12 +14,12 @@ from rich.text import Text
 from hitchid._support.progress import ProgressCallback, ProgressUpdate, silent
 
 BLOCKS = "▁▂▃▄▅▆▇█"
-WIDTH, NAME = 36, 28
+WIDTH, NAME = 36, 28  # columns of a sparkline and of the name before it, in a terminal of 80
 
 
 @contextmanager
 def progress(*, quiet: bool = False) -> Iterator[ProgressCallback]:
-    """Give what shows progress on stderr: live on a terminal, a line a stage elsewhere, quietly nothing."""
+    """Yield a callback that shows progress on stderr: live on a terminal, else a line a stage."""
     if quiet:
         yield silent
         return
@@ -41,13 +41,13 @@ def progress(*, quiet: bool = False) -> Iterator[ProgressCallback]:
 
 
 class Curves:
-    """What the present stage of each strand makes smaller, drawn as it falls."""
+    """Sparklines of the figures that the present stage of each task minimises."""
 
     def __init__(self) -> None:
         self._tasks: dict[str, tuple[ProgressUpdate, dict[str, list[float]]]] = {}
 
     def update(self, step: ProgressUpdate) -> None:
-        """Take in a step; a new stage begins a new picture, and work on the whole ends the strands."""
+        """Add a step; a new stage begins new lines, and a step of the whole work ends the tasks."""
         current_tasks = {name: entry for name, entry in self._tasks.items() if bool(name) == bool(step.task)}
         last, values = current_tasks.get(step.task, (step, {}))
         values = values if last.stage == step.stage else {}
@@ -57,11 +57,11 @@ class Curves:
 
     @property
     def stages(self) -> str:
-        """The stages that are being done."""
+        """The present stages."""
         return " | ".join(step.stage for step, _ in self._tasks.values())
 
     def __rich__(self) -> Text:
-        """Return the round of each strand and a line for each figure, in 80 columns."""
+        """Return the iteration of each task and a line for each figure, in 80 columns."""
         lines = []
         for step, values in self._tasks.values():
             series_lines = [
@@ -90,7 +90,7 @@ def sparkline(values: list[float]) -> str:
 
 
 class _Lines:
-    """A line for each stage as it begins, and one for where it ended if it made something smaller."""
+    """A line for each stage as it begins, and one with its last figures."""
 
     def __init__(self) -> None:
         self._last: dict[str, ProgressUpdate] = {}
@@ -104,7 +104,7 @@ class _Lines:
         self._last[step.task] = step
 
     def end(self, *tasks: str) -> None:
-        """Say where the last stages of strands ended; those of all where none is named."""
+        """Write the last figures of tasks; of all where none is named."""
         for task in tasks or tuple(self._last):
             last = self._last.pop(task, None)
             if last is not None and last.figures:

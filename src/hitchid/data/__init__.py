@@ -1,1 +1,1 @@
-"""Signals on a clock, campaigns of tests, units, kinds of test, and strokes cut from mixed logs."""
+"""Records on a uniform clock, campaigns of tests, units, kinds of test, segmentation of mixed logs."""

@@ -1,4 +1,4 @@
-"""All tests of one plant, and which of them are held out."""
+"""Campaign: all tests of one plant, and which of them are held out."""
 
 import hashlib
 import re
@@ -19,9 +19,9 @@ from hitchid.data.test_kinds import detect_kind, full_scales, ramp_direction, st
 from hitchid.data.units import UNITS
 from hitchid.errors import InputError, LogError
 
-HELD_OUT_FRACTION = 0.2
+HELD_OUT_FRACTION = 0.2  # of the tests of a direction, the default split
 STROKE_SEPARATOR = "#"
-MAX_RATE_RATIO = 100
+MAX_RATE_RATIO = 100  # of sampling times in one campaign; beyond, one of them has a wrong unit
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,8 @@ class Campaign:
     Attributes:
         records: the tests, in the order of their names.
         test_patterns: patterns on names that mark the held-out tests; without any, the last 20 % of each
-            mode's tests are held out.
-        unmatched: patterns of a settings file that match no test here; only an identification minds.
+            direction's tests are held out.
+        unmatched: patterns of a settings file that match no test here; an error in an identification only.
         left_out: logs and tests that cannot be used, with their reasons.
         strict: whether later work refuses all tests for one that cannot be used.
     """
@@ -53,7 +53,7 @@ class Campaign:
         left_out: Sequence[LeftOut] = (),
         strict: bool = False,
     ) -> "Campaign":
-        """Bring records onto one clock and one set of units, and tell what each one is.
+        """Bring records onto one clock and one set of units, and find the kind of each.
 
         Left out is a record with other commands or dimensions than most, with a clock far from the others',
         or with a displacement that never changes although its command does.
@@ -135,12 +135,12 @@ class Campaign:
 
     @property
     def directions(self) -> tuple[str, ...]:
-        """The modes that single-direction tests excite."""
+        """Directions that single-direction tests excite."""
         return tuple(direction for direction in DIRECTIONS if self.of_kind(direction))
 
     @property
     def digest(self) -> str:
-        """SHA-256 of all there is: names, kinds, clocks, units, every sample, what is held out."""
+        """SHA-256 of names, kinds, clocks, units, samples and split."""
         hasher = hashlib.sha256(repr(self.test_patterns).encode(errors="surrogateescape"))
         for record in self.records:
             metadata = (record.name, record.kind, record.step_s, record.start_s, sorted(record.units.items()))
@@ -158,7 +158,7 @@ class Campaign:
         return tuple(record for record in self.of_kind(RAMP) if ramp_direction(record) == direction)
 
     def held_out(self, direction: str) -> tuple[Record, ...]:
-        """Return the tests of a mode that no identification may see."""
+        """Return the held-out tests of a direction, which no identification may use."""
         tests = self.of_kind(direction)
         if self.test_patterns is not None:
             return tuple(record for record in tests if _matches(record, self.test_patterns))
@@ -167,18 +167,18 @@ class Campaign:
         return tests[-max(1, round(HELD_OUT_FRACTION * len(tests))) :]
 
     def identification(self, direction: str) -> tuple[Record, ...]:
-        """Return the tests of a mode that are not held out."""
+        """Return the tests of a direction that are not held out."""
         held_out = {record.name for record in self.held_out(direction)}
         return tuple(record for record in self.of_kind(direction) if record.name not in held_out)
 
     def without(self, fingerprints: Collection[str]) -> "Campaign":
-        """Return the campaign without the records that these are the fingerprints of; it may be empty."""
+        """Return the campaign without the records of these fingerprints; it may be empty."""
         return replace(self, records=tuple(r for r in self.records if r.fingerprint not in fingerprints))
 
     def segmented(self, dead_zones: Mapping[str, float]) -> "Campaign":
-        """Return the campaign with its mixed cycles cut into strokes of one mode each.
+        """Return the campaign with its mixed cycles cut into strokes of one direction each.
 
-        Strokes of a held-out cycle are held out; where no whole cycle is, the last 20 % of each mode's
+        Strokes of a held-out cycle are held out; where no whole cycle is, the last 20 % of each direction's
         strokes are.
         """
         zones = checks.mapping_of(dead_zones, DIRECTIONS, "dead_zones")
@@ -230,7 +230,7 @@ def _to_reference_units(record: Record, reference: Record) -> Record:
 
 
 def _require_motion(record: Record) -> Record:
-    """Return a record unless its displacement stands although it is commanded to move."""
+    """Return a record unless its displacement is constant although it is commanded to move."""
     if record.kind != IDLE and np.ptp(record.displacement) == 0:
         raise LogError(
             record.source or record.name,
@@ -242,7 +242,7 @@ def _require_motion(record: Record) -> Record:
 
 
 def _check_directions(records: Sequence[Record], left_out: Sequence[LeftOut], all_: Sequence[Record]) -> None:
-    """Refuse a campaign of which all tests of one direction are left out: its model would lack it."""
+    """Refuse a campaign in which all tests of one direction are left out."""
     causes = {item.name: item for item in left_out}
     for direction in DIRECTIONS:
         excluded = [
@@ -260,12 +260,12 @@ def _natural_sort_key(name: str) -> list[tuple[int, str]]:
 
 
 def _common_step(records: Sequence[Record]) -> float:
-    """Return the step of a middle record: one that logs have, where the mean of two would fit neither."""
+    """Return the lower median step: one that a log has, not the mean of two."""
     return float(f"{median_low(record.step_s for record in records):.4g}")
 
 
 def _to_common_clock(record: Record, step_s: float) -> Record:
-    """Adopt the common sampling time where the stamps cannot tell the difference, else resample."""
+    """Adopt the common sampling time where the drift is below 5 % of it, else resample."""
     drift = abs(record.step_s - step_s) * len(record)
     if not 1 / MAX_RATE_RATIO <= record.step_s / step_s <= MAX_RATE_RATIO:
         raise LogError(

@@ -9,7 +9,7 @@ from hitchid.errors import InputError, LogError, SettingsError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-MAX_SHOWN = 10
+MAX_SHOWN = 10  # causes named in one error message
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class LeftOut:
 def split_usable(
     items: Iterable[tuple[str, Item]], work: Callable[[Item], Result], *, strict: bool
 ) -> tuple[list[Result], list[LeftOut]]:
-    """Return what work makes of each item, and which items it cannot use.
+    """Return the results of usable items, and the items that cannot be used.
 
     Args:
         items: name and item.
@@ -45,7 +45,7 @@ def split_usable(
         strict: whether the first such item is an error for all.
 
     Raises:
-        SettingsError: a settings file is wrong, which is no item's fault.
+        SettingsError: a settings file is wrong.
         InputError: with `strict`, an item cannot be used.
     """
     usable, left_out = [], []
@@ -67,7 +67,7 @@ def left_out_notices(left_out: Sequence[LeftOut], total: int, what: str) -> tupl
     Args:
         left_out: what is not used.
         total: how many there were.
-        what: what is counted, such as `logs`.
+        what: kind of item, such as `logs`.
     """
     if not left_out:
         return ()
@@ -83,7 +83,7 @@ def left_out_notices(left_out: Sequence[LeftOut], total: int, what: str) -> tupl
 
 
 def refuse(left_out: Sequence[LeftOut], what: str) -> NoReturn:
-    """Raise why nothing can be used: the one cause that all share, else all causes.
+    """Raise an error where nothing can be used: the common cause, else all causes.
 
     Raises:
         InputError: always; the first item's own error where all have the same.

@@ -1,4 +1,4 @@
-"""One test: a uniform clock, named signals with units, and where they came from."""
+"""Record: one test on a uniform clock, named signals with units, and their source."""
 
 import hashlib
 from collections.abc import Mapping
@@ -23,7 +23,7 @@ COMMAND = MappingProxyType({LIFTING: "lifting_command", LOWERING: "lowering_comm
 RAMP = "ramp"
 CYCLE = "cycle"
 IDLE = "idle"
-FINGERPRINT_STEP = 1e-6
+FINGERPRINT_STEP = 1e-6  # of the range; coarser than the rounding of a unit conversion
 KINDS = (LIFTING, LOWERING, RAMP, CYCLE, IDLE)
 
 
@@ -55,7 +55,7 @@ class Record:
     clock: ClockQuality = REGULAR_CLOCK
 
     def __post_init__(self) -> None:
-        """Check what every later room relies on, and freeze the samples."""
+        """Check types, shapes, units and finiteness, and freeze the samples."""
         checks.instance(self.name, str, "record: name", "text")
         checks.instance(self.signals, Mapping, f"record '{self.name}': signals", "role to samples")
         checks.instance(self.units, Mapping, f"record '{self.name}': units", "role to unit")
@@ -107,16 +107,16 @@ class Record:
 
     @property
     def unit(self) -> str:
-        """Unit of the displacement, and so of every error and prediction."""
+        """Unit of the displacement, of errors and of predictions."""
         return self.units[DISPLACEMENT]
 
     @property
     def directions(self) -> tuple[str, ...]:
-        """The modes this record has a command for."""
+        """Directions this record has a command for."""
         return tuple(direction for direction in DIRECTIONS if COMMAND[direction] in self.signals)
 
     def command(self, direction: str) -> np.ndarray:
-        """Return the command of a mode, shape [N].
+        """Return the command of a direction, shape [N].
 
         Raises:
             InputError: the record has no such command.
@@ -140,16 +140,15 @@ class Record:
 
     @property
     def fingerprint(self) -> str:
-        """SHA-256 of the shape of the displacement, by which a test is known again.
+        """SHA-256 of the shape of the displacement, which identifies a test.
 
         The samples are taken relative to the first and to their range and rounded to 10⁻⁶ of it, and so is
-        the range in SI units: neither the file's name, nor the unit, nor which commands are mapped makes a
-        test look new.
+        the range in SI units: file name, unit and mapped commands do not matter.
         """
         relative = self.displacement - self.displacement[0]
         peak_to_peak = float(np.ptp(relative))
         shape = relative / (peak_to_peak or 1.0)
-        # The irrational offset keeps round decimals off the edges at which rounding would tip.
+        # The irrational offset keeps round decimals off the edges of rounding.
         steps = np.round(shape / FINGERPRINT_STEP + 1 / np.pi).astype(np.int64)
         size = f"{peak_to_peak * UNITS[self.unit].factor:.6e}"
         return hashlib.sha256(size.encode() + steps.tobytes()).hexdigest()
@@ -199,7 +198,7 @@ class Record:
 
 
 def _read_only(samples: np.ndarray, name: str) -> np.ndarray:
-    """Return samples that nobody can change: themselves where nobody can already, else a copy."""
+    """Return read-only samples: themselves where they are already, else a copy."""
     base = samples if getattr(samples, "base", None) is None else samples.base
     if isinstance(base, np.ndarray) and samples.dtype == np.float64 and not base.flags.writeable:
         return samples
@@ -214,10 +213,10 @@ def _read_only(samples: np.ndarray, name: str) -> np.ndarray:
 def resampled(
     signals: Mapping[str, np.ndarray], old_times_s: np.ndarray, new_times_s: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Take signals from one time base to another.
+    """Resample signals from one time base to another.
 
-    A command is in force from its sample on (zero-order hold), one that comes within 2 % of a step counting
-    as there already; everything measured is interpolated.
+    Commands by zero-order hold, one that comes within 2 % of a step counting as present; measured signals by
+    linear interpolation.
 
     Args:
         signals: role to samples, each of shape [N].

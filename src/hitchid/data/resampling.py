@@ -1,4 +1,4 @@
-"""From the time stamps of a logger to a uniform grid: kept, resampled, or split at gaps."""
+"""From the time stamps of a logger to a uniform grid: adopted, resampled, or split at gaps."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -10,13 +10,14 @@ from hitchid._support.notices import Notice
 from hitchid.errors import LogError
 
 LineOf = Callable[[int], int | None]
-GRID_TOLERANCE = 0.02
-GAP_FACTOR = 1.5
-SHORTEST_STEP_S = 1e-9
-# A hydraulic axis takes a fifth of a second to change its speed; two samples may get lost on any clock.
+GRID_TOLERANCE = 0.02  # of the sampling time; a stamp nearer to the grid counts as on it
+GAP_FACTOR = 1.5  # of the sampling time; a longer interval is a gap
+SHORTEST_STEP_S = 1e-9  # s; time stamps in ns have no finer step
+# s and sampling times: a hydraulic axis takes 0.2 s to change its speed; any clock may lose two samples.
 SHORT_GAP_S, SHORT_GAP_STEPS = 0.2, 3
-# Beyond, an interpolated stretch would stand for an experiment of its own.
+# s and sampling times: an interpolated stretch that is longer would be an experiment of its own.
 LONGEST_BRIDGE_S, LONGEST_BRIDGE_STEPS = 1.0, 10
+# Of the range of a command, of the range of the displacement; rows over which a speed is taken.
 COMMAND_TOLERANCE, MOTION_TOLERANCE, SPEED_ROWS = 0.1, 0.05, 5
 
 
@@ -144,7 +145,7 @@ def _gap_notices(time_s: np.ndarray, start: int, median: float) -> tuple[Notice,
 
 
 class _GapBridging:
-    """Whether a log says what happened in a gap: no command changed, and the axis stood or kept its speed."""
+    """Condition for interpolating over a gap: constant commands, and an axis at rest or constant speed."""
 
     def __init__(self, time_s: np.ndarray, commands: Mapping[str, np.ndarray], position: np.ndarray) -> None:
         self.time_s, self.position = time_s, position
@@ -152,7 +153,7 @@ class _GapBridging:
         self.tolerance = MOTION_TOLERANCE * np.ptp(position)
 
     def can_bridge(self, row: int) -> bool:
-        """Tell it of the gap behind a row."""
+        """Return whether the gap after a row may be bridged."""
         if any(abs(command[row + 1] - command[row]) > tolerance for command, tolerance in self.commands):
             return False
         last = self.time_s.size - 1
@@ -213,7 +214,7 @@ def _quality(stamps: np.ndarray, step: float, median: float) -> ClockQuality:
 
 
 def _nominal_step(stamps: np.ndarray, steps: int) -> float:
-    """Return the mean step, rounded to four digits where the stamps cannot tell the difference."""
+    """Return the mean step, rounded to four digits where the drift stays below the grid tolerance."""
     step = float(stamps[-1] - stamps[0]) / steps
     rounded = float(f"{step:.4g}")
     drift = abs(rounded - step) * steps

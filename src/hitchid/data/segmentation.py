@@ -1,4 +1,4 @@
-"""What a mixed log does, stretch by stretch: lift, hold, lower, and where something stands in the way."""
+"""Segmentation of mixed logs: lifting, hold, lowering, saturated, end stop, both valves on."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -9,20 +9,21 @@ from hitchid.data.record import LIFTING, LOWERING, Record
 from hitchid.data.test_kinds import ACTIVE_FRACTION, full_scales
 
 HOLD, SATURATED, END_STOP, BOTH_VALVES_ACTIVE = "hold", "saturated", "end stop", "both valves on"
-LABELS = (LIFTING, LOWERING, HOLD, SATURATED, END_STOP, BOTH_VALVES_ACTIVE)
-WINDOW_S = 0.3
-STATIONARY_FRACTION = 0.1
-AT_END_FRACTION = 0.02
-CLIPPED_SAMPLES = 5
+LABELS = (LIFTING, LOWERING, HOLD, SATURATED, END_STOP, BOTH_VALVES_ACTIVE)  # in the order of JSON output
+WINDOW_S = 0.3  # s; window of a standstill, some lags of a valve
+STATIONARY_FRACTION = 0.1  # of a direction's median travel over the window
+AT_END_FRACTION = 0.02  # of the record's travel, from its end
+CLIPPED_SAMPLES = 5  # consecutive samples at full scale
+# Distinct values; a command with fewer has levels, and is not saturated at the largest
 MIN_COMMAND_VALUES = 50
 
 
 class CommandThreshold(NamedTuple):
-    """How one direction hears its command.
+    """Threshold at which a direction responds to its command.
 
     Attributes:
         dead_zone: command at which motion begins, in its unit.
-        hysteresis: how far below it the command falls before motion ends, same unit.
+        hysteresis: distance below it at which motion ends, same unit.
         dead_time_s: from command to motion, s.
     """
 
@@ -32,7 +33,7 @@ class CommandThreshold(NamedTuple):
 
 
 class Segment(NamedTuple):
-    """Samples `start:stop` of a record and what happens in them."""
+    """Samples `start:stop` of a record with one label."""
 
     label: str
     start: int
@@ -57,8 +58,8 @@ def segments(
 
     Args:
         record: a test of any kind.
-        scales: mode to largest command of all logs; by default of this one.
-        command_thresholds: mode to how it hears its command, where that is known.
+        scales: direction to largest command of all logs; by default of this one.
+        command_thresholds: direction to its threshold, where known.
     """
     scale_of = dict(scales or full_scales([record]))
     thresholds = command_thresholds or {}
@@ -91,7 +92,7 @@ def segments(
 
 
 def durations_s(found_segments: Sequence[Segment], step_s: float) -> dict[str, float]:
-    """Return label to the time it takes in all, s, for the labels that occur."""
+    """Return label to its total duration, s, for the labels that occur."""
     return {
         label: round(
             sum(segment.stop - segment.start for segment in found_segments if segment.label == label)
@@ -106,12 +107,12 @@ def durations_s(found_segments: Sequence[Segment], step_s: float) -> dict[str, f
 def _active_samples(
     record: Record, direction: str, full_scale: float, command_threshold: CommandThreshold | None
 ) -> np.ndarray:
-    """Tell where a direction works, by its command with hysteresis and dead time, shape [N]."""
+    """Return where a direction is active, by its command with hysteresis and dead time, shape [N]."""
     threshold = command_threshold or CommandThreshold(0.0)
     on = max(threshold.dead_zone, ACTIVE_FRACTION * full_scale)
     off = max(on - threshold.hysteresis, ACTIVE_FRACTION * full_scale)
     command = np.abs(record.command(direction))
-    # Between the two levels the state stands: the last sample outside them decides.
+    # Between the two levels the state is kept: the last sample outside them decides.
     decisive = np.where((command > on) | (command <= off), np.arange(command.size), -1)
     last = np.maximum.accumulate(decisive)
     active = (last >= 0) & (command[np.maximum(last, 0)] > on)
@@ -134,7 +135,7 @@ def _upwards(record: Record, selected: np.ndarray) -> bool:
 
 
 def _at_end(record: Record, *, upwards: bool) -> np.ndarray:
-    """Tell which samples lie within 2 % of the end of the record's travel, shape [N]."""
+    """Return which samples lie within 2 % of the end of the record's travel, shape [N]."""
     margin = AT_END_FRACTION * float(np.ptp(record.displacement))
     if upwards:
         return record.displacement >= record.displacement.max() - margin
@@ -142,7 +143,7 @@ def _at_end(record: Record, *, upwards: bool) -> np.ndarray:
 
 
 def _clipped(record: Record, direction: str, full_scale: float) -> np.ndarray:
-    """Tell where a command of many values stands at the largest of all logs, shape [N]."""
+    """Return where a command of many values stands at the largest of all logs, shape [N]."""
     command = np.abs(record.command(direction))
     at_maximum = command >= full_scale * (1 - 1e-9)
     if np.unique(command).size < MIN_COMMAND_VALUES:
@@ -151,7 +152,7 @@ def _clipped(record: Record, direction: str, full_scale: float) -> np.ndarray:
 
 
 def _sustained(condition: np.ndarray, samples: int) -> np.ndarray:
-    """Tell where something is true for at least so many samples on end, shape [N]."""
+    """Return where something is true for at least so many samples on end, shape [N]."""
     if condition.size < samples:
         return np.zeros(condition.size, dtype=bool)
     full_windows = np.convolve(condition, np.ones(samples), "valid") == samples

@@ -1,4 +1,4 @@
-"""The settings file of a campaign: which column is which signal, which test is what, which are held out."""
+"""Settings file of a campaign: columns of signals, kinds of tests, split."""
 
 import re
 import tomllib
@@ -13,10 +13,10 @@ from hitchid.data.units import UNITS, check_unit, unit_of_column
 from hitchid.errors import InputError, SettingsError
 
 CAMPAIGN_FILE = "campaign.toml"
-MAX_LENGTH, MAX_DOTS = 2**20, 100
-MAX_SHOWN, MAX_PRINTED = 200, 10**100
-POSITIONS = ("length", "angle", "voltage", "ratio")
-COMMANDS = ("current", "voltage", "ratio", "pressure", "flow", "frequency")
+MAX_LENGTH, MAX_DOTS = 2**20, 100  # characters of a settings file; dots in one of its keys
+MAX_SHOWN, MAX_PRINTED = 200, 10**100  # characters quoted in a message; largest whole number quoted
+POSITIONS = ("length", "angle", "voltage", "ratio")  # dimensions of a displacement
+COMMANDS = ("current", "voltage", "ratio", "pressure", "flow", "frequency")  # dimensions of a command
 DIMENSIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "time": ("time",),
@@ -40,10 +40,10 @@ class Column(Strict):
 
     Attributes:
         column: its name.
-        unit: of the signal; None where the log says it.
+        unit: of the signal; None where the log gives it.
         zero: the reading that means none, as it stands in the log.
-        scale: `unit` per reading, a negative one turns the sign; None where readings stand in the unit that
-            the log says, else in `unit`.
+        scale: `unit` per reading, a negative one turns the sign; None where readings are in the unit that
+            the log gives, else in `unit`.
     """
 
     column: str
@@ -92,7 +92,7 @@ class SignalMap(Strict):
     @field_validator("covariates", mode="before")
     @classmethod
     def _by_name(cls, value: object) -> object:
-        """Take names for columns in the unit that the log says, whatever the name ends in."""
+        """Read names as columns in the unit that the log gives, whatever the name ends in."""
         if not isinstance(value, list | tuple):
             return value
         return tuple(
@@ -180,10 +180,10 @@ def parse_settings(path: Path, model: type[Settings]) -> Settings:
 
 
 def parse_toml(text: str, source: object) -> dict[str, object]:
-    """Return what a text says in TOML.
+    """Parse TOML.
 
     Raises:
-        SettingsError: it is none, or beyond the measure of settings.
+        SettingsError: the text is not TOML, or too long for settings.
     """
     # Time and memory that tomllib takes grow with the square of the parts of a dotted key.
     if len(text) > MAX_LENGTH or any(
@@ -192,12 +192,12 @@ def parse_toml(text: str, source: object) -> dict[str, object]:
         raise SettingsError(f"{source}: is longer than settings are, or a key in it is; refused")
     try:
         return tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # numbers and nesting beyond all measure among them
+    except (ValueError, RecursionError) as error:  # numbers that are too long, nesting that is too deep
         raise SettingsError(f"{source}: is not valid TOML: {error}") from error
 
 
 def describe(error: ValidationError) -> str:
-    """Put the first complaint of a validation into one sentence that names the key."""
+    """Return the first error of a validation as one sentence that names the key."""
     first = error.errors()[0]
     key = _truncated(".".join(str(key_part) for key_part in first["loc"]) or "settings")
     if first["type"] == "extra_forbidden":

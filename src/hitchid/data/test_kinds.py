@@ -1,4 +1,4 @@
-"""What a record is, found from its commands: its kind, its strokes, and where it stands at an end stop."""
+"""Kind of a test from its commands, strokes of a mixed log, contact with an end stop."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -7,20 +7,20 @@ import numpy as np
 
 from hitchid.data.record import COMMAND, CYCLE, IDLE, LIFTING, LOWERING, RAMP, Record
 
-ACTIVE_FRACTION = 0.05
-RAMP_CORRELATION = 0.99
-RAMP_SHORTEST_S = 2.0
-STALL_S = 0.3
-STALL_SPEED_FRACTION = 0.1
-STALL_COMMAND_FRACTION = 0.8
-REST_S = 0.5
-LEAD_IN_S = 0.1
-SHORTEST_STROKE_S = 0.5
+ACTIVE_FRACTION = 0.05  # of full scale; a smaller command is noise
+RAMP_CORRELATION = 0.99  # of a command with time, from which on it is a ramp
+RAMP_SHORTEST_S = 2.0  # s; a faster rise excites the dynamics
+STALL_S = 0.3  # s; window of a standstill, some lags of a valve
+STALL_SPEED_FRACTION = 0.1  # of the largest travel over that window
+STALL_COMMAND_FRACTION = 0.8  # of a standstill during which the command is strong
+REST_S = 0.5  # s without command before a stroke: the piston has come to rest
+LEAD_IN_S = 0.1  # s kept before the onset of a stroke
+SHORTEST_STROKE_S = 0.5  # s; shorter strokes hold less than a lag
 
 
 @dataclass(frozen=True)
 class Stroke:
-    """Samples `start:stop` of a record during which one mode is in charge."""
+    """Samples `start:stop` of a record with one active direction."""
 
     direction: str
     start: int
@@ -41,7 +41,7 @@ def effective_command(command: np.ndarray, dead_zone: float | np.ndarray) -> np.
 
 
 def full_scales(records: Iterable[Record]) -> dict[str, float]:
-    """Return mode to the largest command among all commands of its unit.
+    """Return direction to the largest command among all commands of its unit.
 
     The noise on a valve that is off must be judged by the commands of the valve that is on.
     """
@@ -56,7 +56,7 @@ def full_scales(records: Iterable[Record]) -> dict[str, float]:
 
 
 def detect_kind(record: Record, scales: Mapping[str, float]) -> str:
-    """Tell from its commands what a record is: lifting, lowering, ramp, cycle or idle.
+    """Return the kind of a record from its commands: lifting, lowering, ramp, cycle or idle.
 
     A command counts as active above 5 % of full scale; see `full_scales`.
     """
@@ -83,12 +83,12 @@ def _is_ramp(command: np.ndarray, step_s: float, threshold: float) -> bool:
 
 
 def ramp_direction(record: Record) -> str:
-    """Return the mode a ramp excites: the one with the larger command."""
+    """Return the direction a ramp excites: the one with the larger command."""
     return max(record.directions, key=lambda direction: float(np.max(np.abs(record.command(direction)))))
 
 
 def direction_signs(record: Record, dead_zones: Mapping[str, float]) -> np.ndarray:
-    """Tell sample by sample which mode's command is effective: +1 lifting, −1 lowering, 0 neither; shape [N].
+    """Return the direction of the effective command: +1 lifting, −1 lowering, 0 neither; shape [N].
 
     Where both are effective lowering counts, as in Sun et al. 2025, sec. 2.2.1: lifting demands that the
     lowering command be zero. What stays below 5 % of the record's largest command is noise, even where the
@@ -104,9 +104,9 @@ def direction_signs(record: Record, dead_zones: Mapping[str, float]) -> np.ndarr
 
 
 def split_by_direction(record: Record, dead_zones: Mapping[str, float]) -> list[Stroke]:
-    """Divide a record, without rest, into stretches with one mode in charge.
+    """Divide a whole record into stretches with one active direction.
 
-    A mode stays in charge while neither command is effective, so that a hold belongs to the stroke before it;
+    A direction stays active while neither command is effective, so that a hold belongs to the stroke before;
     a hold at the very start belongs to the first stroke.
     """
     signs = direction_signs(record, dead_zones)
@@ -123,10 +123,10 @@ def split_by_direction(record: Record, dead_zones: Mapping[str, float]) -> list[
 
 
 def strokes(record: Record, dead_zones: Mapping[str, float]) -> list[Stroke]:
-    """Cut a mixed record into strokes that each begin at rest, fit to identify one mode from.
+    """Cut a mixed record into strokes that each begin at rest, fit to identify one direction from.
 
     A stroke begins 0.1 s before its command becomes effective after at least 0.5 s without effect, or where
-    the mode changes, and lasts until the next begins. Strokes shorter than 0.5 s are left out.
+    the direction changes, and lasts until the next begins. Strokes shorter than 0.5 s are left out.
     """
     signs = direction_signs(record, dead_zones)
     active_samples = np.flatnonzero(signs)
@@ -148,7 +148,7 @@ def strokes(record: Record, dead_zones: Mapping[str, float]) -> list[Stroke]:
 
 
 def end_stop_contact(record: Record, direction: str) -> int | None:
-    """Return the sample at which the piston comes to stand although its command goes on, or None.
+    """Return the sample at which the piston reaches an end stop under command, or None.
 
     Contact: past half of the record's travel and up to the last strong command (one in the upper half), the
     displacement changes over 0.3 s by less than 10 % of what it changes in as long a time at its fastest.

@@ -1,4 +1,4 @@
-"""The units a log may carry, and conversion between those of one dimension."""
+"""Table of the units a log may have, and conversion between units of one dimension."""
 
 from typing import NamedTuple
 
@@ -6,6 +6,8 @@ from hitchid.errors import InputError
 
 
 class _Unit(NamedTuple):
+    """Dimension of a unit, and factor to the SI unit."""
+
     dimension: str
     factor: float
 
@@ -54,75 +56,41 @@ UNITS: dict[str, _Unit] = {
     "degC": _Unit("temperature above freezing", 1.0),
     "K": _Unit("absolute temperature", 1.0),
 }
-# A column may end so for another reason: cylinder 1, lowest value, height.
+# Endings of column names that need not be units: cylinder_1, lowest value, height.
 NOT_COLUMN_SUFFIXES = ("1", "min", "h", "d")
 
-SPELLINGS = {
-    "%": "percent",
-    "pct": "percent",
-    "-": "1",
-    "ampere": "A",
-    "amp": "A",
-    "amps": "A",
-    "volt": "V",
-    "volts": "V",
-    "meter": "m",
-    "metre": "m",
-    "inch": "in",
-    "°": "deg",
-    "degree": "deg",
-    "degrees": "deg",
-    "radian": "rad",
-    "radians": "rad",
-    "sec": "s",
-    "second": "s",
-    "seconds": "s",
-    "secs": "s",
-    "msec": "ms",
-    "millisecond": "ms",
-    "milliseconds": "ms",
-    "usec": "us",
-    "µs": "us",
-    "μs": "us",
-    "nsec": "ns",
-    "minute": "min",
-    "minutes": "min",
-    "hour": "h",
-    "hours": "h",
-    "hr": "h",
-    "hrs": "h",
-    "mins": "min",
-    "day": "d",
-    "days": "d",
-    "microsecond": "us",
-    "microseconds": "us",
-    "nanosecond": "ns",
-    "nanoseconds": "ns",
-    "millisec": "ms",
-    "millisecs": "ms",
-    "µm": "um",
-    "μm": "um",
-    "millivolt": "mV",
-    "milliampere": "mA",
-    "millimeter": "mm",
-    "millimetre": "mm",
-    "rpm": "rpm",
-    "r/min": "rpm",
-    "rev/min": "rpm",
-    "u/min": "1/min",
-    "min-1": "1/min",
-    "min^-1": "1/min",
-    "hz": "Hz",
-    "l/min": "l/min",
-    "lpm": "l/min",
-    "m³/s": "m3/s",
-    "m^3/s": "m3/s",
-    "kn": "kN",
-    "newton": "N",
-    "°c": "degC",
-    "celsius": "degC",
-    "kelvin": "K",
+# Unit to its spellings in files, in lower case.
+_SPELLINGS_BY_UNIT = {
+    "percent": "% pct",
+    "1": "-",
+    "A": "ampere amp amps",
+    "V": "volt volts",
+    "m": "meter metre",
+    "in": "inch",
+    "deg": "° degree degrees",
+    "rad": "radian radians",
+    "s": "sec second seconds secs",
+    "ms": "msec millisecond milliseconds millisec millisecs",
+    "us": "usec µs μs microsecond microseconds",
+    "ns": "nsec nanosecond nanoseconds",
+    "min": "minute minutes mins",
+    "h": "hour hours hr hrs",
+    "d": "day days",
+    "um": "µm μm",
+    "mV": "millivolt",
+    "mA": "milliampere",
+    "mm": "millimeter millimetre",
+    "rpm": "rpm r/min rev/min",
+    "1/min": "u/min min-1 min^-1",
+    "Hz": "hz",
+    "l/min": "l/min lpm",
+    "m3/s": "m³/s m^3/s",
+    "kN": "kn",
+    "N": "newton",
+    "degC": "°c celsius",
+    "K": "kelvin",
 }
+SPELLINGS = {spelling: unit for unit, text in _SPELLINGS_BY_UNIT.items() for spelling in text.split()}
 
 
 def parse_unit(spelling: str) -> str | None:

@@ -20,9 +20,15 @@ from hitchid.data.record import COMMAND, LIFTING, LOWERING
 from hitchid.errors import InputError
 from hitchid.experiments.excitation import prbs, precompensated
 from hitchid.model import Channel, Hitch
+from hitchid.model.information import Information
 from hitchid.readers import write_table
 from hitchid.structures import DEAD_TIME, NONLINEARITY_PARAMETERS, Batch, PhysicalModel, padded_length
-from hitchid.uncertainty import Information
+from hitchid.uncertainty.information import (
+    profile_out_gain,
+    standard_errors,
+    standard_errors_with,
+    standard_errors_with_repeat,
+)
 
 CANDIDATES = 256  # tests evaluated; a power of two, as a Sobol sequence requires
 MAX_LOW_RATIO = 0.8  # low level over high level, largest; nearer levels hardly excite the dynamics
@@ -139,13 +145,13 @@ def design(
     checks.integer(seed, "seed")
     direction, parameter, information = _select_target(model, direction, parameter)
     channel, number = model.channels[direction], information.names.index(parameter)
-    errors = information.standard_errors()
+    errors = standard_errors(information)
 
     def ratios(expected_errors: np.ndarray) -> dict[str, float]:
         return dict(zip(information.names, map(float, expected_errors / errors), strict=True))
 
     proposals = [
-        replace(proposal, remaining_error=ratios(information.standard_errors_with(jacobian)))
+        replace(proposal, remaining_error=ratios(standard_errors_with(information, jacobian)))
         for proposal, jacobian in _candidates(channel, information, limits, model.step_s, seed)
     ]
     if not proposals:
@@ -157,8 +163,8 @@ def design(
         direction=direction,
         parameter=parameter,
         proposals=tuple(proposals[:MAX_PROPOSALS]),
-        baseline_reduction=ratios(information.standard_errors_with_repeat()),
-        ramps=bool(information.fixed[number][number] > DEAD_ZONE_SHARE * errors[number] ** 2),
+        baseline_reduction=ratios(standard_errors_with_repeat(information)),
+        ramps=bool(information.dead_zone_covariance[number][number] > DEAD_ZONE_SHARE * errors[number] ** 2),
     )
 
 
@@ -207,8 +213,7 @@ def _candidates(
     channel: Channel, information: Information, limits: ExcitationLimits, step_s: float, seed: int
 ) -> Iterator[tuple[Proposal, np.ndarray]]:
     """Yield candidates that stay within the limits, and the derivatives of their travel, shape [N, D]."""
-    assert channel.envelope is not None  # noqa: S101 - every identified channel has one
-    operating_range = channel.envelope
+    operating_range = channel.operating_range
     highest = float(operating_range.command.highest)
     if limits.highest is not None:
         highest = limits.highest - channel.dead_zone
@@ -246,7 +251,7 @@ def _candidates(
                 unpadded_travel = test_travel[: commands.shape[1]]
                 yield (
                     replace(proposal, travel=farthest),
-                    information.profile_out_gain(unpadded_travel, slopes[: unpadded_travel.size]),
+                    profile_out_gain(information, unpadded_travel, slopes[: unpadded_travel.size]),
                 )
 
 
@@ -264,8 +269,7 @@ def _signal(proposal: Proposal, step_s: float) -> np.ndarray:
 
 def _batch(channel: Channel, commands: Float[np.ndarray, "t n"], step_s: float) -> Batch:
     """Return candidate tests as a batch that starts where the identification tests started."""
-    assert channel.envelope is not None  # noqa: S101 - every identified channel has one
-    ends = channel.envelope.displacement
+    ends = channel.operating_range.displacement
     start = ends.lowest if channel.sign > 0 else ends.highest
     tests, samples = commands.shape
     padded = np.pad(commands, ((0, 0), (0, padded_length(samples) - samples)))
@@ -277,7 +281,7 @@ def _batch(channel: Channel, commands: Float[np.ndarray, "t n"], step_s: float) 
         valid=jnp.ones(padded.shape, dtype=bool),
         loss_mask=jnp.ones(padded.shape, dtype=bool),
         initial=jnp.full(tests, start),
-        covariate=jnp.full(tests, 0.5 * (channel.envelope.load.lowest + channel.envelope.load.highest)),
+        covariate=jnp.full(tests, 0.5 * (channel.operating_range.load.lowest + channel.operating_range.load.highest)),
         step_s=step_s,
         sign=channel.sign,
     )

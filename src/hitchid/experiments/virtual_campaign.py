@@ -21,20 +21,20 @@ from hitchid.readers import write_table
 from hitchid.rig import Rig, load_rig, measure, rig_limits, simulate
 
 Protocol = Literal["prbs", "ramp", "cycle"]
-REPEATS = 3
-MOST_TESTS = 10_000
+REPEATS = 3  # ramps of a direction
+MOST_TESTS = 10_000  # of a kind, to bound memory
 TESTS: Mapping[Protocol, int] = MappingProxyType({"prbs": 20})
-RAMP_S = 30.0
-DYNAMIC_S = 10.0
-CYCLE_S = 60.0
-RAMP_TRAVEL_M = 0.02
-RAMP_TAIL_S = 1.0
-FLOW_FRACTION = 0.9
-STROKE_FRACTION = 0.6
-LOW = (0.03, 0.25)
-HIGH = (0.5, 1.0)
-CLOCK_S = (0.15, 0.4)
-TRUTH = "truth"
+RAMP_S = 30.0  # s, length of a ramp
+DYNAMIC_S = 10.0  # s, length of a dynamic test
+CYCLE_S = 60.0  # s, length of a mixed test
+RAMP_TRAVEL_M = 0.02  # m, at which an operator would end a ramp
+RAMP_TAIL_S = 1.0  # s at the end of a ramp, for its speed
+FLOW_FRACTION = 0.9  # of the pump flow; above, the pressure compensator starves
+STROKE_FRACTION = 0.6  # of the stroke that a dynamic test may travel
+LOW = (0.03, 0.25)  # low level over the highest command, drawn between
+HIGH = (0.5, 1.0)  # high level over the highest command, drawn between
+CLOCK_S = (0.15, 0.4)  # s, shortest hold of a level, drawn between
+TRUTH = "truth"  # folder of the true displacements
 COLUMNS = """[signals]
 time = "time_s"
 lifting_command = "current_up_A"
@@ -45,7 +45,7 @@ displacement = "displacement_mm"
 
 @dataclass(frozen=True)
 class StaticResult:
-    """What the static test of one direction found.
+    """Result of the static test of one direction.
 
     Attributes:
         dead_zone: mean over the ramps, A.
@@ -62,7 +62,7 @@ class Log:
 
     Attributes:
         name: of its file.
-        columns: column to samples as measured.
+        columns: column to measured samples.
         truth: displacement without sensor and noise, mm.
     """
 
@@ -103,7 +103,7 @@ def run(
         }
     if "cycle" in tests:
         jobs["cycle"] = partial(_cycles, rig, static, tests["cycle"], seed)
-    # Cycles beside the first direction: the second one then finds its program compiled.
+    # Cycles run with the first direction: the second one then reuses its compiled program.
     results = parallel(
         lambda name: jobs[name](), sorted(jobs, key=[*directions[:1], "cycle", *directions[1:]].index)
     )

@@ -4,6 +4,7 @@ from hitchid.estimation import DifferentialEvolution as DifferentialEvolution
 from hitchid.estimation import MultiStart as MultiStart
 from hitchid.estimation import Search as Search
 from hitchid.estimation import Whale as Whale
+from hitchid.estimation.training import AdamConfig as AdamConfig
 from hitchid.identification.campaign_job import Identification as Identification
 from hitchid.identification.direction import ChannelTrace as ChannelTrace
 from hitchid.identification.identify import identify as identify
@@ -14,5 +15,4 @@ from hitchid.identification.rollouts import Rollouts as Rollouts
 from hitchid.identification.selection import AutoStructure as AutoStructure
 from hitchid.identification.settings_file import Settings as Settings
 from hitchid.identification.settings_file import read_settings as read_settings
-from hitchid.identification.training import AdamConfig as AdamConfig
 from hitchid.structures import ModelSpec as ModelSpec

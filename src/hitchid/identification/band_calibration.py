@@ -6,12 +6,11 @@ import numpy as np
 from hitchid._support.metrics import HORIZONS
 from hitchid.identification.phase1 import Phase1
 from hitchid.model import Channel
+from hitchid.model.bands import Bands, EnsembleMember
 from hitchid.model.ensemble import ensemble_deviations, perturbed_channel
 from hitchid.structures import Batch
-from hitchid.uncertainty.bands import (
+from hitchid.uncertainty.conformal import (
     LEVELS,
-    Bands,
-    EnsembleMember,
     conformal_quantile,
     nonconformity_scores,
     sensor_noise,
@@ -56,7 +55,7 @@ def calibrate_bands(channel: Channel, phase1: Phase1, all_tests: Batch, validati
     noise = sensor_noise(residuals)
     horizons, half_widths = _horizon_half_widths(channel, validation)
     return Bands(
-        alternatives=tuple(ensemble[number] for number in selected),
+        ensemble=tuple(ensemble[number] for number in selected),
         noise=noise,
         levels=LEVELS,
         free_run=tuple(
@@ -64,7 +63,7 @@ def calibrate_bands(channel: Channel, phase1: Phase1, all_tests: Batch, validati
             for level in LEVELS
         ),
         horizons=horizons,
-        ahead=half_widths,
+        half_widths=half_widths,
         tests=(tests, validation.command.shape[0]),
     )
 

@@ -14,8 +14,9 @@ from hitchid.data.campaign import Campaign
 from hitchid.data.record import COMMAND, CYCLE, DISPLACEMENT, Record
 from hitchid.errors import InputError, SettingsError
 from hitchid.estimation import Search, SearchComparison
+from hitchid.identification.channel_trace import ChannelConfig, ChannelTrace
 from hitchid.identification.dead_zone import DeadZone
-from hitchid.identification.direction import ChannelConfig, ChannelTrace, with_calibrated_gain
+from hitchid.identification.direction import with_calibrated_gain
 from hitchid.identification.gain_calibration import calibrate_gains, calibration_improves
 from hitchid.identification.hold_drift import hold_drift
 from hitchid.identification.mode_test import compare_modes
@@ -213,7 +214,7 @@ class CampaignJob:
             validation={direction: self.channel_data[direction].validation_names for direction in results},
             held_out={direction: _names(campaign.held_out(direction)) for direction in results},
             seen=self.fingerprints,
-            cut_at=self.segmentation_dead_zones,
+            segmentation_dead_zones=self.segmentation_dead_zones,
             seed=self.config.seed,
             settings=self.config.describe(),
             versions=installed_versions(),
@@ -224,12 +225,18 @@ class CampaignJob:
         if same_unit:
             mode_test = attempt("test of two modes", lambda: compare_modes(self.channel_data), notices)
         traces = {direction: trace for direction, (_, trace) in _with_notices(results, notices).items()}
+        hitch = self._hitch(results)
         hitch = replace(
-            self._hitch(results),
+            hitch,
             provenance=provenance,
             two_modes=mode_test,
             uncertainty={
                 direction: trace.uncertainty for direction, trace in traces.items() if trace.uncertainty
+            },
+            comparison={
+                direction: trace.comparison.with_limits(hitch.channels[direction].limits)
+                for direction, trace in traces.items()
+                if trace.comparison
             },
         )
         return Identification(hitch, traces)
@@ -248,7 +255,7 @@ class CampaignJob:
         )
         stops = {c.sign: c.end_stop for c, _ in results.values() if c.end_stop is not None}
         limits = TravelLimits.of(records, stops)
-        channels = {direction: _with_limits(channel, limits) for direction, (channel, _) in results.items()}
+        channels = {direction: replace(channel, limits=limits) for direction, (channel, _) in results.items()}
         dead_zones = {direction: channel.dead_zone for direction, channel in channels.items()}
         drift = hold_drift(records, dead_zones) if self.config.drift else 0.0
         return Hitch(channels, campaign.step_s, units, drift=drift)
@@ -265,8 +272,8 @@ def _check_dead_zone(campaign: Campaign, direction: str, value: float) -> None:
     highest = max((float(np.max(np.abs(record.command(direction)))) for record in tests), default=np.inf)
     if not 0 <= value < highest:
         raise SettingsError(
-            f"{direction}: dead_zone is {value:g} {campaign.units.get(COMMAND[direction], '')}; required from 0 to "
-            f"below the largest command, {highest:.4g}"
+            f"{direction}: dead_zone is {value:g} {campaign.units.get(COMMAND[direction], '')}; required from "
+            f"0 to below the largest command, {highest:.4g}"
         )
 
 
@@ -286,12 +293,6 @@ def _with_notices(results: ChannelResults, notices: Sequence[str]) -> ChannelRes
         direction: (channel, replace(trace, notices=(*trace.notices, *notices)))
         for direction, (channel, trace) in results.items()
     }
-
-
-def _with_limits(channel: Channel, limits: TravelLimits) -> Channel:
-    """Return a channel, and the paper's method beside it, held within the limits of the plant."""
-    paper = None if channel.paper is None else replace(channel.paper, limits=limits)
-    return replace(channel, limits=limits, paper=paper)
 
 
 def _channel_config(

@@ -10,7 +10,8 @@ from scipy.signal import lfilter
 from hitchid.data.record import Record
 from hitchid.data.test_kinds import ACTIVE_FRACTION, effective_command
 from hitchid.errors import LogError
-from hitchid.uncertainty import NO_ERROR, DeadZoneError, Quantity, make_quantity
+from hitchid.model import Quantity, make_quantity
+from hitchid.uncertainty import NO_ERROR, DeadZoneError
 from hitchid.uncertainty.dead_zone_error import t_quantile
 
 CANDIDATES = 400  # dead zones that are compared, a quarter of a percent of the largest command apart

@@ -10,8 +10,9 @@ from hitchid._support.checkpoints import DISABLED, Checkpoints
 from hitchid._support.progress import IterationCallback
 from hitchid.estimation import Objective, Search, SearchResult, best_refined, refine, search_problem
 from hitchid.identification.optional import attempt
+from hitchid.model import Estimate, Estimates
 from hitchid.structures import Batch, ModelSpec, PhysicalModel
-from hitchid.uncertainty import NO_ERROR, DeadZoneError, Estimate, Estimates, Influence, assess, unassessed
+from hitchid.uncertainty import NO_ERROR, DeadZoneError, Influence, assess, unassessed
 
 GAIN_ITERATIONS = (
     3  # of the gain against a travel that depends on it weakly, through the gain along the stroke

@@ -9,8 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Float32, PRNGKeyArray
 
 from hitchid._support.checkpoints import DISABLED, Checkpoints
-from hitchid.identification.rollouts import Rollouts
-from hitchid.identification.training import (
+from hitchid.estimation.training import (
     AdamConfig,
     EpochCallback,
     TrainingHistory,
@@ -18,6 +17,7 @@ from hitchid.identification.training import (
     pad_to_batches,
     train,
 )
+from hitchid.identification.rollouts import Rollouts
 from hitchid.networks.error_compensator import FEATURES, Compensator, Sample, measured_features
 from hitchid.networks.lstm import Lstm
 from hitchid.structures import Batch

@@ -14,7 +14,8 @@ from hitchid.identification.campaign_job import (
     Identification,
     IdentificationConfig,
 )
-from hitchid.identification.direction import ChannelTrace, find_benchmark, find_compensators
+from hitchid.identification.channel_trace import ChannelTrace
+from hitchid.identification.direction import find_benchmark, find_compensators
 from hitchid.model import Channel
 
 Arguments = ParamSpec("Arguments")

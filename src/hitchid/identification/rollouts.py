@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from hitchid._support.checkpoints import DISABLED, Arrays, Checkpoints
 from hitchid._support.metrics import proven_better
-from hitchid.identification.weights import weights_of, with_weights
+from hitchid.estimation.training import optimiser, weights_of, with_weights
 from hitchid.networks.lstm import Lstm
 from hitchid.networks.operating_range import OperatingRange
 from hitchid.networks.speed_compensator import INPUTS, BlockInputs, SpeedCompensator, compute_block_inputs
@@ -109,9 +109,9 @@ def train_on_rollouts(
     networks = jax.tree.map(lambda *leaves: jnp.stack(leaves), *initial_networks)
     compensator = SpeedCompensator(
         networks=networks,
-        command=jnp.asarray(float(jnp.abs(batch.command).max()) or 1.0),
-        moved=jnp.asarray(float(jnp.std(block_inputs.travel_increment)) or 1.0),
-        envelope=operating_range,
+        command_scale=jnp.asarray(float(jnp.abs(batch.command).max()) or 1.0),
+        increment_scale=jnp.asarray(float(jnp.std(block_inputs.travel_increment)) or 1.0),
+        operating_range=operating_range,
         sign=batch.sign,
         block_size=block_size,
     )
@@ -183,8 +183,7 @@ def _train(
         return mean[0], mean
 
     weights, fixed = eqx.partition(compensator.networks, eqx.is_inexact_array)
-    schedule = optax.cosine_decay_schedule(settings.learning_rate, settings.epochs, alpha=0.1)
-    optimiser = optax.chain(optax.clip_by_global_norm(1.0), optax.adam(schedule))
+    adam = optimiser(settings.learning_rate, settings.epochs)
     stage_epochs, blocks = settings.epochs // 5, block_inputs.command.shape[0]
     epoch_numbers = jnp.arange(settings.epochs)
     stage = jnp.minimum(epoch_numbers // max(stage_epochs, 1), len(CURRICULUM))
@@ -204,7 +203,7 @@ def _train(
             weights,
             best,
         )
-        change, state = jax.vmap(optimiser.update)(gradient, state, weights)
+        change, state = jax.vmap(adam.update)(gradient, state, weights)
         return (optax.apply_updates(weights, change), state, best, best_loss, best_epoch), mean.T
 
     members = roles.shape[1]
@@ -213,7 +212,7 @@ def _train(
     )
     initial_carry = (
         weights,
-        jax.vmap(optimiser.init)(weights),
+        jax.vmap(adam.init)(weights),
         weights,
         initial_losses(weights, roles),
         jnp.zeros(members, epoch_numbers.dtype),

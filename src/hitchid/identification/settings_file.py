@@ -12,12 +12,12 @@ from hitchid.data.signal_map import Strict, parse_settings
 from hitchid.errors import InputError, SettingsError
 from hitchid.estimation import DifferentialEvolution, MultiStart, Search, SearchComparison, Whale
 from hitchid.estimation.global_search import EVALUATIONS, WhaleConfig
+from hitchid.estimation.training import AdamConfig
 from hitchid.identification.arguments import LARGEST_SEED
 from hitchid.identification.identify import DEFAULT_STRUCTURES
 from hitchid.identification.phase2 import CompensatorConfig
 from hitchid.identification.rollouts import Rollouts
 from hitchid.identification.selection import AutoStructure
-from hitchid.identification.training import AdamConfig
 from hitchid.structures import ModelSpec, structure_named
 
 AUTOMATIC = "automatic"

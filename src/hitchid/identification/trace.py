@@ -5,7 +5,7 @@ from dataclasses import asdict
 
 import numpy as np
 
-from hitchid.identification.direction import ChannelTrace
+from hitchid.identification.channel_trace import ChannelTrace
 
 
 def describe_channel(trace: ChannelTrace) -> dict:

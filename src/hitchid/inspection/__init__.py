@@ -1,4 +1,4 @@
-"""A look at logs before any fit, and a first `campaign.toml` from them."""
+"""Inspection of logs before an identification, and a first `campaign.toml` from them."""
 
 from hitchid.inspection.inspect_logs import inspect as inspect
 from hitchid.inspection.inspect_logs import inspect_campaign as inspect_campaign

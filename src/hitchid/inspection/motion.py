@@ -1,4 +1,4 @@
-"""Which signals move with which: windows of all logs, in which one's mean goes with another's change."""
+"""Correlation of the mean of one signal with the rate of another, over windows of all logs."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -7,10 +7,10 @@ import numpy as np
 
 from hitchid.readers import Content
 
-WINDOW_S = 0.2
-WINDOW_SAMPLES = 3
-LAGS = (0, 1)
-MAX_CHANNELS = 80
+WINDOW_S = 0.2  # s, over which means and rates are taken: some lags of a valve
+WINDOW_SAMPLES = 3  # in a window at least
+LAGS = (0, 1)  # windows from command to motion
+MAX_CHANNELS = 80  # compared, of a bus with hundreds
 
 
 @dataclass(frozen=True)

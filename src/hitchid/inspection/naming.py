@@ -1,4 +1,4 @@
-"""What the name and the range of a column say of its role and unit."""
+"""Role and unit of a column from its name and range."""
 
 import re
 
@@ -24,8 +24,8 @@ ANGLE = _list("angle ang winkel")
 RATIO = _list("duty pwm percent pct ratio")
 CURRENT = _list("current curr strom")
 TIME = _list("time zeit timestamp t")
-ANALOG_V = 10.5
-SERVO_NEUTRAL = (6.5, 8.5)
+ANALOG_V = 10.5  # V, range of an analogue input of 10 V
+SERVO_NEUTRAL = (6.5, 8.5)  # percent: 1.5 ms of 20 ms, the rest of a servo's pulse width
 
 
 def words(name: str) -> frozenset[str]:
@@ -34,7 +34,7 @@ def words(name: str) -> frozenset[str]:
 
 
 def stated_unit(name: str, unit: str | None) -> tuple[str | None, str]:
-    """Return the unit that the file or the column's name says, None without any, and which of them does."""
+    """Return the unit given by the file or the column's name, or None, and its source."""
     if file_unit := parse_unit(unit or ""):
         return file_unit, "unit from the file"
     last = re.split(r"[^A-Za-z%°µ]+", name.strip(")] "))[-1]

@@ -17,12 +17,13 @@ from hitchid.inspection import naming
 from hitchid.inspection.motion import Windows, windows
 from hitchid.readers import ChannelSelection, Content, ReaderProcess, find_logs, read_content, settings_of
 
-MAX_LOGS, MAX_SHOWN = 24, 6
-INCREASING_FRACTION = 0.99
-MAX_STEP_RATIO = 0.05
+MAX_LOGS, MAX_SHOWN = 24, 6  # logs read, evenly spread; pressures named
+INCREASING_FRACTION = 0.99  # of the intervals of a time column
+MAX_STEP_RATIO = 0.05  # mean one-step change over the range of a displacement
+# Correlation of each of two one-sided commands; by how much both together exceed the better one.
 MIN_PAIR_CORRELATION, MIN_PAIR_GAIN = 0.05, 0.02
-SCORE_MARGIN = 0.02
-STEPS_S = (("s", 0.5), ("ms", 500.0), ("us", 5e5))
+SCORE_MARGIN = 0.02  # below the best score: nearly as good
+STEPS_S = (("s", 0.5), ("ms", 500.0), ("us", 5e5))  # unit of time, and step below which it is taken
 
 
 class _Guess(NamedTuple):
@@ -69,7 +70,7 @@ def propose(logs: str | Path | Iterable[str | Path]) -> str:
         )
     if not contents:
         refuse(unread, "logs")
-    # Where logs differ in their columns, those that most have: the others are no part of the same campaign.
+    # Where logs differ in their columns, those that most have: others belong to another campaign.
     reference = max(contents, key=lambda log: sum(log.channels.keys() == c.channels.keys() for c in contents))
     contents = [log for log in contents if log.channels.keys() == reference.channels.keys()]
     time = _time(contents)
@@ -81,7 +82,7 @@ def propose(logs: str | Path | Iterable[str | Path]) -> str:
         raise InputError(
             f"no two columns move together as command and displacement do; found {', '.join(names) or 'none'}"
         )
-    # A name with a line break must not end the comment it stands in.
+    # A line break in a name must not end a comment.
     return "\n".join(line.replace("\n", " ") for line in _lines(guesses, time, timed, names))
 
 
@@ -122,7 +123,7 @@ def _times(content: Content, time: _Time) -> Mapping[str, np.ndarray]:
 
 
 def _usable(name: str, contents: Sequence[Content]) -> bool:
-    """Tell whether a channel holds finite numbers throughout, and more than one."""
+    """Return whether a channel holds finite numbers only, and not a constant."""
     arrays = [content.channels[name].values for content in contents]
     return all(a.size > 1 and np.all(np.isfinite(a)) for a in arrays) and any(np.ptp(a) > 0 for a in arrays)
 
@@ -144,7 +145,7 @@ def _guesses(log_windows: Windows, names: Sequence[str], contents: Sequence[Cont
 
 
 def _smooth(name: str, contents: Sequence[Content]) -> bool:
-    """Tell whether a channel goes from sample to sample in steps small beside its range, as a piston does."""
+    """Return whether a channel changes in small steps compared with its range, as a piston does."""
     arrays = [content.channels[name].values for content in contents]
     value_range = max(float(a.max()) for a in arrays) - min(float(a.min()) for a in arrays)
     return sum(float(np.abs(np.diff(a)).mean()) for a in arrays) < MAX_STEP_RATIO * len(arrays) * value_range
@@ -251,7 +252,7 @@ def _rest_reading(best: _Guess, timed: Sequence[tuple[Content, Mapping[str, np.n
 
 
 def _covariates(best: _Guess, contents: Sequence[Content], names: Sequence[str]) -> Iterator[str]:
-    """Return a line on the pressure that most probably tells the load, and what else there is."""
+    """Return lines on the pressure that most probably measures the load, and on other pressures."""
     first = contents[0].channels
     units = {name: naming.stated_unit(name, first[name].unit)[0] for name in names}
     pressures = [
@@ -265,7 +266,7 @@ def _covariates(best: _Guess, contents: Sequence[Content], names: Sequence[str])
     )
     if pressures:
         also = f"; also there: {', '.join(pressures[1:MAX_SHOWN])}" if pressures[1:] else ""
-        yield f"# a pressure by its name, which may tell the load{also}"
+        yield f"# a pressure by its name, which may measure the load{also}"
         yield f"covariates = [{json.dumps(pressures[0], ensure_ascii=False)}]"
 
 

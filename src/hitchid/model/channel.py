@@ -1,7 +1,6 @@
-"""One direction of a hitch: dead zone, benchmark, compensators, and the baselines fitted beside them."""
+"""One direction of a hitch: dead zone, benchmark, compensators."""
 
 from collections.abc import Mapping, Sequence
-from typing import Optional
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,9 +9,6 @@ from jaxtyping import Array, Float
 
 from hitchid._support import checks
 from hitchid._support.precision import double_precision
-from hitchid.baselines.autoregression import Arx
-from hitchid.baselines.black_box import BlackBox
-from hitchid.baselines.narx import Narx
 from hitchid.data.record import Record
 from hitchid.model.limits import TravelLimits
 from hitchid.networks.error_compensator import Compensator, Sample, free_run, predict_errors
@@ -27,18 +23,15 @@ class Channel(eqx.Module):
     """A grey box for one direction: a benchmark, a compensator for predictions and one for free run.
 
     Attributes:
-        direction: whose command it hears.
+        direction: lifting or lowering, whose command drives it.
         sign: +1 where the displacement grows with the command, −1 where it falls.
         dead_zone: dead zone of the command, in its unit.
         end_stop: displacement the piston cannot pass, in the displacement's unit; None where none was met.
-        limits: between what displacements a free run is held; None in models that know none.
         benchmark: the model from commands to displacement.
-        compensator: predicts the benchmark's error from what was measured before; None leaves it alone.
-        speed_compensator: corrects the benchmark in free run; None where it did not prove itself.
-        envelope: what the identification tests covered.
-        arx, narx, black_box: baselines fitted on the same tests.
-        paper: the method of Sun et al. 2025 fitted on the same tests, for comparison: a transfer function,
-            and a compensator that in free run hears itself; None where this channel is that.
+        operating_range: ranges of the signals in the identification tests.
+        compensator: predicts the benchmark's error from measured displacement; None for no correction.
+        speed_compensator: corrects the benchmark in free run; None where it was not accepted.
+        limits: displacements a free run is held between; None in models of older versions.
     """
 
     direction: str = eqx.field(static=True)
@@ -46,18 +39,14 @@ class Channel(eqx.Module):
     dead_zone: float = eqx.field(static=True)
     end_stop: float | None = eqx.field(static=True)
     benchmark: PhysicalModel
+    operating_range: OperatingRange
     compensator: Compensator | None = None
     speed_compensator: SpeedCompensator | None = None
-    envelope: OperatingRange | None = None
-    arx: Arx | None = None
-    narx: Narx | None = None
-    black_box: BlackBox | None = None
-    paper: Optional["Channel"] = None
     limits: TravelLimits | None = eqx.field(static=True, default=None)
 
     @double_precision
     def batch(self, records: Sequence[Record], initial: Sequence[float] | None = None) -> Batch:
-        """Lay records side by side as this channel hears them; see `Batch.of`."""
+        """Return records as a batch with this channel's dead zone, sign and end stop; see `Batch.of`."""
         return Batch.of(
             checks.tuple_of(records, Record, "records", RECORDS),
             self.direction,
@@ -89,9 +78,9 @@ class Channel(eqx.Module):
 
     @double_precision
     def simulate_closed_loop(self, batch: Batch) -> Float[Array, "t n"]:
-        """Return the free run of the compensator for predictions, which hears itself, shape [T, N].
+        """Return the free run with the compensator for predictions fed back its own output, shape [T, N].
 
-        This is what the method of Sun et al. 2025 gives where nothing is measured.
+        This is the free run of the method of Sun et al. 2025.
         """
         benchmark = self.simulate_benchmark(batch)
         if self.compensator is None:
@@ -102,24 +91,22 @@ class Channel(eqx.Module):
 
     @double_precision
     def out_of_range(self, batch: Batch, displacement: Float[Array, "t n"]) -> Mapping[str, np.ndarray]:
-        """Tell where a simulation leaves what the identification tests covered.
+        """Return where a simulation leaves the operating range of the identification tests.
 
         Args:
-            batch: what was simulated.
+            batch: the simulated tests.
             displacement: the result, shape [T, N].
 
         Returns:
-            `command`, `displacement` and `load` to whether each sample is outside, shape [T, N].
+            `command`, `displacement` and `load` to whether each sample lies outside, shape [T, N].
         """
-        if self.envelope is None:
-            return {}
         signals = {
             "command": jnp.abs(batch.command),
             "displacement": displacement,
             "load": batch.covariate[:, None],
         }
         return {
-            name: np.asarray((getattr(self.envelope, name).trust(values) < 1) & batch.valid)
+            name: np.asarray((getattr(self.operating_range, name).trust(values) < 1) & batch.valid)
             for name, values in signals.items()
         }
 
@@ -139,7 +126,7 @@ class Channel(eqx.Module):
 
         Args:
             batch: tests.
-            horizons: the h asked for, in samples.
+            horizons: the h, in samples.
 
         Returns:
             Predictions, shape [len(horizons), T, N].
@@ -147,9 +134,7 @@ class Channel(eqx.Module):
         benchmark = self.simulate_benchmark(batch)
         time_s = jnp.broadcast_to(_clock(batch), benchmark.shape)
         tests = Sample(time_s, batch.command, benchmark, batch.displacement)
-        trust = jnp.ones_like(benchmark)
-        if self.envelope is not None:
-            trust = self.envelope.trust(jnp.abs(batch.command), benchmark, batch.covariate[:, None])
+        trust = self.operating_range.trust(jnp.abs(batch.command), benchmark, batch.covariate[:, None])
         return benchmark + predict_errors(self.compensator, tests, trust, horizons, batch.step_s)
 
 

@@ -1,11 +1,11 @@
-"""The hitch one sample at a time: which channel is in charge, and what it does with the piston.
+"""The hitch one sample at a time: which channel is in charge, and how it moves the piston.
 
 The one definition of a hitch's motion. docs/switching.md has the state machine as a table.
 """
 
 from collections.abc import Sequence
 from functools import partial
-from typing import NamedTuple, TypeVar
+from math import isfinite
 
 import equinox as eqx
 import jax
@@ -15,117 +15,22 @@ from jaxtyping import Array, Bool, Float, Float32, Int
 from hitchid.data.record import DIRECTIONS
 from hitchid.data.test_kinds import ACTIVE_FRACTION
 from hitchid.model.channel import Channel
-from hitchid.networks.error_compensator import FEATURES, Compensator, FeatureState, Sample
-from hitchid.networks.lstm import SINGLE, LstmState
+from hitchid.model.error_prediction import clip_at_end_stops, compute_features, predict_increment, select
+from hitchid.model.state import ChannelState, HitchState, NetworkInput, SpeedCompensatorState
+from hitchid.networks.error_compensator import FeatureState, Sample
+from hitchid.networks.lstm import SINGLE
 from hitchid.structures import DiscretePhysicalModel, ValveState
 
-Tree = TypeVar("Tree")
-STANDING = -1
-MAX_COASTING_SAMPLES = 100
-MAX_MAGNITUDE = 1e9
-
-
-class SpeedCompensatorState(NamedTuple):
-    """State of the compensator for free run.
-
-    Attributes:
-        hidden: of its networks, shape [M, 1, H].
-        factor: on the benchmark's speed in this block.
-        command, travel_increment: sums over this block so far, of effective command and of the benchmark's
-            travel.
-    """
-
-    hidden: LstmState
-    factor: Float[Array, ""]
-    command: Float[Array, ""]
-    travel_increment: Float[Array, ""]
-
-
-class ChannelState(NamedTuple):
-    """State of one channel.
-
-    Attributes:
-        valve: hears every command, in charge or not.
-        plant: of the benchmark.
-        samples_in_charge: samples since the channel took charge.
-        correction: of the compensator for free run; None where there is none.
-    """
-
-    valve: ValveState
-    plant: Float[Array, " n"]
-    samples_in_charge: Int[Array, ""]
-    correction: SpeedCompensatorState | None
-
-
-class HitchState(NamedTuple):
-    """State of a hitch at one sample; displacements in the model's unit.
-
-    Attributes:
-        displacement: what the model says it is: with measurements the benchmark's plus the predicted error,
-            without any, the free run.
-        error: predicted error of the benchmark.
-        benchmark: the benchmark's, as if there were no end stop, but within the limits of the plant.
-        free_run: free run, compensated, likewise.
-        start: where the channel in charge took it.
-        mode: place of the channel in charge; −1 while nothing has moved yet.
-        samples_since_measurement: samples since a displacement was measured; −1 if none ever was.
-        commands: lifting and lowering command last heard, shape [2].
-        command_missing: whether a command was missing and the last one held.
-        both_valves_active: whether both valves were on; then lowering counts.
-        load: second measured input, before motion.
-        feature_state: of the compensator in charge.
-        channels: of each channel.
-        hidden: of the network in charge: output and cell of the LSTM that answers and of the one that
-            follows, shape [2, 2, H].
-    """
-
-    displacement: Float[Array, ""]
-    error: Float[Array, ""]
-    benchmark: Float[Array, ""]
-    free_run: Float[Array, ""]
-    start: Float[Array, ""]
-    mode: Int[Array, ""]
-    samples_since_measurement: Int[Array, ""]
-    commands: Float[Array, "2"]
-    command_missing: Bool[Array, ""]
-    both_valves_active: Bool[Array, ""]
-    load: Float[Array, ""]
-    feature_state: FeatureState
-    channels: tuple[ChannelState, ...]
-    hidden: Float32[Array, "2 2 h"]
-
-
-class NetworkInput(NamedTuple):
-    """What the network of the channel in charge is asked.
-
-    Attributes:
-        channel_index: place of the channel.
-        scaled_features: features, shape [10].
-        index_in_window: samples read, modulo L.
-        trust: factor on its answer; zero where it is not to answer.
-        reset: whether it starts anew.
-        error: predicted error so far.
-        benchmark: displacement without error; free: without measurements.
-        has_measurement: whether a displacement was ever measured.
-    """
-
-    channel_index: Int[Array, ""]
-    scaled_features: Float32[Array, "10"]
-    index_in_window: Int[Array, ""]
-    trust: Float[Array, ""]
-    reset: Bool[Array, ""]
-    error: Float[Array, ""]
-    benchmark: Float[Array, ""]
-    free_run: Float[Array, ""]
-    has_measurement: Bool[Array, ""]
+STANDING = -1  # index of the channel in charge while nothing has moved yet
+MAX_MAGNITUDE = 1e9  # a command or displacement beyond it, in its unit, is taken as missing
 
 
 class HitchDynamics(eqx.Module):
     """A hitch on its clock.
 
     Attributes:
-        channels: in the order of the modes.
-        discrete_models: their benchmarks on the clock.
+        channels: in the order of `DIRECTIONS`.
+        discrete_models: their benchmarks, discretised.
         drift: speed of a piston that is held, displacement's unit/s.
         step_s: sampling time, s.
     """
@@ -137,7 +42,7 @@ class HitchDynamics(eqx.Module):
 
     @classmethod
     def of(cls, channels: Sequence[Channel], step_s: float, drift: float) -> "HitchDynamics":
-        """Put channels on a clock."""
+        """Discretise channels at a sampling time."""
         return cls(
             tuple(channels), tuple(_discrete_model(channel, step_s) for channel in channels), drift, step_s
         )
@@ -188,7 +93,7 @@ class HitchDynamics(eqx.Module):
     def advance_physics(
         self, state: HitchState, commands: Float[Array, "2"], measured: Float[Array, ""]
     ) -> tuple[HitchState, NetworkInput]:
-        """Do all of a step but the network's part; see `step` and `answer`."""
+        """Do all of a step but the network's part; see `step` and `advance_network`."""
         command_valid = jnp.abs(commands) < MAX_MAGNITUDE
         commands = jnp.where(command_valid, commands, state.commands)
         is_measured = jnp.abs(measured) < MAX_MAGNITUDE
@@ -203,11 +108,11 @@ class HitchDynamics(eqx.Module):
         demands = [valve.motion_demand[-1] for valve in valves]
         mode = state.mode
         for number, demand in enumerate(demands):
-            # Where both call, the last of the modes counts: lowering.
+            # Where both valves demand motion, the last direction counts: lowering.
             mode = jnp.where(demand, number, mode)
         next_state = state._replace(
             error=jnp.where(
-                is_measured, measured - self._clip_at_end_stops(state, state.benchmark), state.error
+                is_measured, measured - clip_at_end_stops(self.channels, state, state.benchmark), state.error
             ),
             mode=mode,
             samples_since_measurement=jnp.where(
@@ -237,7 +142,7 @@ class HitchDynamics(eqx.Module):
                 number, next_state, entering & (mode == number), displacement, speed
             )
         reset = (mode != state.mode) | (is_measured & (state.samples_since_measurement < 0))
-        next_state, scaled_features, trust = self._features(next_state, reset)
+        next_state, scaled_features, trust = compute_features(self.channels, next_state, reset, self.step_s)
         for number in range(len(self.channels)):
             next_state = self._advance_channel(number, next_state)
         next_state = self._clip_at_limits(self._apply_drift(next_state, ~jnp.any(jnp.stack(demands))))
@@ -248,20 +153,20 @@ class HitchDynamics(eqx.Module):
             trust=trust,
             reset=reset,
             error=next_state.error,
-            benchmark=self._clip_at_end_stops(next_state, next_state.benchmark),
-            free_run=self._clip_at_end_stops(next_state, next_state.free_run),
+            benchmark=clip_at_end_stops(self.channels, next_state, next_state.benchmark),
+            free_run=clip_at_end_stops(self.channels, next_state, next_state.free_run),
             has_measurement=next_state.samples_since_measurement >= 0,
         )
 
     def advance_network(
         self, hidden: Float32[Array, "2 2 h"], network_input: NetworkInput
     ) -> tuple[Float32[Array, "2 2 h"], Float[Array, ""], Float[Array, ""]]:
-        """Let the network of the channel in charge predict the error.
+        """Return the error predicted by the network of the channel in charge.
 
         Returns:
             The network's state, the error, and the displacement at the next sample.
         """
-        predictors = [partial(_predict_increment, channel.compensator) for channel in self.channels]
+        predictors = [partial(predict_increment, channel.compensator) for channel in self.channels]
         hidden, increment = jax.lax.switch(network_input.channel_index, predictors, hidden, network_input)
         error = network_input.error + network_input.trust * increment
         return (
@@ -271,7 +176,7 @@ class HitchDynamics(eqx.Module):
         )
 
     def zero_lstm_state(self) -> Float32[Array, "2 2 h"]:
-        """Return the state of a network that has read nothing, wide enough for any channel's."""
+        """Return the zero state of a network, wide enough for any channel's."""
         sizes = [
             channel.compensator.network.cell.hidden_size
             for channel in self.channels
@@ -279,17 +184,8 @@ class HitchDynamics(eqx.Module):
         ]
         return jnp.zeros((2, 2, max(sizes, default=0)), SINGLE)
 
-    def _clip_at_end_stops(self, state: HitchState, displacement: Float[Array, ""]) -> Float[Array, ""]:
-        """Return a displacement no farther than the end stops, or than the stroke's start beyond them."""
-        for channel in self.channels:
-            if channel.end_stop is not None:
-                farther = jnp.maximum if channel.sign > 0 else jnp.minimum
-                nearer = jnp.minimum if channel.sign > 0 else jnp.maximum
-                displacement = nearer(displacement, farther(channel.end_stop, state.start))
-        return displacement
-
     def _clip_at_limits(self, state: HitchState) -> HitchState:
-        """Hold the benchmark and the free run within the limits of the plant: beyond them nothing goes on."""
+        """Hold the benchmark and the free run within the limits of the plant."""
         limits = self.channels[0].limits
         if limits is None:
             return state
@@ -299,48 +195,17 @@ class HitchDynamics(eqx.Module):
         )
 
     def _apply_drift(self, state: HitchState, is_held: Bool[Array, ""]) -> HitchState:
-        """Let a held piston creep, from the end stop if it stands there."""
+        """Apply the drift of a held piston, from the end stop if it stands there."""
         if not self.drift:
             return state
         drift_travel = self.drift * self.step_s
         benchmark, free = (
-            jnp.where(is_held, self._clip_at_end_stops(state, displacement) + drift_travel, displacement)
+            jnp.where(
+                is_held, clip_at_end_stops(self.channels, state, displacement) + drift_travel, displacement
+            )
             for displacement in (state.benchmark, state.free_run)
         )
         return state._replace(benchmark=benchmark, free_run=free)
-
-    def _features(
-        self, state: HitchState, reset: Bool[Array, ""]
-    ) -> tuple[HitchState, Float32[Array, "10"], Float[Array, ""]]:
-        """Return scaled features of the channel in charge, and the trust in what its network answers.
-
-        None, if nothing was measured lately.
-        """
-        recent = (state.samples_since_measurement >= 0) & (
-            state.samples_since_measurement < MAX_COASTING_SAMPLES
-        )
-        selected = state.feature_state, jnp.zeros(len(FEATURES), SINGLE), jnp.zeros(())
-        for number, channel in enumerate(self.channels):
-            if channel.compensator is None:
-                continue
-            channel_state, displacement = (
-                state.channels[number],
-                self._clip_at_end_stops(state, state.benchmark),
-            )
-            effective = channel_state.valve.effective
-            time_s = self.step_s * channel_state.samples_in_charge.astype(displacement.dtype)
-            sample = Sample(time_s, effective, displacement, displacement + state.error)
-            trust = jnp.ones(())
-            if channel.envelope is not None:
-                trust = channel.envelope.trust(jnp.abs(effective), displacement, state.load)
-            previous = _select(reset, FeatureState.at_rest(sample), state.feature_state)
-            feature_state, scaled_features = channel.compensator.update_features(
-                previous, sample, self.step_s
-            )
-            selected = _select(
-                recent & (state.mode == number), (feature_state, scaled_features, trust), selected
-            )
-        return state._replace(feature_state=selected[0]), *selected[1:]
 
     def _init_channel(
         self,
@@ -363,7 +228,7 @@ class HitchDynamics(eqx.Module):
     def _speed(self, mode: Int[Array, ""], state: HitchState) -> Float[Array, ""]:
         """Return the speed of the piston; none where it is at an end stop or a limit of the plant."""
         speed = jnp.zeros(())
-        inside = self._clip_at_end_stops(state, state.benchmark) == state.benchmark
+        inside = clip_at_end_stops(self.channels, state, state.benchmark) == state.benchmark
         limits = self.channels[0].limits
         if limits is not None:
             inside &= limits.is_inside(state.benchmark, state.start)
@@ -384,10 +249,10 @@ class HitchDynamics(eqx.Module):
         displacement: Float[Array, ""],
         speed: Float[Array, ""],
     ) -> HitchState:
-        """Let a channel take charge, where it does, at the plant's displacement and speed."""
+        """Start a channel that takes charge at the plant's displacement and speed."""
         channel_state = state.channels[number]
         initial_state = self._init_channel(number, channel_state.valve, displacement, speed, state.load)
-        new_state = _select(entering, initial_state, channel_state)
+        new_state = select(entering, initial_state, channel_state)
         return state._replace(
             benchmark=jnp.where(entering, displacement, state.benchmark),
             free_run=jnp.where(entering, displacement, state.free_run),
@@ -397,7 +262,7 @@ class HitchDynamics(eqx.Module):
         )
 
     def _advance_channel(self, number: int, state: HitchState) -> HitchState:
-        """Move the piston by a channel where it is in charge; what corrects it hears it standing too."""
+        """Move the piston by a channel in charge; its speed compensator advances at standstill too."""
         discrete_model, channel_state = self.discrete_models[number], state.channels[number]
         in_charge = state.mode == number
         plant, increment = discrete_model.advance(
@@ -426,7 +291,7 @@ class HitchDynamics(eqx.Module):
         increment: Float[Array, ""],
         state: HitchState,
     ) -> tuple[SpeedCompensatorState | None, Float[Array, ""]]:
-        """Return the factor on the benchmark's speed; at a block's start the networks hear the last."""
+        """Return the factor on the benchmark's speed; at a block's start the networks read the last block."""
         channel, correction = self.channels[number], channel_state.correction
         compensator = channel.speed_compensator
         if compensator is None or correction is None:
@@ -452,34 +317,14 @@ class HitchDynamics(eqx.Module):
         return accumulated, current.factor
 
 
-def _predict_increment(
-    compensator: Compensator | None, hidden: Float32[Array, "2 2 h"], network_input: NetworkInput
-) -> tuple[Float32[Array, "2 2 h"], Float[Array, ""]]:
-    """Return a network's state, and the step the error takes to the next sample."""
-    if compensator is None:
-        return hidden, jnp.zeros(())
-    size = compensator.network.cell.hidden_size
-    previous = jnp.where(network_input.reset, 0.0, hidden[..., :size])
-    lstm_state, increment = compensator.predict_increment(
-        LstmState(*previous), network_input.index_in_window, network_input.scaled_features
-    )
-    return hidden.at[..., :size].set(jnp.stack(lstm_state)), increment
-
-
-def _select(condition: Bool[Array, ""], new: Tree, old: Tree) -> Tree:
-    """Return one of two states of one structure."""
-    return jax.tree.map(lambda new_leaf, old_leaf: jnp.where(condition, new_leaf, old_leaf), new, old)
-
-
 def _replace_item(items: tuple, index: int, item: object) -> tuple:
     """Return a tuple with one part in another's place."""
     return (*items[:index], item, *items[index + 1 :])
 
 
 def _discrete_model(channel: Channel, step_s: float) -> DiscretePhysicalModel:
-    full_scale = channel.dead_zone
-    if channel.envelope is not None:
-        full_scale += float(channel.envelope.command.highest)
+    highest = float(channel.operating_range.command.highest)
+    full_scale = channel.dead_zone + (highest if isfinite(highest) else 0.0)
     return DiscretePhysicalModel.of(
         channel.benchmark,
         dead_zone=channel.dead_zone,

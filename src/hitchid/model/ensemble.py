@@ -1,4 +1,4 @@
-"""Channels that might as well be the true one, and how far apart their free runs are."""
+"""Perturbed channels, and how far their free runs deviate from that of the identified one."""
 
 from collections.abc import Sequence
 
@@ -8,23 +8,26 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from hitchid.data.record import Record
+from hitchid.model.bands import Bands, EnsembleMember, free_run_half_width
 from hitchid.model.channel import Channel
+from hitchid.model.dynamics import HitchDynamics
+from hitchid.model.free_run import FreeRun, InitialCondition, ensemble_free_runs
 from hitchid.structures import Batch
-from hitchid.uncertainty import EnsembleMember
 
 
 def perturbed_channel(channel: Channel, member: EnsembleMember) -> Channel:
-    """Return a channel with the benchmark of an alternative, and in free run with its network alone."""
+    """Return a channel with the benchmark of an ensemble member, and in free run with its network alone."""
     row = jnp.asarray(member.benchmark)
     perturbed = eqx.tree_at(
         lambda tree: tree.benchmark, channel, channel.benchmark.with_parameter_vector(row)
     )
-    if member.member is None or channel.speed_compensator is None:
+    if member.network is None or channel.speed_compensator is None:
         return perturbed
     networks = channel.speed_compensator.networks
     # As many as before, all alike: their mean is the one, and no program is compiled anew.
     repeated_network = jax.tree.map(
-        lambda leaf: jnp.asarray(np.broadcast_to(np.asarray(leaf)[member.member], leaf.shape)), networks
+        lambda leaf: jnp.asarray(np.broadcast_to(np.asarray(leaf)[member.network], leaf.shape)), networks
     )
     return eqx.tree_at(lambda tree: tree.speed_compensator.networks, perturbed, repeated_network)
 
@@ -32,14 +35,46 @@ def perturbed_channel(channel: Channel, member: EnsembleMember) -> Channel:
 def ensemble_deviations(
     channel: Channel, members: Sequence[EnsembleMember], batch: Batch
 ) -> tuple[Float[np.ndarray, "t n"], Float[np.ndarray, "a t n"]]:
-    """Return a channel's free run, and by how much those of its alternatives differ, times their weights.
+    """Return a channel's free run, and the deviations of its ensemble from it, times their weights.
 
     Args:
         channel: of the model.
-        members: what might as well be true.
+        members: of its ensemble.
         batch: tests.
     """
     simulated = np.asarray(channel.simulate(batch))
     member_runs = [np.asarray(perturbed_channel(channel, member).simulate(batch)) for member in members]
     weights = np.array([member.weight for member in members])
     return simulated, weights[:, None, None] * (np.stack(member_runs) - simulated)
+
+
+def hitch_half_width(
+    dynamics: HitchDynamics,
+    bands: Sequence[Bands],
+    record: Record,
+    initial: InitialCondition,
+    run: FreeRun,
+    coverage: float,
+) -> Float[np.ndarray, " n"]:
+    """Return the half width of the band around the free run of a hitch, in the model's unit, shape [N].
+
+    Args:
+        dynamics: of the hitch in free run.
+        bands: of each channel.
+        record: on the model's clock and in its units.
+        initial: where the free run starts.
+        run: the free run.
+        coverage: share of samples.
+    """
+    members, weights, owners = [], [], []
+    for number, (channel, channel_bands) in enumerate(zip(dynamics.channels, bands, strict=True)):
+        for member in channel_bands.ensemble:
+            channels = list(dynamics.channels)
+            channels[number] = perturbed_channel(channel, member)
+            members.append(HitchDynamics.of(channels, dynamics.step_s, dynamics.drift))
+            weights.append(member.weight)
+            owners.append(number)
+    deviations = ensemble_free_runs(members, record, initial) - run.displacement
+    squares = (np.array(weights)[:, None] * deviations) ** 2
+    spreads = [np.sqrt(squares[np.array(owners) == number].sum(axis=0)) for number in range(len(bands))]
+    return free_run_half_width(bands, spreads, coverage)

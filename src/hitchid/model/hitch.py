@@ -1,49 +1,34 @@
 """The whole plant: one channel a direction, switched by the commands."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float
-from scipy.special import ndtri
+from jaxtyping import Array
 
 from hitchid._support import checks
 from hitchid._support.precision import double_precision
-from hitchid.data.record import COMMAND, DIRECTIONS, DISPLACEMENT, Record
+from hitchid.data.record import COMMAND, DIRECTIONS, Record
 from hitchid.data.segmentation import CommandThreshold
-from hitchid.data.test_kinds import ACTIVE_FRACTION, effective_command, full_scales
 from hitchid.data.units import conversion_factor
 from hitchid.errors import InputError
+from hitchid.model import conversion, extrapolation
+from hitchid.model.bands import Band, Bands
 from hitchid.model.channel import Channel
-from hitchid.model.dynamics import MAX_MAGNITUDE, HitchDynamics, HitchState
-from hitchid.model.ensemble import perturbed_channel
+from hitchid.model.comparison import Comparison
+from hitchid.model.dynamics import MAX_MAGNITUDE, HitchDynamics
+from hitchid.model.ensemble import hitch_half_width
+from hitchid.model.free_run import FreeRun, free_run, multi_step_predictions
 from hitchid.model.limits import TravelLimits
-from hitchid.model.packing import Packed, Packing
+from hitchid.model.packing import Packed
 from hitchid.model.provenance import Provenance, TwoModes
-from hitchid.model.runs import (
-    FreeRun,
-    InitialCondition,
-    align_predictions,
-    pad_with_nan,
-    predict_from_origins,
-    simulate_ensemble,
-    simulate_free_run,
-)
-from hitchid.structures import Batch, mean_before_motion
-from hitchid.uncertainty import Bands, Uncertainty
-
-
-class Band(NamedTuple):
-    """Between what displacement is expected, in the record's unit, each of shape [N]."""
-
-    lower: np.ndarray
-    upper: np.ndarray
+from hitchid.model.state import HitchState
+from hitchid.model.step import StepFunctions, join_inputs
+from hitchid.model.uncertainty import Uncertainty
 
 
 @dataclass(frozen=True)
@@ -51,13 +36,14 @@ class Hitch:
     """A dual-mode grey box, or one with a single channel.
 
     Attributes:
-        channels: mode to channel.
+        channels: direction to channel.
         step_s: sampling time, s.
         units: role to unit; what goes in and comes out of `simulate` is in these or converted to them.
         provenance: where the model comes from.
         drift: speed of a piston that is held, in the displacement's unit/s.
-        two_modes: whether the plant needs two modes; None where that could not be asked.
-        uncertainty: mode to how far its channel can be trusted; without a mode it was not asked for.
+        two_modes: whether the plant needs two modes; None where that could not be tested.
+        uncertainty: direction to the uncertainty of its channel; empty where it was not computed.
+        comparison: direction to what was fitted to the same tests for comparison only.
     """
 
     channels: Mapping[str, Channel]
@@ -67,9 +53,10 @@ class Hitch:
     drift: float = 0.0
     two_modes: TwoModes | None = None
     uncertainty: Mapping[str, Uncertainty] = field(default_factory=dict)
+    comparison: Mapping[str, Comparison] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Freeze the mappings, channels in the order of the modes."""
+        """Freeze the mappings, channels in the order of `DIRECTIONS`."""
         ordered = {
             direction: self.channels[direction] for direction in DIRECTIONS if direction in self.channels
         }
@@ -78,9 +65,9 @@ class Hitch:
 
     @double_precision
     def extrapolation(self, record: Record) -> tuple[str, ...]:
-        """Tell in words where a free run leaves what the identification tests covered.
+        """Return a sentence for each way a free run leaves the operating range of the identification tests.
 
-        Beyond a tenth of a range the compensator for free run has faded out and the benchmark alone answers.
+        More than a tenth of a range outside, the free run is that of the benchmark alone.
 
         Args:
             record: as `simulate` takes it.
@@ -89,28 +76,7 @@ class Hitch:
             InputError: as `simulate`.
         """
         model_record = self.to_model_units(record)
-        displacement, active_channel = self.free_run(model_record)
-        warnings = []
-        for number, (direction, channel) in enumerate(self.channels.items()):
-            in_charge = active_channel == number
-            batch = channel.batch([model_record], [float(displacement[0])])
-            rows = channel.out_of_range(batch, jnp.asarray(_padded_to_batch(displacement, batch))[None])
-            for name, is_outside in rows.items():
-                samples = int(np.sum(is_outside[0, : len(model_record)] & in_charge))
-                if samples:
-                    warnings.append(
-                        f"{direction}: the {name} leaves what the tests covered, {self.describe_range(direction, name)}, in "
-                        f"{samples} of {len(model_record)} samples"
-                    )
-        return (*warnings, *self._at_limits(displacement))
-
-    def _at_limits(self, displacement: np.ndarray) -> list[str]:
-        """Tell in words where a free run is held at a limit of the plant that is no mechanical stop."""
-        samples = 0 if self.limits is None else int(np.sum(self.limits.at_soft_limit(displacement)))
-        if not samples or self.limits is None:
-            return []
-        unit = self.units[DISPLACEMENT]
-        return [f"{self.limits.sentence(unit)}; this one is in {samples} of {displacement.size} samples"]
+        return extrapolation.warnings(self.channels, self.units, model_record, self.free_run(model_record))
 
     @property
     def limits(self) -> TravelLimits | None:
@@ -118,30 +84,24 @@ class Hitch:
         return next((channel.limits for channel in self.channels.values()), None)
 
     def describe_range(self, direction: str, name: str) -> str:
-        """Return in words from where to where the tests of a mode went.
+        """Return the range of a signal in the identification tests of a direction, in words.
 
         Args:
-            direction: of a channel that knows it.
+            direction: of a channel.
             name: `command`, `displacement` or `load`.
         """
-        channel = self.channels[direction]
-        load = channel.benchmark.covariate or ""
-        role = {"command": COMMAND[direction], "displacement": DISPLACEMENT, "load": load}[name]
-        signal_range = getattr(channel.envelope, name)
-        suffix = " beyond the dead zone" if name == "command" else ""
-        ends = f"{float(signal_range.lowest):.4g} to {float(signal_range.highest):.4g}"
-        return f"{ends} {self.units.get(role, '')}{suffix}"
+        return extrapolation.describe_range(self.channels[direction], self.units, name)
 
     @property
     def dead_zones(self) -> dict[str, float]:
-        """Mode to dead zone, in the command's unit."""
+        """Direction to dead zone, in the command's unit."""
         return {direction: channel.dead_zone for direction, channel in self.channels.items()}
 
     def command_thresholds(self, units: Mapping[str, str]) -> dict[str, CommandThreshold]:
-        """Return mode to how it hears its command: dead zone, hysteresis, dead time.
+        """Return direction to the threshold of its command: dead zone, hysteresis, dead time.
 
         Args:
-            units: role to unit of the logs that are looked at.
+            units: role to unit of the logs.
 
         Raises:
             InputError: a unit is of another dimension than the model's.
@@ -158,16 +118,16 @@ class Hitch:
         return thresholds
 
     def segmentation_dead_zones(self, units: Mapping[str, str]) -> dict[str, float]:
-        """Return mode to the dead zone with which mixed cycles are cut into strokes.
+        """Return direction to the dead zone with which mixed cycles are cut into strokes.
 
         Args:
-            units: role to unit of the logs that are cut.
+            units: role to unit of the logs.
 
         Raises:
             InputError: a unit is of another dimension than the model's.
         """
         checks.instance(units, Mapping, "units", "role to unit")
-        dead_zones = self.provenance.cut_at or self.dead_zones
+        dead_zones = self.provenance.segmentation_dead_zones or self.dead_zones
         return {
             direction: dead_zone * self._command_factor(direction, units)
             for direction, dead_zone in dead_zones.items()
@@ -180,11 +140,11 @@ class Hitch:
 
     @double_precision
     def init_state(self, displacement: float, load: float = 0.0) -> Packed:
-        """Return the state of a hitch that stands, its valves shut.
+        """Return the state of a hitch at rest, its valves shut.
 
         Args:
             displacement: in the model's unit.
-            load: second measured input before motion, in its unit, where a channel hears one.
+            load: second measured input before motion, in its unit, where a channel has one.
 
         Raises:
             InputError: a value is not finite, or beyond 1e9.
@@ -194,50 +154,50 @@ class Hitch:
             numbers.append(checks.number(value, name))
             if not abs(numbers[-1]) < MAX_MAGNITUDE:
                 raise InputError(f"{name}: required a number within ±{MAX_MAGNITUDE:g}, came {value}")
-        return self._jitted_init_state(*numbers)
+        return self._step_functions.init_state(*numbers)
 
     def step(
         self, state: Packed, commands: ArrayLike | Sequence[ArrayLike], measured: ArrayLike | None = None
     ) -> tuple[Packed, Array]:
         """Return the state one sampling time later, and the displacement then: y(k+1) from c(k) and y(k).
 
-        Pure, and may be traced by `jax.jit`. What is missing is coasted over: a command that is not finite
+        Pure, and may be traced by `jax.jit`. Missing inputs are bridged: a command that is not finite
         keeps its last value, and without a measured displacement the model goes on from its own.
 
         Args:
-            state: from `initial` or an earlier step; `situation` tells what is in it.
+            state: from `init_state` or an earlier step; `unpack_state` returns its content.
             commands: lifting and lowering command over the coming interval, in the model's unit, shape [2];
-                a mode without a channel is not heard. A model of one channel takes its command alone, too,
-                shape [1].
+                that of a direction without a channel is ignored. A model of one channel also takes its
+                command alone, shape [1].
             measured: displacement now, in the model's unit; None or NaN where there is none.
 
         Returns:
             The next state and its displacement, in the model's unit, shape [].
 
         Raises:
-            InputError: the state is none of this model, or commands or measurement have another shape.
+            InputError: the state is not of this model, or commands or measurement have another shape.
         """
+        functions = self._step_functions
         with jax.enable_x64(True):
-            self._check_state(state)
-            return self._jitted_step(
-                state, self._join_inputs(commands, np.nan if measured is None else measured)
-            )
+            functions.check(state)
+            inputs = join_inputs(commands, np.nan if measured is None else measured, tuple(self.channels))
+            return functions.step(state, inputs)
 
     def unpack_state(self, state: Packed) -> HitchState:
-        """Return what a state says: displacement, channel in charge, what is missing.
+        """Return the content of a state: displacement, channel in charge, missing inputs.
 
         Raises:
-            InputError: the state is none of this model.
+            InputError: the state is not of this model.
         """
         with jax.enable_x64(True):
-            self._check_state(state)
-            return self._jitted_unpack(state)
+            self._step_functions.check(state)
+            return self._step_functions.unpack(state)
 
     @double_precision
     def simulate(self, record: Record, *, compensated: bool = True) -> np.ndarray:
         """Return the free run: displacement from the commands and the initial displacement alone.
 
-        One `step` a sample; see there, and docs/switching.md for what happens where the mode changes.
+        One `step` a sample; see there, and docs/switching.md for the change of direction.
 
         Args:
             record: supplies commands, and displacement for the mean of the first samples before motion.
@@ -247,8 +207,8 @@ class Hitch:
             Displacement at every sample, in the unit of the record's displacement, shape [N].
 
         Raises:
-            InputError: a command is effective that the model has no channel for.
-            InputError: a unit is of another dimension than the model's.
+            InputError: a command without a channel is effective, or a unit is of another dimension than the
+                model's.
         """
         model_record = self.to_model_units(record)
         return self._to_record_units(
@@ -286,48 +246,27 @@ class Hitch:
             raise InputError("horizons: required at least one number of samples, none came")
         checks.integer(stride, "stride", minimum=1)
         model_record = self.to_model_units(record)
-        max_horizon = min(max(horizons), len(model_record))
-        commands = pad_with_nan(_commands(model_record), max_horizon)
-        measured = pad_with_nan(model_record.displacement, max_horizon)
-        initial = self._initial_condition(model_record)
-        predictions_ahead = np.asarray(
-            predict_from_origins(self._dynamics, jnp.array(initial), commands, measured, max_horizon, stride)
-        )
-        rows = [
-            align_predictions(
-                predictions_ahead, initial.displacement, min(horizon, max_horizon), len(model_record), stride
-            )
-            for horizon in horizons
-        ]
+        initial = conversion.initial_condition(model_record, self.channels)
+        rows = multi_step_predictions(self._dynamics, model_record, initial, horizons, stride)
         return np.stack([self._to_record_units(row, model_record, record) for row in rows])
 
     @double_precision
     def free_run(self, record: Record, *, compensated: bool = True) -> FreeRun:
-        """Return the free run of an adopted record, and which channel is in charge.
+        """Return the free run of a record, and which channel is in charge.
 
         Args:
-            record: on the model's clock and in its units; see `adopt`.
+            record: on the model's clock and in its units; see `to_model_units`.
             compensated: False leaves the compensators out.
         """
-        initial = self._initial_condition(record)
-        commands = pad_with_nan(_commands(record), 1)
-        displacement, active_channel = simulate_free_run(
-            self._free_run_dynamics(compensated=compensated), jnp.array(initial), commands
-        )
-        count = len(record) - 1
-        return FreeRun(
-            _with_first_sample(initial, np.asarray(displacement)[:count]),
-            np.concatenate(
-                [np.asarray(active_channel)[:count], np.asarray(active_channel)[count - 1 : count]]
-            ),
-        )
+        initial = conversion.initial_condition(record, self.channels)
+        return free_run(self._free_run_dynamics(compensated=compensated), record, initial)
 
     @double_precision
     def band(self, record: Record, *, coverage: float = 0.9, horizon: int | None = None) -> Band:
-        """Return between what the measured displacement will lie, for a share of the samples of a test.
+        """Return the band that holds the measured displacement for a share of the samples of a test.
 
-        In free run the half width is √(z² n² + Σ q² w² (y_a − y)²), the sum over the alternatives of every
-        channel; see `Bands`. Looking ahead it is that of the channel in charge.
+        In free run the half width is √(z² n² + Σ q² w² (y_a − y)²), the sum over the ensembles of all
+        channels; see `Bands`. Looking ahead it is that of the channel in charge.
 
         Args:
             record: as `simulate` takes it, or with a horizon as `predict` does.
@@ -350,7 +289,15 @@ class Hitch:
         run = self.free_run(model_record)
         if horizon is None:
             centre = self._to_record_units(run.displacement, model_record, record)
-            half_width = self._free_run_half_width(model_record, run, bands, coverage)
+            initial = conversion.initial_condition(model_record, self.channels)
+            half_width = hitch_half_width(
+                self._free_run_dynamics(),
+                [bands[name] for name in self.channels],
+                model_record,
+                initial,
+                run,
+                coverage,
+            )
         else:
             checks.integer(horizon, "horizon", minimum=1)
             half_widths = [bands[direction].half_width(coverage, horizon) for direction in self.channels]
@@ -375,162 +322,28 @@ class Hitch:
         }
         return {direction: bands for direction, bands in all_bands.items() if bands is not None}
 
-    def _free_run_half_width(
-        self, model_record: Record, run: FreeRun, bands: Mapping[str, Bands], coverage: float
-    ) -> Float[np.ndarray, " n"]:
-        floor = [ndtri(0.5 + coverage / 2) * channel_bands.noise for channel_bands in bands.values()]
-        perturbed_dynamics, factors = [], []
-        for direction, channel in self.channels.items():
-            for member in bands[direction].alternatives:
-                perturbed = replace(
-                    self, channels={**self.channels, direction: perturbed_channel(channel, member)}
-                )
-                perturbed_dynamics.append(perturbed._free_run_dynamics())
-                factors.append(bands[direction].multiplier(coverage) * member.weight)
-        initial = self._initial_condition(model_record)
-        runs = simulate_ensemble(
-            perturbed_dynamics, jnp.array(initial), pad_with_nan(_commands(model_record), 1)
-        )[:, : len(model_record) - 1]
-        deviations = np.stack([_with_first_sample(initial, row) for row in runs]) - run.displacement
-        return np.sqrt(
-            float(max(floor)) ** 2 + np.sum((np.array(factors)[:, None] * deviations) ** 2, axis=0)
-        )
-
     def to_model_units(self, record: Record) -> Record:
         """Return a record on the model's clock and in the model's units.
 
         Raises:
-            InputError: the record has no command for any channel, or one effective that no channel hears.
-            InputError: a unit is of another dimension than the model's.
+            InputError: the record has no command for any channel, an effective one without a channel, or a
+                unit of another dimension than the model's.
         """
-        checks.instance(record, Record, "record", 'one of hitchid.read("logs").records')
-        if not any(direction in record.directions for direction in self.channels):
-            raise InputError(
-                f"record '{record.name}' has commands for {' and '.join(record.directions)}; "
-                f"the model has channels for {' and '.join(self.channels)}"
-            )
-        converted = record.convert(
-            {role: unit for role, unit in self.units.items() if role in record.signals}
-        )
-        resampled = (
-            converted
-            if _same_clock(converted.step_s, self.step_s, len(converted))
-            else converted.resample(self.step_s)
-        )
-        scales = full_scales([record])
-        for direction in record.directions:
-            active = np.abs(record.command(direction)) > ACTIVE_FRACTION * scales[direction]
-            if direction not in self.channels and np.any(active):
-                raise InputError(
-                    f"record '{record.name}': its {direction} command is not zero; the model has no {direction} channel"
-                )
-        return resampled
+        return conversion.to_model_units(record, tuple(self.channels), self.units, self.step_s)
 
     @cached_property
     def _dynamics(self) -> HitchDynamics:
         return HitchDynamics.of(tuple(self.channels.values()), self.step_s, self.drift)
 
     def _free_run_dynamics(self, *, compensated: bool = True) -> HitchDynamics:
-        """Return the motion without what predicts from measurements, or without any compensator."""
+        """Return the dynamics without the compensator for predictions, or without any compensator."""
         removed = {"compensator": None} if compensated else {"compensator": None, "speed_compensator": None}
         channels = [replace(channel, **removed) for channel in self.channels.values()]
         return HitchDynamics.of(channels, self.step_s, self.drift)
 
-    def _check_state(self, state: Packed) -> None:
-        """Refuse what is no state of this model; shapes alone are looked at, so that it may be traced."""
-        required = "a state of this model, from `initial` or `step`"
-        checks.instance(state, Packed, "state", required)
-        if tuple(map(np.shape, state)) != self._state_shapes:
-            raise checks.input_error("state", required, tuple(map(np.shape, state)))
-
     @cached_property
-    def _packing(self) -> Packing:
-        return Packing(jax.eval_shape(self._dynamics.standing_state))
-
-    @cached_property
-    def _jitted_init_state(self) -> Callable[[float, float], Packed]:
-        dynamics, packing = self._dynamics, self._packing
-        return jax.jit(lambda displacement, load: packing.pack(dynamics.init_state(displacement, load)))
-
-    @cached_property
-    def _jitted_unpack(self) -> Callable[[Packed], HitchState]:
-        return jax.jit(self._packing.unpack)
-
-    @cached_property
-    def _jitted_step(self) -> Callable[..., tuple[Packed, Array]]:
-        return self._packing.step(self._dynamics)
-
-    @cached_property
-    def _state_shapes(self) -> tuple[tuple[int, ...], ...]:
-        return tuple(array.shape for array in jax.eval_shape(self._jitted_init_state, 0.0, 0.0))
-
-    def _join_inputs(
-        self, commands: ArrayLike | Sequence[ArrayLike], measured: ArrayLike
-    ) -> Array | np.ndarray:
-        """Return lifting and lowering command and measured displacement in one array, shape [3]."""
-        values = commands if isinstance(commands, Sequence) else (commands,)
-        xp = jnp if any(isinstance(value, jax.Array) for value in (*values, measured)) else np
-        try:
-            command_array, measured_array = xp.asarray(commands), xp.asarray(measured)
-        except (TypeError, ValueError) as error:
-            raise checks.input_error("commands, measured", "numbers", (commands, measured)) from error
-        if {command_array.dtype.kind, measured_array.dtype.kind} - set("iuf"):
-            raise checks.input_error("commands, measured", "numbers", (commands, measured))
-        if command_array.shape == (1,) and len(self.channels) == 1:
-            (direction,) = self.channels
-            command_array = xp.zeros(len(DIRECTIONS)) + command_array * np.array(
-                [name == direction for name in DIRECTIONS]
-            )
-        if command_array.shape != (len(DIRECTIONS),):
-            raise InputError(
-                f"commands: required lifting and lowering, shape (2,), came shape {command_array.shape}"
-            )
-        if measured_array.shape != ():
-            raise InputError(
-                f"measured: required one displacement, shape (), came shape {measured_array.shape}"
-            )
-        return xp.append(command_array, measured_array).astype(np.float64)
-
-    def _initial_condition(self, record: Record) -> InitialCondition:
-        """Return where a hitch stands before a record: the means before any command becomes effective."""
-        effective = np.zeros(len(record))
-        for direction, channel in self.channels.items():
-            if direction in record.directions:
-                effective += np.abs(effective_command(record.command(direction), channel.dead_zone))
-        load = next((c.benchmark.covariate for c in self.channels.values() if c.benchmark.covariate), None)
-        record.require(load)
-        return InitialCondition(
-            mean_before_motion(record.displacement, effective),
-            0.0 if load is None else mean_before_motion(record.signals[load], effective),
-        )
+    def _step_functions(self) -> StepFunctions:
+        return StepFunctions(self._dynamics)
 
     def _to_record_units(self, displacement: np.ndarray, model_record: Record, record: Record) -> np.ndarray:
-        """Return a displacement on the model's clock and in its unit on the record's, in the record's."""
-        factor = conversion_factor(self.units[DISPLACEMENT], record.unit, record.name)
-        if model_record.step_s != record.step_s:
-            displacement = np.interp(record.time_s, model_record.time_s, displacement)
-        return displacement * factor
-
-
-def _with_first_sample(
-    initial: InitialCondition, displacement: Float[np.ndarray, " n"]
-) -> Float[np.ndarray, " n1"]:
-    """Return a free run from its first sample on."""
-    return np.concatenate([[initial.displacement], displacement])
-
-
-def _same_clock(step_s: float, wanted_s: float, samples: int) -> bool:
-    return abs(step_s - wanted_s) * samples <= 0.05 * wanted_s
-
-
-def _commands(record: Record) -> Float[np.ndarray, "n 2"]:
-    """Return lifting and lowering command, zero where there is none, shape [N, 2]."""
-    zeros = np.zeros(len(record))
-    return np.stack(
-        [record.command(direction) if direction in record.directions else zeros for direction in DIRECTIONS],
-        axis=1,
-    )
-
-
-def _padded_to_batch(samples: np.ndarray, batch: Batch) -> np.ndarray:
-    return np.pad(samples, (0, batch.command.shape[1] - samples.size), mode="edge")
+        return conversion.to_record_units(displacement, self.units, model_record, record)

@@ -1,37 +1,144 @@
-"""Descriptions of model folders that earlier versions wrote, brought to what this one reads."""
+"""Model folders of earlier schemas, brought to the present one."""
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+
 Description = dict[str, Any]
-SCHEMA = 5
+Tensors = dict[str, np.ndarray]
+Stored = tuple[Description, Tensors]
+SCHEMA = 6
 
 
-def _with_hold(content: Description) -> Description:
-    """Schema 4 knows how a held piston creeps, and whether two modes are needed."""
-    return {**content, "drift": 0.0, "two_modes": None}
+def _with_hold(content: Description, tensors: Tensors) -> Stored:
+    """Schema 4 has the drift of a held piston, and the test of two modes."""
+    return {**content, "drift": 0.0, "two_modes": None}, tensors
 
 
-def _with_uncertainty(content: Description) -> Description:
-    """Schema 5 knows how far each channel can be trusted."""
-    return {**content, "uncertainty": {}}
+def _with_uncertainty(content: Description, tensors: Tensors) -> Stored:
+    """Schema 5 has the uncertainty of each channel."""
+    return {**content, "uncertainty": {}}, tensors
 
 
-MIGRATIONS: Mapping[int, Callable[[Description], Description]] = MappingProxyType(
-    {3: _with_hold, 4: _with_uncertainty}
+def _with_comparison(content: Description, tensors: Tensors) -> Stored:
+    """Schema 6 has what was fitted for comparison beside the channels, and an operating range in each."""
+    channels = content["channels"]
+    comparison = {
+        direction: _comparison(channel, content["uncertainty"].get(direction, {}))
+        for direction, channel in channels.items()
+    }
+    migrated = {
+        **content,
+        "channels": {direction: _channel(channel) for direction, channel in channels.items()},
+        "comparison": {direction: parts for direction, parts in comparison.items() if any(parts.values())},
+        "uncertainty": {
+            direction: _uncertainty(uncertainty) for direction, uncertainty in content["uncertainty"].items()
+        },
+    }
+    renamed = {_tensor_name(name): array for name, array in tensors.items()}
+    papers = [f"{direction}/paper" for direction, channel in channels.items() if "paper" in channel]
+    unbounded = {
+        f"{owner}/operating_range/{signal}/{end}": np.array(value)
+        for owner in (*channels, *papers)
+        for signal in ("command", "displacement", "load")
+        for end, value in (("lowest", -np.inf), ("highest", np.inf))
+    }
+    return migrated, {**unbounded, **renamed}
+
+
+# Part of a tensor's name in schema 5 to that in schema 6.
+_TENSOR_NAMES = {
+    "/arx/": "/baselines/arx/",
+    "/narx/": "/baselines/narx/",
+    "/black_box/": "/baselines/lstm/",
+    "/envelope/": "/operating_range/",
+    "/speed_compensator/command": "/speed_compensator/command_scale",
+    "/speed_compensator/moved": "/speed_compensator/increment_scale",
+}
+_FITTED = {"arx": "arx", "narx": "narx", "black_box": "lstm"}
+
+
+def _tensor_name(name: str) -> str:
+    for old, new in _TENSOR_NAMES.items():
+        name = name.replace(old, new)
+    return name
+
+
+def _channel(described: Description) -> Description:
+    kept = {key: value for key, value in described.items() if key not in (*_FITTED, "paper", "envelope")}
+    speed = described.get("speed_compensator")
+    if speed is not None:
+        speed = _renamed(speed, every="block_size")
+    return {"limits": None, **kept, "speed_compensator": speed}
+
+
+def _comparison(channel: Description, uncertainty: Description) -> Description:
+    paper = channel.get("paper")
+    return {
+        "baselines": [name for key, name in _FITTED.items() if key in channel],
+        "paper": None if paper is None else _channel(paper),
+        "paper_parameters": uncertainty.get("paper"),
+        "searches": [_search_summary(search) for search in uncertainty.get("searches", ())],
+    }
+
+
+def _uncertainty(described: Description) -> Description:
+    bands, information = described["bands"], described["information"]
+    if bands is not None:
+        bands = _renamed(bands, alternatives="ensemble", ahead="half_widths")
+        bands["ensemble"] = [_renamed(member, member="network") for member in bands["ensemble"]]
+    if information is not None:
+        information = _renamed(
+            information,
+            scatter="score_covariance",
+            fixed="dead_zone_covariance",
+            every="block_size",
+            apart="per_test_gain",
+        )
+    return {
+        "benchmark": described["benchmark"],
+        "bands": bands,
+        "information": information,
+        "characteristics": described.get("characteristics"),
+    }
+
+
+def _search_summary(search: Description) -> Description:
+    runs = search["runs"]
+    rmse = [run["fitness"][-1] if run["fitness"] else None for run in runs]
+    order = np.argsort([np.inf if error is None else error for error in rmse])
+    median = runs[int(order[len(runs) // 2])]
+    return {
+        "name": search["name"],
+        "rmse": rmse,
+        "evaluations": [run["evaluations"] for run in runs],
+        "failures": [run["failures"] for run in runs],
+        "median_rmse": median["fitness"],
+        "median_values": median["values"],
+    }
+
+
+def _renamed(described: Description, **names: str) -> Description:
+    return {names.get(key, key): value for key, value in described.items()}
+
+
+MIGRATIONS: Mapping[int, Callable[[Description, Tensors], Stored]] = MappingProxyType(
+    {3: _with_hold, 4: _with_uncertainty, 5: _with_comparison}
 )
-"""From a schema to the next: what an older model did not know is told as not known."""
+"""From a schema to the next; what an older one does not have is marked as missing."""
 
 
 def is_readable(schema: object) -> bool:
-    """Tell whether a description of a schema is one of this version or can be brought to it."""
+    """Return whether a description of a schema is of this version or can be brought to it."""
     return type(schema) is int and (schema == SCHEMA or schema in MIGRATIONS)
 
 
-def migrate(content: Description) -> Description:
-    """Return a description in the schema of this version, step by step from its own."""
+def migrate(content: Description, tensors: Tensors) -> Stored:
+    """Return a description and tensors in the present schema, step by step from their own."""
     while content["schema"] in MIGRATIONS:
         schema = content["schema"]
-        content = {**MIGRATIONS[schema](content), "schema": schema + 1}
-    return content
+        content, tensors = MIGRATIONS[schema](content, tensors)
+        content = {**content, "schema": schema + 1}
+    return content, tensors

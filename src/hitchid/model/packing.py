@@ -9,7 +9,8 @@ from jax.flatten_util import ravel_pytree
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Float32, PyTree
 
-from hitchid.model.dynamics import HitchDynamics, HitchState
+from hitchid.model.dynamics import HitchDynamics
+from hitchid.model.state import HitchState
 
 
 class Packed(NamedTuple):

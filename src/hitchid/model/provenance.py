@@ -1,4 +1,4 @@
-"""Where a model comes from, and what was found on the way."""
+"""Where a model comes from, and the test of its two modes."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -6,15 +6,16 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where a model comes from: enough to repeat it, and to know which tests it has seen.
+    """Where a model comes from: enough to repeat it, and to list the tests it was identified from.
 
     Attributes:
-        identification, validation, held_out: mode to the names of the tests that found the benchmark, that
-            stopped the training, and that nothing has seen. Validation tests are identification tests too.
+        identification, validation, held_out: direction to the names of the tests that the benchmark was
+            identified from, of those among them that stopped the training, and of those not used.
         seen: fingerprints of every record the identification used.
-        cut_at: mode to the dead zone with which mixed cycles were cut into strokes; empty where none were.
+        segmentation_dead_zones: direction to the dead zone with which mixed cycles were cut into strokes;
+            empty where none were.
         seed: the seed of every random draw.
-        settings: what was asked for, as JSON can hold it.
+        settings: of the identification, as JSON can hold them.
         versions: package to version.
         digest: of the folder it was read from; empty before it is saved.
     """
@@ -23,7 +24,7 @@ class Provenance:
     validation: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     held_out: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     seen: frozenset[str] = frozenset()
-    cut_at: Mapping[str, float] = field(default_factory=dict)
+    segmentation_dead_zones: Mapping[str, float] = field(default_factory=dict)
     seed: int = 0
     settings: Mapping[str, object] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)

@@ -1,10 +1,10 @@
-"""What the identification tests have covered, and how far a simulation goes beyond it."""
+"""Operating range of the identification tests, and the trust in a model beyond it."""
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-MARGIN = 0.1
+MARGIN = 0.1  # share of a range beyond its ends over which the trust falls to zero: a choice
 
 
 class SignalRange(eqx.Module):
@@ -16,9 +16,9 @@ class SignalRange(eqx.Module):
     @eqx.filter_jit
     def trust(self, values: Float[Array, "*b"]) -> Float[Array, "*b"]:
         """Return 1 within the range, falling to 0 over a tenth of its width beyond."""
-        distance = jnp.maximum(self.lowest - values, values - self.highest)
+        distance = jnp.maximum(jnp.maximum(self.lowest - values, values - self.highest), 0.0)
         width = self.highest - self.lowest
-        return 1 - jnp.clip(distance / jnp.where(width > 0, MARGIN * width, 1.0), 0.0, 1.0)
+        return 1 - jnp.minimum(distance / jnp.where(width > 0, MARGIN * width, 1.0), 1.0)
 
 
 class OperatingRange(eqx.Module):
@@ -33,6 +33,11 @@ class OperatingRange(eqx.Module):
     command: SignalRange
     displacement: SignalRange
     load: SignalRange
+
+    @classmethod
+    def unbounded(cls) -> "OperatingRange":
+        """Return ranges without ends: every sample is trusted."""
+        return cls(*(SignalRange(jnp.asarray(-jnp.inf), jnp.asarray(jnp.inf)) for _ in range(3)))
 
     def trust(
         self, command: Float[Array, "*#b"], displacement: Float[Array, "*#b"], load: Float[Array, "*#b"]

@@ -46,16 +46,16 @@ class SpeedCompensator(eqx.Module):
 
     Attributes:
         networks: M networks, every array with a leading axis M.
-        command, moved: scales of command and of the benchmark's travel in a block, shape [].
-        envelope: the ranges of the tests.
+        command_scale, increment_scale: scales of command and of the benchmark's travel in a block, shape [].
+        operating_range: the ranges of the tests.
         sign: +1 where displacement grows with travel, −1 where it falls.
         block_size: samples in a block.
     """
 
     networks: Lstm
-    command: Float[Array, ""]
-    moved: Float[Array, ""]
-    envelope: OperatingRange
+    command_scale: Float[Array, ""]
+    increment_scale: Float[Array, ""]
+    operating_range: OperatingRange
     sign: int = eqx.field(static=True)
     block_size: int = eqx.field(static=True)
 
@@ -67,7 +67,7 @@ class SpeedCompensator(eqx.Module):
         load: Array,
     ) -> Float[Array, "t 4"]:
         """Return what the networks read, in single precision, shape [T, 4]."""
-        ranges = (self.envelope.displacement, self.envelope.load)
+        ranges = (self.operating_range.displacement, self.operating_range.load)
         scaled = [
             2
             * (value - signal_range.lowest)
@@ -77,9 +77,9 @@ class SpeedCompensator(eqx.Module):
             - 1
             for value, signal_range in zip((displacement, load), ranges, strict=True)
         ]
-        return jnp.stack([command / self.command, previous_increment / self.moved, *scaled], axis=-1).astype(
-            SINGLE
-        )
+        return jnp.stack(
+            [command / self.command_scale, previous_increment / self.increment_scale, *scaled], axis=-1
+        ).astype(SINGLE)
 
     def step(
         self,
@@ -106,7 +106,7 @@ class SpeedCompensator(eqx.Module):
         lstm_step = partial(Lstm.step, fused=fused)
         hidden = jax.vmap(lstm_step, in_axes=(0, 0, None))(networks, hidden, inputs)
         mean_output = jnp.mean(jnp.tanh(jax.vmap(Lstm.output)(networks, hidden)), axis=0)
-        trust = self.envelope.trust(jnp.abs(command), displacement, load)
+        trust = self.operating_range.trust(jnp.abs(command), displacement, load)
         return hidden, 1 + AUTHORITY * trust * mean_output.astype(trust.dtype)
 
     def rollout(

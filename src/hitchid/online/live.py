@@ -187,9 +187,8 @@ class Live:
 
 def _ranges(channel: Channel) -> dict[str, tuple[float, float]]:
     """Return from where to where commands beyond the dead zone, and displacements, went in the tests."""
-    if channel.envelope is None:
-        return dict.fromkeys(("command", DISPLACEMENT), (-math.inf, math.inf))
-    signal_ranges = {"command": channel.envelope.command, DISPLACEMENT: channel.envelope.displacement}
+    covered = channel.operating_range
+    signal_ranges = {"command": covered.command, DISPLACEMENT: covered.displacement}
     return {
         name: (float(signal_range.lowest), float(signal_range.highest))
         for name, signal_range in signal_ranges.items()

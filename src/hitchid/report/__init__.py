@@ -12,8 +12,8 @@ from hitchid.report.document import Table as Table
 from hitchid.report.document import Text as Text
 from hitchid.report.document import sentence as sentence
 from hitchid.report.renderers import Renderer as Renderer
+from hitchid.report.renderers import registered_renderers as registered_renderers
 from hitchid.report.renderers import render as render
-from hitchid.report.renderers import renderers as renderers
 from hitchid.report.renderers.pdf import check_pdf as check_pdf
 from hitchid.report.trace_file import ChannelTraceFile as ChannelTraceFile
 from hitchid.report.trace_file import read_trace as read_trace

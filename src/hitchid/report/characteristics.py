@@ -1,7 +1,7 @@
 """Operating characteristics as sentences."""
 
+from hitchid.model import Characteristics, Interval, Quantity
 from hitchid.report import numbers
-from hitchid.uncertainty import Characteristics, Interval, Quantity
 
 VERBS = {"lifting": "lifts", "lowering": "lowers"}
 

@@ -2,7 +2,7 @@
 
 from math import floor, log10
 
-from hitchid.uncertainty import Estimate, Interval, Quantity
+from hitchid.model import Estimate, Interval, Quantity
 from hitchid.validation import RunFigures
 
 DIVERGED = "diverged"

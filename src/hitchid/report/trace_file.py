@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from pydantic import TypeAdapter, ValidationError
 
-from hitchid.uncertainty import Estimate
+from hitchid.model import Estimate
 
 
 @dataclass(frozen=True)

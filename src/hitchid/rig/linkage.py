@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from hitchid.rig.oil import Scalar, Values
 from hitchid.rig.quantities import quantity
 
-GRAVITY = 9.80665
+GRAVITY = 9.80665  # m/s², standard (ISO 80000-3)
 
 
 class Load(NamedTuple):

@@ -12,7 +12,7 @@ from hitchid.rig.sensors import CalibrationCurve
 from hitchid.rig.simulation import SAMPLE_S, RigMotion
 from hitchid.rig.test_bench import Rig
 
-LARGEST_JITTER = 0.1
+LARGEST_JITTER = 0.1  # of the sampling time, standard deviation; four of it stay below half a sample
 COLUMNS = ("time_s", "current_up_A", "current_down_A", "displacement_mm")
 
 
@@ -37,7 +37,7 @@ def measure(
         currents: what it was given, A, shape [T, N, 2].
         key: noise and jitter.
         jitter: standard deviation of the clock over its period, at most 0.1; clipped at four times that. The
-            stamps tell when the samples were truly taken.
+            stamps are the true sampling instants.
 
     Raises:
         InputError: motion and currents are of different tests, or the jitter is out of range.

@@ -12,7 +12,7 @@ from hitchid.rig.quantities import quantity
 Scalar = Float[Array, ""]
 Values = Float[Array, "..."]
 
-TANK_PRESSURE_PA = 101325.0
+TANK_PRESSURE_PA = 101325.0  # Pa, standard atmosphere (ISO 2533)
 
 
 class Oil(eqx.Module):

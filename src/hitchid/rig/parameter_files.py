@@ -21,7 +21,7 @@ from hitchid.rig.supply import Supply
 from hitchid.rig.test_bench import Rig
 from hitchid.rig.valves import LiftingValve, LoweringValve, Spool
 
-CHECKED_POSITIONS = 201
+CHECKED_POSITIONS = 201  # over the stroke, at which the linkage must close
 SETS = resources.files("hitchid.rig") / "parameters"
 
 COMPONENTS: dict[str, tuple[type[eqx.Module], ...]] = {
@@ -193,6 +193,6 @@ def _require(
         row = int(np.flatnonzero(~satisfied)[0])
         position = float(np.asarray(positions)[row])
         raise SettingsError(
-            f"key 'linkage.{key}': {condition} only if its measure lies in {required}; came {values[row]:g} at "
-            f"{position:g} m of the stroke"
+            f"key 'linkage.{key}': {condition} only if its measure lies in {required}; "
+            f"came {values[row]:g} at {position:g} m of the stroke"
         )

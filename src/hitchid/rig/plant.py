@@ -31,8 +31,8 @@ class OilVolumes(NamedTuple):
 class RigState(NamedTuple):
     """The bench at one instant: SI units, absolute pressures.
 
-    `bristle` is the deflection z of the LuGre model; `supply_oil` and `cylinder_oil` are what was there at
-    the start; what is there now is that plus the accounts.
+    `bristle` is the deflection z of the LuGre model; `supply_oil` and `cylinder_oil` are the amounts at the
+    start; the present amounts are these plus the accounts.
     """
 
     lifting: SpoolState
@@ -49,7 +49,7 @@ class RigState(NamedTuple):
 
 
 class RigInputs(NamedTuple):
-    """What is held during a step: currents, A, and the load at the implement, N, downward."""
+    """Inputs held during a step: currents, A, and the load at the implement, N, downward."""
 
     lifting: Values
     lowering: Values
@@ -57,7 +57,7 @@ class RigInputs(NamedTuple):
 
 
 class StepFactors(NamedTuple):
-    """What depends on the step's length alone."""
+    """Factors that depend on the step's length alone."""
 
     dt: Values
     lifting: SpoolStep

@@ -71,6 +71,7 @@ def to_base_unit(value: float, unit: str, expected: QuantityRange, context: str)
     converted = value * FACTORS[unit][1]
     if not expected.low <= converted <= expected.high:
         raise SettingsError(
-            f"{context}: came {value:g} {unit}, required {expected.low:g} to {expected.high:g} {expected.unit}"
+            f"{context}: came {value:g} {unit}, "
+            f"required {expected.low:g} to {expected.high:g} {expected.unit}"
         )
     return converted

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 from hitchid.rig.oil import Scalar
 from hitchid.rig.quantities import quantity
 
-HARMONICS = np.array([0.5, 1.0, 1.5])
+HARMONICS = np.array([0.5, 1.0, 1.5])  # f_k, periods over full scale
 
 
 class CalibrationCurve(eqx.Module):

@@ -24,12 +24,12 @@ from hitchid.rig.plant import (
 )
 from hitchid.rig.test_bench import Rig, at_temperature
 
-SAMPLE_S = 0.01
-SUBSTEPS = 8
+SAMPLE_S = 0.01  # s, sampling time of the data acquisition
+SUBSTEPS = 8  # integration steps a sample; see tests/rig for the order of convergence
 
 
 class RigMotion(eqx.Module):
-    """What the bench truly did, sampled every 10 ms; each sample stands before its row of currents acts.
+    """True motion of the bench, sampled every 10 ms, each sample before its row of currents acts.
 
     All arrays have the shape [T, N]; pressures are absolute, volumes are of oil at tank pressure.
 
@@ -40,11 +40,10 @@ class RigMotion(eqx.Module):
         lifting_spool, lowering_spool: spool positions over their travel.
         compensator_m2: opening of the pressure compensator.
         lifting_flow_m3_s, lowering_flow_m3_s: mean flows over the 10 ms before the sample.
-        pumped_m3, relieved_m3, lifted_m3, lowered_m3, leaked_m3, safety_relieved_m3: what has flowed since
-            the start
-            from the pump, over the relief valve, to the cylinder, back to tank through the lowering valve,
-            past the piston, and over the safety valve.
-        supply_oil_m3, cylinder_oil_m3: what is in the supply line and its accumulator, in chamber and hose.
+        pumped_m3, relieved_m3, lifted_m3, lowered_m3, leaked_m3, safety_relieved_m3: volumes that have
+            flowed since the start, from the pump, over the relief valve, to the cylinder, to tank through the
+            lowering valve, past the piston, and over the safety valve.
+        supply_oil_m3, cylinder_oil_m3: oil in the supply line and its accumulator, in chamber and hose.
     """
 
     displacement_m: Float[Array, "t n"]

@@ -81,7 +81,7 @@ def lowering_small_signal(rig: Rig, operating_point: OperatingPoint) -> SmallSig
 
 
 def _as_arrays(rig: Rig, point: OperatingPoint) -> OperatingPoint:
-    """Return a point in arrays, its temperature told, so that one compiled program serves all points."""
+    """Return a point as arrays with its temperature set, so that one compiled program serves all points."""
     temperature = point.oil_temperature_c
     complete_point = point._replace(
         oil_temperature_c=rig.oil.temperature if temperature is None else temperature

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from hitchid.rig.oil import TANK_PRESSURE_PA, Scalar, Values, orifice_flow
 from hitchid.rig.quantities import quantity
 
-TINY_AREA = 1e-12
+TINY_AREA = 1e-12  # m²; keeps the series of two closed orifices differentiable
 
 
 class SpoolState(NamedTuple):
@@ -103,7 +103,7 @@ class LiftingValve(eqx.Module):
     Attributes:
         spool: current to metering area.
         compensator_lag: of the compensator's opening behind the one in balance, s.
-        offset_pressure: drop over the metering orifice the compensator's spring stands for, Pa.
+        offset_pressure: drop over the metering orifice set by the compensator's spring, Pa.
         droop: by how much of itself that drop grows until the compensator is closed.
         compensator_area: opening of the compensator at its stop, m², which limits the flow.
         check_pressure: opening pressure of the check valve, Pa.
@@ -163,5 +163,5 @@ class LoweringValve(eqx.Module):
 
 
 def series_area(first: Values, second: Values) -> Values:
-    """Return the area of one orifice that stands for two in series: a₁ a₂/√(a₁² + a₂²)."""
+    """Return the area of one orifice equivalent to two in series: a₁ a₂/√(a₁² + a₂²)."""
     return first * second / jnp.sqrt(first**2 + second**2 + TINY_AREA**2)

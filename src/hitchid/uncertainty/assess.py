@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hitchid.estimation import Objective
+from hitchid.model.estimates import MAX_INTERVAL_RATIO, Estimate, Estimates, Interval, Quantity
 from hitchid.structures import Parameter
 from hitchid.uncertainty.dead_zone_error import NO_ERROR, DeadZoneError
 from hitchid.uncertainty.derived import derived, sensitivities
-from hitchid.uncertainty.estimate import MAX_INTERVAL_RATIO, Estimate, Estimates, Interval, Quantity
 from hitchid.uncertainty.influence import Influence, compute_influence
 from hitchid.uncertainty.profile import Profile, open_ends, profile
 from hitchid.uncertainty.verdict import verdict

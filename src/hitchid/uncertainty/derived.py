@@ -6,7 +6,7 @@ from math import exp, log
 import numpy as np
 
 from hitchid.estimation import Objective
-from hitchid.uncertainty.estimate import MAX_INTERVAL_RATIO, Quantity
+from hitchid.model.estimates import MAX_INTERVAL_RATIO, Quantity
 from hitchid.uncertainty.influence import Influence
 from hitchid.uncertainty.profile import Profile, open_ends
 

@@ -3,8 +3,8 @@
 import numpy as np
 from jaxtyping import Float
 
+from hitchid.model.characteristics import MeasuredSpeed
 from hitchid.structures import Batch
-from hitchid.uncertainty.characteristics import MeasuredSpeed
 
 LEVEL_TOLERANCE = 0.01
 MAX_LEVEL_WIDTH, MAX_LEVELS, MIN_LEVEL_SHARE, MIN_STEADY_SHARE = 3, 9, 0.02, 0.8

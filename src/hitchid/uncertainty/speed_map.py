@@ -10,15 +10,14 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hitchid.estimation import Objective
-from hitchid.structures import ModelSpec, Scales
-from hitchid.uncertainty.characteristics import (
+from hitchid.model.characteristics import (
     TIME_RESOLUTION_SAMPLES,
     Characteristics,
     SpeedPoint,
-    make_quantity,
 )
+from hitchid.model.estimates import Interval, Quantity, make_quantity
+from hitchid.structures import ModelSpec, Scales
 from hitchid.uncertainty.dead_zone_error import DeadZoneError, t_quantile, welch_satterthwaite
-from hitchid.uncertainty.estimate import Interval, Quantity
 from hitchid.uncertainty.influence import Influence
 from hitchid.uncertainty.operating_points import measured_speeds, operating_levels, operating_loads
 from hitchid.uncertainty.profile import MIN_PACE, Profile

@@ -2,8 +2,8 @@
 
 from math import pi
 
+from hitchid.model.estimates import Interval
 from hitchid.structures import Parameter
-from hitchid.uncertainty.estimate import Interval
 
 
 def verdict(

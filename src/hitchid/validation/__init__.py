@@ -17,6 +17,5 @@ from hitchid.validation.results import CycleResult as CycleResult
 from hitchid.validation.results import Horizons as Horizons
 from hitchid.validation.results import ModelFigures as ModelFigures
 from hitchid.validation.results import RunFigures as RunFigures
-from hitchid.validation.results import SearchSummary as SearchSummary
 from hitchid.validation.validate import validate as validate
 from hitchid.validation.validation import Validation as Validation

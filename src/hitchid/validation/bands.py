@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hitchid.model import Band, Channel
+from hitchid.model import Band, Bands, Channel
+from hitchid.model.bands import free_run_half_width
 from hitchid.model.ensemble import ensemble_deviations
 from hitchid.structures import Batch
-from hitchid.uncertainty import Bands
 from hitchid.validation.results import BandFigures, BandHorizons
 
 COVERAGE = 0.9  # share of samples, the level of the bands that are validated
@@ -20,8 +20,8 @@ def free_run_band(channel: Channel, bands: Bands, batch: Batch) -> np.ndarray:
         channel, bands: of the model.
         batch: tests.
     """
-    _, deviations = ensemble_deviations(channel, bands.alternatives, batch)
-    return bands.free_run_half_width(COVERAGE, np.sqrt(np.sum(deviations**2, axis=0)))
+    _, deviations = ensemble_deviations(channel, bands.ensemble, batch)
+    return free_run_half_width([bands], [np.sqrt(np.sum(deviations**2, axis=0))], COVERAGE)
 
 
 def band_figures(

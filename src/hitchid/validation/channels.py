@@ -4,17 +4,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 
 from hitchid._support.metrics import HORIZONS
-from hitchid.baselines.autoregression import predict_ahead
-from hitchid.baselines.black_box import BlackBox
+from hitchid.baselines.persistence import Persistence, delayed
 from hitchid.data.record import Record
-from hitchid.estimation import SearchHistory
-from hitchid.model import Channel, remove_padding
+from hitchid.model import Channel, Comparison, Estimates, Uncertainty, remove_padding
 from hitchid.structures import Batch
-from hitchid.uncertainty import Estimates, Uncertainty
 from hitchid.validation.bands import band_figures, free_run_band
 from hitchid.validation.names import BENCHMARK, FREE_RUN, GREYBOX, ONE_STEP, PERSISTENCE
 from hitchid.validation.predictions import Predictions
@@ -25,7 +21,6 @@ from hitchid.validation.results import (
     Horizons,
     ModelFigures,
     RunFigures,
-    SearchSummary,
     figures_by_test,
 )
 
@@ -51,7 +46,11 @@ class _ModelRuns(NamedTuple):
 
 
 def channel_result(
-    channel: Channel, tests: Sequence[Record], factor: float, uncertainty: Uncertainty | None
+    channel: Channel,
+    tests: Sequence[Record],
+    factor: float,
+    uncertainty: Uncertainty | None,
+    comparison: Comparison,
 ) -> ChannelResult:
     """Return the results of a channel on unseen tests.
 
@@ -60,8 +59,9 @@ def channel_result(
         tests: on the model's clock and in its units.
         factor: from the model's unit of displacement to that of the figures.
         uncertainty: estimates and bands of the channel; None where the model holds none.
+        comparison: what was fitted to the same tests for comparison.
     """
-    runs = _run(channel, tests)
+    runs = _run(channel, comparison, tests)
     half_width = _half_width(channel, runs, uncertainty)
     multi_step = runs.multi_step[GREYBOX]
     accuracy = _accuracy(runs, tests, factor, half_width)
@@ -76,31 +76,29 @@ def channel_result(
     }
     if uncertainty is None:
         return ChannelResult(accuracy, residuals)
+    paper = comparison.paper_estimates
     return ChannelResult(
         accuracy,
         residuals,
         parameters=_with_profiles_scaled(uncertainty.benchmark, factor),
-        paper_parameters=uncertainty.paper and _with_profiles_scaled(uncertainty.paper, factor),
+        paper_parameters=paper and _with_profiles_scaled(paper, factor),
         characteristics=uncertainty.characteristics,
-        searches=tuple(_search_summary(history, factor) for history in uncertainty.searches),
+        searches=tuple(search.scaled(factor) for search in comparison.searches),
     )
 
 
-def _run(channel: Channel, tests: Sequence[Record]) -> _ModelRuns:
+def _run(channel: Channel, comparison: Comparison, tests: Sequence[Record]) -> _ModelRuns:
     batch = channel.batch(tests)
     steps = [h for h in HORIZONS if h < min(map(len, tests))]
     benchmark = np.asarray(channel.simulate_benchmark(batch))
     measured = np.asarray(batch.displacement)
 
-    def delayed(rows: np.ndarray, h: int) -> np.ndarray:
-        return np.concatenate([rows[:, :h], rows[:, :-h]], axis=1)
-
     def restarted(simulated: np.ndarray) -> list[np.ndarray]:
         return [delayed(measured, h) + simulated - delayed(simulated, h) for h in steps]
 
-    baselines = _baseline_runs(channel, batch, steps)
+    baselines = _baseline_runs(channel, comparison, batch, steps)
     multi_step = {
-        PERSISTENCE: [delayed(measured, h) for h in steps],
+        PERSISTENCE: Persistence().predict(batch, steps),
         BENCHMARK: restarted(benchmark),
         GREYBOX: list(np.asarray(channel.predict(batch, tuple(steps)))),
         **{name: baseline.multi_step or restarted(baseline.free_run) for name, baseline in baselines.items()},
@@ -205,21 +203,6 @@ def _with_profiles_scaled(estimates: Estimates, factor: float) -> Estimates:
     return replace(estimates, parameters=tuple(parameters))
 
 
-def _search_summary(history: SearchHistory, factor: float) -> SearchSummary:
-    def scale(errors: Sequence[float | None]) -> tuple[float | None, ...]:
-        return tuple(None if error is None else factor * error for error in errors)
-
-    median_run = history.runs[int(np.argsort(history.final_fitnesses)[len(history.runs) // 2])]
-    return SearchSummary(
-        name=history.name,
-        rmse=scale([run.final_fitness for run in history.runs]),
-        evaluations=tuple(run.evaluations for run in history.runs),
-        failures=tuple(run.failures for run in history.runs),
-        median_rmse=scale(median_run.fitness),
-        median_values=median_run.values,
-    )
-
-
 class _BaselineRun(NamedTuple):
     """A baseline's displacement in free run, shape [T, N], and predicted h samples ahead where it can."""
 
@@ -227,26 +210,15 @@ class _BaselineRun(NamedTuple):
     multi_step: list[np.ndarray] | None = None
 
 
-def _baseline_runs(channel: Channel, batch: Batch, steps: Sequence[int]) -> dict[str, _BaselineRun]:
-    """Return the baselines that the model holds, by name."""
-    runs = {}
-    commands, initial = np.asarray(batch.command), np.asarray(batch.initial)
-    travels = batch.sign * (np.asarray(batch.displacement) - initial[:, None])
-
-    def of_travel(travel: np.ndarray) -> np.ndarray:
-        return initial[:, None] + batch.sign * travel
-
-    for name, model in (("arx", channel.arx), ("narx", channel.narx)):
-        if model is not None:
-            rows = [predict_ahead(model, u, w, steps) for u, w in zip(commands, travels, strict=True)]
-            free_runs = np.array([model.free_run(u) for u in commands])
-            runs[name] = _BaselineRun(
-                of_travel(free_runs), [of_travel(row) for row in np.swapaxes(rows, 0, 1)]
-            )
-    if channel.black_box is not None:
-        travel = eqx.filter_jit(BlackBox.free_run)(channel.black_box, batch.command, batch.initial)
-        runs["lstm"] = _BaselineRun(of_travel(np.asarray(travel)))
-    paper = paper_channel(channel)
+def _baseline_runs(
+    channel: Channel, comparison: Comparison, batch: Batch, steps: Sequence[int]
+) -> dict[str, _BaselineRun]:
+    """Return the runs of what was fitted for comparison, by name."""
+    runs = {
+        name: _BaselineRun(fitted.free_run(batch), fitted.predict(batch, steps))
+        for name, fitted in comparison.baselines.items()
+    }
+    paper = paper_channel(channel, comparison)
     if paper is not None:
         batch = batch.with_dead_zone(paper.dead_zone)
         runs["transfer_function"] = _BaselineRun(np.asarray(paper.simulate_benchmark(batch)))
@@ -256,13 +228,13 @@ def _baseline_runs(channel: Channel, batch: Batch, steps: Sequence[int]) -> dict
     return runs
 
 
-def paper_channel(channel: Channel) -> Channel | None:
-    """Return the method of Sun et al. 2025 beside a channel, the channel itself where it is that.
+def paper_channel(channel: Channel, comparison: Comparison) -> Channel | None:
+    """Return the method of Sun et al. 2025, which is the channel itself where that has a linear benchmark.
 
-    None where no baselines were fitted, or that one could not be.
+    None where it was not fitted, or where no baselines were.
     """
-    if channel.paper is not None:
-        return channel.paper
+    if comparison.paper is not None:
+        return comparison.paper
     physical_model = channel.benchmark
-    is_paper_model = physical_model.structure.linear is not None and physical_model.nonlinearity is None
-    return channel if is_paper_model and channel.arx is not None else None
+    is_linear = physical_model.structure.linear is not None and physical_model.nonlinearity is None
+    return channel if is_linear and comparison.baselines else None

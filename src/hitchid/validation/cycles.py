@@ -7,7 +7,7 @@ import numpy as np
 
 from hitchid._support.metrics import HORIZONS
 from hitchid.data.record import Record
-from hitchid.model import Band, FreeRun, Hitch
+from hitchid.model import Band, Comparison, FreeRun, Hitch
 from hitchid.validation.bands import COVERAGE, cycle_band_figures
 from hitchid.validation.channels import paper_channel
 from hitchid.validation.names import BENCHMARK, FREE_RUN, GREYBOX, PERSISTENCE
@@ -97,7 +97,10 @@ def _bands(model: Hitch, cycles: Sequence[Record], factor: float) -> list[Band] 
 
 def _paper_model(model: Hitch) -> Hitch | None:
     """Return the transfer functions of Sun et al. 2025 as one hitch; None where they were not fitted."""
-    paper_channels = {direction: paper_channel(channel) for direction, channel in model.channels.items()}
+    paper_channels = {
+        direction: paper_channel(channel, model.comparison.get(direction, Comparison()))
+        for direction, channel in model.channels.items()
+    }
     uncompensated = {
         direction: replace(channel, compensator=None, speed_compensator=None)
         for direction, channel in paper_channels.items()

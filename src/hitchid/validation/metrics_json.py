@@ -3,8 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import asdict
 
-from hitchid.model import TwoModes
-from hitchid.uncertainty import Characteristics, Estimate, Estimates, Quantity
+from hitchid.model import Characteristics, Estimate, Estimates, Quantity, SearchSummary, TwoModes
 from hitchid.validation.names import BENCHMARK, CYCLES, FREE_RUN, GREYBOX, RUNS
 from hitchid.validation.results import (
     Accuracy,
@@ -14,7 +13,6 @@ from hitchid.validation.results import (
     Horizons,
     ModelFigures,
     RunFigures,
-    SearchSummary,
 )
 
 JsonObject = dict[str, object]

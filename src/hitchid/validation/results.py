@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hitchid._support.metrics import error_figures, rmse_error
-from hitchid.uncertainty import Characteristics, Estimates
+from hitchid.model import Characteristics, Estimates, SearchSummary
 from hitchid.validation.names import BENCHMARK, FREE_RUN, GREYBOX, ONE_STEP
 from hitchid.validation.predictions import Predictions
 from hitchid.validation.residuals import ResidualTests
@@ -154,26 +154,6 @@ class Accuracy:
     def uncompensated(self) -> bool:
         """Whether the grey box in free run is the benchmark alone."""
         return self.free_run() == self.free_run(BENCHMARK)
-
-
-@dataclass(frozen=True)
-class SearchSummary:
-    """Runs of one search for the parameters, one run for each seed.
-
-    Attributes:
-        name: of the search.
-        rmse: final RMSE of each run, in the displacement's unit; None where it failed.
-        evaluations, failures: simulations of each run, and how many of them were not finite.
-        median_rmse: best RMSE so far over the iterations of the median run.
-        median_values: the parameters that gave it.
-    """
-
-    name: str
-    rmse: tuple[float | None, ...]
-    evaluations: tuple[int, ...]
-    failures: tuple[int, ...]
-    median_rmse: tuple[float | None, ...]
-    median_values: tuple[tuple[float, ...], ...]
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from hitchid.data.campaign import Campaign
 from hitchid.data.record import CYCLE, DISPLACEMENT, Record
 from hitchid.data.units import conversion_factor
 from hitchid.errors import InputError
-from hitchid.model import Hitch
+from hitchid.model import Comparison, Hitch
 from hitchid.validation.channels import channel_result
 from hitchid.validation.cycles import cycle_result
 from hitchid.validation.notices import channel_notices, cycle_notices
@@ -108,8 +108,8 @@ def _validate_direction(
     if not unseen:
         return None, []
     tests = [model.to_model_units(record) for record in unseen]
-    channel = model.channels[direction]
-    result = channel_result(channel, tests, factor, model.uncertainty.get(direction))
+    channel, comparison = model.channels[direction], model.comparison.get(direction, Comparison())
+    result = channel_result(channel, tests, factor, model.uncertainty.get(direction), comparison)
     return result, channel_notices(direction, result.accuracy, channel, tests)
 
 

@@ -113,7 +113,7 @@ class Validation:
         self.write_as("pdf", path, force=force)
 
     def write_as(self, renderer: str, path: str | Path, *, force: bool = False) -> None:
-        """Write the report by one of `hitchid.report.renderers()`.
+        """Write the report by one of `hitchid.report.registered_renderers()`.
 
         Raises:
             OutputError: the file exists and `force` is not given, or it cannot be written.

@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from hitchid.model import SearchSummary
 from hitchid.report.figures.style import (
     COLOURS,
     COLUMN_IN,
@@ -18,7 +19,6 @@ from hitchid.report.figures.style import (
     styled,
 )
 from hitchid.report.trace_file import TracedCandidate, TracedSearch, TracedTraining
-from hitchid.validation import SearchSummary
 
 SEARCH_COLOURS = {"whale": "one_step", "differential-evolution": "benchmark", "multi-start": "greybox"}
 WRAP = 24

@@ -3,8 +3,8 @@
 import numpy as np
 from matplotlib.figure import Figure
 
+from hitchid.model import Characteristics
 from hitchid.report.figures.style import COLOURS, COLUMN_IN, INK, legend_above, styled
-from hitchid.uncertainty import Characteristics
 
 LINE_STYLES = (("one_step", "v", "--"), ("benchmark", "s", "-"), ("greybox", "^", "-."))
 BAND_ALPHA, HEADROOM = 0.22, 1.5

@@ -14,8 +14,8 @@ from matplotlib.ticker import (
     StrMethodFormatter,
 )
 
+from hitchid.model import Estimate
 from hitchid.report.figures.style import COLOURS, COLUMN_IN, FAINT, INK, legend_above, logarithmic, styled
-from hitchid.uncertainty import Estimate
 from hitchid.validation import BandFigures
 from hitchid.validation.residuals import ResidualTests
 

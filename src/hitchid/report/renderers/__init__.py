@@ -16,7 +16,7 @@ from hitchid.report.renderers.terminal import Terminal
 BUILT_IN: tuple[Renderer, ...] = (Html(), Pdf(), Markdown(), Terminal(), JUnit(), Json())
 
 
-def renderers() -> Mapping[str, Renderer]:
+def registered_renderers() -> Mapping[str, Renderer]:
     """Return every renderer by name, those of other installed packages too.
 
     Raises:
@@ -35,7 +35,7 @@ def render(document: Document, renderer: str) -> bytes:
     Raises:
         InputError: there is no such renderer, or it requires a package that is not installed.
     """
-    found = renderers()
+    found = registered_renderers()
     if renderer not in found:
         raise InputError(f"renderer: came '{renderer}', required one of {', '.join(found)}")
     return found[renderer].render(document)

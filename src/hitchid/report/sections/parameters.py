@@ -2,13 +2,13 @@
 
 from collections.abc import Iterator
 
+from hitchid.model import Characteristics, Estimates
 from hitchid.report import figures
 from hitchid.report.characteristics import characteristic_sentences
 from hitchid.report.document import Picture, Pictures, ReportSection, Table, Text, sentence
 from hitchid.report.sections.context import DirectionContext
 from hitchid.report.tables import characteristic_tables, parameter_table
 from hitchid.report.trace_file import TracedDeadZone
-from hitchid.uncertainty import Characteristics, Estimates
 
 
 def parameters(context: DirectionContext) -> ReportSection:

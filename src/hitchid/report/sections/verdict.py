@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from hitchid.model import Estimates
 from hitchid.report import numbers
 from hitchid.report.document import Finding, Rating
-from hitchid.uncertainty import Estimates
 from hitchid.validation import Acceptance, Accuracy, BandFigures, Validation
 from hitchid.validation.names import BENCHMARK, GREYBOX, model_name
 from hitchid.validation.predictions import MIN_TESTS

@@ -1,9 +1,9 @@
 """Tables of two models side by side: errors, horizons, parameters."""
 
+from hitchid.model import Estimate
 from hitchid.report import numbers
 from hitchid.report.document import Table
 from hitchid.report.tables.accuracy import error_header
-from hitchid.uncertainty import Estimate
 from hitchid.validation import ModelComparison
 from hitchid.validation.comparison import MODELS
 from hitchid.validation.names import CYCLES, GREYBOX, RUNS

@@ -1,8 +1,8 @@
 """Tables of parameters with their intervals, and of operating characteristics."""
 
+from hitchid.model import Characteristics, Estimates
 from hitchid.report import numbers
 from hitchid.report.document import Table
-from hitchid.uncertainty import Characteristics, Estimates
 
 
 def parameter_table(title: str, estimates: Estimates) -> Table:

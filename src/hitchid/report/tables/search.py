@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hitchid.model import SearchSummary
 from hitchid.report import numbers
 from hitchid.report.document import Table
-from hitchid.validation import SearchSummary
 
 
 def search_table(direction: str, searches: Sequence[SearchSummary], unit: str) -> Table:

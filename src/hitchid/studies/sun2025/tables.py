@@ -6,9 +6,9 @@ import numpy as np
 
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.identification import ChannelTrace
+from hitchid.model import Estimate, Quantity
 from hitchid.report import Table, numbers
 from hitchid.studies.sun2025.results import DirectionResult, ErrorSummary, end_deviation, summary
-from hitchid.uncertainty import Estimate, Quantity
 
 # Values that Sun et al. 2025 print; errors in mm, currents in A.
 PAPER_COEFFICIENTS = {

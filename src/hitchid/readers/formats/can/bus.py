@@ -149,7 +149,7 @@ def _check_not_in_log(
             if parameter_group(identifier) == group
         ]
         if message.extended and nodes:
-            problem += f"; its parameter group {group} does, from {format_names(nodes)}"
+            problem += f"; its parameter group {group} is, from {format_names(nodes)}"
         if message.extended and nodes and not message.is_j1939:
             problem += ": if the bus is J1939, set VFrameFormat 'J1939PG' in the DBC file"
         raise LogError(source, problem, column=requested)

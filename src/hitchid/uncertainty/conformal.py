@@ -1,92 +1,14 @@
-"""Prediction bands: how far what is measured may lie from what is predicted, calibrated test by test."""
+"""Calibration of prediction bands: conformal quantiles of errors, test by test."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import ndtri
-
-from hitchid.errors import InputError
 
 LEVELS = (0.5, 0.8, 0.9, 0.95)
 GRID = np.linspace(0.0, 1.0, 401)
 BISECTION_STEPS = 12
 SMALLEST = 1e-12
-
-
-@dataclass(frozen=True)
-class EnsembleMember:
-    """A channel that might as well be the true one, for the next test.
-
-    Attributes:
-        benchmark: parameters of the structure, dead time, and curves where there are any, in one row.
-        member: number of the network that alone corrects the free run; None for all together.
-        weight: by which its distance counts.
-    """
-
-    benchmark: tuple[float, ...]
-    member: int | None = None
-    weight: float = 1.0
-
-
-@dataclass(frozen=True)
-class Bands:
-    """What a band around a channel's predictions is made of.
-
-    In free run its half width is √(z² n² + q² Σ w² (y_a − y)²): n the noise of the sensor and z its normal
-    quantile, y_a the free runs of alternatives and w their weights, q found from tests that were held out.
-
-    Attributes:
-        alternatives: channels that might as well be the true one.
-        noise: standard deviation of the sensor's noise, in the displacement's unit.
-        levels: shares of samples that bands may be asked to cover, ascending.
-        free_run: q for each of them.
-        horizons: samples looked ahead, ascending.
-        ahead: half width for each horizon and level, in the displacement's unit.
-        tests: held-out tests they were found from, for free run and for looking ahead.
-    """
-
-    alternatives: tuple[EnsembleMember, ...]
-    noise: float
-    levels: tuple[float, ...]
-    free_run: tuple[float, ...]
-    horizons: tuple[int, ...]
-    ahead: tuple[tuple[float, ...], ...]
-    tests: tuple[int, int]
-
-    def multiplier(self, coverage: float) -> float:
-        """Return q for a share of samples, interpolated between the levels.
-
-        Raises:
-            InputError: the share lies beyond the levels.
-        """
-        return float(np.interp(self._checked_coverage(coverage), self.levels, self.free_run))
-
-    def free_run_half_width(self, coverage: float, spread: np.ndarray) -> np.ndarray:
-        """Return half widths in free run, in the displacement's unit.
-
-        Args:
-            coverage: share of samples.
-            spread: √(Σ w² (y_a − y)²) at each sample.
-        """
-        floor = float(ndtri(0.5 + coverage / 2)) * self.noise
-        return np.hypot(floor, self.multiplier(coverage) * spread)
-
-    def half_width(self, coverage: float, horizon: int) -> float:
-        """Return the half width so many samples ahead, interpolated between horizons and levels.
-
-        Raises:
-            InputError: the share lies beyond the levels.
-        """
-        by_level = [np.interp(self._checked_coverage(coverage), self.levels, row) for row in self.ahead]
-        return float(np.interp(np.log(horizon), np.log(self.horizons), by_level))
-
-    def _checked_coverage(self, coverage: float) -> float:
-        if not self.levels[0] <= coverage <= self.levels[-1]:
-            raise InputError(
-                f"coverage: required between {self.levels[0]:g} and {self.levels[-1]:g}, came {coverage:g}"
-            )
-        return coverage
 
 
 def nonconformity_scores(

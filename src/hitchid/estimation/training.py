@@ -13,7 +13,6 @@ import optax
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
 from hitchid._support.checkpoints import DISABLED, Arrays, Checkpoints
-from hitchid.identification.weights import weights_of, with_weights
 
 Network = TypeVar("Network")
 Data = TypeVar("Data")
@@ -105,6 +104,26 @@ def train(
     return with_weights(network, arrays), trace
 
 
+def optimiser(learning_rate: float, steps: int) -> optax.GradientTransformation:
+    """Return Adam with gradients clipped to norm 1; its rate falls to a tenth along a cosine."""
+    schedule = optax.cosine_decay_schedule(learning_rate, steps, alpha=0.1)
+    return optax.chain(optax.clip_by_global_norm(1.0), optax.adam(schedule))
+
+
+def weights_of(network: object) -> Arrays:
+    """Return every array of a network, `weights 0` and so on."""
+    leaves = jax.tree.leaves(eqx.filter(network, eqx.is_array))
+    return {f"weights {number}": np.asarray(leaf) for number, leaf in enumerate(leaves)}
+
+
+def with_weights(network: Network, arrays: Arrays) -> Network:
+    """Return a network with its arrays replaced by those of `weights_of` one like it."""
+    weights, static = eqx.partition(network, eqx.is_array)
+    leaves, structure = jax.tree.flatten(weights)
+    new_leaves = [jnp.asarray(arrays[f"weights {number}"]) for number in range(len(leaves))]
+    return eqx.combine(jax.tree.unflatten(structure, new_leaves), static)
+
+
 def every_nth(data: Data, limit: int) -> Data:
     """Return every m-th sequence, so that no more than so many are left."""
     stride = -(-jax.tree.leaves(data)[0].shape[0] // limit)
@@ -128,7 +147,9 @@ def _train(
 ) -> tuple[Network, TrainingHistory]:
     sequences = jax.tree.leaves(training)[0].shape[0]
     batches = sequences // min(settings.batch, sequences)
-    state = _optimiser(settings, batches).init(eqx.filter(network, eqx.is_inexact_array))
+    state = optimiser(settings.learning_rate, settings.epochs * batches).init(
+        eqx.filter(network, eqx.is_inexact_array)
+    )
     best = network
     best_loss = float(_loss(error, network, validation))
     best_epoch, stop_reason = 0, TrainingStopReason.EPOCHS
@@ -154,11 +175,6 @@ def _train(
     )
 
 
-def _optimiser(settings: AdamConfig, batches: int) -> optax.GradientTransformation:
-    schedule = optax.cosine_decay_schedule(settings.learning_rate, settings.epochs * batches, alpha=0.1)
-    return optax.chain(optax.clip_by_global_norm(1.0), optax.adam(schedule))
-
-
 @eqx.filter_jit
 def _loss(error: SquaredError, network: PyTree, data: PyTree) -> Float[Array, ""]:
     squares, count = error(network, data)
@@ -173,7 +189,7 @@ def _epoch(
     sequences = jax.tree.leaves(data)[0].shape[0]
     batch = min(settings.batch, sequences)
     batches = sequences // batch
-    optimiser = _optimiser(settings, batches)
+    adam = optimiser(settings.learning_rate, settings.epochs * batches)
     weights, fixed = eqx.partition(network, eqx.is_inexact_array)
     order = jax.random.permutation(key, sequences)[: batches * batch].reshape(batches, batch)
 
@@ -185,7 +201,7 @@ def _epoch(
     def step(carry: tuple, rows: Array) -> tuple[tuple, tuple[Array, Array]]:
         weights, state = carry
         (_, squared_errors), gradient = jax.value_and_grad(mean_square, has_aux=True)(weights, rows)
-        change, state = optimiser.update(gradient, state, weights)
+        change, state = adam.update(gradient, state, weights)
         return (optax.apply_updates(weights, change), state), squared_errors
 
     (weights, state), (squared_errors, counts) = jax.lax.scan(step, (weights, state), order)

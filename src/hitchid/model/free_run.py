@@ -1,4 +1,4 @@
-"""Whole records through a hitch's motion: free runs, and predictions ahead of every sample."""
+"""The free run of a hitch over a whole record, and its predictions ahead of every sample."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -9,10 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from hitchid.model.dynamics import HitchDynamics, HitchState
+from hitchid.data.record import DIRECTIONS, Record
+from hitchid.model.dynamics import HitchDynamics
+from hitchid.model.state import HitchState
 from hitchid.structures import padded_length
 
-ORIGINS_PER_BATCH = 64
+ORIGINS_PER_BATCH = 64  # predictions advanced at the same time: their state fits a processor's cache
 
 
 class FreeRun(NamedTuple):
@@ -29,10 +31,58 @@ class FreeRun(NamedTuple):
 
 
 class InitialCondition(NamedTuple):
-    """A hitch that stands before a record: displacement and second measured input, in the model's units."""
+    """A hitch at rest before a record: displacement and second measured input, in the model's units."""
 
     displacement: float
     load: float
+
+
+def free_run(dynamics: HitchDynamics, record: Record, initial: InitialCondition) -> FreeRun:
+    """Return the free run over a record on the model's clock and in its units."""
+    displacement, active_channel = simulate_free_run(
+        dynamics, jnp.array(initial), pad_with_nan(commands_of(record), 1)
+    )
+    steps = np.asarray(active_channel)[: len(record) - 1]
+    return FreeRun(
+        np.concatenate([[initial.displacement], np.asarray(displacement)[: len(record) - 1]]),
+        np.concatenate([steps, steps[-1:]]),
+    )
+
+
+def ensemble_free_runs(
+    members: Sequence[HitchDynamics], record: Record, initial: InitialCondition
+) -> Float[np.ndarray, "m n"]:
+    """Return the displacement of the free runs of several hitches over one record, shape [M, N]."""
+    commands = pad_with_nan(commands_of(record), 1)
+    rows = simulate_ensemble(members, jnp.array(initial), commands)[:, : len(record) - 1]
+    return np.pad(rows, ((0, 0), (1, 0)), constant_values=initial.displacement)
+
+
+def multi_step_predictions(
+    dynamics: HitchDynamics, record: Record, initial: InitialCondition, horizons: Sequence[int], stride: int
+) -> list[Float[np.ndarray, " n"]]:
+    """Return for each horizon every sample predicted from so many before; see `Hitch.predictions`."""
+    count = len(record)
+    longest = min(max(horizons), count)
+    commands, measured = (
+        pad_with_nan(samples, longest) for samples in (commands_of(record), record.displacement)
+    )
+    ahead = np.asarray(
+        predict_from_origins(dynamics, jnp.array(initial), commands, measured, longest, stride)
+    )
+    return [
+        align_predictions(ahead, initial.displacement, min(horizon, longest), count, stride)
+        for horizon in horizons
+    ]
+
+
+def commands_of(record: Record) -> Float[np.ndarray, "n 2"]:
+    """Return lifting and lowering command, zero where there is none, shape [N, 2]."""
+    zeros = np.zeros(len(record))
+    return np.stack(
+        [record.command(direction) if direction in record.directions else zeros for direction in DIRECTIONS],
+        axis=1,
+    )
 
 
 def pad_with_nan(samples: np.ndarray, extra: int) -> Array:
@@ -58,7 +108,7 @@ def simulate_free_run(
 def simulate_ensemble(
     members: Sequence[HitchDynamics], initial: Float[Array, "2"], commands: Float[Array, "n 2"]
 ) -> Float[np.ndarray, "m n"]:
-    """Return displacement after each sample as `stepped` does, of several motions; one form, one call."""
+    """Return displacement after each sample for several hitches; one call for each structure."""
     groups: dict[object, list[int]] = {}
     for number, dynamics in enumerate(members):
         groups.setdefault(jax.tree.structure(dynamics), []).append(number)

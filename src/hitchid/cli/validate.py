@@ -1,4 +1,4 @@
-"""Commands that judge models by tests they have not seen."""
+"""The command `hitchid validate`."""
 
 import json
 from pathlib import Path
@@ -74,42 +74,3 @@ def validate(
             display.show_acceptance(acceptance, quiet=quiet)
     if acceptance is not None and not acceptance.passed:
         raise typer.Exit(1)
-
-
-def compare(
-    first: Annotated[Path, typer.Argument(metavar="MODEL_A", help="Model folder.", show_default=False)],
-    second: Annotated[Path, typer.Argument(metavar="MODEL_B", help="Model folder.", show_default=False)],
-    logs: Logs,
-    out: Annotated[Path, typer.Option("--out", help="Folder to write: report.html, comparison.json.")],
-    as_pdf: AsPdf = False,
-    signals: Signals = None,
-    strict: Strict = False,
-    force: Force = False,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
-) -> None:
-    """Compare two models with each other on tests that neither has used."""
-    from hitchid._support.storage import check_folder, check_inputs
-    from hitchid.cli import terminal as display
-
-    check_folder(out, result_kind="comparison.json", force=force)
-    check_inputs(out, [first, second, *logs, signals])
-    prepare_jax()
-    from hitchid._support.progress import ProgressUpdate
-    from hitchid.model import load
-    from hitchid.readers import read
-    from hitchid.report import check_pdf, write_report
-    from hitchid.validation import compare as run
-
-    check_pdf(requested=as_pdf)
-    campaign = read(logs, signals=signals, strict=strict)
-    display.show_left_out(campaign, quiet=quiet)
-    with display.progress(quiet=quiet) as report:
-        comparison = run(load(first), load(second), campaign, progress=report)
-        report(ProgressUpdate("report", 0.98))
-        document = comparison.report(names=(str(first), str(second)), command=command_line())
-        write_report(out, document, comparison.files(), as_pdf=as_pdf, mark="comparison.json", force=force)
-    if as_json:
-        typer.echo(json.dumps(comparison.metrics, indent=1))
-    elif not quiet:
-        display.show_report(document, comparison.notices, out)

@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from hitchid.estimation.training import TrainingStopReason, pad_to_batches, train
 from hitchid.identification import AdamConfig
-from hitchid.identification.training import TrainingStopReason, pad_to_batches, train
 
 RNG = np.random.default_rng(0)
 INPUTS = RNG.normal(size=(64, 3))

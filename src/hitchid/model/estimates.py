@@ -117,6 +117,22 @@ class Estimates:
         return replace(self, parameters=tuple(parameters), derived=())
 
 
+def make_quantity(name: str, unit: str, value: float, interval: Interval, resolution: float) -> Quantity:
+    """Return a quantity, determined where its interval is closed and within a factor of three, or fine.
+
+    Args:
+        name, unit, value, interval: see `Quantity`.
+        resolution: a width that is fine whatever the value, in the unit.
+    """
+    lower, upper = interval
+    narrow = (
+        lower is not None
+        and upper is not None
+        and (upper <= MAX_INTERVAL_RATIO * lower or upper - lower <= resolution)
+    )
+    return Quantity(name, unit, value, interval, narrow)
+
+
 def _scale_interval(interval: Interval, factor: float) -> Interval:
     lower, upper = interval
     return None if lower is None else factor * lower, None if upper is None else factor * upper

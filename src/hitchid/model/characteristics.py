@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 
-from hitchid.uncertainty.estimate import MAX_INTERVAL_RATIO, Interval, Quantity
+from hitchid.model.estimates import Interval, Quantity
 
 SPEED_TOLERANCE, FASTEST_SPEED_TOLERANCE = 0.25, 0.05
 TIME_RESOLUTION_SAMPLES = 2
@@ -90,19 +90,3 @@ class Characteristics:
     def scaled(self, factor: float) -> "Characteristics":
         """Return them with a factor on the gain; what was measured stays."""
         return replace(self, speed_map=tuple(point.scaled(factor) for point in self.speed_map))
-
-
-def make_quantity(name: str, unit: str, value: float, interval: Interval, resolution: float) -> Quantity:
-    """Return a quantity, determined where its interval is closed and within a factor of three, or fine.
-
-    Args:
-        name, unit, value, interval: see `Quantity`.
-        resolution: a width that is fine whatever the value, in the unit.
-    """
-    lower, upper = interval
-    narrow = (
-        lower is not None
-        and upper is not None
-        and (upper <= MAX_INTERVAL_RATIO * lower or upper - lower <= resolution)
-    )
-    return Quantity(name, unit, value, interval, narrow)

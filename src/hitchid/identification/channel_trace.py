@@ -1,0 +1,84 @@
+"""Settings and trace of the identification of one direction."""
+
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+from hitchid._support.checkpoints import DISABLED, Checkpoints
+from hitchid.estimation import Search, SearchComparison
+from hitchid.estimation.training import TrainingHistory
+from hitchid.identification.dead_zone import DeadZone
+from hitchid.identification.phase1 import Phase1
+from hitchid.identification.phase2 import CompensatorConfig
+from hitchid.identification.rollouts import HoldoutTest
+from hitchid.identification.selection import AutoStructure, Candidate
+from hitchid.model import Characteristics, Comparison, Uncertainty
+from hitchid.structures import ModelSpec
+
+
+@dataclass(frozen=True)
+class ChannelTrace:
+    """How one direction was identified.
+
+    Attributes:
+        dead_zone: the dead zone and where it came from.
+        phase1: benchmark, parameters, search.
+        phase2: losses of the training of the compensator for predictions; None where none was trained.
+        holdout_test: test of the compensator for free run on tests held out; None where none was trained.
+        notices: remarks on the data and on choices made automatically.
+        candidates: the forms that were compared, where the form was chosen automatically.
+        seconds: name of each fit to its duration, s.
+        uncertainty: of the channel.
+        comparison: what was fitted to the same tests for comparison.
+        characteristics: speed map, dead zone, delay and response time; None where there are none.
+    """
+
+    dead_zone: DeadZone
+    phase1: Phase1
+    phase2: TrainingHistory | None = None
+    holdout_test: HoldoutTest | None = None
+    notices: tuple[str, ...] = ()
+    candidates: tuple[Candidate, ...] = ()
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    uncertainty: Uncertainty | None = None
+    comparison: Comparison | None = None
+    characteristics: Characteristics | None = None
+
+
+@dataclass(frozen=True)
+class ChannelConfig:
+    """Settings of the identification of one direction.
+
+    Attributes:
+        spec: of its benchmark, or how it is chosen.
+        paper_spec: the paper's form, for the paper's method beside it.
+        search: of phase 1.
+        training: of phase 2; None for the benchmark alone.
+        seed: every random draw comes from it.
+        units: `x` and `u` to the units of displacement and command.
+        comparison: how searches are compared; None compares none.
+        checkpoints: where finished pieces are kept and found again.
+    """
+
+    spec: ModelSpec | AutoStructure
+    paper_spec: ModelSpec
+    search: Search
+    training: CompensatorConfig | None
+    seed: int
+    units: Mapping[str, str]
+    comparison: SearchComparison | None = None
+    checkpoints: Checkpoints = DISABLED
+
+    @property
+    def search_spec(self) -> ModelSpec:
+        """The structure that searches are compared on: the given one, or the first of an automatic choice."""
+        return self.spec.baseline_spec if isinstance(self.spec, AutoStructure) else self.spec
+
+
+@contextmanager
+def timed(seconds: dict[str, float], name: str) -> Iterator[None]:
+    """Enter under a name how long the block takes, s."""
+    started = time.perf_counter()
+    yield
+    seconds[name] = time.perf_counter() - started

@@ -1,0 +1,204 @@
+"""Fits for comparison only: baselines, the method of Sun et al. 2025, global searches."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Array, Key, PRNGKeyArray
+
+from hitchid._support.checkpoints import Checkpoints
+from hitchid._support.progress import (
+    TYPICAL_ITERATIONS,
+    IterationCallback,
+    ProgressCallback,
+    ProgressUpdate,
+)
+from hitchid.baselines.baseline import FitContext
+from hitchid.baselines.fitted import FittedBaseline
+from hitchid.baselines.registry import all_baselines
+from hitchid.estimation import Objective, SearchHistory, compare_searches
+from hitchid.estimation.training import EpochCallback, TrainingHistory
+from hitchid.identification.channel_trace import ChannelConfig, timed
+from hitchid.identification.optional import attempt
+from hitchid.identification.phase1 import Phase1, identify_benchmark
+from hitchid.identification.phase2 import CompensatorConfig, train_compensator
+from hitchid.identification.preparation import ChannelData
+from hitchid.model import Channel, Comparison, Estimates, SearchSummary
+from hitchid.networks.operating_range import OperatingRange
+from hitchid.structures import ModelSpec
+
+
+def fit_comparison(
+    channel: Channel,
+    data: ChannelData,
+    initial_data: ChannelData,
+    config: ChannelConfig,
+    training: CompensatorConfig,
+    keys: Key[Array, " k"],
+    progress: ProgressCallback,
+    seconds: dict[str, float],
+) -> tuple[Comparison, list[str]]:
+    """Fit the baselines, and the method of Sun et al. 2025 where the channel is not that.
+
+    Args:
+        channel: the identified one.
+        data: its tests.
+        initial_data: its tests with the dead zone of a linear valve, for the paper's method.
+        config: settings of the direction.
+        training: size and training of networks.
+        keys: of the baselines, of the paper's method.
+        progress: called with what is being done and the fraction that is done.
+        seconds: gets the duration of each fit.
+
+    Returns:
+        What was fitted, and a notice for each fit that failed.
+    """
+    notices: list[str] = []
+    comparison = Comparison(_fit_baselines(data, config, training, keys[0], progress, seconds, notices))
+    if config.spec == config.paper_spec:
+        return comparison, notices
+    with timed(seconds, "paper's method"):
+        fitted = attempt(
+            "the paper's method",
+            lambda: _fit_paper_method(initial_data, config, training, keys[1], progress),
+            notices,
+        )
+    if fitted is None:
+        return comparison, notices
+    paper, estimates = fitted
+    return replace(comparison, paper=paper, paper_estimates=estimates), notices
+
+
+def search_summaries(objective: Objective, config: ChannelConfig) -> tuple[SearchSummary, ...]:
+    """Compare global searches of the parameters, each from several seeds."""
+    if config.comparison is None:
+        return ()
+    histories = compare_searches(objective, config.comparison, config.seed)
+    return tuple(_search_summary(history) for history in histories)
+
+
+def _search_summary(history: SearchHistory) -> SearchSummary:
+    median_run = history.runs[int(np.argsort(history.final_fitnesses)[len(history.runs) // 2])]
+    return SearchSummary(
+        history.name,
+        tuple(run.final_fitness for run in history.runs),
+        tuple(run.evaluations for run in history.runs),
+        tuple(run.failures for run in history.runs),
+        median_run.fitness,
+        median_run.values,
+    )
+
+
+def _fit_baselines(
+    data: ChannelData,
+    config: ChannelConfig,
+    training: CompensatorConfig,
+    key: PRNGKeyArray,
+    progress: ProgressCallback,
+    seconds: dict[str, float],
+    notices: list[str],
+) -> Mapping[str, FittedBaseline]:
+    baselines = {}
+    for name, baseline in all_baselines().items():
+        context = FitContext(
+            training.hidden,
+            training.adam,
+            key,
+            epoch_callback(progress, f"{baseline.title} baseline", 0.6, 0.2),
+            config.checkpoints.child(f"baseline {name}"),
+        )
+        with timed(seconds, baseline.title):
+            fitted = attempt(
+                baseline.title,
+                lambda baseline=baseline, context=context: baseline.fit(
+                    data.training, data.validation, context
+                ),
+                notices,
+            )
+        if fitted is not None:
+            baselines[name] = fitted
+    return baselines
+
+
+def _fit_paper_method(
+    data: ChannelData,
+    config: ChannelConfig,
+    training: CompensatorConfig,
+    key: PRNGKeyArray,
+    progress: ProgressCallback,
+) -> tuple[Channel, Estimates]:
+    """Return the paper's method; its valve is linear, so it has the dead zone found with a linear valve."""
+    checkpoints = config.checkpoints.child("paper")
+    phase1 = identify_spec(data, config, config.paper_spec, checkpoints)
+    channel, _ = with_compensator(
+        benchmark_channel(data, phase1, OperatingRange.unbounded()),
+        data,
+        training,
+        key,
+        epoch_callback(progress, "paper's method", 0.8, 0.2),
+        checkpoints,
+    )
+    return channel, phase1.assessment
+
+
+def benchmark_channel(data: ChannelData, phase1: Phase1, operating_range: OperatingRange) -> Channel:
+    """Return a channel of a benchmark alone."""
+    return Channel(
+        direction=data.direction,
+        sign=data.sign,
+        dead_zone=data.dead_zone.value,
+        end_stop=data.end_stop,
+        benchmark=phase1.benchmark,
+        operating_range=operating_range,
+    )
+
+
+def identify_spec(
+    data: ChannelData,
+    config: ChannelConfig,
+    spec: ModelSpec,
+    checkpoints: Checkpoints,
+    callback: IterationCallback | None = None,
+) -> Phase1:
+    """Identify a benchmark of a given structure."""
+    return identify_benchmark(
+        data.all_tests,
+        spec,
+        config.search,
+        config.seed,
+        units=config.units,
+        dead_zone=data.dead_zone.error,
+        callback=callback,
+        checkpoints=checkpoints,
+    )
+
+
+def with_compensator(
+    channel: Channel,
+    data: ChannelData,
+    training: CompensatorConfig,
+    key: PRNGKeyArray,
+    progress: EpochCallback,
+    checkpoints: Checkpoints,
+) -> tuple[Channel, TrainingHistory]:
+    """Train the compensator for predictions of a channel."""
+    compensator, training_history = train_compensator(
+        (data.training, channel.simulate_benchmark(data.training)),
+        (data.validation, channel.simulate_benchmark(data.validation)),
+        training,
+        key,
+        progress,
+        checkpoints,
+    )
+    return replace(channel, compensator=compensator), training_history
+
+
+def epoch_callback(progress: ProgressCallback, stage: str, start: float, width: float) -> EpochCallback:
+    """Return a callback that reports epochs; a training stops early, so its length is not known before."""
+
+    def show(number: int, training_loss: float, validation_loss: float) -> None:
+        done = start + width * number / (number + TYPICAL_ITERATIONS)
+        figures = {"training loss": training_loss, "validation loss": validation_loss}
+        progress(ProgressUpdate(stage, done, f"epoch {number}", figures))
+
+    return show

@@ -1,0 +1,137 @@
+"""A model as JSON and tensors, and back; what is fitted for comparison only has its own tensors."""
+
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from pydantic import TypeAdapter
+
+from hitchid.model.channel_description import channel_tensors, describe_channel, read_channel
+from hitchid.model.comparison import Comparison, SearchSummary
+from hitchid.model.estimates import Estimates
+from hitchid.model.hitch import Hitch
+from hitchid.model.migration import SCHEMA
+from hitchid.model.provenance import Provenance, TwoModes
+from hitchid.model.tensors import Tensors, fill, shapes_of, tensors_of
+from hitchid.model.uncertainty import Uncertainty
+
+KIND = "hitchid model"
+SUBSETS = ("identification", "validation", "held_out")
+_UNCERTAINTY = TypeAdapter(Uncertainty)
+_ESTIMATES = TypeAdapter(Estimates | None)
+_SEARCHES = TypeAdapter(tuple[SearchSummary, ...])
+
+
+def describe(hitch: Hitch) -> dict[str, object]:
+    """Return all of a model but its trained arrays, as JSON can hold it."""
+    provenance = hitch.provenance
+    return {
+        "schema": SCHEMA,
+        "kind": KIND,
+        "step_s": hitch.step_s,
+        "units": dict(hitch.units),
+        "drift": hitch.drift,
+        "two_modes": None if hitch.two_modes is None else asdict(hitch.two_modes),
+        "uncertainty": {
+            direction: asdict(uncertainty) for direction, uncertainty in hitch.uncertainty.items()
+        },
+        "channels": {direction: describe_channel(channel) for direction, channel in hitch.channels.items()},
+        "comparison": {
+            direction: _describe_comparison(comparison) for direction, comparison in hitch.comparison.items()
+        },
+        "split": {
+            subset: {direction: list(names) for direction, names in getattr(provenance, subset).items()}
+            for subset in SUBSETS
+        },
+        "seen": sorted(provenance.seen),
+        "cut_at": dict(provenance.segmentation_dead_zones),
+        "seed": provenance.seed,
+        "settings": dict(provenance.settings),
+        "versions": dict(provenance.versions),
+    }
+
+
+def deployed_tensors(hitch: Hitch) -> dict[str, np.ndarray]:
+    """Return every array of the channels, `direction/part/path`."""
+    parts = [channel_tensors(channel, direction) for direction, channel in hitch.channels.items()]
+    return {name: array for part in parts for name, array in part.items()}
+
+
+def comparison_tensors(hitch: Hitch) -> dict[str, np.ndarray]:
+    """Return every array fitted for comparison, `direction/baselines/…` and `direction/paper/…`."""
+    tensors = {}
+    for direction, comparison in hitch.comparison.items():
+        for name, fitted in comparison.baselines.items():
+            tensors |= tensors_of(fitted, f"{direction}/baselines/{name}")
+        if comparison.paper is not None:
+            tensors |= channel_tensors(comparison.paper, f"{direction}/paper")
+    return tensors
+
+
+def read_hitch(content: dict[str, Any], tensors: Tensors) -> Hitch:
+    """Return the model of a description and its tensors.
+
+    Raises:
+        ValueError, KeyError, TypeError: the description or the tensors are not those of a model.
+        InputError: no installed package has a structure or a baseline of the model.
+    """
+    two_modes = content["two_modes"]
+    provenance = Provenance(
+        **{
+            subset: {direction: tuple(names) for direction, names in content["split"][subset].items()}
+            for subset in SUBSETS
+        },
+        seen=frozenset(content["seen"]),
+        segmentation_dead_zones=content["cut_at"],
+        seed=content["seed"],
+        settings=content["settings"],
+        versions=content["versions"],
+        digest=content["digest"],
+    )
+    return Hitch(
+        {
+            direction: read_channel(direction, described, tensors, direction)
+            for direction, described in content["channels"].items()
+        },
+        content["step_s"],
+        content["units"],
+        provenance,
+        content["drift"],
+        None if two_modes is None else TwoModes(**two_modes),
+        {
+            direction: _UNCERTAINTY.validate_python(described)
+            for direction, described in content["uncertainty"].items()
+        },
+        {
+            direction: _read_comparison(direction, described, tensors)
+            for direction, described in content["comparison"].items()
+        },
+    )
+
+
+def _describe_comparison(comparison: Comparison) -> dict[str, object]:
+    paper, estimates = comparison.paper, comparison.paper_estimates
+    return {
+        "baselines": list(comparison.baselines),
+        "paper": None if paper is None else describe_channel(paper),
+        "paper_parameters": None if estimates is None else asdict(estimates),
+        "searches": [asdict(search) for search in comparison.searches],
+    }
+
+
+def _read_comparison(direction: str, described: dict[str, Any], tensors: Tensors) -> Comparison:
+    # Not at the top: fits import global searches and optimisers, a deployed model needs none of them.
+    from hitchid.baselines.registry import baseline_named
+
+    baselines = {}
+    for name in described["baselines"]:
+        prefix = f"{direction}/baselines/{name}"
+        skeleton = baseline_named(name).skeleton(shapes_of(tensors, prefix))
+        baselines[name] = fill(skeleton, tensors, prefix)
+    paper = described["paper"]
+    return Comparison(
+        baselines,
+        None if paper is None else read_channel(direction, paper, tensors, f"{direction}/paper"),
+        _ESTIMATES.validate_python(described["paper_parameters"]),
+        _SEARCHES.validate_python(described["searches"]),
+    )

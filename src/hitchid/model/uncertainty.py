@@ -1,0 +1,26 @@
+"""Uncertainty of one channel: parameters, bands, operating characteristics."""
+
+from dataclasses import dataclass
+
+from hitchid.model.bands import Bands
+from hitchid.model.characteristics import Characteristics
+from hitchid.model.estimates import Estimates
+from hitchid.model.information import Information
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """Uncertainty of one channel.
+
+    Attributes:
+        benchmark: estimates of its parameters.
+        bands: around its predictions; None where there were too few tests.
+        information: Fisher information of the tests, for the design of the next one.
+        characteristics: speed map, dead zone, delay and response time; None where the structure has no steady
+            speed, where they could not be computed, or in a model of an older version.
+    """
+
+    benchmark: Estimates
+    bands: Bands | None = None
+    information: Information | None = None
+    characteristics: Characteristics | None = None

@@ -1,0 +1,84 @@
+"""A baseline of another package: fitted beside the channel, saved, loaded, validated, named in the tables."""
+
+import json
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hitchid
+from hitchid.baselines.registry import all_baselines
+from hitchid.data.campaign import Campaign
+from hitchid.data.record import LIFTING, Record
+from hitchid.errors import ModelFolderError
+from hitchid.identification import AdamConfig, CompensatorConfig, MultiStart
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "baseline_from_outside"
+NAME = "constant_speed"
+STEP_S, SPEED, SAMPLES = 0.01, 12.0, 250
+
+
+def install(folder: Path, patch: pytest.MonkeyPatch) -> None:
+    """Install the example as far as Python sees: its module and its entry points."""
+    entries = tomllib.loads((EXAMPLE / "pyproject.toml").read_text())["project"]["entry-points"]
+    info = folder / "constant_speed-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: constant-speed\nVersion: 1.0\n")
+    lines = [f"{name} = {value}" for name, value in entries["hitchid.baselines"].items()]
+    (info / "entry_points.txt").write_text("\n".join(["[hitchid.baselines]", *lines, ""]))
+    patch.syspath_prepend(str(folder))
+    patch.syspath_prepend(str(EXAMPLE))
+
+
+def campaign(tests=6) -> Campaign:
+    """Return tests of a piston that moves at one speed while its valve is open, of different durations."""
+    records = []
+    for number in range(tests):
+        command = np.where((np.arange(SAMPLES) >= 20) & (np.arange(SAMPLES) < 100 + 20 * number), 0.8, 0.0)
+        travel = SPEED * STEP_S * (np.cumsum(command > 0) - (command > 0))
+        signals = {"displacement": 50.0 + travel, "lifting_command": command}
+        units = {"displacement": "mm", "lifting_command": "A"}
+        records.append(Record(f"lifting-{number:02d}", STEP_S, signals, units))
+    return Campaign.of(records)
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    """Return the folder of a model that was identified with the package installed."""
+    folder = tmp_path_factory.mktemp("outside") / "model"
+    with pytest.MonkeyPatch.context() as patch:
+        install(tmp_path_factory.mktemp("installed"), patch)
+        training = CompensatorConfig(hidden=2, window=10, adam=AdamConfig(epochs=1), rollouts=None)
+        found = hitchid.identify(
+            campaign(),
+            structure={LIFTING: "integrator"},
+            training=training,
+            comparison=None,
+            search=MultiStart(evaluations=20),
+            dead_zones={LIFTING: 0.1},
+        )
+        found.save(folder)
+    return folder
+
+
+def test_without_the_package_there_are_the_own_baselines():
+    assert list(all_baselines()) == ["arx", "narx", "lstm"]
+
+
+def test_it_is_fitted_saved_loaded_and_validated(saved, tmp_path, monkeypatch):
+    install(tmp_path, monkeypatch)
+    assert list(all_baselines())[-1] == NAME
+    model = hitchid.load(saved)
+    assert model.comparison[LIFTING].baselines[NAME].speed == pytest.approx(SPEED, rel=1e-9)
+    result = hitchid.validate(model, campaign())
+    figures = result.metrics["channels"][LIFTING]
+    assert figures["baselines"][NAME]["free_run"]["rmse"] == pytest.approx(0.0, abs=1e-9)
+    assert figures["horizons"][NAME] == pytest.approx([0.0] * len(figures["horizons"]["steps"]), abs=1e-9)
+    json.dumps(result.metrics, allow_nan=False)
+    assert NAME in result.markdown() or NAME.replace("_", " ") in result.markdown()
+
+
+def test_a_model_with_it_is_refused_where_the_package_is_missing(saved):
+    with pytest.raises(ModelFolderError, match=NAME):
+        hitchid.load(saved)

@@ -1,0 +1,100 @@
+"""A renderer of another package: found by its name beside hitchid's own, and written to a file."""
+
+import csv
+import json
+import tomllib
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+import handmade
+from hitchid.data.campaign import Campaign
+from hitchid.data.record import LIFTING, Record
+from hitchid.errors import InputError, OutputError
+from hitchid.report import registered_renderers, render
+from hitchid.validation import validate
+from truth import STEP_S
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "renderer_from_outside"
+BUILT_IN = ["html", "pdf", "markdown", "terminal", "junit", "json"]
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory):
+    """Install the example as far as Python sees: its module and its entry points."""
+    folder = tmp_path_factory.mktemp("installed")
+    groups = tomllib.loads((EXAMPLE / "pyproject.toml").read_text())["project"]["entry-points"]
+    info = folder / "csv_tables-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: csv-tables\nVersion: 1.0\n")
+    lines = [
+        line
+        for group, entries in groups.items()
+        for line in (f"[{group}]", *(f"{name} = {value}" for name, value in entries.items()))
+    ]
+    (info / "entry_points.txt").write_text("\n".join(lines))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(folder))
+        patch.syspath_prepend(str(EXAMPLE))
+        yield
+
+
+@pytest.fixture(scope="module")
+def result(module_record):
+    return validate(handmade.hitch("integrator", modes=(LIFTING,)), Campaign.of(module_record))
+
+
+@pytest.fixture(scope="module")
+def module_record():
+    """Return two lifting tests of the plant that the model is."""
+    records = []
+    for number, top in enumerate((0.6, 0.8)):
+        command = np.repeat([0.0, top, 0.0, 0.9 * top], 60)
+        speed = handmade.GAINS[LIFTING] * np.maximum(command - handmade.DEAD_ZONES[LIFTING], 0)
+        displacement = 100 + STEP_S * np.concatenate([[0.0], np.cumsum(speed)[:-1]])
+        signals = {"displacement": displacement, "lifting_command": command}
+        units = {"displacement": "mm", "lifting_command": "A"}
+        records.append(Record(f"lifting-{number}", STEP_S, signals, units))
+    return records
+
+
+def test_it_stands_beside_those_of_the_package(installed):
+    assert list(registered_renderers()) == [*BUILT_IN, "csv"]
+
+
+def test_a_renderer_that_is_not_installed_is_refused_by_its_name(result):
+    with pytest.raises(InputError, match="came 'latex', required one of html, pdf, markdown"):
+        render(result.report(), "latex")
+
+
+def test_it_writes_the_tables_of_a_validation(installed, result, tmp_path):
+    result.write_as("csv", tmp_path / "tables.csv")
+    rows = list(csv.reader((tmp_path / "tables.csv").read_text().splitlines()))
+    assert ["lifting: accuracy on 2 unseen tests"] in rows
+    for table in result.report().tables:
+        at = rows.index([table.title])
+        assert rows[at + 1] == list(table.header)
+        assert rows[at + 2 : at + 2 + len(table.rows)] == [list(row) for row in table.rows]
+    with pytest.raises(OutputError, match="--force"):
+        result.write_as("csv", tmp_path / "tables.csv")
+
+
+@pytest.mark.parametrize("name", [name for name in BUILT_IN if name != "pdf"])
+def test_every_renderer_gives_equal_bytes_for_equal_documents(result, name):
+    document = result.report(command="hitchid validate")
+    content = render(document, name)
+    assert content
+    assert content == render(result.report(command="hitchid validate"), name)
+
+
+def test_each_renderer_writes_its_form(result, tmp_path):
+    document = result.report()
+    assert json.loads(render(document, "json")) == json.loads(json.dumps(result.metrics))
+    assert ElementTree.fromstring(render(document, "junit")).get("tests") == "0"  # noqa: S314
+    assert "grey box" in render(document, "terminal").decode()
+    assert max(map(len, render(document, "terminal").decode().splitlines())) <= 80
+    assert "# Validation of a hitch model" in render(document, "markdown").decode()
+    result.to_html(tmp_path / "report.html")
+    assert (tmp_path / "report.html").read_bytes() == render(document, "html")
