@@ -8,18 +8,19 @@ from pathlib import Path
 
 import hitchid
 from hitchid.model import load_trace
-from hitchid.report import validation_report, write_report
+from hitchid.report import read_trace, write_report
 
 
 def main(model_folder: str, logs: str, runs: int) -> None:
     """Print the median time of composing and writing a report, s, and the size of its page."""
-    model, trace, campaign = hitchid.load(model_folder), load_trace(model_folder), hitchid.read(logs)
+    model, campaign = hitchid.load(model_folder), hitchid.read(logs)
+    trace = read_trace(load_trace(model_folder))
     result = hitchid.validate(model, campaign)
     seconds, size = [], 0
     with tempfile.TemporaryDirectory() as folder:
         for number in range(runs):
             started = time.perf_counter()
-            document = validation_report(result, model, campaign, trace=trace)
+            document = result.report(trace=trace)
             out = Path(folder) / str(number)
             write_report(out, document, result.files(), mark="metrics.json")
             seconds.append(time.perf_counter() - started)

@@ -131,7 +131,7 @@ def comparison(mode):
     baselines = {
         "arx": Arx(np.array([1.5, -0.5]), np.array([0.1, 0.05])),
         "narx": Narx(terms, coefficients, np.array(20.0), np.array(0.5)),
-        "lstm": BlackBox(network(2, 5), *(jnp.asarray(scale) for scale in (1.0, 100.0, 20.0, 0.1))),
+        "lstm": BlackBox(network(2, 5), *map(jnp.asarray, np.array([1.0, 100.0, 20.0, 0.1]))),
     }
     return Comparison(baselines, channel(mode, "first-order-lag", compensated=True))
 

@@ -3,12 +3,15 @@
 import sys
 import warnings
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from hitchid.baselines import narx as fitting
+from hitchid.baselines.baseline import FitContext
 from hitchid.baselines.narx import Narx, NarxBaseline
+from hitchid.estimation.training import AdamConfig
 from hitchid.structures import Batch
 
 # w(k) = 1.2 w(k−1) − 0.3 w(k−2) + 0.5 u(k−1) + 0.1 u(k−2)² − 0.05 w(k−1) u(k−2)
@@ -19,8 +22,8 @@ REST = 7
 
 
 def fitted(training, validation):
-    """Return the fit, which needs no setting of a training."""
-    return NarxBaseline().fit(training, validation, None)
+    """Return the fit, which uses no setting of a training."""
+    return NarxBaseline().fit(training, validation, FitContext(1, AdamConfig(), jax.random.key(0)))
 
 
 def recursion(command):

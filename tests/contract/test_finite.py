@@ -66,7 +66,7 @@ def batch_for(make_record, clock, form):
         and str(
             each
             if isinstance(each, float)
-            else f"{each.structure.name}{' with all curves' if each.curve else ''}"
+            else f"{each.structure.name}{' with all curves' if each.valve_curve else ''}"
         )
     ),
 )

@@ -135,9 +135,8 @@ def test_proposals_are_sorted_by_what_they_leave_of_the_error(advice):
     left = [proposal.remaining_error[advice.parameter] for proposal in advice.proposals]
     assert left == sorted(left)
     # The best of many is worth more than another of the usual, which leaves √(8/9).
-    assert (
-        left[0] < advice.baseline_reduction[advice.parameter] == pytest.approx(np.sqrt(TESTS / (TESTS + 1)))
-    )
+    usual = advice.baseline_reduction[advice.parameter]
+    assert left[0] < usual == pytest.approx(np.sqrt(TESTS / (TESTS + 1)))
 
 
 def test_what_a_test_leaves_follows_from_the_plants_own_derivatives(model):

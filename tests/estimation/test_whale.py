@@ -20,6 +20,12 @@ TURN, _ = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))
 SEEDS = 10
 
 
+def minimise(objective, dimensions, swarm, key):
+    """Run a swarm to its end."""
+    carry = whale.begin(dimensions, swarm, key)
+    return whale.outcome(whale.run_until(objective, carry, swarm, key, swarm.generations), swarm)
+
+
 def sphere(positions):
     return jnp.sum((positions - OPTIMUM) ** 2, axis=-1)
 
@@ -42,7 +48,7 @@ def test_whales_leave_random_search_far_behind_wherever_the_optimum_lies(objecti
     # would need 100^1.5 = 1000 times the budget in three dimensions, 20 times in two.
     swarm = WhaleConfig(population=30, iterations=100)
     keys = jax.random.split(jax.random.key(0), SEEDS)
-    search = jax.jit(jax.vmap(lambda key: whale.minimise(objective, dimensions, swarm, key).best_fitness))
+    search = jax.jit(jax.vmap(lambda key: minimise(objective, dimensions, swarm, key).best_fitness))
     reached = np.asarray(search(keys))
     points = np.random.default_rng(0).uniform(size=(101, 3000, dimensions))
     by_chance = np.median(np.asarray(objective(jnp.asarray(points))).min(axis=1))
@@ -65,7 +71,7 @@ def compiled(objective, swarm):
         jax.debug.callback(keep, positions, fitness, ordered=True)
         return fitness
 
-    return jax.jit(lambda key: whale.minimise(logging, 3, swarm, key))
+    return jax.jit(lambda key: minimise(logging, 3, swarm, key))
 
 
 def logged(objective, swarm, *, seed=0):
@@ -212,7 +218,7 @@ def test_a_search_that_is_looked_at_on_its_way_ends_where_it_would_have(stagnati
     swarm = WhaleConfig(population=6, iterations=20, stagnation=stagnation, tolerance=0.05)
     key = jax.random.key(4)
     proceed = jax.jit(lambda carry, until: whale.run_until(sphere, carry, swarm, key, until))
-    at_once = jax.jit(lambda: whale.minimise(sphere, 3, swarm, key))()
+    at_once = jax.jit(lambda: minimise(sphere, 3, swarm, key))()
     for stops in ((7, 20), (1, 2, 3, 20), (20,)):
         carry = whale.begin(3, swarm, key)
         for until in stops:

@@ -103,7 +103,7 @@ def test_whole_tests_are_set_aside_to_stop_the_training(tests_of, count, validat
     names = [record.name for record in records]
     assert found.validation_names == tuple(names[row] for row in validating)
     parts = {
-        "everything": range(count),
+        "all_tests": range(count),
         "training": [row for row in range(count) if row not in validating],
         "validation": validating,
     }
@@ -161,7 +161,7 @@ def test_a_dead_zone_that_cannot_be_told_is_zero_with_a_notice(make_record):
         records.append(make_record(displacement, command, 0 * command, name=f"test-{number}"))
     found = prepare(everything(records), LIFTING, None)
     assert (found.dead_zone.value, found.dead_zone.origin) == (0.0, "none")
-    assert told(found.notices, "cannot be told from one level of command: taken as zero")
+    assert told(found.notices, "cannot be found from one level of command: taken as zero")
 
 
 def test_what_was_done_to_a_log_is_passed_on(tests_of):

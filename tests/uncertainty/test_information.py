@@ -81,7 +81,7 @@ def test_widths_are_the_standard_errors_of_the_estimates(found, dead_zone):
     errors = np.array([estimate.error for estimate in phase1.parameter_estimates])
     np.testing.assert_allclose(standard_errors(information) * information.slopes, errors, rtol=rounding)
     assert (information.tests, information.samples) == (TESTS, SAMPLES)
-    assert np.any(information.dead_zone_covariance) == (dead_zone.size > 0)
+    assert np.any(information.dead_zone_covariance) == (dead_zone.standard_error > 0)
 
 
 def test_a_parameter_at_a_bound_is_left_out(found):

@@ -317,12 +317,11 @@ def test_over_a_horizon_every_model_has_as_many_figures_as_there_are_horizons(te
 def test_an_autoregression_is_iterated_over_a_horizon_from_what_was_measured(tests_of, name):
     records = tests_of()
     channel = validate(MODELS, Campaign.of(records)).metrics["channels"][LIFTING]
-    own = MODELS.channels[LIFTING]
     measured = [record.displacement for record in records]
     travels = [y - y[:6].mean() for y in measured]
     commands = [np.maximum(record.command(LIFTING) - DEAD_ZONES[LIFTING], 0) for record in records]
-    model = getattr(own, name)
-    free = [y[:6].mean() + model.free_run(u) for y, u in zip(measured, commands, strict=True)]
+    model = MODELS.comparison[LIFTING].baselines[name]
+    free = [y[:6].mean() + model.simulate(u) for y, u in zip(measured, commands, strict=True)]
     assert channel["baselines"][name]["free_run"] == pytest.approx(by_hand(measured, free), rel=1e-9)
     steps = [1, 5, 100]
     rows = [predict_ahead(model, u, w, steps) for u, w in zip(commands, travels, strict=True)]

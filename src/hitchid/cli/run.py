@@ -16,9 +16,7 @@ def run(
         float | None,
         typer.Option("--initial", help="Displacement to start from, in the model's unit [first measured]."),
     ] = None,
-    load: Annotated[
-        float, typer.Option("--load", help="Covariate before motion.")
-    ] = 0.0,
+    load: Annotated[float, typer.Option("--load", help="Covariate before motion.")] = 0.0,
 ) -> None:
     """Read samples from standard input, line by line; write the displacement one sample later (JSON)."""
     prepare_jax()

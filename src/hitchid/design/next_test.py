@@ -269,7 +269,7 @@ def _signal(proposal: Proposal, step_s: float) -> np.ndarray:
 
 def _batch(channel: Channel, commands: Float[np.ndarray, "t n"], step_s: float) -> Batch:
     """Return candidate tests as a batch that starts where the identification tests started."""
-    ends = channel.operating_range.displacement
+    ends, load = channel.operating_range.displacement, channel.operating_range.load
     start = ends.lowest if channel.sign > 0 else ends.highest
     tests, samples = commands.shape
     padded = np.pad(commands, ((0, 0), (0, padded_length(samples) - samples)))
@@ -281,7 +281,7 @@ def _batch(channel: Channel, commands: Float[np.ndarray, "t n"], step_s: float) 
         valid=jnp.ones(padded.shape, dtype=bool),
         loss_mask=jnp.ones(padded.shape, dtype=bool),
         initial=jnp.full(tests, start),
-        covariate=jnp.full(tests, 0.5 * (channel.operating_range.load.lowest + channel.operating_range.load.highest)),
+        covariate=jnp.full(tests, 0.5 * (load.lowest + load.highest)),
         step_s=step_s,
         sign=channel.sign,
     )

@@ -21,7 +21,7 @@ class Correlations(eqx.Module):
     """Correlations that give the squared error of every linear model at a cost that no test adds to.
 
     A model's travel is ŷ(n) = Σⱼ hⱼ u(n−j), with h its response to a command of one sample. With an
-    integrator's h = κ as reference, e = y − κ Σ u what that one misses, and δ = h − κ,
+    integrator's h = κ as reference, e = y − κ Σ u its error, and δ = h − κ,
 
         J² = ⟨(y − ŷ)²⟩ = ⟨e²⟩ − 2 c·δ + δᵀ R δ,   cⱼ = ⟨e(n) u(n−j)⟩,   Rⱼₖ = ⟨u(n−j) u(n−k)⟩
 

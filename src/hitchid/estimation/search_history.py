@@ -11,14 +11,7 @@ from hitchid._support.storage import digest
 from hitchid._support.versions import installed_versions
 from hitchid.errors import FitError
 from hitchid.estimation.correlations import search_problem
-from hitchid.estimation.global_search import (
-    DifferentialEvolution,
-    MultiStart,
-    Search,
-    SearchResult,
-    Whale,
-    WhaleConfig,
-)
+from hitchid.estimation.global_search import DifferentialEvolution, MultiStart, Search, Whale, WhaleConfig
 from hitchid.estimation.objective import Objective
 from hitchid.estimation.search_problem import SearchProblem
 
@@ -66,12 +59,7 @@ class SearchHistory:
     @property
     def final_fitnesses(self) -> np.ndarray:
         """The last fitness of each run, shape [S], infinite for one that failed."""
-        return np.array(
-            [
-                fitness if fitness is not None else np.inf
-                for fitness in (run.final_fitness for run in self.runs)
-            ]
-        )
+        return np.array([np.inf if run.final_fitness is None else run.final_fitness for run in self.runs])
 
 
 def default_searches(budget: int = BUDGET) -> tuple[Search, ...]:
@@ -119,13 +107,8 @@ def compare_searches(
         runs = []
         for seed in range(first_seed, first_seed + comparison.seeds):
             name = digest(f"{stamp} {search!r} {seed}".encode())
-            runs.append(
-                _from_stored(
-                    comparison.checkpoints.cached(
-                        name, _StoredRun, partial(_run, coarse, problem, search, seed)
-                    )
-                )
-            )
+            run = partial(_run, coarse, problem, search, seed)
+            runs.append(_from_stored(comparison.checkpoints.cached(name, _StoredRun, run)))
         histories.append(SearchHistory(search.name, tuple(runs)))
     return tuple(histories)
 
@@ -143,7 +126,7 @@ class _StoredRun:
 
 def _run(objective: Objective, problem: SearchProblem, search: Search, seed: int) -> _StoredRun:
     try:
-        result: SearchResult = search.minimise(problem, seed)
+        result = search.minimise(problem, seed)
     except FitError as error:
         return _StoredRun(np.zeros(0), np.zeros((0, 0)), 0, 0, str(error))
     return _StoredRun(

@@ -15,6 +15,8 @@ from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 from hitchid._support.checkpoints import DISABLED, Arrays, Checkpoints
 
 Network = TypeVar("Network")
+# Share of the learning rate at the end of the cosine, and largest norm of a gradient: common for an LSTM.
+FINAL_RATE, MAX_GRADIENT = 0.1, 1.0
 Data = TypeVar("Data")
 EpochCallback = Callable[[int, float, float], None]
 SquaredError = Callable[[Any, PyTree], tuple[Float[Array, ""], Float[Array, ""]]]
@@ -106,8 +108,8 @@ def train(
 
 def optimiser(learning_rate: float, steps: int) -> optax.GradientTransformation:
     """Return Adam with gradients clipped to norm 1; its rate falls to a tenth along a cosine."""
-    schedule = optax.cosine_decay_schedule(learning_rate, steps, alpha=0.1)
-    return optax.chain(optax.clip_by_global_norm(1.0), optax.adam(schedule))
+    schedule = optax.cosine_decay_schedule(learning_rate, steps, alpha=FINAL_RATE)
+    return optax.chain(optax.clip_by_global_norm(MAX_GRADIENT), optax.adam(schedule))
 
 
 def weights_of(network: object) -> Arrays:

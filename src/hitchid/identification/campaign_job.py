@@ -271,9 +271,10 @@ def _check_dead_zone(campaign: Campaign, direction: str, value: float) -> None:
     ]
     highest = max((float(np.max(np.abs(record.command(direction)))) for record in tests), default=np.inf)
     if not 0 <= value < highest:
+        unit = campaign.units.get(COMMAND[direction], "")
         raise SettingsError(
-            f"{direction}: dead_zone is {value:g} {campaign.units.get(COMMAND[direction], '')}; required from "
-            f"0 to below the largest command, {highest:.4g}"
+            f"{direction}: dead_zone is {value:g} {unit}; required from 0 to below the largest command, "
+            f"{highest:.4g}"
         )
 
 

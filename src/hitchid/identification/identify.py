@@ -24,7 +24,7 @@ PAPER_SPECS: Mapping[str, ModelSpec] = MappingProxyType(
         LOWERING: ModelSpec(structure_named("first-order-lag")),
     }
 )
-# Where nothing else is asked for, the choice starts from what holds its place without a command.
+# By default the choice starts from integrators, which hold their place without a command.
 DEFAULT_STRUCTURES: Mapping[str, AutoStructure] = MappingProxyType(
     {
         LIFTING: AutoStructure(PAPER_SPECS[LIFTING]),
@@ -53,20 +53,20 @@ def identify(
 ) -> Identification:
     """Identify a grey-box model from the tests of a campaign that are not held out.
 
-    Phase 1 finds each benchmark by a global search and least squares, phase 2 trains each compensator on what
-    its frozen benchmark misses (Sun et al. 2025, sec. 2.4.2). Single-direction tests are used where there are
-    any; a campaign of mixed cycles alone is cut into strokes.
+    Phase 1 finds each benchmark by a global search and least squares, phase 2 trains each compensator on the
+    error of its frozen benchmark (Sun et al. 2025, sec. 2.4.2). Tests of one direction are used where there
+    are any; a campaign of mixed cycles alone is cut into strokes.
 
     Args:
         campaign: tests; ramps, where there are any, give the dead zones.
-        structure: mode to the form of its benchmark or the name of a structure, or `AutoStructure` to have it
-            chosen by free run on operating points held out in turn, as it is for a mode left out;
+        structure: direction to the form of its benchmark or the name of a structure, or `AutoStructure` for
+            the choice by free run on operating points held out in turn, the default of each direction;
             `PAPER_SPECS` are the paper's.
         search: the global search of phase 1: `Whale`, `DifferentialEvolution` or `MultiStart`.
         training: settings of phase 2; None identifies benchmarks alone.
-        dead_zones: mode to dead zone, in the command's unit, where it is known.
-        drift: whether the creep of a held piston is identified; otherwise a held piston stands.
-        comparison: which searches are compared beside it, from how many seeds; None compares none.
+        dead_zones: direction to dead zone, in the command's unit, where it is known.
+        drift: whether the drift of a held piston is identified; otherwise it is zero.
+        comparison: the searches to compare, and the number of seeds; None compares none.
         seed: every random draw comes from it.
         progress: called with what is being done and the fraction of all work that is done.
         checkpoints: folder where finished searches and trainings are kept; with those of a run that was
@@ -119,8 +119,8 @@ def identify_many(
         progress: called with what is being done and the fraction of all work that is done.
 
     Returns:
-        In the order of the campaigns what was found, or the error with which a campaign ended; the others are
-        not touched by it.
+        In the order of the campaigns the identification, or the error with which it ended; an error does not
+        affect the others.
     """
     config = identification_config(
         DEFAULT_STRUCTURES,

@@ -14,13 +14,8 @@ from hitchid.model import Estimate, Estimates
 from hitchid.structures import Batch, ModelSpec, PhysicalModel
 from hitchid.uncertainty import NO_ERROR, DeadZoneError, Influence, assess, unassessed
 
-GAIN_ITERATIONS = (
-    3  # of the gain against a travel that depends on it weakly, through the gain along the stroke
-)
-SEARCH_SAMPLES, COARSE_SAMPLES = (
-    8192,
-    2048,
-)  # of a test, largest numbers in the search and in the first descents
+GAIN_ITERATIONS = 3  # of the gain, on which the travel depends weakly through the gain along the stroke
+SEARCH_SAMPLES, COARSE_SAMPLES = 8192, 2048  # of a test, at most: in the search, in the first descents
 ROUGH_TOLERANCE, ROUGH_STEPS, STEPS = 1e-9, 60, 60  # of the first descents; positions of each descent
 
 

@@ -73,8 +73,8 @@ def train_compensator(
 ) -> tuple[Compensator, TrainingHistory]:
     """Train a compensator on the errors of a frozen benchmark.
 
-    Scaling comes from the training tests alone. Of more than 1000 stretches every m-th is taken: neighbours
-    say the same, and time goes with their number. A prediction reads between L and 2 L features, because
+    Scaling comes from the training tests alone. Of more than 1000 stretches every m-th is taken:
+    neighbours are alike. A prediction reads between L and 2 L features, because
     stretches share them, in training as later; see `CompensatorState`.
 
     Args:

@@ -105,13 +105,8 @@ def prepare(
         refuse([*without_covariate, *at_end_stop], f"{direction} tests")
     left_out = [*without_covariate, *at_end_stop]
     records = _without_long_rests(records, direction)
-    # Strokes of one log share its notices; `log#003` is a stroke of `log`.
-    notices = list(
-        dict.fromkeys(
-            f"{r.name.partition(STROKE_SEPARATOR)[0]}: {notice}" for r in records for notice in r.notices
-        )
-    )
-    notices += map(str, left_out_notices(left_out, total, f"{direction} tests"))
+    left_out_sentences = map(str, left_out_notices(left_out, total, f"{direction} tests"))
+    notices = [*_log_notices(records), *left_out_sentences]
     if sign != _expected_sign(direction):
         notices.append(
             f"the displacement {'grows' if sign > 0 else 'falls'} in {direction}: taken as measured"
@@ -130,7 +125,7 @@ def prepare(
     if dead_zone is None:
         dead_zone = from_tests(signals, campaign.step_s)
     if dead_zone.origin == "none":
-        notices.append("the dead zone cannot be told from one level of command: taken as zero")
+        notices.append("the dead zone cannot be found from one level of command: taken as zero")
     all_tests = Batch.of(
         records, direction, dead_zone=dead_zone.value, sign=sign, end_stop=end_stop, covariate=covariate
     )
@@ -149,6 +144,12 @@ def prepare(
         notices=tuple(notices),
         left_out=tuple(left_out),
     )
+
+
+def _log_notices(records: Sequence[Record]) -> list[str]:
+    """Return the notices of logs; strokes of one log share them, and `log#003` is a stroke of `log`."""
+    logs = [(record.name.partition(STROKE_SEPARATOR)[0], record.notices) for record in records]
+    return list(dict.fromkeys(f"{name}: {notice}" for name, notices in logs for notice in notices))
 
 
 def mixed_dead_zones(campaign: Campaign) -> dict[str, DeadZone]:

@@ -1,6 +1,7 @@
-"""Training on free runs: a compensator that hears itself, and the gate that decides whether it ships."""
+"""Training of the compensator for free run on whole free runs, which feed its own predictions back."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -12,14 +13,16 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 from hitchid._support.checkpoints import DISABLED, Arrays, Checkpoints
 from hitchid._support.metrics import proven_better
 from hitchid.estimation.training import optimiser, weights_of, with_weights
+from hitchid.identification.holdout_test import FEWEST_TESTS, HoldoutTest, deal_roles
 from hitchid.networks.lstm import Lstm
 from hitchid.networks.operating_range import OperatingRange
 from hitchid.networks.speed_compensator import INPUTS, BlockInputs, SpeedCompensator, compute_block_inputs
 from hitchid.structures import Batch
 
-MEMBERS = 4
-FEWEST_TESTS = 3
-CURRICULUM = (32, 128)
+MEMBERS = 4  # networks of the ensemble
+CURRICULUM = (32, 128)  # blocks of the sections that the first two fifths of the epochs train on
+# Largest number of blocks of a test, which bounds time and memory of backpropagation through a free run: at
+# 10 ms tests up to 5 s have blocks of one sample.
 MAX_BLOCKS = 512
 
 
@@ -38,37 +41,33 @@ class Rollouts:
     learning_rate: float = 1e-2
 
 
-@dataclass(frozen=True)
-class HoldoutTest:
-    """Whether the compensator for free run ships, and why.
+class _FreeRuns(NamedTuple):
+    """Tests in blocks.
 
     Attributes:
-        accepted: whether it does.
-        benchmark, compensated: free-run RMSE of each test while it was held out, in the displacement's unit,
-            shape [T]; empty where there were too few tests to hold any out.
-        best_epochs: of each member, the epoch whose weights were kept; 0 is the untrained network.
-        training, validation: loss of each member relative to the benchmark's, shape [E, M].
+        inputs: of the compensator, from the benchmark's free run.
+        measured: travel, shape [B, T].
+        loss_mask: which blocks count, shape [B, T].
     """
 
-    accepted: bool
-    benchmark: np.ndarray
-    compensated: np.ndarray
-    best_epochs: tuple[int, ...] = ()
-    training: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
-    validation: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    inputs: BlockInputs
+    measured: Float[Array, "b t"]
+    loss_mask: Bool[Array, "b t"]
 
     @property
-    def sentence(self) -> str:
-        """Why, in words."""
-        if not self.benchmark.size:
-            return f"no compensator in free run: fewer than {FEWEST_TESTS} tests, too few to hold any out"
-        benchmark_rmse, compensated_rmse = (
-            float(np.sqrt(np.mean(errors**2))) for errors in (self.benchmark, self.compensated)
-        )
-        better = int(np.sum(self.compensated < self.benchmark))
-        figures = f"{benchmark_rmse:.4g} → {compensated_rmse:.4g} on tests held out in turn"
-        outcome = "a compensator" if self.accepted else "no compensator"
-        return f"{outcome} in free run: {figures}, better on {better} of {self.benchmark.size}"
+    def counts(self) -> Array:
+        """Blocks of each test that count, at least one, shape [T]."""
+        return jnp.maximum(jnp.sum(self.loss_mask, axis=0), 1)
+
+    def mean_squares(self, travel: Float[Array, "b t"]) -> Float[Array, " t"]:
+        """Return the mean square error of each test."""
+        return jnp.sum(jnp.where(self.loss_mask, travel - self.measured, 0.0) ** 2, axis=0) / self.counts
+
+    @property
+    def benchmark(self) -> Float[Array, " t"]:
+        """The mean square error of the benchmark on each test."""
+        increment = self.inputs.travel_increment
+        return self.mean_squares(jnp.cumsum(increment, axis=0) - increment)
 
 
 def train_on_rollouts(
@@ -79,12 +78,12 @@ def train_on_rollouts(
     key: PRNGKeyArray,
     checkpoints: Checkpoints = DISABLED,
 ) -> tuple[SpeedCompensator | None, HoldoutTest]:
-    """Train an ensemble on free runs and let it ship only if it is better on tests it has not seen.
+    """Train an ensemble on free runs and return it if it improves tests held out from its training.
 
-    Tests are dealt to M folds. Member i is trained on all but two of them: one stops its training, the other
-    judges it. All members are trained in one compiled program, first on sections that start at the measured
-    displacement, then on whole tests from their start. The mean of the members ships if on the judged tests,
-    each by the member that has not seen it, free run is better by 2 % in all and on two thirds of them.
+    Tests are dealt to M folds, see `deal_roles`. All members are trained in one compiled program, first on
+    sections that start at the measured displacement, then on whole tests from their start. The mean of the
+    members is accepted if the free runs of tests, each by the member that was not trained on it, are better
+    by 2 % in all and on two thirds of them.
 
     Args:
         batch: identification tests.
@@ -92,17 +91,17 @@ def train_on_rollouts(
         operating_range: what they cover.
         settings: size and optimiser.
         key: initial weights.
-        checkpoints: where the weights and the losses are kept and found again.
+        checkpoints: where the weights and the losses are kept and read back.
 
     Returns:
-        The compensator, None where the gate stays shut, and the gate.
+        The compensator, None where it was not accepted, and the result of the test.
     """
     tests = batch.command.shape[0]
     if tests < FEWEST_TESTS:
         return None, HoldoutTest(False, np.zeros(0), np.zeros(0))
     block_size = -(-batch.command.shape[1] // MAX_BLOCKS)
-    block_inputs = compute_block_inputs(benchmark, batch.command, batch.initial, batch.covariate, block_size)
-    measured, loss_mask = batch.travel[:, ::block_size].T, batch.loss_mask[:, ::block_size].T
+    inputs = compute_block_inputs(benchmark, batch.command, batch.initial, batch.covariate, block_size)
+    runs = _FreeRuns(inputs, batch.travel[:, ::block_size].T, batch.loss_mask[:, ::block_size].T)
     members = min(MEMBERS, tests)
     keys = jax.random.split(key, members)
     initial_networks = [Lstm.init(member_key, INPUTS, settings.hidden) for member_key in keys]
@@ -110,34 +109,22 @@ def train_on_rollouts(
     compensator = SpeedCompensator(
         networks=networks,
         command_scale=jnp.asarray(float(jnp.abs(batch.command).max()) or 1.0),
-        increment_scale=jnp.asarray(float(jnp.std(block_inputs.travel_increment)) or 1.0),
+        increment_scale=jnp.asarray(float(jnp.std(inputs.travel_increment)) or 1.0),
         operating_range=operating_range,
         sign=batch.sign,
         block_size=block_size,
     )
-    fold = np.arange(tests) % members
-    is_test = np.stack([fold == member for member in range(members)])
-    is_validation = np.roll(is_test, -1, axis=0)
-    roles = jnp.asarray(np.stack([~is_test & ~is_validation, is_validation, is_test]))
+    fold, roles = deal_roles(tests, members)
 
     def work() -> Arrays:
-        trained, best_epochs, losses, errors = _train(
-            compensator, block_inputs, measured, loss_mask, roles, settings
-        )
+        trained, best_epochs, losses, errors = _train(compensator, runs, jnp.asarray(roles), settings)
         outputs = {"best_epochs": best_epochs, "losses": losses, "errors": errors}
         return {**weights_of(trained), **{name: np.asarray(array) for name, array in outputs.items()}}
 
     arrays = checkpoints.cached_arrays("free runs", work)
     losses = arrays["losses"]
     compensated_rmse = np.array([float(arrays["errors"][fold[test], test]) for test in range(tests)])
-    residuals = jnp.where(
-        loss_mask,
-        jnp.cumsum(block_inputs.travel_increment, axis=0) - block_inputs.travel_increment - measured,
-        0.0,
-    )
-    benchmark_rmse = np.sqrt(
-        np.asarray(jnp.sum(residuals**2, axis=0) / jnp.maximum(jnp.sum(loss_mask, axis=0), 1))
-    )
+    benchmark_rmse = np.sqrt(np.asarray(runs.benchmark))
     holdout_test = HoldoutTest(
         accepted=proven_better(compensated_rmse, benchmark_rmse),
         benchmark=benchmark_rmse,
@@ -153,40 +140,28 @@ def train_on_rollouts(
 
 @eqx.filter_jit
 def _train(
-    compensator: SpeedCompensator,
-    block_inputs: BlockInputs,
-    measured: Float[Array, "b t"],
-    loss_mask: Bool[Array, "b t"],
-    roles: Bool[Array, "3 m t"],
-    settings: Rollouts,
+    compensator: SpeedCompensator, runs: _FreeRuns, roles: Bool[Array, "3 m t"], settings: Rollouts
 ) -> tuple[Lstm, Array, Array, Array]:
     """Return each member's best weights, their epochs, losses [E, 2, M], and test errors by member [M, T]."""
-    counts = jnp.maximum(jnp.sum(loss_mask, axis=0), 1)
-    benchmark_error = jnp.where(
-        loss_mask,
-        jnp.cumsum(block_inputs.travel_increment, axis=0) - block_inputs.travel_increment - measured,
-        0.0,
-    )
-    benchmark_mse = jnp.mean(jnp.sum(benchmark_error**2, axis=0) / counts)
+    benchmark_mse = jnp.mean(runs.benchmark)
+    weights, fixed = eqx.partition(compensator.networks, eqx.is_inexact_array)
 
     def by_test(weights: Lstm, anchor_interval: Array) -> Float[Array, " t"]:
         """Return the mean square error of each test for one member."""
         single = jax.tree.map(lambda leaf: leaf[None], eqx.combine(weights, fixed))
         travel, _ = compensator.rollout(
-            single, block_inputs, measured=measured, anchor_interval=anchor_interval, fused=True
+            single, runs.inputs, measured=runs.measured, anchor_interval=anchor_interval, fused=True
         )
-        return jnp.sum(jnp.where(loss_mask, travel - measured, 0.0) ** 2, axis=0) / counts
+        return runs.mean_squares(travel)
 
     def loss(weights: Lstm, role: Array, anchor_interval: Array) -> tuple[Array, Array]:
         squares = by_test(weights, anchor_interval) / benchmark_mse
         mean = jnp.stack([jnp.sum(squares * mask) / jnp.maximum(jnp.sum(mask), 1) for mask in role[:2]])
         return mean[0], mean
 
-    weights, fixed = eqx.partition(compensator.networks, eqx.is_inexact_array)
     adam = optimiser(settings.learning_rate, settings.epochs)
-    stage_epochs, blocks = settings.epochs // 5, block_inputs.command.shape[0]
-    epoch_numbers = jnp.arange(settings.epochs)
-    stage = jnp.minimum(epoch_numbers // max(stage_epochs, 1), len(CURRICULUM))
+    blocks, epoch_numbers = runs.inputs.command.shape[0], jnp.arange(settings.epochs)
+    stage = jnp.minimum(epoch_numbers // max(settings.epochs // 5, 1), len(CURRICULUM))
     anchor_intervals = jnp.asarray([*CURRICULUM, blocks])[stage]
     gradients = jax.vmap(jax.grad(loss, has_aux=True), in_axes=(0, 1, None))
 
@@ -194,31 +169,29 @@ def _train(
         weights, state, best, best_loss, best_epoch = carry
         number, anchor_interval = element
         gradient, mean = gradients(weights, roles, anchor_interval)
-        is_full_rollout = anchor_interval == blocks
-        improved = is_full_rollout & (mean[:, 1] < best_loss)
+        improved = (anchor_interval == blocks) & (mean[:, 1] < best_loss)
+        best = _where_improved(improved, weights, best)
+        change, state = jax.vmap(adam.update)(gradient, state, weights)
         best_loss = jnp.where(improved, mean[:, 1], best_loss)
         best_epoch = jnp.where(improved, number, best_epoch)
-        best = jax.tree.map(
-            lambda new, old: jnp.where(improved.reshape(-1, *(1 for _ in new.shape[1:])), new, old),
-            weights,
-            best,
-        )
-        change, state = jax.vmap(adam.update)(gradient, state, weights)
         return (optax.apply_updates(weights, change), state, best, best_loss, best_epoch), mean.T
 
-    members = roles.shape[1]
-    initial_losses = jax.vmap(
+    initial_loss = jax.vmap(
         lambda weights, role: loss(weights, role, jnp.asarray(blocks))[1][1], in_axes=(0, 1)
-    )
-    initial_carry = (
-        weights,
-        jax.vmap(adam.init)(weights),
-        weights,
-        initial_losses(weights, roles),
-        jnp.zeros(members, epoch_numbers.dtype),
-    )
+    )(weights, roles)
+    no_epochs = jnp.zeros(roles.shape[1], epoch_numbers.dtype)
+    initial_carry = (weights, jax.vmap(adam.init)(weights), weights, initial_loss, no_epochs)
     (_, _, best, _, best_epoch), losses = jax.lax.scan(
         epoch, initial_carry, (epoch_numbers, anchor_intervals)
     )
     errors = jnp.sqrt(jax.vmap(by_test, in_axes=(0, None))(best, jnp.asarray(blocks)))
     return eqx.combine(best, fixed), best_epoch, jnp.sqrt(losses), errors
+
+
+def _where_improved(improved: Bool[Array, " m"], new: Lstm, old: Lstm) -> Lstm:
+    """Return the new weights of the members that improved, and the old ones of the others."""
+
+    def select(new_leaf: Array, old_leaf: Array) -> Array:
+        return jnp.where(improved.reshape(-1, *(1 for _ in new_leaf.shape[1:])), new_leaf, old_leaf)
+
+    return jax.tree.map(select, new, old)

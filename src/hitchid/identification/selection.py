@@ -1,6 +1,6 @@
 """Choice of the form of one direction: free run on operating points held out in turn decides."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -163,7 +163,7 @@ class _Choice:
             candidate.spec,
             candidate.name,
             begin=LAST_BEGINS,
-            checkpoint="chosen",
+            checkpoint=f"chosen {candidate.name}",
             batch=self.batch.with_dead_zone(candidate.dead_zone) if moved else None,
             start=candidate.values,
         )
@@ -172,7 +172,8 @@ class _Choice:
         """Return the plain form and the nested ones; a form that cannot be fitted is left out."""
         spec = baseline.objective.spec
         objective, free = Objective.of(self.coarse, spec), range(baseline.position.size)
-        evaluation = self._evaluated("form", lambda: evaluate(objective, free, baseline.position, self.folds))
+        work = partial(evaluate, objective, free, baseline.position, self.folds)
+        evaluation = self.checkpoints.cached("form", Evaluation, work)
         candidates = [evaluation.candidate(BASELINE, spec, objective, free)]
         objective = Objective.of(self.coarse, largest)
         names = [parameter.name for parameter in largest.parameters]
@@ -223,13 +224,11 @@ class _Choice:
             self._report(candidates[-1], LAST_BEGINS - CANDIDATE_SHARE)
         return candidates
 
-    def _evaluated(self, name: str, work: Callable[[], Evaluation]) -> Evaluation:
-        return self.checkpoints.cached(name, Evaluation, work)
-
     def _fitted(
         self, name: str, objective: Objective, free: Sequence[int], starts: Sequence[np.ndarray]
     ) -> Evaluation:
-        return self._evaluated(name, partial(fit_and_evaluate, objective, free, starts, self.folds))
+        work = partial(fit_and_evaluate, objective, free, starts, self.folds)
+        return self.checkpoints.cached(name, Evaluation, work)
 
     def _report(self, candidate: Candidate, fraction: float) -> None:
         figures = {f"RMSE on levels held out / {self.unit}": candidate.held_out_rmse}

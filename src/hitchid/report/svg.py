@@ -1,4 +1,4 @@
-"""A figure as SVG: small, the same each time, and fit to stand inside a page."""
+"""A figure as SVG: small, the same each time, and fit for use inside a page."""
 
 import re
 from html import escape
@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from hitchid.report.figures.style import PAPER, SHADES, style
 
-_TAG = re.compile("<[^>]+>")  # what stands between tags are the words and numbers people read
+_TAG = re.compile("<[^>]+>")  # between tags are the words and numbers that people read
 _LONG_NUMBER = re.compile(r"-?\d+\.\d{3,}")
 _ID = re.compile(r' id="([^"]+)"')
 _REFERENCE = re.compile(r'(?:url\(#|href="#)([^)"]+)')

@@ -12,6 +12,9 @@ from hitchid.structures.nonlinear import NonlinearStructure, rk4_step
 from hitchid.structures.physical_model import PhysicalModel
 from hitchid.structures.static_nonlinearity import PlayState
 
+Scalar = Float[Array, ""]
+State = Float[Array, " n"]
+
 
 class ValveState(NamedTuple):
     """State of the valve of one direction.
@@ -66,9 +69,7 @@ class DiscretePhysicalModel(eqx.Module):
         motion_demand = jnp.zeros(self.delay_samples + 1, jnp.bool_)
         return ValveState(PlayState(zero, zero), zero, jnp.zeros(self.delay_samples + 2), motion_demand)
 
-    def step_valve(
-        self, valve: ValveState, command: Float[Array, ""], covariate: Float[Array, ""]
-    ) -> ValveState:
+    def step_valve(self, valve: ValveState, command: Scalar, covariate: Scalar) -> ValveState:
         """Advance the valve by one sample of its command."""
         nonlinearity, spool = self.benchmark.nonlinearity, valve.spool
         effective = jnp.sign(command) * jnp.maximum(jnp.abs(command) - self.dead_zone, 0.0)
@@ -85,29 +86,17 @@ class DiscretePhysicalModel(eqx.Module):
         )
 
     @abc.abstractmethod
-    def init_state(
-        self, displacement: Float[Array, ""], speed: Float[Array, ""], load: Float[Array, ""]
-    ) -> Float[Array, " n"]:
+    def init_state(self, displacement: Scalar, speed: Scalar, load: Scalar) -> State:
         """Return the plant's state at a displacement and a speed, in the displacement's unit and 1/s."""
 
     @abc.abstractmethod
     def advance(
-        self,
-        plant_state: Float[Array, " n"],
-        valve: ValveState,
-        displacement: Float[Array, ""],
-        covariate: Float[Array, ""],
-    ) -> tuple[Float[Array, " n"], Float[Array, ""]]:
+        self, plant_state: State, valve: ValveState, displacement: Scalar, covariate: Scalar
+    ) -> tuple[State, Scalar]:
         """Return the plant's state one sample later and the change of the displacement."""
 
     @abc.abstractmethod
-    def speed(
-        self,
-        plant_state: Float[Array, " n"],
-        valve: ValveState,
-        displacement: Float[Array, ""],
-        covariate: Float[Array, ""],
-    ) -> Float[Array, ""]:
+    def speed(self, plant_state: State, valve: ValveState, displacement: Scalar, covariate: Scalar) -> Scalar:
         """Return the speed of the displacement under the input of the sample before."""
 
 
@@ -116,20 +105,13 @@ class _LinearModel(DiscretePhysicalModel):
 
     discrete: DiscreteStateSpace
 
-    def init_state(
-        self, displacement: Float[Array, ""], speed: Float[Array, ""], load: Float[Array, ""]
-    ) -> Float[Array, " n"]:
-        return self.benchmark.structure.require_linear().state_at_speed(
-            self.benchmark.values, speed / self._scale(displacement, load)
-        )
+    def init_state(self, displacement: Scalar, speed: Scalar, load: Scalar) -> State:
+        structure, travel_speed = self.benchmark.structure, speed / self._scale(displacement, load)
+        return structure.require_linear().state_at_speed(self.benchmark.values, travel_speed)
 
     def advance(
-        self,
-        plant_state: Float[Array, " n"],
-        valve: ValveState,
-        displacement: Float[Array, ""],
-        covariate: Float[Array, ""],
-    ) -> tuple[Float[Array, " n"], Float[Array, ""]]:
+        self, plant_state: State, valve: ValveState, displacement: Scalar, covariate: Scalar
+    ) -> tuple[State, Scalar]:
         model = self.discrete
         current_flow, previous_flow = valve.flows[self.delay_samples], valve.flows[self.delay_samples + 1]
         # A sum, not a product of matrices: so small, the call would cost more than the work.
@@ -137,19 +119,12 @@ class _LinearModel(DiscretePhysicalModel):
         next_state = free_response + current_flow * model.gamma0 + previous_flow * model.gamma1
         return next_state, self._scale(displacement, covariate) * (next_state[0] - plant_state[0])
 
-    def speed(
-        self,
-        plant_state: Float[Array, " n"],
-        valve: ValveState,
-        displacement: Float[Array, ""],
-        covariate: Float[Array, ""],
-    ) -> Float[Array, ""]:
+    def speed(self, plant_state: State, valve: ValveState, displacement: Scalar, covariate: Scalar) -> Scalar:
         a, b = self.benchmark.structure.require_linear().state_space(self.benchmark.values)
-        previous_flow = valve.flows[self.delay_samples + 1]
-        travel_speed = jnp.sum(a[0] * plant_state) + b[0] * previous_flow
+        travel_speed = jnp.sum(a[0] * plant_state) + b[0] * valve.flows[self.delay_samples + 1]
         return self._scale(displacement, covariate) * travel_speed
 
-    def _scale(self, displacement: Float[Array, ""], covariate: Float[Array, ""]) -> Float[Array, ""]:
+    def _scale(self, displacement: Scalar, covariate: Scalar) -> Scalar:
         """Return the change of displacement per travel of the linear part."""
         nonlinearity = self.benchmark.nonlinearity
         gain = jnp.ones(()) if nonlinearity is None else nonlinearity.gain(displacement, covariate)
@@ -161,28 +136,16 @@ class _NonlinearModel(DiscretePhysicalModel):
 
     structure: NonlinearStructure
 
-    def init_state(
-        self, displacement: Float[Array, ""], speed: Float[Array, ""], load: Float[Array, ""]
-    ) -> Float[Array, " n"]:
+    def init_state(self, displacement: Scalar, speed: Scalar, load: Scalar) -> State:
         return self.structure.init_state(self.benchmark.values, displacement[None])[:, 0]
 
     def advance(
-        self,
-        plant_state: Float[Array, " n"],
-        valve: ValveState,
-        displacement: Float[Array, ""],
-        covariate: Float[Array, ""],
-    ) -> tuple[Float[Array, " n"], Float[Array, ""]]:
+        self, plant_state: State, valve: ValveState, displacement: Scalar, covariate: Scalar
+    ) -> tuple[State, Scalar]:
         state, values = plant_state[:, None], self.benchmark.values
         next_state = rk4_step(self.structure, values, state, valve.flows[:1], self.step_s)[:, 0]
         return next_state, next_state[0] - plant_state[0]
 
-    def speed(
-        self,
-        plant_state: Float[Array, " n"],
-        valve: ValveState,
-        displacement: Float[Array, ""],
-        covariate: Float[Array, ""],
-    ) -> Float[Array, ""]:
-        previous_flow = valve.flows[self.delay_samples + 1][None]
-        return self.structure.vector_field(self.benchmark.values, plant_state[:, None], previous_flow)[0, 0]
+    def speed(self, plant_state: State, valve: ValveState, displacement: Scalar, covariate: Scalar) -> Scalar:
+        values, previous_flow = self.benchmark.values, valve.flows[self.delay_samples + 1][None]
+        return self.structure.vector_field(values, plant_state[:, None], previous_flow)[0, 0]

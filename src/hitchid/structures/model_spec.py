@@ -1,4 +1,4 @@
-"""What is searched for one direction: a structure, and which curves stand around it."""
+"""The form of one direction: a structure, and the options that are identified with it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -25,19 +25,18 @@ from hitchid.structures.structure import DEAD_TIME, ModelOption, Parameter, Stru
 
 @dataclass(frozen=True)
 class ModelSpec:
-    """What is searched for one direction.
+    """The form of one direction: what is identified.
 
     Attributes:
-        structure: the benchmark's form.
+        structure: the structure.
         dead_time: whether a dead time is searched too.
         valve_curve: whether the valve's opening, exponent and saturation are.
         spool_dynamics: whether hysteresis and lag of the valve's spool are.
-        stroke_gain_linear: whether a gain that grows or falls evenly along the stroke is. Tests of one plant
-            differ by
-            loads that nobody measures; so that these are not taken for it, each test may then be faster or
-            slower by a factor of its own while parameters are found.
+        stroke_gain_linear: whether a gain that grows or falls evenly along the stroke is. So that loads that
+            are not measured and differ from test to test are not taken for it, each test then has a factor on
+            its speed during estimation.
         stroke_gain_quadratic: whether a gain that varies along the stroke in any way is, slope and curve.
-        load: name of a second measured input that shifts the opening and scales the gain; None for none.
+        covariate: name of a second measured input that shifts the opening and scales the gain; None for none.
         bounds: parameter name to lower and upper bound, in its unit, where the default will not do.
     """
 
@@ -71,7 +70,7 @@ class ModelSpec:
 
     @property
     def options(self) -> frozenset[ModelOption]:
-        """What stands beside the structure."""
+        """The options that are identified."""
         enabled = {
             ModelOption.DEAD_TIME: self.dead_time,
             ModelOption.VALVE_CURVE: self.valve_curve,
@@ -116,11 +115,11 @@ class ModelSpec:
         return (*self.structure.parameters, *self.nonlinearity_parameters, *delay)
 
     def physical_model(self, values: Float[Array, " q"], scales: Scales) -> PhysicalModel:
-        """Return the benchmark with searched values; curves that are not searched are neutral.
+        """Return the benchmark with searched values; options that are not identified are neutral.
 
         Args:
             values: of `parameters`, in their order.
-            scales: what the curves are measured in.
+            scales: of the nonlinearities.
         """
         count, nonlinearity_parameters = len(self.structure.parameters), self.nonlinearity_parameters
         dead_time = values[-1] if self.dead_time else jnp.zeros((), values.dtype)

@@ -1,4 +1,4 @@
-"""A structure with values for its parameters: simulation and hand-over to other libraries."""
+"""A structure with values for its parameters: simulation and transfer functions for other libraries."""
 
 from typing import TYPE_CHECKING
 
@@ -22,15 +22,14 @@ if TYPE_CHECKING:
 
 
 class PhysicalModel(eqx.Module):
-    """A benchmark model of one direction.
+    """A structure with values for its parameters, and its options: the physical model of one direction.
 
     Attributes:
-        structure: its form.
+        structure: the structure.
         values: its parameters, shape [p], in the order of `structure.parameters`.
         dead_time_s: dead time, s, shape [].
-        nonlinearity: curves of valve, stroke and load around the linear model; None for the linear model
-            alone.
-        load: name of the second measured input; None where there is none.
+        nonlinearity: of valve, stroke and load around the linear model; None for the linear model alone.
+        covariate: name of the second measured input; None where there is none.
     """
 
     structure: Structure
@@ -90,13 +89,13 @@ class PhysicalModel(eqx.Module):
     @property
     @double_precision
     def parameter_vector(self) -> Float[Array, " r"]:
-        """Every number of it in one row: the structure's, dead time, and curves where there are any."""
+        """All its numbers: the structure's values, dead time, and those of the nonlinearities, if any."""
         curves = () if self.nonlinearity is None else (self.nonlinearity.values,)
         return jnp.concatenate([self.values, self.dead_time_s[None], *curves])
 
     @double_precision
     def with_parameter_vector(self, vector: Float[Array, " r"]) -> "PhysicalModel":
-        """Return the benchmark of the same form with other numbers; see `vector`."""
+        """Return the model with other numbers; see `parameter_vector`."""
         count = self.values.size
         model = eqx.tree_at(lambda b: (b.values, b.dead_time_s), self, (vector[:count], vector[count]))
         return (
@@ -114,7 +113,7 @@ class PhysicalModel(eqx.Module):
                 zero-order-hold G(z) with any dead time in it.
 
         Raises:
-            InputError: a continuous transfer function is asked for but there is a dead time, which has none.
+            InputError: it is continuous and there is a dead time, which is not rational.
         """
         from scipy import signal  # not at the top: half a second
 

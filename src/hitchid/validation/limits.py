@@ -161,6 +161,6 @@ def read_limits(path: str | Path) -> AcceptanceLimits:
 
     Raises:
         SettingsError: the file cannot be read, is not TOML, has a key or value that is not understood, or
-            demands nothing.
+            has no limit.
     """
     return parse_settings(Path(path), AcceptanceLimits)

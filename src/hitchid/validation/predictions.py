@@ -1,4 +1,4 @@
-"""What models say of tests, sample by sample: the arrays behind the figures."""
+"""Predictions of models on tests, sample by sample: the arrays behind the figures."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -7,20 +7,20 @@ import numpy as np
 
 from hitchid._support.metrics import significantly_better
 
-MIN_TESTS = 3
+MIN_TESTS = 3  # fewer tests prove no model better: their scatter is not known
 Rows = tuple[np.ndarray, ...]
 
 
 @dataclass(frozen=True)
 class Predictions:
-    """Tests and what models say of them, one array of shape [N_i] for each test, all in the tests' unit.
+    """Tests and the predictions of models, one array of shape [N_i] for each test, all in the tests' unit.
 
     Attributes:
         names: the tests.
         time_s: time since the start of each test, s.
         actual: measured displacement.
         models: name to predicted displacement: `benchmark` and `free_run` from commands alone, `one_step`
-            from what was measured up to the sample before.
+            from the measurements up to the sample before.
         band: lower and upper end of a band around `free_run`; None where there is none.
     """
 
@@ -57,7 +57,7 @@ class Predictions:
         return np.where(np.isfinite(errors), errors, np.inf)
 
     def is_significantly_better(self, model: str, other: str) -> bool:
-        """Tell whether one model errs less than another beyond chance between tests; see
+        """Return whether the tests prove the RMSE of one model below that of another; see
         `significantly_better`."""
         samples = np.array([row.size for row in self.actual])
         return len(samples) >= MIN_TESTS and significantly_better(self.rmse(model), self.rmse(other), samples)

@@ -43,7 +43,7 @@ class LogData:
 
     Attributes:
         inspection: audit and segments of mixed logs.
-        notices: of the campaign: logs that are left out, and why.
+        notices: logs that are left out, and why.
         logs: every log.
     """
 

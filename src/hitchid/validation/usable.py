@@ -1,4 +1,4 @@
-"""Which tests a model can be judged by: those that measured every covariate it requires."""
+"""Tests that a model can be validated on: those that measured every covariate it requires."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ from hitchid.model import Hitch
 
 
 def with_covariates(campaign: Campaign, *models: Hitch) -> tuple[Campaign, tuple[str, ...]]:
-    """Leave out the tests that lack a covariate one of the models requires, with sentences that say so.
+    """Leave out the tests that lack a covariate one of the models requires, with notices of that.
 
     Raises:
         InputError: no test is left, or the campaign is strict and a test lacks one.

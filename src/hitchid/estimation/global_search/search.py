@@ -59,7 +59,7 @@ class Search(abc.ABC):
         Args:
             problem: what is minimised.
             seed: every random draw comes from it.
-            callback: told the best error after a round, or after some.
+            callback: called with the best error after a round, or after some.
 
         Raises:
             FitError: no position gave a finite error.

@@ -66,7 +66,7 @@ class WhaleState(eqx.Module):
         population: positions in the unit cube, shape [P, D].
         best: position of the best whale so far, shape [D].
         best_fitness: its fitness, +inf while none was finite, shape [].
-        generation: generations told so far, shape [].
+        generation: generations evaluated so far, shape [].
         improved: the generation that last improved by more than the tolerance, shape [].
     """
 
@@ -166,28 +166,13 @@ def tell(
     )
 
 
-def minimise(
-    objective: FitnessFunction, dimensions: int, config: WhaleConfig, key: PRNGKeyArray
-) -> WhaleResult:
-    """Minimise an objective over the unit cube; pure, so it may be compiled and mapped.
-
-    Args:
-        objective: from positions of shape [P, D] to fitness of shape [P]; NaN marks a failed simulation.
-        dimensions: D.
-        config: settings.
-        key: every random draw comes from it.
-    """
-    return outcome(
-        run_until(objective, begin(dimensions, config, key), config, key, config.generations), config
-    )
-
-
 def begin(dimensions: int, config: WhaleConfig, key: PRNGKeyArray) -> tuple[WhaleState, WhaleTrace]:
     """Return a swarm before its first generation, and an empty trace.
 
     Args:
         dimensions: D.
-        config, key: as for `minimise`.
+        config: settings.
+        key: every random draw comes from it.
     """
     generations = config.generations
     state = init(jax.random.split(key)[0], dimensions, config)
@@ -204,8 +189,8 @@ def outcome(carry: tuple[WhaleState, WhaleTrace], config: WhaleConfig) -> WhaleR
     """Return what a swarm has found so far.
 
     Args:
-        carry: of `begin` or `proceed`.
-        config: as for `minimise`.
+        carry: of `begin` or `run_until`.
+        config: settings.
     """
     state, trace = carry
     return WhaleResult(state.best, state.best_fitness, state.generation, stagnated(state, config), trace)
@@ -228,7 +213,8 @@ def run_until(
     """Let a swarm move on until it has gone through so many generations or settles.
 
     Args:
-        objective, config, key: as for `minimise`.
+        objective: from positions of shape [P, D] to fitness of shape [P]; NaN marks a failed simulation.
+        config, key: as for `begin`.
         carry: of `begin` or an earlier call; where the calls part the search changes nothing.
         until: generations in all.
     """

@@ -1,4 +1,4 @@
-"""How a model was found: convergence of the search, searches compared, losses, structures compared."""
+"""Identification of a model: convergence of the search, searches compared, losses, structures compared."""
 
 from collections.abc import Sequence
 from textwrap import fill
@@ -21,7 +21,7 @@ from hitchid.report.figures.style import (
 from hitchid.report.trace_file import TracedCandidate, TracedSearch, TracedTraining
 
 SEARCH_COLOURS = {"whale": "one_step", "differential-evolution": "benchmark", "multi-start": "greybox"}
-WRAP = 24
+WRAP = 24  # letters a line of the name of a structure
 
 
 @styled

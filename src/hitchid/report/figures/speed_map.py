@@ -1,4 +1,4 @@
-"""The speed map: steady speed over command at mid stroke, its band, and what the logs show."""
+"""The speed map: steady speed over command at mid stroke, its band, and measured speeds."""
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -7,7 +7,8 @@ from hitchid.model import Characteristics
 from hitchid.report.figures.style import COLOURS, COLUMN_IN, INK, legend_above, styled
 
 LINE_STYLES = (("one_step", "v", "--"), ("benchmark", "s", "-"), ("greybox", "^", "-."))
-BAND_ALPHA, HEADROOM = 0.22, 1.5
+BAND_ALPHA = 0.22  # opacity of a band
+HEADROOM = 1.5  # top of the axis over the fastest speed
 
 
 @styled

@@ -15,7 +15,8 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator, StrMethodFor
 
 from hitchid.validation import NAMES
 
-DECADE, DECADES, DECIMATION_BINS = 10, 50, 300
+DECADE, DECADES = 10, 50  # ratio of the ends of an axis below which its ticks are even, above which tens
+DECIMATION_BINS = 300  # stretches of a curve, each drawn by its lowest and highest point
 
 COLUMN_IN, PAGE_IN = 3.5, 7.2
 """Width of a column and of a page, inch: 89 and 183 mm, as journals have them."""
@@ -120,13 +121,13 @@ _Params = ParamSpec("_Params")
 
 @contextmanager
 def style() -> Iterator[None]:
-    """Draw within the style of the house, leaving matplotlib's own settings alone."""
+    """Draw in the style of all figures, without a change of matplotlib's own settings."""
     with mpl.rc_context(_RC_PARAMS):
         yield
 
 
 def styled(draw: Callable[_Params, Figure]) -> Callable[_Params, Figure]:
-    """Let a function draw its figure within the style of the house."""
+    """Return a function that draws its figure in the style of all figures."""
 
     @wraps(draw)
     def wrapper(*args: _Params.args, **kwargs: _Params.kwargs) -> Figure:
@@ -166,7 +167,7 @@ def decimate(x: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 
 def legend_above(figure: Figure, *axes: Axes, columns: int = 2) -> None:
-    """Put what is labelled on some axes into a legend above them all, where it hides nothing."""
+    """Put the labelled artists of some axes into a legend above them all."""
     handles: dict[str, Artist] = {}
     for axis in axes:
         for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):

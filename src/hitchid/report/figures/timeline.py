@@ -1,4 +1,4 @@
-"""A mixed log as a picture: displacement over what the hitch does, and the commands below."""
+"""A mixed log as a picture: displacement with the segments behind it, and the commands below."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -25,17 +25,18 @@ FILLS = {
     BOTH_VALVES_ACTIVE: COLOURS["benchmark"],
 }
 LINES = {LIFTING: COLOURS["one_step"], LOWERING: COLOURS["narx"]}
-ALPHA, ROW_IN = 0.35, 2.4
+ALPHA = 0.35  # opacity of a stretch
+ROW_IN = 2.4  # height of a record, inch
 MARK_COLOUR = COLOURS["benchmark"]
 
 
 class Mark(NamedTuple):
-    """A stretch of a record that is to be pointed at.
+    """A stretch of a record that is marked.
 
     Attributes:
         record: name of the record.
-        label: what is there.
-        start_s, stop_s: where, s of the log's own time.
+        label: of the mark.
+        start_s, stop_s: ends of the stretch, s of the log's own time.
     """
 
     record: str
@@ -50,7 +51,7 @@ def timeline(records: Sequence[tuple[Record, Sequence[Segment]]], marks: Sequenc
 
     Args:
         records: logs, each with its stretches, as `segments` gives them for a mixed one.
-        marks: what is to be pointed at in them.
+        marks: stretches that are marked in them.
     """
     figure = Figure(figsize=(PAGE_IN, ROW_IN * len(records) + 0.4))
     axes = figure.subplots(2 * len(records), 1, squeeze=False, height_ratios=[2, 1] * len(records))[:, 0]
@@ -95,7 +96,7 @@ def timeline(records: Sequence[tuple[Record, Sequence[Segment]]], marks: Sequenc
 
 
 def _annotate_marks(axes: Axes, record: Record, marks: Sequence[Mark]) -> None:
-    """Frame what is to be pointed at and name it off the curve, each label once."""
+    """Frame each mark and write its label away from the curve, each label once."""
     annotated = set()
     middle = (record.displacement.min() + record.displacement.max()) / 2
     for mark in marks:
@@ -122,7 +123,7 @@ def draw(
     marks: Sequence[Mark] = (),
     force: bool = False,
 ) -> None:
-    """Write the picture; its ending says the format, `.png`, `.svg` or `.pdf`.
+    """Write the picture, in the format of its suffix, `.png`, `.svg` or `.pdf`.
 
     Raises:
         OutputError: the file exists and `force` is not given, or it cannot be written.

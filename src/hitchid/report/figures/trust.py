@@ -1,4 +1,4 @@
-"""How far a model can be trusted: parameter intervals, bands, what the errors still show."""
+"""How far a model can be trusted: parameter intervals, bands, tests of the errors."""
 
 from collections.abc import Sequence
 
@@ -19,7 +19,9 @@ from hitchid.report.figures.style import COLOURS, COLUMN_IN, FAINT, INK, legend_
 from hitchid.validation import BandFigures
 from hitchid.validation.residuals import ResidualTests
 
-MARGIN, MIN_BAR_SHARE, WIDE_RATIO = 0.6, 0.02, 5
+MARGIN = 0.6  # room beside an interval, share of its width
+MIN_BAR_SHARE = 0.02  # least width of a bar, share of the axis
+WIDE_RATIO = 5  # ratio of the ends of a logarithmic axis from which its ticks are spread evenly on it
 VARIABLES = {
     "position": "displacement / {unit}",
     "speed": "speed / ({unit}/s)",
