@@ -149,7 +149,7 @@ class HitchDynamics(eqx.Module):
     def _with_measurement(
         self, state: HitchState, measured: Float[Array, ""], is_measured: Bool[Array, ""]
     ) -> HitchState:
-        """Return the state with the benchmark's error and the number of samples since the last measurement."""
+        """Return the state with the error of the benchmark and the samples since the last measurement."""
         count = state.samples_since_measurement
         error = measured - clip_at_end_stops(self.channels, state, state.benchmark)
         return state._replace(
