@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 import hitchid
 from hitchid.experiments.virtual_campaign import write_campaign
-from hitchid.design.next_test import Limits, design
+from hitchid.design.next_test import ExcitationLimits, design
 from hitchid.model import save
 from hitchid.model.simulate_log import simulate_log
 from hitchid.validation import compare
@@ -47,12 +47,12 @@ calls = {
     "predict": lambda: model.predict(record, horizon=3),
     "band": lambda: model.band(record),
     "batch": lambda: channel.batch([record], [1.0]),
-    "channel": lambda: (channel.simulate(batch), channel.simulate_benchmark(batch), channel.echo(batch)),
+    "channel": lambda: (channel.simulate(batch), channel.simulate_benchmark(batch), channel.simulate_closed_loop(batch)),
     "channel, predict": lambda: channel.predict(batch, (1, 5)),
-    "outside": lambda: channel.outside(batch, batch.displacement),
+    "outside": lambda: channel.out_of_range(batch, batch.displacement),
     "response": lambda: benchmark.response(batch.command, 0.01),
     "discretised": lambda: benchmark.discretised(60.0),
-    "row": lambda: benchmark.of_row(benchmark.row),
+    "row": lambda: benchmark.with_parameter_vector(benchmark.parameter_vector),
     "to_scipy": lambda: [(g.num, g.den) for g in (benchmark.to_scipy(0.001), benchmark.to_scipy(60.0))],
     "to_control": lambda: benchmark.to_control(0.001).den[0][0],
     "validate": lambda: hitchid.validate(model, campaign).metrics,
@@ -104,7 +104,7 @@ wrong = {
         lambda: hitchid.identify(campaign, dead_zones={"up": 0.1}),
         lambda: record.command("up"),
         lambda: campaign.segmented({"up": 0.1}),
-        lambda: write_campaign(out, modes=["up"]),
+        lambda: write_campaign(out, directions=["up"]),
     ],
     "required": [
         lambda: hitchid.identify(campaign, structure="integrator"),
@@ -157,7 +157,7 @@ wrong = {
         lambda: benchmark.to_scipy(0.0),
         lambda: benchmark.to_control([0.001]),
         lambda: design(model, limits=3),
-        lambda: design(model, limits=Limits(highest="1")),
+        lambda: design(model, limits=ExcitationLimits(highest="1")),
         lambda: design(model, "up"),
         lambda: write_campaign(3),
         lambda: write_campaign(out, 3),

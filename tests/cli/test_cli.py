@@ -371,7 +371,7 @@ BAD_MODELS = {
     "description of something else": (lambda f: (f / "model.json").write_text("{}") and None, ["model.json"]),
     "trace edited": (edited("trace.json", "{", "{ "), ["trace.json", "edited"]),
     "a newer schema": (
-        edited("model.json", '"schema": 5', '"schema": 6'),
+        edited("model.json", '"schema": 6', '"schema": 7'),
         ["model.json", "schema 6", "required 3 to 5"],
     ),
 }

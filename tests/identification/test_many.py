@@ -29,7 +29,7 @@ def test_each_model_is_the_one_its_campaign_alone_gives(campaigns, quick_setting
         folders = tmp_path / f"{number}-together", tmp_path / f"{number}-alone"
         found.save(folders[0])
         hitchid.identify(campaign, **settings).save(folders[1])
-        for name in ("model.json", "weights.safetensors"):
+        for name in ("model.json", "weights.safetensors", "baselines.safetensors"):
             assert (folders[0] / name).read_bytes() == (folders[1] / name).read_bytes()
 
 

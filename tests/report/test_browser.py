@@ -63,13 +63,13 @@ def everything(timeline):
         "tests": figures.errors_by_test(tests, "mm", RIVALS),
         "horizons": figures.horizons(reported.horizons(), reported.STEP_S, "mm"),
         "predicted": figures.predicted_errors({"test": tests}, "mm"),
-        "intervals": figures.intervals(reported.known_parameters()),
+        "intervals": figures.intervals(reported.ESTIMATES),
         "coverage": figures.coverage(reported.bands(), reported.STEP_S),
         "correlations": figures.residual_correlations(reported.residuals()),
         "places": figures.residuals_by_variable(reported.residuals(), "mm", "A"),
-        "convergence": figures.convergence(reported.trace(*reported.ESTIMATES), "mm"),
-        "losses": figures.losses(reported.trace()),
-        "structures": figures.structures(reported.trace()["candidates"], "mm"),
+        "convergence": figures.convergence(reported.trace(*reported.ESTIMATES).phase1, "mm"),
+        "losses": figures.losses(reported.trace().phase2),
+        "structures": figures.structures(reported.trace().candidates, "mm"),
         "searches": figures.searches(reported.searches(), "mm"),
     }
     narrow = tuple(

@@ -19,7 +19,7 @@ from hitchid.report.svg import inline_svg, svg
 SVG, XLINK = "{http://www.w3.org/2000/svg}", "{http://www.w3.org/1999/xlink}"
 DRAWN = {
     "outputs": lambda: figures.outputs(reported.predictions((900, 800)), "mm"),
-    "intervals": lambda: figures.intervals(reported.known_parameters()),
+    "intervals": lambda: figures.intervals(reported.ESTIMATES),
     "correlations": lambda: figures.residual_correlations(reported.residuals()),
     "distribution": lambda: figures.error_distribution({"free_run": np.arange(9.0)}, "mm"),
 }

@@ -1,13 +1,14 @@
 """Speed map, dead zone, delay and response time hold what was simulated, with the coverage they claim."""
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import cache
 from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from pydantic import TypeAdapter
 from scipy import signal, stats
 
 from hitchid.data.record import LIFTING
@@ -242,10 +243,10 @@ def test_a_factor_on_the_gain_scales_speeds_and_their_intervals_and_a_descriptio
         )
     assert replace(scaled, speed_map=known.speed_map) == known
     whole = Uncertainty(Estimates((), (), (), 3, 3), characteristics=scaled)
-    described = json.loads(json.dumps(whole.describe()))
-    assert Uncertainty.of(described) == whole
+    described = json.loads(json.dumps(asdict(whole)))
+    assert TypeAdapter(Uncertainty).validate_python(described) == whole
     del described["characteristics"]
-    assert Uncertainty.of(described).characteristics is None
+    assert TypeAdapter(Uncertainty).validate_python(described).characteristics is None
 
 
 def test_a_structure_without_a_steady_speed_has_no_speed_map(batch_of):
@@ -274,7 +275,7 @@ def test_what_cannot_be_computed_is_left_out_with_a_notice(monkeypatch):
     monkeypatch.setattr(direction, "characteristics", fails)
     phase1 = object.__new__(Phase1)
     moved = SimpleNamespace(free=np.ones(1, bool))
-    vars(phase1).update(fit=SimpleNamespace(misfit=None, position=None), moved=moved)
+    vars(phase1).update(fit=SimpleNamespace(objective=None, position=None), influence=moved)
     found, said = direction._characteristics(DeadZone(0.3, None, 0, "given"), phase1, UNITS)
     assert found is None
     part, cause = said[0].split(" left out: ")

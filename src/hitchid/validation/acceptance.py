@@ -1,7 +1,7 @@
 """Acceptance: whether the figures of a validation are within limits."""
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from decimal import Context
 from fractions import Fraction
 from itertools import count
@@ -49,10 +49,18 @@ class Acceptance:
 
     def describe(self) -> dict[str, object]:
         """Return the verdict and every check, as JSON can hold them."""
-        checks = [asdict(check) for check in self.checks]
         return {
             "passed": self.passed,
-            "checks": [{"mode": check.pop("direction"), **check} for check in checks],
+            "checks": [
+                {
+                    "mode": check.direction,
+                    "name": check.name,
+                    "limit": check.limit,
+                    "found": check.figure,
+                    "passed": check.passed,
+                }
+                for check in self.checks
+            ],
         }
 
 
