@@ -200,7 +200,8 @@ def test_an_identification_is_stopped_begun_anew_killed_and_gone_on_with(identif
 
     assert identify("--resume").end() == (0, "", "")
     assert left_in(tmp_path) == ["model"]
-    assert left_in(tmp_path / "model") == [".hitchid.json", "model.json", "trace.json", "weights.safetensors"]
+    written = [".hitchid.json", "baselines.safetensors", "model.json", "trace.json", "weights.safetensors"]
+    assert left_in(tmp_path / "model") == written
 
 
 def test_a_folder_that_is_no_run_is_never_taken_for_one(identify, tmp_path):
