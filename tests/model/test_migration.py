@@ -45,9 +45,11 @@ def test_every_older_schema_that_is_read_has_a_folder_its_version_wrote():
 def test_an_older_model_predicts_what_it_did(schema):
     folder, rows = written(schema)
     model = load(folder)
-    np.testing.assert_allclose(model.simulate(record(rows)), rows["simulated"], rtol=0, atol=DIGITS_MM)
+    # In the folder of schema 5 a network corrects the free run.
+    digits_mm = DIGITS_MM if schema < 5 else LSTM_DIGITS_MM
+    np.testing.assert_allclose(model.simulate(record(rows)), rows["simulated"], rtol=0, atol=digits_mm)
     ahead = model.predict(record(rows), horizon=5)
-    np.testing.assert_allclose(ahead, rows["predicted"], rtol=0, atol=DIGITS_MM)
+    np.testing.assert_allclose(ahead, rows["predicted"], rtol=0, atol=digits_mm)
     assert model.drift == (0.0 if schema < 5 else 0.2)
     assert (model.two_modes is None) == (schema < 5)
     assert set(model.uncertainty) == (set() if schema < 5 else {LIFTING})
@@ -95,7 +97,7 @@ def test_what_schema_5_kept_in_the_channel_is_found_beside_it():
     predicted = np.asarray(paper.predict(behind, (5,)))[0, 0, samples]
     np.testing.assert_allclose(predicted, rows["paper_predicted"], rtol=0, atol=LSTM_DIGITS_MM)
     for end in ("lower", "upper"):
-        np.testing.assert_allclose(getattr(model.band(test), end), rows[end], rtol=0, atol=DIGITS_MM)
+        np.testing.assert_allclose(getattr(model.band(test), end), rows[end], rtol=0, atol=LSTM_DIGITS_MM)
 
 
 def test_the_uncertainty_of_schema_5_keeps_its_numbers():

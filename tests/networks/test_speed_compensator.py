@@ -109,8 +109,8 @@ def by_hand(model, drive):
             travels[block, test] = travel
             place = float(drive.initial[test]) + model.sign * travel
             inputs = [
-                float(drive.command[block, test]) / float(model.command),
-                float(drive.previous_increment[block, test]) / float(model.moved),
+                float(drive.command[block, test]) / float(model.command_scale),
+                float(drive.previous_increment[block, test]) / float(model.increment_scale),
                 2 * (place - lowest) / (highest - lowest) - 1,
                 2 * float(drive.load[test]) - 1,
             ]
