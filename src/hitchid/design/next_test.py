@@ -30,14 +30,14 @@ from hitchid.uncertainty.information import (
     standard_errors_with_repeat,
 )
 
-CANDIDATES = 256  # tests evaluated; a power of two, as a Sobol sequence requires
+CANDIDATES = 256  # tests evaluated; chosen, a power of two as a Sobol sequence requires
 MAX_LOW_RATIO = 0.8  # low level over high level, largest; nearer levels hardly excite the dynamics
 MIN_HIGH_RATIO = 0.3  # high level over the largest command, smallest
 CLOCK_S = (0.05, 3.0)  # shortest and longest hold of a level, s: from a valve's lag to a whole stroke
 LENGTHS = (0.5, 1.0, 2.0)  # duration over that of a typical identification test
 TRAVEL_MARGIN = 1.02  # travel over that of the identification tests: 2 % for the model's error
-MAX_PROPOSALS = 5  # proposals returned
-DEAD_ZONE_SHARE = 0.5  # of a parameter's variance, from which on the dead zone limits it
+MAX_PROPOSALS = 5  # largest number returned
+DEAD_ZONE_SHARE = 0.5  # of a parameter's variance, above which the dead zone dominates its error; chosen
 ROUNDING = 1e-9  # in samples, so that a whole number is not rounded down
 COLUMNS = MappingProxyType({LIFTING: "current_up_A", LOWERING: "current_down_A"})
 
@@ -68,9 +68,9 @@ class Proposal:
         low, high: levels of the command beyond the dead zone, in its unit.
         clock_s: shortest time a level is held, s.
         duration_s: length, s.
-        seed: of the sequence.
+        seed: of the binary sequence.
         travel: largest distance from the start as simulated, in the displacement's unit.
-        remaining_error: parameter to its expected standard error after the test over that before.
+        remaining_error: parameter to the ratio of its expected standard error after the test to that before.
     """
 
     low: float
@@ -90,8 +90,7 @@ class Advice:
         direction: lifting or lowering.
         parameter: the parameter whose error is reduced.
         proposals: the best first.
-        baseline_reduction: parameter to its expected standard error after one more test like the
-            identification tests, over that before.
+        baseline_reduction: parameter to the same ratio for one more test like the identification tests.
         ramps: whether the dead zone dominates the error, so that ramps reduce it more than any test.
     """
 
@@ -122,15 +121,15 @@ def design(
     limits: ExcitationLimits = DEFAULT_LIMITS,
     seed: int = 0,
 ) -> Advice:
-    """Propose the next test: of many binary tests within limits, those that reduce a parameter's error most.
+    """Propose the next test: the binary tests within limits that reduce a parameter's standard error most.
 
     The expected standard errors follow from the derivatives of the physical model's free run by its
-    parameters and the residuals of the identification tests (`Information.standard_errors_with`).
+    parameters and the residuals of the identification tests (`uncertainty.information`).
 
     Args:
         model: an identified hitch.
-        direction: direction; by default the one with the least determined parameter.
-        parameter: whose error is to be reduced; by default the least determined that is not at a bound.
+        direction: lifting or lowering; by default that of the least determined parameter.
+        parameter: whose error is reduced; by default the least determined one not at a bound.
         limits: largest command, travel and duration.
         seed: of the candidates and their sequences.
 
@@ -169,7 +168,7 @@ def design(
 
 
 def command_of(model: Hitch, direction: str, proposal: Proposal) -> np.ndarray:
-    """Return the command of a proposal as it is to be logged, in the model's unit, shape [N]."""
+    """Return the command of a proposal with the dead zone added, in the model's unit, shape [N]."""
     zone = model.channels[direction].dead_zone
     return precompensated(_signal(proposal, model.step_s), zone)
 
@@ -192,7 +191,7 @@ def write_command(model: Hitch, advice: Advice, path: Path, *, force: bool = Fal
 def _select_target(
     model: Hitch, direction: str | None, parameter: str | None
 ) -> tuple[str, str, Information]:
-    """Return the least determined direction and parameter among those allowed."""
+    """Return direction and parameter of the widest relative interval among those requested."""
     interval_widths = {
         (channel_name, estimate.name): (estimate.log_interval_width, uncertainty.information)
         for channel_name, uncertainty in model.uncertainty.items()
@@ -212,7 +211,7 @@ def _select_target(
 def _candidates(
     channel: Channel, information: Information, limits: ExcitationLimits, step_s: float, seed: int
 ) -> Iterator[tuple[Proposal, np.ndarray]]:
-    """Yield candidates that stay within the limits, and the derivatives of their travel, shape [N, D]."""
+    """Yield the candidates within the limits and the derivatives of their travel, shape [N, D]."""
     operating_range = channel.operating_range
     highest = float(operating_range.command.highest)
     if limits.highest is not None:
@@ -268,7 +267,7 @@ def _signal(proposal: Proposal, step_s: float) -> np.ndarray:
 
 
 def _batch(channel: Channel, commands: Float[np.ndarray, "t n"], step_s: float) -> Batch:
-    """Return candidate tests as a batch that starts where the identification tests started."""
+    """Return candidate tests as a batch that starts at the end of the stroke opposite to the motion."""
     ends, load = channel.operating_range.displacement, channel.operating_range.load
     start = ends.lowest if channel.sign > 0 else ends.highest
     tests, samples = commands.shape
@@ -290,7 +289,7 @@ def _batch(channel: Channel, commands: Float[np.ndarray, "t n"], step_s: float) 
 def _derivatives(
     channel: Channel, information: Information, batch: Batch
 ) -> tuple[np.ndarray, Float[np.ndarray, "t n d"]]:
-    """Return travel, and its derivatives by the parameters as scaled between their bounds."""
+    """Return travel, and its derivatives by the parameters in the unit cube."""
     physical_model = channel.benchmark
     names = [
         *(p.name for p in physical_model.structure.parameters),

@@ -1,4 +1,4 @@
-"""Reports: a document made from results, and the renderers that write it."""
+"""Reports: a document built from results, and the renderers of its file formats."""
 
 from hitchid.report.comparison_report import comparison_report as comparison_report
 from hitchid.report.comparison_report import comparison_tables as comparison_tables

@@ -7,12 +7,10 @@ VERBS = {"lifting": "lifts", "lowering": "lowers"}
 
 
 def characteristic_sentences(characteristics: Characteristics, direction: str) -> tuple[str, ...]:
-    """Return dead zone, speeds and times of one direction, a sentence each.
-
-    Of several loads the middle one is taken.
+    """Return dead zone, speeds and times of one direction, one sentence each, at the middle load.
 
     Args:
-        characteristics: the characteristics.
+        characteristics: operating characteristics of the direction.
         direction: lifting or lowering.
     """
     unit, opening = characteristics.command_unit, characteristics.opening

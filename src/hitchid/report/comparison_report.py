@@ -1,4 +1,4 @@
-"""The report of a comparison: errors of two models side by side and overlaid."""
+"""Report of a comparison: errors of two models in common tables and figures."""
 
 import numpy as np
 
@@ -23,9 +23,9 @@ def comparison_report(comparison: ModelComparison, *, names: tuple[str, str], co
     """Return the report of a comparison.
 
     Args:
-        comparison: the two models on tests that neither has seen.
+        comparison: the two models on tests that neither identification used.
         names: of the models A and B.
-        command: that wrote the report.
+        command: the command line that wrote the report.
     """
     parameters = tables.comparison_parameters(comparison)
     return Document(
@@ -44,7 +44,7 @@ def comparison_report(comparison: ModelComparison, *, names: tuple[str, str], co
 
 
 def comparison_tables(comparison: ModelComparison) -> Document:
-    """Return every table of a comparison, as `tables.md` has them."""
+    """Return every table of a comparison, the content of `tables.md`."""
     table_list: list[Table] = []
     for section in comparison.sections:
         table_list += [
@@ -62,7 +62,7 @@ def comparison_tables(comparison: ModelComparison) -> Document:
 
 
 def verdict_text(comparison: ModelComparison, section: str) -> str:
-    """Return which model has the smaller error in free run, or that the tests do not prove it."""
+    """Return which model has the smaller error in free run, or that the difference is not significant."""
     runs = [accuracy.free_run() for accuracy in comparison.accuracy(section)]
     a, b = (
         numbers.DIVERGED

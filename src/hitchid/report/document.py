@@ -1,4 +1,4 @@
-"""The document model of a report: findings, text, tables and figures in sections, for every renderer."""
+"""Document model of a report: findings, text, tables and figures in sections."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -13,7 +13,7 @@ from hitchid.validation import Check
 
 
 class Rating(Enum):
-    """Rating of a finding; the value is the word beside its sign."""
+    """Rating of a finding; the value is the text of its symbol."""
 
     GOOD = "good"
     CAUTION = "caution"
@@ -28,7 +28,7 @@ class Finding(NamedTuple):
 
 
 class Table(NamedTuple):
-    """One table: a title, a header, and rows of text, the first column being names."""
+    """One table: a title, a header, and rows of text with names in the first column."""
 
     title: str
     header: tuple[str, ...]
@@ -36,7 +36,7 @@ class Table(NamedTuple):
 
     @property
     def numeric(self) -> list[bool]:
-        """Which columns hold numbers rather than words."""
+        """Whether each column contains numbers."""
         columns = zip(*self.rows, strict=True) if self.rows else [()] * len(self.header)
         return [any(column) and all(map(_is_number, column)) for column in columns]
 
@@ -47,10 +47,10 @@ class Picture:
 
     Attributes:
         name: of its file, without suffix.
-        figure: as drawn.
-        caption: what it shows, and how to read it.
+        figure: the matplotlib figure.
+        caption: content of the figure and how to read it.
         alt: text for screen readers.
-        wide: whether it needs the width of a page.
+        wide: whether it takes the width of a page.
     """
 
     name: str
@@ -74,14 +74,14 @@ class Text:
 
 @dataclass(frozen=True)
 class Findings:
-    """Findings, one below the other."""
+    """A list of findings."""
 
     items: tuple[Finding, ...]
 
 
 @dataclass(frozen=True)
 class Pictures:
-    """Figures that belong together."""
+    """A group of figures."""
 
     items: tuple[Picture, ...]
 
@@ -91,14 +91,14 @@ Block = Text | Findings | Pictures | Table
 
 @dataclass(frozen=True)
 class ReportSection:
-    """Blocks under a heading, and sections below it."""
+    """A section: heading, blocks and subsections."""
 
     title: str
     blocks: tuple[Block, ...] = ()
     sections: tuple["ReportSection", ...] = ()
 
     def walk(self) -> Iterator[Block]:
-        """Yield every block of this section and of those below it, in the order of the page."""
+        """Yield every block of this section and its subsections, in the order of the page."""
         yield from self.blocks
         for section in self.sections:
             yield from section.walk()
@@ -110,12 +110,12 @@ class Document:
 
     Attributes:
         title: of the report.
-        subtitle: its subject, in a line.
-        verdict: findings for a reader who reads no further.
-        notices: findings that a reader must not miss.
-        sections: the rest.
+        subtitle: its subject, one line.
+        verdict: summary findings.
+        notices: warnings on the figures.
+        sections: the main part.
         summary: short tables for a terminal.
-        checks: acceptance limits, each with its figure.
+        checks: acceptance limits and their figures.
         data: all figures, in the form of `metrics.json` or `comparison.json`.
     """
 
@@ -146,7 +146,7 @@ class Document:
 
 
 def sentence(notice: str) -> str:
-    """Return a notice with a capital and a full stop."""
+    """Return a notice with an initial capital and a full stop."""
     return f"{notice[:1].upper()}{notice[1:]}."
 
 

@@ -9,7 +9,7 @@ DIVERGED = "diverged"
 
 
 def digits(value: float | None) -> str:
-    """Return a number with four significant digits; None reads 'diverged'."""
+    """Return a number with four significant digits; 'diverged' for None."""
     return DIVERGED if value is None else f"{value:.4g}"
 
 
@@ -24,16 +24,16 @@ def p_value(probability: float) -> str:
 
 
 def count(number: int, noun: str) -> str:
-    """Return a number with a noun, in the plural where there is not one."""
+    """Return a number with a noun, in the plural unless the number is 1."""
     return f"{number} {noun}{'s' if number != 1 else ''}"
 
 
 def rounded(value: float | None, error: float | None, max_decimals: int = 12) -> str:
-    """Return a number to the second digit of its standard error, to four digits where that is not known.
+    """Return a number to the second digit of its standard error, or to four digits without one.
 
     Args:
-        value, error: the number and its standard error.
-        max_decimals: places after the point, at most.
+        value, error: the number, and its standard error or None.
+        max_decimals: largest number of decimal places.
     """
     if value is None or error is None or not error > 0:
         return digits(value)
@@ -41,7 +41,7 @@ def rounded(value: float | None, error: float | None, max_decimals: int = 12) ->
 
 
 def with_error(value: float | None, error: float | None) -> str:
-    """Return a value to two digits of its standard error, `41.85 ± 0.30`; None reads 'diverged'."""
+    """Return a value to two digits of its standard error, `41.85 ± 0.30`; 'diverged' for None."""
     if value is None or error is None or not error > 0 or not value:
         return digits(value)
     decimals = 1 - floor(log10(error))
@@ -62,12 +62,12 @@ def interval(ends: Interval) -> str:
 
 
 def with_unit(text: str, unit: str) -> str:
-    """Return a number with its unit, without one where that is 1."""
+    """Return a number with its unit; no unit for dimensionless numbers (`1`)."""
     return text if unit == "1" else f"{text} {unit}"
 
 
 def estimate(parameter: Estimate) -> str:
-    """Return a parameter with its standard error; empty where it is not determined."""
+    """Return a parameter with its standard error; empty if it is not determined."""
     return with_error(parameter.value, parameter.error) if parameter.determined else ""
 
 
@@ -78,7 +78,7 @@ def determined(result: Quantity | Estimate | bool) -> str:
 
 
 def error_cells(figures: RunFigures) -> tuple[str, ...]:
-    """Return RMSE, MAE, R², fit, largest error and share below one unit, to the digits that tests can tell.
+    """Return RMSE, MAE, R², fit, largest error and share below one unit, to their significant digits.
 
     The standard error s of the RMSE r over tests sets all of them: R² = 1 − (r/y)² has 2 (1 − R²) s/r and the
     fit 100 (1 − r/y) has (100 − fit) s/r; five places of R² and two of the fit at most.

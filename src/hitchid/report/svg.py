@@ -1,4 +1,4 @@
-"""A figure as SVG: small, the same each time, and fit for use inside a page."""
+"""A figure as SVG: small, reproducible, and embeddable in a page."""
 
 import re
 from html import escape
@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from hitchid.report.figures.style import PAPER, SHADES, style
 
-_TAG = re.compile("<[^>]+>")  # between tags are the words and numbers that people read
+_TAG = re.compile("<[^>]+>")  # text between tags is not changed
 _LONG_NUMBER = re.compile(r"-?\d+\.\d{3,}")
 _ID = re.compile(r' id="([^"]+)"')
 _REFERENCE = re.compile(r'(?:url\(#|href="#)([^)"]+)')
@@ -25,7 +25,7 @@ def svg(figure: Figure) -> str:
     """Return a figure as an SVG file, lengths to a hundredth of a point."""
     buffer = StringIO()
     with style():
-        # What `savefig` does too, without drawing everything once before to measure it.
+        # As `savefig`, without its additional drawing pass for the layout.
         FigureCanvasSVG(figure).print_svg(buffer, metadata=_NO_METADATA)
     return _TAG.sub(lambda tag: _LONG_NUMBER.sub(_rounded, tag[0]), buffer.getvalue())
 
@@ -35,12 +35,12 @@ def _rounded(number: re.Match) -> str:
 
 
 def inline_svg(text: str, name: str, alt: str) -> str:
-    """Return an SVG file as an element of a page, named for screen readers, in the page's own colours.
+    """Return an SVG file as an element of a page, with an alt text, in the page's colours.
 
     Args:
         text: an SVG file.
-        name: what its identifiers begin with, so that those of two figures differ.
-        alt: what it shows.
+        name: prefix of its identifiers, so that they are unique in the page.
+        alt: text for screen readers.
     """
     element = text[text.index("<svg") :]
     referenced_ids = {identifier for tag in _TAG.findall(element) for identifier in _REFERENCE.findall(tag)}

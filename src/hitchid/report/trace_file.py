@@ -10,7 +10,7 @@ from hitchid.model import Estimate
 
 @dataclass(frozen=True)
 class TracedDeadZone:
-    """A dead zone, its standard deviation, and how many logs of which origin it comes from."""
+    """A dead zone, its standard deviation, and the number and origin of its logs."""
 
     value: float
     spread: float | None
@@ -31,8 +31,8 @@ class TracedSearch:
 
     Attributes:
         uncertainty: estimates after least squares.
-        fitness: best RMSE so far over the iterations, in the model's unit; None while none was finite.
-        values: the parameters that gave it, a row an iteration.
+        fitness: best RMSE so far by iteration, in the model's unit; None while none was finite.
+        values: the parameters of that RMSE, one row per iteration.
     """
 
     uncertainty: TracedEstimates
@@ -47,7 +47,7 @@ class TracedSearch:
 
 @dataclass(frozen=True)
 class TracedTraining:
-    """Losses of the error compensator over the epochs, and the epoch that was kept."""
+    """Losses of the error compensator over the epochs, and the selected epoch."""
 
     training_loss: tuple[float | None, ...]
     validation_loss: tuple[float | None, ...]
@@ -56,7 +56,7 @@ class TracedTraining:
 
 @dataclass(frozen=True)
 class TracedCandidate:
-    """A model form that was compared: RMSE in free run on all tests and on held-out levels."""
+    """A compared model specification: RMSE in free run on all tests and on held-out levels."""
 
     name: str
     rmse: float | None
@@ -66,13 +66,13 @@ class TracedCandidate:
 
 @dataclass(frozen=True)
 class ChannelTraceFile:
-    """How one direction was identified.
+    """Trace of the identification of one direction.
 
     Attributes:
         dead_zone: of the command.
         phase1: search for the parameters.
         phase2: training of the compensator; None where there was none.
-        candidates: model forms that were compared.
+        candidates: model specifications that were compared.
         notices: of the identification.
     """
 
@@ -84,7 +84,7 @@ class ChannelTraceFile:
 
 
 def read_trace(content: Mapping[str, object]) -> dict[str, ChannelTraceFile]:
-    """Return direction to trace; directions in the form of an older version are left out.
+    """Return direction to trace; directions in the format of an older version are left out.
 
     Args:
         content: of `trace.json`, as `hitchid.model.load_trace` returns it.

@@ -1,4 +1,4 @@
-"""The report of a validation: verdict first, then each direction, mixed cycles, logs, origin."""
+"""Report of a validation: verdict, each direction, mixed cycles, logs, origin."""
 
 from collections.abc import Callable, Mapping, Sequence
 
@@ -33,9 +33,9 @@ def validation_report(
     Args:
         result: of the validation.
         data: its `report_data()`.
-        trace: how the model was identified, as `read_trace` returns it.
-        acceptance: limits and whether they hold; None where none were set.
-        command: that wrote the report.
+        trace: trace of the identification, as `read_trace` returns it.
+        acceptance: result of the acceptance limits; None without limits.
+        command: the command line that wrote the report.
     """
     counts = [_count(direction, len(accuracy.tests)) for direction, accuracy in result.accuracy.items()]
     return Document(
@@ -61,11 +61,11 @@ def direction_sections(
     trace: Mapping[str, ChannelTraceFile],
     builders: Sequence[SectionBuilder],
 ) -> list[ReportSection]:
-    """Return a section for each direction that was validated, and one for mixed cycles.
+    """Return one section per validated direction, and one for mixed cycles.
 
     Args:
         result, data, trace: as for `validation_report`.
-        builders: of the sections of a direction.
+        builders: functions that build the subsections of a direction.
     """
     step_s, unit = data.origin.step_s, result.unit
     result_sections = []
@@ -81,7 +81,7 @@ def direction_sections(
 
 
 def validation_tables(result: Validation) -> Document:
-    """Return every table of a validation, as `tables.md` has them."""
+    """Return every table of a validation, the content of `tables.md`."""
     return Document(
         title="Validation",
         notices=result.notices,

@@ -1,4 +1,4 @@
-"""A report on disk: the page, its figures, and a PDF where one is asked for."""
+"""A report on disk: HTML page, figures, and optionally a PDF."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,19 +21,19 @@ def write_report(
     as_pdf: bool = False,
     force: bool = False,
 ) -> None:
-    """Write a report and the files beside it, whole or not at all.
+    """Write a report and further files into a folder, all or none.
 
     Args:
-        folder: where to.
+        folder: to write.
         document: the report.
-        files: name to content of what is written beside it.
-        mark: a file of these by which an older result is recognised; `force` replaces nothing else.
-        as_pdf: whether `report.pdf` is written too.
+        files: name to content of the further files.
+        mark: the file of these that identifies an older result; `force` replaces only such folders.
+        as_pdf: whether to write `report.pdf` too.
         force: replace an older result.
 
     Raises:
         OutputError: the folder exists and `force` is not given, or it cannot be written.
-        InputError: a PDF is asked for and typst is not installed.
+        InputError: a PDF is requested and typst is not installed.
     """
 
     def write(target: Path) -> None:
@@ -44,10 +44,10 @@ def write_report(
 
 
 def write_report_files(document: Document, folder: Path, *, as_pdf: bool = False) -> None:
-    """Write `report.html`, `figures/*.svg` and, where asked for, `report.pdf` into a folder being filled.
+    """Write `report.html`, `figures/*.svg` and, if requested, `report.pdf` into an existing folder.
 
     Raises:
-        InputError: a PDF is asked for and typst is not installed.
+        InputError: a PDF is requested and typst is not installed.
     """
     figures = {f"{picture.name}.svg": _utf8(picture.svg) for picture in document.pictures}
     (folder / FIGURES).mkdir()
@@ -58,5 +58,5 @@ def write_report_files(document: Document, folder: Path, *, as_pdf: bool = False
 
 
 def _utf8(text: str) -> bytes:
-    """Return text as UTF-8; what is no character, as in names of logs, is replaced."""
+    """Return text as UTF-8; characters that cannot be encoded, as in names of logs, are replaced."""
     return text.encode("utf-8", errors="replace")

@@ -1,1 +1,1 @@
-"""Published studies, carried out anew."""
+"""Reproductions of published studies."""

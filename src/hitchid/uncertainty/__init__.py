@@ -1,4 +1,4 @@
-"""Estimates: how well tests determine parameters, and what they leave open."""
+"""Uncertainty of the estimates: standard errors, confidence intervals, profiles, prediction bands."""
 
 from hitchid.uncertainty.assess import assess as assess
 from hitchid.uncertainty.assess import unassessed as unassessed

@@ -1,4 +1,4 @@
-"""From a best position to what is known of it: errors, intervals, profiles where they are wide, verdicts."""
+"""Uncertainty of the estimates: standard errors, intervals, profiles, verdicts."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -14,26 +14,26 @@ from hitchid.uncertainty.influence import Influence, compute_influence
 from hitchid.uncertainty.profile import Profile, open_ends, profile
 from hitchid.uncertainty.verdict import verdict
 
-AT_BOUND = 1e-3
-MAX_LINEAR_SHARE = 0.5
-TIGHT_RATIO, TIGHT_SHARE = 1.4, 0.2
-PERCENTILES = (2.5, 97.5)
-PROFILE_SAMPLES = 2048
-# Share of the largest derivative: below it an error of a thousandth of the travel is wider than the bounds.
+AT_BOUND = 1e-3  # distance from a bound, in the unit cube, below which an estimate lies at it; chosen
+MAX_LINEAR_SHARE = 0.5  # width of a determined interval over the search range, linear parameters; chosen
+TIGHT_RATIO, TIGHT_SHARE = 1.4, 0.2  # widest interval without a profile: ratio, share of range; chosen
+PERCENTILES = (2.5, 97.5)  # ends of a 95 % interval
+PROFILE_SAMPLES = 2048  # samples of a test in a profile's fits; chosen for speed
+# Share of the largest derivative: below it an error of 0.1 % of the travel is wider than the bounds.
 MIN_RELATIVE_DERIVATIVE = 1e-5
 
 
 @dataclass(frozen=True)
 class _ParameterResult:
-    """What was found of one parameter.
+    """Uncertainty of one parameter.
 
     Attributes:
-        number, parameter: which.
-        lower, upper, linear: bounds of its search, and whether that runs between them as they are.
+        number, parameter: index and definition of the parameter.
+        lower, upper, linear: search bounds; whether the search scale is linear (else logarithmic).
         bound: `lower` or `upper` where the estimate lies at one, else empty.
-        insensitive: whether the tests change so little with it that no error can be computed.
-        interval: 95 %.
-        profile: where the interval comes from one.
+        insensitive: whether the simulation depends on it too little for a standard error.
+        interval: 95 % confidence interval.
+        profile: the profile behind the interval; None for a Gauss-Newton interval.
     """
 
     number: int
@@ -48,7 +48,7 @@ class _ParameterResult:
 
     @classmethod
     def of(cls, objective: Objective, position: np.ndarray, number: int) -> "_ParameterResult":
-        """Start with an estimate's bounds."""
+        """Return the bounds of one parameter, and whether its estimate lies at one."""
         coordinate = float(position[number])
         return cls(
             number=number,
@@ -60,13 +60,13 @@ class _ParameterResult:
         )
 
     def value(self, coordinate: float) -> float:
-        """Return the value at a place between the bounds."""
+        """Return the parameter value at a coordinate of the unit interval."""
         if self.linear:
             return self.lower + coordinate * (self.upper - self.lower)
         return self.lower * (self.upper / self.lower) ** coordinate
 
     def to_interval(self, lower: float | None, upper: float | None) -> Interval:
-        """Return the values of two places; an end beyond the bounds is open."""
+        """Return the parameter values at two coordinates; an end outside the bounds is open (None)."""
         return (
             None if lower is None or not lower >= 0 else self.value(lower),
             None if upper is None or not upper <= 1 else self.value(upper),
@@ -75,7 +75,7 @@ class _ParameterResult:
     def is_narrow(
         self, interval: Interval, factor: float = MAX_INTERVAL_RATIO, share: float = MAX_LINEAR_SHARE
     ) -> bool:
-        """Tell whether an interval is within a factor, or around zero within a share of the room."""
+        """Return whether upper/lower is at most `factor`; on a linear scale, the width at most `share`."""
         lower, upper = interval
         if lower is None or upper is None:
             return False
@@ -95,22 +95,22 @@ def assess(
     dead_zone: DeadZoneError = NO_ERROR,
     seed: int = 0,
 ) -> tuple[Estimates, Influence]:
-    """Say how well the tests determine each parameter of a form.
+    """Return standard error, 95 % interval and verdict of each parameter of a model.
 
-    Intervals are those of Gauss and Newton, between the bounds in the coordinates of the search (logarithms
-    of what is positive), with tests taken as independent and the samples of one test not. Where such an
-    interval is wide or meets a bound, a profile takes its place. A parameter is determined where its interval
-    is closed and no wider than a factor of three, or half the room between its bounds where that holds zero.
+    Intervals are Gauss-Newton intervals in the coordinates of the search (logarithmic for positive
+    parameters), with a cluster-robust covariance: tests are independent, the samples of one test are not.
+    A profile replaces an interval that is wide or reaches a bound. A parameter is determined if its interval
+    is closed with upper/lower at most 3, or, on a linear scale, no wider than half its search range.
 
     Args:
-        objective: identification tests and form.
-        position: the best position in the unit cube, shape [D].
+        objective: identification tests and model specification.
+        position: the estimate in the unit cube, shape [D].
         units: `x` and `u` to the units of displacement and command.
-        dead_zone: how well it is known.
-        seed: draws tests anew for the bootstrap.
+        dead_zone: standard error of the dead zone.
+        seed: of the bootstrap.
 
     Returns:
-        What is known, and by how much each test moves each estimate.
+        The estimates, and the influence of each test on them.
     """
     results = [_ParameterResult.of(objective, position, number) for number in range(position.size)]
     inside = np.array([not result.bound for result in results])
@@ -139,11 +139,11 @@ def assess(
 def unassessed(
     objective: Objective, position: np.ndarray, *, units: Mapping[str, str], cause: str
 ) -> tuple[Estimates, Influence]:
-    """Return estimates of which nothing but the value is known.
+    """Return estimates without standard errors and intervals.
 
     Args:
         objective, position, units: as for `assess`.
-        cause: why, the verdict of every parameter.
+        cause: why there are none; the verdict of every parameter.
     """
     values = objective.values(position)
     estimates = tuple(
@@ -177,9 +177,9 @@ def _with_interval(
     influence: Influence,
     dead_zone: DeadZoneError,
 ) -> _ParameterResult:
-    """Return it with the interval of Gauss and Newton, or a profile's where that is wide or meets a bound.
+    """Return the parameter with its Gauss-Newton interval, or a profile's if that is wide or reaches a bound.
 
-    Of few tests the rows are stretches, which are not independent: the interval then holds the bootstrap's.
+    With few tests the rows are segments, which are not independent: the union with the bootstrap interval.
     """
     coordinate = float(position[result.number])
     bootstrap = None
@@ -202,7 +202,7 @@ def _with_interval(
 
 
 def _interval_union(interval: Interval, other: Interval | None) -> Interval:
-    """Return an interval that holds both; an open end stays so."""
+    """Return the smallest interval that contains both; an open end stays open."""
     if other is None:
         return interval
     (lower, upper), (lowest, highest) = interval, other
@@ -213,7 +213,7 @@ def _interval_union(interval: Interval, other: Interval | None) -> Interval:
 
 
 def _bootstrap_interval(result: _ParameterResult, position: np.ndarray, influence: Influence) -> Interval:
-    """Return the 95 % interval from tests drawn anew."""
+    """Return the 95 % bootstrap interval (percentiles)."""
     tails = position[result.number] + np.percentile(influence.bootstrap[:, result.number], PERCENTILES)
     return result.to_interval(*map(float, np.clip(tails, 0.0, 1.0)))
 
@@ -223,7 +223,7 @@ def _count_tests(objective: Objective) -> int:
 
 
 def _with_open_ends(result: _ParameterResult, profiles: Sequence[Profile]) -> Interval:
-    """Return an interval without the ends beyond which a parameter goes with another that is left free."""
+    """Return the interval, open where the parameter follows another one along an open end of its profile."""
 
     search_range = (
         result.upper - result.lower if result.linear else float(np.log(result.upper / result.lower))
@@ -247,7 +247,7 @@ def _estimates(
     quantities: Iterable[Quantity],
     units: Mapping[str, str],
 ) -> tuple[Estimate, ...]:
-    """Return the estimates, each with its verdict."""
+    """Return one estimate per parameter, with its verdict."""
     determined_quantities = {quantity.name: quantity.name for quantity in quantities if quantity.determined}
     determined_quantities |= {
         result.parameter.name: result.parameter.symbol for result in results if result.determined

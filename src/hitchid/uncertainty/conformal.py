@@ -1,26 +1,26 @@
-"""Calibration of prediction bands: conformal quantiles of errors, test by test."""
+"""Calibration of prediction bands: conformal quantiles of errors, grouped by test."""
 
 from collections.abc import Sequence
 
 import numpy as np
 from scipy.special import ndtri
 
-LEVELS = (0.5, 0.8, 0.9, 0.95)
-GRID = np.linspace(0.0, 1.0, 401)
-BISECTION_STEPS = 12
-SMALLEST = 1e-12
+LEVELS = (0.5, 0.8, 0.9, 0.95)  # coverages at which bands are calibrated, shares of samples
+GRID = np.linspace(0.0, 1.0, 401)  # probabilities at which the quantiles of one test are taken
+BISECTION_STEPS = 12  # of the probability: to (1 − level)/4096
+SMALLEST = 1e-12  # smallest spread divided by, in the displacement's unit
 
 
 def nonconformity_scores(
     errors: Sequence[np.ndarray], spreads: Sequence[np.ndarray], noise: float, level: float
 ) -> list[np.ndarray]:
-    """Return the q that each sample needs to lie in its band.
+    """Return for each sample the smallest factor q at which its band contains it.
 
     Args:
-        errors: measured less predicted, one array of shape [N_i] for each test that was held out.
-        spreads: root of the sum of squares over alternatives, of the same shapes.
+        errors: measured minus predicted, one array of shape [N_i] for each held-out test.
+        spreads: root of the sum of squared deviations of the ensemble members, of the same shapes.
         noise: standard deviation of the sensor's noise.
-        level: share of samples the band shall cover.
+        level: coverage of the band, share of samples.
     """
     floor = (float(ndtri(0.5 + level / 2)) * noise) ** 2
     return [
@@ -30,17 +30,17 @@ def nonconformity_scores(
 
 
 def conformal_quantile(scores: Sequence[np.ndarray], level: float) -> float:
-    """Return the score below which a share of the samples of a test not seen lies, on average over tests.
+    """Return the score that bounds a share of the samples of an unseen test, on average over tests.
 
-    Samples of one test stand and fall together, so the quantile over all samples covers fewer than it says.
-    The probability p is therefore raised until each test, judged by the quantile p of the others, is covered
-    to the level asked for, on average; the mean of these quantiles is returned. Every test weighs the same.
-    With tests exchangeable this is the conformal prediction of Vovk et al. (2005, Algorithmic Learning in a
-    Random World, ch. 2), with tests for samples.
+    Samples of one test are correlated, so the quantile over all samples covers less than its probability.
+    The probability p is therefore raised until the mean coverage of each test by the quantile p of the other
+    tests reaches the level; the mean of these quantiles is returned. Every test has the same weight.
+    This is conformal prediction (Vovk et al. 2005, Algorithmic Learning in a Random World, ch. 2) with tests
+    as the exchangeable units.
 
     Args:
-        scores: of tests that were held out, one array of shape [N_i] each.
-        level: share of samples.
+        scores: nonconformity scores of held-out tests, one array of shape [N_i] each.
+        level: coverage, share of samples.
     """
     rows = np.stack([np.quantile(row, GRID) for row in scores])
     if len(rows) == 1:
@@ -65,13 +65,13 @@ def conformal_quantile(scores: Sequence[np.ndarray], level: float) -> float:
 
 
 def sensor_noise(errors: Sequence[np.ndarray]) -> float:
-    """Return the standard deviation of white noise on errors that otherwise change smoothly.
+    """Return the standard deviation of white noise added to smooth errors, median over tests.
 
-    σ² = mean (Δ³e)²/20: the third difference of white noise has 1 + 9 + 9 + 1 times its variance, that of
-    what is smooth nearly none. The median of tests is taken.
+    σ² = mean (Δ³e)²/20: the third difference of white noise has 1 + 9 + 9 + 1 = 20 times its variance, that
+    of a smooth signal is close to zero.
 
     Args:
-        errors: measured less predicted, one array of shape [N_i] for each test.
+        errors: measured minus predicted, one array of shape [N_i] for each test.
     """
     deviations = [np.sqrt(np.mean(np.diff(error, 3) ** 2) / 20) for error in errors if error.size > 3]
     return float(np.median(deviations)) if deviations else 0.0

@@ -1,4 +1,4 @@
-"""The error of a dead zone that was found beforehand, and what it does to what is found behind it."""
+"""Standard error of the dead zone, which is identified before the parameters, and its degrees of freedom."""
 
 from typing import NamedTuple
 
@@ -7,22 +7,22 @@ from scipy.special import stdtrit
 
 from hitchid.estimation import Objective
 
-CONFIDENCE = 0.95
+CONFIDENCE = 0.95  # level of every interval
 
 
 class DeadZoneError(NamedTuple):
-    """How well the dead zone is known that parameters were found behind.
+    """Standard error of the dead zone.
 
     Attributes:
-        standard_error: standard error, in the command's unit; 0 where it is given.
-        tests: ramps or tests it was found from.
+        standard_error: in the command's unit; 0 for a dead zone that was given.
+        tests: number of ramps or tests it was identified from.
     """
 
     standard_error: float = 0.0
     tests: int = 0
 
     def shifted_by_one_sigma(self, objective: Objective) -> Objective:
-        """Return the misfit with the dead zone one standard error farther."""
+        """Return the objective with the dead zone one standard error larger."""
         return objective.with_data(
             objective.batch.with_dead_zones(objective.batch.dead_zone + self.standard_error)
         )
@@ -41,7 +41,7 @@ def welch_satterthwaite(variances: np.ndarray, degrees: np.ndarray) -> np.ndarra
 
     Args:
         variances: shape [V, ...].
-        degrees: of each, of a shape that goes with it.
+        degrees: degrees of freedom of each, broadcastable to that shape.
     """
     denominator = np.sum(variances**2 / degrees, axis=0)
     degrees = np.sum(variances, axis=0) ** 2 / np.maximum(denominator, np.finfo(float).tiny)
@@ -49,5 +49,5 @@ def welch_satterthwaite(variances: np.ndarray, degrees: np.ndarray) -> np.ndarra
 
 
 def t_quantile(degrees: float) -> float:
-    """Return how many standard errors lie on either side of 95 % of Student's t."""
+    """Return the two-sided 95 % quantile of Student's t."""
     return float(stdtrit(degrees, 0.5 + CONFIDENCE / 2))

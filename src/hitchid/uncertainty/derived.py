@@ -1,4 +1,4 @@
-"""What follows from the parameters: quantities with the intervals that parameters hand on to them."""
+"""Quantities derived from the parameters, with intervals by error propagation and profiles."""
 
 from collections.abc import Mapping, Sequence
 from math import exp, log
@@ -10,9 +10,9 @@ from hitchid.model.estimates import MAX_INTERVAL_RATIO, Quantity
 from hitchid.uncertainty.influence import Influence
 from hitchid.uncertainty.profile import Profile, open_ends
 
-RELATIVE_PERTURBATION = 0.01
-GRADIENT_STEP = 1e-4
-TINY = 1e-300
+RELATIVE_PERTURBATION = 0.01  # of a parameter, for its sensitivity (Sun et al. 2025)
+GRADIENT_STEP = 1e-4  # of central differences, in the unit cube; chosen
+TINY = 1e-300  # smallest argument of a logarithm
 
 
 def derived(
@@ -22,16 +22,16 @@ def derived(
     profiles: Sequence[Profile],
     units: Mapping[str, str],
 ) -> tuple[Quantity, ...]:
-    """Return what follows from the parameters, as far as the tests allow it.
+    """Return the derived quantities of the structure with their 95 % intervals.
 
-    The interval is carried over along the slope of the quantity's logarithm, and widened to all that a
-    profile allows; where a profile has no end and takes the quantity with it, the interval has none.
+    The interval follows from the gradient of the quantity's logarithm, widened to the range over the allowed
+    points of the profiles; it is open where the quantity follows a parameter beyond an open end of a profile.
 
     Args:
-        objective: tests and form.
-        position: the estimates, shape [D].
-        influence: how far they would move with other tests.
-        profiles: of those that are not determined.
+        objective: tests and model specification.
+        position: the estimates in the unit cube, shape [D].
+        influence: influence of the tests on the estimates.
+        profiles: of the parameters whose Gauss-Newton interval is wide.
         units: `x` and `u` to the units of displacement and command.
     """
     dead_zone = float(objective.batch.dead_zone[0])
@@ -45,7 +45,7 @@ def derived(
         for step in GRADIENT_STEP * np.eye(position.size)
     ]
     allowed = [quantities_at(point) for profile in profiles for point in profile.positions[profile.allowed]]
-    # A combination is no surer than the least sure of what goes into it; one at a bound moves nothing.
+    # Conservative: the smallest degrees of freedom of any free parameter; those at a bound have 1.
     degrees = float(
         np.min(
             influence.degrees_of_freedom[influence.degrees_of_freedom > 1], initial=len(influence.by_test) - 1
@@ -77,7 +77,7 @@ def _log(value: float) -> float:
 
 
 def _exp(logarithm: float) -> float | None:
-    """Return the number that has a logarithm; None, an open end, where no number of double precision has."""
+    """Return the exponential; None, an open end, outside the range of double precision."""
     return exp(logarithm) if abs(logarithm) < -log(TINY) else None
 
 
@@ -85,7 +85,7 @@ def sensitivities(objective: Objective, position: np.ndarray) -> tuple[float, ..
     """Return the mean relative change of the RMSE for ±1 % of each parameter (Sun et al. 2025, sec. 3.1.1).
 
     Args:
-        objective: tests and form.
+        objective: tests and model specification.
         position: the estimates, shape [D].
     """
     values, pooled = objective.values(position), objective.pooled()

@@ -1,4 +1,4 @@
-"""By how much each test moves each estimate: standard errors, correlations and redrawn tests follow."""
+"""Influence of each test on each estimate: standard errors, correlations and bootstrap."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -11,27 +11,25 @@ from hitchid.uncertainty.dead_zone_error import DeadZoneError, t_quantile, welch
 from hitchid.uncertainty.profile import Profile
 from hitchid.uncertainty.scores import MIN_EIGENVALUE, Scores
 
-BOOTSTRAP_DRAWS = 999
-# Beside the dead zone parameters are fitted anew over this many samples a test, in this many steps; the
-# change is small, so that it is the step, not the sum of squares, that must have settled.
+BOOTSTRAP_DRAWS = 999  # resamples of the tests; chosen
+# Refit with a shifted dead zone: samples of a test, steps, relative tolerance of the sum of squares (tight:
+# the shift of the estimates is small). Chosen.
 COARSE_SAMPLES, REFIT_STEPS, TOLERANCE = 2048, 15, 1e-12
-# The first parameter of every linear structure.
-GAIN_INDEX = 0
+GAIN_INDEX = 0  # the gain is the first parameter of every linear structure
 
 
 class Influence(NamedTuple):
-    """How far estimates would move with other tests, in the coordinates between the bounds.
+    """Influence of the tests on the estimates, in the coordinates of the unit cube.
 
     Attributes:
-        by_test: by how much each test moves each estimate, shape [T, D]; zero for one at a bound.
-        by_dead_zone: by how much a standard error of the dead zone does, shape [D].
-        shifted_estimates: what fits best a standard error of the dead zone above and below it, shape [2, D].
-        degrees_of_freedom: degrees of freedom of each standard error, shape [D].
-        bootstrap: estimates from tests drawn anew, less the estimate, shape [B, D]; the dead zone is drawn
-            too.
-        scores: slopes and curvatures of the tests, over the parameters that are free.
-        free: which of the parameters these are, shape [D].
-        profiles: of parameters that are not determined.
+        by_test: change of each estimate due to each test, shape [T, D]; zero for a parameter at a bound.
+        by_dead_zone: change of each estimate per standard error of the dead zone, shape [D].
+        degrees_of_freedom: of each standard error, shape [D].
+        bootstrap: estimates from resampled tests and dead zones minus the estimate, shape [B, D].
+        scores: gradients and Gauss-Newton matrices of the tests, over the free parameters.
+        free: mask of the free parameters, shape [D].
+        shifted_estimates: estimates with the dead zone a standard error larger and smaller, shape [2, D].
+        profiles: of the parameters whose Gauss-Newton interval is wide.
     """
 
     by_test: Float[np.ndarray, "t d"]
@@ -45,7 +43,7 @@ class Influence(NamedTuple):
 
     @classmethod
     def zeros(cls, tests: int, parameters: int) -> "Influence":
-        """Return what is known where nothing could be computed: that nothing moves anything."""
+        """Return zero influence, for estimates without standard errors."""
         no_influence = np.zeros((tests, parameters))
         scores = Scores(np.zeros((tests, 0)), np.zeros((tests, 0, 0)))
         free, shifted_estimates = np.zeros(parameters, bool), np.zeros((2, parameters))
@@ -61,24 +59,24 @@ class Influence(NamedTuple):
 
     @property
     def covariance(self) -> Float[np.ndarray, "d d"]:
-        """Of the estimates, shape [D, D]."""
+        """Covariance of the estimates, shape [D, D]."""
         return self.by_test.T @ self.by_test + np.outer(self.by_dead_zone, self.by_dead_zone)
 
     @property
     def errors(self) -> Float[np.ndarray, " d"]:
-        """The standard errors, shape [D]."""
+        """Standard errors of the estimates, shape [D]."""
         return np.sqrt(np.diag(self.covariance))
 
     def error(self, weights: np.ndarray) -> float:
-        """Return the standard error of a combination of parameters, its weights of shape [D]."""
+        """Return the standard error of a linear combination of parameters, weights of shape [D]."""
         return float(np.sqrt(weights @ self.covariance @ weights))
 
     def half_width(self, weights: np.ndarray, degrees: float) -> float:
-        """Return half the width of the 95 % interval of a combination of parameters."""
+        """Return half the width of the 95 % interval of a linear combination of parameters."""
         return t_quantile(degrees) * self.error(weights)
 
     def combination_degrees(self, combinations: Float[np.ndarray, "d q"]) -> Float[np.ndarray, " q"]:
-        """Return the degrees of freedom of the standard errors of combinations, the dead zone's aside."""
+        """Return the degrees of freedom of combinations' standard errors, without the dead zone's share."""
         return self.scores.degrees_of_freedom(combinations[self.free])
 
 
@@ -90,14 +88,14 @@ def compute_influence(
     *,
     seed: int,
 ) -> Influence:
-    """Find how far the estimates would move with other tests.
+    """Return the influence of each test, and of the dead zone, on the estimates.
 
     Args:
-        objective: the tests.
-        position: the estimates, shape [D].
-        free: which of them do not lie at a bound, shape [D].
-        dead_zone: how well it is known.
-        seed: draws tests anew.
+        objective: identification tests and model specification.
+        position: the estimates in the unit cube, shape [D].
+        free: mask of the parameters that are sensitive and not at a bound, shape [D].
+        dead_zone: standard error of the dead zone.
+        seed: of the bootstrap.
     """
     scores = _fit_and_pooled_scores(objective, position, free)
     by_test = _influence_by_test(*scores)
@@ -132,9 +130,9 @@ def compute_influence(
 def _shifted_estimates(
     objective: Objective, position: np.ndarray, free: np.ndarray, dead_zone: DeadZoneError
 ) -> Float[np.ndarray, "2 d"]:
-    """Return what fits best a standard error of the dead zone above and below it.
+    """Return the estimates with the dead zone a standard error larger and smaller.
 
-    A valve curve makes up for most of it, in steps that are too long for a linearisation.
+    They are refitted: a valve curve compensates most of the shift, too far for a linearisation.
     """
     estimates = np.stack([position, position])
     if not dead_zone.standard_error > 0 or not free.any():
@@ -160,7 +158,7 @@ def _refit(objective: Objective, indices: list[int], position: np.ndarray) -> np
 
 
 def _fit_and_pooled_scores(objective: Objective, position: np.ndarray, free: np.ndarray) -> list[Scores]:
-    """Return the scores, and where tests had factors of their own those that the gain is found from."""
+    """Return the scores of the fit and, if it had a gain per test, those of the pooled fit of the gain."""
     scores = [Scores.of(objective, position).select_parameters(free)]
     return (
         [*scores, Scores.of(objective.pooled(), position).select_parameters(free)]
@@ -181,11 +179,11 @@ def _influence_by_test(scores: Scores, gain_scores: Scores | None = None) -> np.
 
 
 def _newton_steps(scores: Sequence[Scores], weights: np.ndarray) -> np.ndarray:
-    """Return by how much estimates move where tests have other weights, shape [B, D].
+    """Return the Newton steps of the estimates for other weights of the tests, shape [B, D].
 
     Args:
         scores: at the estimate.
-        weights: of each test, shape [B, T].
+        weights: how often each test is drawn, shape [B, T].
     """
     slopes = [weights @ test_scores.slopes for test_scores in scores]
     curvatures = [np.einsum("bt,tij->bij", weights, test_scores.curvatures) for test_scores in scores]

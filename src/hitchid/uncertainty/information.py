@@ -1,4 +1,4 @@
-"""What tests say of the parameters, and what one more would: Fisher information with correlated errors."""
+"""Fisher information of the tests, with correlated errors, and expected errors after one more test."""
 
 import numpy as np
 from jaxtyping import Float
@@ -9,16 +9,16 @@ from hitchid.estimation.objective import GAIN_RIDGE
 from hitchid.model.information import Information
 from hitchid.uncertainty.influence import Influence
 
-LAGS = 100
+LAGS = 100  # blocks of the longest test, lags of the autocovariance; chosen
 
 
 def information_of(objective: Objective, position: np.ndarray, influence: Influence) -> Information:
     """Return the Fisher information of the tests at the best position.
 
     Args:
-        objective: identification tests and form.
+        objective: identification tests and model specification.
         position: the estimates, shape [D].
-        influence: by how much each test moves each estimate.
+        influence: influence of each test on each estimate.
     """
     errors, test = objective.errors(position)
     free = np.flatnonzero(np.any(influence.by_test != 0, axis=0))
@@ -42,14 +42,14 @@ def information_of(objective: Objective, position: np.ndarray, influence: Influe
 
 
 def standard_errors(information: Information) -> Float[np.ndarray, " d"]:
-    """Return the standard errors now, by place between bounds."""
+    """Return the standard errors from the identification tests, in the unit cube."""
     return _standard_errors(
         information, np.array(information.curvature), np.array(information.score_covariance)
     )
 
 
 def standard_errors_with_repeat(information: Information) -> Float[np.ndarray, " d"]:
-    """Return what one more test like those there were is expected to leave."""
+    """Return the standard errors expected after one more test like the identification tests."""
     factor = 1 + 1 / information.tests
     return _standard_errors(
         information, factor * np.array(information.curvature), factor * np.array(information.score_covariance)
@@ -59,13 +59,14 @@ def standard_errors_with_repeat(information: Information) -> Float[np.ndarray, "
 def profile_out_gain(
     information: Information, travel: Float[np.ndarray, " n"], jacobian: Float[np.ndarray, "n d"]
 ) -> Float[np.ndarray, "n d"]:
-    """Return a test's derivatives as the fit hears them: without what its own speed would take up.
+    """Return the derivatives of a test without the component that the test's own gain absorbs.
 
-    J − ŷ (ŷᵀJ)/((1 + ρ) ŷᵀŷ), to first order where the test is fitted well; see `Objective.residuals`.
+    J − ŷ (ŷᵀJ)/((1 + ρ) ŷᵀŷ), to first order for a well fitted test; see `Objective.residuals`.
 
     Args:
-        travel: ŷ, of the model.
-        jacobian: its derivative by the parameters' places between bounds.
+        information: of the identification tests.
+        travel: ŷ, simulated.
+        jacobian: its derivative by the parameters in the unit cube.
     """
     if not information.per_test_gain:
         return jacobian
@@ -75,13 +76,14 @@ def profile_out_gain(
 def standard_errors_with(
     information: Information, jacobian: Float[np.ndarray, "n d"]
 ) -> Float[np.ndarray, " d"]:
-    """Return the standard errors that one more test is expected to leave, by place between bounds.
+    """Return the standard errors expected after one more test, in the unit cube.
 
-    V' = H'⁻¹ (Σ gₜ gₜᵀ + Jᵀ C J) H'⁻¹, H' = H + Jᵀ J, with C the errors' covariance as in the tests.
-    A longer test weighs no more than a shorter one in the fit; what it brings is a better mean.
+    V' = H'⁻¹ (Σ gₜ gₜᵀ + Jᵀ C J) H'⁻¹, H' = H + Jᵀ J, with C the errors' covariance as in those tests.
+    All tests have the same weight in the fit; a longer one has the smaller variance of its mean.
 
     Args:
-        jacobian: derivative of travel by the parameters' places between bounds, shape [N, D].
+        information: of the identification tests.
+        jacobian: derivative of travel by the parameters in the unit cube, shape [N, D].
     """
     samples = jacobian.shape[0]
     blocks = -(-samples // information.block_size)
@@ -104,7 +106,7 @@ def _standard_errors(
 
 
 def _autocovariance(errors: np.ndarray, test: np.ndarray, block_size: int) -> tuple[float, ...]:
-    """Return the mean of eₖ eₖ₊ₗ over tests, a lag every so many samples; biased, so a covariance."""
+    """Return the autocovariance of the block means of the errors; biased, hence positive semidefinite."""
     rows = np.split(errors, np.flatnonzero(np.diff(test)) + 1)
     trimmed = [row[: len(row) // block_size * block_size] for row in rows if len(row) >= block_size]
     blocks = [row.reshape(-1, block_size).mean(axis=1) for row in trimmed]

@@ -1,4 +1,4 @@
-"""Where tests were: levels of the command, loads, and the speeds measured while the command stood."""
+"""Operating points of the tests: command levels, loads, and speeds measured at constant command."""
 
 import numpy as np
 from jaxtyping import Float
@@ -6,18 +6,19 @@ from jaxtyping import Float
 from hitchid.model.characteristics import MeasuredSpeed
 from hitchid.structures import Batch
 
-LEVEL_TOLERANCE = 0.01
+LEVEL_TOLERANCE = 0.01  # changes of the command below this share of the largest are noise; all chosen
+# Width of a level in tolerances, number of levels, share of the active samples in one level and in all.
 MAX_LEVEL_WIDTH, MAX_LEVELS, MIN_LEVEL_SHARE, MIN_STEADY_SHARE = 3, 9, 0.02, 0.8
-QUANTILES, GRID_LEVELS = (0.05, 0.95), 7
-SETTLING_RESPONSE_TIMES, MIN_SAMPLES, MAX_STRETCHES = 3.0, 5, 100
-MIDDLE_SHARE = 0.5
+QUANTILES, GRID_LEVELS = (0.05, 0.95), 7  # of the evenly spaced levels: end quantiles, number
+SETTLING_RESPONSE_TIMES, MIN_SAMPLES, MAX_STRETCHES = 3.0, 5, 100  # before a speed is taken; samples; speeds
+MIDDLE_SHARE = 0.5  # middle part of the displacement range in which speeds are taken
 
 
 def operating_levels(batch: Batch, opening: float) -> Float[np.ndarray, " l"]:
-    """Return the levels of the command at which tests were run, ascending, shape [L].
+    """Return the command levels of the tests, ascending, shape [L].
 
-    Where up to nine levels hold four fifths of the time beyond the dead zone, these; otherwise seven levels
-    evenly between the 5 % and the 95 % quantile of the commands in that time.
+    If at most 9 levels contain 80 % of the samples above `opening`, these; otherwise 7 evenly spaced levels
+    from the 5 % to the 95 % quantile of those samples.
 
     Args:
         batch: identification tests.
@@ -42,7 +43,7 @@ def operating_levels(batch: Batch, opening: float) -> Float[np.ndarray, " l"]:
 
 
 def operating_loads(batch: Batch, *, measured: bool) -> Float[np.ndarray, " k"]:
-    """Return mean load and mean ± standard deviation within what occurred, ascending, shape [K]; or zero."""
+    """Return mean load and mean ± standard deviation, clipped to the measured range, shape [K]; else [0]."""
     load = np.asarray(batch.covariate)
     if not measured:
         return np.zeros(1)
@@ -53,10 +54,10 @@ def operating_loads(batch: Batch, *, measured: bool) -> Float[np.ndarray, " k"]:
 def measured_speeds(
     batch: Batch, opening: float, response_time: float, *, has_load: bool
 ) -> tuple[MeasuredSpeed, ...]:
-    """Return mean speeds around mid stroke while commands stood, the hundred longest, by command.
+    """Return mean speeds around mid stroke at constant command, by command; the 100 longest stretches.
 
-    A stretch counts from three response times after its command came to stand, over the middle half of the
-    range of displacement, where five samples or more of it are left.
+    A stretch begins three response times after the last change of its command, lies in the middle half of
+    the displacement range and has at least five samples.
 
     Args:
         batch: identification tests.

@@ -1,4 +1,4 @@
-"""Profiles: one parameter held at a value, all others fitted, until the tests contradict it."""
+"""Profiles: one parameter fixed, all others refitted, until a score test rejects the value."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -10,28 +10,26 @@ from hitchid.estimation import Objective, refine_subset
 from hitchid.uncertainty.dead_zone_error import NO_ERROR, DeadZoneError, t_quantile, welch_satterthwaite
 from hitchid.uncertainty.scores import Scores
 
-FIRST_STEP = 0.02
-BISECTION_STEPS = 4
-REFIT_STEPS, TOLERANCE = 5, 1e-4
-MIN_TESTS = 4
-STEP, MIN_PACE, MAX_PACE = 1e-4, 0.1, 10.0
-# A share of the squared misses that no number of samples makes significant: slopes below are rounding.
-MIN_RELATIVE_DECREASE = 1e-9
+FIRST_STEP = 0.02  # first step from the estimate, in the unit cube, doubled every time; all values chosen
+BISECTION_STEPS = 4  # of an end of the interval
+REFIT_STEPS, TOLERANCE = 5, 1e-4  # of the other parameters: steps, relative change of the sum of squares
+MIN_TESTS = 4  # fewest tests for the t-test on the RMSE by test
+STEP, MIN_PACE, MAX_PACE = 1e-4, 0.1, 10.0  # rates beyond an end: difference step, limits
+MIN_RELATIVE_DECREASE = 1e-9  # of the sum of squares; smaller expected decreases are rounding errors
 
 
 class Profile(NamedTuple):
-    """What the tests say of one parameter, wherever the interval of Gauss and Newton is wide.
+    """Profile of one parameter; computed where its Gauss-Newton interval is wide.
 
     Attributes:
-        number: which parameter was held.
-        lower, upper: ends of the 95 % interval, positions between the bounds; None where the tests allow a
-            bound that is none but the search's.
-        positions: where it was held, ascending, with all others fitted, shape [K, D].
-        fitness: root mean square of the misses there, shape [K].
-        allowed: whether the tests allow it, ends of the interval included, shape [K].
-        tangents: how the others follow it, shape [K, D].
-        search_range: between the bounds, as a difference of logarithms where the search runs in these, else
-            1.
+        number: index of the parameter.
+        lower, upper: ends of the 95 % interval in the unit cube; None, open, where the tests do not reject a
+            search bound that is not a physical bound.
+        positions: points of the profile, ascending, the other parameters refitted, shape [K, D].
+        fitness: RMSE at each point, shape [K].
+        allowed: whether the point is not rejected at 95 %; ends of the interval are allowed, shape [K].
+        tangents: derivatives of all parameters along the profile, shape [K, D].
+        search_range: log(upper/lower) of the bounds on a logarithmic scale, 1 on a linear one.
     """
 
     number: int
@@ -44,14 +42,13 @@ class Profile(NamedTuple):
     search_range: float
 
     def open_ends(self, quantity: Callable[[np.ndarray], float]) -> tuple[bool, bool]:
-        """Tell whether something falls, and whether it rises, where the tests leave this parameter free.
+        """Return whether a quantity falls, and whether it rises, beyond the open ends of this profile.
 
-        At an end that is a bound of the search alone the parameter might as well go farther; what goes with
-        it by more than a tenth of its own pace is no better known than it is. What would follow at more than
-        ten times its pace hardly moves the model, and counts with that.
+        At an open end the parameter is unbounded, and so is a quantity that changes at more than a tenth of
+        its rate. Tangents are clipped at ten times its rate: faster parameters hardly affect the model.
 
         Args:
-            quantity: from a position, shape [D], to a number, or to its logarithm where that is positive.
+            quantity: function of a position, shape [D]: a value, or the logarithm of a positive one.
         """
         ends = [(0, -STEP)] * (self.lower is None) + [(-1, STEP)] * (self.upper is None)
         open_below = open_above = False
@@ -66,20 +63,19 @@ class Profile(NamedTuple):
 def profile(
     objective: Objective, position: np.ndarray, number: int, dead_zone: DeadZoneError = NO_ERROR
 ) -> Profile:
-    """Find what values of one parameter the tests do not contradict.
+    """Return the profile of one parameter: the values that the tests do not reject at 95 %.
 
-    A value is contradicted where, all others fitted, the tests agree that another would be better: where the
-    mean over tests of the slope along the parameter lies farther from zero than Student's t has it at 95 %,
-    or, for the slope levels off far away, where the tests are fitted worse than at the best position by a
-    mean that far from zero. That holds however the errors within a test are correlated, and where the
-    parameter goes to infinity. It is the score test of Rao (1948, Math. Proc. Camb. Phil. Soc. 44, 50) with
-    tests as what is drawn.
+    A value is rejected if, with all others refitted, the mean over tests of the slope of the squared errors
+    along the parameter differs from zero by Student's t, or the mean increase of the tests' RMSE over that of
+    the estimate does (the slope vanishes far from the estimate). Errors within a test may be correlated in
+    any way, and the parameter may go to infinity. This is the score test of Rao (1948, Math. Proc. Camb.
+    Phil. Soc. 44, 50) with tests as the sampling units.
 
     Args:
-        objective: the tests.
-        position: the best position, shape [D].
-        number: which parameter.
-        dead_zone: how well it is known; its error moves all tests together.
+        objective: identification tests and model specification.
+        position: the estimate in the unit cube, shape [D].
+        number: index of the parameter.
+        dead_zone: standard error of the dead zone; it shifts all tests together.
     """
     others = [index for index in range(position.size) if index != number]
     points: list[_ProfilePoint] = []
@@ -110,7 +106,7 @@ def profile(
         return outside
 
     def interval_end(bound: float) -> float | None:
-        """Return the last place toward a bound that is not contradicted; None where the bound is not."""
+        """Return the end of the interval toward a bound; None where the bound is not rejected."""
         inside, start, width = float(position[number]), position, FIRST_STEP
         sign = np.sign(bound - inside)
         while inside != bound:
@@ -143,7 +139,7 @@ def profile(
 
 @dataclass(frozen=True)
 class _ProfilePoint:
-    """One parameter held at a value: where the others end, by how much tests contradict it, 1 the limit."""
+    """One point of a profile; `excess` is the test statistic over its limit, above 1 rejected."""
 
     position: np.ndarray
     fitness: float
@@ -159,7 +155,7 @@ class _ProfilePoint:
         dead_zone: DeadZoneError,
         best_errors: Sequence[np.ndarray],
     ) -> "_ProfilePoint":
-        """Hold a parameter at a position; `objectives` is the misfit, and that beside the dead zone."""
+        """Test a position; `objectives`: with the dead zone, and with it one standard error larger."""
         scores, *shifted_scores = [Scores.of(objective, position) for objective in objectives]
         tangent = scores.profile_tangent(number)
         slopes = scores.slopes @ tangent
@@ -187,14 +183,14 @@ class _ProfilePoint:
 def _relative_excess(
     mean: float, by_test: np.ndarray, shift: float, degrees: int, dead_zone: DeadZoneError
 ) -> float:
-    """Return how far a mean over tests lies from zero, 1 where Student's t has its limit at 95 %.
+    """Return a mean over tests divided by the limit of its two-sided t-test at 95 %.
 
     Args:
-        mean: of what the tests say.
-        by_test: what each of them says.
-        shift: what a standard error of the dead zone adds to the mean.
-        degrees: of freedom of the tests' spread.
-        dead_zone: how well it is known.
+        mean: over tests.
+        by_test: the value of each test.
+        shift: change of the mean per standard error of the dead zone.
+        degrees: degrees of freedom of the variance over tests.
+        dead_zone: standard error of the dead zone.
     """
     variances = np.array([by_test.var(ddof=1) / by_test.size, shift**2])
     combined_degrees = welch_satterthwaite(
@@ -205,6 +201,6 @@ def _relative_excess(
 
 
 def open_ends(profiles: Iterable[Profile], quantity: Callable[[np.ndarray], float]) -> tuple[bool, bool]:
-    """Tell whether something falls, and whether it rises, beyond ends of profiles; see `Profile.beyond`."""
+    """Return whether a quantity falls, and whether it rises, beyond any end; see `Profile.open_ends`."""
     ends = [curve.open_ends(quantity) for curve in profiles]
     return any(open_below for open_below, _ in ends), any(open_above for _, open_above in ends)

@@ -1,4 +1,4 @@
-"""What each test says of each parameter: slopes and curvatures of the squared misses, test by test."""
+"""Scores: gradients and Gauss-Newton matrices of the squared errors, one row per test."""
 
 from typing import NamedTuple
 
@@ -7,14 +7,14 @@ from jaxtyping import Float
 
 from hitchid.estimation import Objective
 
-MIN_SURPLUS_TESTS = 4
-MIN_EIGENVALUE = 0.05
+MIN_SURPLUS_TESTS = 4  # tests beyond the number of parameters; with fewer, tests are cut in segments; chosen
+MIN_EIGENVALUE = 0.05  # smallest eigenvalue of I − leverage, which limits the correction; chosen
 
 
 class Scores(NamedTuple):
-    """Slopes and curvatures of half the squared misses at one position, a row a test.
+    """Gradients and Gauss-Newton matrices of half the squared errors at one position, one row per test.
 
-    Where there are fewer than four tests more than parameters, a row is one of several stretches of a test.
+    With fewer than four tests more than parameters, a row is one of several segments of a test.
 
     Attributes:
         slopes: gₜ = Jₜᵀ rₜ, shape [T, D].
@@ -26,7 +26,7 @@ class Scores(NamedTuple):
 
     @classmethod
     def of(cls, objective: Objective, position: np.ndarray) -> "Scores":
-        """Take slopes and curvatures of a misfit at a position in the unit cube."""
+        """Return the scores of an objective at a position in the unit cube."""
         has_data = np.asarray(objective.batch.loss_mask).any(axis=1)
         if np.count_nonzero(has_data) >= position.size + MIN_SURPLUS_TESTS:
             equations = objective.equations_by_test(position).take(np.flatnonzero(has_data))
@@ -36,20 +36,20 @@ class Scores(NamedTuple):
         return cls(equations.gradients, equations.curvatures)
 
     def select_parameters(self, free: np.ndarray) -> "Scores":
-        """Return those of some of the parameters.
+        """Return the scores of some of the parameters.
 
         Args:
-            free: which, boolean, shape [D].
+            free: mask of the parameters, shape [D].
         """
         return Scores(self.slopes[:, free], self.curvatures[:, free][:, :, free])
 
     @property
     def curvature(self) -> Float[np.ndarray, "d d"]:
-        """The sum over tests."""
+        """Gauss-Newton matrix of all tests together."""
         return self.curvatures.sum(axis=0)
 
     def profile_tangent(self, number: int) -> Float[np.ndarray, " d"]:
-        """Return how all parameters go where one goes by 1 and the others follow, −Hₒₒ⁻¹ Hₒᵢ, shape [D]."""
+        """Return the derivatives along one parameter's profile: 1, others −Hₒₒ⁻¹ Hₒᵢ, shape [D]."""
         others = np.arange(self.slopes.shape[1]) != number
         curvature, tangent = self.curvature, np.ones(self.slopes.shape[1])
         tangent[others] = (
@@ -58,11 +58,11 @@ class Scores(NamedTuple):
         return tangent
 
     def influence(self) -> Float[np.ndarray, "t d"]:
-        """Return by how much each test moves the estimate, shape [T, D]: their squares sum to its variance.
+        """Return the influence of each test on the estimate, shape [T, D]; squares sum to the variance.
 
-        δₜ = −H⁻¹ Fₜ gₜ with Fₜ = (I − Hₜ H⁻¹)^(−½): the power makes up for what a test has pulled the
-        estimate its own way (Bell & McCaffrey 2002, Survey Methodology 28, 169, CR2). Residuals of one test
-        may be correlated in any way; tests are independent of each other.
+        δₜ = −H⁻¹ Fₜ gₜ with Fₜ = (I − Hₜ H⁻¹)^(−½), which corrects for the leverage of the test (Bell &
+        McCaffrey 2002, Survey Methodology 28, 169, CR2). Residuals of one test may be correlated in any way;
+        tests are independent of each other.
         """
         inverse, corrections = self._leverage_corrections()
         return -np.einsum("tij,tj->ti", corrections, self.slopes) @ inverse
@@ -73,10 +73,10 @@ class Scores(NamedTuple):
         """Return the degrees of freedom of standard errors, shape [Q], at least one.
 
         (tr Ω)²/‖Ω‖² with Ωₜₛ = |pₜ|² [t = s] − qₜᵀ H⁻¹ qₛ, qₜ = Fₜ Hₜ H⁻¹ c, |pₜ|² = cᵀ H⁻¹ Fₜ qₜ, c the
-        combination: tests count by their share of what is known (Bell & McCaffrey 2002, with white errors).
+        combination (Bell & McCaffrey 2002, with white errors).
 
         Args:
-            combinations: weights c of the parameters, shape [D, Q]; by default each parameter alone.
+            combinations: weights c of the parameters, shape [D, Q]; None for each parameter alone.
         """
         inverse, corrections = self._leverage_corrections()
         projections = inverse if combinations is None else inverse @ combinations

@@ -1,4 +1,4 @@
-"""Speed map, delay and response time of a fitted form, with the intervals that its parameters hand on."""
+"""Speed map, delay and response time of a fitted model, with 95 % intervals."""
 
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
@@ -24,14 +24,14 @@ from hitchid.uncertainty.profile import MIN_PACE, Profile
 from hitchid.uncertainty.profile import STEP as EDGE
 from hitchid.uncertainty.step_response import opening_command, speed_lag, steady_speed, step_times
 
-GRADIENT_STEP, TINY = 1e-3, 1e-300
-INSTANT_S = 1e-6
-BATCH_SIZE = 64
-OPENING_RESOLUTION = 0.05
+GRADIENT_STEP, TINY = 1e-3, 1e-300  # of differences, in the unit cube, chosen; smallest speed divided by
+INSTANT_S = 1e-6  # response time, s, below which a model has neither lag nor dead time; chosen
+BATCH_SIZE = 64  # positions evaluated at once, padded so that one compiled function serves all; chosen
+OPENING_RESOLUTION = 0.05  # of the largest command: width of an interval that counts as determined; chosen
 
 
 class _Points(NamedTuple):
-    """Where quantities are taken: levels and loads of speeds, those of a step, and the dead zone."""
+    """Operating points: levels and loads of the speed map, level and load of the step, dead zone."""
 
     levels: Float[Array, " s"]
     loads: Float[Array, " s"]
@@ -49,23 +49,23 @@ def characteristics(
     dead_zone_error: DeadZoneError,
     units: Mapping[str, str],
 ) -> Characteristics | None:
-    """Return speed map, dead zone, delay and response time of a fitted form, each with its 95 % interval.
+    """Return speed map, dead zone, delay and response time of a fitted model, each with its 95 % interval.
 
-    Each quantity q has the interval q ± t √(Σₜ (∇q·δₜ)² + δ₀²), with δₜ by which each test moves the
-    estimates, all of them together, and δ₀ by which q changes with a standard error of the dead zone, the
-    parameters fitted anew; t is Student's with the degrees of freedom of that combination. It is widened to
-    what profiles allow, the other parameters fitted there, as far as that fits about as well; it is open
-    above where a profile has no end and takes the quantity with it. Nothing lies below zero.
+    The interval of a quantity q is q ± t √(Σₜ (∇q·δₜ)² + δ₀²), with δₜ the influence of test t on the
+    estimates, δ₀ the change of q per standard error of the dead zone, parameters refitted, and t Student's
+    quantile at the degrees of freedom of that sum. It is widened to the range over the allowed points of the
+    profiles whose RMSE is close to the best, and open above where q rises with a parameter beyond an open end
+    of its profile. The lower end is at least zero.
 
     Args:
-        objective: identification tests and form.
-        position: the estimates between their bounds, shape [D].
-        influence: how far they would move with other tests.
+        objective: identification tests and model specification.
+        position: the estimates in the unit cube, shape [D].
+        influence: influence of the tests on the estimates.
         dead_zone, dead_zone_error: dead zone of the command, and its standard error.
         units: `x` and `u` to the units of displacement and command.
 
     Returns:
-        None where the form has no steady speed, which is where it is not linear, or nothing was commanded.
+        None for a nonlinear structure, or where no command exceeds the opening.
     """
     model_spec, batch = objective.spec, objective.batch
     largest = float(np.abs(np.asarray(batch.raw_command)[np.asarray(batch.loss_mask)]).max())
@@ -123,7 +123,7 @@ def _intervals(
     dead_zone_error: DeadZoneError,
     scales: np.ndarray,
 ) -> list[Interval]:
-    """Return the 95 % interval of each quantity, `scales` being what a change of it is large or small to."""
+    """Return the 95 % interval of each quantity; `scales` are the quantities' reference values, shape [Q]."""
 
     def scaled_quantities(positions: np.ndarray, points: _Points = points) -> np.ndarray:
         return _evaluate(objective, positions, points) / scales
@@ -141,7 +141,7 @@ def _intervals(
     for profile in influence.profiles:
         open_below, open_above = _open_ends(profile, scaled_quantities, lower, upper, max_ratio)
         lower, upper = np.where(open_below, 0.0, lower), np.where(open_above, np.inf, upper)
-    # Nothing says how far from zero a speed is that is zero at the estimate.
+    # The interval of a speed that is zero at the estimate has no upper end: its scale is not defined.
     upper = np.where(best > 0, upper, np.inf)
     with np.errstate(over="ignore"):
         lower, upper = scales * np.nan_to_num(lower, nan=0.0), scales * upper
@@ -154,7 +154,7 @@ def _intervals(
 def _gradient(
     quantities: Callable[[np.ndarray], np.ndarray], position: np.ndarray
 ) -> Float[np.ndarray, "d q"]:
-    """Return derivatives by the position, central differences after Richardson, shape [D, Q]."""
+    """Return derivatives by the position, central differences with Richardson extrapolation, shape [D, Q]."""
     steps = GRADIENT_STEP * np.eye(position.size)
     near, far = (
         np.subtract(*np.split(quantities(np.concatenate([position + width, position - width])), 2))
@@ -170,10 +170,10 @@ def _half_widths(
     """Return half the 95 % interval of each quantity; infinite where a derivative is not finite.
 
     Args:
-        influence: by how much each test moves the estimates.
+        influence: influence of the tests on the estimates.
         gradient: of the quantities by the position, shape [D, Q].
-        dead_zone_effect: by how much they change with a standard error of the dead zone, shape [Q].
-        dead_zone_error: of the dead zone.
+        dead_zone_effect: change of the quantities per standard error of the dead zone, shape [Q].
+        dead_zone_error: standard error of the dead zone.
     """
     finite = np.all(np.isfinite(gradient), axis=0) & np.isfinite(dead_zone_effect)
     gradient, dead_zone_effect = np.where(finite, gradient, 0.0), np.where(finite, dead_zone_effect, 0.0)
@@ -193,7 +193,7 @@ def _dead_zone_effect(
     quantities: Callable[..., np.ndarray],
     points: _Points,
 ) -> Float[np.ndarray, " q"]:
-    """Return by how much quantities change with a standard error of the dead zone, parameters fitted anew."""
+    """Return the change of each quantity per standard error of the dead zone, parameters refitted."""
     above, below = (
         quantities(position[None], points._replace(dead_zone=points.dead_zone + shift))[0]
         for position, shift in zip(
@@ -206,9 +206,9 @@ def _dead_zone_effect(
 
 
 def _max_rmse_ratio(rows: int, parameters: int) -> float:
-    """Return by what factor an RMSE may grow, √(1 + t²/(T − D)), where a test counts as one sample alone.
+    """Return the largest ratio of an RMSE to the best, √(1 + t²/(T − D)), with one sample per test.
 
-    A profile's test is weak far from the estimate where tests are few; this keeps to what still fits.
+    With few tests a profile's test has little power far from the estimate; this limits its range.
     """
     degrees = max(rows - parameters, 1)
     return float(np.sqrt(1 + t_quantile(float(degrees)) ** 2 / degrees))
@@ -221,10 +221,10 @@ def _open_ends(
     upper: np.ndarray,
     max_ratio: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Tell which quantities fall, and which rise, beyond an interval where a profile has no end, shape [Q].
+    """Return which quantities fall, and which rise, beyond an interval at a profile's open ends, shape [Q].
 
-    There they must be at the interval's own end, and go on with the parameter by more than a tenth of its
-    pace, as `Profile.beyond` has it.
+    A quantity must be at the end of its interval there and change at more than a tenth of the parameter's
+    rate, as in `Profile.open_ends`.
     """
     open_below = open_above = np.zeros(lower.size, dtype=bool)
     for number, step in [(0, -EDGE)] * (profile.lower is None) + [(-1, EDGE)] * (profile.upper is None):

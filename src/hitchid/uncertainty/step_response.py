@@ -1,4 +1,4 @@
-"""What a form does after a step of the command at rest: where flow begins, steady speed, delay and rise."""
+"""Step response from rest: opening command, steady speed, delay and response time."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,9 +9,9 @@ from hitchid.structures.discretisation import simulate_linear
 from hitchid.structures.structure import LinearStructure
 
 Scalar = Float[Array, ""] | float
-CELLS, TIME_CONSTANTS, SHORTEST_S = 1000, 8.0, 1e-9
-DELAY_FRACTION, RESPONSE_FRACTION = 0.05, 1 - float(np.exp(-1))
-MAX_OPENING_RATIO = 0.999
+CELLS, TIME_CONSTANTS, SHORTEST_S = 1000, 8.0, 1e-9  # samples; length in lags; shortest length, s; chosen
+DELAY_FRACTION, RESPONSE_FRACTION = 0.05, 1 - float(np.exp(-1))  # of the final speed: 5 % (chosen), 63.2 %
+MAX_OPENING_RATIO = 0.999  # opening over level, limits the time in which the spool opens; chosen
 
 
 def opening_command(physical_model: PhysicalModel, load: Scalar, dead_zone: Scalar) -> Float[Array, ""]:
@@ -33,9 +33,9 @@ def steady_speed(
     dead_zone: Scalar,
     displacement: Scalar,
 ) -> Float[Array, " q"]:
-    """Return K w(c − d₀) g(x): the speed under a held command when lags have died away, from rest, shape [Q].
+    """Return K w(c − d₀) g(x): the speed at constant command after the transients, from rest, shape [Q].
 
-    A first-order lag settles at a place, not at a speed: its speed is that with which it sets off.
+    A structure without an integrator reaches a position instead: the speed is that at its start.
     """
     effective_command = jnp.maximum(levels - dead_zone, 0.0)
     if physical_model.nonlinearity is None:
@@ -46,9 +46,9 @@ def steady_speed(
 
 
 def speed_lag(structure: LinearStructure, values: np.ndarray) -> float:
-    """Return how slow the speed is, |a₁| + √a₂ + … of the denominator 1 + a₁ s + a₂ s² + … of s G(s), s.
+    """Return the lag of the speed, |a₁| + √a₂ + … of the denominator 1 + a₁ s + a₂ s² + … of s G(s), in s.
 
-    Without an integrator the slowest pole takes its place, and the lag is that of the others, Σ 1/|p|.
+    Without an integrator the slowest pole replaces it, and the lag is that of the other poles, Σ 1/|p|.
     """
     denominator = structure.transfer_function(tuple(map(float, values)))[1]
     *higher_coefficients, linear_coefficient, constant_coefficient = denominator
@@ -65,10 +65,10 @@ def speed_lag(structure: LinearStructure, values: np.ndarray) -> float:
 def step_times(
     physical_model: PhysicalModel, level: Scalar, load: Scalar, dead_zone: Scalar, lag_s: Scalar
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Return when after a step of the command the speed reaches 5 % and 63.2 % of its final value, s.
+    """Return the times after a command step at which the speed is 5 % and 63.2 % of its final value, s.
 
-    The form is simulated from rest on a clock that its lags set, without its gain along the stroke; the dead
-    time is added. Both are zero for a form that has neither lag nor dead time. `lag_s` is `speed_lag`.
+    The model is simulated from rest without its stroke gain, at a sampling time set by its lags; the dead
+    time is added. Both are zero for a model with neither lag nor dead time. `lag_s` is `speed_lag`.
     """
     nonlinearity, structure = physical_model.nonlinearity, physical_model.structure.require_linear()
     lag = jnp.asarray(lag_s)
@@ -86,7 +86,7 @@ def step_times(
     travel = simulate_linear(discretise(structure, physical_model.values, 0.0, step_s), flow)[0]
     relative_speed = jnp.diff(travel) / (step_s * physical_model.gain * final)
     step_response = jnp.concatenate([jnp.zeros(1), relative_speed])
-    # Differences of travel are mean speeds of cells, which belong to their middles.
+    # A difference of travel is the mean speed of its interval, assigned to the middle.
     time_s = jnp.concatenate([jnp.zeros(1), (jnp.arange(CELLS - 1) + 0.5) * step_s])
     delay_s, response_time_s = (
         _crossing(time_s, step_response, fraction) for fraction in (DELAY_FRACTION, RESPONSE_FRACTION)
@@ -95,7 +95,7 @@ def step_times(
 
 
 def _crossing(time_s: Float[Array, " n"], curve: Float[Array, " n"], level: float) -> Float[Array, ""]:
-    """Return when a curve from zero first reaches a part, between samples; infinite where it does not."""
+    """Return when a curve from zero first reaches a level, interpolated; infinite if it never does."""
     reached = curve >= level
     index = jnp.maximum(jnp.argmax(reached), 1)
     slope = (level - curve[index - 1]) / (curve[index] - curve[index - 1])

@@ -16,15 +16,15 @@ def verdict(
     fallback_quantity: str,
     step_s: float,
 ) -> str:
-    """Return whether tests determine a parameter, its interval, and what would determine it.
+    """Return as text whether tests determine a parameter, its interval, and the excitation required.
 
     Args:
         parameter: of the structure.
         unit: in the log's units.
-        interval: 95 % interval, None for an end that is not given.
-        determined: whether that is closed and narrow.
+        interval: 95 % interval, None for an open end.
+        determined: whether the interval is closed and narrow.
         bound: `lower` or `upper` where the estimate lies at one, else empty.
-        fallback_quantity: the combination that is determined in its place, empty where none is.
+        fallback_quantity: the combination that is determined instead; empty where none is.
         step_s: sampling time of the tests, s.
     """
     if determined:
@@ -55,7 +55,7 @@ def _range_text(parameter: Parameter, unit: str, interval: Interval) -> str:
 
 
 def _excitation_hint(parameter: Parameter, interval: Interval, step_s: float) -> str:
-    """Return the excitation that would determine a parameter; of a time or a frequency its corner."""
+    """Return the excitation that would determine a parameter; its corner frequency for times, frequencies."""
     lower, upper = interval
     nyquist_rad_s = pi / step_s
     frequency_too_high = parameter.unit == "rad/s" and lower is not None and lower > nyquist_rad_s

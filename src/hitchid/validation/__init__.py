@@ -1,4 +1,4 @@
-"""Validation: `validate` compares a model with tests that its identification has not used."""
+"""Validation: `validate` compares a model with tests that its identification did not use."""
 
 from hitchid.validation.acceptance import Acceptance as Acceptance
 from hitchid.validation.acceptance import Check as Check

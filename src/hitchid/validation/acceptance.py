@@ -25,7 +25,7 @@ class Check:
         direction: `lifting`, `lowering` or `cycles`.
         name: of the figure, unique among the checks of a file.
         limit: what is required, with its unit.
-        found: the figure with its unit, or why there is none.
+        figure: the figure with its unit, or why there is none.
         passed: whether the figure is within the limit.
     """
 
@@ -48,7 +48,7 @@ class Acceptance:
         return bool(self.checks) and all(check.passed for check in self.checks)
 
     def describe(self) -> dict[str, object]:
-        """Return the verdict and every check, as JSON can hold them."""
+        """Return the verdict and every check as JSON content."""
         return {
             "passed": self.passed,
             "checks": [
@@ -67,7 +67,7 @@ class Acceptance:
 def check_limits(unit: str, accuracy: Mapping[str, Accuracy], limits: AcceptanceLimits) -> Acceptance:
     """Compare the figures of a validation with limits.
 
-    A figure that does not exist, or diverged, is within no limit.
+    A figure that is missing or diverged fails its limit.
 
     Args:
         unit: of the errors.
@@ -87,7 +87,7 @@ def check_limits(unit: str, accuracy: Mapping[str, Accuracy], limits: Acceptance
 
 
 class _FigureKind(NamedTuple):
-    """Name of a figure, the unit of its limit, and the factor from the figure's unit to that one."""
+    """Name of a figure, the unit of its limit, and the factor from the figure's unit to the limit's."""
 
     title: str
     unit: str
@@ -120,7 +120,7 @@ class _AllowedRange(NamedTuple):
 
 
 class _DirectionFigures(NamedTuple):
-    """Figures of one direction or of the cycles; empty where it has no unseen test."""
+    """Figures of one direction or of the cycles; empty without an unseen test."""
 
     direction: str
     tests: int = 0
@@ -176,7 +176,7 @@ def _kinds(error: _FigureKind) -> dict[str, _FigureKind]:
         "max_abs": error._replace(title="max abs"),
         "r2": _FigureKind("R²", "1", at_least=True),
         "fit": _FigureKind("fit", "percent", at_least=True),
-        # Limits in another unit than the logs' have no such limit, so the logs' unit is the errors' here.
+        # `check_convertible` rejects this limit if the unit of the limits is not that of the logs.
         "within_1": _FigureKind(error.format("within 1"), "percent", Fraction(100), at_least=True),
     }
 
@@ -224,7 +224,7 @@ def _horizon_figure(section: _DirectionFigures, steps: int) -> float | str | Non
 
 
 def _baseline_checks(section: _DirectionFigures, baseline: str, error: _FigureKind) -> Iterator[Check]:
-    """Compare the grey box with a baseline in each run that both have."""
+    """Compare the RMSE of the grey box with a baseline's, in each run of both."""
     pairs = {run: (section.run(run), section.run(run, baseline)) for run in RUNS}
     common = {run: (figures, other) for run, (figures, other) in pairs.items() if figures and other}
     requirement = "below the baseline's"
@@ -265,10 +265,10 @@ def _check(
     Args:
         section: of the direction.
         name: of the figure.
-        figure: None where it diverged, text where there is none.
+        figure: its value; None where it diverged, text where it is missing.
         kind: name, unit and factor of the figure.
         allowed: the limits, in the unit of `kind`.
-        location: the test it comes from.
+        location: appended to the figure: the test it comes from.
     """
     passed = False
     if isinstance(figure, str):
@@ -287,7 +287,7 @@ def _finite(figure: float | None) -> TypeGuard[float]:
 
 
 def _exact(number: float) -> Fraction:
-    """Return a number as it is written: 57 % of the samples must not miss a limit of 57 by rounding."""
+    """Return a number at its decimal value, so that 57 % of the samples meet a limit of 57 exactly."""
     return Fraction(repr(float(number)))
 
 
@@ -296,11 +296,11 @@ def _number_text(number: float) -> str:
 
 
 def _decimal_texts(value: Fraction) -> Iterator[str]:
-    """Yield a number with three significant digits, and with more and more of them."""
+    """Yield a number with three, four, … significant digits."""
     for digits in count(3):
         yield str(Context(prec=digits).divide(value.numerator, value.denominator))
 
 
 def _shortest_consistent(value: Fraction, predicate: Callable[[Fraction], bool]) -> str:
-    """Return the shortest spelling of a number that is within the limits exactly when the number is."""
+    """Return the shortest text of a number, from three digits, that is within the limits if the number is."""
     return next(text for text in _decimal_texts(value) if predicate(Fraction(text)) == predicate(value))

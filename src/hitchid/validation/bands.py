@@ -81,12 +81,12 @@ def cycle_band_figures(bands: Sequence[Band], actual: Sequence[np.ndarray]) -> B
 
 
 def _shares(inside: np.ndarray, loss_mask: np.ndarray) -> np.ndarray:
-    """Return the share of samples inside, of each test that has any."""
+    """Return the share of samples inside for each test that has samples."""
     counts = loss_mask.sum(axis=1)
     return (inside & loss_mask).sum(axis=1)[counts > 0] / counts[counts > 0]
 
 
 def _mean_share(shares: np.ndarray) -> tuple[float, float | None]:
-    """Return the mean over tests of shares inside, and its standard error; None of one test."""
+    """Return the mean over tests of shares inside, and its standard error; None for one test."""
     error = float(shares.std(ddof=1) / np.sqrt(shares.size)) if shares.size > 1 else None
     return float(np.mean(shares)), error

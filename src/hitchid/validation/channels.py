@@ -32,8 +32,8 @@ class _ModelRuns(NamedTuple):
         batch: the tests.
         steps: horizons, in samples.
         benchmark, free_run: free runs of the benchmark and of the grey box.
-        multi_step: model to its predictions, an entry a horizon; what only runs freely starts from the last
-            measured displacement.
+        multi_step: model to its predictions, one entry per horizon; models without a predictor simulate from
+            the last measured displacement.
         baselines: the baselines, by name.
     """
 
@@ -58,8 +58,8 @@ def channel_result(
         channel: of the model.
         tests: on the model's clock and in its units.
         factor: from the model's unit of displacement to that of the figures.
-        uncertainty: estimates and bands of the channel; None where the model holds none.
-        comparison: what was fitted to the same tests for comparison.
+        uncertainty: estimates and bands of the channel; None if the model has none.
+        comparison: baselines fitted to the same tests.
     """
     runs = _run(channel, comparison, tests)
     half_width = _half_width(channel, runs, uncertainty)
@@ -117,7 +117,7 @@ def _half_width(channel: Channel, runs: _ModelRuns, uncertainty: Uncertainty | N
 def _accuracy(
     runs: _ModelRuns, tests: Sequence[Record], factor: float, half_width: np.ndarray | None
 ) -> Accuracy:
-    """Return figures of every model, horizons, single tests, and the predictions behind them."""
+    """Return figures of every model, over horizons and by test, with the predictions."""
     predictions = _predictions(runs, half_width, tests, factor)
 
     def figures(rows: np.ndarray, skip: int = 0) -> RunFigures:
@@ -204,7 +204,7 @@ def _with_profiles_scaled(estimates: Estimates, factor: float) -> Estimates:
 
 
 class _BaselineRun(NamedTuple):
-    """A baseline's displacement in free run, shape [T, N], and predicted h samples ahead where it can."""
+    """Displacement of a baseline in free run, shape [T, N], and h samples ahead; None without a predictor."""
 
     free_run: np.ndarray
     multi_step: list[np.ndarray] | None = None
@@ -213,7 +213,7 @@ class _BaselineRun(NamedTuple):
 def _baseline_runs(
     channel: Channel, comparison: Comparison, batch: Batch, steps: Sequence[int]
 ) -> dict[str, _BaselineRun]:
-    """Return the runs of what was fitted for comparison, by name."""
+    """Return the runs of the baselines, by name."""
     runs = {
         name: _BaselineRun(fitted.free_run(batch), fitted.predict(batch, steps))
         for name, fitted in comparison.baselines.items()
@@ -229,9 +229,9 @@ def _baseline_runs(
 
 
 def paper_channel(channel: Channel, comparison: Comparison) -> Channel | None:
-    """Return the method of Sun et al. 2025, which is the channel itself where that has a linear benchmark.
+    """Return the channel by the method of Sun et al. 2025: the channel itself if its benchmark is linear.
 
-    None where it was not fitted, or where no baselines were.
+    None where it was not fitted, or no baselines were.
     """
     if comparison.paper is not None:
         return comparison.paper

@@ -1,4 +1,4 @@
-"""Comparison of two models on tests that neither identification has used."""
+"""Comparison of two models on tests that neither identification used."""
 
 from dataclasses import dataclass
 from math import isclose
@@ -32,9 +32,9 @@ class ComparisonVerdict:
     """Which of two models has the smaller error in free run.
 
     Attributes:
-        better: `A` or `B`; None where the tests do not prove either better.
-        wins: on how many tests the better one has the smaller error.
-        tests: how many there are.
+        better: `A` or `B`; None if the difference is not significant.
+        wins: number of tests on which the better one has the smaller error.
+        tests: number of tests.
     """
 
     better: str | None
@@ -48,9 +48,9 @@ class ModelComparison:
 
     Attributes:
         first, second: validation of each; the tests are the same, in the same order.
-        left_out: how many tests one of them has seen.
+        left_out: number of tests left out, used by one of the identifications.
         step_s: sampling time of both, s.
-        lacking: which tests lack a covariate that one of them requires, as sentences.
+        lacking: sentences on tests that lack a covariate required by one of them.
     """
 
     first: Validation
@@ -66,7 +66,7 @@ class ModelComparison:
 
     @property
     def sections(self) -> tuple[str, ...]:
-        """The directions that both models have, and `cycles` where both were run over some."""
+        """The directions that both models have, and `cycles` if both were validated on cycles."""
         return tuple(name for name in self.first.accuracy if name in self.second.accuracy)
 
     def accuracy(self, section: str) -> tuple[Accuracy, Accuracy]:
@@ -90,7 +90,7 @@ class ModelComparison:
 
     @property
     def notices(self) -> tuple[str, ...]:
-        """Findings on the tests and on either model that a reader must not miss."""
+        """Warnings on the tests and on either model."""
         ours, theirs = self.first.notices, self.second.notices
         left_out_notices = [f"{self.left_out} tests are left out: one of the models was identified from them"]
         return (
@@ -117,7 +117,7 @@ class ModelComparison:
 
         Args:
             names: of the models A and B.
-            command: that wrote the report.
+            command: the command line that wrote the report.
         """
         from hitchid.report import comparison_report
 
@@ -134,16 +134,16 @@ class ModelComparison:
 def compare(
     first: Hitch, second: Hitch, campaign: Campaign, *, progress: ProgressCallback | None = None
 ) -> ModelComparison:
-    """Compare two models on the tests of a campaign that neither identification has used.
+    """Compare two models on the tests of a campaign that neither identification used.
 
     Args:
         first, second: identified hitches, called A and B.
-        campaign: logs; those either identification used are left out, recognised by their content.
-        progress: called with what is being done and the fraction of all work that is done.
+        campaign: logs; those that either identification used are left out, recognised by their content.
+        progress: called with the current task and the completed fraction of the work.
 
     Raises:
-        InputError: no test is left, or the models have no direction or not one clock in common.
-        InputError: a unit is of another dimension than a model's.
+        InputError: no test is left, the models have no common direction or different sampling times, or a
+            unit has another dimension than a model's.
     """
     for model in (first, second):
         checks.instance(model, Hitch, "model", "a model as hitchid.load returns it")

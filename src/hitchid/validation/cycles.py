@@ -21,7 +21,7 @@ from hitchid.validation.results import (
     figures_by_test,
 )
 
-ORIGIN_STRIDE = 5  # samples from one origin of a prediction to the next; all of them take five times as long
+ORIGIN_STRIDE = 5  # samples between prediction origins; chosen for speed
 
 
 def cycle_result(model: Hitch, cycles: Sequence[Record], factor: float) -> CycleResult:
@@ -39,7 +39,7 @@ def cycle_result(model: Hitch, cycles: Sequence[Record], factor: float) -> Cycle
     multi_step = [factor * model.predictions(record, steps, stride=ORIGIN_STRIDE) for record in cycles]
 
     def figures(predicted: Sequence[np.ndarray], h: int) -> RunFigures:
-        """Return figures of predictions h samples ahead, at the samples that the model predicted."""
+        """Return figures of predictions h samples ahead, at the samples of the prediction origins."""
         return RunFigures.of([y[h::ORIGIN_STRIDE] for y in actual], [p[h::ORIGIN_STRIDE] for p in predicted])
 
     multi_step = {
@@ -96,7 +96,7 @@ def _bands(model: Hitch, cycles: Sequence[Record], factor: float) -> list[Band] 
 
 
 def _paper_model(model: Hitch) -> Hitch | None:
-    """Return the transfer functions of Sun et al. 2025 as one hitch; None where they were not fitted."""
+    """Return the transfer functions of Sun et al. 2025 as one hitch model; None if they were not fitted."""
     paper_channels = {
         direction: paper_channel(channel, model.comparison.get(direction, Comparison()))
         for direction, channel in model.channels.items()
@@ -112,7 +112,7 @@ def _paper_model(model: Hitch) -> Hitch | None:
 def _largest_jump(run: FreeRun) -> float:
     """Return the largest jump of a free run where the channel changes, in the model's unit.
 
-    Of the step of displacement at a change, what it differs by from both the step before and the one after.
+    A jump is the smaller difference of the displacement step at a change from its two neighbours.
     """
     steps = np.diff(run.displacement)
     changes = np.flatnonzero(np.diff(run.active_channel)) + 1

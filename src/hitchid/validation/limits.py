@@ -22,7 +22,7 @@ Share = Annotated[float, Field(strict=True, gt=0, le=1, allow_inf_nan=False)]
 
 
 class _NonEmptyLimits(Strict):
-    """Limits of which at least one is given; a file without limits would accept every model."""
+    """Limits, at least one of which is required: a file without limits would accept every model."""
 
     @model_validator(mode="after")
     def _require_any(self) -> "_NonEmptyLimits":
@@ -108,7 +108,7 @@ class DirectionLimits(_NonEmptyLimits):
 
 
 class AcceptanceLimits(_NonEmptyLimits):
-    """All of a limits file.
+    """Content of a limits file.
 
     Attributes:
         unit: of every error limit.

@@ -67,7 +67,7 @@ def _run(figures: RunFigures) -> JsonObject:
 
 
 def _accuracy(accuracy: Accuracy) -> JsonObject:
-    """Return what directions and cycles have in common, but the figures of the models."""
+    """Return the content common to directions and cycles, without the figures of the models."""
     content: JsonObject = {
         "tests": list(accuracy.tests),
         "horizons": _horizons(accuracy.horizons),

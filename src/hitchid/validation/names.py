@@ -1,4 +1,4 @@
-"""Names of models and runs, as they stand in tables, notices and figures."""
+"""Names of models and runs, for tables, notices and figures."""
 
 from collections.abc import Iterable
 

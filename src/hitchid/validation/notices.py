@@ -1,4 +1,4 @@
-"""Notices of a validation: findings that a reader of the figures must not miss."""
+"""Notices of a validation: warnings on the figures."""
 
 from collections.abc import Sequence
 
@@ -72,7 +72,7 @@ def _out_of_range_notices(direction: str, channel: Channel, tests: Sequence[Reco
 
 
 def _limit_notices(model: Hitch, accuracy: Accuracy, factor: float) -> list[str]:
-    """Return in how many mixed logs the free run is held at a limit that is no mechanical stop."""
+    """Return the number of mixed logs in which the free run reaches a limit that is no end stop."""
     limits = model.limits
     if limits is None:
         return []

@@ -1,4 +1,4 @@
-"""Predictions of models on tests, sample by sample: the arrays behind the figures."""
+"""Predictions of models on tests, sample by sample."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ import numpy as np
 
 from hitchid._support.metrics import significantly_better
 
-MIN_TESTS = 3  # fewer tests prove no model better: their scatter is not known
+MIN_TESTS = 3  # fewest tests for a significance test; fewer do not determine the variance
 Rows = tuple[np.ndarray, ...]
 
 
@@ -16,7 +16,7 @@ class Predictions:
     """Tests and the predictions of models, one array of shape [N_i] for each test, all in the tests' unit.
 
     Attributes:
-        names: the tests.
+        names: of the tests.
         time_s: time since the start of each test, s.
         actual: measured displacement.
         models: name to predicted displacement: `benchmark` and `free_run` from commands alone, `one_step`
@@ -57,7 +57,6 @@ class Predictions:
         return np.where(np.isfinite(errors), errors, np.inf)
 
     def is_significantly_better(self, model: str, other: str) -> bool:
-        """Return whether the tests prove the RMSE of one model below that of another; see
-        `significantly_better`."""
+        """Return whether one model's RMSE is significantly below another's; see `significantly_better`."""
         samples = np.array([row.size for row in self.actual])
         return len(samples) >= MIN_TESTS and significantly_better(self.rmse(model), self.rmse(other), samples)

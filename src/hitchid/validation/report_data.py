@@ -1,4 +1,4 @@
-"""What a report shows beside the figures: logs and their audit, speed over command, origin of the model."""
+"""Further content of a report: logs and their audit, speed over command, origin of the model."""
 
 import hashlib
 from collections.abc import Mapping
@@ -39,7 +39,7 @@ class LogUse:
 
 @dataclass(frozen=True)
 class LogData:
-    """The logs of a campaign and what their audit found.
+    """The logs of a campaign and the findings of their audit.
 
     Attributes:
         inspection: audit and segments of mixed logs.
@@ -54,7 +54,7 @@ class LogData:
 
 @dataclass(frozen=True)
 class DirectionData:
-    """One direction of the model beside the logs, in the model's units.
+    """Speed over command and slow ramps of one direction, in the model's units.
 
     Attributes:
         unit, command_unit: of displacement and command.
@@ -81,10 +81,10 @@ class Origin:
 
 @dataclass(frozen=True)
 class ReportData:
-    """Content of a report beside the figures of the validation.
+    """Content of a report other than the figures of the validation.
 
     Attributes:
-        directions: each direction that the model and the logs have.
+        directions: data of each direction in both model and logs.
         logs: of the campaign.
         origin: of the model.
     """
@@ -95,7 +95,7 @@ class ReportData:
 
 
 def report_data(model: Hitch, campaign: Campaign) -> ReportData:
-    """Return what a report on a model shows of the logs it was validated on."""
+    """Return the report data of a model and the logs it was validated on."""
     segmented = (
         campaign if campaign.directions else campaign.segmented(model.segmentation_dead_zones(campaign.units))
     )
@@ -111,7 +111,7 @@ def report_data(model: Hitch, campaign: Campaign) -> ReportData:
 
 
 def log_data(model: Hitch, campaign: Campaign) -> LogData:
-    """Return the logs of a campaign, their use by a model, and what their audit found."""
+    """Return the logs of a campaign, their use by a model, and the findings of their audit."""
     digests: dict[Path, str] = {}
     logs = tuple(
         LogUse(
@@ -144,7 +144,7 @@ def _direction_data(model: Hitch, campaign: Campaign, direction: str) -> Directi
 
 
 def _use(record: Record, model: Hitch) -> str:
-    """Return what a log was to the model; of a cycle cut into strokes all strokes have its name."""
+    """Return the use of a log by the model; the strokes of a segmented cycle have the cycle's name."""
     provenance = model.provenance
     if record.kind == RAMP:
         return "dead zone's ramp"

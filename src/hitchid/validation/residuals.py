@@ -1,4 +1,4 @@
-"""Tests of a model's errors: whiteness, independence of the command, normality, size by operating point."""
+"""Tests of residuals: whiteness, independence of the command, normality, size by operating point."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -8,10 +8,10 @@ from scipy.special import chdtrc, ndtr, ndtri
 
 from hitchid.errors import InputError
 
-LEVEL = 0.01  # significance of every decision
+LEVEL = 0.01  # significance of every test; chosen
 BOUND = float(-ndtri(LEVEL / 2))  # quantile of the standard normal distribution at this level, two-sided
-MIN_SAMPLES = 8  # errors, fewer of which no test is made of
-MAX_BINS = 8  # of a quantity
+MIN_SAMPLES = 8  # fewest errors that are tested; chosen
+MAX_BINS = 8  # bins of a quantity; chosen
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ def residual_tests(
     step_s: float,
     lags: int = 25,
 ) -> ResidualTests:
-    """Test the errors of a model for whiteness, independence of the command, normality, and by place.
+    """Test the errors of a model: whiteness, independence of the command, normality; bin by operating point.
 
     With e and u of pooled mean 0 and mean square 1, and N_k pairs of samples k apart in the same test,
 
@@ -119,8 +119,8 @@ def residual_tests(
     - N s² / (6 F₃) + N κ² / (24 F₄) ~ χ²_2 for skewness s and excess kurtosis κ, F_p = Σ_j N_j/N r_e(j)^p
       over all lags of either sign, F₃ at least 1 (Lobato & Velasco 2004, Econometric Theory 20, 671).
 
-    Negative autocorrelation so makes no test sharper than it is for white errors. Errors or commands that are
-    constant have correlations of 0 and p-values of 1.
+    Negative autocorrelation therefore makes no test stricter than for white errors. Constant errors or
+    commands have correlations of 0 and p-values of 1.
 
     Args:
         errors: measured minus predicted displacement, one array of shape [N_i] for each test.
@@ -254,12 +254,12 @@ def _cross_deviation(
 
 
 def _taper(correlation: np.ndarray, pairs: np.ndarray) -> np.ndarray:
-    """Weigh lags 0..L by whether the errors' autocorrelation can be told from noise there, shape [L + 1].
+    """Return weights of lags 0..L, positive where the errors' autocorrelation is significant, shape [L + 1].
 
     The weight is 1 up to the lag m after which five lags on end lie within 2 √(log₁₀ N / N_k), and falls to 0
-    at 2m (Politis 2003, J. Nonparametr. Stat. 15, 517). Only the errors decide: given the command, its own
-    products are no estimate. Over all lags the sum would be that of the squared cross-correlations, which
-    would widen the bounds by the very dependence that is looked for.
+    at 2m (Politis 2003, J. Nonparametr. Stat. 15, 517). Only the errors set m: the command is given, not
+    random. Over all lags the sum would equal that of the squared cross-correlations, and the dependence under
+    test would widen the bounds.
     """
     significant = np.abs(correlation) >= 2.0 * np.sqrt(np.log10(pairs[0]) / pairs)
     significant[0] = True
@@ -271,10 +271,10 @@ def _taper(correlation: np.ndarray, pairs: np.ndarray) -> np.ndarray:
 
 
 def _binned(errors: np.ndarray, standardised: np.ndarray, values: np.ndarray) -> Binned:
-    """Divide errors, shape [N], by a quantity: a bin for each of 8 values at most, else eighths."""
+    """Bin errors, shape [N], by a quantity: one bin per value, or at more than 8 values, by octiles."""
     upper_edges = np.unique(values)
     if upper_edges.size > MAX_BINS:
-        # A quantile that is a value of the data never divides equal ones.
+        # Edges are values of the data, so that equal values share a bin.
         share = np.arange(1, MAX_BINS + 1) / MAX_BINS
         upper_edges = np.unique(np.quantile(values, share, method="inverted_cdf"))
     bin_index = np.searchsorted(upper_edges, values)

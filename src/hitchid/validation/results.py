@@ -21,7 +21,7 @@ class RunFigures:
         r2: coefficient of determination, a fraction.
         fit: 100 (1 − ‖y − ŷ‖ / ‖y − ȳ‖), percent.
         within_1: fraction of samples whose absolute error is below one unit.
-        rmse_error: standard error of the RMSE; None where there is one test alone.
+        rmse_error: standard error of the RMSE; None for one test.
     """
 
     rmse: float | None
@@ -43,7 +43,7 @@ class RunFigures:
         return getattr(self, figure)
 
     def errs_less(self, other: "RunFigures") -> bool:
-        """Tell whether this RMSE is finite and below the other; a run that diverged is never better."""
+        """Return whether this RMSE is finite and below the other; a run that diverged is never better."""
         return self.rmse is not None and (other.rmse is None or self.rmse < other.rmse)
 
 
@@ -100,9 +100,9 @@ class BandFigures:
     Attributes:
         coverage: nominal share of samples.
         covered: share of samples inside the band of the free run.
-        covered_error: its standard error over tests; None of one test.
+        covered_error: its standard error over tests; None for one test.
         width: mean width of that band, in the displacement's unit.
-        calibrated_on: number of held-out tests behind the bands of free run and of horizons; None for cycles.
+        calibrated_on: number of held-out tests of the bands of free run and of horizons; None for cycles.
         sensor_noise: standard deviation, in the displacement's unit; None for cycles.
         horizons: bands of predictions over horizons; None for cycles.
     """
@@ -124,7 +124,7 @@ class Accuracy:
         models: name of a model, `greybox`, `benchmark` or a baseline, to its figures.
         horizons: of every model that predicts over horizons.
         per_test: test to the grey box's figures in free run.
-        predictions: the tests and the predictions behind the figures.
+        predictions: the tests and the predictions that the figures are computed from.
         bands: of the grey box; None where it has none, or where its free run diverged.
     """
 
@@ -164,9 +164,9 @@ class ChannelResult:
         accuracy: on the unseen tests.
         residuals: run to tests of the grey box's errors; None where the run diverged.
         parameters, paper_parameters: estimates of the benchmark's parameters and of the paper's transfer
-            function, in the model's units; None where the model holds none.
-        characteristics: speed map, dead zone, delay and response time; None where the model holds none.
-        searches: searches compared with one another; empty where they were not.
+            function, in the model's units; None if the model has none.
+        characteristics: speed map, dead zone, delay and response time; None if the model has none.
+        searches: compared search algorithms; empty if they were not compared.
     """
 
     accuracy: Accuracy

@@ -1,4 +1,4 @@
-"""Tests that a model can be validated on: those that measured every covariate it requires."""
+"""Tests that a model can be validated on: those with every covariate it requires."""
 
 from dataclasses import replace
 
@@ -9,10 +9,10 @@ from hitchid.model import Hitch
 
 
 def with_covariates(campaign: Campaign, *models: Hitch) -> tuple[Campaign, tuple[str, ...]]:
-    """Leave out the tests that lack a covariate one of the models requires, with notices of that.
+    """Return a campaign without the tests that lack a covariate one of the models requires, and notices.
 
     Raises:
-        InputError: no test is left, or the campaign is strict and a test lacks one.
+        InputError: no test is left, or the campaign is strict and a test lacks a covariate.
     """
 
     def complete(record: Record) -> Record:

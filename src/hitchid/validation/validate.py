@@ -1,4 +1,4 @@
-"""Validation: a model and its baselines on tests that the identification has not used."""
+"""Validation: a model and its baselines on tests that the identification did not use."""
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -18,7 +18,7 @@ from hitchid.validation.results import ChannelResult
 from hitchid.validation.usable import with_covariates
 from hitchid.validation.validation import Validation
 
-WORKERS = 2  # threads: directions and cycles side by side
+WORKERS = 2  # threads for directions and cycles; chosen
 
 
 @double_precision
@@ -29,13 +29,13 @@ def validate(
     segmentation_dead_zones: Mapping[str, float] | None = None,
     progress: ProgressCallback | None = None,
 ) -> Validation:
-    """Compare a model with the tests of a campaign that its identification has not used.
+    """Compare a model with the tests of a campaign that its identification did not use.
 
     Free run: commands and initial displacement only, for the whole test. One step and horizon h: measured
     displacement up to 1 and h samples before; the first h samples of a test are left out. The baselines are
     the benchmark alone, persistence (the last measured displacement), ARX, NARX, a black-box LSTM, and
     the transfer function and the grey box of Sun et al. 2025. Models that only run freely (benchmark, LSTM,
-    transfer function) start over a horizon from the last measured displacement.
+    transfer function) are simulated over a horizon from the last measured displacement.
 
     Args:
         model: an identified hitch.
@@ -43,11 +43,11 @@ def validate(
             that lack a covariate the model requires.
         segmentation_dead_zones: direction to the dead zone by which mixed cycles are cut into strokes where
             there are no single-direction tests; by default the model's own.
-        progress: called with what is being done and the fraction of all work that is done.
+        progress: called with the current task and the completed fraction of the work.
 
     Raises:
-        InputError: the identification used every test, or none fits the model's channels.
-        InputError: a unit is of another dimension than the model's.
+        InputError: the identification used every test, none fits the model's channels, or a unit has another
+            dimension than the model's.
     """
     checks.instance(model, Hitch, "model", "a model as hitchid.load returns it")
     checks.instance(campaign, Campaign, "campaign", 'a campaign as hitchid.read("logs") returns it')
@@ -101,7 +101,7 @@ def validate(
 def _validate_direction(
     model: Hitch, direction: str, records: Sequence[Record], factor: float
 ) -> tuple[ChannelResult | None, list[str]]:
-    """Return the results of one direction, None without unseen tests, and notices."""
+    """Return the results of one direction, None without unseen tests, and its notices."""
     unseen = _unseen(model, records)
     if direction not in model.channels:
         return None, [f"{len(unseen)} {direction} tests are left out: the model has no {direction} channel"]

@@ -26,15 +26,15 @@ TABLES_FILE = "tables.md"
 
 @dataclass(frozen=True)
 class Validation:
-    """Errors of a model and its baselines on tests that the identification has not used.
+    """Errors of a model and its baselines on tests that the identification did not use.
 
     Attributes:
         unit: of the displacement in the logs, and of every error.
         channels: direction to its results.
         cycles: results of the mixed cycles; None where there are none.
         mode_test: test of one shared model against one for each direction; None where it was not made.
-        notices: findings that a reader must not miss.
-        model, campaign: what was validated, on which logs.
+        notices: warnings on the figures.
+        model, campaign: the validated model and the logs.
     """
 
     unit: str
@@ -66,7 +66,7 @@ class Validation:
         return check_limits(self.unit, self.accuracy, limits)
 
     def report_data(self) -> ReportData:
-        """Return what a report shows beside the figures: logs, their audit, speed over command, origin."""
+        """Return the further content of a report: logs, their audit, speed over command, origin."""
         return report_data(self.model, self.campaign)
 
     def report(
@@ -79,9 +79,9 @@ class Validation:
         """Return the report, for `hitchid.report.render`.
 
         Args:
-            trace: how the model was identified, as `hitchid.report.read_trace` returns it.
-            acceptance: limits and whether they hold; None where none were set.
-            command: that wrote the report.
+            trace: trace of the identification, as `hitchid.report.read_trace` returns it.
+            acceptance: result of the acceptance limits; None without limits.
+            command: the command line that wrote the report.
         """
         from hitchid.report import validation_report
 
@@ -113,7 +113,7 @@ class Validation:
         self.write_as("pdf", path, force=force)
 
     def write_as(self, renderer: str, path: str | Path, *, force: bool = False) -> None:
-        """Write the report by one of `hitchid.report.registered_renderers()`.
+        """Write the report with one of `hitchid.report.registered_renderers()`.
 
         Raises:
             OutputError: the file exists and `force` is not given, or it cannot be written.

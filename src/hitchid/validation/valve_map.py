@@ -10,7 +10,7 @@ from hitchid._support.precision import double_precision
 from hitchid.data.record import COMMAND, DISPLACEMENT, Record
 from hitchid.model import Channel
 
-LEVELS = 24  # commands of the benchmark's curve
+LEVELS = 24  # commands of the benchmark's curve; all values chosen
 SETTLED_S, END_S = 3.0, 0.5  # the benchmark's speed: mean over the last 0.5 s of 3 s at one command
 STEADY_S, SLOPE_S = 0.25, 0.12  # a command counts as constant after 0.25 s; speed over the 0.12 s before that
 RAMP_S = 0.5  # window over which the speed of a ramp is taken
@@ -57,10 +57,10 @@ class ValveMap:
 
 
 def valve_map(channel: Channel, tests: Sequence[Record], ramps: Sequence[Record]) -> ValveMap:
-    """Return the speed the benchmark settles at over the command, and the speeds that logs show.
+    """Return the steady speed of the benchmark over the command, and the speeds measured in the logs.
 
-    From tests: the slope over the end of a quarter of a second in which the command was constant, in bins of
-    equal numbers of samples. From ramps: the slope over half a second.
+    Tests: slope of the displacement over 0.12 s after 0.25 s of constant command, in bins of equal numbers of
+    samples. Ramps: slope over 0.5 s.
 
     Args:
         channel: of the model.
@@ -94,7 +94,7 @@ def _speed_bins(commands: np.ndarray, speeds: np.ndarray) -> tuple[SpeedBin, ...
 
 
 def _steady_speeds(tests: Sequence[Record], channel: Channel) -> tuple[np.ndarray, np.ndarray]:
-    """Return commands and speeds, shape [M], at samples before which the command was constant long enough."""
+    """Return commands and speeds, shape [M], at samples preceded by `STEADY_S` of constant command."""
     commands, speeds = [], []
     for test in tests:
         command = test.command(channel.direction)
@@ -110,7 +110,7 @@ def _steady_speeds(tests: Sequence[Record], channel: Channel) -> tuple[np.ndarra
 
 
 def _command_changes(command: np.ndarray) -> np.ndarray:
-    """Return at which samples a command differs from the sample before by more than noise."""
+    """Return a mask of the samples at which a command differs from the one before by more than noise."""
     return np.abs(np.diff(command, prepend=command[:1])) > NOISE * np.ptp(command)
 
 
@@ -128,7 +128,7 @@ def _ramp_speed(ramp: Record, channel: Channel) -> tuple[np.ndarray, np.ndarray]
 
 @double_precision
 def _model_speed(channel: Channel, tests: Sequence[Record], levels: np.ndarray) -> np.ndarray:
-    """Return the speed the benchmark has half a second before the end of three seconds at each command."""
+    """Return the benchmark's mean speed over the last 0.5 s of 3 s at each command, shape [L]."""
     step_s = tests[0].step_s
     count = max(8, round(SETTLED_S / step_s))
     start = float(np.median([test.displacement[0] for test in tests]))

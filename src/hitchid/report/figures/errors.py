@@ -1,4 +1,4 @@
-"""How a model errs: predicted against actual error, distributions, outputs, tests, horizons."""
+"""Figures of model errors: predicted and actual error, distributions, outputs, tests, horizons."""
 
 from collections.abc import Mapping, Sequence
 
@@ -31,7 +31,7 @@ def predicted_errors(subsets: Mapping[str, Predictions], unit: str) -> Figure:
     """Return the benchmark's error and its prediction one step ahead, 2000 samples (paper, Fig. 7 and 8).
 
     Args:
-        subsets: `training` and `validation`, or any other part of the data, to its tests.
+        subsets: `training` and `validation`, or another subset of the data, to its tests.
         unit: of the displacement.
     """
     figure = Figure(figsize=(COLUMN_IN, 0.3 + 1.6 * len(subsets)))
@@ -59,7 +59,7 @@ def error_distribution(rows: Mapping[str, np.ndarray], unit: str) -> Figure:
     """Return histogram with fitted normal, and cumulative distribution of |error| (paper, Fig. 9 and 10).
 
     Args:
-        rows: part of the data, or model, to its errors, shape [M].
+        rows: subset of the data, or model, to its errors, shape [M].
         unit: of the displacement.
     """
     figure = Figure(figsize=(COLUMN_IN, 3.9))
@@ -94,12 +94,12 @@ def error_distribution(rows: Mapping[str, np.ndarray], unit: str) -> Figure:
 
 @styled
 def outputs(tests: Predictions, unit: str, models: Sequence[str] = PAPER_MODELS) -> Figure:
-    """Return measured and predicted displacement, and the errors below, test after test (paper, Fig. 11, 12).
+    """Return measured and predicted displacement, and the errors, tests concatenated (paper, Fig. 11, 12).
 
     Args:
-        tests: few enough to be told apart.
+        tests: few, since they share one axis.
         unit: of the displacement.
-        models: whose predictions are drawn.
+        models: keys of the predictions to draw.
     """
     figure = Figure(figsize=(COLUMN_IN, 4.2))
     displacement_axis, error_axis = figure.subplots(2, 1, sharex=True)
@@ -131,12 +131,12 @@ def outputs(tests: Predictions, unit: str, models: Sequence[str] = PAPER_MODELS)
 
 @styled
 def errors_by_test(tests: Predictions, unit: str, models: Sequence[str]) -> Figure:
-    """Return the error of every test in free run, each model a row of points.
+    """Return the RMSE of every test in free run, one row of points per model.
 
     Args:
-        tests: all of them.
+        tests: all unseen tests.
         unit: of the displacement.
-        models: whose errors are drawn, from the bottom up.
+        models: keys of the predictions, from the bottom up.
     """
     figure = Figure(figsize=(COLUMN_IN, 0.7 + 0.32 * len(models)))
     axis = figure.subplots()
@@ -195,12 +195,12 @@ def horizons(errors: Horizons, step_s: float, unit: str) -> Figure:
 
 
 def concatenate_tests(tests: Sequence[np.ndarray]) -> np.ndarray:
-    """Return tests one after another; NaN in place of the first sample, which is given, parts them."""
+    """Return concatenated tests; NaN replaces the first sample, which is the initial value, as a gap."""
     return np.concatenate([np.append(np.nan, test[1:]) for test in tests])
 
 
 def concatenated_time(tests: Predictions) -> np.ndarray:
-    """Return the time of tests laid end to end, s."""
+    """Return the time of concatenated tests, s."""
     shifted_times, start = [], 0.0
     for time_s in tests.time_s:
         shifted_times.append(start + time_s)
@@ -209,7 +209,7 @@ def concatenated_time(tests: Predictions) -> np.ndarray:
 
 
 def _coarse_indices(smooth: np.ndarray) -> np.ndarray:
-    """Return places of samples enough to draw what is smooth, with the gaps and what borders them."""
+    """Return the indices of about 300 samples of a smooth curve, with its gaps and their neighbours."""
     gaps = np.flatnonzero(np.isnan(smooth))
     indices = np.concatenate(
         [np.arange(0, smooth.size, max(1, smooth.size // 300)), gaps, gaps - 1, gaps + 1]
@@ -222,7 +222,7 @@ def _prediction_label(subset: str, subset_count: int) -> str:
 
 
 def _has_finite_mean_square(errors: np.ndarray) -> bool:
-    """Tell whether errors have a mean square; those of what diverged have none."""
+    """Return whether the mean square of errors is finite, that is, the model has not diverged."""
     with np.errstate(over="ignore", invalid="ignore"):
         return bool(np.isfinite(np.sum(errors**2)))
 

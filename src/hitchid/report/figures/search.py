@@ -1,4 +1,4 @@
-"""Identification of a model: convergence of the search, searches compared, losses, structures compared."""
+"""Figures of an identification: convergence, comparison of searches, losses, comparison of structures."""
 
 from collections.abc import Sequence
 from textwrap import fill
@@ -21,7 +21,7 @@ from hitchid.report.figures.style import (
 from hitchid.report.trace_file import TracedCandidate, TracedSearch, TracedTraining
 
 SEARCH_COLOURS = {"whale": "one_step", "differential-evolution": "benchmark", "multi-start": "greybox"}
-WRAP = 24  # letters a line of the name of a structure
+WRAP = 24  # characters per line of the name of a structure; chosen
 
 
 @styled
@@ -29,7 +29,7 @@ def convergence(search: TracedSearch, unit: str) -> Figure:
     """Return best fitness and each parameter over the iterations of the search (paper, Fig. 5 and 6).
 
     Args:
-        search: for the parameters of one direction.
+        search: parameter search of one direction.
         unit: of the displacement.
     """
     parameters = search.parameters
@@ -55,7 +55,7 @@ def convergence(search: TracedSearch, unit: str) -> Figure:
 
 @styled
 def searches(results: Sequence[SearchSummary], unit: str) -> Figure:
-    """Return the final error of several searches from several seeds, and the course of the median run.
+    """Return the final error of several searches from several seeds, and the convergence of the median run.
 
     Args:
         results: of one direction.
@@ -106,7 +106,7 @@ def losses(training: TracedTraining) -> Figure:
 
 @styled
 def structures(candidates: Sequence[TracedCandidate], unit: str) -> Figure:
-    """Return the forms that were compared: error on all tests, and on operating points held out in turn.
+    """Return the compared model specifications: RMSE on all tests, and cross-validated by operating point.
 
     Args:
         candidates: of one direction.

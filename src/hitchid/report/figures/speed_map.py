@@ -7,15 +7,15 @@ from hitchid.model import Characteristics
 from hitchid.report.figures.style import COLOURS, COLUMN_IN, INK, legend_above, styled
 
 LINE_STYLES = (("one_step", "v", "--"), ("benchmark", "s", "-"), ("greybox", "^", "-."))
-BAND_ALPHA = 0.22  # opacity of a band
-HEADROOM = 1.5  # top of the axis over the fastest speed
+BAND_ALPHA = 0.22  # opacity of a band; chosen
+HEADROOM = 1.5  # top of the axis over the fastest speed; chosen
 
 
 @styled
 def speed_map(characteristics: Characteristics) -> Figure:
     """Return speed over command for each load, with 95 % bands, and the mean speeds measured in tests.
 
-    Points without a line through them were measured; a band that has no end goes on to the edge.
+    Points without a line are measured speeds; a band without an upper end extends to the edge.
 
     Args:
         characteristics: operating characteristics of one direction.

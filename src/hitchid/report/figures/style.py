@@ -1,4 +1,4 @@
-"""One look for every figure: column width, the same colour for the same model, units on every axis."""
+"""Style of all figures: widths, one colour per model, legends and axes."""
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -15,22 +15,22 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator, StrMethodFor
 
 from hitchid.validation import NAMES
 
-DECADE, DECADES = 10, 50  # ratio of the ends of an axis below which its ticks are even, above which tens
-DECIMATION_BINS = 300  # stretches of a curve, each drawn by its lowest and highest point
+DECADE, DECADES = 10, 50  # ratio of axis ends: below, linear ticks; above, powers of ten only; chosen
+DECIMATION_BINS = 300  # segments of a curve, each drawn by its lowest and highest point; chosen
 
 COLUMN_IN, PAGE_IN = 3.5, 7.2
-"""Width of a column and of a page, inch: 89 and 183 mm, as journals have them."""
+"""Widths of a journal's column and page, inch: 89 and 183 mm."""
 
 
 class Shade(NamedTuple):
-    """A colour on white paper, and the one that takes its place on a dark screen."""
+    """A colour for a light and for a dark background."""
 
     light: str
     dark: str
 
 
-# Okabe and Ito's colours, two more for the black boxes, and lighter ones of like hue for dark screens. Some
-# are alike to some eyes: dashes and markers do the rest.
+# Okabe and Ito's colours, two more for the black boxes, and lighter ones of similar hue for dark screens.
+# Dashes and markers distinguish curves for readers with colour vision deficiency.
 SHADES = {
     "ink": Shade("#1b1b1f", "#e4e4ea"),
     "faint": Shade("#85858f", "#9a9aa6"),
@@ -121,7 +121,7 @@ _Params = ParamSpec("_Params")
 
 @contextmanager
 def style() -> Iterator[None]:
-    """Draw in the style of all figures, without a change of matplotlib's own settings."""
+    """Apply the style of all figures within the context; matplotlib's settings are restored."""
     with mpl.rc_context(_RC_PARAMS):
         yield
 
@@ -138,20 +138,20 @@ def styled(draw: Callable[_Params, Figure]) -> Callable[_Params, Figure]:
 
 
 def label(model: str) -> str:
-    """Return what a model is called in a legend."""
+    """Return the name of a model in a legend."""
     return LABELS.get(model, model)
 
 
 def finite_or_nan(values: Iterable[float | None]) -> np.ndarray:
-    """Return values as an array to draw; NaN, which leaves a gap, for None."""
+    """Return values as an array, NaN for None; a line has a gap there."""
     return np.array([np.nan if value is None else value for value in values])
 
 
 def decimate(x: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return a curve with no more points than can be seen: lowest and highest of each of 300 stretches.
+    """Return a decimated curve: the lowest and the highest point of each of 300 segments.
 
     Args:
-        x, values: the curve, shape [N]; NaN parts it.
+        x, values: the curve, shape [N]; NaN is a gap.
     """
     if values.size <= 2 * DECIMATION_BINS:
         return x, values
@@ -167,7 +167,7 @@ def decimate(x: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 
 def legend_above(figure: Figure, *axes: Axes, columns: int = 2) -> None:
-    """Put the labelled artists of some axes into a legend above them all."""
+    """Add one legend of the labelled artists of some axes above the figure."""
     handles: dict[str, Artist] = {}
     for axis in axes:
         for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
@@ -178,7 +178,7 @@ def legend_above(figure: Figure, *axes: Axes, columns: int = 2) -> None:
 
 
 def logarithmic(axis: Axis) -> None:
-    """Make one direction logarithmic, with plain numbers at 1, 2 and 5, or at tens over many decades."""
+    """Make an axis logarithmic, with plain numbers at 1, 2 and 5, or at powers of ten over many decades."""
     set_scale = axis.axes.set_xscale if isinstance(axis, XAxis) else axis.axes.set_yscale
     set_scale("log")
     low, high = axis.get_view_interval()

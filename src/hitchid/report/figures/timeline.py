@@ -1,4 +1,4 @@
-"""A mixed log as a picture: displacement with the segments behind it, and the commands below."""
+"""Figure of a mixed log: displacement with its segments, and the commands."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -25,18 +25,18 @@ FILLS = {
     BOTH_VALVES_ACTIVE: COLOURS["benchmark"],
 }
 LINES = {LIFTING: COLOURS["one_step"], LOWERING: COLOURS["narx"]}
-ALPHA = 0.35  # opacity of a stretch
-ROW_IN = 2.4  # height of a record, inch
+ALPHA = 0.35  # opacity of a segment; chosen
+ROW_IN = 2.4  # height of a record, inch; chosen
 MARK_COLOUR = COLOURS["benchmark"]
 
 
 class Mark(NamedTuple):
-    """A stretch of a record that is marked.
+    """A marked interval of a record.
 
     Attributes:
         record: name of the record.
-        label: of the mark.
-        start_s, stop_s: ends of the stretch, s of the log's own time.
+        label: text of the mark.
+        start_s, stop_s: ends of the interval, s of the log's own time.
     """
 
     record: str
@@ -47,11 +47,11 @@ class Mark(NamedTuple):
 
 @styled
 def timeline(records: Sequence[tuple[Record, Sequence[Segment]]], marks: Sequence[Mark] = ()) -> Figure:
-    """Return records, one below the other, with what happens in them behind the displacement.
+    """Return records, one per row: displacement with coloured segments, and the commands.
 
     Args:
-        records: logs, each with its stretches, as `segments` gives them for a mixed one.
-        marks: stretches that are marked in them.
+        records: logs with their segments, as `data.segmentation.segments` returns them.
+        marks: intervals to mark.
     """
     figure = Figure(figsize=(PAGE_IN, ROW_IN * len(records) + 0.4))
     axes = figure.subplots(2 * len(records), 1, squeeze=False, height_ratios=[2, 1] * len(records))[:, 0]
@@ -96,7 +96,7 @@ def timeline(records: Sequence[tuple[Record, Sequence[Segment]]], marks: Sequenc
 
 
 def _annotate_marks(axes: Axes, record: Record, marks: Sequence[Mark]) -> None:
-    """Frame each mark and write its label away from the curve, each label once."""
+    """Frame each mark and write its label where it does not cover the curve, each label once."""
     annotated = set()
     middle = (record.displacement.min() + record.displacement.max()) / 2
     for mark in marks:
@@ -123,7 +123,7 @@ def draw(
     marks: Sequence[Mark] = (),
     force: bool = False,
 ) -> None:
-    """Write the picture, in the format of its suffix, `.png`, `.svg` or `.pdf`.
+    """Write the figure of `timeline` in the format of the suffix, `.png`, `.svg` or `.pdf`.
 
     Raises:
         OutputError: the file exists and `force` is not given, or it cannot be written.

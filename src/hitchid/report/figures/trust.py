@@ -1,4 +1,4 @@
-"""How far a model can be trusted: parameter intervals, bands, tests of the errors."""
+"""Figures of uncertainty: parameter intervals, band coverage, tests of residuals."""
 
 from collections.abc import Sequence
 
@@ -19,9 +19,9 @@ from hitchid.report.figures.style import COLOURS, COLUMN_IN, FAINT, INK, legend_
 from hitchid.validation import BandFigures
 from hitchid.validation.residuals import ResidualTests
 
-MARGIN = 0.6  # room beside an interval, share of its width
-MIN_BAR_SHARE = 0.02  # least width of a bar, share of the axis
-WIDE_RATIO = 5  # ratio of the ends of a logarithmic axis from which its ticks are spread evenly on it
+MARGIN = 0.6  # margin of an interval, share of its width; all values chosen
+MIN_BAR_SHARE = 0.02  # smallest width of a bar, share of the axis
+WIDE_RATIO = 5  # ratio of the ends of a logarithmic axis above which its ticks are logarithmic
 VARIABLES = {
     "position": "displacement / {unit}",
     "speed": "speed / ({unit}/s)",
@@ -31,9 +31,9 @@ VARIABLES = {
 
 @styled
 def intervals(estimates: Sequence[Estimate]) -> Figure:
-    """Return each parameter with its 95 % interval, a row of its own scale for each.
+    """Return each parameter with its 95 % interval, one row with its own scale per parameter.
 
-    Open ends run to the edge as an arrow; the thin line is the bootstrap's interval.
+    Open ends are arrows to the edge; the thin line is the bootstrap interval.
 
     Args:
         estimates: of the parameters of one direction.
@@ -45,7 +45,7 @@ def intervals(estimates: Sequence[Estimate]) -> Figure:
 
 
 def _ticks(edge: np.ndarray) -> Locator:
-    """Return ticks that stand apart on a logarithmic axis: at even values only where it is short."""
+    """Return ticks that do not overlap on a logarithmic axis; linear ticks on a short one."""
     if edge[1] < WIDE_RATIO * edge[0]:
         return MaxNLocator(4)
     return FixedLocator(sorted({float(f"{x:.1g}") for x in np.geomspace(edge[0], edge[1], 5)[1:-1]}))
@@ -83,7 +83,7 @@ def _interval(axis: Axes, estimate: Estimate) -> None:
 
 @styled
 def residual_correlations(residuals: ResidualTests) -> Figure:
-    """Return autocorrelation of the errors and their correlation with the command, with 99 % bounds.
+    """Return autocorrelation of the errors and their cross-correlation with the command, with 99 % bounds.
 
     Args:
         residuals: of one direction and run.

@@ -1,4 +1,4 @@
-"""The valve: speed over command, and the command at which a slow ramp sets the piston moving."""
+"""Figures of the valve: speed over command, and the dead zone from slow ramps."""
 
 from collections.abc import Sequence
 
@@ -9,14 +9,14 @@ from hitchid.data.record import Record
 from hitchid.report.figures.style import COLOURS, COLUMN_IN, FAINT, INK, decimate, legend_above, styled
 from hitchid.validation.valve_map import ValveMap
 
-ONSET_FACTOR = 1.6  # the axis of a ramp ends at so many times the dead zone
+ONSET_FACTOR = 1.6  # end of a ramp's command axis over the dead zone; chosen
 
 
 @styled
 def valve_map(valve: ValveMap, unit: str, command_unit: str) -> Figure:
-    """Return the speed the benchmark settles at over the command, and the speeds that logs show.
+    """Return the steady speed of the benchmark over the command, and the speeds measured in the logs.
 
-    Points are medians of equal numbers of samples, lines hold 80 % of them.
+    Points are medians of equal numbers of samples, lines their 10 % to 90 % quantiles.
 
     Args:
         valve: speeds of one direction.
@@ -46,12 +46,12 @@ def valve_map(valve: ValveMap, unit: str, command_unit: str) -> Figure:
 def dead_zone(
     ramps: Sequence[Record], direction: str, value: float, spread: float | None, unit: str, command_unit: str
 ) -> Figure:
-    """Return the way of the piston over the command of slow ramps, around the command that sets it moving.
+    """Return displacement over the command of slow ramps, around the command at which motion begins.
 
     Args:
         ramps: slow ramps of one direction.
-        direction: the direction.
-        value, spread: dead zone and its standard deviation over ramps, None where that is not known.
+        direction: lifting or lowering.
+        value, spread: dead zone, and its standard deviation over ramps or None.
         unit, command_unit: of displacement and command.
     """
     figure = Figure(figsize=(COLUMN_IN, 2.3))

@@ -17,7 +17,7 @@ BUILT_IN: tuple[Renderer, ...] = (Html(), Pdf(), Markdown(), Terminal(), JUnit()
 
 
 def registered_renderers() -> Mapping[str, Renderer]:
-    """Return every renderer by name, those of other installed packages too.
+    """Return every renderer by name, including those of other installed packages.
 
     Raises:
         InputError: a renderer of another package cannot be used.
@@ -26,7 +26,7 @@ def registered_renderers() -> Mapping[str, Renderer]:
 
 
 def render(document: Document, renderer: str) -> bytes:
-    """Return a document in the form of a renderer.
+    """Return a document in the format of a renderer.
 
     Args:
         document: the document.

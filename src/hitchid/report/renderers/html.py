@@ -1,4 +1,4 @@
-"""A report as one page of HTML that needs nothing else."""
+"""A report as one self-contained HTML page."""
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
@@ -13,12 +13,12 @@ _KINDS = {Text: "text", Findings: "findings", Pictures: "pictures", Table: "tabl
 
 
 class Html(Renderer):
-    """One page without a script or a request to anywhere."""
+    """One HTML page without scripts or external resources."""
 
     name, suffix = "html", ".html"
 
     def render(self, document: Document) -> bytes:
-        """Return the page as UTF-8; what is no character, as in names of logs, is replaced."""
+        """Return the page as UTF-8; characters that cannot be encoded, as in names of logs, are replaced."""
         return _page(document).encode("utf-8", errors="replace")
 
 

@@ -1,4 +1,4 @@
-"""Acceptance limits as JUnit XML, which build servers read."""
+"""Acceptance limits as JUnit XML, for build servers."""
 
 import re
 from collections.abc import Sequence
@@ -19,12 +19,12 @@ class JUnit(Renderer):
     name, suffix = "junit", ".xml"
 
     def render(self, document: Document) -> bytes:
-        """Return the acceptance limits of the document, each with its verdict."""
+        """Return the acceptance limits of the document as test cases."""
         return junit_xml(document.checks)
 
 
 def junit_xml(checks: Sequence[Check], *, name: str = "hitchid") -> bytes:
-    """Return checks as JUnit XML, one test case a check; equal checks give equal bytes.
+    """Return checks as JUnit XML, one test case per check; equal checks give equal bytes.
 
     Characters that XML 1.0 does not admit are left out; the text of a failure is that of `check_line`.
 

@@ -12,7 +12,7 @@ class Markdown(Renderer):
     name, suffix = "markdown", ".md"
 
     def render(self, document: Document) -> bytes:
-        """Return the document as UTF-8; what is no character, as in names of logs, is escaped."""
+        """Return the document as UTF-8; characters that cannot be encoded are escaped."""
         lines = [f"# {document.title}", ""]
         items = [*_items(document.verdict), *(f"- {notice}" for notice in document.notices)]
         lines += [*items, ""] if items else []
@@ -26,7 +26,7 @@ def _items(findings: Sequence[Finding]) -> list[str]:
 
 
 def _section(section: ReportSection, level: int) -> Iterator[str]:
-    """Yield the lines of a section; one without a title has its tables on the level above."""
+    """Yield the lines of a section; without a title its tables belong to the level above."""
     if section.title:
         yield from (f"{'#' * level} {section.title}", "")
         level += 1

@@ -18,10 +18,10 @@ TEMPLATE = "report.typ"
 
 
 def check_pdf(*, requested: bool) -> None:
-    """Raise before any work where a PDF is required and cannot be made.
+    """Check that a PDF can be written, before any work.
 
     Raises:
-        InputError: typst is not installed.
+        InputError: a PDF is requested and typst is not installed.
     """
     if requested and find_spec("typst") is None:
         raise InputError("typst is not installed; required: pip install 'hitchid[pdf]'")

@@ -7,13 +7,13 @@ from hitchid.report.document import Document
 
 
 class Renderer(ABC):
-    """A form that a document is written in.
+    """An output format of a document.
 
-    Another package adds one by an entry point in the group `hitchid.renderers` whose value is an instance.
+    Other packages register an instance as an entry point in the group `hitchid.renderers`.
 
     Attributes:
         name: of the renderer, unique among all.
-        suffix: of its files, with the dot.
+        suffix: file suffix, with the dot.
     """
 
     name: ClassVar[str]

@@ -10,11 +10,11 @@ from rich.table import Table as RichTable
 from hitchid.report.document import Document, Table
 from hitchid.report.renderers.renderer import Renderer
 
-COLUMNS = 80
+COLUMNS = 80  # width of a terminal, characters
 
 
 class Terminal(Renderer):
-    """Lines of 80 columns."""
+    """Plain text in lines of 80 characters."""
 
     name, suffix = "terminal", ".txt"
 

@@ -1,4 +1,4 @@
-"""Sections of a report, each a function of records."""
+"""Sections of a report, each a function of validation results."""
 
 from hitchid.report.sections.acceptance import check_line as check_line
 from hitchid.report.sections.acceptance import limits as limits

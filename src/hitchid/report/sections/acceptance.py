@@ -20,7 +20,7 @@ def limits(acceptance: Acceptance) -> ReportSection:
 
 
 def check_line(check: Check) -> str:
-    """Return a check as one line; characters that cannot be printed, as in names of logs, are replaced."""
+    """Return a check as one line; unprintable characters, as in names of logs, are replaced."""
     verdict = "pass" if check.passed else "fail"
     text = f"{verdict}  {check.name} {check.figure}, required {check.limit}"
     return "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in text)

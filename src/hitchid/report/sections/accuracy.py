@@ -1,4 +1,4 @@
-"""Errors of one direction: every model over horizons and by test, over time, distributed."""
+"""Errors of one direction: every model, over horizons, by test, over time, distribution."""
 
 import numpy as np
 
@@ -37,7 +37,7 @@ def accuracy(context: DirectionContext) -> ReportSection:
 
 
 def errors(context: DirectionContext) -> ReportSection:
-    """Return the section on the errors themselves: over time, distributed, test by test."""
+    """Return the section on the errors over time, their distribution, and by test."""
     tests, unit = context.accuracy.predictions, context.unit
     selected_tests, selection_text = shown_tests(tests)
     names = ", ".join(selected_tests.names)

@@ -1,4 +1,4 @@
-"""Records that the sections of one direction are made from."""
+"""Data of the report sections of one direction."""
 
 from dataclasses import dataclass
 
@@ -9,12 +9,12 @@ from hitchid.validation.report_data import DirectionData
 
 @dataclass(frozen=True)
 class DirectionContext:
-    """One direction of a report.
+    """Data of one direction of a report.
 
     Attributes:
         direction: lifting or lowering.
-        result: of the validation.
-        trace: how it was identified; None where that was not saved.
+        result: validation result of the direction.
+        trace: trace of the identification; None if it was not saved.
         data: speed over command and slow ramps, in the model's units.
         step_s: sampling time, s.
         unit: of the displacement in the logs.

@@ -1,4 +1,4 @@
-"""Mixed cycles, in which lifting, holding and lowering alternate."""
+"""Section on mixed cycles of lifting, holding and lowering."""
 
 from hitchid.report import figures
 from hitchid.report.document import Picture, Pictures, ReportSection

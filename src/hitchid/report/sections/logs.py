@@ -20,11 +20,11 @@ from hitchid.report.figures import timeline
 from hitchid.validation.report_data import HASH_DIGITS, LogData, LogUse
 
 LEVELS = {Severity.FAULT: Rating.BAD, Severity.WARNING: Rating.CAUTION}
-MAX_MIXED_SHOWN = 2  # mixed logs in the picture
+MAX_MIXED_SHOWN = 2  # mixed logs in the figure; chosen
 
 
 def logs(data: LogData) -> ReportSection:
-    """Return the section on the logs: the audit's findings, every log, mixed ones as a picture."""
+    """Return the section on the logs: findings of the audit, every log, figures of mixed ones."""
     inspection = data.inspection
     findings = tuple(
         _report_finding(finding) for finding in inspection.findings if finding.severity in LEVELS

@@ -1,4 +1,4 @@
-"""Origin of a result: everything that is needed to reproduce it."""
+"""Origin of a result: the information required to reproduce it."""
 
 from collections.abc import Mapping
 
@@ -7,11 +7,11 @@ from hitchid.validation.report_data import Origin
 
 
 def origin(source: Origin, command: str) -> ReportSection:
-    """Return the section on how to get the same result again.
+    """Return the section on reproducing the result.
 
     Args:
-        source: of the model.
-        command: that wrote the report.
+        source: origin of the model.
+        command: the command line that wrote the report.
     """
     provenance, current_versions = source.provenance, source.versions
     model_versions = provenance.versions

@@ -4,11 +4,11 @@ import numpy as np
 
 from hitchid.validation import Predictions
 
-MAX_SHOWN_TESTS = 4  # as many as can be told apart in one figure
+MAX_SHOWN_TESTS = 4  # tests in one figure; chosen, so that curves stay distinguishable
 
 
 def shown_tests(tests: Predictions, model: str = "free_run") -> tuple[Predictions, str]:
-    """Return four tests at most, from the best to the worst, and how they were picked."""
+    """Return at most four tests, from the best to the worst, and a text on their selection."""
     count = len(tests.names)
     if count <= MAX_SHOWN_TESTS:
         return tests, "all unseen tests"

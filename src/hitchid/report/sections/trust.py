@@ -1,4 +1,4 @@
-"""Bands of one direction, and tests of its errors."""
+"""Section on prediction bands and residual tests of one direction."""
 
 from hitchid.report import figures
 from hitchid.report.document import Block, Picture, Pictures, ReportSection

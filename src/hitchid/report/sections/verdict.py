@@ -1,4 +1,4 @@
-"""The verdict of a report: findings for a reader who reads no further."""
+"""The verdict of a report: its summary findings."""
 
 import numpy as np
 
@@ -9,11 +9,11 @@ from hitchid.validation import Acceptance, Accuracy, BandFigures, Validation
 from hitchid.validation.names import BENCHMARK, GREYBOX, model_name
 from hitchid.validation.predictions import MIN_TESTS
 
-COVERAGE_TOLERANCE = 0.05  # share of samples by which a band may miss its level without a caution
+COVERAGE_TOLERANCE = 0.05  # deviation of coverage from its level without a caution, share of samples; chosen
 
 
 def verdict(result: Validation, acceptance: Acceptance | None) -> tuple[Finding, ...]:
-    """Return whether limits hold, and of each direction findings on free run, bands and parameters."""
+    """Return the findings on limits, and for each direction on free run, bands and parameters."""
     findings = [] if acceptance is None else [_acceptance_finding(acceptance)]
     for direction, channel in result.channels.items():
         accuracy = channel.accuracy
@@ -41,7 +41,7 @@ def _all_text(count: int, what: str) -> str:
 
 
 def _free_run_finding(subset: str, accuracy: Accuracy, unit: str) -> Finding:
-    """Return the error of the free run beside the best baseline; good where tests prove it smaller."""
+    """Return the RMSE of the free run and of the best baseline; good if significantly smaller."""
     tests, free_run = accuracy.predictions, accuracy.free_run()
     count = len(tests.names)
     tests_text = numbers.count(count, "unseen cycle" if subset == "mixed cycles" else "unseen test")
@@ -75,7 +75,7 @@ def _free_run_finding(subset: str, accuracy: Accuracy, unit: str) -> Finding:
 
 
 def _band_finding(direction: str, bands: BandFigures, count: int, unit: str) -> Finding:
-    """Return whether a band covers its share of samples, as far as the number of tests allows."""
+    """Return whether the coverage of a band agrees with its level, given the number of tests."""
     nominal, covered, error = bands.coverage, bands.covered, bands.covered_error
     text = (
         f"{direction.capitalize()}: the band for {100 * nominal:.0f} % of the samples, {bands.width:.3g} "

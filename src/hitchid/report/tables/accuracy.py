@@ -1,4 +1,4 @@
-"""Tables of errors: every model, horizons, single tests, in short."""
+"""Tables of errors: every model, horizons, single tests, summary."""
 
 from collections.abc import Iterable
 

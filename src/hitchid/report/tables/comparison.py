@@ -35,7 +35,7 @@ def comparison_horizons(comparison: ModelComparison, section: str) -> Table:
 
 
 def comparison_parameters(comparison: ModelComparison) -> list[Table]:
-    """Return the parameters of both models, as far as the models hold estimates."""
+    """Return the parameters of both models, for directions with estimates."""
     all_tables = []
     for direction in (name for name in comparison.sections if name != CYCLES):
         pair = [

@@ -6,7 +6,7 @@ from hitchid.report.document import Table
 
 
 def parameter_table(title: str, estimates: Estimates) -> Table:
-    """Return parameters and what follows from them; one that is not determined has an interval only."""
+    """Return parameters and derived quantities; only the interval of one that is not determined."""
     rows = [
         (
             estimate.symbol,

@@ -1,4 +1,4 @@
-"""Table of searches compared on one budget."""
+"""Table of searches compared with equal budgets."""
 
 from collections.abc import Sequence
 
@@ -10,7 +10,7 @@ from hitchid.report.document import Table
 
 
 def search_table(direction: str, searches: Sequence[SearchSummary], unit: str) -> Table:
-    """Return the errors that several searches ended with, best first."""
+    """Return the final errors of several searches, best first."""
     ends = {
         search.name: np.array([np.inf if end is None else end for end in search.rmse]) for search in searches
     }

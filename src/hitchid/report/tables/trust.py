@@ -1,4 +1,4 @@
-"""Tables of bands and of tests of the errors."""
+"""Tables of prediction bands and residual tests."""
 
 from collections.abc import Mapping
 

@@ -1,4 +1,4 @@
-"""The study of Sun et al. 2025, redone on the virtual bench."""
+"""Reproduction of Sun et al. 2025 on the virtual test bench."""
 
 from hitchid.studies.sun2025.reproduce import Plan as Plan
 from hitchid.studies.sun2025.reproduce import Study as Study

@@ -1,4 +1,4 @@
-"""The study as a report: the paper's tables and figures with ours beside them, then how far to trust ours."""
+"""Report of the study: tables and figures of the paper with our values, and our uncertainty."""
 
 from collections.abc import Mapping, Sequence
 
@@ -34,7 +34,7 @@ def study_report(
     """Return the report of the study.
 
     Args:
-        tables: Tables 2 to 4 of the paper and what its text names.
+        tables: Tables 2 to 4 of the paper and the figures in its text.
         figures: Figures 5 to 12 of the paper.
         result: of the validation.
         trace, command: as for `validation_report`.
@@ -60,6 +60,6 @@ def study_report(
 
 
 def study_tables_document(tables: Sequence[Table], result: Validation) -> Document:
-    """Return the tables of the paper and those of the validation, as `study.md` has them."""
+    """Return the tables of the paper and of the validation, the content of `study.md`."""
     section = ReportSection("", (*tables, *all_tables(result)))
     return Document(title="Study", notices=result.notices, sections=(section,), data=result.metrics)

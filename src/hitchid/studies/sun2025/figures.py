@@ -1,4 +1,4 @@
-"""The paper's Figures 5 to 12, each with the data behind it."""
+"""Figures 5 to 12 of the paper, each with its data."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -12,7 +12,7 @@ from hitchid.report.trace_file import TracedSearch
 from hitchid.studies.sun2025.results import DirectionResult
 from hitchid.validation import Predictions
 
-MAX_SAMPLES = 2000  # of a test, as in the paper
+MAX_SAMPLES = 2000  # of a subset in the figures of the compensator, as in the paper
 # Numbers of the figures in the paper, by direction.
 CONVERGENCE = {LIFTING: 5, LOWERING: 6}
 TRAINING = {LIFTING: 7, LOWERING: 8}
@@ -22,7 +22,7 @@ MODELS = ("mechanistic", "benchmark", "free_run", "one_step")
 
 
 class PaperFigure(NamedTuple):
-    """A figure of the paper redone: its number there, its pictures, and the data behind it by column."""
+    """A reproduced figure of the paper: its number there, its pictures, and its data by column."""
 
     number: int
     pictures: tuple[Picture, ...]
@@ -32,11 +32,11 @@ class PaperFigure(NamedTuple):
 def paper_figures(
     direction: str, trace: ChannelTraceFile, result: DirectionResult, unit: str
 ) -> list[PaperFigure]:
-    """Return the four figures the paper shows of one direction.
+    """Return the four figures of one direction in the paper.
 
     Args:
-        direction: direction.
-        trace: how it was identified.
+        direction: lifting or lowering.
+        trace: trace of the identification.
         result: predictions on training, validation and test tests.
         unit: of the displacement.
     """

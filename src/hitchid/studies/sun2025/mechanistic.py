@@ -1,4 +1,4 @@
-"""The model an engineer writes down before any test: data sheets and mechanics, nothing fitted."""
+"""Mechanistic model from data sheets and mechanics, without fitted parameters."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -21,11 +21,11 @@ from hitchid.rig import (
 from hitchid.structures import PhysicalModel, structure_named
 
 STRUCTURE = "integrator-second-order"
-STEPS = 6
+STEPS = 6  # of Newton's method; chosen, enough for convergence
 
 
 class Mechanistic(NamedTuple):
-    """Transfer function of one direction, mm and A, and the dead zone it stands behind, A."""
+    """Transfer function of one direction, in mm and A, and the dead zone before it, in A."""
 
     physical_model: PhysicalModel
     dead_zone: float
@@ -33,22 +33,22 @@ class Mechanistic(NamedTuple):
 
 @double_precision
 def mechanistic(rig: str | Path | Rig, direction: str) -> Mechanistic:
-    """Return the transfer function of one direction that follows from a rig's parameters alone.
+    """Return the transfer function of one direction computed from a rig's parameters alone.
 
     K/(s (s²/ωh² + 2 ξh s/ωh + 1)), in mm, s and A; ωh and ξh by `small_signal`, for lowering, where gravity
     drives the oil through the throttle, by `lowering_small_signal`. The operating point is the mean one of
-    the tests as laid down in `bench`: speed v₀ of the mean level, the highest taking 0.6 of the stroke in
-    10 s, and the middle of the way, 5 s · v₀ from the start. A command works from the dead zone up, so the
-    gain is not the slope of speed over current there but the chord that leads there, v(u₀) = v₀ solved by
-    Newton's method with that slope:
+    the tests of `virtual_campaign`: speed v₀ at the mean level, where the highest level covers 0.6 of the
+    stroke in 10 s, and the middle of that travel, 5 s · v₀ from the start. The command is effective above the
+    dead zone, so the gain is the secant of speed over current from the dead zone to that point, not the slope
+    there; v(u₀) = v₀ is solved by Newton's method with that slope:
 
         K = v₀/u₀,  u₀ = current − dead zone,  dead zone = overlap + half the hysteresis (a rising current)
 
-    The lags of solenoid, spool and compensator are left out. Sun et al. 2025 name such a model in their
-    discussion (their ref. 9).
+    The lags of solenoid, spool and pressure compensator are neglected. Sun et al. 2025 cite
+    such a model in their discussion (their ref. 9).
 
     Args:
-        rig: parameter set of the virtual bench, or the bench.
+        rig: parameter set of the virtual test bench, or the rig itself.
         direction: lifting or lowering.
 
     Raises:
@@ -67,7 +67,7 @@ def mechanistic(rig: str | Path | Rig, direction: str) -> Mechanistic:
 
     wide_open = float(spool.saturation - spool.dead_zone)
     effective = 0.5 * wide_open
-    for _ in range(STEPS):  # speed is convex in the current: after the first step they come from above
+    for _ in range(STEPS):  # speed is convex in the current: from the second, iterates are above
         linear_model = linearise(effective)
         effective = min(
             effective + (1e3 * travel / DYNAMIC_S - linear_model.speed) / linear_model.gain, wide_open

@@ -1,4 +1,4 @@
-"""The whole study of Sun et al. 2025 on the virtual bench, in one call."""
+"""The complete study of Sun et al. 2025 on the virtual test bench, in one call."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -31,9 +31,9 @@ class Plan:
     """Extent of the study.
 
     Attributes:
-        tests: dynamic tests a direction.
-        cycles: mixed cycles.
-        search, training, comparison: of the identification.
+        tests: number of dynamic tests per direction.
+        cycles: number of mixed cycles.
+        search, training, comparison: settings of the identification.
     """
 
     tests: int = 20
@@ -44,7 +44,7 @@ class Plan:
 
 
 def quick_plan() -> Plan:
-    """Return a plan for a first look: fewer tests, a smaller search, shorter training, no baselines."""
+    """Return a short plan: fewer tests, a smaller search, shorter training, no baselines."""
     optimizer = AdamConfig(epochs=40, patience=20)
     training = CompensatorConfig(hidden=16, adam=optimizer, rollouts=None, baselines=False)
     search = Whale(WhaleConfig(iterations=40, evaluations=1200))
@@ -60,7 +60,7 @@ class Study:
         results: direction to predictions.
         validation: figures of the model and its baselines.
         figures: the figures of the paper.
-        tables: Tables 2 to 4 of the paper and what its text names.
+        tables: Tables 2 to 4 of the paper and the figures in its text.
     """
 
     identification: Identification
@@ -80,21 +80,21 @@ def reproduce(
     progress: ProgressCallback | None = None,
     command: str = "",
 ) -> Study:
-    """Redo the study: static tests, dynamic tests, identification, validation, tables and figures.
+    """Reproduce the study: static and dynamic tests, identification, validation, tables and figures.
 
     Args:
         out: folder to write: `logs/`, `model/`, `report.html` with its `figures/`, `data/` (CSV behind each
             figure of the paper), `metrics.json`, `tables.md` and `study.md`.
-        rig: parameter set of the virtual bench.
-        plan: how much is done; all of the paper's programme by default.
-        seed: every random draw comes from it.
+        rig: parameter set of the virtual test bench.
+        plan: extent of the study; by default that of the paper.
+        seed: of all random numbers.
         force: replace an older study.
-        progress: called with what is being done and the fraction of all work that is done.
-        command: that started the study, for its report.
+        progress: called with the current task and the completed fraction of the work.
+        command: the command line that started the study, for its report.
 
     Raises:
         OutputError: the folder exists and `force` is not given, or it cannot be written.
-        SettingsError: the rig's parameters cannot be used.
+        SettingsError: the rig's parameters are invalid.
     """
     chosen_plan = plan or Plan()
     report = progress or silent
@@ -159,7 +159,7 @@ def _write(folder: Path, study: Study) -> None:
 
 
 def _equal_lengths(data: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return columns padded with NaN to the longest, so that one file holds them."""
+    """Return columns padded with NaN to the longest, for one file."""
     longest = max(column.size for column in data.values())
     return {
         name: np.pad(column.astype(float), (0, longest - column.size), constant_values=np.nan)

@@ -1,4 +1,4 @@
-"""What the study reports of one direction: predictions on each part of the data."""
+"""Results of one direction of the study: predictions on each subset of the data."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -20,8 +20,8 @@ class DirectionResult:
     """One direction of the study.
 
     Attributes:
-        training, validation, test: predictions on the three parts of the data.
-        mechanistic: the model that the rig's parameters give.
+        training, validation, test: predictions on the three subsets of the data.
+        mechanistic: model from the rig's parameters.
     """
 
     training: Predictions
@@ -34,13 +34,13 @@ class DirectionResult:
 def direction_result(
     identified: Identification, campaign: Campaign, direction: str, mechanistic: Mechanistic
 ) -> DirectionResult:
-    """Run one channel of an identified model over the tests it was identified, validated and tested on.
+    """Simulate one channel of an identified model on the training, validation and test data.
 
     Args:
         identified: the identified model.
         campaign: the tests.
-        direction: direction.
-        mechanistic: what the rig's parameters give instead, run over the same tests.
+        direction: lifting or lowering.
+        mechanistic: model from the rig's parameters, simulated on the same tests.
     """
     channel = identified.model.channels[direction]
     validation_names = set(identified.model.provenance.validation[direction])
@@ -58,12 +58,12 @@ def direction_result(
 
 @dataclass(frozen=True)
 class ErrorSummary:
-    """Errors as the paper's Tables 3 and 4 have them, in mm, R² and `within_1` as fractions.
+    """Errors as in the paper's Tables 3 and 4, in mm, R² and `within_1` as fractions.
 
     Attributes:
-        rmse, mae, r2, within_1: as in `ErrorFigures`.
+        rmse, mae, r2, within_1: as in `RunFigures`.
         mean, std: mean and standard deviation of measured minus predicted.
-        rmse_error: standard error of the RMSE over tests; None where it is not known.
+        rmse_error: standard error of the RMSE over tests; None for one test.
     """
 
     rmse: float
@@ -78,7 +78,7 @@ class ErrorSummary:
 def summary(predictions: Predictions, model: str) -> ErrorSummary:
     """Return the errors of one model.
 
-    One step ahead the first sample of a test is left out, for it is given.
+    One step ahead, the first sample of a test is left out: it is the initial value.
     """
     first = 1 if model == "one_step" else 0
     actual = [row[first:] for row in predictions.actual]
@@ -97,7 +97,7 @@ def summary(predictions: Predictions, model: str) -> ErrorSummary:
 
 
 def end_deviation(predictions: Predictions, model: str) -> float:
-    """Return the mean over tests of the error at a test's end over the way gone: |y − ŷ|/|y − y(0)|."""
+    """Return the mean over tests of the final error relative to the travel, |y − ŷ|/|y − y(0)|."""
     pairs = zip(predictions.actual, predictions.models[model], strict=True)
     return float(np.mean([abs(a[-1] - p[-1]) / abs(a[-1] - a[0]) for a, p in pairs]))
 

@@ -1,4 +1,4 @@
-"""The paper's Tables 2 to 4 with ours beside them, and the figures its text names."""
+"""Tables 2 to 4 of the paper with our values, and the figures in its text."""
 
 from collections.abc import Mapping
 
@@ -10,7 +10,7 @@ from hitchid.model import Estimate, Quantity
 from hitchid.report import Table, numbers
 from hitchid.studies.sun2025.results import DirectionResult, ErrorSummary, end_deviation, summary
 
-# Values that Sun et al. 2025 print; errors in mm, currents in A.
+# Values printed by Sun et al. 2025; errors in mm, currents in A.
 PAPER_COEFFICIENTS = {
     LIFTING: {"alpha1": 6.625, "beta1": 0.001, "beta2": 0.065, "beta3": 0.318},
     LOWERING: {"alpha2": 654.473, "beta4": 42.808},
@@ -98,7 +98,7 @@ def _coefficients(direction: str, trace: ChannelTrace) -> dict[str, tuple[str, s
 
 
 def _value_or_interval(estimate: Estimate | Quantity) -> str:
-    """Return a value, or of what is not determined its interval."""
+    """Return a value, or the interval if it is not determined."""
     return f"{estimate.value:.4g}" if estimate.determined else numbers.interval(estimate.interval)
 
 
@@ -194,7 +194,7 @@ def _paper_iterations(direction: str) -> str:
 def _mechanistic(
     traces: Mapping[str, ChannelTrace], results: Mapping[str, DirectionResult], unit: str
 ) -> Table:
-    """Return what data sheets give beside what tests give, and the deviation the paper's discussion names."""
+    """Return parameters from data sheets and from tests, and the deviation in the paper's discussion."""
     rows = []
     for direction, trace in traces.items():
         (physical_model, dead_zone), test = results[direction].mechanistic, results[direction].test
