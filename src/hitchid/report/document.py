@@ -116,7 +116,7 @@ class Document:
         sections: the main part.
         summary: short tables for a terminal.
         checks: acceptance limits and their figures.
-        data: all figures, in the form of `metrics.json` or `comparison.json`.
+        data: all figures, the content of `metrics.json` or `comparison.json`.
     """
 
     title: str

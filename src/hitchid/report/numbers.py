@@ -80,8 +80,8 @@ def determined(result: Quantity | Estimate | bool) -> str:
 def error_cells(figures: RunFigures) -> tuple[str, ...]:
     """Return RMSE, MAE, R², fit, largest error and share below one unit, to their significant digits.
 
-    The standard error s of the RMSE r over tests sets all of them: R² = 1 − (r/y)² has 2 (1 − R²) s/r and the
-    fit 100 (1 − r/y) has (100 − fit) s/r; five places of R² and two of the fit at most.
+    All follow from the standard error s of the RMSE r over tests: R² = 1 − (r/y)² has 2 (1 − R²) s/r and the
+    fit 100 (1 − r/y) has (100 − fit) s/r; at most five decimals of R² and two of the fit.
     """
     rmse, r2, fit, within_1 = figures.rmse, figures.r2, figures.fit, figures.within_1
     if rmse is None or r2 is None or fit is None or within_1 is None:

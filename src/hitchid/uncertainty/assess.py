@@ -33,7 +33,7 @@ class _ParameterResult:
         bound: `lower` or `upper` where the estimate lies at one, else empty.
         insensitive: whether the simulation depends on it too little for a standard error.
         interval: 95 % confidence interval.
-        profile: the profile behind the interval; None for a Gauss-Newton interval.
+        profile: the profile that gives the interval; None for a Gauss-Newton interval.
     """
 
     number: int

@@ -158,7 +158,7 @@ def _refit(objective: Objective, indices: list[int], position: np.ndarray) -> np
 
 
 def _fit_and_pooled_scores(objective: Objective, position: np.ndarray, free: np.ndarray) -> list[Scores]:
-    """Return the scores of the fit and, if it had a gain per test, those of the pooled fit of the gain."""
+    """Return the scores of the fit; with a gain per test, also those of the pooled fit of the gain."""
     scores = [Scores.of(objective, position).select_parameters(free)]
     return (
         [*scores, Scores.of(objective.pooled(), position).select_parameters(free)]

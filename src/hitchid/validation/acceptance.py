@@ -24,7 +24,7 @@ class Check:
     Attributes:
         direction: `lifting`, `lowering` or `cycles`.
         name: of the figure, unique among the checks of a file.
-        limit: what is required, with its unit.
+        limit: the limit with its unit.
         figure: the figure with its unit, or why there is none.
         passed: whether the figure is within the limit.
     """

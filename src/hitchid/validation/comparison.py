@@ -103,7 +103,7 @@ class ModelComparison:
 
     @property
     def metrics(self) -> dict[str, object]:
-        """All figures, in the form of `comparison.json`."""
+        """All figures, the content of `comparison.json`."""
         return {
             "unit": self.unit,
             "left_out": self.left_out,

@@ -39,7 +39,7 @@ class FigureLimits(_NonEmptyLimits):
         rmse, mae, max_abs: at most, in the unit of the limits.
         r2: at least, a fraction.
         fit: at least, percent.
-        within_1: percent of samples whose error is below one unit of the logs; at least.
+        within_1: percent of samples with an error below one unit of the logs; at least.
     """
 
     rmse: PositiveError | None = None
@@ -59,7 +59,7 @@ class DirectionLimits(_NonEmptyLimits):
         worst_test: of every single test in free run.
         horizon: RMSE by samples ahead; at most, in the unit of the limits.
         coverage: percent of unseen samples inside the band in free run; at least and at most.
-        better_than: baselines whose RMSE the grey box must stay below, in each run that both have.
+        better_than: baselines with an upper limit on the grey box: their own RMSE, in each run of both.
     """
 
     tests: Annotated[int, Field(strict=True, ge=1)] | None = None

@@ -51,17 +51,17 @@ class ResidualTests:
         count: number of errors N.
         mean, deviation: of the errors, in their unit; the deviation is √(Σ (e − ē)² / N).
         whiteness: Ljung-Box statistic Q.
-        freedom: its degrees of freedom, which is the number of lags h; no fitted parameters are taken off.
+        freedom: its degrees of freedom, the number of lags h; fitted parameters are not subtracted.
         whiteness_p, white: its p-value, and whether that is at least 1 %.
         autocorrelation: of the errors at lags 1..h.
-        autocorrelation_bounds: 2.576/√N_k, which one lag of white noise leaves in 1 of 100 cases; N_k is the
+        autocorrelation_bounds: 2.576/√N_k, exceeded by one lag of white noise in 1 of 100 cases; N_k is the
             number of pairs of samples k apart in the same test.
         cross_lags: −h..h; at lag k the error is compared with the command k samples before it.
         cross_correlation: of errors and command at these lags.
-        cross_bounds: what one lag leaves in 1 of 100 cases where errors and command are independent.
-        lags_outside: the lags beyond these bounds; of 51 lags half a lag is, by chance.
+        cross_bounds: bounds that one lag exceeds in 1 of 100 cases if errors and command are independent.
+        lags_outside: the lags beyond these bounds; by chance 0.5 of 51 lags on average.
         independence_p, independent: (2h + 1) times the smallest p-value of any lag (Bonferroni), at most 1,
-            and whether that is at least 1 %: so lags may lie outside and the errors still be independent.
+            and whether that is at least 1 %; lags may lie outside the bounds of errors that are independent.
         skewness, excess_kurtosis: of the errors, 0 for a normal distribution.
         normality_p, normal: p-value of Jarque-Bera's test for autocorrelated errors, and whether that is at
             least 1 %.
@@ -111,7 +111,7 @@ def residual_tests(
 
     With e and u of pooled mean 0 and mean square 1, and N_k pairs of samples k apart in the same test,
 
-    - autocorrelation r_k = Σ e(t) e(t − k) / N_k, cross-correlation likewise with u(t − k);
+    - autocorrelation r_k = Σ e(t) e(t − k) / N_k, cross-correlation the same with u(t − k);
     - Q = (N + 2)/N Σ_k N_k r_k² ~ χ²_h, for one test N (N + 2) Σ_k ρ̂_k² / (N − k), ρ̂_k = r_k (N − k)/N
       (Ljung & Box 1978, Biometrika 65, 297);
     - cross-correlation at lag k has variance Σ_j N_{|k|+|j|} w_j r_e(j) r_u(j) / N_k², or 1/N_k where that
@@ -232,7 +232,7 @@ def _standardised(tests: Sequence[np.ndarray]) -> tuple[list[np.ndarray], float,
 
 
 def _products(first_signals: Sequence[np.ndarray], second_signals: Sequence[np.ndarray]) -> np.ndarray:
-    """Return Σ a(t + k) b(t) over all tests, never from one test into another, k = −L..L for length L + 1."""
+    """Return Σ a(t + k) b(t) over all tests, products within a test, k = −L..L for length L + 1."""
     from scipy.signal import correlate  # not at the top: half a second
 
     longest = max(test.size for test in first_signals)

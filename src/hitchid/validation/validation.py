@@ -58,11 +58,11 @@ class Validation:
 
     @property
     def metrics(self) -> dict[str, object]:
-        """All figures, in the form of `metrics.json`: errors in `unit`, R² a fraction, fit in percent."""
+        """All figures, the content of `metrics.json`: errors in `unit`, R² a fraction, fit in percent."""
         return validation_json(self.unit, self.channels, self.cycles, self.mode_test)
 
     def check(self, limits: AcceptanceLimits) -> Acceptance:
-        """Return whether the figures are within limits, as `check_limits` does."""
+        """Compare the figures with limits; see `check_limits`."""
         return check_limits(self.unit, self.accuracy, limits)
 
     def report_data(self) -> ReportData:

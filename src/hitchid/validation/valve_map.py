@@ -15,7 +15,7 @@ SETTLED_S, END_S = 3.0, 0.5  # the benchmark's speed: mean over the last 0.5 s o
 STEADY_S, SLOPE_S = 0.25, 0.12  # a command counts as constant after 0.25 s; speed over the 0.12 s before that
 RAMP_S = 0.5  # window over which the speed of a ramp is taken
 NOISE = 0.02  # share of the command's range below which a change is noise
-BINS, MIN_SAMPLES_PER_BIN = 12, 8  # points of the tests, and samples behind each
+BINS, MIN_SAMPLES_PER_BIN = 12, 8  # largest number of bins, smallest number of samples in each
 
 
 @dataclass(frozen=True)

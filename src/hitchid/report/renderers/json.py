@@ -11,5 +11,5 @@ class Json(Renderer):
     name, suffix = "json", ".json"
 
     def render(self, document: Document) -> bytes:
-        """Return the figures in the form of `metrics.json` or `comparison.json`."""
+        """Return the content of `metrics.json` or `comparison.json`."""
         return canonical_json(document.data)

@@ -26,7 +26,7 @@ class JUnit(Renderer):
 def junit_xml(checks: Sequence[Check], *, name: str = "hitchid") -> bytes:
     """Return checks as JUnit XML, one test case per check; equal checks give equal bytes.
 
-    Characters that XML 1.0 does not admit are left out; the text of a failure is that of `check_line`.
+    Characters that XML 1.0 does not permit are omitted; the text of a failure is that of `check_line`.
 
     Args:
         checks: of `check_limits`.

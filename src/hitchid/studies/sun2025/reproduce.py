@@ -83,7 +83,7 @@ def reproduce(
     """Reproduce the study: static and dynamic tests, identification, validation, tables and figures.
 
     Args:
-        out: folder to write: `logs/`, `model/`, `report.html` with its `figures/`, `data/` (CSV behind each
+        out: folder to write: `logs/`, `model/`, `report.html` with its `figures/`, `data/` (CSV of each
             figure of the paper), `metrics.json`, `tables.md` and `study.md`.
         rig: parameter set of the virtual test bench.
         plan: extent of the study; by default that of the paper.
