@@ -135,7 +135,7 @@ def _squared_error(network: Lstm, sections: tuple[Array, Array, Array]) -> tuple
 
 
 def _sections(batch: Batch) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return commands, initial displacement, travel and which samples count, cut to 2048 samples at most."""
+    """Return commands, initial displacements, travel and loss masks of sections of at most 2048 samples."""
     command, displacement = np.asarray(batch.command), np.asarray(batch.displacement)
     loss_mask, initial = np.asarray(batch.loss_mask), np.asarray(batch.initial)
     width = min(command.shape[1], SECTION_SAMPLES)
