@@ -1,6 +1,6 @@
 """Dynamics of a hitch, one sample at a time: the channel in charge, and the motion of the piston.
 
-Simulation, prediction and online use of a hitch run this step. docs/switching.md has a table of the state machine.
+Simulation, prediction and online use of a hitch run this step. docs/switching.md: state machine as a table.
 """
 
 from collections.abc import Sequence
@@ -261,7 +261,7 @@ class HitchDynamics(eqx.Module):
         )
 
     def _advance_channel(self, number: int, state: HitchState) -> HitchState:
-        """Advance a channel. Only the one in charge moves the piston; speed compensators also run before."""
+        """Advance a channel. Only the channel in charge moves the piston; before the first motion all run."""
         discrete_model, channel_state = self.discrete_models[number], state.channels[number]
         in_charge = state.mode == number
         plant, increment = discrete_model.advance(

@@ -47,7 +47,7 @@ class Estimate:
 
     @property
     def log_interval_width(self) -> float:
-        """Width of the interval: log of the ratio of its ends, if linear four times its share of the bounds."""
+        """Width of the interval: log of its ends' ratio; if linear, four times its share of the bounds."""
         lower, upper = self.interval
         if lower is None or upper is None:
             return inf

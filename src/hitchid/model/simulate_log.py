@@ -27,7 +27,6 @@ def simulate_log(
     """Write a log's columns and the displacement a model predicts for each of its rows.
 
     All columns of a text log are copied unchanged; of other formats, time and signals are written.
-
     A log with gaps is predicted section by section; rows outside the usable sections get an empty cell.
 
     Args:

@@ -59,8 +59,7 @@ class HitchState(NamedTuple):
         load: covariate before motion.
         feature_state: features of the compensator in charge.
         channels: state of each channel.
-        hidden: h and c of the network in charge, each for the current and the next window,
-            shape [2, 2, H].
+        hidden: h and c of the network in charge, for the current and the next window, shape [2, 2, H].
     """
 
     displacement: Float[Array, ""]

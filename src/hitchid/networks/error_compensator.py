@@ -48,7 +48,7 @@ class FeatureHistory(NamedTuple):
 
     Attributes:
         last_sample: the previous sample.
-        error: e(i−1); error_before: e(i−2); error_sum: Ts Σ e up to i−1.
+        error, error_before, error_sum: e(i−1), e(i−2) and Ts Σ e up to i−1.
     """
 
     last_sample: Sample
