@@ -60,6 +60,7 @@ def load(folder: str | Path) -> Hitch:
 
     Raises:
         ModelFolderError: the folder or a file is missing, was cut short or edited, or has an unknown schema.
+        InputError: `folder` is not a path.
     """
     path = checks.path(folder, "folder")
     content = _read_description(path)
@@ -80,7 +81,7 @@ def load_trace(folder: str | Path) -> dict:
     """Return the identification trace of a model folder, direction to trace; empty if saved without one.
 
     Raises:
-        ModelFolderError: as `load`.
+        ModelFolderError, InputError: as `load`.
     """
     path = checks.path(folder, "folder")
     data = _read_checked(path / TRACE_FILE, _read_description(path))

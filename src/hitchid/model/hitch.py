@@ -207,8 +207,7 @@ class Hitch:
             Displacement at every sample, in the unit of the record's displacement, shape [N].
 
         Raises:
-            InputError: a command without a channel is effective, or a unit is of another dimension than the
-                model's.
+            InputError: the record cannot be converted to the model's units, see `to_model_units`.
         """
         model_record = self.to_model_units(record)
         return self._to_record_units(
