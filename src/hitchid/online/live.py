@@ -159,7 +159,7 @@ class Live:
         return flags + self._out_of_range(sample, int(hitch_state.mode))
 
     def _out_of_range(self, sample: Sample, active_channel: int) -> list[str]:
-        """Return a flag for each signal outside the tests of the channels that may be in charge."""
+        """Return flags for commands outside their range, and a displacement outside all ranges that apply."""
         model, outside = self._model, []
         for direction, channel in model.channels.items():
             command = abs(
