@@ -1,1 +1,1 @@
-"""Models without physics that a grey box must beat: definition and fit of each in one file."""
+"""Baselines: models without physics that a grey box is compared with; one file each."""

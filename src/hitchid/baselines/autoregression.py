@@ -1,4 +1,4 @@
-"""Autoregressions: simulation and prediction by any model of travel from its own and the command's past."""
+"""Autoregressive models of travel: free run and multi-step prediction."""
 
 from abc import abstractmethod
 from collections.abc import Sequence
@@ -9,17 +9,17 @@ from jaxtyping import Float
 from hitchid.baselines.fitted import FittedBaseline
 from hitchid.structures import Batch
 
-# One test from rest: command, travel, which samples count, each of shape [N].
+# One test from rest: command, travel and loss mask, each of shape [N].
 Test = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 class Autoregression(FittedBaseline):
-    """A model of travel w (displacement away from the start) from past samples of w and of the command."""
+    """A model of travel w (displacement relative to the start) from past samples of w and of the command."""
 
     @property
     @abstractmethod
     def lag(self) -> int:
-        """The longest lag n."""
+        """Largest lag n, in samples."""
 
     @abstractmethod
     def predict_next(self, command: np.ndarray, travel: np.ndarray) -> np.ndarray:
@@ -36,7 +36,7 @@ class Autoregression(FittedBaseline):
         )
 
     def predict(self, batch: Batch, horizons: Sequence[int]) -> list[Float[np.ndarray, "t n"]]:
-        """Return displacement predicted from that measured up to h samples before, for each h."""
+        """Return the h-step-ahead predictions of displacement, for each h, shape [T, N] each."""
         travels = batch.sign * (np.asarray(batch.displacement) - np.asarray(batch.initial)[:, None])
         rows = [
             predict_ahead(self, command, travel, horizons)
@@ -46,7 +46,7 @@ class Autoregression(FittedBaseline):
 
 
 def unpadded_tests(batch: Batch) -> list[Test]:
-    """Return command, travel and which samples count of each test, without padding."""
+    """Return command, travel and loss mask of each test, without padding."""
     return [
         (np.asarray(command)[valid], np.asarray(travel)[valid], np.asarray(loss_mask)[valid])
         for command, travel, loss_mask, valid in zip(
@@ -58,12 +58,12 @@ def unpadded_tests(batch: Batch) -> list[Test]:
 def predict_ahead(
     model: Autoregression, command: np.ndarray, travel: np.ndarray, horizons: Sequence[int]
 ) -> np.ndarray:
-    """Return travel predicted from measured travel up to h samples before, zero for the first h samples.
+    """Return h-step-ahead predictions of travel, zero for the first h samples.
 
     Args:
-        model: what is iterated, from every sample at once.
-        command, travel: of one test, from rest, shape [N].
-        horizons: the h asked for, in samples.
+        model: an autoregressive model; it is iterated from all samples at once.
+        command, travel: signals of one test that starts from rest, shape [N].
+        horizons: prediction horizons h, in samples.
 
     Returns:
         Predictions, shape [len(horizons), N].

@@ -1,4 +1,4 @@
-"""One kind of baseline: its fit, and what the model folder needs to load it."""
+"""Interface of a kind of baseline: name, fit, and skeleton for loading."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -19,11 +19,11 @@ class FitContext:
     """Settings of a fit.
 
     Attributes:
-        hidden: cells of a network.
-        adam: Adam and early stopping of a training.
-        key: for random draws.
+        hidden: number of cells of an LSTM.
+        adam: settings of Adam and of early stopping.
+        key: random key for initial weights and shuffling.
         progress: called after each epoch of a training with its number, training and validation loss.
-        checkpoints: where finished pieces of a fit are kept and found again.
+        checkpoints: store for finished parts of a fit, read again when a fit is resumed.
     """
 
     hidden: int
@@ -34,7 +34,7 @@ class FitContext:
 
 
 class Baseline(ABC):
-    """One kind of baseline.
+    """A kind of baseline.
 
     Attributes:
         name: key in `metrics.json` and in the model folder, lower case.
@@ -49,13 +49,13 @@ class Baseline(ABC):
         """Fit to the tests that the compensator is trained on; None where the fit is not possible.
 
         Args:
-            training, validation: tests; the second ones select among fits.
+            training, validation: tests for the fit, and for model selection or early stopping.
             context: settings of the fit.
         """
 
     @abstractmethod
     def skeleton(self, shapes: Sizes) -> FittedBaseline:
-        """Return a fitted baseline of given shapes, whose arrays are replaced when a model is loaded.
+        """Return a fitted baseline of given shapes; loading replaces its arrays by the stored ones.
 
         Args:
             shapes: name of each stored array to its shape.

@@ -1,4 +1,4 @@
-"""A black-box LSTM from commands to speed."""
+"""Black-box LSTM from command to speed."""
 
 from collections.abc import Sequence
 
@@ -14,19 +14,19 @@ from hitchid.estimation.training import every_nth, train
 from hitchid.networks.lstm import SINGLE, Lstm
 from hitchid.structures import Batch
 
-SECTION_SAMPLES, MAX_SECTIONS = 2048, 40  # samples of a section, number of sections: bounds the training time
+SECTION_SAMPLES, MAX_SECTIONS = 2048, 40  # samples, sections; chosen: they bound the training time
 
 
 class BlackBox(FittedBaseline):
-    """LSTM from commands to speed, integrated: no physics but that displacement is the sum of its changes.
+    """LSTM from command to speed, followed by an integrator; no other physics.
 
     w(k) = σ Σ_{i<k} f(u(0) … u(i), x(0)), simulated from the start of a test.
 
     Attributes:
-        network: the LSTM, reading command and initial displacement.
-        command_scale: largest command of training, shape [].
+        network: LSTM with command and initial displacement as inputs.
+        command_scale: largest command of the training tests, shape [].
         initial_centre, initial_scale: scaling of the initial displacement, shape [].
-        change: σ, typical change of displacement in one sample, shape [].
+        change: σ, mean absolute change of travel in one sample, shape [].
     """
 
     network: Lstm
@@ -51,7 +51,7 @@ class BlackBox(FittedBaseline):
         return np.asarray(batch.initial)[:, None] + batch.sign * np.asarray(travel)
 
     def predict(self, batch: Batch, horizons: Sequence[int]) -> None:
-        """Return nothing: a simulation from the start of a test takes no measured displacement."""
+        """Return None: the model only simulates; it takes no measured displacement after the start."""
 
 
 class BlackBoxBaseline(Baseline):
@@ -62,12 +62,12 @@ class BlackBoxBaseline(Baseline):
     def fit(self, training: Batch, validation: Batch, context: FitContext) -> BlackBox:
         """Return a black-box LSTM trained on free runs from the start of each test.
 
-        Tests longer than 2048 samples are cut, each section starting from its own measured displacement; of
-        more than 40 sections every m-th is taken.
+        Tests longer than 2048 samples are cut into sections, each starting from its own measured
+        displacement; of more than 40 sections every m-th is used.
 
         Args:
             training, validation: the tests of the compensator.
-            context: size of the LSTM, settings of its training, key of initial weights and shuffling.
+            context: settings of the fit.
         """
         init_key, key = jax.random.split(context.key)
         training_sections, validation_sections = (
@@ -111,7 +111,7 @@ class BlackBoxBaseline(Baseline):
         )
 
     def skeleton(self, shapes: Sizes) -> BlackBox:
-        """Return an untrained LSTM of the stored size."""
+        """Return an untrained model with an LSTM of the stored size."""
         hidden = shapes["network/cell/weight_hh"][1]
         return BlackBox(Lstm.init(jax.random.key(0), 2, hidden), *(jnp.ones(()) for _ in range(4)))
 
@@ -123,19 +123,19 @@ def speeds(network: Lstm, inputs: Float[Array, "t n i"]) -> Float[Array, "t n"]:
 
 
 def accumulated(changes: Float[Array, "t n"]) -> Float[Array, "t n"]:
-    """Return the sum of all changes before each sample, shape [T, N]."""
+    """Return the sum of the changes before each sample, shape [T, N]."""
     return jnp.cumsum(changes, axis=1) - changes
 
 
 def _squared_error(network: Lstm, sections: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-    """Return the sum of squares of the misses, each weighted, and how many count."""
+    """Return the weighted sum of squared errors, and the number of samples with a weight."""
     inputs, travel, weight = sections
     residuals = (accumulated(speeds(network, inputs)) - travel) * weight
     return jnp.sum(residuals**2), jnp.sum(weight > 0)
 
 
 def _sections(batch: Batch) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return commands, initial displacement, travel and which samples count, cut to 2048 samples at most."""
+    """Return commands, initial displacements, travel and loss masks of sections of at most 2048 samples."""
     command, displacement = np.asarray(batch.command), np.asarray(batch.displacement)
     loss_mask, initial = np.asarray(batch.loss_mask), np.asarray(batch.initial)
     width = min(command.shape[1], SECTION_SAMPLES)

@@ -1,4 +1,4 @@
-"""What a fitted baseline provides: simulation and predictions."""
+"""Interface of a fitted baseline: free run and predictions."""
 
 from abc import abstractmethod
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ from hitchid.structures import Batch
 
 
 class FittedBaseline(eqx.Module):
-    """A baseline fitted to the tests of one direction; its arrays are stored beside the model."""
+    """A baseline fitted to the tests of one direction; its arrays are stored in the model folder."""
 
     @abstractmethod
     def free_run(self, batch: Batch) -> Float[np.ndarray, "t n"]:
@@ -19,8 +19,8 @@ class FittedBaseline(eqx.Module):
 
     @abstractmethod
     def predict(self, batch: Batch, horizons: Sequence[int]) -> list[Float[np.ndarray, "t n"]] | None:
-        """Return for each h displacement predicted from that measured up to h samples before, shape [T, N].
+        """Return the h-step-ahead predictions of displacement, for each h, shape [T, N] each.
 
-        None where the baseline only simulates. Its prediction is then the displacement measured h samples
+        None where the baseline only simulates; the caller then takes the displacement measured h samples
         before plus the simulated increment since.
         """

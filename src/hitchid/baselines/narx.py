@@ -10,22 +10,22 @@ from hitchid.baselines.autoregression import Autoregression, unpadded_tests
 from hitchid.baselines.baseline import Baseline, FitContext, Sizes
 from hitchid.structures import Batch
 
-DEGREE = 2  # factors of a term
-LAGS = (1, 2, 3, 5, 8)  # samples, tried in turn
-TERMS = (2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 25, 30)  # number of terms, tried in turn
-# Samples, from the time of a fit: rows of the regression; a validation section; all validation sections.
+DEGREE = 2  # largest degree of a term; chosen
+LAGS = (1, 2, 3, 5, 8)  # largest lags that are compared, in samples; chosen
+TERMS = (2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 25, 30)  # numbers of terms that are compared; chosen
+# Samples, chosen to bound the time of a fit: rows of the regression, one validation section, all of them.
 MAX_ROWS, SECTION_SAMPLES, MAX_VALIDATION_SAMPLES = 20_000, 10_000, 40_000
 
 
 class Narx(Autoregression):
-    """Polynomial autoregression with input on travel w (displacement away from the start).
+    """Polynomial NARX model of travel w (displacement relative to the start).
 
-    w(k) = Σₘ θₘ fₘ₁(k) fₘ₂(k) …, each factor f one of 1, w(k−i), u(k−i), i ≥ 1; w and u in their scales.
+    w(k) = Σₘ θₘ fₘ₁(k) fₘ₂(k) …, each factor f one of 1, w(k−i), u(k−i), i ≥ 1; w and u scaled.
 
     Attributes:
-        terms: factors of each term, shape [M, degree]: 0 stands for 1, i for w(k−i), −i for u(k−i).
-        coefficients: θ, of scaled travel and command, shape [M].
-        travel_scale, command_scale: what travel and command are divided by, shape [].
+        terms: factors of each term, shape [M, degree]: 0 is the constant 1, i is w(k−i), −i is u(k−i).
+        coefficients: θ, for scaled travel and command, shape [M].
+        travel_scale, command_scale: divisors of travel and command, shape [].
     """
 
     terms: np.ndarray
@@ -35,7 +35,7 @@ class Narx(Autoregression):
 
     @property
     def lag(self) -> int:
-        """The longest lag i of any factor, at least 1."""
+        """Largest lag i of any factor, in samples, at least 1."""
         return int(np.abs(self.terms).max(initial=1))
 
     def predict_next(self, command: np.ndarray, travel: np.ndarray) -> np.ndarray:
@@ -48,7 +48,7 @@ class Narx(Autoregression):
         return self.travel_scale * (total + 0.0 * scaled[0])
 
     def one_step(self, command: np.ndarray, travel: np.ndarray) -> np.ndarray:
-        """Return travel predicted from measured travel up to the sample before, from rest, shape [N]."""
+        """Return the one-step-ahead prediction of travel of a test from rest, shape [N]."""
         history = _prepend_zeros(travel / self.travel_scale, self.lag)
         first, count = self.lag, command.size
         predicted = sum(
@@ -60,22 +60,22 @@ class Narx(Autoregression):
     def simulate(self, command: np.ndarray) -> np.ndarray:
         """Return travel simulated from the command alone, from rest, shape [N].
 
-        What diverges becomes infinite or not a number, without a warning.
+        A simulation that diverges becomes infinite or NaN, without a warning.
         """
         return self.simulate_from(_prepend_zeros(command, self.lag), np.zeros(self.lag))
 
     def simulate_from(self, command: np.ndarray, past: np.ndarray) -> np.ndarray:
-        """Return travel simulated on from a measured past, shape [N]; see `simulate`.
+        """Return travel simulated from a measured past, shape [N]; see `simulate`.
 
         Args:
-            command: of the past and of what is simulated, shape [P + N].
+            command: command of the past and of the simulated samples, shape [P + N].
             past: measured travel, P ≥ `lag` samples, shape [P].
         """
         count = command.size - past.size
         gains = self._gains(command, count)
         products = tuple(gains)
         history = (past / self.travel_scale).tolist()
-        # Plain floats: for a few terms much faster than arrays, and they overflow in silence.
+        # Python floats: for a few terms much faster than arrays, and without overflow warnings.
         for row in np.reshape(list(gains.values()), (len(products), count)).T.tolist():
             total = 0.0
             for gain, lags in zip(row, products, strict=True):
@@ -86,9 +86,9 @@ class Narx(Autoregression):
         return self.travel_scale * np.array(history[past.size :])
 
     def _gains(self, command: np.ndarray, count: int) -> dict[tuple[int, ...], np.ndarray]:
-        """Return by which each product of past travels is multiplied in the last samples, shape [count].
+        """Return the factor of each product of past travels at the last `count` samples, shape [count].
 
-        A product is named by its lags; terms without past travel stand under ().
+        The key is the lags of a product, () for terms without past travel.
         """
         scaled, first = command / self.command_scale, command.size - count
         gains: dict[tuple[int, ...], np.ndarray] = {}
@@ -100,25 +100,25 @@ class Narx(Autoregression):
 
 
 class NarxBaseline(Baseline):
-    """Polynomial NARX by forward regression (FROLS of sysidentpy), where that is installed."""
+    """Polynomial NARX by forward regression (FROLS of sysidentpy, an optional dependency)."""
 
     name, title = "narx", "NARX"
 
     def fit(self, training: Batch, validation: Batch, context: FitContext) -> Narx | None:
-        """Return the NARX model whose lags and number of terms predict the validation tests best in free run.
+        """Return the NARX model with the smallest free-run error on the validation tests.
 
-        For each number of lags, candidates are all products of up to two of 1, w(k−i), u(k−i), in the order
-        of their error reduction ratio; coefficients by least squares. Each test has its own rows, from rest;
-        all rows are fitted together, of more than 20 000 every m-th. Validation tests longer than 10 000
-        samples are cut, each section starting from its measured past; of more than 40 000 samples every m-th
-        section is compared.
+        Lags and number of terms are varied. Candidate terms are all products of up to two of 1, w(k−i),
+        u(k−i), ordered by error reduction ratio; coefficients by least squares. All tests, each from rest,
+        are fitted together; of more than 20 000 rows every m-th is used. Validation tests longer than 10 000
+        samples are cut into sections, each starting from its measured past; of more than 40 000 samples every
+        m-th section is used.
 
         Args:
             training, validation: the tests of the compensator.
             context: not used; the fit is deterministic.
 
         Returns:
-            The model; None where sysidentpy is not installed, or no sample of training counts.
+            The model; None where sysidentpy is not installed or the loss mask of all training tests is empty.
 
         Source: Billings, Nonlinear System Identification (2013), chapter 3; sysidentpy 0.9.
         """
@@ -138,17 +138,17 @@ class NarxBaseline(Baseline):
         return min(models, key=lambda model: _squared_error(model, validation_segments))
 
     def skeleton(self, shapes: Sizes) -> Narx:
-        """Return a model of the stored number of terms."""
+        """Return a model of the stored number of terms, all arrays zero."""
         terms = np.zeros(shapes["terms"], dtype=np.int64)
         return Narx(terms, np.zeros(shapes["coefficients"]), np.zeros(()), np.zeros(()))
 
 
 class _TestSegment(NamedTuple):
-    """Part of a test, with its past in front.
+    """Section of a test, preceded by its past.
 
     Attributes:
-        command, travel: of the past and the part, shape [P + N]; the past of a test is rest.
-        loss_mask: which samples of the part count, shape [N].
+        command, travel: signals of the past and the section, shape [P + N]; before a test all zero.
+        loss_mask: samples of the section that errors are taken over, shape [N].
     """
 
     command: np.ndarray
@@ -159,7 +159,7 @@ class _TestSegment(NamedTuple):
 def _candidates(
     segments: list[_TestSegment], lags: int, scales: tuple[np.ndarray, np.ndarray]
 ) -> Iterator[Narx]:
-    """Yield models of one number of lags, from few to many terms."""
+    """Yield the models of one largest lag, from few to many terms."""
     from sysidentpy.basis_function import Polynomial  # pyright: ignore[reportMissingImports]
     from sysidentpy.model_structure_selection import FROLS  # pyright: ignore[reportMissingImports]
 
@@ -167,8 +167,8 @@ def _candidates(
     rows, target = _regression(segments, lags, scales, method)
     terms = _terms(method.regressor_space(1))
     max_terms = min(TERMS[-1], terms.shape[0], target.size - 1)
-    with np.errstate(all="ignore"):  # columns that depend on each other leave nothing to divide by
-        # The method leaves out as many targets as there are lags; rows here need none.
+    with np.errstate(all="ignore"):  # linearly dependent columns give a division by zero
+        # FROLS drops as many targets as there are lags; the padding keeps all targets of these rows.
         _, order, _ = method.error_reduction_ratio(rows, np.pad(target, (lags, 0))[:, None], max_terms)
     for size in dict.fromkeys(min(size, max_terms) for size in TERMS):
         selected_terms = order[:size]
@@ -179,10 +179,10 @@ def _candidates(
 def _regression(
     segments: list[_TestSegment], lags: int, scales: tuple[np.ndarray, np.ndarray], method: Any
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return every candidate term at every sample that counts, shape [K, C], and its travel, shape [K].
+    """Return candidate terms at all samples of the loss mask, shape [K, C], and their travel, shape [K].
 
-    Rows whose smallest lagged value is largest come first: the Householder reflections of sysidentpy 0.9 go
-    wrong where the first entry of a column is exactly zero, as commands are at rest.
+    Rows are sorted by their smallest lagged value, largest first: the Householder reflections of sysidentpy
+    0.9 fail where the first entry of a column is exactly zero, as commands are at rest.
     """
     from sysidentpy.utils.information_matrix import (  # pyright: ignore[reportMissingImports]
         build_lagged_matrix,
@@ -204,7 +204,7 @@ def _regression(
 
 
 def _terms(codes: np.ndarray) -> np.ndarray:
-    """Return sysidentpy's codes (1000 + i for w(k−i), 2000 + i for u(k−i)) as `Narx` has them."""
+    """Convert sysidentpy's codes (1000 + i for w(k−i), 2000 + i for u(k−i)) to those of `Narx`."""
     return np.where(codes > 2000, 2000 - codes, np.where(codes > 1000, codes - 1000, 0)).astype(np.int64)
 
 
@@ -220,7 +220,7 @@ def _squared_error(model: Narx, segments: list[_TestSegment]) -> float:
 
 
 def _segments(batch: Batch, *, longest: int | None) -> list[_TestSegment]:
-    """Return the parts of all tests that have samples that count, each with the longest past in front."""
+    """Return the sections of all tests with a non-empty loss mask, each preceded by the longest past."""
     segments = []
     max_lag = LAGS[-1]
     for command, travel, loss_mask in unpadded_tests(batch):
@@ -233,14 +233,14 @@ def _segments(batch: Batch, *, longest: int | None) -> list[_TestSegment]:
 
 
 def _decimate(segments: list[_TestSegment]) -> list[_TestSegment]:
-    """Return every m-th section, so that no more than 40 000 samples are left."""
+    """Return every m-th section, so that at most about 40 000 samples remain."""
     return segments[
         :: max(1, -(-sum(segment.loss_mask.size for segment in segments) // MAX_VALIDATION_SAMPLES))
     ]
 
 
 def _scale(samples: list[np.ndarray]) -> np.ndarray:
-    """Return the largest value of all, shape []."""
+    """Return the largest absolute value, 1 where all are zero, shape []."""
     return np.array(max(float(np.abs(array).max()) for array in samples) or 1.0)
 
 

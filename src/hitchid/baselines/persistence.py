@@ -1,4 +1,4 @@
-"""Persistence: the displacement stays what was measured last."""
+"""Persistence baseline: the last measured displacement is the prediction."""
 
 from collections.abc import Sequence
 
@@ -10,10 +10,10 @@ from hitchid.structures import Batch
 
 
 class Persistence(FittedBaseline):
-    """y(k) = y(k−h); from the start of a test y(k) = y(0). It has nothing to fit and is not stored."""
+    """y(k) = y(k−h); in free run y(k) = y(0). It has no parameters and is not stored."""
 
     def free_run(self, batch: Batch) -> Float[np.ndarray, "t n"]:
-        """Return the initial displacement throughout, shape [T, N]."""
+        """Return the initial displacement at every sample, shape [T, N]."""
         return np.broadcast_to(np.asarray(batch.initial)[:, None], batch.command.shape)
 
     def predict(self, batch: Batch, horizons: Sequence[int]) -> list[Float[np.ndarray, "t n"]]:
@@ -23,5 +23,5 @@ class Persistence(FittedBaseline):
 
 
 def delayed(rows: Float[np.ndarray, "t n"], samples: int) -> Float[np.ndarray, "t n"]:
-    """Return rows so many samples later; the first samples stay."""
+    """Return rows delayed by a number of samples; the first samples are not changed."""
     return np.concatenate([rows[:, :samples], rows[:, :-samples]], axis=1)

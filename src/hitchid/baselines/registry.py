@@ -1,4 +1,4 @@
-"""The baselines that are fitted beside a channel; another one is one file and one line here."""
+"""Registry of the baselines that are fitted for each channel; a new one is one file and one line here."""
 
 from collections.abc import Mapping
 
@@ -13,10 +13,10 @@ BASELINES = (ArxBaseline(), NarxBaseline(), BlackBoxBaseline())
 
 
 def all_baselines() -> Mapping[str, Baseline]:
-    """Return name to baseline: those of this package, then those that other packages register.
+    """Return name to baseline: those of this package, then those of the entry points `hitchid.baselines`.
 
     Raises:
-        InputError: a registered baseline cannot be imported, is none, or its name is taken.
+        InputError: an entry point cannot be imported, is not a `Baseline`, or its name is taken.
     """
     return with_extensions("hitchid.baselines", BASELINES, kind=Baseline, name=lambda baseline: baseline.name)
 
@@ -25,7 +25,7 @@ def baseline_named(name: str) -> Baseline:
     """Return the baseline of a name.
 
     Raises:
-        InputError: no installed package has one of that name.
+        InputError: no baseline has that name, or as `all_baselines`.
     """
     baselines = all_baselines()
     if name not in baselines:

@@ -1,4 +1,4 @@
-"""The identified plant: channels, the hitch they make up, and its folder on disk."""
+"""Identified models: channel, hitch, their uncertainty, and the model folder."""
 
 from hitchid.model.artifact import load as load
 from hitchid.model.artifact import load_trace as load_trace

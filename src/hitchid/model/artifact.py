@@ -1,4 +1,4 @@
-"""A model as a folder: `model.json` (canonical JSON), tensors of the model and of baselines, `trace.json`."""
+"""Model folder: `model.json` (canonical JSON), tensors of model and baselines, `trace.json`."""
 
 import json
 from collections.abc import Mapping
@@ -24,16 +24,16 @@ TRACE_FILE = "trace.json"
 def save(
     hitch: Hitch, folder: str | Path, *, trace: Mapping[str, object] | None = None, force: bool = False
 ) -> None:
-    """Write a model folder, whole or not at all.
+    """Write a model folder atomically.
 
     Args:
         hitch: the model.
-        folder: where to; must not exist unless `force`.
-        trace: search and training traces, as JSON can hold them.
+        folder: folder to write; must not exist unless `force`.
+        trace: search and training traces as content for JSON.
         force: replace an existing model folder.
 
     Raises:
-        InputError: the model is of another type.
+        InputError: `hitch` is not a `Hitch`, or `folder` not a path.
         OutputError: the folder exists, or cannot be written.
     """
     checks.instance(hitch, Hitch, "model", "a model as hitchid.load returns it")
@@ -56,10 +56,11 @@ def save(
 
 @double_precision
 def load(folder: str | Path) -> Hitch:
-    """Read a model folder, checking schema and digests.
+    """Read a model folder; schema and digests are checked.
 
     Raises:
-        ModelFolderError: the folder or a file is missing, was cut short or edited, or is of a newer schema.
+        ModelFolderError: the folder or a file is missing, was cut short or edited, or has an unknown schema.
+        InputError: `folder` is not a path.
     """
     path = checks.path(folder, "folder")
     content = _read_description(path)
@@ -72,15 +73,15 @@ def load(folder: str | Path) -> Hitch:
     try:
         tensors = {name: array for data in stored for name, array in load_tensors(data).items()}
         return read_hitch(*migrate(content, tensors))
-    except Exception as error:  # whoever edits a description can put its digest right, too
+    except Exception as error:  # an edited description may come with a recomputed digest
         raise ModelFolderError(f"{path}: cannot be understood: {error!r}") from error
 
 
 def load_trace(folder: str | Path) -> dict:
-    """Return how a model in a folder was identified, direction to trace; empty where it was saved without.
+    """Return the identification trace of a model folder, direction to trace; empty if saved without one.
 
     Raises:
-        ModelFolderError: as `load`.
+        ModelFolderError, InputError: as `load`.
     """
     path = checks.path(folder, "folder")
     data = _read_checked(path / TRACE_FILE, _read_description(path))
@@ -115,7 +116,7 @@ def _read_description(folder: Path) -> dict:
 
 def _read(path: Path, required: str) -> bytes:
     try:
-        if inside_folder(path).exists() and not path.is_file():  # a pipe would be waited for
+        if inside_folder(path).exists() and not path.is_file():  # reading a pipe would block
             raise ModelFolderError(f"{path}: cannot be read: it is not a file; required {required}")
         return path.read_bytes()
     except OSError as error:

@@ -1,4 +1,4 @@
-"""Bands around predictions: the record of what they are made of."""
+"""Bands around predictions: their record, and the half width from it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from hitchid.errors import InputError
 
 
 class Band(NamedTuple):
-    """Between what displacement is expected, in the record's unit, each of shape [N]."""
+    """Lower and upper limit of the expected displacement, in the record's unit, each of shape [N]."""
 
     lower: np.ndarray
     upper: np.ndarray
@@ -20,12 +20,12 @@ class Band(NamedTuple):
 
 @dataclass(frozen=True)
 class EnsembleMember:
-    """A perturbed channel that is about as likely as the identified one.
+    """Perturbation of a channel with about the likelihood of the identified one.
 
     Attributes:
-        benchmark: parameters of the structure, dead time, and curves where there are any, in one row.
-        network: index of the one network that corrects the free run; None for all together.
-        weight: factor on its deviation.
+        benchmark: parameters of the structure, dead time, and nonlinearity where there is one, in one row.
+        network: index of the only network that corrects the free run; None for the mean of all.
+        weight: factor on the deviation of its free run.
     """
 
     benchmark: tuple[float, ...]
@@ -37,17 +37,17 @@ class EnsembleMember:
 class Bands:
     """Bands around a channel's predictions.
 
-    In free run its half width is √(z² n² + q² Σ w² (y_a − y)²): n the noise of the sensor and z its normal
-    quantile, y_a the free runs of the ensemble and w their weights, q found from tests that were held out.
+    In free run the half width is √(z² n² + q² Σ w² (y_a − y)²): n is the noise of the sensor, z its normal
+    quantile, y_a the free runs of the ensemble, w their weights, and q a factor from held-out tests.
 
     Attributes:
         ensemble: perturbed channels.
         noise: standard deviation of the sensor's noise, in the displacement's unit.
-        levels: shares of samples that bands may be asked to cover, ascending.
-        free_run: q for each of them.
-        horizons: samples looked ahead, ascending.
+        levels: coverages for which there are bands, shares of samples, ascending.
+        free_run: q for each level.
+        horizons: prediction horizons, in samples, ascending.
         half_widths: half width for each horizon and level, in the displacement's unit.
-        tests: held-out tests they were found from, for free run and for looking ahead.
+        tests: number of held-out tests for the bands in free run, and for those of predictions.
     """
 
     ensemble: tuple[EnsembleMember, ...]
@@ -59,18 +59,18 @@ class Bands:
     tests: tuple[int, int]
 
     def multiplier(self, coverage: float) -> float:
-        """Return q for a share of samples, interpolated between the levels.
+        """Return q for a coverage, interpolated between the levels.
 
         Raises:
-            InputError: the share lies beyond the levels.
+            InputError: the coverage is outside the levels.
         """
         return float(np.interp(self._checked_coverage(coverage), self.levels, self.free_run))
 
     def half_width(self, coverage: float, horizon: int) -> float:
-        """Return the half width so many samples ahead, interpolated between horizons and levels.
+        """Return the half width at a prediction horizon, interpolated between horizons and levels.
 
         Raises:
-            InputError: the share lies beyond the levels.
+            InputError: the coverage is outside the levels.
         """
         by_level = [np.interp(self._checked_coverage(coverage), self.levels, row) for row in self.half_widths]
         return float(np.interp(np.log(horizon), np.log(self.horizons), by_level))
@@ -86,15 +86,15 @@ class Bands:
 def free_run_half_width(bands: Sequence[Bands], spreads: Sequence[np.ndarray], coverage: float) -> np.ndarray:
     """Return the half width of the band around a free run, in the displacement's unit.
 
-    √(z² n² + Σ q² s²), the sum over channels; n is the largest noise of them.
+    √(z² n² + Σ q² s²), the sum over channels; n is the largest noise of any channel.
 
     Args:
-        bands: of each channel.
+        bands: bands of each channel.
         spreads: s = √(Σ w² (y_a − y)²) of each channel's ensemble at each sample.
-        coverage: share of samples.
+        coverage: share of samples within the band.
 
     Raises:
-        InputError: the share lies beyond the levels.
+        InputError: the coverage is outside the levels of a channel.
     """
     floor = float(ndtri(0.5 + coverage / 2)) * max(channel_bands.noise for channel_bands in bands)
     pairs = zip(bands, spreads, strict=True)

@@ -1,4 +1,4 @@
-"""One direction of a hitch: dead zone, benchmark, compensators."""
+"""Model of one direction of a hitch: dead zone, benchmark, compensators."""
 
 from collections.abc import Mapping, Sequence
 
@@ -20,18 +20,18 @@ RECORDS = 'records as hitchid.read("logs").records holds them'
 
 
 class Channel(eqx.Module):
-    """A grey box for one direction: a benchmark, a compensator for predictions and one for free run.
+    """Grey-box model of one direction: benchmark, compensator for predictions, compensator for free run.
 
     Attributes:
-        direction: lifting or lowering, whose command drives it.
+        direction: direction of the command, lifting or lowering.
         sign: +1 where the displacement grows with the command, −1 where it falls.
         dead_zone: dead zone of the command, in its unit.
-        end_stop: displacement the piston cannot pass, in the displacement's unit; None where none was met.
+        end_stop: mechanical end of the stroke, in the displacement's unit; None where none was met.
         benchmark: the model from commands to displacement.
         operating_range: ranges of the signals in the identification tests.
         compensator: predicts the benchmark's error from measured displacement; None for no correction.
         speed_compensator: corrects the benchmark in free run; None where it was not accepted.
-        limits: displacements a free run is held between; None in models of older versions.
+        limits: limits of the displacement in free run; None in models of older versions.
     """
 
     direction: str = eqx.field(static=True)
@@ -78,9 +78,9 @@ class Channel(eqx.Module):
 
     @double_precision
     def simulate_closed_loop(self, batch: Batch) -> Float[Array, "t n"]:
-        """Return the free run with the compensator for predictions fed back its own output, shape [T, N].
+        """Return the free run with the compensator for predictions in closed loop, shape [T, N].
 
-        This is the free run of the method of Sun et al. 2025.
+        Its own output replaces the measured displacement; this is the free run of Sun et al. 2025.
         """
         benchmark = self.simulate_benchmark(batch)
         if self.compensator is None:
@@ -95,10 +95,10 @@ class Channel(eqx.Module):
 
         Args:
             batch: the simulated tests.
-            displacement: the result, shape [T, N].
+            displacement: simulated displacement, shape [T, N].
 
         Returns:
-            `command`, `displacement` and `load` to whether each sample lies outside, shape [T, N].
+            `command`, `displacement` and `load` to a mask of the samples outside, shape [T, N] each.
         """
         signals = {
             "command": jnp.abs(batch.command),
@@ -111,7 +111,7 @@ class Channel(eqx.Module):
         }
 
     def _to_displacement(self, batch: Batch, travel: Float[Array, "t n"]) -> Float[Array, "t n"]:
-        """Return the displacement that belongs to a travel, no farther than the end stop and the limits."""
+        """Return the displacement of a travel, clipped to the end stop and the limits."""
         if self.end_stop is not None:
             max_travel = jnp.maximum(self.sign * (self.end_stop - batch.initial), 0.0)
             travel = jnp.minimum(travel, max_travel[:, None])
@@ -120,13 +120,13 @@ class Channel(eqx.Module):
 
     @double_precision
     def predict(self, batch: Batch, horizons: tuple[int, ...]) -> Float[Array, "h t n"]:
-        """Return predictions that may use the measured displacement up to h samples before.
+        """Return the h-step-ahead predictions, from displacement measured up to h samples before.
 
         Near the start of a test, sample k < h is predicted from the initial displacement.
 
         Args:
             batch: tests.
-            horizons: the h, in samples.
+            horizons: prediction horizons h, in samples.
 
         Returns:
             Predictions, shape [len(horizons), T, N].

@@ -1,4 +1,4 @@
-"""A channel as JSON and tensors, and back."""
+"""Conversion between a channel and JSON and tensors."""
 
 from dataclasses import fields
 from typing import Any
@@ -26,13 +26,13 @@ _TRAINED = ("compensator", "speed_compensator", "operating_range")
 
 
 def channel_tensors(channel: Channel, prefix: str) -> dict[str, np.ndarray]:
-    """Return every array of the trained parts, `prefix/part/path`."""
+    """Return the arrays of the trained parts, `prefix/part/path`."""
     parts = [tensors_of(getattr(channel, component), f"{prefix}/{component}") for component in _TRAINED]
     return {name: array for component in parts for name, array in component.items()}
 
 
 def describe_channel(channel: Channel) -> dict[str, object]:
-    """Return all of a channel but its trained arrays, as JSON can hold it."""
+    """Return the channel without its trained arrays as content for JSON."""
     benchmark, curves = channel.benchmark, channel.benchmark.nonlinearity
     compensator, speed = channel.compensator, channel.speed_compensator
     return {
@@ -72,7 +72,7 @@ def read_channel(direction: str, described: dict[str, Any], tensors: Tensors, pr
 
     Raises:
         ValueError, KeyError, TypeError: the description or the tensors are not those of a channel.
-        InputError: no installed package has its structure.
+        InputError: its structure is not installed.
     """
     structure = structure_named(described["structure"])
     if len(described["values"]) != len(structure.parameters):

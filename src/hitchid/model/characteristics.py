@@ -1,11 +1,12 @@
-"""What the operator of a plant wants to know of one direction: speed at each command, dead zone, delay."""
+"""Operating characteristics of one direction: speed map, dead zone, opening, delay, response time."""
 
 from dataclasses import dataclass, replace
 
 from hitchid.model.estimates import Interval, Quantity
 
+# Error up to which a speed is determined, as a share of it and of the fastest speed of the map; chosen.
 SPEED_TOLERANCE, FASTEST_SPEED_TOLERANCE = 0.25, 0.05
-TIME_RESOLUTION_SAMPLES = 2
+TIME_RESOLUTION_SAMPLES = 2  # samples: an interval of a delay up to this width is determined; chosen
 
 
 @dataclass(frozen=True)
@@ -14,9 +15,9 @@ class SpeedPoint:
 
     Attributes:
         command: size of the command as logged.
-        load: the covariate before motion; None where the form has none.
-        speed: the way the command drives, displacement's unit per s.
-        interval: 95 %; None for an end that the tests do not give.
+        load: the covariate before motion; None where the model has none.
+        speed: positive in the direction of the command, in the displacement's unit per s.
+        interval: 95 % interval; None for an end that the tests do not determine.
         determined: whether both ends lie within a quarter of the speed, or within a twentieth of the
             fastest one of the map.
     """
@@ -31,7 +32,7 @@ class SpeedPoint:
     def of(
         cls, command: float, load: float | None, speed: float, interval: Interval, fastest: float
     ) -> "SpeedPoint":
-        """Judge by its interval whether a speed is determined; `fastest` is the fastest of the map."""
+        """Create a point, determined or not by its interval; `fastest` is the fastest speed of the map."""
         lower, upper = interval
         tolerance = max(SPEED_TOLERANCE * speed, FASTEST_SPEED_TOLERANCE * fastest)
         determined = (
@@ -40,7 +41,7 @@ class SpeedPoint:
         return cls(command, load, speed, interval, determined)
 
     def scaled(self, factor: float) -> "SpeedPoint":
-        """Return it with a factor on the gain."""
+        """Return the point with a factor on the gain."""
         lower, upper = self.interval
         scaled_interval = None if lower is None else factor * lower, None if upper is None else factor * upper
         return replace(self, speed=factor * self.speed, interval=scaled_interval)
@@ -48,7 +49,7 @@ class SpeedPoint:
 
 @dataclass(frozen=True)
 class MeasuredSpeed:
-    """Mean speed of an identification test around mid stroke while its command stood at one level.
+    """Mean speed of an identification test around mid stroke at a constant command.
 
     Attributes:
         command, load, speed: as in `SpeedPoint`, measured.
@@ -61,19 +62,19 @@ class MeasuredSpeed:
 
 @dataclass(frozen=True)
 class Characteristics:
-    """Operating characteristics of one direction, derived from the fitted form.
+    """Operating characteristics of one direction, derived from the fitted model.
 
     Attributes:
-        command_unit, speed_unit: of all commands and speeds.
-        load: name of the covariate; None where the form has none.
-        dead_zone: of the command, from ramps or tests, or as it was given.
-        opening: the command at which flow begins, where the form has a valve curve.
-        level: the command of the steps that delay and response time are told for.
-        delay: from a step of the command at rest until the speed reaches 5 % of its final value, s; None
-            where the form has neither dead time nor lag.
-        response_time: from the step until it reaches 63.2 %, delay included, s; None likewise.
+        command_unit, speed_unit: units of all commands and speeds.
+        load: name of the covariate; None where the model has none.
+        dead_zone: dead zone of the command, from ramps or tests, or as given.
+        opening: command at which flow begins; None where the model has no valve curve.
+        level: size of the command step for delay and response time.
+        delay: time from a command step at rest until the speed reaches 5 % of its final value, s; None
+            where the model has neither dead time nor lag.
+        response_time: the same until 63.2 %, delay included, s; None likewise.
         speed_map: steady speed at mid stroke at each level, for each load.
-        measured: what identification tests that stood at one level long enough show.
+        measured: speeds measured in identification tests with a long enough constant command.
     """
 
     command_unit: str
@@ -88,5 +89,5 @@ class Characteristics:
     measured: tuple[MeasuredSpeed, ...]
 
     def scaled(self, factor: float) -> "Characteristics":
-        """Return them with a factor on the gain; what was measured stays."""
+        """Return the characteristics with a factor on the gain; measured speeds are not changed."""
         return replace(self, speed_map=tuple(point.scaled(factor) for point in self.speed_map))

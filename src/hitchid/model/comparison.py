@@ -1,4 +1,4 @@
-"""What was fitted to the tests of one direction for comparison only; nothing of it is deployed."""
+"""Models fitted to the tests of one direction for comparison only; none of them is deployed."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -11,14 +11,14 @@ from hitchid.model.limits import TravelLimits
 
 @dataclass(frozen=True)
 class SearchSummary:
-    """How one global search of the parameters went from several seeds.
+    """Summary of one global search of the parameters, run from several seeds.
 
     Attributes:
         name: name of the search.
         rmse: final root mean square error of each run, in the displacement's unit; None for a failed run.
-        evaluations, failures: of each run, simulations of all tests, and how many were not finite.
-        median_rmse: best error so far of the run with the median result, an entry an iteration.
-        median_values: the parameters that gave it, an entry an iteration.
+        evaluations, failures: number of simulations of all tests in each run, and of those not finite.
+        median_rmse: smallest RMSE so far of the run with the median result, for each iteration.
+        median_values: parameters with that RMSE, for each iteration.
     """
 
     name: str
@@ -29,18 +29,18 @@ class SearchSummary:
     median_values: tuple[tuple[float, ...], ...]
 
     def scaled(self, factor: float) -> "SearchSummary":
-        """Return the summary with the errors in another unit of displacement."""
+        """Return the summary with a factor on the errors, for another unit of displacement."""
         return replace(self, rmse=_scaled(self.rmse, factor), median_rmse=_scaled(self.median_rmse, factor))
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """What was fitted to the same tests as a channel, for comparison.
+    """Models fitted to the same tests as a channel, for comparison.
 
     Attributes:
         baselines: name to fitted baseline.
-        paper: the method of Sun et al. 2025: a transfer function, and a compensator that in free run takes
-            its own predictions as measurements; None where not fitted, or where the channel is that.
+        paper: model of Sun et al. 2025: a transfer function, and a compensator in closed loop on its own
+            predictions in free run; None where not fitted, or where the channel itself is this model.
         paper_estimates: estimates of the parameters of its transfer function; None likewise.
         searches: summaries of the global searches that were compared; empty where none were.
     """
@@ -51,7 +51,7 @@ class Comparison:
     searches: tuple[SearchSummary, ...] = ()
 
     def with_limits(self, limits: TravelLimits | None) -> "Comparison":
-        """Return the comparison with the paper's method held within the limits of the plant."""
+        """Return the comparison with the paper's model limited to the limits of the plant."""
         return self if self.paper is None else replace(self, paper=replace(self.paper, limits=limits))
 
 

@@ -1,4 +1,4 @@
-"""Records on a model's clock and in its units, and displacements back on the record's."""
+"""Conversion of records to a model's clock and units, and of displacements back."""
 
 from collections.abc import Mapping, Sequence
 
@@ -13,7 +13,7 @@ from hitchid.model.channel import Channel
 from hitchid.model.free_run import InitialCondition
 from hitchid.structures import mean_before_motion
 
-MAX_CLOCK_SHIFT = 0.05  # share of a sampling time that two clocks may differ over a whole record
+MAX_CLOCK_SHIFT = 0.05  # share of a sampling time that two clocks may differ over a whole record; chosen
 
 
 def to_model_units(
@@ -44,7 +44,7 @@ def to_model_units(
 def to_record_units(
     displacement: np.ndarray, units: Mapping[str, str], model_record: Record, record: Record
 ) -> np.ndarray:
-    """Return a displacement on the record's clock and in its unit, from the model's."""
+    """Return a displacement of the model on the record's clock and in its unit."""
     factor = conversion_factor(units[DISPLACEMENT], record.unit, record.name)
     if model_record.step_s != record.step_s:
         displacement = np.interp(record.time_s, model_record.time_s, displacement)
@@ -52,7 +52,7 @@ def to_record_units(
 
 
 def initial_condition(record: Record, channels: Mapping[str, Channel]) -> InitialCondition:
-    """Return displacement and load before a record: the means before any command becomes effective."""
+    """Return displacement and covariate before motion: means before any command is effective."""
     effective = np.zeros(len(record))
     for direction, channel in channels.items():
         if direction in record.directions:

@@ -1,4 +1,4 @@
-"""A model as JSON and tensors, and back; what is fitted for comparison only has its own tensors."""
+"""Conversion between a model and JSON and tensors; models for comparison have separate tensors."""
 
 from dataclasses import asdict
 from typing import Any
@@ -23,7 +23,7 @@ _SEARCHES = TypeAdapter(tuple[SearchSummary, ...])
 
 
 def describe(hitch: Hitch) -> dict[str, object]:
-    """Return all of a model but its trained arrays, as JSON can hold it."""
+    """Return the model without its trained arrays as content for JSON."""
     provenance = hitch.provenance
     return {
         "schema": SCHEMA,
@@ -52,13 +52,13 @@ def describe(hitch: Hitch) -> dict[str, object]:
 
 
 def deployed_tensors(hitch: Hitch) -> dict[str, np.ndarray]:
-    """Return every array of the channels, `direction/part/path`."""
+    """Return the arrays of the channels, `direction/part/path`."""
     parts = [channel_tensors(channel, direction) for direction, channel in hitch.channels.items()]
     return {name: array for component in parts for name, array in component.items()}
 
 
 def comparison_tensors(hitch: Hitch) -> dict[str, np.ndarray]:
-    """Return every array fitted for comparison, `direction/baselines/…` and `direction/paper/…`."""
+    """Return the arrays of the models for comparison, `direction/baselines/…` and `direction/paper/…`."""
     tensors = {}
     for direction, comparison in hitch.comparison.items():
         for name, fitted in comparison.baselines.items():
@@ -73,7 +73,7 @@ def read_hitch(content: dict[str, Any], tensors: Tensors) -> Hitch:
 
     Raises:
         ValueError, KeyError, TypeError: the description or the tensors are not those of a model.
-        InputError: no installed package has a structure or a baseline of the model.
+        InputError: a structure or a baseline of the model is not installed.
     """
     two_modes = content["two_modes"]
     provenance = Provenance(
@@ -120,7 +120,7 @@ def _describe_comparison(comparison: Comparison) -> dict[str, object]:
 
 
 def _read_comparison(direction: str, described: dict[str, Any], tensors: Tensors) -> Comparison:
-    # Not at the top: fits import global searches and optimisers, a deployed model needs none of them.
+    # Imported here: baselines import global searches and optimisers, which a deployed model does not need.
     from hitchid.baselines.registry import baseline_named
 
     baselines = {}

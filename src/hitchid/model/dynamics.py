@@ -1,6 +1,6 @@
-"""The hitch one sample at a time: which channel is in charge, and how it moves the piston.
+"""Dynamics of a hitch, one sample at a time: the channel in charge, and the motion of the piston.
 
-The one definition of a hitch's motion. docs/switching.md has the state machine as a table.
+Simulation, prediction and online use of a hitch run this step. docs/switching.md: state machine as a table.
 """
 
 from collections.abc import Sequence
@@ -21,15 +21,15 @@ from hitchid.networks.error_compensator import FeatureState, Sample
 from hitchid.networks.lstm import SINGLE
 from hitchid.structures import DiscretePhysicalModel, ValveState
 
-STANDING = -1  # index of the channel in charge while nothing has moved yet
-MAX_MAGNITUDE = 1e9  # a command or displacement beyond it, in its unit, is taken as missing
+STANDING = -1  # `HitchState.mode` before the first effective command: no channel in charge
+MAX_MAGNITUDE = 1e9  # a command or displacement beyond it, in its unit, is taken as missing; chosen
 
 
 class HitchDynamics(eqx.Module):
-    """A hitch on its clock.
+    """Discrete-time dynamics of a hitch.
 
     Attributes:
-        channels: in the order of `DIRECTIONS`.
+        channels: channels in the order of `DIRECTIONS`.
         discrete_models: their benchmarks, discretised.
         drift: speed of a piston that is held, displacement's unit/s.
         step_s: sampling time, s.
@@ -42,17 +42,17 @@ class HitchDynamics(eqx.Module):
 
     @classmethod
     def of(cls, channels: Sequence[Channel], step_s: float, drift: float) -> "HitchDynamics":
-        """Discretise channels at a sampling time."""
+        """Return the dynamics of channels, their benchmarks discretised at a sampling time."""
         return cls(
             tuple(channels), tuple(_discrete_model(channel, step_s) for channel in channels), drift, step_s
         )
 
     def standing_state(self, displacement: float = 0.0, load: float = 0.0) -> HitchState:
-        """Return the state of a hitch that stands, its valves shut."""
+        """Return the state of a hitch at rest with closed valves, from numbers."""
         return self.init_state(jnp.asarray(float(displacement)), jnp.asarray(float(load)))
 
     def init_state(self, displacement: Float[Array, ""], load: Float[Array, ""]) -> HitchState:
-        """Return the state of a hitch that stands, its valves shut."""
+        """Return the state of a hitch at rest with closed valves."""
         zero = jnp.zeros(())
         false = jnp.zeros((), jnp.bool_)
         return HitchState(
@@ -78,12 +78,12 @@ class HitchDynamics(eqx.Module):
     def step(
         self, state: HitchState, commands: Float[Array, "2"], measured: Float[Array, ""]
     ) -> tuple[HitchState, Float[Array, ""]]:
-        """Return the state one sample later, and the displacement then.
+        """Return the state and the displacement at the next sample.
 
         Args:
-            state: at this sample.
-            commands: lifting and lowering command, held until the next sample; where one is not finite the
-                last one stands.
+            state: state at this sample.
+            commands: lifting and lowering command, constant until the next sample; one that is not finite
+                keeps its last value.
             measured: displacement at this sample; not finite where it was not measured.
         """
         next_state, network_input = self.advance_physics(state, commands, measured)
@@ -93,7 +93,7 @@ class HitchDynamics(eqx.Module):
     def advance_physics(
         self, state: HitchState, commands: Float[Array, "2"], measured: Float[Array, ""]
     ) -> tuple[HitchState, NetworkInput]:
-        """Do all of a step but the network's part; see `step` and `advance_network`."""
+        """Return the next state without the network's prediction, and its inputs; see `advance_network`."""
         command_valid = jnp.abs(commands) < MAX_MAGNITUDE
         commands = jnp.where(command_valid, commands, state.commands)
         is_measured = jnp.abs(measured) < MAX_MAGNITUDE
@@ -108,7 +108,7 @@ class HitchDynamics(eqx.Module):
         demands = [valve.motion_demand[-1] for valve in valves]
         mode = state.mode
         for number, demand in enumerate(demands):
-            # Where both valves demand motion, the last direction counts: lowering.
+            # If both valves demand motion, the last direction takes precedence: lowering.
             mode = jnp.where(demand, number, mode)
         next_state = self._with_measurement(state, measured, is_measured)._replace(
             mode=mode,
@@ -149,7 +149,7 @@ class HitchDynamics(eqx.Module):
     def _with_measurement(
         self, state: HitchState, measured: Float[Array, ""], is_measured: Bool[Array, ""]
     ) -> HitchState:
-        """Return the state with the error of the benchmark and the samples since the last measurement."""
+        """Return the state with error and samples since measurement updated by a measured displacement."""
         count = state.samples_since_measurement
         error = measured - clip_at_end_stops(self.channels, state, state.benchmark)
         return state._replace(
@@ -160,10 +160,10 @@ class HitchDynamics(eqx.Module):
     def advance_network(
         self, hidden: Float32[Array, "2 2 h"], network_input: NetworkInput
     ) -> tuple[Float32[Array, "2 2 h"], Float[Array, ""], Float[Array, ""]]:
-        """Return the error predicted by the network of the channel in charge.
+        """Predict the error by the network of the channel in charge.
 
         Returns:
-            The network's state, the error, and the displacement at the next sample.
+            State of the network, predicted error and displacement, all at the next sample.
         """
         predictors = [partial(predict_increment, channel.compensator) for channel in self.channels]
         hidden, increment = jax.lax.switch(network_input.channel_index, predictors, hidden, network_input)
@@ -175,7 +175,7 @@ class HitchDynamics(eqx.Module):
         )
 
     def zero_lstm_state(self) -> Float32[Array, "2 2 h"]:
-        """Return the zero state of a network, wide enough for any channel's."""
+        """Return the zero state of a network, of the largest size of all channels."""
         sizes = [
             channel.compensator.network.cell.hidden_size
             for channel in self.channels
@@ -184,7 +184,7 @@ class HitchDynamics(eqx.Module):
         return jnp.zeros((2, 2, max(sizes, default=0)), SINGLE)
 
     def _clip_at_limits(self, state: HitchState) -> HitchState:
-        """Hold the benchmark and the free run within the limits of the plant."""
+        """Clip benchmark and free run to the limits of the plant."""
         limits = self.channels[0].limits
         if limits is None:
             return state
@@ -194,7 +194,7 @@ class HitchDynamics(eqx.Module):
         )
 
     def _apply_drift(self, state: HitchState, is_held: Bool[Array, ""]) -> HitchState:
-        """Apply the drift of a held piston, from the end stop if it stands there."""
+        """Apply the drift of a held piston, starting from the end stop if it is beyond one."""
         if not self.drift:
             return state
         drift_travel = self.drift * self.step_s
@@ -214,7 +214,7 @@ class HitchDynamics(eqx.Module):
         speed: Float[Array, ""],
         load: Float[Array, ""],
     ) -> ChannelState:
-        """Return a channel that takes charge at a displacement and a speed."""
+        """Return the state of a channel that takes charge at a displacement and a speed."""
         channel = self.channels[number]
         correction = None
         if channel.speed_compensator is not None:
@@ -225,7 +225,7 @@ class HitchDynamics(eqx.Module):
         return ChannelState(valve, plant, jnp.asarray(0), correction)
 
     def _speed(self, mode: Int[Array, ""], state: HitchState) -> Float[Array, ""]:
-        """Return the speed of the piston; none where it is at an end stop or a limit of the plant."""
+        """Return the speed of the piston; zero at an end stop or a limit of the plant."""
         speed = jnp.zeros(())
         inside = clip_at_end_stops(self.channels, state, state.benchmark) == state.benchmark
         limits = self.channels[0].limits
@@ -248,7 +248,7 @@ class HitchDynamics(eqx.Module):
         displacement: Float[Array, ""],
         speed: Float[Array, ""],
     ) -> HitchState:
-        """Start a channel that takes charge at the plant's displacement and speed."""
+        """Initialise a channel that takes charge at the plant's displacement and speed."""
         channel_state = state.channels[number]
         initial_state = self._init_channel(number, channel_state.valve, displacement, speed, state.load)
         new_state = select(entering, initial_state, channel_state)
@@ -261,7 +261,7 @@ class HitchDynamics(eqx.Module):
         )
 
     def _advance_channel(self, number: int, state: HitchState) -> HitchState:
-        """Move the piston by a channel in charge; its speed compensator advances at standstill too."""
+        """Advance a channel. Only the channel in charge moves the piston; before the first motion all run."""
         discrete_model, channel_state = self.discrete_models[number], state.channels[number]
         in_charge = state.mode == number
         plant, increment = discrete_model.advance(
@@ -290,7 +290,7 @@ class HitchDynamics(eqx.Module):
         increment: Float[Array, ""],
         state: HitchState,
     ) -> tuple[SpeedCompensatorState | None, Float[Array, ""]]:
-        """Return the factor on the benchmark's speed; at a block's start the networks read the last block."""
+        """Return compensator state and speed factor; at the start of a block the networks advance."""
         channel, correction = self.channels[number], channel_state.correction
         compensator = channel.speed_compensator
         if compensator is None or correction is None:
@@ -317,7 +317,7 @@ class HitchDynamics(eqx.Module):
 
 
 def _replace_item(items: tuple, index: int, item: object) -> tuple:
-    """Return a tuple with one part in another's place."""
+    """Return a tuple with the item at an index replaced."""
     return (*items[:index], item, *items[index + 1 :])
 
 

@@ -1,4 +1,4 @@
-"""Perturbed channels, and how far their free runs deviate from that of the identified one."""
+"""Ensemble of perturbed channels, and the spread of its free runs around that of the model."""
 
 from collections.abc import Sequence
 
@@ -17,7 +17,7 @@ from hitchid.structures import Batch
 
 
 def perturbed_channel(channel: Channel, member: EnsembleMember) -> Channel:
-    """Return a channel with the benchmark of an ensemble member, and in free run with its network alone."""
+    """Return a channel with benchmark and free-run network of an ensemble member."""
     row = jnp.asarray(member.benchmark)
     perturbed = eqx.tree_at(
         lambda tree: tree.benchmark, channel, channel.benchmark.with_parameter_vector(row)
@@ -25,7 +25,7 @@ def perturbed_channel(channel: Channel, member: EnsembleMember) -> Channel:
     if member.network is None or channel.speed_compensator is None:
         return perturbed
     networks = channel.speed_compensator.networks
-    # As many as before, all alike: their mean is the one, and no program is compiled anew.
+    # M copies of one network: their mean is its output, and the shapes stay, so nothing is recompiled.
     repeated_network = jax.tree.map(
         lambda leaf: jnp.asarray(np.broadcast_to(np.asarray(leaf)[member.network], leaf.shape)), networks
     )
@@ -35,11 +35,11 @@ def perturbed_channel(channel: Channel, member: EnsembleMember) -> Channel:
 def ensemble_deviations(
     channel: Channel, members: Sequence[EnsembleMember], batch: Batch
 ) -> tuple[Float[np.ndarray, "t n"], Float[np.ndarray, "a t n"]]:
-    """Return a channel's free run, and the deviations of its ensemble from it, times their weights.
+    """Return a channel's free run, and the weighted deviations of its ensemble from it.
 
     Args:
-        channel: of the model.
-        members: of its ensemble.
+        channel: channel of the model.
+        members: members of its ensemble.
         batch: tests.
     """
     simulated = np.asarray(channel.simulate(batch))
@@ -59,12 +59,12 @@ def hitch_half_width(
     """Return the half width of the band around the free run of a hitch, in the model's unit, shape [N].
 
     Args:
-        dynamics: of the hitch in free run.
-        bands: of each channel.
+        dynamics: dynamics of the hitch in free run.
+        bands: bands of each channel.
         record: on the model's clock and in its units.
-        initial: where the free run starts.
-        run: the free run.
-        coverage: share of samples.
+        initial: initial condition of the free run.
+        run: free run of the record.
+        coverage: share of samples within the band.
     """
     members, weights, owners = [], [], []
     for number, (channel, channel_bands) in enumerate(zip(dynamics.channels, bands, strict=True)):

@@ -1,4 +1,4 @@
-"""The compensator for predictions in a hitch: features, and the increment of the predicted error."""
+"""Error compensator in a hitch: features, and the increment of the predicted error."""
 
 from collections.abc import Sequence
 from typing import TypeVar
@@ -13,16 +13,16 @@ from hitchid.networks.error_compensator import FEATURES, Compensator, FeatureSta
 from hitchid.networks.lstm import SINGLE, LstmState
 
 Tree = TypeVar("Tree")
-# Samples without a measurement after which no error is predicted; 1 s at 100 Hz, ten windows of a prediction.
+# Samples without a measurement after which the error is kept constant; chosen: 1 s at 100 Hz.
 MAX_COASTING_SAMPLES = 100
 
 
 def compute_features(
     channels: Sequence[Channel], state: HitchState, reset: Bool[Array, ""], step_s: float
 ) -> tuple[HitchState, Float32[Array, "10"], Float[Array, ""]]:
-    """Return the state with new features of the channel in charge, those scaled, and the trust in them.
+    """Return the state with new features of the channel in charge, the scaled features, and their trust.
 
-    The trust is zero where no displacement was measured in the last samples.
+    The trust is zero without a measured displacement in the last `MAX_COASTING_SAMPLES`.
     """
     recent = (state.samples_since_measurement >= 0) & (state.samples_since_measurement < MAX_COASTING_SAMPLES)
     selected = state.feature_state, jnp.zeros(len(FEATURES), SINGLE), jnp.zeros(())
@@ -46,7 +46,7 @@ def compute_features(
 def predict_increment(
     compensator: Compensator | None, hidden: Float32[Array, "2 2 h"], network_input: NetworkInput
 ) -> tuple[Float32[Array, "2 2 h"], Float[Array, ""]]:
-    """Return a network's state, and the step the error takes to the next sample."""
+    """Return the next state of a network, and the increment of the error to the next sample."""
     if compensator is None:
         return hidden, jnp.zeros(())
     size = compensator.network.cell.hidden_size
@@ -60,7 +60,7 @@ def predict_increment(
 def clip_at_end_stops(
     channels: Sequence[Channel], state: HitchState, displacement: Float[Array, ""]
 ) -> Float[Array, ""]:
-    """Return a displacement no farther than the end stops, or than the stroke's start beyond them."""
+    """Return a displacement clipped to the end stops, or to the start of a stroke that begins beyond them."""
     for channel in channels:
         if channel.end_stop is not None:
             farther = jnp.maximum if channel.sign > 0 else jnp.minimum
@@ -70,5 +70,5 @@ def clip_at_end_stops(
 
 
 def select(condition: Bool[Array, ""], new: Tree, old: Tree) -> Tree:
-    """Return one of two states of one structure."""
+    """Return the new state where the condition holds, otherwise the old one; both of one structure."""
     return jax.tree.map(lambda new_leaf, old_leaf: jnp.where(condition, new_leaf, old_leaf), new, old)

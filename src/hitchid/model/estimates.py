@@ -1,4 +1,4 @@
-"""What is known of the parameters of one direction: estimates, intervals, verdicts; one frozen record."""
+"""Parameter estimates of one direction: values, intervals, verdicts."""
 
 from dataclasses import dataclass, replace
 from math import inf, log
@@ -6,27 +6,27 @@ from math import inf, log
 import numpy as np
 
 Interval = tuple[float | None, float | None]
-MAX_INTERVAL_RATIO = 3.0
+MAX_INTERVAL_RATIO = 3.0  # largest upper/lower end of the interval of a determined quantity; chosen
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """One parameter as found, and how well.
+    """Estimate of one parameter and its uncertainty.
 
     Attributes:
-        name, symbol, unit: as in the structure, the unit in the log's units.
+        name, symbol, unit: as in the structure, in the log's units.
         value: the estimate.
-        error: standard error, residuals of one test taken as correlated; None where it is at a bound.
-        interval: 95 % interval; None for an end that the tests do not give.
-        method: how the interval was found, `Gauss-Newton` or `profile`.
-        bootstrap: 95 % interval from tests drawn anew; None where the parameter is at a bound.
+        error: standard error for correlated residuals within a test; None for a parameter at a bound.
+        interval: 95 % interval; None for an end that the tests do not determine.
+        method: method of the interval, `Gauss-Newton` or `profile`.
+        bootstrap: 95 % interval by resampling of tests; None for a parameter at a bound.
         lower, upper: bounds of the search.
-        linear: whether the search runs between the bounds as they are, not their logarithms.
+        linear: whether the search scale between the bounds is linear; otherwise logarithmic.
         determined: whether the interval is closed and narrow.
-        verdict: the finding in words.
-        sensitivity: mean relative change of the RMSE for ±1 % of it (Sun et al. 2025, sec. 3.1.1).
-        profile: RMSE with this parameter held and all others fitted, as pairs of value and RMSE; empty
-            where the interval did not ask for it.
+        verdict: sentence on how well the parameter is determined.
+        sensitivity: mean relative change of the RMSE for ±1 % of the value (Sun et al. 2025, sec. 3.1.1).
+        profile: pairs of fixed value and RMSE with all other parameters fitted; empty where no profile
+            was computed.
     """
 
     name: str
@@ -47,14 +47,14 @@ class Estimate:
 
     @property
     def log_interval_width(self) -> float:
-        """How wide the interval is: log of its ends' ratio, around zero four times its share of the room."""
+        """Width of the interval: log of its ends' ratio; if linear, four times its share of the bounds."""
         lower, upper = self.interval
         if lower is None or upper is None:
             return inf
         return 4 * (upper - lower) / (self.upper - self.lower) if self.linear else log(upper / lower)
 
     def scaled(self, factor: float) -> "Estimate":
-        """Return it multiplied by a factor."""
+        """Return the estimate multiplied by a factor."""
         return replace(
             self,
             value=factor * self.value,
@@ -73,12 +73,12 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Quantity:
-    """What follows from the parameters: a lag, a bandwidth, the coefficients of the paper.
+    """Quantity derived from the parameters: a lag, a bandwidth, a coefficient of the paper.
 
     Attributes:
-        name, unit: in the log's units.
-        value: at the estimate.
-        interval: 95 % interval, carried over from the parameters; None for an end that is not given.
+        name, unit: name, and unit in the log's units.
+        value: value at the estimate.
+        interval: 95 % interval propagated from the parameters; None for an end that is not determined.
         determined: whether the interval is closed and narrow.
     """
 
@@ -89,20 +89,20 @@ class Quantity:
     determined: bool
 
     def scaled(self, factor: float) -> "Quantity":
-        """Return it in another scale."""
+        """Return the quantity multiplied by a factor."""
         return replace(self, value=factor * self.value, interval=_scale_interval(self.interval, factor))
 
 
 @dataclass(frozen=True)
 class Estimates:
-    """What the identification tests say of the parameters of one direction.
+    """Parameter estimates of one direction from the identification tests.
 
     Attributes:
-        parameters: each of them.
-        derived: what follows from them.
-        correlation: of the estimates, in their order; zero for one at a bound.
-        tests: how many there were.
-        rows: what was taken as independent: tests, or where they are few their stretches.
+        parameters: estimate of each parameter.
+        derived: quantities derived from the parameters.
+        correlation: correlation matrix of the estimates, in their order; zero for one at a bound.
+        tests: number of tests.
+        rows: number of blocks taken as independent: tests, or sections of them where they are few.
     """
 
     parameters: tuple[Estimate, ...]
@@ -112,7 +112,7 @@ class Estimates:
     rows: int
 
     def scaled(self, name: str, factor: float) -> "Estimates":
-        """Return them with one parameter multiplied by a factor, without the derived quantities."""
+        """Return the estimates with one parameter multiplied by a factor, without derived quantities."""
         parameters = [
             estimate.scaled(factor) if estimate.name == name else estimate for estimate in self.parameters
         ]
@@ -120,11 +120,11 @@ class Estimates:
 
 
 def make_quantity(name: str, unit: str, value: float, interval: Interval, resolution: float) -> Quantity:
-    """Return a quantity, determined where its interval is closed and within a factor of three, or fine.
+    """Return a quantity; determined if its interval is closed, and within a factor of three or narrow.
 
     Args:
         name, unit, value, interval: see `Quantity`.
-        resolution: a width that is fine whatever the value, in the unit.
+        resolution: width up to which an interval is narrow at any value, in the unit.
     """
     lower, upper = interval
     narrow = (

@@ -1,4 +1,4 @@
-"""Where a free run leaves the operating range of the identification tests, in words."""
+"""Warnings where a free run leaves the operating range of the identification tests."""
 
 from collections.abc import Mapping
 
@@ -13,12 +13,12 @@ from hitchid.model.free_run import FreeRun
 def warnings(
     channels: Mapping[str, Channel], units: Mapping[str, str], record: Record, run: FreeRun
 ) -> tuple[str, ...]:
-    """Return a sentence for each signal that leaves its range, and for each limit that holds the free run.
+    """Return a sentence for each signal outside its range, and for each limit that clips the free run.
 
     Args:
-        channels, units: of the model.
+        channels, units: channels and units of the model.
         record: on the model's clock and in its units.
-        run: its free run.
+        run: free run of the record.
     """
     displacement, active_channel = run
     sentences = []
@@ -43,7 +43,7 @@ def warnings(
 
 
 def describe_range(channel: Channel, units: Mapping[str, str], name: str) -> str:
-    """Return the range of `command`, `displacement` or `load` in the identification tests, in words."""
+    """Return the range of `command`, `displacement` or `load` in the identification tests as text."""
     load = channel.benchmark.covariate or ""
     role = {"command": COMMAND[channel.direction], "displacement": DISPLACEMENT, "load": load}[name]
     signal_range = getattr(channel.operating_range, name)

@@ -1,4 +1,4 @@
-"""The free run of a hitch over a whole record, and its predictions ahead of every sample."""
+"""Free run and multi-step predictions of a hitch over a whole record."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -14,7 +14,7 @@ from hitchid.model.dynamics import HitchDynamics
 from hitchid.model.state import HitchState
 from hitchid.structures import padded_length
 
-ORIGINS_PER_BATCH = 64  # predictions advanced at the same time: their state fits a processor's cache
+ORIGINS_PER_BATCH = 64  # predictions advanced at the same time; chosen: their states fit the cache
 
 
 class FreeRun(NamedTuple):
@@ -22,8 +22,8 @@ class FreeRun(NamedTuple):
 
     Attributes:
         displacement: at every sample, shape [N].
-        active_channel: place of the channel in charge from each sample to the next, −1 while none is yet,
-            shape [N].
+        active_channel: index of the channel in charge from each sample to the next, −1 before the first
+            effective command, shape [N].
     """
 
     displacement: Float[np.ndarray, " n"]
@@ -31,7 +31,7 @@ class FreeRun(NamedTuple):
 
 
 class InitialCondition(NamedTuple):
-    """A hitch at rest before a record: displacement and second measured input, in the model's units."""
+    """Displacement and covariate of a hitch at rest before a record, in the model's units."""
 
     displacement: float
     load: float
@@ -61,7 +61,7 @@ def ensemble_free_runs(
 def multi_step_predictions(
     dynamics: HitchDynamics, record: Record, initial: InitialCondition, horizons: Sequence[int], stride: int
 ) -> list[Float[np.ndarray, " n"]]:
-    """Return for each horizon every sample predicted from so many before; see `Hitch.predictions`."""
+    """Return the predictions of all samples for each horizon; see `Hitch.predictions`."""
     count = len(record)
     longest = min(max(horizons), count)
     commands, measured = (
@@ -77,7 +77,7 @@ def multi_step_predictions(
 
 
 def commands_of(record: Record) -> Float[np.ndarray, "n 2"]:
-    """Return lifting and lowering command, zero where there is none, shape [N, 2]."""
+    """Return lifting and lowering command, zero for a direction without one, shape [N, 2]."""
     zeros = np.zeros(len(record))
     return np.stack(
         [record.command(direction) if direction in record.directions else zeros for direction in DIRECTIONS],
@@ -86,7 +86,7 @@ def commands_of(record: Record) -> Float[np.ndarray, "n 2"]:
 
 
 def pad_with_nan(samples: np.ndarray, extra: int) -> Array:
-    """Return samples with NaN behind them, so many at least and up to a length for which programs exist."""
+    """Append at least `extra` NaN, up to a length for which the functions are compiled already."""
     width = padded_length(len(samples) + extra)
     padding = ((0, width - len(samples)), *((0, 0) for _ in samples.shape[1:]))
     return jnp.asarray(np.pad(samples, padding, constant_values=np.nan))
@@ -96,7 +96,7 @@ def pad_with_nan(samples: np.ndarray, extra: int) -> Array:
 def simulate_free_run(
     dynamics: HitchDynamics, initial: Float[Array, "2"], commands: Float[Array, "n 2"]
 ) -> tuple[Float[Array, " n"], Int[Array, " n"]]:
-    """Return displacement after each sample without measurements, and the channel in charge meanwhile."""
+    """Return displacement after each sample without measurements, and the channel in charge until then."""
 
     def advance(state: HitchState, command: Array) -> tuple[HitchState, tuple[Array, Array]]:
         state, displacement = dynamics.step(state, command, jnp.asarray(jnp.nan))
@@ -108,7 +108,7 @@ def simulate_free_run(
 def simulate_ensemble(
     members: Sequence[HitchDynamics], initial: Float[Array, "2"], commands: Float[Array, "n 2"]
 ) -> Float[np.ndarray, "m n"]:
-    """Return displacement after each sample for several hitches; one call for each structure."""
+    """Return displacement after each sample for several hitches; one compiled call for each structure."""
     groups: dict[object, list[int]] = {}
     for number, dynamics in enumerate(members):
         groups.setdefault(jax.tree.structure(dynamics), []).append(number)
@@ -133,9 +133,9 @@ def predict_from_origins(
     horizon: int,
     stride: int,
 ) -> Float[Array, "h m"]:
-    """Return the displacement h = 1 … horizon samples after samples that have so many behind them.
+    """Return the displacement h = 1 … horizon samples after every `stride`-th sample, shape [horizon, M].
 
-    Origins go side by side in groups of one size: that fills a processor's arithmetic and fits its cache.
+    Origins are processed in groups of `ORIGINS_PER_BATCH`: vectorised, and small enough for the cache.
     """
     count = commands.shape[0] - horizon + 1
 
@@ -166,7 +166,7 @@ def predict_from_origins(
 def align_predictions(
     predictions_ahead: np.ndarray, initial: float, horizon: int, count: int, stride: int
 ) -> np.ndarray:
-    """Return the prediction of samples from `horizon` before, of the first ones from sample 0."""
+    """Return each sample predicted from `horizon` samples before, the first ones from sample 0."""
     first = np.concatenate([[initial], predictions_ahead[: horizon - 1, 0]])[:count]
     later = np.full(count - first.size, np.nan)
     later[::stride] = predictions_ahead[horizon - 1, : later[::stride].size]

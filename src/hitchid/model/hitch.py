@@ -1,4 +1,4 @@
-"""The whole plant: one channel a direction, switched by the commands."""
+"""Model of the whole plant: one channel for each direction, switched by the commands."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -33,17 +33,17 @@ from hitchid.model.uncertainty import Uncertainty
 
 @dataclass(frozen=True)
 class Hitch:
-    """A dual-mode grey box, or one with a single channel.
+    """Grey-box model of a hitch with one channel for each direction, or with a single channel.
 
     Attributes:
         channels: direction to channel.
         step_s: sampling time, s.
-        units: role to unit; what goes in and comes out of `simulate` is in these or converted to them.
-        provenance: where the model comes from.
+        units: role to unit of the model; records in other units are converted.
+        provenance: tests, settings and versions of the identification.
         drift: speed of a piston that is held, in the displacement's unit/s.
-        two_modes: whether the plant needs two modes; None where that could not be tested.
+        two_modes: test for two modes; None where it was not possible.
         uncertainty: direction to the uncertainty of its channel; empty where it was not computed.
-        comparison: direction to what was fitted to the same tests for comparison only.
+        comparison: direction to the models fitted to the same tests for comparison only.
     """
 
     channels: Mapping[str, Channel]
@@ -56,7 +56,7 @@ class Hitch:
     comparison: Mapping[str, Comparison] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Freeze the mappings, channels in the order of `DIRECTIONS`."""
+        """Make channels and units read-only, and sort channels in the order of `DIRECTIONS`."""
         ordered = {
             direction: self.channels[direction] for direction in DIRECTIONS if direction in self.channels
         }
@@ -65,12 +65,12 @@ class Hitch:
 
     @double_precision
     def extrapolation(self, record: Record) -> tuple[str, ...]:
-        """Return a sentence for each way a free run leaves the operating range of the identification tests.
+        """Return a sentence for each signal of a free run outside the operating range of the tests.
 
-        More than a tenth of a range outside, the free run is that of the benchmark alone.
+        More than a tenth of a range outside, the free run is that of the benchmark without compensator.
 
         Args:
-            record: as `simulate` takes it.
+            record: as in `simulate`.
 
         Raises:
             InputError: as `simulate`.
@@ -80,21 +80,21 @@ class Hitch:
 
     @property
     def limits(self) -> TravelLimits | None:
-        """Between what displacements a free run is held; None in models that know no limits."""
+        """Limits of the displacement in free run; None in a model without limits."""
         return next((channel.limits for channel in self.channels.values()), None)
 
     def describe_range(self, direction: str, name: str) -> str:
-        """Return the range of a signal in the identification tests of a direction, in words.
+        """Return the range of a signal in the identification tests of a direction as text.
 
         Args:
-            direction: of a channel.
+            direction: direction of a channel.
             name: `command`, `displacement` or `load`.
         """
         return extrapolation.describe_range(self.channels[direction], self.units, name)
 
     @property
     def dead_zones(self) -> dict[str, float]:
-        """Direction to dead zone, in the command's unit."""
+        """Direction to dead zone of its command, in the command's unit."""
         return {direction: channel.dead_zone for direction, channel in self.channels.items()}
 
     def command_thresholds(self, units: Mapping[str, str]) -> dict[str, CommandThreshold]:
@@ -140,11 +140,11 @@ class Hitch:
 
     @double_precision
     def init_state(self, displacement: float, load: float = 0.0) -> Packed:
-        """Return the state of a hitch at rest, its valves shut.
+        """Return the state of a hitch at rest with closed valves.
 
         Args:
-            displacement: in the model's unit.
-            load: second measured input before motion, in its unit, where a channel has one.
+            displacement: initial displacement, in the model's unit.
+            load: covariate before motion, in the model's unit, where a channel has one.
 
         Raises:
             InputError: a value is not finite, or beyond 1e9.
@@ -159,16 +159,16 @@ class Hitch:
     def step(
         self, state: Packed, commands: ArrayLike | Sequence[ArrayLike], measured: ArrayLike | None = None
     ) -> tuple[Packed, Array]:
-        """Return the state one sampling time later, and the displacement then: y(k+1) from c(k) and y(k).
+        """Return state and displacement one sampling time later: y(k+1) from c(k) and y(k).
 
-        Pure, and may be traced by `jax.jit`. Missing inputs are bridged: a command that is not finite
-        keeps its last value, and without a measured displacement the model goes on from its own.
+        A pure function that `jax.jit` can trace. A command that is not finite keeps its last value; without
+        a measured displacement the model continues from its own output.
 
         Args:
-            state: from `init_state` or an earlier step; `unpack_state` returns its content.
-            commands: lifting and lowering command over the coming interval, in the model's unit, shape [2];
-                that of a direction without a channel is ignored. A model of one channel also takes its
-                command alone, shape [1].
+            state: state from `init_state` or an earlier step; see `unpack_state`.
+            commands: lifting and lowering command until the next sample, in the model's unit, shape [2]; that
+                of a direction without a channel is ignored. A model of one channel also accepts its command
+                alone, shape [1].
             measured: displacement now, in the model's unit; None or NaN where there is none.
 
         Returns:
@@ -184,7 +184,7 @@ class Hitch:
             return functions.step(state, inputs)
 
     def unpack_state(self, state: Packed) -> HitchState:
-        """Return the content of a state: displacement, channel in charge, missing inputs.
+        """Return a packed state as a record: displacement, channel in charge, missing inputs.
 
         Raises:
             InputError: the state is not of this model.
@@ -197,18 +197,17 @@ class Hitch:
     def simulate(self, record: Record, *, compensated: bool = True) -> np.ndarray:
         """Return the free run: displacement from the commands and the initial displacement alone.
 
-        One `step` a sample; see there, and docs/switching.md for the change of direction.
+        One `step` for each sample; docs/switching.md describes the change of direction.
 
         Args:
-            record: supplies commands, and displacement for the mean of the first samples before motion.
-            compensated: False leaves the compensators out.
+            record: commands, and displacement, of which only the mean before motion is used.
+            compensated: False for a simulation without compensators.
 
         Returns:
             Displacement at every sample, in the unit of the record's displacement, shape [N].
 
         Raises:
-            InputError: a command without a channel is effective, or a unit is of another dimension than the
-                model's.
+            InputError: the record cannot be converted to the model's units, see `to_model_units`.
         """
         model_record = self.to_model_units(record)
         return self._to_record_units(
@@ -216,20 +215,19 @@ class Hitch:
         )
 
     def predict(self, record: Record, *, horizon: int = 1) -> np.ndarray:
-        """Return each sample predicted from the displacement measured `horizon` samples before and earlier.
+        """Return the prediction of each sample from displacement measured up to `horizon` samples before.
 
-        The first `horizon` samples are predicted from the first one. Commands are known throughout.
+        The first `horizon` samples are predicted from the first one. All commands are taken as known.
 
         Args:
-            record: supplies commands and displacement.
-            horizon: samples to look ahead, at least 1.
+            record: commands and displacement.
+            horizon: prediction horizon, in samples, at least 1.
 
         Returns:
             Displacement at every sample, in the unit of the record's displacement, shape [N].
 
         Raises:
             InputError: the horizon is below 1, or as `simulate`.
-            InputError: a unit is of another dimension than the model's.
         """
         return self.predictions(record, (horizon,))[0]
 
@@ -238,8 +236,11 @@ class Hitch:
         """Return `predict` for several horizons at once, shape [H, N].
 
         Args:
-            record, horizons: as `predict` takes them.
-            stride: predict from one sample in so many; what is not predicted is NaN.
+            record, horizons: record and several horizons, as in `predict`.
+            stride: only every `stride`-th sample is predicted; the others are NaN.
+
+        Raises:
+            InputError: there is no horizon, a horizon or the stride is below 1, or as `simulate`.
         """
         horizons = [checks.integer(horizon, "horizon", minimum=1) for horizon in horizons]
         if not horizons:
@@ -252,30 +253,29 @@ class Hitch:
 
     @double_precision
     def free_run(self, record: Record, *, compensated: bool = True) -> FreeRun:
-        """Return the free run of a record, and which channel is in charge.
+        """Return the free run of a record, and the channel in charge at each sample.
 
         Args:
             record: on the model's clock and in its units; see `to_model_units`.
-            compensated: False leaves the compensators out.
+            compensated: False for a simulation without compensators.
         """
         initial = conversion.initial_condition(record, self.channels)
         return free_run(self._free_run_dynamics(compensated=compensated), record, initial)
 
     @double_precision
     def band(self, record: Record, *, coverage: float = 0.9, horizon: int | None = None) -> Band:
-        """Return the band that holds the measured displacement for a share of the samples of a test.
+        """Return the band that contains the measured displacement for a share of the samples of a test.
 
         In free run the half width is √(z² n² + Σ q² w² (y_a − y)²), the sum over the ensembles of all
-        channels; see `Bands`. Looking ahead it is that of the channel in charge.
+        channels; see `Bands`. For predictions it is that of the channel in charge.
 
         Args:
-            record: as `simulate` takes it, or with a horizon as `predict` does.
+            record: as in `simulate`, or with a horizon as in `predict`.
             coverage: share of samples, 0.5 to 0.95.
-            horizon: samples to look ahead; None for free run.
+            horizon: prediction horizon, in samples; None for free run.
 
         Raises:
-            InputError: the model has no bands, the share lies beyond them, or as `simulate`.
-            InputError: a unit is of another dimension than the model's.
+            InputError: the model has no bands or none for this coverage, or as `simulate`.
         """
         checks.number(coverage, "coverage")
         bands = self._bands
@@ -326,8 +326,8 @@ class Hitch:
         """Return a record on the model's clock and in the model's units.
 
         Raises:
-            InputError: the record has no command for any channel, an effective one without a channel, or a
-                unit of another dimension than the model's.
+            InputError: the record has no command of any channel, an effective command without a channel, or
+                a unit of another dimension than the model's.
         """
         return conversion.to_model_units(record, tuple(self.channels), self.units, self.step_s)
 

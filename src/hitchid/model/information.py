@@ -1,24 +1,24 @@
-"""Fisher information of the identification tests, with correlated errors: the record."""
+"""Record of the Fisher information of the identification tests, for correlated errors."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class Information:
-    """Fisher information of the identification tests about the parameters that do not lie at a bound.
+    """Fisher information of the identification tests, for the parameters that are not at a bound.
 
-    Parameters are positions between the bounds of the search, 0 the lower and 1 the upper one.
+    Parameters are scaled to positions between the bounds of the search, 0 the lower and 1 the upper one.
 
     Attributes:
         names: names of these parameters.
-        slopes: dθ/dposition of each.
+        slopes: dθ/dposition of each parameter.
         curvature: H = Σ Jₜᵀ Jₜ.
         score_covariance: S = Σ gₜ gₜᵀ over tests; the covariance of the estimates is H⁻¹ S H⁻¹.
-        dead_zone_covariance: what the error of the dead zone adds to it, independent of the number of tests.
-        autocovariance: of the errors, at multiples of the block size.
+        dead_zone_covariance: added to it for the error of the dead zone; independent of the number of tests.
+        autocovariance: autocovariance of the errors at multiples of the block size.
         block_size: samples between two lags of the autocovariance.
-        per_test_gain: whether the fit had a gain factor for each test, which takes up information.
-        tests, samples: number of tests, and samples in the mean one.
+        per_test_gain: whether the fit had a gain factor for each test, which reduces the information.
+        tests, samples: number of tests, and mean number of samples of a test.
     """
 
     names: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""The range of a plant's displacement: mechanical stops, or what logs have shown and a tenth more."""
+"""Limits of the displacement: mechanical stops, or the range of the logs plus a tenth of it."""
 
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple
@@ -9,17 +9,17 @@ from jaxtyping import Array, Bool, Float
 
 from hitchid.data.record import Record
 
-MARGIN = 0.1
-ROUNDING = 1e-9
+MARGIN = 0.1  # share of the range of the logs: distance of a limit that is no stop; chosen
+ROUNDING = 1e-9  # share of the distance between the limits: tolerance for rounding errors
 
 
 class TravelLimits(NamedTuple):
-    """Between what displacements a free run is held, in the displacement's unit.
+    """Limits of the displacement in free run.
 
     Attributes:
-        lower, upper: the limits.
-        lower_stop, upper_stop: whether the logs have shown a mechanical stop there; otherwise the limit lies
-            a tenth of the range of the logs beyond what they have shown.
+        lower, upper: the limits, in the displacement's unit.
+        lower_stop, upper_stop: whether the limit is a mechanical stop found in the logs; otherwise it lies a
+            tenth of the range of the logs beyond that range.
     """
 
     lower: float
@@ -29,11 +29,11 @@ class TravelLimits(NamedTuple):
 
     @classmethod
     def of(cls, records: Iterable[Record], end_stops: Mapping[int, float]) -> "TravelLimits":
-        """Return the limits that logs have shown.
+        """Return the limits found in logs.
 
         Args:
             records: the logs of the identification.
-            end_stops: direction (+1, −1) to the displacement at which it met a stop, where it did.
+            end_stops: sign of the motion (+1, −1) to the displacement of the stop, where one was met.
         """
         ranges = [
             (float(np.min(record.displacement)), float(np.max(record.displacement))) for record in records
@@ -48,25 +48,25 @@ class TravelLimits(NamedTuple):
         )
 
     def clip(self, displacement: Float[Array, "*b"], start: Float[Array, "*#b"]) -> Float[Array, "*b"]:
-        """Return displacements within the limits, or within the start of a run that begins beyond them."""
+        """Return displacements clipped to the limits, or to the start of a run that begins beyond them."""
         return jnp.clip(displacement, jnp.minimum(self.lower, start), jnp.maximum(self.upper, start))
 
     def is_inside(self, displacement: Float[Array, "*b"], start: Float[Array, "*#b"]) -> Bool[Array, "*b"]:
-        """Tell where displacements are not held, of a run that begins at `start`."""
+        """Return where displacements are inside the limits of a run that begins at `start`."""
         return (displacement > jnp.minimum(self.lower, start)) & (
             displacement < jnp.maximum(self.upper, start)
         )
 
     def at_soft_limit(self, displacement: Float[np.ndarray, "*b"]) -> np.ndarray:
-        """Tell where displacements are at a limit that is no stop, or beyond it; shape as given."""
-        # Conversion to another unit and back rounds.
+        """Return where displacements are at or beyond a limit that is no mechanical stop."""
+        # Rounding errors from conversion to another unit and back.
         tolerance = ROUNDING * (self.upper - self.lower)
         low = displacement <= self.lower + tolerance
         high = displacement >= self.upper - tolerance
         return (low & (not self.lower_stop)) | (high & (not self.upper_stop))
 
     def sentence(self, unit: str) -> str:
-        """Return the limits in words."""
+        """Return a sentence that states the limits."""
         ends = [
             f"{value:.4g} {unit} ({'a mechanical stop' if stop else 'a tenth of the range beyond the logs'})"
             for value, stop in ((self.lower, self.lower_stop), (self.upper, self.upper_stop))

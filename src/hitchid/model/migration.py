@@ -1,4 +1,4 @@
-"""Model folders of earlier schemas, brought to the present one."""
+"""Migration of model folders from earlier schemas to the present one."""
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
@@ -9,21 +9,21 @@ import numpy as np
 Description = dict[str, Any]
 Tensors = dict[str, np.ndarray]
 Stored = tuple[Description, Tensors]
-SCHEMA = 6
+SCHEMA = 6  # version of the layout of a model folder
 
 
 def _with_hold(content: Description, tensors: Tensors) -> Stored:
-    """Schema 4 has the drift of a held piston, and the test of two modes."""
+    """Schema 4 adds the drift of a held piston, and the test of two modes."""
     return {**content, "drift": 0.0, "two_modes": None}, tensors
 
 
 def _with_uncertainty(content: Description, tensors: Tensors) -> Stored:
-    """Schema 5 has the uncertainty of each channel."""
+    """Schema 5 adds the uncertainty of each channel."""
     return {**content, "uncertainty": {}}, tensors
 
 
 def _with_comparison(content: Description, tensors: Tensors) -> Stored:
-    """Schema 6 has what was fitted for comparison beside the channels, and an operating range in each."""
+    """Schema 6 separates the models for comparison and adds an operating range to each channel."""
     channels = content["channels"]
     comparison = {
         direction: _comparison(channel, content["uncertainty"].get(direction, {}))
@@ -129,16 +129,16 @@ def _renamed(described: Description, **names: str) -> Description:
 MIGRATIONS: Mapping[int, Callable[[Description, Tensors], Stored]] = MappingProxyType(
     {3: _with_hold, 4: _with_uncertainty, 5: _with_comparison}
 )
-"""From a schema to the next; what an older one does not have is marked as missing."""
+"""Schema to the migration to the next one; content that an older schema lacks is marked as missing."""
 
 
 def is_readable(schema: object) -> bool:
-    """Return whether a description of a schema is of this version or can be brought to it."""
+    """Return whether a description has the present schema or can be migrated to it."""
     return type(schema) is int and (schema == SCHEMA or schema in MIGRATIONS)
 
 
 def migrate(content: Description, tensors: Tensors) -> Stored:
-    """Return a description and tensors in the present schema, step by step from their own."""
+    """Return a description and tensors in the present schema, migrated one schema at a time."""
     while content["schema"] in MIGRATIONS:
         schema = content["schema"]
         content, tensors = MIGRATIONS[schema](content, tensors)

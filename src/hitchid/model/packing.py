@@ -1,4 +1,4 @@
-"""A state as two flat arrays and a step as two programs: handing over must not cost more than the work."""
+"""State as two flat arrays and step as two compiled functions, to keep the cost of a call small."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -14,11 +14,11 @@ from hitchid.model.state import HitchState
 
 
 class Packed(NamedTuple):
-    """Every array of a state.
+    """State of a hitch in two arrays.
 
     Attributes:
-        numbers: all but the network's, end to end; displacement and predicted error come first, shape [n].
-        hidden: of the network in charge, shape [2, 2, H].
+        numbers: all arrays but `hidden`, concatenated; displacement and predicted error first, shape [n].
+        hidden: LSTM states of the network in charge, shape [2, 2, H].
     """
 
     numbers: Float[Array, " n"]
@@ -26,7 +26,7 @@ class Packed(NamedTuple):
 
 
 class Packing:
-    """How states of one hitch are laid out.
+    """Conversion between states of one hitch and packed states.
 
     Args:
         like: a state of that hitch.
@@ -36,19 +36,19 @@ class Packing:
         self._unravel = _unravel(like._replace(hidden=None))
 
     def pack(self, state: HitchState) -> Packed:
-        """Lay a state's arrays end to end."""
+        """Return a state in packed form."""
         return Packed(ravel_pytree(state._replace(hidden=None))[0], state.hidden)
 
     def unpack(self, packed: Packed) -> HitchState:
-        """Return the state again."""
+        """Return the state of a packed one."""
         return self._unravel(packed.numbers)._replace(hidden=packed.hidden)
 
     def step(self, dynamics: HitchDynamics) -> Callable[[Packed, ArrayLike], tuple[Packed, Array]]:
-        """Return the compiled step of a motion, from packed state to packed state and displacement.
+        """Return the compiled step function, from packed state to packed state and displacement.
 
-        It is two programs: one that holds small arrays and a network's weights together is run by several
-        threads, whose handing over takes several times as long as the work. What is given is lifting and
-        lowering command and measured displacement, shape [3].
+        Its inputs are lifting command, lowering command and measured displacement, shape [3]. It is compiled
+        as two functions: XLA runs a single one, with small arrays and the weights of a network, on several
+        threads whose synchronisation takes several times as long as the computation.
         """
         unravel_input = _unravel(
             jax.eval_shape(
@@ -76,5 +76,5 @@ class Packing:
 
 
 def _unravel(like: PyTree) -> Callable[[Float[Array, " n"]], Any]:
-    """Return what makes arrays of one structure again of numbers laid end to end."""
+    """Return the function from concatenated numbers back to arrays of one structure."""
     return ravel_pytree(jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), like))[1]

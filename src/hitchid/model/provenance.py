@@ -1,4 +1,4 @@
-"""Where a model comes from, and the test of its two modes."""
+"""Provenance of a model, and the test of its two modes."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -6,18 +6,18 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where a model comes from: enough to repeat it, and to list the tests it was identified from.
+    """Provenance of a model: tests, settings, seed and versions, sufficient to repeat the identification.
 
     Attributes:
-        identification, validation, held_out: direction to the names of the tests that the benchmark was
-            identified from, of those among them that stopped the training, and of those not used.
-        seen: fingerprints of every record the identification used.
+        identification, validation, held_out: direction to names of tests: those the benchmark was identified
+            from, those of them for early stopping of the training, and those not used.
+        seen: fingerprints of all records used in the identification.
         segmentation_dead_zones: direction to the dead zone with which mixed cycles were cut into strokes;
             empty where none were.
-        seed: the seed of every random draw.
-        settings: of the identification, as JSON can hold them.
+        seed: seed of all random draws.
+        settings: settings of the identification as content for JSON.
         versions: package to version.
-        digest: of the folder it was read from; empty before it is saved.
+        digest: digest of the folder the model was read from; empty before it is saved.
     """
 
     identification: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -33,15 +33,15 @@ class Provenance:
 
 @dataclass(frozen=True)
 class TwoModes:
-    """Whether the plant needs two modes: one shared linear model against one for each direction.
+    """Test for two modes: one shared linear model compared with one for each direction.
 
     Attributes:
-        needed: whether held-out tests prove two models better and the statistic is significant at 1 %.
-        shared_rmse, two_rmse: free run on tests held out in turn, each weighing the same, in the
-            displacement's unit.
-        f_statistic: of nested models, over the identification tests.
-        p_value: chance of one as large, if one model were enough.
-        tests: how many there were.
+        needed: whether two models are better on held-out tests and the statistic is significant at 1 %.
+        shared_rmse, two_rmse: free-run RMSE of one and of two models in cross-validation, all tests with
+            equal weight, in the displacement's unit.
+        f_statistic: F statistic of the nested models, over the identification tests.
+        p_value: probability of a statistic as large if one model is sufficient.
+        tests: number of tests.
     """
 
     needed: bool
@@ -53,7 +53,7 @@ class TwoModes:
 
     @property
     def sentence(self) -> str:
-        """The finding in words."""
+        """Sentence that states the result."""
         verdict = "the plant needs two modes" if self.needed else "one mode would do"
         return (
             f"{verdict}: free run on tests held out in turn {self.shared_rmse:.4g} with one shared model, "

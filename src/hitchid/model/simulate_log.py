@@ -1,4 +1,4 @@
-"""A log in, the same log out with the predicted displacement beside its columns."""
+"""Simulation of a log: a CSV file with the columns of the log and the predicted displacement."""
 
 from pathlib import Path
 
@@ -26,24 +26,23 @@ def simulate_log(
 ) -> tuple[str, ...]:
     """Write a log's columns and the displacement a model predicts for each of its rows.
 
-    All columns of a text log are written as they stand; of any other format time and signals are.
-
-    A log with gaps is predicted stretch by stretch; rows of no usable stretch get an empty cell.
+    All columns of a text log are copied unchanged; of other formats, time and signals are written.
+    A log with gaps is predicted section by section; rows outside the usable sections get an empty cell.
 
     Args:
         model: an identified hitch.
         log: one log of any known format.
         out: CSV file to write.
         horizon: samples to look ahead, None for free run.
-        coverage: share of samples that a band around the prediction shall hold; None for no band.
-        signals: a file like `campaign.toml`.
-        force: replace a file that is there.
+        coverage: share of samples within the band around the prediction; None for no band.
+        signals: settings file with the signal map, as `campaign.toml`; None for that of the log's folder.
+        force: replace an existing file.
 
     Returns:
-        Where the free run leaves what the model's identification covered, in words.
+        Warnings where a free run leaves the operating range of the identification tests.
 
     Raises:
-        InputError: the log, its signal map or the place to write cannot be used.
+        InputError: an argument or the log cannot be used; its subclasses name log, settings or output.
     """
     checks.instance(model, Hitch, "model", "a model as hitchid.load returns it")
     log, out = checks.path(log, "log"), checks.path(out, "out")
@@ -79,7 +78,7 @@ def simulate_log(
 
 
 def _as_text(log: Path, table: LogTable, signals: SignalMap) -> tuple[list[str], list[list[str]]]:
-    """Return header and rows of a log as text."""
+    """Return header and rows of a log as text cells."""
     if log.name.lower().endswith(SUFFIXES):
         return read_rows(log)
     time = table.time_s / UNITS[signals.time.unit or "s"].factor
@@ -92,8 +91,8 @@ def added_name(column: str, kind: str) -> str:
     """Return the name of an added column: `displacement_predicted_mm`, else `<name>_predicted`.
 
     Args:
-        column: of the measured displacement.
-        kind: `predicted`, or `lower` or `upper` for the ends of the band.
+        column: column of the measured displacement.
+        kind: `predicted`, or `lower` or `upper` for the limits of the band.
     """
     stem, separator, unit = column.partition("displacement_")
     return f"displacement_{kind}_{unit}" if separator and not stem else f"{column}_{kind}"

@@ -13,10 +13,10 @@ class SpeedCompensatorState(NamedTuple):
     """State of the compensator for free run.
 
     Attributes:
-        hidden: of its networks, shape [M, 1, H].
-        factor: on the benchmark's speed in this block.
-        command, travel_increment: sums over this block so far, of effective command and of the benchmark's
-            travel.
+        hidden: LSTM states of its networks, shape [M, 1, H].
+        factor: factor on the benchmark's speed in this block.
+        command, travel_increment: sums of effective command and of the benchmark's travel over this block
+            so far.
     """
 
     hidden: LstmState
@@ -29,10 +29,10 @@ class ChannelState(NamedTuple):
     """State of one channel.
 
     Attributes:
-        valve: state of the valve, which follows its command whether in charge or not.
-        plant: of the benchmark.
+        valve: state of the valve; it follows the command also while another channel is in charge.
+        plant: state of the benchmark, shape [n].
         samples_in_charge: samples since the channel took charge.
-        correction: of the compensator for free run; None where there is none.
+        correction: state of the compensator for free run; None where there is none.
     """
 
     valve: ValveState
@@ -45,22 +45,21 @@ class HitchState(NamedTuple):
     """State of a hitch at one sample; displacements in the model's unit.
 
     Attributes:
-        displacement: the model's output: with measurements the benchmark's plus the predicted error,
-            without any, the free run.
+        displacement: output of the model: benchmark plus predicted error once a displacement was measured,
+            the free run before.
         error: predicted error of the benchmark.
-        benchmark: the benchmark's, as if there were no end stop, but within the limits of the plant.
-        free_run: free run, compensated, likewise.
+        benchmark: output of the benchmark, clipped to the limits of the plant but not to end stops.
+        free_run: output of the compensated free run, clipped likewise.
         start: displacement at which the channel in charge took over.
-        mode: place of the channel in charge; −1 while nothing has moved yet.
-        samples_since_measurement: samples since a displacement was measured; −1 if none ever was.
+        mode: index of the channel in charge; −1 before the first effective command.
+        samples_since_measurement: samples since the last measured displacement; −1 before the first.
         commands: last valid lifting and lowering command, shape [2].
-        command_missing: whether a command was missing and the last one held.
-        both_valves_active: whether both valves were on; then lowering counts.
-        load: second measured input, before motion.
-        feature_state: of the compensator in charge.
-        channels: of each channel.
-        hidden: of the network in charge: h and c of the LSTM that predicts and of the one whose
-            window follows, shape [2, 2, H].
+        command_missing: whether a command was missing and its last value was used.
+        both_valves_active: whether both valves were open; then lowering takes precedence.
+        load: covariate before motion.
+        feature_state: features of the compensator in charge.
+        channels: state of each channel.
+        hidden: h and c of the network in charge, for the current and the next window, shape [2, 2, H].
     """
 
     displacement: Float[Array, ""]
@@ -83,14 +82,14 @@ class NetworkInput(NamedTuple):
     """Inputs of the network of the channel in charge.
 
     Attributes:
-        channel_index: place of the channel.
-        scaled_features: features, shape [10].
-        index_in_window: samples read, modulo L.
+        channel_index: index of the channel.
+        scaled_features: scaled features, shape [10].
+        index_in_window: number of samples processed, modulo L.
         trust: factor on the predicted increment; zero where none is predicted.
-        reset: whether its state is reset.
-        error: predicted error so far.
-        benchmark: displacement without error; free_run: without measurements.
-        has_measurement: whether a displacement was ever measured.
+        reset: whether the state of the network is reset.
+        error: predicted error at this sample.
+        benchmark, free_run: output of the benchmark and of the free run, clipped to the end stops.
+        has_measurement: whether a displacement was measured since the start.
     """
 
     channel_index: Int[Array, ""]

@@ -1,4 +1,4 @@
-"""The compiled step of a hitch, its state packed into two arrays."""
+"""Compiled step function of a hitch, with its state packed into two arrays."""
 
 from collections.abc import Sequence
 from functools import cached_property
@@ -20,7 +20,7 @@ class StepFunctions:
     """Compiled functions of one hitch: `init_state`, `step` and `unpack`, each compiled at its first call.
 
     Args:
-        dynamics: of the hitch.
+        dynamics: dynamics of the hitch.
     """
 
     def __init__(self, dynamics: HitchDynamics) -> None:
@@ -33,7 +33,7 @@ class StepFunctions:
         self.step = packing.step(dynamics)
 
     def check(self, state: Packed) -> None:
-        """Refuse a state of another model; only shapes are compared, so that it may be traced.
+        """Check that a state is of this model; only shapes are compared, so that it may be traced.
 
         Raises:
             InputError: the state is not of this model.
@@ -54,7 +54,7 @@ def join_inputs(
     """Return lifting and lowering command and measured displacement in one array, shape [3].
 
     Raises:
-        InputError: commands or measurement are no numbers, or of another shape.
+        InputError: commands or measurement are not numbers, or have another shape.
     """
     values = commands if isinstance(commands, Sequence) else (commands,)
     xp = jnp if any(isinstance(value, jax.Array) for value in (*values, measured)) else np

@@ -1,4 +1,4 @@
-"""Arrays of the trained parts of a model as named tensors, and back."""
+"""Conversion between the trained parts of a model and named tensors."""
 
 from collections.abc import Mapping
 from typing import TypeVar
@@ -12,13 +12,13 @@ Tensors = Mapping[str, np.ndarray]
 
 
 def tensors_of(tree: object, prefix: str) -> dict[str, np.ndarray]:
-    """Return every array of a part by its path, `prefix/field/…`."""
+    """Return path to array, `prefix/field/…`, for every array of a part."""
     leaves = jax.tree_util.tree_leaves_with_path(tree)
     return {_name(prefix, path): np.array(leaf, order="C") for path, leaf in leaves}
 
 
 def fill(skeleton: Part, tensors: Tensors, prefix: str) -> Part:
-    """Return a part like a skeleton with the arrays of that prefix.
+    """Return a copy of a skeleton filled with the stored arrays of a prefix.
 
     Raises:
         ValueError: an array has another shape or type than the skeleton's.
@@ -36,7 +36,7 @@ def fill(skeleton: Part, tensors: Tensors, prefix: str) -> Part:
 
 
 def shapes_of(tensors: Tensors, prefix: str) -> dict[str, tuple[int, ...]]:
-    """Return path to shape of the arrays of a prefix."""
+    """Return path without prefix to shape, for every stored array of a prefix."""
     start = f"{prefix}/"
     return {
         name.removeprefix(start): stored.shape for name, stored in tensors.items() if name.startswith(start)
@@ -44,10 +44,10 @@ def shapes_of(tensors: Tensors, prefix: str) -> dict[str, tuple[int, ...]]:
 
 
 def check_size(tensors: Tensors, count: int) -> None:
-    """Refuse a size larger than all arrays together, before memory for it is allocated.
+    """Check that a described size does not exceed the stored arrays, before memory is allocated.
 
     Raises:
-        ValueError: there are fewer numbers.
+        ValueError: the stored arrays have fewer elements.
     """
     if count > sum(stored.size for stored in tensors.values()):
         raise ValueError("the description has more weights than the tensors")

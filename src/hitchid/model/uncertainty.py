@@ -1,4 +1,4 @@
-"""Uncertainty of one channel: parameters, bands, operating characteristics."""
+"""Record of the uncertainty of one channel: parameters, bands, operating characteristics."""
 
 from dataclasses import dataclass
 
@@ -13,8 +13,8 @@ class Uncertainty:
     """Uncertainty of one channel.
 
     Attributes:
-        benchmark: estimates of its parameters.
-        bands: around its predictions; None where there were too few tests.
+        benchmark: estimates of the benchmark's parameters.
+        bands: bands around the predictions; None where there were too few tests.
         information: Fisher information of the tests, for the design of the next one.
         characteristics: speed map, dead zone, delay and response time; None where the structure has no steady
             speed, where they could not be computed, or in a model of an older version.

@@ -1,1 +1,1 @@
-"""Recurrent networks beside the physical models, and the range that their training covered."""
+"""Recurrent networks that correct the physical models, and the operating range of the tests."""

@@ -1,7 +1,7 @@
-"""The compensator: an LSTM over a window of features that predicts the benchmark's error.
+"""Error compensator: an LSTM over a window of features that predicts the error of the benchmark.
 
-Sun et al. 2025, sec. 2.2.3. The paper leaves open how the network is built; here it predicts the step the
-error takes from its last known value, so that an untrained network is exactly persistence.
+Sun et al. 2025, sec. 2.2.3. The paper does not specify the architecture; here the network predicts the
+increment of the error from its last value, so that an untrained network predicts a constant error.
 """
 
 from typing import NamedTuple
@@ -28,13 +28,13 @@ FEATURES = (
 
 
 class Sample(NamedTuple):
-    """What is known at one instant, each of any one shape [...].
+    """Signals at one sample, all of one shape [...].
 
     Attributes:
         time_s: time since the start of the test, s.
         command: effective command.
-        benchmark: displacement the benchmark gives, y_tf.
-        displacement: measured displacement, or the model's own where none is measured.
+        benchmark: output of the benchmark, y_tf, in the displacement's unit.
+        displacement: measured displacement, or the model's output where none is measured.
     """
 
     time_s: Float[Array, "*b"]
@@ -44,11 +44,11 @@ class Sample(NamedTuple):
 
 
 class FeatureHistory(NamedTuple):
-    """What the features need of the past, each of shape [...].
+    """Past values from which the features are computed, each of shape [...].
 
     Attributes:
         last_sample: the previous sample.
-        error: e(i−1); error_before: e(i−2); error_sum: Ts Σ e up to i−1.
+        error, error_before, error_sum: e(i−1), e(i−2) and Ts Σ e up to i−1.
     """
 
     last_sample: Sample
@@ -58,7 +58,7 @@ class FeatureHistory(NamedTuple):
 
     @classmethod
     def at_rest(cls, first: Sample) -> "FeatureHistory":
-        """Return the memory before the first sample of a test: nothing has moved, no error was made."""
+        """Return the history before the first sample of a test: at rest, without error."""
         zeros = jnp.zeros_like(first.displacement)
         return cls(first, zeros, zeros, zeros)
 
@@ -66,7 +66,7 @@ class FeatureHistory(NamedTuple):
 def compute_features(
     history: FeatureHistory, sample: Sample, step_s: float
 ) -> tuple[FeatureHistory, Float[Array, "*b 10"]]:
-    """Take in one sample and return the ten features of Sun et al. 2025, sec. 2.2.3, at it.
+    """Return the updated history and the ten features of Sun et al. 2025, sec. 2.2.3, at one sample.
 
     x(i) = t, u, Δu, y_tf, Δy_tf, y, Δy/Ts, e(i−1), e(i−1) − e(i−2), Ts Σ e up to i, with e = y − y_tf.
     """
@@ -91,16 +91,16 @@ def compute_features(
 
 
 class Compensator(eqx.Module):
-    """LSTM compensator with its scaling inside.
+    """LSTM compensator including the scaling of its inputs and output.
 
-    ê(k) = e(k−1) + σ · (w · h(k) + b), where h(k) is the output of an LSTM that has read the scaled features
-    up to x(k−1) of Sun et al. 2025, sec. 2.2.3, no fewer than L and no more than 2 L; see `CompensatorState`.
+    ê(k) = e(k−1) + σ · (w · h(k) + b), where h(k) is the hidden state of an LSTM after the last L to 2 L
+    samples of scaled features up to x(k−1) (Sun et al. 2025, sec. 2.2.3); see `CompensatorState`.
 
     Attributes:
         network: LSTM and output layer.
         centre, spread: scaling of the features, fitted on training tests, shape [10].
         error_step: σ, the spread of e(k) − e(k−1) over the training tests, shape [].
-        window: L, the fewest features read before a prediction.
+        window: L, the minimum number of samples that a prediction is based on.
     """
 
     network: Lstm
@@ -114,17 +114,17 @@ class Compensator(eqx.Module):
         return ((features - self.centre) / self.spread).astype(SINGLE)
 
     def init_state(self, first: Sample) -> "CompensatorState":
-        """Return what is carried before the first sample of a test, of any shape [b]."""
+        """Return the state before the first sample of tests of any shape [b]."""
         lstm_state = self.network.zero_state((*first.command.shape, 2))
         return CompensatorState(FeatureState.at_rest(first), lstm_state)
 
     def step(
         self, state: "CompensatorState", sample: Sample, step_s: float
     ) -> tuple["CompensatorState", Float[Array, "*b"]]:
-        """Take in one sample of each of b tests.
+        """Advance by one sample of each of b tests.
 
         Returns:
-            What is carried on, and the step σ (w · h + b) that the error takes to the next sample, in the
+            The next state, and the increment σ (w · h + b) of the error to the next sample, in the
             displacement's unit, shape [b].
         """
         feature_state, scaled_features = self.update_features(state.feature_state, sample, step_s)
@@ -136,14 +136,14 @@ class Compensator(eqx.Module):
     def update_features(
         self, feature_state: "FeatureState", sample: Sample, step_s: float
     ) -> tuple["FeatureState", Float32[Array, "*b 10"]]:
-        """Take in one sample: what the features need of the past, and the scaled features."""
+        """Return the next feature state and the scaled features at one sample."""
         history, features = compute_features(feature_state.history, sample, step_s)
         return FeatureState(history, (feature_state.index_in_window + 1) % self.window), self.scale(features)
 
     def predict_increment(
         self, hidden: LstmState, index_in_window: Int[Array, ""], scaled_features: Float32[Array, "*b 10"]
     ) -> tuple[LstmState, Float[Array, "*b"]]:
-        """Let the network read scaled features; return its state and the step the error takes."""
+        """Return the next state of the LSTM and the increment of the error to the next sample."""
         hidden = jax.tree.map(
             lambda pair: jnp.where(index_in_window == 0, _rotate_windows(pair), pair), hidden
         )
@@ -153,11 +153,11 @@ class Compensator(eqx.Module):
 
 
 class FeatureState(NamedTuple):
-    """The numbers a compensator carries from sample to sample.
+    """State of the feature computation of a compensator.
 
     Attributes:
-        history: what the features need of the past.
-        index_in_window: samples read, modulo L.
+        history: past values from which the features are computed.
+        index_in_window: number of samples processed, modulo L.
     """
 
     history: FeatureHistory
@@ -165,20 +165,20 @@ class FeatureState(NamedTuple):
 
     @classmethod
     def at_rest(cls, first: Sample) -> "FeatureState":
-        """Return what is carried before the first sample of a test."""
+        """Return the state before the first sample of a test."""
         return cls(FeatureHistory.at_rest(first), jnp.zeros((), jnp.int32))
 
 
 class CompensatorState(NamedTuple):
-    """What a compensator carries from sample to sample.
+    """State of a compensator: features and two states of one LSTM with staggered windows.
 
-    Two states of the LSTM: one answers, the other has begun to read up to L samples later. Every L samples
-    the later one takes over and a blank one begins, so that a prediction has read L to 2 L samples (all there
-    are near the start), as in training.
+    The first state gives the prediction; the second starts up to L samples later. Every L samples the second
+    replaces the first and a zero state replaces the second, so that a prediction is based on the last L to
+    2 L samples (on all samples near the start of a test), as in training.
 
     Attributes:
-        feature_state: numbers.
-        hidden: the LSTM that answers and the one that follows, shape [..., 2, H].
+        feature_state: state of the feature computation.
+        hidden: LSTM states of the current and of the next window, shape [..., 2, H].
     """
 
     feature_state: FeatureState
@@ -190,14 +190,14 @@ def _rotate_windows(pair: Float[Array, "*b 2 h"]) -> Float[Array, "*b 2 h"]:
 
 
 def measured_features(samples: Sample, step_s: float) -> tuple[FeatureHistory, Float[Array, "n *t 10"]]:
-    """Return memory and features at every sample of measured tests.
+    """Return history and features at every sample of measured tests.
 
     Args:
         samples: arrays of shape [N] or [N, T].
         step_s: sampling time, s.
 
     Returns:
-        The memory after each sample, in arrays of that shape, and the features, shape [N, …, 10].
+        The history after each sample, arrays of that shape, and the features, shape [N, …, 10].
     """
 
     def advance(
@@ -215,7 +215,7 @@ def measured_features(samples: Sample, step_s: float) -> tuple[FeatureHistory, F
 def free_run(
     compensator: Compensator, time_s: Array, command: Array, benchmark: Array, step_s: float
 ) -> Float[Array, "n t"]:
-    """Return the errors ê the compensator gives when it hears only itself: y = y_tf + ê, ê(0) = 0.
+    """Return the errors ê of the compensator in closed loop on its own output: y = y_tf + ê, ê(0) = 0.
 
     Args:
         compensator: a trained compensator.
@@ -243,16 +243,16 @@ def predict_errors(
     horizons: tuple[int, ...],
     step_s: float,
 ) -> Float[Array, "h t n"]:
-    """Return ê at every sample, predicted from what was measured h samples before and earlier, for each h.
+    """Return the prediction ê at every sample from measurements up to h samples before, for each h.
 
     Near the start of a test, sample k < h is predicted from the initial displacement. Without a compensator
-    the last known error stands.
+    the prediction is the last measured error.
 
     Args:
         compensator: a trained compensator, or None.
         tests: arrays of shape [T, N].
-        trust: factor on the compensator's steps, 0 to 1, shape [T, N].
-        horizons: the h asked for, in samples.
+        trust: factor on the predicted increments, 0 to 1, shape [T, N].
+        horizons: prediction horizons h, in samples.
         step_s: sampling time, s.
     """
 
@@ -263,7 +263,7 @@ def predict_errors(
             errors_ahead = jnp.broadcast_to(error, (max(horizons), error.size))
         else:
             errors_ahead = multi_step_errors(compensator, test, test_trust, max(horizons), step_s)
-        # ahead[h − 1, i] is for sample i + h; the origin of the first samples is sample 0.
+        # errors_ahead[h − 1, i] is for sample i + h; the origin of the first samples is sample 0.
         sample_index = jnp.arange(error.size)
         rows = []
         for horizon in horizons:
@@ -283,13 +283,13 @@ def multi_step_errors(
 ) -> Float[Array, "h n"]:
     """Return ê(i+h) for h = 1 … horizon from every origin i of one measured test.
 
-    Up to the origin the LSTM reads measured features; beyond it, features made of the model's own output.
+    Up to the origin the features are computed from measurements, beyond it from the model's own output.
 
     Args:
         compensator: a trained compensator.
         test: one test, arrays of shape [N].
-        trust: factor on the compensator's steps, shape [N].
-        horizon: steps to look ahead.
+        trust: factor on the predicted increments, shape [N].
+        horizon: largest prediction horizon, in samples.
         step_s: sampling time, s.
     """
     count = trust.shape[0]

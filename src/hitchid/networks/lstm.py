@@ -1,4 +1,4 @@
-"""The one recurrent network of the house: an LSTM with a single linear output, in single precision."""
+"""LSTM with one linear output, in single precision: the only recurrent network of the package."""
 
 from typing import NamedTuple, cast
 
@@ -8,26 +8,26 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float32, PRNGKeyArray
 
-SINGLE = jnp.float32
+SINGLE = jnp.float32  # type of all weights, states and inputs of the networks
 
 
 class LstmState(NamedTuple):
-    """The LSTM's state, each of shape [..., H]."""
+    """Hidden state h and cell state c of an LSTM, each of shape [..., H]."""
 
     h: Float32[Array, "*b h"]
     c: Float32[Array, "*b h"]
 
 
 class Lstm(eqx.Module):
-    """LSTM of one layer and a linear output: everything in it is trained."""
+    """LSTM with one layer and a linear output; all of its arrays are trained."""
 
     cell: eqx.nn.LSTMCell
     head: eqx.nn.Linear
 
     @classmethod
     def init(cls, key: PRNGKeyArray, inputs: int, hidden: int) -> "Lstm":
-        """Return a network whose cell is drawn from ±1/√H and whose output is zero."""
-        # Drawn on the host: a compiler takes longer over the generator than over the network.
+        """Return a network with cell weights uniform in ±1/√H and an output of zero."""
+        # NumPy generator: compiling that of JAX takes longer than compiling the network.
         rng = np.random.default_rng(np.asarray(jax.random.key_data(key)))
         bound = 1 / np.sqrt(hidden)
 
@@ -42,21 +42,21 @@ class Lstm(eqx.Module):
         return cls(jax.tree.map(random_weights, cell), jax.tree.map(zero_weights, head))
 
     def zero_state(self, shape: tuple[int, ...]) -> LstmState:
-        """Return the LSTM's state before it has read anything."""
+        """Return the state before the first input, all zeros, for sequences of a shape."""
         zeros = jnp.zeros((*shape, self.cell.hidden_size), SINGLE)
         return LstmState(zeros, zeros)
 
     def step(self, hidden: LstmState, inputs: Float32[Array, "*b i"], *, fused: bool = False) -> LstmState:
-        """Let the LSTM read one input vector for each sequence of any shape [b].
+        """Return the state after one input vector for each sequence, of any shape [b].
 
         Args:
-            hidden: its state.
-            inputs: what is read.
-            fused: whether one product serves inputs and state: its derivative takes a third less time, but
-                how it rounds depends on the program around it more than how two do.
+            hidden: state before the input.
+            inputs: input vectors.
+            fused: one matrix product for inputs and state instead of two. Its derivative takes a third less
+                time, but its rounding depends more on the surrounding program.
         """
         cell = self.cell
-        # Products of whole matrices: mapped over sequences the cell's own would be many small ones.
+        # Batched matrix products; `jax.vmap` over the cell of equinox would give many small ones.
         if fused:
             inputs_and_h = jnp.concatenate([inputs, hidden.h], axis=-1)
             gates = inputs_and_h @ jnp.concatenate([cell.weight_ih, cell.weight_hh], axis=1).T
@@ -68,14 +68,14 @@ class Lstm(eqx.Module):
         return LstmState(jax.nn.sigmoid(o) * jnp.tanh(c), c)
 
     def output(self, hidden: LstmState) -> Float32[Array, "*b"]:
-        """Return the network's output for each sequence."""
+        """Return the output of the linear layer for each sequence."""
         return self._linear_output(hidden.h)
 
     def unroll(self, inputs: Float32[Array, "n b i"], valid: Bool[Array, "n b"]) -> Float32[Array, "n b"]:
-        """Return the network's output after each of N inputs to B sequences, from a blank state.
+        """Return the network's output after each of N inputs of B sequences, from the zero state.
 
-        What `read` and `output` give input by input, in less time, its derivative too. An input that does not
-        exist leaves the state as it was.
+        Same result as `step` and `output` input by input, faster, also in the derivative. An input that is
+        not valid leaves the state unchanged.
         """
         weights = LstmWeights(self.cell.weight_ih, self.cell.weight_hh, cast(Array, self.cell.bias))
         return self._linear_output(_unrolled_outputs(weights, inputs, valid))
@@ -85,7 +85,7 @@ class Lstm(eqx.Module):
 
 
 class LstmWeights(NamedTuple):
-    """What the gates are made of: W_ih, shape [4 H, I], W_hh, shape [4 H, H], and b, shape [4 H]."""
+    """Weights and bias of the gates: W_ih, shape [4 H, I], W_hh, shape [4 H, H], and b, shape [4 H]."""
 
     weight_ih: Float32[Array, "g i"]
     weight_hh: Float32[Array, "g h"]
@@ -93,10 +93,10 @@ class LstmWeights(NamedTuple):
 
 
 class VjpResiduals(NamedTuple):
-    """What is kept of a reading for its derivative.
+    """Values of the forward pass that the derivative needs.
 
     Attributes:
-        gates: tanh of entry/2, kept/2, fresh and exit/2, shape [N, B, 4 H].
+        gates: tanh of i/2, f/2, g and o/2 before activation, shape [N, B, 4 H].
         states: the state after each input, shape [N, B, H].
     """
 
@@ -106,11 +106,11 @@ class VjpResiduals(NamedTuple):
 
 @jax.custom_vjp
 def _unrolled_outputs(weights: LstmWeights, inputs: Array, valid: Array) -> Float32[Array, "n b h"]:
-    """Return the LSTM's output after each input.
+    """Return h after each input.
 
-    All that needs no state is computed for all inputs at once, before the loop over them or after it, in the
-    derivative as well. There the loop gives the derivatives by the gates, and those by the weights are one
-    product over all inputs, which JAX's own derivative of the loop would add up input by input.
+    Terms that do not depend on the state are computed for all inputs at once, outside the loop. In the
+    derivative the loop gives the derivatives by the gates; those by the weights are one product over all
+    inputs, which the automatic derivative of JAX would sum input by input.
     """
     return _unroll(weights, inputs, valid).states.h
 
@@ -122,7 +122,7 @@ def _unroll(weights: LstmWeights, inputs: Array, valid: Array) -> VjpResiduals:
 
     def advance(previous: LstmState, inputs_at_sample: tuple[Array, Array]) -> tuple[LstmState, VjpResiduals]:
         input_term, is_valid = inputs_at_sample
-        # σ(x) = ½ + ½ tanh(x/2): one function for all four.
+        # σ(x) = ½ + ½ tanh(x/2): one function for all four gates.
         gates = jnp.tanh(input_term + previous.h @ recurrent_weights)
         i, f, g, o = jnp.split(gates, 4, axis=-1)
         c = 0.5 * ((1 + f) * previous.c + (1 + i) * g)
@@ -150,7 +150,7 @@ def _unroll_backward(
     gradient_rows = gate_gradients.reshape(-1, gate_gradients.shape[-1])
 
     def weight_gradient(factor: Array) -> Array:
-        # In this order the product is of rows as they lie in memory.
+        # In this order the product runs along rows that are contiguous in memory.
         return (factor.reshape(len(gradient_rows), -1).T @ gradient_rows).T
 
     weight_gradients = LstmWeights(
@@ -165,11 +165,11 @@ def _gate_gradients(
     """Return the derivatives by W_ih x + W_hh h + b, shape [N, B, 4 H].
 
     Args:
-        weights: of the network.
-        valid: which inputs do, shape [N, B, 1].
-        residuals: what was read.
-        previous_c: before each input, shape [N, B, H].
-        output_gradient: derivative by the outputs, shape [N, B, H].
+        weights: weights of the gates.
+        valid: which inputs exist, shape [N, B, 1].
+        residuals: values of the forward pass.
+        previous_c: cell state before each input, shape [N, B, H].
+        output_gradient: derivative by h, shape [N, B, H].
     """
     i, f, g, o = jnp.split(residuals.gates, 4, axis=-1)
     tanh_c = jnp.tanh(residuals.states.c)
@@ -196,7 +196,7 @@ def _gate_gradients(
 
 
 def _gate_scales(weights: LstmWeights) -> Float32[Array, " g"]:
-    """Return 1 for the gate `fresh`, ½ for the others."""
+    """Return the factor before tanh for each gate: 1 for g, ½ for i, f and o."""
     return jnp.asarray(np.repeat([0.5, 0.5, 1.0, 0.5], weights.weight_hh.shape[1]), SINGLE)
 
 

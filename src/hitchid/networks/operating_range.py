@@ -1,14 +1,14 @@
-"""Operating range of the identification tests, and the trust in a model beyond it."""
+"""Operating range of the identification tests, and the trust factor beyond it."""
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-MARGIN = 0.1  # share of a range beyond its ends over which the trust falls to zero: a choice
+MARGIN = 0.1  # share of a range: distance beyond its ends at which the trust is zero; chosen
 
 
 class SignalRange(eqx.Module):
-    """From the lowest to the highest value that the tests reached, each of shape []."""
+    """Lowest and highest value of a signal in the tests, each of shape []."""
 
     lowest: Float[Array, ""]
     highest: Float[Array, ""]
@@ -22,12 +22,12 @@ class SignalRange(eqx.Module):
 
 
 class OperatingRange(eqx.Module):
-    """The ranges a model was identified in.
+    """Ranges of the signals in the identification tests of a channel.
 
     Attributes:
         command: effective command.
         displacement: measured displacement.
-        load: second input, a range without width where there is none.
+        load: covariate; a range without width where there is none.
     """
 
     command: SignalRange
@@ -36,11 +36,11 @@ class OperatingRange(eqx.Module):
 
     @classmethod
     def unbounded(cls) -> "OperatingRange":
-        """Return ranges without ends: every sample is trusted."""
+        """Return unlimited ranges: the trust is 1 everywhere."""
         return cls(*(SignalRange(jnp.asarray(-jnp.inf), jnp.asarray(jnp.inf)) for _ in range(3)))
 
     def trust(
         self, command: Float[Array, "*#b"], displacement: Float[Array, "*#b"], load: Float[Array, "*#b"]
     ) -> Float[Array, "*b"]:
-        """Return 1 where all three lie in their ranges, 0 where one is a tenth of its range beyond."""
+        """Return the product of the three trust factors, 0 to 1; see `SignalRange.trust`."""
         return self.command.trust(command) * self.displacement.trust(displacement) * self.load.trust(load)

@@ -1,6 +1,6 @@
-"""The compensator for free run: LSTMs that scale the benchmark's speed, and so move nothing that stands.
+"""Compensator for free run: an ensemble of LSTMs that scales the speed of the benchmark.
 
-Where the compensator of Sun et al. 2025, sec. 2.2.3, hears the measured displacement, this one hears its own.
+The compensator of Sun et al. 2025, sec. 2.2.3, takes the measured displacement; this one its own output.
 """
 
 from functools import partial
@@ -14,19 +14,19 @@ from jaxtyping import Array, Float, Int
 from hitchid.networks.lstm import SINGLE, Lstm, LstmState
 from hitchid.networks.operating_range import OperatingRange
 
-AUTHORITY = 0.5
-INPUTS = 4
+AUTHORITY = 0.5  # largest relative correction of the speed; chosen
+INPUTS = 4  # features of a network, see `SpeedCompensator.features`
 
 
 class BlockInputs(NamedTuple):
-    """What a free run hears, block by block; B blocks of several samples each, T tests.
+    """Inputs of a free run in B blocks of samples for T tests.
 
     Attributes:
-        command: effective command, mean over the block before, shape [B, T].
-        previous_increment: travel of the benchmark over the block before, shape [B, T].
+        command: effective command, mean over the previous block, shape [B, T].
+        previous_increment: travel of the benchmark over the previous block, shape [B, T].
         travel_increment: travel of the benchmark over the block, shape [B, T].
         initial: displacement before motion, shape [T].
-        load: second input, shape [T].
+        load: covariate, shape [T].
     """
 
     command: Float[Array, "b t"]
@@ -37,17 +37,17 @@ class BlockInputs(NamedTuple):
 
 
 class SpeedCompensator(eqx.Module):
-    """An ensemble of LSTMs that scales the benchmark's speed by 1 ± ½.
+    """Ensemble of LSTMs that scales the speed of the benchmark by 1 ± ½.
 
-    y(j+1) = y(j) + (y_tf(j+1) − y_tf(j)) (1 + ½ m(j) Σᵢ tanh fᵢ(x(0) … x(j))/M) over blocks j of some
-    samples; x is command and speed of the benchmark over the block before, own displacement and second input
-    at the start of the block, and m the trust in them, 1 within what the tests covered. Where the benchmark
-    stands, the sum does.
+    y(j+1) = y(j) + (y_tf(j+1) − y_tf(j)) (1 + ½ m(j) Σᵢ tanh fᵢ(x(0) … x(j))/M) over blocks j. x: command
+    and speed of the benchmark over the previous block, predicted displacement and covariate at the start of
+    the block. m: trust factor, 1 within the operating range of the tests. While the benchmark is at
+    standstill, the output is too.
 
     Attributes:
         networks: M networks, every array with a leading axis M.
         command_scale, increment_scale: scales of command and of the benchmark's travel in a block, shape [].
-        operating_range: the ranges of the tests.
+        operating_range: ranges of the signals in the identification tests.
         sign: +1 where displacement grows with travel, −1 where it falls.
         block_size: samples in a block.
     """
@@ -66,7 +66,7 @@ class SpeedCompensator(eqx.Module):
         displacement: Float[Array, " t"],
         load: Array,
     ) -> Float[Array, "t 4"]:
-        """Return what the networks read, in single precision, shape [T, 4]."""
+        """Return the scaled inputs of the networks in single precision, shape [T, 4]."""
         ranges = (self.operating_range.displacement, self.operating_range.load)
         scaled = [
             2
@@ -92,15 +92,15 @@ class SpeedCompensator(eqx.Module):
         *,
         fused: bool = False,
     ) -> tuple[LstmState, Float[Array, " t"]]:
-        """Return the networks' state and the factor on the benchmark's speed in the block that begins.
+        """Return the state of the networks and the factor on the benchmark's speed in the next block.
 
         Args:
-            networks: M networks; their mean counts.
+            networks: M networks whose outputs are averaged.
             hidden: their state, shape [M, T, H].
-            command, previous_increment: effective command and travel of the benchmark in the block before,
-                shape [T].
-            displacement, load: displacement and second input, shape [T].
-            fused: see `Lstm.read`.
+            command, previous_increment: mean effective command and travel of the benchmark in the previous
+                block, shape [T].
+            displacement, load: displacement and covariate, shape [T].
+            fused: see `Lstm.step`.
         """
         inputs = self.features(command, previous_increment, displacement, load)
         lstm_step = partial(Lstm.step, fused=fused)
@@ -121,11 +121,11 @@ class SpeedCompensator(eqx.Module):
         """Return travel at the start of each block and the factor on the benchmark's speed in it.
 
         Args:
-            networks: M networks; their mean counts.
-            block_inputs: what is heard.
-            measured: measured travel at the start of each block, to start anew from; None for free run.
-            anchor_interval: blocks between two such starts.
-            fused: see `Lstm.read`.
+            networks: M networks whose outputs are averaged.
+            block_inputs: inputs of the free run.
+            measured: measured travel at the start of each block, for re-initialisation; None for free run.
+            anchor_interval: blocks between two re-initialisations.
+            fused: see `Lstm.step`.
         """
         blocks, tests = block_inputs.command.shape
         members = networks.head.weight.shape[0]
@@ -162,12 +162,12 @@ def compute_block_inputs(
     load: Float[Array, " t"],
     block_size: int,
 ) -> BlockInputs:
-    """Gather what a free run hears, block by block.
+    """Return the inputs of a free run in blocks.
 
     Args:
         benchmark: travel of the benchmark, shape [T, N].
         command: effective command, shape [T, N].
-        initial, load: shape [T].
+        initial, load: displacement and covariate before motion, shape [T].
         block_size: samples in a block.
     """
     tests, count = benchmark.shape
@@ -190,13 +190,13 @@ def simulate_compensated(
     initial: Float[Array, " t"],
     load: Float[Array, " t"],
 ) -> Float[Array, "t n"]:
-    """Return the free run's travel, shape [T, N].
+    """Return the travel of the compensated free run, shape [T, N].
 
     Args:
-        compensator: trained.
+        compensator: a trained compensator.
         benchmark: travel of the benchmark, shape [T, N].
         command: effective command, shape [T, N].
-        initial, load: displacement and second input before motion, shape [T].
+        initial, load: displacement and covariate before motion, shape [T].
     """
     block_size, count = compensator.block_size, benchmark.shape[1]
     block_inputs = compute_block_inputs(benchmark, command, initial, load, block_size)

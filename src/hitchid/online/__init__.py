@@ -1,4 +1,4 @@
-"""A model beside a running machine, sample by sample."""
+"""Online use of a model on a running machine, sample by sample."""
 
 from hitchid.online.live import Live as Live
 from hitchid.online.live import Output as Output

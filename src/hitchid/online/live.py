@@ -1,4 +1,4 @@
-"""A model in a loop with something that runs now: a sample in, an answer out, whatever comes."""
+"""Online simulation: one line of JSON in, one prediction out; faulty lines give flags, not errors."""
 
 import json
 import math
@@ -14,24 +14,24 @@ from hitchid.model import Channel, Hitch, Packed
 
 TIME = "time_s"
 FIELDS = (TIME, *COMMAND.values(), DISPLACEMENT)
-MAX_GAP_SAMPLES = 1000
-CLOCK_SET_BACK_SAMPLES = 10_000
-HISTORY_LENGTH = 100
-STANDING = "standing"
-DIGITS = 9
-MAX_MAGNITUDE = 1e9
+MAX_GAP_SAMPLES = 1000  # longest gap that is simulated, 10 s at 100 Hz; a longer one restarts; chosen
+CLOCK_SET_BACK_SAMPLES = 10_000  # a time stamp earlier by more means that the clock was set back; chosen
+HISTORY_LENGTH = 100  # states kept, in samples: the latest steps that a late sample may replace; chosen
+STANDING = "standing"  # `Output.mode` before any channel was in charge
+DIGITS = 9  # decimals of `Output.time_s`: 1 ns, removes rounding errors
+MAX_MAGNITUDE = 1e9  # a command or displacement beyond it, in its unit, is taken as missing; chosen
 
 Sample = Mapping[str, float]
 
 
 class Output(NamedTuple):
-    """What a model says to one sample.
+    """Output of a model for one sample.
 
     Attributes:
-        time_s: the time the displacement is for: one sampling time after the sample, on the model's clock, s.
-        displacement: in the model's unit; None as long as none is known to start from.
-        mode: the channel in charge: lifting, lowering, or standing before any was.
-        flags: what was missing or odd.
+        time_s: time of the displacement: one sampling time after the sample, on the model's clock, s.
+        displacement: predicted displacement, in the model's unit; None before the first measured one.
+        mode: channel in charge: lifting or lowering; standing before any was.
+        flags: sentences about missing or implausible inputs.
     """
 
     time_s: float
@@ -40,25 +40,25 @@ class Output(NamedTuple):
     flags: tuple[str, ...]
 
     def to_json(self) -> str:
-        """Return the answer as one line of JSON."""
+        """Return the output as one line of JSON."""
         return json.dumps(self._asdict())
 
 
 class Live:
-    """A model that is asked sample by sample; it answers every line and never with NaN.
+    """Online simulation of a model, sample by sample; every line gives an output, never NaN.
 
-    It steps on a clock of its own, from the first sample on: each sample counts for the sampling time it is
-    nearest to, a second one for the same takes the place of the first. Where commands are missing the last
-    ones stand; without a measured displacement it coasts on commands. Sampling times without a sample are
-    made up for; samples from the past are not taken in. Programs are compiled before the first sample.
+    The model has its own clock, which starts at the first sample. Each sample is assigned to the nearest
+    sampling time; a second one for the same time replaces the first. A missing command keeps its last value;
+    without a measured displacement the model simulates from the commands. Steps without a sample are
+    simulated; samples out of order are ignored. Functions are compiled before the first sample.
 
     Args:
         model: an identified hitch.
-        initial: displacement to start from, in the model's unit; None for the first one measured.
-        load: second measured input before motion, where the model hears one.
+        initial: initial displacement, in the model's unit; None for the first measured one.
+        load: covariate before motion, where the model has one.
 
     Raises:
-        InputError: a number to start from is not finite.
+        InputError: initial displacement or load is not finite, or beyond 1e9.
     """
 
     def __init__(self, model: Hitch, *, initial: float | None = None, load: float = 0.0) -> None:
@@ -76,7 +76,7 @@ class Live:
         model.unpack_state(state)
 
     def process(self, line: str) -> Output:
-        """Take in one line of JSON and answer it."""
+        """Advance the model by one line of JSON and return its output."""
         sample, flags = _parse(line)
         stamp = sample.get(TIME, math.nan)
         stamped = math.isfinite(stamp)
@@ -115,12 +115,12 @@ class Live:
         self._history.clear()
 
     def _reset(self, time_s: float) -> None:
-        """Set the model's clock, and wait for a displacement to start from."""
+        """Set the model's clock and discard the state until the next measured displacement."""
         self._set_clock(time_s)
         self._state = self._displacement = None
 
     def _fill_gap(self, samples: int, time_s: float) -> None:
-        """Coast over samples that never came; after too many nothing is known any more."""
+        """Simulate over missing samples; reset after more than `MAX_GAP_SAMPLES`."""
         if samples > MAX_GAP_SAMPLES:
             self._reset(time_s)
             return
@@ -128,7 +128,7 @@ class Live:
             self._step({})
 
     def _undo_steps(self, samples: int) -> Sample:
-        """Undo the latest steps; return what the first of them was made with."""
+        """Undo the latest steps; return the sample of the first of them."""
         sample: Sample = {}
         for _ in range(min(samples, len(self._history))):
             self._state, sample = self._history.pop()
@@ -159,7 +159,7 @@ class Live:
         return flags + self._out_of_range(sample, int(hitch_state.mode))
 
     def _out_of_range(self, sample: Sample, active_channel: int) -> list[str]:
-        """Tell what of a sample leaves the tests; a displacement, those of each channel that may move it."""
+        """Return flags for commands outside their range, and a displacement outside all ranges that apply."""
         model, outside = self._model, []
         for direction, channel in model.channels.items():
             command = abs(
@@ -186,7 +186,7 @@ class Live:
 
 
 def _ranges(channel: Channel) -> dict[str, tuple[float, float]]:
-    """Return from where to where commands beyond the dead zone, and displacements, went in the tests."""
+    """Return lowest and highest effective command and displacement in the identification tests."""
     covered = channel.operating_range
     signal_ranges = {"command": covered.command, DISPLACEMENT: covered.displacement}
     return {
@@ -196,7 +196,7 @@ def _ranges(channel: Channel) -> dict[str, tuple[float, float]]:
 
 
 def _parse(line: str) -> tuple[dict[str, float], list[str]]:
-    """Return the numbers of one line, and what is odd about it."""
+    """Return the numbers of one line, and flags for what cannot be used."""
     try:
         content = json.loads(line)
     except (ValueError, RecursionError):
@@ -223,5 +223,5 @@ def _finite(value: int | float) -> float:
 
 
 def _round_samples(samples: float) -> int:
-    """Return a number of samples; beyond all measure, one that is too many."""
+    """Return a whole number of samples, limited to ±1e15 so that infinities can be rounded."""
     return round(min(max(samples, -1e15), 1e15))
