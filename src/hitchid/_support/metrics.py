@@ -11,7 +11,7 @@ MIN_IMPROVEMENT = 1.02  # ratio of RMSE: 2 % better (chosen)
 MIN_WIN_RATE = 2 / 3  # share of tests in which the better model has the smaller error (chosen)
 # From six tests on a difference of one standard error (84 %, one-sided) counts; with fewer, 90 % (chosen).
 MIN_TESTS, ONE_SIGMA_LEVEL, FEW_TESTS_LEVEL = 6, 0.84, 0.9
-ERROR_FLOOR = 1e-300  # lower limit of an error, so that its logarithm is finite
+ERROR_FLOOR = 1e-300  # lower limit of an error, so that its logarithm is finite (chosen)
 
 
 class ErrorFigures(NamedTuple):
@@ -20,7 +20,7 @@ class ErrorFigures(NamedTuple):
     Attributes:
         rmse: root mean square error, in the displacement's unit.
         mae: mean absolute error, in the displacement's unit.
-        r2: coefficient of determination, a fraction; the spread is taken about each test's own mean.
+        r2: coefficient of determination, a fraction; variance about each test's own mean.
         fit: 100 (1 − ‖y − ŷ‖ / ‖y − ȳ‖), percent; ȳ is each test's own mean.
         max_abs: largest absolute error, in the displacement's unit.
         within_1: fraction of samples whose absolute error is below one unit.

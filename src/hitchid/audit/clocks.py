@@ -8,17 +8,17 @@ from hitchid.audit.finding import AuditFinding
 from hitchid.data.record import COMMAND, DISPLACEMENT, RAMP
 from hitchid.data.units import UNITS
 
-LONGEST_LAG_S = 1.0  # s, searched to either side
-MAX_LAGS = 2000  # samples, searched to either side
-MAX_SAMPLES = 2**18  # examined, to bound time and memory
-LEAST_CORRELATION = 0.7  # of command and current at the best lag
-LEAST_SHARPNESS = 0.02  # decrease of the correlation from the peak to both ends
-LEAD_SAMPLES = 1.0  # lead explained by the order in which a logger samples
+LONGEST_LAG_S = 1.0  # s, search range to either side (chosen)
+MAX_LAGS = 2000  # samples, search range to either side (chosen)
+MAX_SAMPLES = 2**18  # samples examined, to limit time and memory (chosen)
+LEAST_CORRELATION = 0.7  # of command and current at the best lag (chosen)
+LEAST_SHARPNESS = 0.02  # decrease of the correlation from the peak to both ends (chosen)
+LEAD_SAMPLES = 1.0  # samples; lead explained by the order in which a logger samples
 MAX_LAG_S = 0.1  # s; the lag of a coil is a tenth of it
-CHANGED_FRACTION = 0.01  # of full scale; smallest change of command
-MIN_TRAVEL_FRACTION = 0.005  # of the campaign's range; smallest motion
-FEWEST_BEFORE = 5  # samples at rest before the command
-CREEP_FRACTION = 0.3  # of working speed; slower motion is creep
+CHANGED_FRACTION = 0.01  # of full scale; smallest change of command (chosen)
+MIN_TRAVEL_FRACTION = 0.005  # of the campaign's range; smallest motion (chosen)
+FEWEST_BEFORE = 5  # samples at rest before the command (chosen)
+CREEP_FRACTION = 0.3  # of working speed; slower motion is creep (chosen)
 
 
 def current_lag(context: RecordContext) -> list[AuditFinding]:

@@ -15,7 +15,7 @@ LEAST_ACTIVE = 0.10  # of a test's duration, time with a command (chosen)
 SHORTEST_S = 3.0  # s; a few dead times and lags of common valves
 FEWEST_TESTS = 5  # tests, for the variance of parameters between tests
 ABOVE_DEAD_ZONE = 1.2  # ratio of the command to that at which ramps start motion (chosen)
-ONSET_FRACTION = 0.05  # of a ramp's travel, taken as its onset
+ONSET_FRACTION = 0.05  # of a ramp's travel; defines its onset (chosen)
 
 
 def little_motion(context: RecordContext) -> list[AuditFinding]:

@@ -10,10 +10,10 @@ from hitchid.data.resampling import GRID_TOLERANCE
 
 MAX_SAMPLES = 2**20  # samples examined, to limit time and memory (chosen)
 GRID_DEVIATION = 0.05  # of the quantum; largest distance from the grid (chosen)
-FEWEST_VALUES = 3  # distinct values that make a grid
+FEWEST_VALUES = 3  # distinct values that make a grid (chosen)
 MAX_STEPS = 1e7  # quanta in the range; a smaller quantum is rounding of a float
 MIN_TURNS = 10  # starts and stops; with fewer, motion may be at one constant speed (chosen)
-# Median of |x| of a normal x of unit variance, and the spread of second differences of white noise.
+# Median of |x| and standard deviation of second differences of white normal noise x of unit variance.
 NORMAL_MEDIAN = 0.6744897501960817
 SECOND_DIFFERENCE = 6.0**0.5
 

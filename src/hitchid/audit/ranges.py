@@ -42,12 +42,12 @@ class _PlausibilityRule(NamedTuple):
 
 
 LONGEST_M = 20.0  # m; no lifting cylinder has a longer stroke
-SHORTEST_M = 1e-3  # m; a model of a shorter stroke is of no use
-LARGEST_CURRENT_A = 20.0  # A; coils take a few
-SMALLEST_MILLIAMPERE = 5.0  # mA; less drives no valve
-LARGEST_PRESSURE_PA = 1000e5  # Pa; above hydraulics
-LOWEST_PRESSURE_PA = -2e5  # Pa; a sensor's offset explains 2 bar
-LARGEST_VOLTAGE_V = 100.0  # V; above signals of a test bench
+SHORTEST_M = 1e-3  # m; shorter strokes are not modelled (chosen)
+LARGEST_CURRENT_A = 20.0  # A; coil currents are a few A
+SMALLEST_MILLIAMPERE = 5.0  # mA; a lower current opens no valve
+LARGEST_PRESSURE_PA = 1000e5  # Pa; above the pressures of hydraulics
+LOWEST_PRESSURE_PA = -2e5  # Pa; 2 bar, allowed for a sensor's offset (chosen)
+LARGEST_VOLTAGE_V = 100.0  # V; above the signals of a test bench
 OVERDRIVE = 1.05  # of full scale, 5 % tolerance (chosen)
 
 _POSITION = (

@@ -104,7 +104,7 @@ def _unexplained(values: np.ndarray, regressors: np.ndarray) -> np.ndarray:
 
 
 def start_positions(context: CampaignContext) -> list[AuditFinding]:
-    """Find directions whose tests start more than 5 % of the campaign's range apart.
+    """Find directions with start positions that differ by more than 5 % of the campaign's range.
 
     The lever of the linkage depends on the position, so speeds differ: a note.
     """

@@ -179,7 +179,7 @@ class Campaign:
         """Return the campaign with its mixed cycles cut into strokes of one direction each.
 
         Strokes of a held-out cycle are held out; without any held-out cycle, the last 20 % of each
-        direction's strokes are.
+        direction's strokes are. Raises `InputError` for an unknown direction or an invalid dead zone.
         """
         zones = checks.mapping_of(dead_zones, DIRECTIONS, "dead_zones")
         dead_zones = {

@@ -9,7 +9,7 @@ from hitchid.errors import InputError, LogError, SettingsError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-MAX_SHOWN = 10  # causes named in one error message
+MAX_SHOWN = 10  # causes named in one error message (chosen)
 
 
 @dataclass(frozen=True)

@@ -164,7 +164,7 @@ class Record:
         )
 
     def resample(self, step_s: float) -> "Record":
-        """Return the record on a clock of `step_s`; see `resampled`."""
+        """Return the record at sampling time `step_s`; raises `InputError` unless it is above 0."""
         checks.number(step_s, "step_s", above=0.0)
         count = int(np.floor((len(self) - 1) * self.step_s / step_s * (1 + 1e-12))) + 1
         new_times_s = step_s * np.arange(count)

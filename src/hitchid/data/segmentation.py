@@ -10,7 +10,7 @@ from hitchid.data.test_kinds import ACTIVE_FRACTION, full_scales
 
 HOLD, SATURATED, END_STOP, BOTH_VALVES_ACTIVE = "hold", "saturated", "end stop", "both valves on"
 LABELS = (LIFTING, LOWERING, HOLD, SATURATED, END_STOP, BOTH_VALVES_ACTIVE)  # in the order of JSON output
-WINDOW_S = 0.3  # s; window of a standstill: several lags of a common valve
+WINDOW_S = 0.3  # s; window of a standstill: several lags of a common valve (chosen)
 STATIONARY_FRACTION = 0.1  # of a direction's median travel over the window; slower is a standstill (chosen)
 AT_END_FRACTION = 0.02  # of the record's travel; largest distance from its end (chosen)
 CLIPPED_SAMPLES = 5  # consecutive samples at full scale (chosen)

@@ -10,7 +10,7 @@ from hitchid.data.record import COMMAND, CYCLE, IDLE, LIFTING, LOWERING, RAMP, R
 ACTIVE_FRACTION = 0.05  # of full scale; a smaller command counts as noise (chosen)
 RAMP_CORRELATION = 0.99  # correlation of a ramp's command with time, at least (chosen)
 RAMP_SHORTEST_S = 2.0  # s; a faster rise excites the dynamics (chosen)
-STALL_S = 0.3  # s; window of a standstill: several lags of a common valve
+STALL_S = 0.3  # s; window of a standstill: several lags of a common valve (chosen)
 STALL_SPEED_FRACTION = 0.1  # of the largest travel over that window; slower is a standstill (chosen)
 STALL_COMMAND_FRACTION = 0.8  # of a standstill; least share with a strong command (chosen)
 REST_S = 0.5  # s without command before a stroke, in which the piston comes to rest (chosen)

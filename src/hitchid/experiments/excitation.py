@@ -67,7 +67,7 @@ def prbs(
     The shift register is the shortest whose period 2ⁿ − 1 covers the test; the seed chooses its phase.
 
     Args:
-        low, high: the two levels.
+        low, high: the two levels; raises `InputError` unless 0 ≤ low < high.
         clock_s: shortest time a level is held, s.
         duration_s: length, s.
         seed: phase of the sequence.
@@ -103,7 +103,7 @@ def random_hold(
 
     Args:
         levels: the commands to draw from.
-        shortest_s, longest_s: range of the hold time, s.
+        shortest_s, longest_s: range of the hold time, s; raises `InputError` unless 0 < shortest ≤ longest.
         duration_s: length, s.
         seed: seed of levels and times.
         rest_s: time at zero before the first level, s.
