@@ -25,7 +25,7 @@ from hitchid.rig.plant import (
 from hitchid.rig.test_bench import Rig, at_temperature
 
 SAMPLE_S = 0.01  # s, sampling time of the data acquisition
-SUBSTEPS = 8  # integration steps per sample (chosen); tests/rig checks the order of convergence
+SUBSTEPS = 8  # integration steps per sample (chosen); tests/rig compares with twice as many
 
 
 class RigMotion(eqx.Module):
