@@ -1,1 +1,1 @@
-"""Shared support without any hydraulics: files, checkpoints, progress, precision, notices."""
+"""Shared support, independent of hydraulics: files, checkpoints, progress, precision, notices."""

@@ -1,4 +1,4 @@
-"""Cache of intermediate results of a long run, one file each, for a resume after a stop."""
+"""Checkpoints: intermediate results of a long run, one file each, to resume it after a stop."""
 
 import io
 import re
@@ -17,15 +17,15 @@ Arrays = Mapping[str, np.ndarray]
 Cached = TypeVar("Cached")
 SUFFIX, RUN_FILE, FAILED_FILE = ".npz", "run.json", "failed"
 DIGEST_LENGTH = 64  # characters of a SHA-256 in hexadecimal
-MAX_READABLE, HASH_LENGTH = 80, 16  # characters of a file name: legible part, and digest of the names
+MAX_READABLE, HASH_LENGTH = 80, 16  # characters of a file name: legible part, digest (chosen)
 
 
 @dataclass(frozen=True)
 class Checkpoints:
-    """Place of cached results.
+    """Folder of cached results, and the task they belong to.
 
     Attributes:
-        folder: of one run, or of results whose names are digests of their inputs; None caches nothing.
+        folder: of one run, or of results named by the digest of their inputs; None disables the cache.
         parents: names of the enclosing tasks, outermost first.
     """
 
@@ -34,14 +34,15 @@ class Checkpoints:
 
     @classmethod
     def of_run(cls, folder: Path, content: Mapping[str, object]) -> "Checkpoints":
-        """Return the place of the results of one run, which only the same run may read.
+        """Return the checkpoints of one run, readable only for the same run.
 
         Args:
-            folder: created with the first result.
-            content: all that determines the outcome, as JSON values.
+            folder: created if it does not exist.
+            content: all inputs that determine the outcome, as JSON values.
 
         Raises:
-            InputError: the folder holds results of another run, or something else.
+            InputError: the folder holds results of another run, or other files.
+            OutputError: it cannot be written.
         """
         stamp, run_file = canonical_json(content), folder / RUN_FILE
         if run_file.is_file():
@@ -59,7 +60,7 @@ class Checkpoints:
         return cls(folder)
 
     def child(self, name: str) -> "Checkpoints":
-        """Return the place of the results of a subtask."""
+        """Return the checkpoints of a subtask."""
         return replace(self, parents=(*self.parents, name))
 
     def cached_arrays(self, name: str, work: Callable[[], Arrays]) -> Arrays:
@@ -78,12 +79,12 @@ class Checkpoints:
         return arrays
 
     def cached(self, name: str, kind: Callable[..., Cached], work: Callable[[], Cached]) -> Cached:
-        """Return the record of numbers, texts and arrays cached under a name, or compute and cache it.
+        """Return the dataclass instance cached under a name, or compute and cache it.
 
         Args:
             name: of the result.
-            kind: a dataclass of such fields.
-            work: computes one.
+            kind: a dataclass whose fields are numbers, strings and arrays.
+            work: computes an instance.
 
         Raises:
             OutputError: it cannot be written.
@@ -106,8 +107,8 @@ def has_results(folder: Path) -> bool:
 
 
 def mark_failed(folder: Path, *, failed: bool) -> None:
-    """Mark whether the run in a folder ended with an error: the next one may then replace it."""
-    with suppress(OSError):  # a full disk, mostly: the run can then be resumed, as after a stop
+    """Mark whether the run in a folder ended with an error; the next run may then replace it."""
+    with suppress(OSError):  # such as a full disk: the run can then be resumed, as after a stop
         if failed:
             (folder / FAILED_FILE).touch()
         else:
@@ -147,5 +148,5 @@ def _read(path: Path) -> dict[str, np.ndarray] | None:
             return None
         with np.load(io.BytesIO(data[DIGEST_LENGTH:]), allow_pickle=False) as archive:
             return dict(archive)
-    except Exception:  # the digest may be right and numpy still refuse the archive
+    except Exception:  # numpy may reject an archive although its digest is right
         return None

@@ -1,4 +1,4 @@
-"""Checks of arguments of public calls: the error names the argument, the requirement and the value."""
+"""Checks of arguments of public functions; errors name the argument, the requirement and the value."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -11,20 +11,20 @@ import numpy as np
 from hitchid.errors import InputError
 
 Kind = TypeVar("Kind")
-MAX_SHOWN = 60  # characters of a value quoted in a message
+MAX_SHOWN = 60  # characters of a value in a message (chosen)
 
 
 def instance(value: object, kind: type[Kind] | tuple[type[Kind], ...], name: str, required: str) -> Kind:
-    """Return a value of a kind.
+    """Return a value of a given type.
 
     Args:
-        value: what came.
-        kind: its type, or several.
+        value: the argument.
+        kind: the admissible type, or several.
         name: of the argument.
         required: the requirement, for the message.
 
     Raises:
-        InputError: it is of another kind.
+        InputError: the value is of another type.
     """
     if not isinstance(value, kind):
         raise input_error(name, required, value)
@@ -32,10 +32,10 @@ def instance(value: object, kind: type[Kind] | tuple[type[Kind], ...], name: str
 
 
 def number(value: object, name: str, *, above: float = -math.inf) -> float:
-    """Return a finite real number, from NumPy or JAX too.
+    """Return a finite real number; NumPy and JAX scalars are converted.
 
     Raises:
-        InputError: it is none, or not above a limit.
+        InputError: the value is no finite number, or not larger than `above`.
     """
     try:
         array = np.asarray(value)
@@ -50,14 +50,14 @@ def number(value: object, name: str, *, above: float = -math.inf) -> float:
 
 
 def integer(value: object, name: str, *, minimum: int = 0) -> int:
-    """Return a whole number that is not below a limit; raises InputError where it is none."""
+    """Return an integer of at least `minimum`; raises `InputError` for any other value."""
     if isinstance(value, bool) or not isinstance(value, Integral) or value < minimum:
         raise input_error(name, f"a whole number of at least {minimum}", value)
     return int(value)
 
 
 def one_of(value: object, allowed: Iterable[str], name: str) -> str:
-    """Return one of the known names; raises InputError where it is none of them."""
+    """Return one of the allowed names; raises `InputError` for any other value."""
     names = tuple(allowed)
     if not isinstance(value, str) or value not in names:
         raise input_error(name, f"one of {', '.join(names)}", value)
@@ -65,21 +65,21 @@ def one_of(value: object, allowed: Iterable[str], name: str) -> str:
 
 
 def path(value: object, name: str) -> Path:
-    """Return a path; raises InputError where it is neither text nor a path."""
+    """Return a path; raises `InputError` for any value other than a string or a path."""
     return Path(instance(value, (str, Path), name, "a path"))
 
 
 def tuple_of(
     values: object, kind: type[Kind] | tuple[type[Kind], ...], name: str, required: str
 ) -> tuple[Kind, ...]:
-    """Return values of a kind out of anything that can be gone through, but text; raises InputError."""
+    """Return the items of an iterable of one type; raises `InputError` for strings and mappings."""
     if isinstance(values, str | bytes | Mapping) or not isinstance(values, Iterable):
         raise input_error(name, required, values)
     return tuple(instance(value, kind, name, required) for value in values)
 
 
 def mapping_of(values: object, allowed: Iterable[str], name: str) -> Mapping[str, object]:
-    """Return a mapping whose keys are all known; raises InputError."""
+    """Return a mapping with allowed keys only; raises `InputError` for any other value."""
     mapping = instance(values, Mapping, name, "a mapping")
     for key in mapping:
         one_of(key, allowed, f"{name}: key")
@@ -87,7 +87,7 @@ def mapping_of(values: object, allowed: Iterable[str], name: str) -> Mapping[str
 
 
 def input_error(name: str, required: str, value: object) -> InputError:
-    """Return the error about a value."""
+    """Return the error for a value that does not meet a requirement."""
     text = repr(value)
     shown = text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}…"
     return InputError(f"{name}: required {required}, came {type(value).__name__} {shown}")

@@ -1,4 +1,4 @@
-"""Parts that other installed packages add: structures, baselines, log formats, renderers."""
+"""Extensions by entry points of other packages: structures, baselines, log formats, renderers."""
 
 from collections.abc import Callable, Iterable, Mapping
 from importlib.metadata import EntryPoint, entry_points
@@ -13,19 +13,19 @@ Extension = TypeVar("Extension")
 def with_extensions(
     group: str, built_in: Iterable[Extension], *, kind: type[Extension], name: Callable[[Extension], str]
 ) -> Mapping[str, Extension]:
-    """Return this package's parts of one kind and those that installed packages register, by name.
+    """Return built-in extensions of one kind and those registered by installed packages, by name.
 
-    Another package registers a part by an entry point, for instance
-    `[project.entry-points."hitchid.structures"]` in its `pyproject.toml`, whose value is the part.
+    Another package registers an extension by an entry point, for instance
+    `[project.entry-points."hitchid.structures"]` in its `pyproject.toml`, whose value is the object.
 
     Args:
         group: name of the group of entry points.
-        built_in: the parts of this package.
-        kind: the type that every part has.
-        name: returns the name of a part.
+        built_in: the extensions of this package.
+        kind: the type of every extension.
+        name: returns the name of an extension.
 
     Raises:
-        InputError: a registered part cannot be imported, is of another type, or its name is taken.
+        InputError: an extension cannot be imported, is of another type, or its name is taken.
     """
     extensions = {name(extension): extension for extension in built_in}
     for entry in sorted(entry_points(group=group), key=lambda entry: entry.name):

@@ -1,4 +1,4 @@
-"""Errors of a prediction against what was measured: pure functions of arrays."""
+"""Error figures of predictions against measurements, and tests of their significance."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -6,21 +6,21 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import stdtrit
 
-HORIZONS = (1, 2, 5, 10, 20, 50, 100)  # samples predicted ahead, as metrics.json lists them
-MIN_IMPROVEMENT = 1.02  # ratio of RMSE: 2 % better
-MIN_WIN_RATE = 2 / 3  # share of tests on which a better model must be better
-# Tests from which on one standard error (84 %, one-sided) proves a difference; with fewer, 90 %.
+HORIZONS = (1, 2, 5, 10, 20, 50, 100)  # samples predicted ahead, as listed in metrics.json
+MIN_IMPROVEMENT = 1.02  # ratio of RMSE: 2 % better (chosen)
+MIN_WIN_RATE = 2 / 3  # share of tests in which the better model has the smaller error (chosen)
+# From six tests on a difference of one standard error (84 %, one-sided) counts; with fewer, 90 % (chosen).
 MIN_TESTS, ONE_SIGMA_LEVEL, FEW_TESTS_LEVEL = 6, 0.84, 0.9
-ERROR_FLOOR = 1e-300  # smallest error taken, so that its logarithm is finite
+ERROR_FLOOR = 1e-300  # lower limit of an error, so that its logarithm is finite (chosen)
 
 
 class ErrorFigures(NamedTuple):
-    """How far predictions lie from measurements, pooled over tests.
+    """Error figures of predictions, pooled over tests.
 
     Attributes:
         rmse: root mean square error, in the displacement's unit.
         mae: mean absolute error, in the displacement's unit.
-        r2: coefficient of determination, a fraction; the spread is taken about each test's own mean.
+        r2: coefficient of determination, a fraction; variance about each test's own mean.
         fit: 100 (1 − ‖y − ŷ‖ / ‖y − ȳ‖), percent; ȳ is each test's own mean.
         max_abs: largest absolute error, in the displacement's unit.
         within_1: fraction of samples whose absolute error is below one unit.
@@ -35,17 +35,17 @@ class ErrorFigures(NamedTuple):
 
 
 def error_figures(actual: Sequence[np.ndarray], predicted: Sequence[np.ndarray]) -> ErrorFigures:
-    """Compare predictions with measurements, test by test, pooled over all samples.
+    """Return the error figures of predictions, pooled over all samples of all tests.
 
-    R² = 1 − Σ(y − ŷ)² / Σ(y − ȳ)². The mean is each test's own, so tests that start at different heights do
-    not lend each other spread.
+    R² = 1 − Σ(y − ŷ)² / Σ(y − ȳ)². The mean is each test's own, so different start positions of the tests do
+    not add to the variance.
 
     Args:
         actual: measured displacement, one array of shape [N_i] for each test.
         predicted: predicted displacement, of the same shapes and unit.
 
     Returns:
-        The pooled figures; `r2` and `fit` are 0 and the error counts in full where nothing moved.
+        The pooled figures; `r2` and `fit` are 0 if no test has motion. Tests without motion add error only.
     """
     error = np.concatenate([np.asarray(p) - np.asarray(a) for a, p in zip(actual, predicted, strict=True)])
     moving_tests = [np.asarray(a) for a in actual if np.ptp(a) > 0]
@@ -63,7 +63,7 @@ def error_figures(actual: Sequence[np.ndarray], predicted: Sequence[np.ndarray])
 
 
 def rmse_error(actual: Sequence[np.ndarray], predicted: Sequence[np.ndarray]) -> float:
-    """Return the standard error of the pooled root mean square error, with tests as what is independent.
+    """Return the standard error of the pooled root mean square error, tests being independent.
 
     The jackknife, s² = (T − 1)/T Σ (r_t − r̄)², r_t being the figure without test t.
 
@@ -71,7 +71,7 @@ def rmse_error(actual: Sequence[np.ndarray], predicted: Sequence[np.ndarray]) ->
         actual, predicted: as for `error_figures`.
 
     Returns:
-        In the displacement's unit; NaN where there is one test alone.
+        In the displacement's unit; NaN for a single test.
     """
     errors = [np.asarray(p) - np.asarray(a) for a, p in zip(actual, predicted, strict=True)]
     tests = len(errors)
@@ -86,17 +86,17 @@ def rmse_error(actual: Sequence[np.ndarray], predicted: Sequence[np.ndarray]) ->
 def significantly_better(errors: np.ndarray, other_errors: np.ndarray, samples: np.ndarray) -> bool:
     """Return whether one model has a significantly smaller error than another over the same tests.
 
-    d = ln r_than − ln r over all samples, its standard error s by the jackknife over the tests that both were
-    run on; d/s is held against Student's t with T − 1 degrees of freedom, one-sided 2.5 %. Logarithms, for
-    errors scatter from test to test by factors.
+    d = ln r₂ − ln r over all samples, r₂ being the error of the other model; its standard error s is by the
+    jackknife over the tests. d/s is compared with Student's t at T − 1 degrees of freedom, one-sided 2.5 %.
+    Logarithms are used since errors of tests differ by factors.
 
     Args:
         errors, other_errors: root mean square error of each test, of the one and of the other, shape [T];
             infinite where a model diverged.
-        samples: how many samples each test has, shape [T].
+        samples: number of samples of each test, shape [T].
 
     Returns:
-        False too where there is one test alone.
+        The result; False for a single test.
     """
     tests = errors.size
     if not np.all(np.isfinite(errors)) or tests < 2:
@@ -115,19 +115,18 @@ def significantly_better(errors: np.ndarray, other_errors: np.ndarray, samples: 
     with np.errstate(divide="ignore", invalid="ignore"):
         overall = log_ratio(test_indices >= 0)
         leave_one_out = np.array([log_ratio(test_indices != omitted) for omitted in test_indices])
-    if not np.all(np.isfinite(leave_one_out)):  # a model without any error has no logarithm
+    if not np.all(np.isfinite(leave_one_out)):  # the logarithm of a zero error is infinite
         return bool(np.all(errors < other_errors))
     error = np.sqrt((tests - 1) / tests * np.sum((leave_one_out - leave_one_out.mean()) ** 2))
     return bool(overall > stdtrit(tests - 1, 0.975) * error)
 
 
 def proven_better(errors: np.ndarray, other_errors: np.ndarray) -> bool:
-    """Return whether held-out tests prove one model better than another.
+    """Return whether one model is significantly better than another on held-out tests.
 
-    It is better by 2 % in root mean square over all tests, on two thirds of them, and the mean of ln(r₂/r)
-    lies above zero by a standard error, r₂ being the error of the other: by Student's t at 84 %, one-sided,
-    and with fewer than six tests, whose scatter is itself uncertain, at 90 %. No single test decides.
-    Logarithms, for errors scatter by factors.
+    The conditions: a root mean square error smaller by 2 % over all tests, a smaller error in two thirds of
+    them, and a mean of ln(r₂/r) above zero, r₂ being the error of the other, by Student's t, one-sided at
+    84 %, with fewer than six tests (uncertain variance) at 90 %. A single test is not enough.
 
     Args:
         errors, other_errors: root mean square error of each test, of the one and of the other, shape [T].

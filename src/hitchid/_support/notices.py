@@ -1,11 +1,11 @@
-"""Notices: facts about data and results that the user must see, as records."""
+"""Notices on data and results, as records."""
 
 from dataclasses import dataclass, replace
 from enum import Enum
 
 
 class Severity(Enum):
-    """Weight of a notice or finding, the gravest first."""
+    """Severity of a notice or finding, in descending order."""
 
     FAULT = "fault"
     WARNING = "warning"
@@ -14,15 +14,15 @@ class Severity(Enum):
 
 @dataclass(frozen=True)
 class Notice:
-    """A fact about data or results that the user must see.
+    """A fact about data or results that is reported to the user.
 
     `str(notice)` is the printed text, `place: sentence`.
 
     Attributes:
-        code: fixed name of the fact, such as `clock-resampled`; for programs.
-        sentence: for people; without capital letter and full stop.
-        place: record, file, signal or direction concerned; empty where none is.
-        severity: weight.
+        code: identifier for programs, such as `clock-resampled`.
+        sentence: printed text, without capital letter and full stop.
+        place: record, file, signal or direction concerned; may be empty.
+        severity: fault, warning or note.
     """
 
     code: str
@@ -31,9 +31,9 @@ class Notice:
     severity: Severity = Severity.NOTE
 
     def __str__(self) -> str:
-        """Return the text that is printed."""
+        """Return the printed text."""
         return f"{self.place}: {self.sentence}" if self.place else self.sentence
 
     def at(self, place: str) -> "Notice":
-        """Return the notice with an outer place put before its own."""
+        """Return the notice with an outer place prefixed to its own."""
         return replace(self, place=f"{place}: {self.place}" if self.place else place)

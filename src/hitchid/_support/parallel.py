@@ -1,4 +1,4 @@
-"""Independent tasks in parallel, on all cores."""
+"""Parallel execution of independent tasks on all cores."""
 
 import os
 from collections.abc import Callable, Iterable
@@ -12,18 +12,18 @@ Result = TypeVar("Result")
 
 
 def parallel(work: Callable[[Name], Result], names: Iterable[Name]) -> dict[Name, Result]:
-    """Run a task for each of several names, as many at a time as there are cores, in double precision.
+    """Run a task for each name, in parallel on all cores and in double precision.
 
-    Threads are enough: JAX compiles and computes outside of Python's lock.
+    Threads suffice: JAX compiles and computes without Python's global interpreter lock.
 
     Args:
-        work: the task; where one raises, the others are finished first.
+        work: the task; an exception is raised after all tasks have ended.
         names: argument of each task.
 
     Returns:
         Name to result, in the order of the names.
     """
     with ThreadPoolExecutor(max(2, os.cpu_count() or 1)) as executor:
-        # The precision of JAX is a setting of the thread.
+        # JAX's precision is a setting per thread.
         futures = {name: executor.submit(double_precision(work), name) for name in names}
     return {name: future.result() for name, future in futures.items()}

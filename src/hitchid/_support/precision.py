@@ -1,4 +1,4 @@
-"""Double precision for the duration of a call, whatever the caller's JAX is set to."""
+"""Double precision within a call, independent of the caller's JAX setting."""
 
 from collections.abc import Callable
 from functools import wraps
@@ -11,7 +11,7 @@ Result = TypeVar("Result")
 
 
 def double_precision(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
-    """Let a function compute in float64 without changing JAX's setting outside it."""
+    """Decorate a function to compute in float64; JAX's setting outside it is unchanged."""
 
     @wraps(function)
     def wrapper(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:

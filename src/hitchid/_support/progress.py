@@ -7,14 +7,14 @@ from typing import NamedTuple
 
 
 class ProgressUpdate(NamedTuple):
-    """One report of progress.
+    """State of progress at one time.
 
     Attributes:
         stage: name of the present stage.
         fraction: completed share of all work.
-        iteration: such as `iteration 40`; empty where the stage has none.
-        figures: name to present value of what the stage minimises.
-        task: which of several parallel tasks reports; empty where there is one.
+        iteration: such as `iteration 40`; may be empty.
+        figures: name to present value of the minimised quantities.
+        task: name of the parallel task; empty for a single one.
     """
 
     stage: str
@@ -26,25 +26,25 @@ class ProgressUpdate(NamedTuple):
 
 ProgressCallback = Callable[[ProgressUpdate], None]
 IterationCallback = Callable[[int, float], None]
-"""Called after an iteration of a search with its number and the best error so far."""
+"""Called after each iteration of a search with its number and the best error so far."""
 
 
-TYPICAL_ITERATIONS = 100  # after which half of a search's share of the progress is shown
+TYPICAL_ITERATIONS = 100  # iterations at half of a search's share of the progress (chosen)
 
 
 def silent(_: ProgressUpdate) -> None:
-    """Report nothing."""
+    """Ignore a progress update."""
 
 
 def subtask_progress(
     progress: ProgressCallback, start: float, width: float, name: str = ""
 ) -> ProgressCallback:
-    """Return a callback that reports the progress of a part as progress of the whole.
+    """Return a callback that maps the progress of a subtask to the progress of the whole.
 
     Args:
         progress: of the whole.
-        start, width: where the part begins, and its share of the whole, fractions.
-        name: put before each stage.
+        start, width: start of the subtask and its share of the whole, fractions.
+        name: prefix of each stage.
     """
 
     def report(step: ProgressUpdate) -> None:
@@ -61,8 +61,8 @@ def parallel_progress(
 
     Args:
         progress: of the whole.
-        start, width: where they begin, and their share of the whole together, fractions.
-        names: put before each stage.
+        start, width: start of the tasks and their total share of the whole, fractions.
+        names: of the tasks, prefixed to each stage.
     """
     fractions, lock = dict.fromkeys(names, 0.0), Lock()
 
@@ -88,8 +88,8 @@ def iteration_progress(
     Args:
         progress: of the whole.
         stage: name of the search.
-        start, width: where the search begins, and its share of the whole, fractions.
-        name: of the error that is minimised.
+        start, width: start of the search and its share of the whole, fractions.
+        name: of the minimised error.
     """
 
     def report(number: int, error: float) -> None:

@@ -1,4 +1,4 @@
-"""Results on disk: canonical JSON, digests, and folders that appear whole or not at all."""
+"""Results on disk: canonical JSON, digests, and atomic writing of files and folders."""
 
 import hashlib
 import json
@@ -11,11 +11,11 @@ from pathlib import Path
 from hitchid.errors import InputError, OutputError
 
 MANIFEST_FILE = ".hitchid.json"  # kind of the result, and SHA-256 of its files
-MAX_NAMED = 3  # foreign files named in a message
+MAX_NAMED = 3  # foreign files named in a message (chosen)
 
 
 def canonical_json(content: object) -> bytes:
-    """Return JSON with sorted keys and one form for each value: equal content gives equal bytes.
+    """Return JSON with sorted keys and fixed formatting: equal content gives equal bytes.
 
     Raises:
         ValueError: a number is not finite.
@@ -25,10 +25,10 @@ def canonical_json(content: object) -> bytes:
 
 
 def inside_folder(path: Path) -> Path:
-    """Return a file of a folder.
+    """Return the path of a file in a folder, after a check that it is no link out of it.
 
     Raises:
-        InputError: it is a link out of the folder.
+        InputError: the path is a link out of the folder.
     """
     # Unlike Path.resolve, os.path.realpath accepts a link to itself.
     target = Path(os.path.realpath(path))
@@ -41,18 +41,18 @@ def inside_folder(path: Path) -> Path:
 
 
 def write_folder(folder: Path, write: Callable[[Path], None], *, result_kind: str, force: bool) -> None:
-    """Write a folder beside its place and move it there, so that it appears whole or not at all.
+    """Write a folder atomically: into a temporary folder, which is then renamed.
 
     `.hitchid.json` in it lists its files with their SHA-256.
 
     Args:
-        folder: where to.
+        folder: the folder to write.
         write: fills a folder.
-        result_kind: the kind of result, named after its main file; `force` replaces no other kind.
-        force: replace an older result, as long as nothing in it was added or changed.
+        result_kind: kind of the result, named after its main file; `force` replaces no other kind.
+        force: replace an older result, if no file in it was added or changed.
 
     Raises:
-        OutputError: it exists already, or cannot be written.
+        OutputError: the folder exists already, or cannot be written.
     """
     check_folder(folder, result_kind=result_kind, force=force)
     target = Path(os.path.realpath(folder))
@@ -67,7 +67,7 @@ def write_folder(folder: Path, write: Callable[[Path], None], *, result_kind: st
             )
             os.chmod(temporary, 0o755)  # noqa: S103
             fsync(*temporary.rglob("*"), temporary)
-            check_folder(folder, result_kind=result_kind, force=force)  # it may have appeared meanwhile
+            check_folder(folder, result_kind=result_kind, force=force)  # it may exist by now
             backup = temporary.with_name(f"{temporary.name}-older")
             if target.exists():
                 target.rename(backup)
@@ -86,7 +86,7 @@ def write_folder(folder: Path, write: Callable[[Path], None], *, result_kind: st
 
 
 def _digests(folder: Path) -> dict[str, str]:
-    """Return the SHA-256 of every file below a folder but its manifest, by its path there; "" for no file."""
+    """Return path to SHA-256 of the files below a folder except its manifest; "" for no regular file."""
     paths = sorted(path for path in folder.rglob("*") if path.is_symlink() or not path.is_dir())
     return {
         path.relative_to(folder).as_posix(): ""
@@ -98,7 +98,7 @@ def _digests(folder: Path) -> dict[str, str]:
 
 
 def fsync(*paths: Path) -> None:
-    """Flush files and folders to the disk, so that a renamed result is complete.
+    """Flush files and folders to disk, so that a renamed result is complete.
 
     Raises:
         OSError: the disk is full or fails.
@@ -120,15 +120,15 @@ def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
 
 
 def digest(data: bytes) -> str:
-    """Return the SHA-256 of some bytes, in hexadecimal."""
+    """Return the SHA-256 of bytes, in hexadecimal."""
     return hashlib.sha256(data).hexdigest()
 
 
 def check_folder(folder: Path, *, result_kind: str, force: bool) -> None:
-    """Check that `write_folder` would write to a place.
+    """Check that `write_folder` may write a folder.
 
     Raises:
-        OutputError: it holds something that must not be replaced.
+        OutputError: it exists and must not be replaced, or cannot be written.
     """
     _check_path(folder)
     occupied = folder.exists() and not (folder.is_dir() and not any(folder.iterdir()))
@@ -139,7 +139,7 @@ def check_folder(folder: Path, *, result_kind: str, force: bool) -> None:
 
 
 def _check_replaceable(folder: Path, result_kind: str) -> None:
-    """Refuse to replace a folder that holds anything but an older result of the same kind, as written."""
+    """Raise `OutputError` unless a folder holds an unchanged older result of the same kind."""
     try:
         manifest = json.loads((folder / MANIFEST_FILE).read_bytes())
         kind, files = manifest["kind"], dict(manifest["files"])
@@ -167,16 +167,16 @@ def _check_replaceable(folder: Path, result_kind: str) -> None:
 
 
 def check_inputs(out: Path, inputs: Iterable[Path | None]) -> None:
-    """Refuse to replace what a command reads.
+    """Check that the output of a command replaces none of its inputs.
 
-    The output is an input, or holds one, or is a file in a folder that is read.
+    The output must not be an input, contain one, or be a file in an input folder.
 
     Args:
         out: file or folder to write.
         inputs: files and folders that are read; None for one that is not given.
 
     Raises:
-        OutputError: it would be replaced.
+        OutputError: an input would be replaced.
     """
     if not out.exists():
         return
@@ -195,7 +195,7 @@ def check_inputs(out: Path, inputs: Iterable[Path | None]) -> None:
 
 
 def _check_path(path: Path) -> None:
-    """Refuse a name that no file can have, and a place inside a file."""
+    """Raise `OutputError` for an invalid file name, or a path below a file."""
     try:
         ancestor = next(parent for parent in path.absolute().parents if parent.exists())
         path.exists()
@@ -206,10 +206,10 @@ def _check_path(path: Path) -> None:
 
 
 def check_file(path: Path, *, force: bool) -> None:
-    """Check that `write_file` would write to a place.
+    """Check that `write_file` may write a file.
 
     Raises:
-        OutputError: it holds something that must not be replaced.
+        OutputError: it exists and must not be replaced, or cannot be written.
     """
     _check_path(path)
     if path.exists() and not (force and path.is_file()):
@@ -217,15 +217,15 @@ def check_file(path: Path, *, force: bool) -> None:
 
 
 def write_file(path: Path, write: Callable[[Path], None], *, force: bool) -> None:
-    """Write a file beside its place and move it there, so that it appears whole or not at all.
+    """Write a file atomically: into a temporary folder, then rename it.
 
     Args:
-        path: where to.
-        write: writes the file it is given, whose name ends as `path` does.
-        force: replace a file that is there.
+        path: the file to write.
+        write: writes a file of the same name.
+        force: replace an existing file.
 
     Raises:
-        OutputError: it exists already, or cannot be written.
+        OutputError: the file exists already, or cannot be written.
     """
     check_file(path, force=force)
     try:
@@ -241,7 +241,7 @@ def write_file(path: Path, write: Callable[[Path], None], *, force: bool) -> Non
 
 
 def write_bytes(path: Path, content: bytes, *, force: bool) -> None:
-    """Write a file whole or not at all; see `write_file`."""
+    """Write bytes to a file atomically; see `write_file`."""
 
     def write(temporary_file: Path) -> None:
         temporary_file.write_bytes(content)

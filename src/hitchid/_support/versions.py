@@ -1,4 +1,4 @@
-"""The versions of all that figures depend on."""
+"""Versions of the packages that results depend on."""
 
 from importlib.metadata import PackageNotFoundError, version
 
@@ -6,7 +6,7 @@ PACKAGES = ("hitchid", "jax", "jaxlib", "equinox", "optax", "numpy", "scipy")
 
 
 def installed_versions() -> dict[str, str]:
-    """Return package to version, of the packages that figures depend on."""
+    """Return package to version of the packages that results depend on."""
 
     def installed(package: str) -> str:
         try:

@@ -1,4 +1,4 @@
-"""Audit of logs before an identification: faults that would spoil a model, where, and the remedy."""
+"""Audit of logs before an identification: faults that would bias a model, their place and remedy."""
 
 from hitchid._support.notices import Severity as Severity
 from hitchid.audit.audit import audit as audit

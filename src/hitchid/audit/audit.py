@@ -1,4 +1,4 @@
-"""All checks on a campaign, their findings merged and put in order."""
+"""All checks of a campaign; their findings merged and sorted."""
 
 from collections.abc import Callable
 
@@ -21,7 +21,7 @@ from hitchid.audit.spikes import jumps, spikes
 from hitchid.audit.stuck_sensor import stuck_sensors
 from hitchid.data.campaign import Campaign
 
-MIN_MERGED = 4  # like findings that become one
+MIN_MERGED = 4  # records with the same finding, from which on they are merged (chosen)
 RECORD_CHECKS: tuple[Callable[[RecordContext], list[AuditFinding]], ...] = (
     steps,
     coarse,
@@ -53,18 +53,18 @@ CAMPAIGN_CHECKS: tuple[Callable[[CampaignContext], list[AuditFinding]], ...] = (
 
 
 def audit(campaign: Campaign) -> tuple[AuditFinding, ...]:
-    """Check a campaign's logs for faults that would spoil a model; changes nothing.
+    """Check a campaign's logs for faults that would bias a model; changes nothing.
 
     Args:
         campaign: tests of one plant.
 
     Returns:
-        Findings by level, then check, then record in the campaign's order; what four or more records share
-        is one finding that names them.
+        Findings by severity, then check, then record in the campaign's order; a finding shared by four or
+        more records is merged into one.
     """
     if not campaign.records:
         return ()
-    # Values near the largest or smallest a float can hold overflow on the way to "implausible".
+    # Values near the limits of a float overflow in the checks; such results count as implausible.
     with np.errstate(all="ignore"):
         context = campaign_context(campaign)
         findings = [finding for test in context.tests for check in RECORD_CHECKS for finding in check(test)]
@@ -76,7 +76,7 @@ def audit(campaign: Campaign) -> tuple[AuditFinding, ...]:
 
 
 def _merged(findings: list[AuditFinding], total: int) -> list[AuditFinding]:
-    """Merge four or more findings that differ in record and numbers alone."""
+    """Merge four or more findings that differ only in record and numbers."""
     alike: dict[tuple[str, Severity, str, str], list[AuditFinding]] = {}
     for finding in findings:
         key = (finding.check, finding.severity, finding.signal, finding.advice)

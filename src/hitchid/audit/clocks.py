@@ -1,4 +1,4 @@
-"""Whether command, current and displacement were logged on one clock."""
+"""Checks that command, current and displacement were logged on one clock."""
 
 import numpy as np
 
@@ -8,27 +8,28 @@ from hitchid.audit.finding import AuditFinding
 from hitchid.data.record import COMMAND, DISPLACEMENT, RAMP
 from hitchid.data.units import UNITS
 
-LONGEST_LAG_S = 1.0  # s, searched to either side
-MAX_LAGS = 2000  # samples, searched to either side
-MAX_SAMPLES = 2**18  # examined, to bound time and memory
-LEAST_CORRELATION = 0.7  # of command and current at the best lag
-LEAST_SHARPNESS = 0.02  # by which the correlation falls towards both ends
-LEAD_SAMPLES = 1.0  # explained by the order in which a logger samples
-MAX_LAG_S = 0.1  # s; coils take a tenth of it
-CHANGED_FRACTION = 0.01  # of full scale: the command has changed
-MIN_TRAVEL_FRACTION = 0.005  # of the campaign's range: the piston has moved
-FEWEST_BEFORE = 5  # samples at rest before the command
-CREEP_FRACTION = 0.3  # of working speed; slower motion is creep
+LONGEST_LAG_S = 1.0  # s, search range to either side (chosen)
+MAX_LAGS = 2000  # samples, search range to either side (chosen)
+MAX_SAMPLES = 2**18  # samples examined, to limit time and memory (chosen)
+LEAST_CORRELATION = 0.7  # of command and current at the best lag (chosen)
+LEAST_SHARPNESS = 0.02  # decrease of the correlation from the peak to both ends (chosen)
+LEAD_SAMPLES = 1.0  # samples; lead explained by the order in which a logger samples
+MAX_LAG_S = 0.1  # s; the lag of a coil is a tenth of it
+CHANGED_FRACTION = 0.01  # of full scale; smallest change of command (chosen)
+MIN_TRAVEL_FRACTION = 0.005  # of the campaign's range; smallest motion (chosen)
+FEWEST_BEFORE = 5  # samples at rest before the command (chosen)
+CREEP_FRACTION = 0.3  # of working speed; slower motion is creep (chosen)
 
 
 def current_lag(context: RecordContext) -> list[AuditFinding]:
     """Find the lag of each measured current behind its command.
 
     The lag is where the correlation of command and current is largest within ±1 s, between samples by a
-    parabola through the three largest. The command is that of the mode, or the sum of both, which fits best.
-    It counts if the correlation reaches 0.7 and falls by 0.02 towards both ends (a slow ramp's does not). A
-    current that leads by more than one sample, which the order of logging explains, is a fault: no coil is
-    ahead of its command. A lag above 0.1 s is a warning, for coils take a tenth of that; any other a note.
+    parabola through the three largest. The command is that of one direction, or the sum of both, whichever
+    correlates best. It is valid if the correlation reaches 0.7 and falls by 0.02 towards both ends (not so
+    for a slow ramp). A lead of up to one sample is explained by the order of logging; a larger one is a
+    fault, since no coil leads its command. A lag above 0.1 s, ten times that of a coil, is a warning; any
+    other is a note.
     """
     record = context.record
     findings = []
@@ -63,7 +64,7 @@ def current_lag(context: RecordContext) -> list[AuditFinding]:
 
 
 def _fit(context: RecordContext, directions: tuple[str, ...], role: str) -> tuple[float, float] | None:
-    """Return lag, s, and correlation of a current and the sum of commands; None where no lag is sharp."""
+    """Return lag, s, and correlation of a current and a sum of commands; None without a sharp peak."""
     active = context.any_active()
     if not active.any():
         return None
@@ -78,14 +79,14 @@ def _fit(context: RecordContext, directions: tuple[str, ...], role: str) -> tupl
 
 
 def lag_of(command: np.ndarray, current: np.ndarray, *, step_s: float) -> tuple[float, float] | None:
-    """Return by how much a current lags behind a command.
+    """Return the lag of a current behind a command.
 
     Args:
         command, current: shape [N].
         step_s: sampling time, s.
 
     Returns:
-        The lag, s, negative where the current leads, and the correlation at it; None where it is not sharp.
+        The lag, s, negative where the current leads, and the correlation at it; None without a sharp peak.
     """
     max_lag = round(min(LONGEST_LAG_S / step_s, MAX_LAGS, command.size // 4))
     if max_lag < 2:
@@ -108,9 +109,9 @@ def lag_of(command: np.ndarray, current: np.ndarray, *, step_s: float) -> tuple[
 
 
 def _correlations(command: np.ndarray, current: np.ndarray, lags: np.ndarray) -> np.ndarray:
-    """Return the correlation of c[k] and m[k + l], each over what overlaps, for lags l, shape [L]."""
+    """Return the correlation of c[k] and m[k + l] over the overlapping samples, for lags l, shape [L]."""
     count = command.size
-    # Scaled to 1, so that rounding is not taken for spread.
+    # Scaled to 1, so that rounding errors are not counted as variance.
     a = (command - command.mean()) / np.max(np.abs(command - command.mean()))
     b = (current - current.mean()) / np.max(np.abs(current - current.mean()))
     length = 1 << int(count + lags.size).bit_length()
@@ -135,10 +136,10 @@ def _correlations(command: np.ndarray, current: np.ndarray, lags: np.ndarray) ->
 def motion_before_command(context: CampaignContext) -> list[AuditFinding]:
     """Find tests in which the piston moves before any command changes.
 
-    By more than 6 σ + 2 q and 0.5 % of the campaign's range, before a command first changes by 1 % of full
-    scale. At less than 30 % of the speed the record has in its commanded part it creeps: a warning. At
-    working speed it is a fault, for clocks don't agree, if at least two tests and half of those that begin at
-    rest show it; else a warning. Parts after a gap begin in mid-motion and are left out.
+    Motion is a change above 6 σ + 2 q and 0.5 % of the campaign's range before a command first changes by 1 %
+    of full scale. Below 30 % of the record's speed under command it is creep: a warning. Else it is a fault
+    (the clocks differ) if at least two tests and half of those that begin at rest show it; else a warning.
+    Parts after a gap begin in motion and are left out.
     """
     tests = [test for test in context.tests if test.record.name.rpartition("@")[2] in ("1", test.record.name)]
     onsets = [(test, _onset(test)) for test in tests]
@@ -183,12 +184,12 @@ def _onset(context: RecordContext) -> int | None:
 
 
 def _motion_start(context: RecordContext, onset: int) -> int | None:
-    """Return the sample at which the displacement has clearly left its start before the onset, or None."""
+    """Return the sample before the onset at which motion exceeds noise and 0.5 % of the range, or None."""
     displacement = context.record.displacement[:onset]
     rest = float(np.median(displacement[:FEWEST_BEFORE]))
     threshold = max(context.quality.noise_bound, MIN_TRAVEL_FRACTION * context.campaign_range)
     has_moved = np.abs(displacement - rest) > threshold
-    # A spike is off for a moment; motion still is when the command comes.
+    # A spike has returned by the onset of the command; motion has not.
     return int(np.argmax(has_moved)) if has_moved[-1] and has_moved[-2] else None
 
 
@@ -196,7 +197,7 @@ def _creeps(context: RecordContext, onset: int, start: int) -> bool:
     displacement = context.record.displacement
     window = max(1, min(onset, onset - start + FEWEST_BEFORE))
     speed_before = abs(float(displacement[onset] - displacement[onset - window])) / window
-    # The travel, not all that moves, which noise would make more of.
+    # Net travel: noise would increase the sum of absolute changes.
     total_travel = sum(abs(travel(context, direction)) for direction in context.record.directions)
     working_speed = total_travel / max(1, int(np.count_nonzero(context.any_active())))
     return bool(speed_before < CREEP_FRACTION * working_speed)

@@ -8,15 +8,15 @@ from hitchid.audit.finding import AuditFinding, true_intervals
 from hitchid.data.record import COMMAND, RAMP
 from hitchid.data.test_kinds import ACTIVE_FRACTION
 
-SHORT_OVERLAP_S = 0.1  # s: filters and ramps of a controller at a change of direction
-IDLE_FRACTION = 0.01  # of full scale: bias, or zero of a sensor
+SHORT_OVERLAP_S = 0.1  # s; overlap that filters and ramps of a controller cause at a change of direction
+IDLE_FRACTION = 0.01  # of full scale; smallest bias or sensor offset reported (chosen)
 
 
 def both_valves(context: RecordContext) -> list[AuditFinding]:
     """Find where both commands are above 5 % of full scale.
 
-    Up to 0.1 s at a change of direction is what filters and ramps of a controller leave: a note. Longer, the
-    two directions cannot be told apart: a warning.
+    Filters and ramps of a controller overlap by up to 0.1 s at a change of direction: a note. With a longer
+    overlap the motion cannot be assigned to one direction: a warning.
     """
     record = context.record
     if len(record.directions) < 2:
@@ -44,9 +44,9 @@ def both_valves(context: RecordContext) -> list[AuditFinding]:
 def idle_commands(context: CampaignContext) -> list[AuditFinding]:
     """Find commands that are not zero when idle.
 
-    The smallest |c| of all logs above 5 % of full scale: the command is never off, as with a 4–20 mA signal,
-    a warning, for the dead zone is then counted from a wrong zero. Else the median of |c| where it is off
-    above 1 % of full scale: a bias or a sensor's zero, a note.
+    A warning if the smallest |c| of all logs is above 5 % of full scale: the command is never off, as with a
+    4–20 mA signal, and the dead zone is measured from a wrong zero. Else a note if the median of |c| without
+    command is above 1 % of full scale: a bias or a sensor's offset.
     """
     findings = []
     for direction in context.tests[0].record.directions:
@@ -79,7 +79,7 @@ def idle_commands(context: CampaignContext) -> list[AuditFinding]:
 
 
 def _idle_command(context: RecordContext, direction: str) -> np.ndarray:
-    """Return |c| where no direction is active, shape [M]; empty for a ramp, which passes through zero."""
+    """Return |c| where no direction is active, shape [M]; empty for a ramp, which crosses zero."""
     if context.record.kind == RAMP:
         return np.zeros(0)
     return np.abs(context.record.command(direction)[~context.any_active()])

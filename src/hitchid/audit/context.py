@@ -1,4 +1,4 @@
-"""Context of the checks: a record with its quality, and the whole campaign."""
+"""Input of the checks: a record with its quality, and the campaign."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ class RecordContext:
 
     Attributes:
         record: the record.
-        scales: direction to the largest command of the campaign.
+        scales: direction to full scale, the largest command of the campaign.
         campaign_range: range of all displacements of the campaign, in their unit.
         quality: of the record's displacement.
     """
@@ -84,16 +84,16 @@ def campaign_context(campaign: Campaign) -> CampaignContext:
 
 
 def command_unit(record: Record, direction: str) -> str:
-    """Return the unit of a direction's command as it stands behind a number; a plain ratio has none."""
+    """Return the unit of a direction's command as printed after a number."""
     unit = record.units[COMMAND[direction]]
     return {"1": "(full = 1)", "percent": "%"}.get(unit, unit)
 
 
 def travel(context: RecordContext, direction: str) -> float:
-    """Return how far the displacement goes while one direction's command alone is active, in its unit.
+    """Return the travel while only one direction's command is active, in the displacement's unit.
 
-    Σ sign(c[k]) (y[k+1] − y[k]) over the samples at which it is; a single channel's negative command counts
-    as the opposite way.
+    Σ sign(c[k]) (y[k+1] − y[k]) over those samples; a negative command of a single channel is the
+    opposite direction.
     """
     record = context.record
     only_active = context.active(direction)
@@ -102,11 +102,11 @@ def travel(context: RecordContext, direction: str) -> float:
             only_active &= ~context.active(other)
     signs = np.sign(record.command(direction)[:-1])
     signs *= only_active[:-1]
-    # Summed by parts, so that no second array of differences is needed.
+    # Two scalar products need no array of differences.
     signed_travel = np.dot(signs, record.displacement[1:]) - np.dot(signs, record.displacement[:-1])
     return float(signed_travel) if np.isfinite(signed_travel) else 0.0
 
 
 def join_names(names: list[str], shown: int = 3) -> str:
-    """Return names as a sentence lists them, of many the first few."""
+    """Return the first names, joined by commas."""
     return ", ".join(names[:shown]) + (" …" if len(names) > shown else "")

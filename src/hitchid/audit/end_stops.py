@@ -9,14 +9,14 @@ from hitchid.data.record import CYCLE, DIRECTIONS
 from hitchid.data.segmentation import AT_END_FRACTION, END_STOP, segments
 from hitchid.data.test_kinds import end_stop_contact
 
-CHUNK_SAMPLES = 2**19  # of a long record examined at once, to bound memory
+CHUNK_SAMPLES = 2**19  # samples of a long record examined at once, to limit memory (chosen)
 
 
 def end_stops(context: RecordContext) -> list[AuditFinding]:
     """Find contact with an end stop.
 
     By `end_stop_contact` in tests of one direction, by `segments` in mixed ones; a note, since identification
-    leaves out samples at an end stop that two tests reach.
+    leaves out samples at an end stop reached in two tests.
     """
     record = context.record
     if record.kind == CYCLE:
@@ -46,7 +46,7 @@ def end_stops(context: RecordContext) -> list[AuditFinding]:
 
 
 def _is_stationary(context: RecordContext, start: int, stop: int) -> bool:
-    """Return whether the displacement is constant; a spike too makes the rest look slow."""
+    """Return whether the displacement is constant: `end_stop_contact` misjudges a record with a spike."""
     displacement = context.record.displacement[start:stop]
     quarter = max(1, displacement.size // 4)
     travel = abs(float(np.median(displacement[-quarter:])) - float(np.median(displacement[:quarter])))
@@ -54,7 +54,7 @@ def _is_stationary(context: RecordContext, start: int, stop: int) -> bool:
 
 
 def _cycle_contacts(context: RecordContext) -> list[tuple[int, int]]:
-    """Return samples `start:stop` of contact; of a long record chunk by chunk, to bound memory."""
+    """Return samples `start:stop` of contact; a long record is examined in chunks, to limit memory."""
     record, contacts = context.record, []
     margin = AT_END_FRACTION * context.quality.peak_to_peak
     for first in range(0, len(record), CHUNK_SAMPLES):
@@ -63,7 +63,7 @@ def _cycle_contacts(context: RecordContext) -> list[tuple[int, int]]:
             if segment.label != END_STOP:
                 continue
             stop_position = float(np.median(chunk.displacement[segment.start : segment.stop]))
-            # The end of a chunk's travel need not be the end of the record's.
+            # An extreme of a chunk need not be an extreme of the record.
             if (
                 stop_position >= context.quality.highest - margin
                 or stop_position <= context.quality.lowest + margin

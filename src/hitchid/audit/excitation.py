@@ -7,21 +7,21 @@ from hitchid.audit.context import CampaignContext, RecordContext, command_unit, 
 from hitchid.audit.finding import AuditFinding, true_intervals
 from hitchid.data.record import COMMAND, CYCLE, DIRECTIONS, IDLE
 
-LEVEL_FRACTION = 0.10  # of full scale between two levels of command
-COMMAND_PERCENTILES = (2.0, 98.0)  # %, of the active command: without its transients
-FEWEST_CHANGES = 4  # of the command in a test
+LEVEL_FRACTION = 0.10  # of full scale; smallest difference of two levels of command (chosen)
+COMMAND_PERCENTILES = (2.0, 98.0)  # %, of the active command; exclude its transients (chosen)
+FEWEST_CHANGES = 4  # changes of the command in a test (chosen)
 MIN_NOISE_RATIO = 50.0  # range over noise; at 50 noise costs 2 % of fit
-LEAST_ACTIVE = 0.10  # of the time with a command
-SHORTEST_S = 3.0  # s: a few dead times and lags of usual valves
-FEWEST_TESTS = 5  # for the spread of parameters between tests
-ABOVE_DEAD_ZONE = 1.2  # command over that at which ramps start motion
-ONSET_FRACTION = 0.05  # of a ramp's travel, taken as its onset
+LEAST_ACTIVE = 0.10  # of a test's duration, time with a command (chosen)
+SHORTEST_S = 3.0  # s; a few dead times and lags of common valves
+FEWEST_TESTS = 5  # tests, for the variance of parameters between tests
+ABOVE_DEAD_ZONE = 1.2  # ratio of the command to that at which ramps start motion (chosen)
+ONSET_FRACTION = 0.05  # of a ramp's travel; defines its onset (chosen)
 
 
 def little_motion(context: RecordContext) -> list[AuditFinding]:
     """Find tests whose displacement moves by less than 50 times its noise.
 
-    Noise alone then costs 2 % of fit, as much as good models differ by.
+    Noise alone then costs 2 % of fit, about the difference between good models.
     """
     quality = context.quality
     if context.record.kind == IDLE or not 0 < quality.peak_to_peak < MIN_NOISE_RATIO * quality.noise:
@@ -41,7 +41,7 @@ def little_motion(context: RecordContext) -> list[AuditFinding]:
 def short_or_idle(context: RecordContext) -> list[AuditFinding]:
     """Find tests without any command, active less than 10 % of the time, or shorter than 3 s: notes.
 
-    Rest excites dead time and drift alone; 3 s hold only a few dead times and lags of usual valves.
+    Rest contains information on dead time and drift only; 3 s are a few dead times and lags of common valves.
     """
     record, findings = context.record, []
     active = int(np.count_nonzero(context.any_active()))
@@ -65,9 +65,9 @@ def short_or_idle(context: RecordContext) -> list[AuditFinding]:
 def changes(context: CampaignContext) -> list[AuditFinding]:
     """Find directions with one level of command, or tests with fewer than four changes of it.
 
-    One level: the middle 96 % of the active command of all tests lies within 10 % of full scale, which
-    determines neither dead zone nor valve curve: a warning, unless ramps supply the levels. Changes
-    are counted in steps of 10 % of full scale; dead time and lag are excited at these alone: a note.
+    One level (the middle 96 % of the active command of all tests lies within 10 % of full scale) determines
+    neither dead zone nor valve curve: a warning, unless there are ramps. Changes are counted in steps of 10 %
+    of full scale; only they excite dead time and lag: fewer than four are a note.
     """
     findings = []
     for direction in context.tests[0].record.directions:
@@ -95,7 +95,7 @@ def changes(context: CampaignContext) -> list[AuditFinding]:
 
 
 def _levels(context: RecordContext, direction: str) -> tuple[float, float, int] | None:
-    """Return the lowest and highest lasting |c|, and how often it changes; None where it is not active."""
+    """Return the 2nd and 98th percentile of active |c| and the number of its changes; None without any."""
     active = context.active(direction)
     if not active.any():
         return None
@@ -109,9 +109,9 @@ def _levels(context: RecordContext, direction: str) -> tuple[float, float, int] 
 def too_few_tests(context: CampaignContext) -> list[AuditFinding]:
     """Find directions with too few tests for a dead zone, an uncertainty, or a validation.
 
-    Notes: no ramp (the dead zone is then estimated from the tests), fewer than five tests (the spread of the
-    parameters between tests cannot be estimated), none held out, never commanded. A warning: in half of the
-    tests the command stays below 1.2 times that at which ramps start motion.
+    Notes: no ramp (the dead zone is then estimated from the tests), fewer than five tests (the variance of
+    the parameters between tests cannot be estimated), none held out, never commanded. A warning: in half of
+    the tests the command stays below 1.2 times that at which ramps start motion.
     """
     campaign, findings = context.campaign, []
     directions = context.tests[0].record.directions
@@ -171,7 +171,7 @@ def _weak_commands(context: CampaignContext, direction: str) -> list[AuditFindin
 
 
 def _onset_command(context: RecordContext, direction: str) -> float:
-    """Return |c| where a ramp has gone 5 % of its travel, zero where it does not move clearly."""
+    """Return |c| where a ramp has covered 5 % of its travel; zero if that is within the noise."""
     quality = context.quality
     if not ONSET_FRACTION * quality.peak_to_peak > quality.noise_bound:
         return 0.0

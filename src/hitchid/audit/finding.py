@@ -1,4 +1,4 @@
-"""Findings of an audit, and the stretches of a log they concern."""
+"""Findings of an audit, and the time intervals they concern."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ import numpy as np
 from hitchid._support.notices import Severity
 from hitchid.data.record import Record
 
-MAX_SPANS = 50  # stretches listed in one finding
+MAX_SPANS = 50  # intervals listed in one finding (chosen)
 
 
 @dataclass(frozen=True)
@@ -19,12 +19,12 @@ class AuditFinding:
     Attributes:
         check: short name of the check.
         severity: `FAULT` (a model from this would be wrong), `WARNING` or `NOTE`.
-        record: name of the record, empty where it concerns several or all.
-        signal: role of the signal, empty where it concerns none or several.
-        spans: where, as (start, stop) in s of the log's own time; empty where it is all of it.
-        what: what was found, with numbers and units.
-        advice: what to do, or to measure again.
-        merged: the findings on single records that it stands for, where it concerns several.
+        record: name of the record; empty for several or all.
+        signal: role of the signal; empty for none or several.
+        spans: intervals (start, stop) in s of the log's own time; empty for the whole log.
+        what: the fault, with numbers and units.
+        advice: the remedy, or what to measure again.
+        merged: the findings on single records that were merged into this one.
     """
 
     check: str
@@ -38,13 +38,13 @@ class AuditFinding:
 
     @property
     def records(self) -> tuple[str, ...]:
-        """Names of the records concerned; empty where it concerns the campaign."""
+        """Names of the records concerned; empty for the whole campaign."""
         names = [self.record] if self.record else [finding.record for finding in self.merged]
         return tuple(dict.fromkeys(names))
 
     @property
     def locations(self) -> tuple[tuple[str, float, float], ...]:
-        """Where, as record, start and stop in s of its own time; empty where it is all of them."""
+        """Intervals as record, start and stop in s of its own time; empty for whole records."""
         return tuple((finding.record, *span) for finding in (self, *self.merged) for span in finding.spans)
 
     def describe(self) -> dict[str, object]:
@@ -63,20 +63,20 @@ class AuditFinding:
 
 
 def true_intervals(condition: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return first and one past last sample of every stretch where something is true.
+    """Return start and stop of every interval where a condition is true.
 
     Args:
-        condition: of booleans, shape [N].
+        condition: booleans, shape [N].
 
     Returns:
-        Starts and stops, each of shape [M].
+        First samples and one past the last, each of shape [M].
     """
     edges = np.flatnonzero(np.diff(condition.astype(np.int8), prepend=0, append=0))
     return edges[::2], edges[1::2]
 
 
 def spans_of(record: Record, stretches: Iterable[tuple[int, int]]) -> tuple[tuple[float, float], ...]:
-    """Return samples `start:stop` as times of the first and the last of them, s; of many, the longest 50."""
+    """Return times of first and last sample of `start:stop`, s; at most the 50 longest intervals."""
     selected = list(stretches)
     if len(selected) > MAX_SPANS:
         selected = sorted(sorted(selected, key=lambda interval: interval[0] - interval[1])[:MAX_SPANS])

@@ -11,10 +11,10 @@ from hitchid.audit.finding import AuditFinding
 from hitchid.data.record import COMMAND, LIFTING, LOWERING, Record
 from hitchid.data.test_kinds import ACTIVE_FRACTION
 
-RESTING_FRACTION = 0.1  # of all samples at the rest level
-WORKING_FRACTION = 0.01  # of the time above, and below, the rest level
-BINS = 200  # of the histogram of a noisy command
-CREEP_FRACTION = 0.2  # of the speed off the rest level
+RESTING_FRACTION = 0.1  # of all samples; smallest share at the rest level (chosen)
+WORKING_FRACTION = 0.01  # of the time; smallest share above and below the rest level (chosen)
+BINS = 200  # bins of the histogram of a noisy command (chosen)
+CREEP_FRACTION = 0.2  # of the speed away from the rest level; largest speed at it (chosen)
 
 
 class CommandResponse(NamedTuple):
@@ -26,11 +26,11 @@ class CommandResponse(NamedTuple):
 
 
 def rest_level(runs: Sequence[CommandResponse]) -> float | None:
-    """Return the reading at which a signed command rests; None where no reading is clearly one.
+    """Return the neutral reading of a signed command; None where no reading meets the conditions.
 
-    The most frequent reading, of at least a tenth of all samples: to it the command returns. Above and below
-    it, by 5 % of its range and for 1 % of the time each, the displacement must go opposite ways, and at it
-    less than a fifth as fast as either way: so that a one-sided command with a frequent level is excluded.
+    The most frequent reading, with at least a tenth of all samples. Above and below it, by 5 % of the range
+    and for 1 % of the time each, the displacement must move in opposite directions, and at it less than a
+    fifth as fast as in either: this excludes a one-sided command with a frequent level.
     """
     commands = np.concatenate([run.command for run in runs])
     command_range = float(np.ptp(commands))
@@ -57,7 +57,7 @@ def rest_level(runs: Sequence[CommandResponse]) -> float | None:
 
 
 def _most_frequent(samples: np.ndarray) -> tuple[float, float]:
-    """Return the most frequent value, or of noisy ones the median of the fullest bin, and its share."""
+    """Return the most frequent value (of noisy samples the median of the fullest bin) and its share."""
     values, counts = np.unique(samples, return_counts=True)
     most_frequent = int(np.argmax(counts))
     if counts[most_frequent] >= RESTING_FRACTION * samples.size:
@@ -71,8 +71,8 @@ def _most_frequent(samples: np.ndarray) -> tuple[float, float]:
 def neutral(context: CampaignContext) -> list[AuditFinding]:
     """Find a signed command that rests at a constant above 5 % of its largest reading.
 
-    Relative to zero such a command demands one direction even at rest: a fault where it never changes its
-    sign, since one direction is then missing, else a warning.
+    Such a command has the sign of one direction even at rest: a fault where it never changes its sign, since
+    one direction is then missing, else a warning.
     """
     records = [test.record for test in context.tests]
     signed = [_signed(record) for record in records]
@@ -97,7 +97,7 @@ def neutral(context: CampaignContext) -> list[AuditFinding]:
 
 
 def _signed(record: Record) -> np.ndarray | None:
-    """Return lifting less lowering command, shape [N]; None where both are on at once, as none signed is."""
+    """Return lifting less lowering command, shape [N]; None where both are on at once."""
     commands = [record.command(direction) for direction in record.directions]
     if len(commands) == 1:
         return commands[0] if record.directions == (LIFTING,) else -commands[0]

@@ -7,18 +7,18 @@ from hitchid.audit.context import CampaignContext, RecordContext, join_names, tr
 from hitchid.audit.finding import AuditFinding
 from hitchid.data.record import COMMAND, CYCLE, DIRECTIONS, DISPLACEMENT, LIFTING, LOWERING, RAMP
 
-CLEAR_FRACTION = 0.02  # of the campaign's range, smallest clear travel
-CLEAR_OF_TYPICAL = 0.25  # of the median travel, by which a test contradicts the others
+CLEAR_FRACTION = 0.02  # of the campaign's range; smallest travel with a sign (chosen)
+CLEAR_OF_TYPICAL = 0.25  # of the median travel; smallest opposite travel of a test (chosen)
 
 
 def signs(context: CampaignContext) -> list[AuditFinding]:
-    """Find directions that contradict each other.
+    """Find directions whose displacement has the wrong sign.
 
-    A mode's direction is that of most of its tests, by the displacement's travel while its command alone is
-    on, where that exceeds 6 σ + 2 q and 2 % of the campaign's range. One test against the others, by a
-    quarter of their travel, is a fault of that test; both modes going the same way is a fault of the
-    campaign. Both reversed is what a sensor that measures downwards does, and identification takes each
-    direction as measured; but so do swapped commands: a warning.
+    The sign of a direction is that of the median travel of its tests while only its command is on, where the
+    travel exceeds 6 σ + 2 q and 2 % of the campaign's range. A test of opposite sign, by a quarter of the
+    median travel, is a fault of that test; equal signs of both directions are a fault of the campaign. Both
+    signs reversed are a warning: either the sensor measures downwards, which identification allows, or the
+    commands are swapped.
     """
     findings: list[AuditFinding] = []
     majority_sign: dict[str, int] = {}
@@ -46,7 +46,7 @@ def signs(context: CampaignContext) -> list[AuditFinding]:
 
 
 def _travels(context: CampaignContext, direction: str) -> list[tuple[RecordContext, float]]:
-    """Return the tests with clear travel under a direction, and that travel."""
+    """Return the tests with significant travel under a direction, and that travel."""
     travels = []
     for test in context.tests:
         if test.record.kind not in (direction, CYCLE, RAMP):

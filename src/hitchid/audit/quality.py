@@ -1,4 +1,4 @@
-"""Quality of a record's displacement: clock, quantum, noise."""
+"""Quality of a record's displacement: sampling, range, quantum and noise."""
 
 from dataclasses import dataclass
 from math import isfinite
@@ -8,12 +8,12 @@ import numpy as np
 from hitchid.data.record import Record
 from hitchid.data.resampling import GRID_TOLERANCE
 
-MAX_SAMPLES = 2**20  # examined, to bound time and memory
-GRID_DEVIATION = 0.05  # of the quantum, largest distance from the grid
-FEWEST_VALUES = 3  # distinct values that make a grid
-MAX_STEPS = 1e7  # of the quantum in the range; more are rounding of a float
-MIN_TURNS = 10  # starts and stops, from which on it is not one constant speed
-# Median of |x| of a normal x of unit variance, and the spread of second differences of white noise.
+MAX_SAMPLES = 2**20  # samples examined, to limit time and memory (chosen)
+GRID_DEVIATION = 0.05  # of the quantum; largest distance from the grid (chosen)
+FEWEST_VALUES = 3  # distinct values that make a grid (chosen)
+MAX_STEPS = 1e7  # quanta in the range; a smaller quantum is rounding of a float
+MIN_TURNS = 10  # starts and stops; with fewer, motion may be at one constant speed (chosen)
+# Median of |x| and standard deviation of second differences of white normal noise x of unit variance.
 NORMAL_MEDIAN = 0.6744897501960817
 SECOND_DIFFERENCE = 6.0**0.5
 
@@ -30,7 +30,7 @@ class Quality:
             where the clock was regular.
         unit: the displacement's unit.
         lowest, highest: its range.
-        quantum: smallest step it is written in, None where it is not quantised.
+        quantum: resolution of the samples; None where they are not quantised.
         noise: standard deviation of its white noise without the rounding.
     """
 
@@ -52,7 +52,7 @@ class Quality:
 
     @property
     def noise_bound(self) -> float:
-        """A deviation that neither noise nor rounding reaches: 6 σ + 2 q, in the displacement's unit."""
+        """Upper bound of noise and rounding: 6 σ + 2 q, in the displacement's unit."""
         return 6.0 * self.noise + 2.0 * (self.quantum or 0.0)
 
     def describe(self) -> dict[str, object]:
@@ -68,8 +68,8 @@ def quality(record: Record) -> Quality:
     """Return the quality of a record's displacement.
 
     With d²y = y[k+1] − 2 y[k] + y[k−1], the noise is σ² = (median|d²y| / 0.6745)² / 6 − q²/12: motion is
-    smooth from sample to sample, white noise is not, and rounding to a step q adds q²/12. Noise that a
-    filter has coloured is estimated too small.
+    smooth from sample to sample, white noise is not, and rounding to a step q adds q²/12. Filtered
+    (coloured) noise is underestimated.
 
     Args:
         record: any record.
@@ -99,24 +99,24 @@ def _quantum(displacement: np.ndarray) -> float | None:
     values = np.unique(displacement[:: -(-displacement.size // MAX_SAMPLES)])
     double = np.finfo(float)
     rounding = 16 * double.eps * max(abs(float(values[0])), abs(float(values[-1])))
-    rounding = max(rounding, float(double.tiny))  # half of a step below it may be nothing
+    rounding = max(rounding, float(double.tiny))  # half of a smaller step may be zero
     gaps = np.diff(values)
     gaps = gaps[gaps > rounding]
     if gaps.size < FEWEST_VALUES - 1:
         return None
-    # The mean of all smallest gaps is surer than one of them where values were converted or rounded.
+    # The mean of all smallest gaps has less error than one of them after a conversion or rounding.
     step = float(np.mean(gaps[gaps < 1.5 * gaps.min()]))
     grid_positions = (values - values[0]) / step
     deviation = float(np.max(np.abs(grid_positions - np.rint(grid_positions))))
     if not (grid_positions[-1] < MAX_STEPS and deviation < GRID_DEVIATION):
         return None
-    # So few values may lie on a grid by chance, unless each occurs often.
+    # Fewer than ten values may lie on a grid by chance, unless each occurs often.
     may_be_chance = values.size < 10 and displacement.size < 5 * values.size
     return None if may_be_chance or _is_steady(displacement[:MAX_SAMPLES], step) else step
 
 
 def _is_steady(displacement: np.ndarray, step: float) -> bool:
-    """Return whether motion is at one constant speed, whose samples lie on a grid without rounding."""
+    """Return whether motion is at one constant speed; its samples lie on a grid without rounding."""
     steps = np.abs(np.diff(displacement)) / step
     moving = steps > 0.5
     several_speeds = bool(np.any(steps[moving] > 1.5)) and bool(np.any(np.diff(np.sort(steps[moving])) > 0.5))
@@ -134,7 +134,7 @@ def _noise(displacement: np.ndarray, quantum: float | None) -> float:
     median = float(second_difference[second_difference.size // 2])
     if quantum is None:
         return median / NORMAL_MEDIAN / SECOND_DIFFERENCE
-    # The median of rounded values is itself rounded: what lies on one step is spread evenly over it.
+    # The median of rounded values is itself rounded: values of one step are taken as uniform over it.
     low, width = (median - quantum / 2, quantum) if median > quantum / 2 else (0.0, quantum / 2)
     below = float(np.mean(second_difference < median - quantum / 2))
     on = float(np.mean(np.abs(second_difference - median) < quantum / 2))

@@ -1,4 +1,4 @@
-"""Check whether the range of a signal is plausible in its unit."""
+"""Check of the range of a signal for its unit."""
 
 from collections.abc import Callable
 from math import pi
@@ -42,13 +42,13 @@ class _PlausibilityRule(NamedTuple):
 
 
 LONGEST_M = 20.0  # m; no lifting cylinder has a longer stroke
-SHORTEST_M = 1e-3  # m; a model of a shorter stroke is of no use
-LARGEST_CURRENT_A = 20.0  # A; coils take a few
-SMALLEST_MILLIAMPERE = 5.0  # mA; less drives no valve
-LARGEST_PRESSURE_PA = 1000e5  # Pa; above hydraulics
-LOWEST_PRESSURE_PA = -2e5  # Pa; a sensor's offset explains 2 bar
-LARGEST_VOLTAGE_V = 100.0  # V; above signals of a test bench
-OVERDRIVE = 1.05  # of full scale
+SHORTEST_M = 1e-3  # m; shorter strokes are not modelled (chosen)
+LARGEST_CURRENT_A = 20.0  # A; coil currents are a few A
+SMALLEST_MILLIAMPERE = 5.0  # mA; a lower current opens no valve
+LARGEST_PRESSURE_PA = 1000e5  # Pa; above the pressures of hydraulics
+LOWEST_PRESSURE_PA = -2e5  # Pa; 2 bar, allowed for a sensor's offset (chosen)
+LARGEST_VOLTAGE_V = 100.0  # V; above the signals of a test bench
+OVERDRIVE = 1.05  # of full scale, 5 % tolerance (chosen)
 
 _POSITION = (
     _PlausibilityRule(
@@ -114,13 +114,13 @@ PLAUSIBILITY_RULES = (*_POSITION, *_ANGLE, *_RATIO, *_ELECTRIC, *_PRESSURE)
 
 
 def units(context: CampaignContext) -> list[AuditFinding]:
-    """Find signals whose range over all logs is not plausible in their unit; nothing is ever converted.
+    """Find signals whose range over all logs is implausible for their unit; nothing is converted.
 
-    The limits: no lifting cylinder strokes 20 m, none is worth a model below 1 mm; a valve's coil takes a few
-    A, so above 20 A it is mA, and what never exceeds 5 mA drives no valve; a joint turns within ±360°; a
-    ratio ends at 1 and 100 percent, 5 % of overdrive allowed; hydraulics end at 1000 bar, and 2 bar below
-    zero is a sensor's offset; benches have no signals beyond 100 V. Impossible is a fault, unlikely a
-    warning. A further measured signal in unit 1 mostly was given no unit at all: a note.
+    The limits: a stroke is below 20 m and above 1 mm; a coil current is a few A, so above 20 A the unit is
+    mA, and below 5 mA no valve opens; a joint turns within ±360°; a ratio is at most 1 or 100 percent, with 5
+    % tolerance; a pressure is below 1000 bar and above −2 bar, a sensor's offset; a voltage is below 100 V.
+    An impossible range is a fault, an unlikely one a warning. A covariate above 1 in unit 1 probably was
+    given no unit: a note.
     """
     findings = []
     roles = dict.fromkeys(role for test in context.tests for role in test.record.signals)
@@ -131,7 +131,7 @@ def units(context: CampaignContext) -> list[AuditFinding]:
             if rule.dimension != UNITS[signal_range.unit].dimension or not rule.applies(signal_range):
                 continue
             if is_covariate and rule.dimension in ("length", "ratio"):
-                continue  # a further signal may be small, or have come without a unit
+                continue  # a covariate may be small, or have no stated unit
             findings.append(
                 _finding(role, signal_range, rule.severity, f"this is probably {rule.suggestion}")
             )

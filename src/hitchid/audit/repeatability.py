@@ -9,25 +9,25 @@ from hitchid.audit.finding import AuditFinding
 from hitchid.data.record import COMMAND, DIRECTIONS, DISPLACEMENT, RAMP
 from hitchid.data.test_kinds import ramp_direction
 
-COMPARABLE = 0.25  # of the median, deviation of a test's mean command
-FEWEST_TESTS = 5  # for a regression on order and command
-SIGNIFICANCE = 0.005  # of the t-test
-MIN_DRIFT = 0.05  # of the gain, first test to last; oil does less in an hour
-START_FRACTION = 0.05  # of the campaign's range
-ONSET_FRACTION = 0.10  # of the median onset
-SAME_RATE = 0.10  # relative difference of ramps that count as equal
-MIN_UNEXPLAINED = 0.1  # of the order's spread, left by the commands
-ROUNDING = 1e-12  # of floating-point sums
+COMPARABLE = 0.25  # of the median; largest deviation of a test's mean command (chosen)
+FEWEST_TESTS = 5  # tests, for a regression on order and command
+SIGNIFICANCE = 0.005  # level of the t-test (chosen)
+MIN_DRIFT = 0.05  # of the gain, first test to last; warming oil causes less in an hour
+START_FRACTION = 0.05  # of the campaign's range; largest spread of start positions (chosen)
+ONSET_FRACTION = 0.10  # of the median onset; largest spread of onsets (chosen)
+SAME_RATE = 0.10  # relative difference of the rates of ramps that count as equal (chosen)
+MIN_UNEXPLAINED = 0.1  # of the order's variance; least share that the commands do not explain (chosen)
+ROUNDING = 1e-12  # relative rounding error of floating-point sums
 
 
 def drift(context: CampaignContext) -> list[AuditFinding]:
-    """Find speeds that grow or fall with the order of the tests.
+    """Find a drift of the speed with the order of the tests.
 
     Of tests whose mean command lies within ±25 % of the median (five at least), travel = K (∫|c| dt − d T) is
     fitted for gain K and dead zone d; the logarithm of each test's own gain is then regressed on order and
-    mean command, which accounts for a curved valve characteristic; commands in rising order (nine tenths of
-    the order's spread explained by them) are not tested. A trend counts by its t-test at 0.5 % and
-    if it changes the speed by 5 % from the first test to the last: less is within what oil does in an hour.
+    mean command, which corrects for a curved valve characteristic; if the commands explain nine tenths of
+    the order's variance, there is no test. A drift is reported if significant at 0.5 % and above 5 % from the
+    first test to the last: warming oil causes less in an hour.
     """
     findings = []
     for direction in DIRECTIONS:
@@ -50,7 +50,7 @@ def drift(context: CampaignContext) -> list[AuditFinding]:
 def _comparable(
     context: CampaignContext, direction: str
 ) -> tuple[list[RecordContext], np.ndarray, np.ndarray, np.ndarray]:
-    """Return tests of like command, with travel, ∫|c| dt and active time of each."""
+    """Return tests of similar command, with travel, ∫|c| dt and active time of each."""
     tests = context.of_kind(direction)
     rows = []
     for test in tests:
@@ -70,12 +70,12 @@ def _comparable(
 
 
 def _trend(travels: np.ndarray, areas: np.ndarray, times: np.ndarray) -> tuple[float, float]:
-    """Return the relative change of the gain from the first test to the last, and the odds of chance."""
+    """Return the relative change of the gain from the first test to the last, and its p-value."""
     no_trend = (0.0, 1.0)
     means, speeds = areas / times, travels / times
     varied = bool(np.ptp(means) > 0.01 * means.mean())
     slope, offset = np.polyfit(means, speeds, 1) if varied else (0.0, 0.0)
-    # A dead zone above nine tenths of the smallest mean would make gains of rounding.
+    # With a dead zone above nine tenths of the smallest mean, rounding would dominate the gains.
     zone = min(max(0.0, -offset / slope), 0.9 * means.min()) if slope > 0 else 0.0
     gains = np.log(speeds / (means - zone))
     order = np.arange(gains.size) / (gains.size - 1)
@@ -84,7 +84,7 @@ def _trend(travels: np.ndarray, areas: np.ndarray, times: np.ndarray) -> tuple[f
     if degrees_of_freedom < 1 or not np.all(np.isfinite(gains)):
         return no_trend
     order_residual, gain_residual = _unexplained(order, regressors), _unexplained(gains, regressors)
-    # Commands that rise with the order leave no part of the order to tell a drift by.
+    # Commands that rise with the order are collinear with it: no drift can be estimated.
     if float(order_residual @ order_residual) < MIN_UNEXPLAINED * float(np.sum((order - order.mean()) ** 2)):
         return no_trend
     slope = float(order_residual @ gain_residual / (order_residual @ order_residual))
@@ -98,15 +98,15 @@ def _trend(travels: np.ndarray, areas: np.ndarray, times: np.ndarray) -> tuple[f
 
 
 def _unexplained(values: np.ndarray, regressors: np.ndarray) -> np.ndarray:
-    """Return what of values no linear combination of others explains, shape [T]."""
+    """Return the residuals of a linear regression, shape [T]."""
     coefficients, *_ = np.linalg.lstsq(regressors, values, rcond=None)
     return values - regressors @ coefficients
 
 
 def start_positions(context: CampaignContext) -> list[AuditFinding]:
-    """Find directions whose tests start more than 5 % of the campaign's range apart.
+    """Find directions with start positions that differ by more than 5 % of the campaign's range.
 
-    A linkage moves the load at another leverage there, so that speeds differ: a note.
+    The lever of the linkage depends on the position, so speeds differ: a note.
     """
     findings = []
     for direction in DIRECTIONS:
@@ -122,10 +122,10 @@ def start_positions(context: CampaignContext) -> list[AuditFinding]:
 
 
 def ramp_onsets(context: CampaignContext) -> list[AuditFinding]:
-    """Find repeated ramps that set the piston off at different commands.
+    """Find repeated ramps in which motion starts at different commands.
 
-    Of ramps that rise within 10 % equally fast, the command at which each has travelled half of what the
-    shortest travels; a spread of more than 10 % of it is a warning: no one dead zone holds for all.
+    The onset is the command at half of the shortest ramp's travel, of ramps whose rates agree within 10 %; a
+    spread of more than 10 % is a warning: one dead zone does not describe all.
     """
     findings = []
     for direction in DIRECTIONS:
@@ -164,7 +164,7 @@ def _ramps(context: CampaignContext, direction: str) -> list[RecordContext]:
 
 
 def _onset(context: RecordContext, direction: str, distance: float) -> float:
-    """Return |c|, the mean of eleven samples, where the displacement has gone so far from its start."""
+    """Return |c|, the mean of eleven samples, where the travel from the start reaches `distance`."""
     has_moved = np.abs(context.record.displacement - context.record.displacement[0]) >= distance
     onset = int(np.argmax(has_moved))
     return float(np.mean(np.abs(context.record.command(direction)[max(0, onset - 5) : onset + 6])))

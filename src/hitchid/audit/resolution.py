@@ -1,4 +1,4 @@
-"""Whether the sensor of the displacement resolves the motion: its step, noise and rate of renewal."""
+"""Checks of the displacement's resolution: quantum, noise and update rate."""
 
 import numpy as np
 
@@ -6,23 +6,22 @@ from hitchid._support.notices import Severity
 from hitchid.audit.context import RecordContext
 from hitchid.audit.finding import AuditFinding
 
-FEWEST_STEPS = 200  # of a quantum over the range: 0.5 % each, as models differ by
-MUCH_NOISE = 0.01  # of the range: the error of a good model in free run
+FEWEST_STEPS = 200  # quanta over the range: 0.5 % each, about the difference between models
+MUCH_NOISE = 0.01  # of the range; about the free-run error of a good model
 HIDDEN_NOISE = 1 / 3  # of the quantum; less noise does not dither the rounding
-REPEATS = 3  # exact repeats before and after a change
-FEWEST_HOPS = 10  # isolated changes
-HOP_STEPS = 4.0  # of quantum and noise; smaller changes may be rounding
-MAX_SPACING_RATIO = 1.5  # of the 90th percentile to the median: evenly spaced
-MAX_SAMPLES = 2**20  # examined, to bound time and memory
+REPEATS = 3  # exact repeats before and after an isolated change (chosen)
+FEWEST_HOPS = 10  # isolated changes (chosen)
+HOP_STEPS = 4.0  # quanta or σ of noise; smaller changes may be rounding
+MAX_SPACING_RATIO = 1.5  # 90th percentile over median of the spacing; up to it, even (chosen)
+MAX_SAMPLES = 2**20  # samples examined, to limit time and memory (chosen)
 
 
 def quantisation(context: RecordContext) -> list[AuditFinding]:
-    """Find displacements written in too large a step.
+    """Find displacements with too coarse a quantum.
 
-    Fewer than 200 steps over the campaign's range (0.5 % each) are coarser than the models to be told apart:
-    a warning. Where the piston moves less than half a step a sample, and noise below a third of a
-    step does not hide the rounding, most one-step motions are zero: a note, since errors of one-step
-    predictions are then rounding.
+    Fewer than 200 steps over the campaign's range (0.5 % each) are coarser than the difference between
+    models: a warning. Where the piston moves less than half a step per sample and noise is below a third of a
+    step, most one-step motions are zero: a note, since one-step prediction errors are then rounding errors.
     """
     step, quality = context.quality.quantum, context.quality
     if step is None or not context.campaign_range > 0:
@@ -66,7 +65,7 @@ def _below_resolution(context: RecordContext, step: float) -> list[AuditFinding]
 def noisy(context: RecordContext) -> list[AuditFinding]:
     """Find displacements whose noise is above 1 % of the campaign's range.
 
-    Such noise is as large as the error of a good model in free run.
+    Such noise is as large as the free-run error of a good model.
     """
     noise, unit = context.quality.noise, context.quality.unit
     if not (context.campaign_range > 0 and noise > MUCH_NOISE * context.campaign_range):
@@ -83,13 +82,12 @@ def noisy(context: RecordContext) -> list[AuditFinding]:
 
 
 def update_rate(context: RecordContext) -> list[AuditFinding]:
-    """Find displacements that stand and hop: renewed less often than logged, or with a dead band.
+    """Find displacements that change in isolated steps: a low update rate, or a dead band.
 
-    At least ten changes, each by four of the smallest steps and of σ or more in the median, have three or
-    more exact repeats before and after: neither rounding nor a piston that stands and then moves does that.
-    Where such hops come evenly (nine in ten spaced by less than 1.5 times the median) the sensor is read less
-    often than logged, a warning, for what the log calls a step is several. Else it has a dead band: a note, a
-    warning where its hops are above 0.5 % of the campaign's range.
+    The condition: at least ten changes, in the median of four quanta and 4 σ or more, with three or more
+    exact repeats before and after; neither rounding nor a piston that starts to move causes that. Evenly
+    spaced changes (90th percentile of the spacing below 1.5 times the median) are a sensor read less often
+    than logged: a warning. Others are a dead band: a note, a warning above 0.5 % of the campaign's range.
     """
     quality, step_s = context.quality, context.record.step_s
     steps = np.diff(context.record.displacement[:MAX_SAMPLES])

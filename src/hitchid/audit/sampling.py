@@ -1,4 +1,4 @@
-"""Checks of the clock: even, fine enough, and without gaps."""
+"""Checks of the clock: jitter, sampling time and gaps."""
 
 import numpy as np
 
@@ -6,20 +6,20 @@ from hitchid._support.notices import Severity
 from hitchid.audit.context import CampaignContext, RecordContext
 from hitchid.audit.finding import AuditFinding
 
-UNLIKE_STEPS = 1.5  # ratio of sampling times; more is interpolated or smoothed
+UNLIKE_STEPS = 1.5  # ratio of sampling times; above it, resampling interpolates or smooths motion (chosen)
 MUCH_JITTER = 0.10  # of the sampling time: a tenth of the one-step motion at working speed
-FEWEST_SAMPLES_A_STROKE = 20  # at full speed, to resolve dead time and lag
-FAST_FRACTION = 0.99  # percentile of one-step motions; the rest are spikes
-MUCH_LOST = 0.05  # of the samples, or of the time
-MAX_SAMPLES = 2**20  # examined, to bound time and memory
+FEWEST_SAMPLES_A_STROKE = 20  # samples per stroke at full speed, to resolve dead time and lag (chosen)
+FAST_FRACTION = 0.99  # quantile of one-step motions; the rest may be spikes (chosen)
+MUCH_LOST = 0.05  # of the samples, or of the time (chosen)
+MAX_SAMPLES = 2**20  # samples examined, to limit time and memory (chosen)
 
 
 def steps(context: RecordContext) -> list[AuditFinding]:
     """Find logs that were resampled.
 
-    From another step: a note, a warning beyond a factor 1.5, where interpolation invents or smooths motion.
-    For a jittering clock: a note, a warning from 10 %, which at working speed moves the piston by a tenth of
-    its one-step motion. For lost samples that were interpolated: a note, a warning from 5 % of all on.
+    From another sampling time: a note; a warning beyond a factor of 1.5, where interpolation distorts motion.
+    For clock jitter: a note; a warning from 10 %, a position error of a tenth of the one-step motion at
+    working speed. For lost samples that were interpolated: a note; a warning from 5 % of all samples.
     """
     findings = []
     clock = context.record.clock
@@ -64,9 +64,9 @@ def steps(context: RecordContext) -> list[AuditFinding]:
 def coarse(context: RecordContext) -> list[AuditFinding]:
     """Find logs with fewer than 20 samples for the whole travel at working speed.
 
-    With s the 99th percentile of |y[k+1] − y[k]|, less what noise explains, and R the record's range, a
-    stroke at full speed has R/s samples. Below 20 neither dead time nor lag, which are a small part of a
-    stroke, are resolved. The percentile leaves out single spikes.
+    With s the 99th percentile of |y[k+1] − y[k]|, where above noise, and R the record's range, a stroke at
+    full speed has R/s samples. Below 20, dead time and lag, a small part of a stroke, are not resolved. The
+    percentile excludes single spikes.
     """
     quality = context.quality
     displacement = context.record.displacement[:MAX_SAMPLES]
@@ -91,10 +91,10 @@ def coarse(context: RecordContext) -> list[AuditFinding]:
 
 
 def gaps(context: CampaignContext) -> list[AuditFinding]:
-    """Find logs that were cut at gaps, and how much of them is lost.
+    """Find logs that were cut at gaps, and the time lost.
 
-    The parts of a cut log are called log@1, log@2 and so on. A part begins in the middle of a motion:
-    a note; from 5 % of the log's time lost on it is a warning.
+    The parts of a cut log are called log@1, log@2 and so on. A part begins in motion:
+    a note; a warning if more than 5 % of the log's time is lost.
     """
     tests_by_log: dict[str, list[RecordContext]] = {}
     for test in context.tests:

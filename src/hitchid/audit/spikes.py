@@ -1,4 +1,4 @@
-"""Single samples and single steps of the displacement that no piston makes."""
+"""Checks for spikes and jumps: changes of the displacement that no piston can make."""
 
 import numpy as np
 
@@ -6,26 +6,25 @@ from hitchid._support.notices import Severity
 from hitchid.audit.context import RecordContext
 from hitchid.audit.finding import AuditFinding
 
-SPIKE_SIGMAS = 8.0  # of the noise of one sample
-FASTER_THAN_MOTION = 3.0  # times the fast one-step motion
-FAST_FRACTION = 0.99  # percentile of one-step motions; the rest may be spikes
-LONGEST_SPIKE = 3  # samples
-MIN_SPIKE_FRACTION = 0.002  # of the range
-RETURNED_FRACTION = 0.5  # of its height; a spike comes back by more
-MOST_SPIKES_FRACTION = 0.02  # of the steps; more are how the sensor works
-JUMP_FACTOR = 5.0  # times the steps around: a piston accelerates over several samples
-JUMP_AROUND = 5  # samples compared before and after
-JUMP_FRACTION = 0.01  # of the range
-MAX_SAMPLES = 2**20  # examined, to bound time and memory
+SPIKE_SIGMAS = 8.0  # σ of the noise of one sample (chosen)
+FASTER_THAN_MOTION = 3.0  # times the fast one-step motion (chosen)
+FAST_FRACTION = 0.99  # quantile of one-step motions; the rest may be spikes (chosen)
+LONGEST_SPIKE = 3  # samples (chosen)
+MIN_SPIKE_FRACTION = 0.002  # of the range; smallest height (chosen)
+RETURNED_FRACTION = 0.5  # of the height; largest remainder after a spike (chosen)
+MOST_SPIKES_FRACTION = 0.02  # of the steps; with more, large steps are normal for the sensor (chosen)
+JUMP_FACTOR = 5.0  # times the neighbouring steps; a piston accelerates over several samples
+JUMP_AROUND = 5  # steps compared before and after (chosen)
+JUMP_FRACTION = 0.01  # of the range; smallest jump (chosen)
+MAX_SAMPLES = 2**20  # samples examined, to limit time and memory (chosen)
 
 
 def spikes(context: RecordContext) -> list[AuditFinding]:
-    """Find one to three samples that stand off and come back.
+    """Find spikes of one to three samples.
 
-    Two steps y[k+1] − y[k] beyond 8 √2 σ + 2 q, beyond three times the 99th percentile of all steps (no
-    piston is that fast) and beyond 0.2 % of the range, of opposite sign, at most three samples apart, that
-    bring the displacement back by more than half. Where more than 2 % of all steps are so large, they are
-    how the log is.
+    A spike is two steps y[k+1] − y[k] of opposite sign, at most three samples apart, after which less than
+    half of the height remains. Both exceed 8 √2 σ + 2 q, three times the 99th percentile of all steps (no
+    piston is that fast) and 0.2 % of the range. If more than 2 % of all steps are so large, none is reported.
     """
     steps = np.diff(context.record.displacement)
     large = _large_steps(context, steps)
@@ -48,10 +47,10 @@ def spikes(context: RecordContext) -> list[AuditFinding]:
 
 
 def jumps(context: RecordContext) -> list[AuditFinding]:
-    """Find single steps of the displacement that no motion leads to or follows.
+    """Find jumps: large single steps of the displacement without motion before or after.
 
-    A step as large as those of spikes and beyond 1 % of the range, five times larger than any of the five
-    before and after: a piston gathers speed over several samples, a slipping sensor doesn't.
+    A jump is a step as large as those of spikes, above 1 % of the range and five times larger than any of the
+    five steps before and after: a piston accelerates over several samples, a slipping sensor does not.
     """
     steps = np.diff(context.record.displacement)
     large = _large_steps(context, steps)
@@ -83,7 +82,7 @@ def jumps(context: RecordContext) -> list[AuditFinding]:
 
 
 def _large_steps(context: RecordContext, steps: np.ndarray) -> np.ndarray:
-    """Return which steps are beyond noise and motion."""
+    """Return the indices of steps larger than noise and motion explain."""
     if steps.size < 2 * JUMP_AROUND:
         return np.zeros(0, dtype=np.int64)
     step_sizes = np.abs(steps[:MAX_SAMPLES])
@@ -108,7 +107,7 @@ def _pairs(
     spike = (back - out <= LONGEST_SPIKE) & (steps[out] * steps[back] < 0)
     spike &= remainder < RETURNED_FRACTION * height
     candidates = np.flatnonzero(spike)
-    # The way back of one spike is not the way out of the next.
+    # The return of one spike is not the start of the next.
     selected = [
         int(k) for position, k in enumerate(candidates) if position == 0 or candidates[position - 1] != k - 1
     ]

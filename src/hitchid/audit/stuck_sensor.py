@@ -1,4 +1,4 @@
-"""Check for a displacement that is constant although the piston must move: stuck or saturated sensor."""
+"""Check for a stuck or saturated sensor: constant displacement although the piston must move."""
 
 from typing import NamedTuple
 
@@ -8,14 +8,14 @@ from hitchid._support.notices import Severity
 from hitchid.audit.context import CampaignContext, RecordContext, command_unit
 from hitchid.audit.finding import AuditFinding, true_intervals
 
-STUCK_S = 0.5  # s, shortest constant stretch
-STUCK_SAMPLES = 10  # in it at least
-STUCK_TRAVEL_FRACTION = 0.01  # of the range that the command would move the piston
-MAX_CHANCE = 1e-9  # probability of so long a constant stretch by rounding alone
-FEWEST_AT_REST = 50  # samples needed to count repeats
-MOVING_FRACTION = 0.1  # of working speed before and after
-NOISE_SHOWS = 0.5  # standard deviation over the quantum, from which on noise changes readings
-STRONG = 0.9  # of the median active command
+STUCK_S = 0.5  # s; shortest constant interval (chosen)
+STUCK_SAMPLES = 10  # samples; fewest in a constant interval (chosen)
+STUCK_TRAVEL_FRACTION = 0.01  # of the range; least travel expected under the command (chosen)
+MAX_CHANCE = 1e-9  # largest probability that rounding alone explains the interval (chosen)
+FEWEST_AT_REST = 50  # samples at rest needed to estimate the share of repeats (chosen)
+MOVING_FRACTION = 0.1  # of working speed; least speed before and after (chosen)
+NOISE_SHOWS = 0.5  # σ over the quantum, from which on noise changes readings (chosen)
+STRONG = 0.9  # of the median active command; least strong command (chosen)
 
 
 class _ConstantRun(NamedTuple):
@@ -30,15 +30,15 @@ class _ConstantRun(NamedTuple):
 
 
 def stuck_sensors(context: CampaignContext) -> list[AuditFinding]:
-    """Find sensors that are constant although the piston must move: stuck or saturated ones.
+    """Find stuck or saturated sensors: constant although the piston must move.
 
-    Exactly constant for at least 0.5 s and ten samples under a command in the record's upper half, during
-    which elsewhere it would move by 1 % of the range, ten steps and twenty σ. An end stop or a dead zone
-    keeps the sensor's noise: the standing counts if by the share z of unchanged samples at rest (anywhere,
-    where a record hardly rests and σ is above half a step) so long a run of n has odds zⁿ < 10⁻⁹; or, where
-    noise doesn't show, if the displacement goes the same way at more than a tenth of working speed before and
-    after. Two or more such runs at one and the same extreme of all logs are a saturated sensor, a warning,
-    for its samples can be left out; others a stuck one, a fault.
+    A constant run: exactly constant for at least 0.5 s and ten samples under a strong command, the expected
+    travel being above 1 % of the range, ten quanta and 20 σ. At an end stop or in the dead zone the sensor's
+    noise remains: a run of n samples counts if zⁿ < 10⁻⁹, z being the share of unchanged samples at rest (of
+    all samples, if few are at rest and σ is above half a quantum). Where the noise is below the quantum, it
+    counts if the displacement moves in the same direction before and after, above a tenth of working speed.
+    Two or more runs at the same extreme of all logs are a saturated sensor: a warning, since its samples can
+    be left out; others are a stuck sensor: a fault.
     """
     constant_runs = [run for test in context.tests for run in _constant_runs(test)]
     lowest = min(test.quality.lowest for test in context.tests)
@@ -104,7 +104,7 @@ def _constant_runs(context: RecordContext) -> list[_ConstantRun]:
 
 
 def _unchanged_share(context: RecordContext, repeated: np.ndarray, stretches: list[tuple[int, int]]) -> float:
-    """Return the share of samples equal to the one before: at rest, or anywhere if noise is visible."""
+    """Return the share of samples equal to the one before: at rest, or overall if noise is visible."""
     resting = ~context.any_active()[:-1]
     quality = context.quality
     if np.count_nonzero(resting) < FEWEST_AT_REST:
@@ -120,7 +120,7 @@ def _unchanged_share(context: RecordContext, repeated: np.ndarray, stretches: li
 
 
 def _strong(context: RecordContext, direction: str) -> np.ndarray:
-    """Tell where a command is in the upper half of what is active of it, or by noise a little below."""
+    """Return where a command is at least 90 % of its median active value, shape [N]."""
     strong = context.active(direction)
     if strong.any():
         command = np.abs(context.record.command(direction))
@@ -135,7 +135,7 @@ def _commanded_runs(
     stretches: list[tuple[int, int]],
     unchanged: float,
 ) -> list[_ConstantRun]:
-    """Return the parts of stretches of exact standing in which the command is strong."""
+    """Return the parts of constant intervals in which the command is strong."""
     log_share = np.log(max(unchanged, 1e-12))
     commanded_runs = []
     for start, stop in stretches:
@@ -149,7 +149,7 @@ def _commanded_runs(
 
 
 def _speed(displacement: np.ndarray, strong: np.ndarray, repeated: np.ndarray) -> float:
-    """Return the mean displacement a sample, with its sign, under a strong command where it moves at all."""
+    """Return the mean signed motion per sample under a strong command, unchanged samples excluded."""
     moving = strong & ~repeated
     count = int(np.count_nonzero(moving))
     return float(np.sum(np.diff(displacement), where=moving)) / count if count else 0.0

@@ -1,4 +1,4 @@
-"""The command line: one module a command, named after it."""
+"""Command line: one module per command, of the same name."""
 
 from hitchid.cli import bench, compare, design, identify, inspect, reproduce, run, simulate, validate
 from hitchid.cli.program import app as app

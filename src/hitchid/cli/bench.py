@@ -11,7 +11,7 @@ from hitchid.cli.options import Force
 
 
 class Protocol(Enum):
-    """What the virtual bench runs."""
+    """Kinds of tests on the virtual bench."""
 
     PRBS = "prbs"
     RAMP = "ramp"
@@ -19,7 +19,7 @@ class Protocol(Enum):
 
 
 class TestedDirections(Enum):
-    """Which direction the virtual bench excites."""
+    """Directions that the virtual bench excites."""
 
     LIFTING = "lifting"
     LOWERING = "lowering"
@@ -27,7 +27,7 @@ class TestedDirections(Enum):
 
 
 class LogFormat(Enum):
-    """Formats the virtual bench writes."""
+    """Formats of the logs that the virtual bench writes."""
 
     CSV = "csv"
     GZIP = "csv.gz"

@@ -1,4 +1,4 @@
-"""The user's cache: compiled programs and finished searches."""
+"""User cache of compiled programs and finished searches."""
 
 import os
 from dataclasses import replace
@@ -8,31 +8,31 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from hitchid.estimation import SearchComparison
 
-MAX_PROGRAMS = 10_000  # compiled programs kept, some 100 MB
+MAX_PROGRAMS = 10_000  # compiled programs kept, about 100 MB (chosen)
 
 
 def prepare_jax() -> None:
-    """Cache compiled programs for the user, unless JAX has a folder set: the next run starts faster."""
+    """Enable JAX's compilation cache in the user's cache folder, unless another folder is set."""
     import jax
 
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         compiled_folder = _cache_folder() / "compiled"
         _evict_oldest(compiled_folder)
         jax.config.update("jax_compilation_cache_dir", str(compiled_folder))
-        # Small ones too: hundreds of them together take longer to compile than the large ones.
+        # Small programs too: hundreds of them take longer to compile than the large ones.
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
 
 def with_search_cache(comparison: "SearchComparison | None") -> "SearchComparison | None":
-    """Keep finished searches in the user's cache, so that a stopped run resumes from there."""
+    """Return a comparison that caches finished searches for the user, to resume a stopped run."""
     from hitchid._support.checkpoints import Checkpoints
 
     return comparison and replace(comparison, checkpoints=Checkpoints(_cache_folder() / "searches"))
 
 
 def _evict_oldest(programs: Path) -> None:
-    """Keep the newer half of so many programs that their folder would grow without end (some 100 MB)."""
+    """Keep only the newest half of `MAX_PROGRAMS` programs if there are more than that."""
     try:
         entries = list(os.scandir(programs)) if programs.is_dir() else []
         if len(entries) > MAX_PROGRAMS:

@@ -1,4 +1,4 @@
-"""The command `hitchid compare`."""
+"""`hitchid compare`: comparison of two models."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""`hitchid design`: the next test."""
+"""`hitchid design`: experiment design for the next test."""
 
 import json
 from enum import Enum
@@ -12,7 +12,7 @@ from hitchid.cli.options import AsJson, Force
 
 
 class OneDirection(Enum):
-    """Which direction a test excites."""
+    """Direction that a test excites."""
 
     LIFTING = "lifting"
     LOWERING = "lowering"

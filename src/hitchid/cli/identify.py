@@ -64,14 +64,14 @@ def identify(
             identification = run(campaign, **settings, progress=report, checkpoints=unfinished)
         identification.save(out, force=force)
     except OutputError:
-        # With room to write, --resume goes on from there; nothing is in the way of a run that begins anew.
+        # With free disk space --resume continues; a new run may replace the folder without --force.
         if has_results(unfinished):
             mark_failed(unfinished, failed=True)
         else:
             _remove_run(unfinished)
         raise
     except InputError:
-        # With --resume the pieces may be those of another run, which is not this one's to remove.
+        # With --resume the results may be those of another run, which must not be removed.
         if not (resume and has_results(unfinished)):
             _remove_run(unfinished)
         elif failed_before:
@@ -88,7 +88,7 @@ def identify(
 
 
 def _remove_run(unfinished: Path) -> None:
-    """Remove a run that will not be gone on with."""
+    """Remove a run that will not be resumed."""
     from hitchid._support.checkpoints import is_run
 
     if is_run(unfinished):
@@ -96,7 +96,7 @@ def _remove_run(unfinished: Path) -> None:
 
 
 def _make_way(unfinished: Path, *, force: bool) -> None:
-    """Make way for a new run in place of one that was stopped."""
+    """Remove a stopped run before a new one."""
     from hitchid._support.checkpoints import is_run
 
     if not force:

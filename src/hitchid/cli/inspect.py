@@ -1,4 +1,4 @@
-"""`hitchid inspect`: what logs hold, an audit of them, a first campaign.toml."""
+"""`hitchid inspect`: content and audit of logs, proposal of a campaign.toml."""
 
 import json
 from pathlib import Path
@@ -12,7 +12,7 @@ from hitchid.errors import InputError
 if TYPE_CHECKING:
     from hitchid.inspection import Inspection
 
-MAX_DRAWN = 12  # records in one picture
+MAX_DRAWN = 12  # records in one picture (chosen)
 PICTURES = (".png", ".svg", ".pdf")
 
 

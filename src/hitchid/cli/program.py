@@ -1,4 +1,4 @@
-"""The program: where it starts, what its exit codes mean."""
+"""Entry point of the program, and its exit codes."""
 
 import shlex
 import sys
@@ -18,9 +18,9 @@ app = typer.Typer(
 
 
 def main() -> None:
-    """Run the command line; exit 0 for success, 2 for wrong use or bad input, 1 for a run that failed.
+    """Run the command line; exit code 0 for success, 2 for wrong use or bad input, 1 for a failed run.
 
-    What is read and written for a user raises its own errors; any other OSError is an output that failed.
+    Readers and writers raise errors of this package; any other `OSError` is a failed output.
     """
     try:
         app()
@@ -37,5 +37,5 @@ def main() -> None:
 
 
 def command_line() -> str:
-    """Return the command as it was given, for who wants to give it again."""
+    """Return the command line of this run, as a shell command."""
     return shlex.join(["hitchid", *sys.argv[1:]])

@@ -1,4 +1,4 @@
-"""`hitchid reproduce`: the published study on the virtual test bench."""
+"""`hitchid reproduce`: reproduction of the published study on the virtual test bench."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""`hitchid run`: a model that predicts one sample at a time from standard input."""
+"""`hitchid run`: online prediction, sample by sample from standard input."""
 
 import sys
 from io import TextIOWrapper

@@ -1,4 +1,4 @@
-"""`hitchid simulate`: the predicted displacement beside a log's columns."""
+"""`hitchid simulate`: simulation of a log; the prediction is added to its columns."""
 
 from pathlib import Path
 from typing import Annotated

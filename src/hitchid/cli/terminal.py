@@ -1,4 +1,4 @@
-"""What a terminal shows: tables, verdicts, notices."""
+"""Terminal output: tables, verdicts, notices."""
 
 import sys
 from collections.abc import Iterable
@@ -24,12 +24,12 @@ if TYPE_CHECKING:
     from hitchid.studies.sun2025 import Study
     from hitchid.validation import Acceptance
 
-COLUMNS = 80
-MAX_SPANS = 3
+COLUMNS = 80  # characters, width of narrow output (chosen)
+MAX_SPANS = 3  # intervals listed for one finding (chosen)
 
 
 def show_inspection(inspection: "Inspection") -> None:
-    """Print what was found in logs."""
+    """Print the result of an inspection."""
     if inspection.records:
         table = _table("record", "kind", "samples", "step / s", "duration / s", "signals")
         for record in inspection.records:
@@ -64,12 +64,12 @@ def show_inspection(inspection: "Inspection") -> None:
 
 
 def show_left_out(campaign: "Campaign", *, quiet: bool = False) -> None:
-    """Write to stderr which logs are left out and why, and how many; quietly, nothing."""
+    """Write the logs left out, their reasons and number to stderr; nothing if `quiet`."""
     write_messages("warning", () if quiet else campaign.notices)
 
 
 def show_audit(findings: Iterable["AuditFinding"], *, quiet: bool = False) -> None:
-    """Write to stderr what an audit of the logs found that would spoil a model; quietly, faults alone."""
+    """Write faults and warnings of an audit to stderr; only faults if `quiet`."""
     for finding in findings:
         if finding.severity.value in (("fault",) if quiet else ("fault", "warning")):
             prefix = f"{finding.record}: " if finding.record else ""
@@ -79,7 +79,7 @@ def show_audit(findings: Iterable["AuditFinding"], *, quiet: bool = False) -> No
 
 
 def _findings(findings: Iterable["AuditFinding"]) -> RichTable:
-    """Return what an audit found: how grave, where, what, and what to do."""
+    """Return the table of audit findings: severity, place, fault and remedy."""
     table = _table("finding", "where", "what, and what to do")
     for finding in findings:
         signal = finding.signal.replace("_", " ")
@@ -103,7 +103,7 @@ def _time_spans(finding: "AuditFinding") -> list[str]:
 
 
 def show_identification(identification: "Identification", out: Path) -> None:
-    """Print what was found of each direction, in 80 columns, and where the model lies."""
+    """Print the identified parameters of each direction, in 80 columns, and the path of the model."""
     from hitchid.report.characteristics import characteristic_sentences
 
     for direction, trace in identification.channels.items():
@@ -128,7 +128,7 @@ def show_identification(identification: "Identification", out: Path) -> None:
 
 
 def _parameters(direction: str, unit: str, trace: "ChannelTrace") -> RichTable:
-    """Return the dead zone and every parameter; what is not determined is told by its verdict alone."""
+    """Return the table of dead zone and parameters; an undetermined parameter has only a verdict."""
     from hitchid.report import numbers
 
     table = _table(direction, "value ± std error", "unit", "verdict", kind=box.SIMPLE_HEAD)
@@ -145,7 +145,7 @@ def _parameters(direction: str, unit: str, trace: "ChannelTrace") -> RichTable:
 
 
 def show_advice(advice: "Advice", model: "Hitch") -> None:
-    """Print the tests proposed, and what each is expected to leave of the standard error."""
+    """Print the proposed tests and the predicted standard error after each, in percent of the present one."""
     command, displacement = model.units[f"{advice.direction}_command"], model.units["displacement"]
     zone = model.channels[advice.direction].dead_zone
     name = advice.parameter.replace("_", " ")
@@ -179,7 +179,7 @@ def show_advice(advice: "Advice", model: "Hitch") -> None:
 
 
 def show_study(study: "Study", out: Path) -> None:
-    """Print the tables of the study, notices, and where the report is."""
+    """Print the tables of the study, notices, and the path of the report."""
     from hitchid.report.renderers.terminal import rich_table
 
     for table in study.tables:
@@ -189,7 +189,7 @@ def show_study(study: "Study", out: Path) -> None:
 
 
 def show_report(document: "Document", notices: Iterable[str], out: Path) -> None:
-    """Print the verdict and the summary of a report, in 80 columns, notices, and where the report is."""
+    """Print verdict and summary of a report, in 80 columns, notices, and the path of the report."""
     from hitchid.report import render
 
     sys.stdout.write(render(document, "terminal").decode())
@@ -198,7 +198,7 @@ def show_report(document: "Document", notices: Iterable[str], out: Path) -> None
 
 
 def show_acceptance(acceptance: "Acceptance", *, quiet: bool = False) -> None:
-    """Print whether each limit holds, a line for each; quietly, failed ones alone."""
+    """Print a line with the verdict of each limit; only failed limits if `quiet`."""
     from hitchid.report.sections import check_line
 
     for check in acceptance.checks:
@@ -227,6 +227,6 @@ def _print_wrapped(text: str, indent: int = 0) -> None:
 
 
 def write_messages(kind: str, sentences: Iterable[object]) -> None:
-    """Write sentences to stderr, each after what kind it is."""
+    """Write sentences to stderr, each with its kind as prefix."""
     for sentence in sentences:
         sys.stderr.write(f"{kind}: {sentence}\n")

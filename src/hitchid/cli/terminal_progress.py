@@ -1,4 +1,4 @@
-"""Progress on a terminal: a bar, and the figures that a stage makes smaller as they fall; lines elsewhere."""
+"""Progress output: on a terminal a bar and sparklines of the minimised figures, else one line per stage."""
 
 import sys
 from collections.abc import Iterator
@@ -14,12 +14,12 @@ from rich.text import Text
 from hitchid._support.progress import ProgressCallback, ProgressUpdate, silent
 
 BLOCKS = "▁▂▃▄▅▆▇█"
-WIDTH, NAME = 36, 28  # columns of a sparkline and of the name before it, in a terminal of 80
+WIDTH, NAME = 36, 28  # characters of a sparkline and of its name, for 80 columns
 
 
 @contextmanager
 def progress(*, quiet: bool = False) -> Iterator[ProgressCallback]:
-    """Yield a callback that shows progress on stderr: live on a terminal, else a line a stage."""
+    """Yield a callback that shows progress on stderr: live on a terminal, else one line per stage."""
     if quiet:
         yield silent
         return
@@ -47,7 +47,7 @@ class Curves:
         self._tasks: dict[str, tuple[ProgressUpdate, dict[str, list[float]]]] = {}
 
     def update(self, step: ProgressUpdate) -> None:
-        """Add a step; a new stage begins new lines, and a step of the whole work ends the tasks."""
+        """Add an update; a new stage starts new sparklines, an update without task ends all tasks."""
         current_tasks = {name: entry for name, entry in self._tasks.items() if bool(name) == bool(step.task)}
         last, values = current_tasks.get(step.task, (step, {}))
         values = values if last.stage == step.stage else {}
@@ -57,7 +57,7 @@ class Curves:
 
     @property
     def stages(self) -> str:
-        """The present stages."""
+        """Names of the present stages."""
         return " | ".join(step.stage for step, _ in self._tasks.values())
 
     def __rich__(self) -> Text:
@@ -75,14 +75,14 @@ class Curves:
 
 
 def sparkline(values: list[float]) -> str:
-    """Return values as blocks, the highest for the largest, by their logarithms where all are positive."""
+    """Return values as block characters, on a logarithmic scale if all are positive."""
     finite_values = [value for value in values if isfinite(value)]
     if not finite_values:
         return ""
     heights = [log(value) for value in finite_values] if min(finite_values) > 0 else finite_values
     resampled = [heights[round(index * (len(heights) - 1) / (WIDTH - 1))] for index in range(WIDTH)]
     shown = resampled if len(heights) > WIDTH else heights
-    largest = max(map(abs, shown)) or 1.0  # the difference of two very large values would overflow
+    largest = max(map(abs, shown)) or 1.0  # avoids overflow in the difference of two very large values
     shown = [height / largest for height in shown]
     low, high = min(shown), max(shown)
     scale = (len(BLOCKS) - 1) / ((high - low) or 1.0)
@@ -90,7 +90,7 @@ def sparkline(values: list[float]) -> str:
 
 
 class _Lines:
-    """A line for each stage as it begins, and one with its last figures."""
+    """Prints a line at the start of each stage, and one with its last figures."""
 
     def __init__(self) -> None:
         self._last: dict[str, ProgressUpdate] = {}
@@ -104,7 +104,7 @@ class _Lines:
         self._last[step.task] = step
 
     def end(self, *tasks: str) -> None:
-        """Write the last figures of tasks; of all where none is named."""
+        """Write the last figures of the given tasks, by default of all."""
         for task in tasks or tuple(self._last):
             last = self._last.pop(task, None)
             if last is not None and last.figures:

@@ -1,4 +1,4 @@
-"""The command `hitchid validate`."""
+"""`hitchid validate`: comparison of a model with tests."""
 
 import json
 from pathlib import Path

@@ -19,9 +19,9 @@ from hitchid.data.test_kinds import detect_kind, full_scales, ramp_direction, st
 from hitchid.data.units import UNITS
 from hitchid.errors import InputError, LogError
 
-HELD_OUT_FRACTION = 0.2  # of the tests of a direction, the default split
+HELD_OUT_FRACTION = 0.2  # of the tests of a direction; the default split (chosen)
 STROKE_SEPARATOR = "#"
-MAX_RATE_RATIO = 100  # of sampling times in one campaign; beyond, one of them has a wrong unit
+MAX_RATE_RATIO = 100  # of sampling times in one campaign; above it, a unit of time is wrong (chosen)
 
 
 @dataclass(frozen=True)
@@ -32,9 +32,9 @@ class Campaign:
         records: the tests, in the order of their names.
         test_patterns: patterns on names that mark the held-out tests; without any, the last 20 % of each
             direction's tests are held out.
-        unmatched: patterns of a settings file that match no test here; an error in an identification only.
+        unmatched: patterns of a settings file that match no test here; an error only in an identification.
         left_out: logs and tests that cannot be used, with their reasons.
-        strict: whether later work refuses all tests for one that cannot be used.
+        strict: whether one test that cannot be used is an error in later steps too.
     """
 
     records: tuple[Record, ...]
@@ -53,21 +53,21 @@ class Campaign:
         left_out: Sequence[LeftOut] = (),
         strict: bool = False,
     ) -> "Campaign":
-        """Bring records onto one clock and one set of units, and find the kind of each.
+        """Return records on one clock and in one set of units, and detect the kind of each.
 
-        Left out is a record with other commands or dimensions than most, with a clock far from the others',
-        or with a displacement that never changes although its command does.
+        A record is left out if its commands or dimensions differ from those of most records, if its sampling
+        time differs by a factor above 100, or if its displacement is constant although its command is not.
 
         Args:
             records: tests, in any order.
             test_patterns: patterns on names that mark the held-out tests.
-            kinds: pattern on names to kind, where it should not be found from the commands.
+            kinds: pattern on names to kind; overrides the detection from the commands.
             left_out: logs that could not be read.
             strict: whether one record that cannot be used is an error for all.
 
         Raises:
-            InputError: no records, equal names, a pattern that matches no test, or every test of a direction
-                is left out.
+            InputError: no records, an empty record, equal names, a pattern that matches no test, an unknown
+                kind, or every test of a direction is left out; with `strict`, any test is left out.
         """
         records = checks.tuple_of(records, Record, "records", "records, each a hitchid.Record")
         if test_patterns is not None:
@@ -108,7 +108,7 @@ class Campaign:
 
     @property
     def notices(self) -> tuple[Notice, ...]:
-        """Logs left out with the reason, their number, and whether no held-out test is left."""
+        """Logs left out with the reason, their number, and a warning without any held-out test left."""
         notices = left_out_notices(self.left_out, len(self.left_out) + len(self.records), "logs")
         patterns = self.test_patterns
         if notices and patterns is not None and not any(_matches(r, patterns) for r in self.records):
@@ -158,7 +158,7 @@ class Campaign:
         return tuple(record for record in self.of_kind(RAMP) if ramp_direction(record) == direction)
 
     def held_out(self, direction: str) -> tuple[Record, ...]:
-        """Return the held-out tests of a direction, which no identification may use."""
+        """Return the held-out tests of a direction; identification does not use them."""
         tests = self.of_kind(direction)
         if self.test_patterns is not None:
             return tuple(record for record in tests if _matches(record, self.test_patterns))
@@ -172,14 +172,14 @@ class Campaign:
         return tuple(record for record in self.of_kind(direction) if record.name not in held_out)
 
     def without(self, fingerprints: Collection[str]) -> "Campaign":
-        """Return the campaign without the records of these fingerprints; it may be empty."""
+        """Return the campaign without records of these fingerprints; the result may be empty."""
         return replace(self, records=tuple(r for r in self.records if r.fingerprint not in fingerprints))
 
     def segmented(self, dead_zones: Mapping[str, float]) -> "Campaign":
         """Return the campaign with its mixed cycles cut into strokes of one direction each.
 
-        Strokes of a held-out cycle are held out; where no whole cycle is, the last 20 % of each direction's
-        strokes are.
+        Strokes of a held-out cycle are held out; without any held-out cycle, the last 20 % of each
+        direction's strokes are. Raises `InputError` for an unknown direction or an invalid dead zone.
         """
         zones = checks.mapping_of(dead_zones, DIRECTIONS, "dead_zones")
         dead_zones = {
@@ -214,13 +214,13 @@ def _dimensions(record: Record) -> tuple[tuple[str, str], ...]:
 
 
 def _most_common(records: Sequence[Record]) -> Record:
-    """Return the first record of those with the commands and dimensions that most have."""
+    """Return the first record with the most common commands and dimensions."""
     counts = Counter(map(_dimensions, records))
     return max(records, key=lambda record: counts[_dimensions(record)])
 
 
 def _to_reference_units(record: Record, reference: Record) -> Record:
-    """Return a record in another's units."""
+    """Return a record in the units of another."""
     if record.directions != reference.directions:
         raise InputError(
             f"record '{record.name}' has commands for {' and '.join(record.directions)}, "
@@ -260,12 +260,12 @@ def _natural_sort_key(name: str) -> list[tuple[int, str]]:
 
 
 def _common_step(records: Sequence[Record]) -> float:
-    """Return the lower median step: one that a log has, not the mean of two."""
+    """Return the lower median of the sampling times, which is one of them."""
     return float(f"{median_low(record.step_s for record in records):.4g}")
 
 
 def _to_common_clock(record: Record, step_s: float) -> Record:
-    """Adopt the common sampling time where the drift is below 5 % of it, else resample."""
+    """Return a record at the common sampling time: resampled, unless the drift is below 5 % of it."""
     drift = abs(record.step_s - step_s) * len(record)
     if not 1 / MAX_RATE_RATIO <= record.step_s / step_s <= MAX_RATE_RATIO:
         raise LogError(

@@ -1,4 +1,4 @@
-"""Tests that cannot be used: left out with the reason, or in strict mode an error."""
+"""Tests that cannot be used: left out with the reason; in strict mode an error."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from hitchid.errors import InputError, LogError, SettingsError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-MAX_SHOWN = 10  # causes named in one error message
+MAX_SHOWN = 10  # causes named in one error message (chosen)
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,7 @@ class LeftOut:
 
     Attributes:
         name: of the log or test.
-        error: why, as it would have been raised.
+        error: the reason, as an exception.
     """
 
     name: str
@@ -26,11 +26,11 @@ class LeftOut:
 
     @property
     def reason(self) -> str:
-        """Why it is not used, without its name."""
+        """The reason, without the name."""
         return self.error.reason if isinstance(self.error, LogError) else str(self.error)
 
     def describe(self) -> dict[str, str]:
-        """Return name and reason as JSON can hold them."""
+        """Return name and reason for JSON output."""
         return {"name": self.name, "reason": self.reason}
 
 
@@ -65,8 +65,8 @@ def left_out_notices(left_out: Sequence[LeftOut], total: int, what: str) -> tupl
     """Return a notice for each reason with the names concerned, and one with the count.
 
     Args:
-        left_out: what is not used.
-        total: how many there were.
+        left_out: the items that are not used.
+        total: number of all items.
         what: kind of item, such as `logs`.
     """
     if not left_out:
@@ -83,7 +83,7 @@ def left_out_notices(left_out: Sequence[LeftOut], total: int, what: str) -> tupl
 
 
 def refuse(left_out: Sequence[LeftOut], what: str) -> NoReturn:
-    """Raise an error where nothing can be used: the common cause, else all causes.
+    """Raise an error if no item can be used: the common cause, else all causes.
 
     Raises:
         InputError: always; the first item's own error where all have the same.

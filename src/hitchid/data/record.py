@@ -1,4 +1,4 @@
-"""Record: one test on a uniform clock, named signals with units, and their source."""
+"""Record: signals of one test on a uniform clock, with units and source."""
 
 import hashlib
 from collections.abc import Mapping
@@ -23,7 +23,7 @@ COMMAND = MappingProxyType({LIFTING: "lifting_command", LOWERING: "lowering_comm
 RAMP = "ramp"
 CYCLE = "cycle"
 IDLE = "idle"
-FINGERPRINT_STEP = 1e-6  # of the range; coarser than the rounding of a unit conversion
+FINGERPRINT_STEP = 1e-6  # of the range; above the rounding error of a unit conversion (chosen)
 KINDS = (LIFTING, LOWERING, RAMP, CYCLE, IDLE)
 
 
@@ -38,9 +38,9 @@ class Record:
             and covariates under their own names. A plant with one channel has one command.
         units: role to unit.
         kind: `lifting`, `lowering`, `ramp`, `cycle` or `idle`.
-        start_s: time of the first sample in the log, s.
+        start_s: time of the first sample on the log's clock, s.
         source: the file it was read from.
-        notices: changes made to the log while it was read.
+        notices: changes made to the log in reading.
         clock: regularity of the log's clock.
     """
 
@@ -129,7 +129,7 @@ class Record:
         return self.signals[role]
 
     def require(self, covariate: str | None) -> "Record":
-        """Return the record itself where it has a covariate, or where none is required.
+        """Return the record itself if it has the covariate, or if none is required.
 
         Raises:
             InputError: it lacks the covariate.
@@ -142,19 +142,19 @@ class Record:
     def fingerprint(self) -> str:
         """SHA-256 of the shape of the displacement, which identifies a test.
 
-        The samples are taken relative to the first and to their range and rounded to 10⁻⁶ of it, and so is
-        the range in SI units: file name, unit and mapped commands do not matter.
+        The samples relative to the first, divided by their range and rounded to 10⁻⁶, and the range in SI
+        units are hashed: the fingerprint does not depend on file name, unit and mapping of commands.
         """
         relative = self.displacement - self.displacement[0]
         peak_to_peak = float(np.ptp(relative))
         shape = relative / (peak_to_peak or 1.0)
-        # The irrational offset keeps round decimals off the edges of rounding.
+        # The irrational offset moves round decimals away from the limits of rounding.
         steps = np.round(shape / FINGERPRINT_STEP + 1 / np.pi).astype(np.int64)
         size = f"{peak_to_peak * UNITS[self.unit].factor:.6e}"
         return hashlib.sha256(size.encode() + steps.tobytes()).hexdigest()
 
     def slice(self, start: int, stop: int, *, name: str | None = None, kind: str | None = None) -> "Record":
-        """Return samples `start:stop` as a record of its own."""
+        """Return samples `start:stop` as a new record."""
         return replace(
             self,
             name=self.name if name is None else name,
@@ -164,7 +164,7 @@ class Record:
         )
 
     def resample(self, step_s: float) -> "Record":
-        """Return the record on a clock of `step_s`; see `resampled`."""
+        """Return the record at sampling time `step_s`; raises `InputError` unless it is above 0."""
         checks.number(step_s, "step_s", above=0.0)
         count = int(np.floor((len(self) - 1) * self.step_s / step_s * (1 + 1e-12))) + 1
         new_times_s = step_s * np.arange(count)
@@ -198,7 +198,7 @@ class Record:
 
 
 def _read_only(samples: np.ndarray, name: str) -> np.ndarray:
-    """Return read-only samples: themselves where they are already, else a copy."""
+    """Return read-only samples: without a copy if they are read-only already."""
     base = samples if getattr(samples, "base", None) is None else samples.base
     if isinstance(base, np.ndarray) and samples.dtype == np.float64 and not base.flags.writeable:
         return samples
@@ -215,13 +215,12 @@ def resampled(
 ) -> dict[str, np.ndarray]:
     """Resample signals from one time base to another.
 
-    Commands by zero-order hold, one that comes within 2 % of a step counting as present; measured signals by
-    linear interpolation.
+    Commands by zero-order hold, with a tolerance of 2 % of a step; measured signals by linear interpolation.
 
     Args:
         signals: role to samples, each of shape [N].
         old_times_s: time of the samples, s, shape [N], increasing.
-        new_times_s: time of the wanted samples, s, shape [M].
+        new_times_s: time of the new samples, s, shape [M].
 
     Returns:
         Role to samples, each of shape [M].

@@ -1,4 +1,4 @@
-"""From the time stamps of a logger to a uniform grid: adopted, resampled, or split at gaps."""
+"""Uniform time grid from the time stamps of a log: adopted, resampled, or split at gaps."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -10,26 +10,26 @@ from hitchid._support.notices import Notice
 from hitchid.errors import LogError
 
 LineOf = Callable[[int], int | None]
-GRID_TOLERANCE = 0.02  # of the sampling time; a stamp nearer to the grid counts as on it
-GAP_FACTOR = 1.5  # of the sampling time; a longer interval is a gap
-SHORTEST_STEP_S = 1e-9  # s; time stamps in ns have no finer step
-# s and sampling times: a hydraulic axis takes 0.2 s to change its speed; any clock may lose two samples.
+GRID_TOLERANCE = 0.02  # of the sampling time; largest distance of a stamp on the grid (chosen)
+GAP_FACTOR = 1.5  # of the sampling time; a longer interval is a gap (chosen)
+SHORTEST_STEP_S = 1e-9  # s; the resolution of time stamps in ns
+# s and sampling times, the larger counts: a hydraulic axis changes its speed in 0.2 s; two lost samples.
 SHORT_GAP_S, SHORT_GAP_STEPS = 0.2, 3
-# s and sampling times: an interpolated stretch that is longer would be an experiment of its own.
+# s and sampling times, the larger counts: longest interpolation at constant command and speed (chosen).
 LONGEST_BRIDGE_S, LONGEST_BRIDGE_STEPS = 1.0, 10
-# Of the range of a command, of the range of the displacement; rows over which a speed is taken.
+# Fraction of a command's range, fraction of the displacement's range, rows per speed estimate (chosen).
 COMMAND_TOLERANCE, MOTION_TOLERANCE, SPEED_ROWS = 0.1, 0.05, 5
 
 
 @dataclass(frozen=True)
 class ClockQuality:
-    """Regularity of a log's clock; all zero where the stamps lie on a uniform grid.
+    """Regularity of a log's clock; all zero for time stamps on a uniform grid.
 
     Attributes:
         jitter: largest deviation of an interval without lost samples, as a fraction of the sampling time.
-        longest_gap_s: longest interval that was bridged, s; 0 where no sample was lost.
-        interpolated_share: share of samples further from any stamp than 2 % of the sampling time.
-        logged_step_s: sampling time of the log, s, where the campaign has another; else None.
+        longest_gap_s: longest interpolated gap, s; 0 without lost samples.
+        interpolated_share: share of samples more than 2 % of the sampling time from any time stamp.
+        logged_step_s: sampling time of the log, s; None if the campaign has the same.
     """
 
     jitter: float = 0.0
@@ -43,7 +43,7 @@ REGULAR_CLOCK = ClockQuality()
 
 @dataclass(frozen=True)
 class LogSection:
-    """Rows `start:stop` of a log that become one record.
+    """Rows `start:stop` of a log that form one record.
 
     Attributes:
         start, stop: row range.
@@ -62,16 +62,16 @@ class LogSection:
 
 
 def unique_stamp_rows(time_s: np.ndarray, source: object, *, column: str, line_of: LineOf) -> np.ndarray:
-    """Return the rows whose time is not that of the row before, indices of shape [M].
+    """Return the rows whose time differs from that of the row before, indices of shape [M].
 
     Args:
         time_s: time stamps, s, shape [N].
         source: the log's name, for messages.
         column: the time column's name, for messages.
-        line_of: from a row to its line in the file, None where the format has no lines.
+        line_of: returns the line of a row in the file; None for a format without lines.
 
     Raises:
-        LogError: time is not finite, runs backwards, stands still, or has steps that no logger has.
+        LogError: time is not finite, decreases, is constant, or has steps below 1 ns or infinite ones.
     """
     bad = np.flatnonzero(~np.isfinite(time_s))
     if bad.size:
@@ -105,12 +105,12 @@ def unique_stamp_rows(time_s: np.ndarray, source: object, *, column: str, line_o
 def sections(
     time_s: np.ndarray, commands: Mapping[str, np.ndarray], position: np.ndarray
 ) -> list[LogSection]:
-    """Cut a time column into stretches that each become one record on a uniform grid.
+    """Divide a time column into sections, each one record on a uniform grid.
 
-    The sampling time is the median interval. Stamps within 2 % of a uniform grid are kept; any others are to
-    be resampled. An interval beyond 1.5 sampling times is a gap. It is bridged where it lasts 0.2 s or three
-    sampling times at most; and up to 1 s or ten where no command changes over it by more than a tenth of its
-    range, and the speeds before and after meet the displacement within 5 % of its range. Any other gap
+    The sampling time is the median interval. Time stamps within 2 % of a uniform grid are kept; others are
+    resampled. An interval above 1.5 sampling times is a gap. It is interpolated up to 0.2 s or three sampling
+    times; and up to 1 s or ten sampling times, if no command changes over it by more than a tenth of its
+    range and the travel agrees with the speeds before and after within 5 % of its range. Any other gap
     splits the log.
 
     Args:
@@ -145,7 +145,7 @@ def _gap_notices(time_s: np.ndarray, start: int, median: float) -> tuple[Notice,
 
 
 class _GapBridging:
-    """Condition for interpolating over a gap: constant commands, and an axis at rest or constant speed."""
+    """Condition of interpolation over a gap: constant commands, and rest or constant speed."""
 
     def __init__(self, time_s: np.ndarray, commands: Mapping[str, np.ndarray], position: np.ndarray) -> None:
         self.time_s, self.position = time_s, position
@@ -153,7 +153,7 @@ class _GapBridging:
         self.tolerance = MOTION_TOLERANCE * np.ptp(position)
 
     def can_bridge(self, row: int) -> bool:
-        """Return whether the gap after a row may be bridged."""
+        """Return whether the gap after a row may be interpolated."""
         if any(abs(command[row + 1] - command[row]) > tolerance for command, tolerance in self.commands):
             return False
         last = self.time_s.size - 1
@@ -184,7 +184,7 @@ def _section(time_s: np.ndarray, start: int, stop: int, median: float) -> LogSec
     deviation = np.max(np.abs(stamps - stamps[0] - step * grid_indices)) / step
     if deviation <= GRID_TOLERANCE and grid_indices[-1] == stamps.size - 1:
         return LogSection(start, stop, step, resampled=False, notices=notices)
-    # Between stamps that lie on no grid, a step of two digits is as good, and the same for like logs.
+    # For irregular stamps a step of two digits is accurate enough, and equal for similar logs.
     step = step if deviation <= GRID_TOLERANCE else float(f"{median:.2g}")
     clock = _quality(stamps, step, median)
     sentence = (

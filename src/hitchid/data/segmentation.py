@@ -10,11 +10,11 @@ from hitchid.data.test_kinds import ACTIVE_FRACTION, full_scales
 
 HOLD, SATURATED, END_STOP, BOTH_VALVES_ACTIVE = "hold", "saturated", "end stop", "both valves on"
 LABELS = (LIFTING, LOWERING, HOLD, SATURATED, END_STOP, BOTH_VALVES_ACTIVE)  # in the order of JSON output
-WINDOW_S = 0.3  # s; window of a standstill, some lags of a valve
-STATIONARY_FRACTION = 0.1  # of a direction's median travel over the window
-AT_END_FRACTION = 0.02  # of the record's travel, from its end
-CLIPPED_SAMPLES = 5  # consecutive samples at full scale
-# Distinct values; a command with fewer has levels, and is not saturated at the largest
+WINDOW_S = 0.3  # s; window of a standstill: several lags of a common valve (chosen)
+STATIONARY_FRACTION = 0.1  # of a direction's median travel over the window; slower is a standstill (chosen)
+AT_END_FRACTION = 0.02  # of the record's travel; largest distance from its end (chosen)
+CLIPPED_SAMPLES = 5  # consecutive samples at full scale (chosen)
+# Distinct values; a command with fewer has levels, and its largest level is no saturation (chosen).
 MIN_COMMAND_VALUES = 50
 
 
@@ -45,21 +45,21 @@ def segments(
     scales: Mapping[str, float] | None = None,
     command_thresholds: Mapping[str, CommandThreshold] | None = None,
 ) -> list[Segment]:
-    """Divide a record into stretches of lift, hold, lower, saturated, end stop and both valves on.
+    """Divide a record into segments of lifting, hold, lowering, saturated, end stop and both valves on.
 
-    A direction works from its dead zone up (from 5 % of full scale where that is larger or the dead zone is
-    not known), until its command falls by the hysteresis below it, and its dead time later. Both directions
-    at once are a fault of their own. While one works,
+    A direction is active above its dead zone (above 5 % of full scale if that is larger or the dead zone
+    is unknown), until its command falls below it by the hysteresis, and delayed by its dead time. Both
+    directions active at once have a label of their own. While one is active,
 
-    - the piston is at an end stop where over 0.3 s it moves by less than 10 % of what that direction moves it
-      in the median, within 2 % of the end of the record's travel;
-    - elsewhere such a standstill is a hold: the command lies below the dead zone;
-    - the valve is saturated where a command that takes many values stands at the largest one of all logs.
+    - the piston is at an end stop if its travel over 0.3 s is below 10 % of the direction's median over that
+      time, within 2 % of the end of the record's travel;
+    - elsewhere such a standstill is a hold: the command is below the dead zone;
+    - the valve is saturated if a command with many values is at the largest one of all logs.
 
     Args:
         record: a test of any kind.
         scales: direction to largest command of all logs; by default of this one.
-        command_thresholds: direction to its threshold, where known.
+        command_thresholds: direction to its threshold, if known.
     """
     scale_of = dict(scales or full_scales([record]))
     thresholds = command_thresholds or {}
@@ -112,7 +112,7 @@ def _active_samples(
     on = max(threshold.dead_zone, ACTIVE_FRACTION * full_scale)
     off = max(on - threshold.hysteresis, ACTIVE_FRACTION * full_scale)
     command = np.abs(record.command(direction))
-    # Between the two levels the state is kept: the last sample outside them decides.
+    # Hysteresis: between the two levels the state is that of the last sample outside them.
     decisive = np.where((command > on) | (command <= off), np.arange(command.size), -1)
     last = np.maximum.accumulate(decisive)
     active = (last >= 0) & (command[np.maximum(last, 0)] > on)
@@ -121,7 +121,7 @@ def _active_samples(
 
 
 def _local_travel(record: Record) -> np.ndarray:
-    """Return how far the piston moves over 0.3 s around each sample, shape [N]."""
+    """Return the travel over 0.3 s around each sample, shape [N]."""
     half = max(1, round(0.5 * WINDOW_S / record.step_s))
     samples = np.arange(len(record))
     window_start, window_stop = np.maximum(samples - half, 0), np.minimum(samples + half, len(record) - 1)
@@ -143,7 +143,7 @@ def _at_end(record: Record, *, upwards: bool) -> np.ndarray:
 
 
 def _clipped(record: Record, direction: str, full_scale: float) -> np.ndarray:
-    """Return where a command of many values stands at the largest of all logs, shape [N]."""
+    """Return where a command with many values is at the largest of all logs, shape [N]."""
     command = np.abs(record.command(direction))
     at_maximum = command >= full_scale * (1 - 1e-9)
     if np.unique(command).size < MIN_COMMAND_VALUES:
@@ -152,7 +152,7 @@ def _clipped(record: Record, direction: str, full_scale: float) -> np.ndarray:
 
 
 def _sustained(condition: np.ndarray, samples: int) -> np.ndarray:
-    """Return where something is true for at least so many samples on end, shape [N]."""
+    """Return where a condition is true for at least `samples` consecutive samples, shape [N]."""
     if condition.size < samples:
         return np.zeros(condition.size, dtype=bool)
     full_windows = np.convolve(condition, np.ones(samples), "valid") == samples

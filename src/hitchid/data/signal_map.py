@@ -1,4 +1,4 @@
-"""Settings file of a campaign: columns of signals, kinds of tests, split."""
+"""Settings file of a campaign: signal columns, kinds of tests, split."""
 
 import re
 import tomllib
@@ -13,8 +13,8 @@ from hitchid.data.units import UNITS, check_unit, unit_of_column
 from hitchid.errors import InputError, SettingsError
 
 CAMPAIGN_FILE = "campaign.toml"
-MAX_LENGTH, MAX_DOTS = 2**20, 100  # characters of a settings file; dots in one of its keys
-MAX_SHOWN, MAX_PRINTED = 200, 10**100  # characters quoted in a message; largest whole number quoted
+MAX_LENGTH, MAX_DOTS = 2**20, 100  # characters of a settings file; dots in one key (chosen)
+MAX_SHOWN, MAX_PRINTED = 200, 10**100  # characters, largest integer in a message (chosen)
 POSITIONS = ("length", "angle", "voltage", "ratio")  # dimensions of a displacement
 COMMANDS = ("current", "voltage", "ratio", "pressure", "flow", "frequency")  # dimensions of a command
 DIMENSIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
@@ -26,24 +26,24 @@ DIMENSIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "lowering_command": COMMANDS,
     }
 )
-"""Role to the dimensions its unit may have; a further input may have any."""
+"""Role to the admissible dimensions of its unit; a covariate may have any."""
 
 
 class Strict(BaseModel):
-    """Settings read from a file: a misspelt key is an error."""
+    """Settings read from a file; an unknown key is an error."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class Column(Strict):
-    """A column of the log, and how its readings become a signal: (reading − zero) · scale.
+    """A column of the log and its scaling: signal = (reading − zero) · scale.
 
     Attributes:
-        column: its name.
-        unit: of the signal; None where the log gives it.
-        zero: the reading that means none, as it stands in the log.
-        scale: `unit` per reading, a negative one turns the sign; None where readings are in the unit that
-            the log gives, else in `unit`.
+        column: name of the column.
+        unit: of the signal; None for the unit given by the log.
+        zero: reading at signal zero, in the log's unit.
+        scale: `unit` per reading, negative to reverse the sign; None for readings in the log's unit, or in
+            `unit` if the log gives none.
     """
 
     column: str
@@ -75,11 +75,10 @@ class Column(Strict):
 
 
 class SignalMap(Strict):
-    """Which column of a log holds which signal.
+    """Map from signals to columns of a log.
 
-    Either one signed `command`, positive lifting and negative lowering, or `lifting_command` and
-    `lowering_command`; one of these alone describes a plant with one channel, whose command may take both
-    signs.
+    Either one signed `command`, positive for lifting and negative for lowering, or `lifting_command` and
+    `lowering_command`; one of these alone is a plant with one channel, whose command may have both signs.
     """
 
     time: Column = Column(column="time_s", unit="s")
@@ -92,7 +91,7 @@ class SignalMap(Strict):
     @field_validator("covariates", mode="before")
     @classmethod
     def _by_name(cls, value: object) -> object:
-        """Read names as columns in the unit that the log gives, whatever the name ends in."""
+        """Convert names to columns in the log's unit, whatever unit the name ends in."""
         if not isinstance(value, list | tuple):
             return value
         return tuple(
@@ -128,19 +127,19 @@ DEFAULT_SIGNALS = SignalMap(
 
 
 class Split(Strict):
-    """Which tests are held out: patterns on their names."""
+    """Held-out tests, as patterns on their names."""
 
     test: tuple[str, ...] = Field(min_length=1)
 
 
 class Can(Strict):
-    """What is on a CAN bus: DBC files, beside the settings."""
+    """DBC files of the CAN bus, relative to the settings file."""
 
     databases: tuple[str, ...] = ()
 
 
 class CampaignFile(Strict):
-    """All of `campaign.toml`."""
+    """Content of `campaign.toml`."""
 
     signals: SignalMap = DEFAULT_SIGNALS
     can: Can = Can()
@@ -152,7 +151,7 @@ def read_campaign_file(path: Path) -> CampaignFile:
     """Read a `campaign.toml`.
 
     Raises:
-        SettingsError: the file cannot be read, is not TOML, or has a key or value that is not understood.
+        SettingsError: the file cannot be read, is not TOML, or has an unknown key or invalid value.
     """
     return parse_settings(path, CampaignFile)
 
@@ -161,7 +160,7 @@ Settings = TypeVar("Settings", bound=Strict)
 
 
 def parse_settings(path: Path, model: type[Settings]) -> Settings:
-    """Read a TOML file into settings, naming file and key of whatever does not fit.
+    """Read a TOML file into settings; errors name file and key.
 
     Raises:
         SettingsError: as `read_campaign_file`.
@@ -185,7 +184,7 @@ def parse_toml(text: str, source: object) -> dict[str, object]:
     Raises:
         SettingsError: the text is not TOML, or too long for settings.
     """
-    # Time and memory that tomllib takes grow with the square of the parts of a dotted key.
+    # Time and memory of tomllib grow with the square of the number of parts of a dotted key.
     if len(text) > MAX_LENGTH or any(
         fragment.count(".") > MAX_DOTS for fragment in re.split(r"[\n=,]", text)
     ):
@@ -213,7 +212,7 @@ def _truncated(text: str) -> str:
 
 
 def _printed(value: str | int | float | bool) -> str:
-    # Python spells no whole number of more than 4300 digits; TOML takes longer ones in hexadecimal.
+    # Python prints no integer above 4300 digits; TOML allows longer ones in hexadecimal.
     return (
         _truncated(repr(value)) if not isinstance(value, int) or abs(value) < MAX_PRINTED else "a huge number"
     )

@@ -7,15 +7,15 @@ import numpy as np
 
 from hitchid.data.record import COMMAND, CYCLE, IDLE, LIFTING, LOWERING, RAMP, Record
 
-ACTIVE_FRACTION = 0.05  # of full scale; a smaller command is noise
-RAMP_CORRELATION = 0.99  # of a command with time, from which on it is a ramp
-RAMP_SHORTEST_S = 2.0  # s; a faster rise excites the dynamics
-STALL_S = 0.3  # s; window of a standstill, some lags of a valve
-STALL_SPEED_FRACTION = 0.1  # of the largest travel over that window
-STALL_COMMAND_FRACTION = 0.8  # of a standstill during which the command is strong
-REST_S = 0.5  # s without command before a stroke: the piston has come to rest
-LEAD_IN_S = 0.1  # s kept before the onset of a stroke
-SHORTEST_STROKE_S = 0.5  # s; shorter strokes hold less than a lag
+ACTIVE_FRACTION = 0.05  # of full scale; a smaller command counts as noise (chosen)
+RAMP_CORRELATION = 0.99  # correlation of a ramp's command with time, at least (chosen)
+RAMP_SHORTEST_S = 2.0  # s; a faster rise excites the dynamics (chosen)
+STALL_S = 0.3  # s; window of a standstill: several lags of a common valve (chosen)
+STALL_SPEED_FRACTION = 0.1  # of the largest travel over that window; slower is a standstill (chosen)
+STALL_COMMAND_FRACTION = 0.8  # of a standstill; least share with a strong command (chosen)
+REST_S = 0.5  # s without command before a stroke, in which the piston comes to rest (chosen)
+LEAD_IN_S = 0.1  # s kept before the onset of a stroke (chosen)
+SHORTEST_STROKE_S = 0.5  # s; shorter strokes do not determine the lag (chosen)
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Stroke:
 
 
 def effective_command(command: np.ndarray, dead_zone: float | np.ndarray) -> np.ndarray:
-    """Return what of a command lies beyond the dead zone.
+    """Return the effective command, the part beyond the dead zone.
 
     u = sign(c)·max(|c| − d, 0); for the one-signed current of a valve this is max(c − d, 0) of Sun et al.
     2025, sec. 2.2.1.
@@ -41,9 +41,9 @@ def effective_command(command: np.ndarray, dead_zone: float | np.ndarray) -> np.
 
 
 def full_scales(records: Iterable[Record]) -> dict[str, float]:
-    """Return direction to the largest command among all commands of its unit.
+    """Return direction to full scale, the largest of all commands in its unit.
 
-    The noise on a valve that is off must be judged by the commands of the valve that is on.
+    Both directions share a scale so that noise on an inactive valve does not count as a command.
     """
     largest: dict[str, float] = {}
     units: dict[str, str] = {}
@@ -90,9 +90,8 @@ def ramp_direction(record: Record) -> str:
 def direction_signs(record: Record, dead_zones: Mapping[str, float]) -> np.ndarray:
     """Return the direction of the effective command: +1 lifting, −1 lowering, 0 neither; shape [N].
 
-    Where both are effective lowering counts, as in Sun et al. 2025, sec. 2.2.1: lifting demands that the
-    lowering command be zero. What stays below 5 % of the record's largest command is noise, even where the
-    dead zone is smaller.
+    Where both are effective it is lowering, as in Sun et al. 2025, sec. 2.2.1: lifting requires a lowering
+    command of zero. A command below 5 % of the record's largest is noise, even if the dead zone is smaller.
     """
     scales = full_scales([record])
     signs = np.zeros(len(record), dtype=np.int64)
@@ -104,10 +103,10 @@ def direction_signs(record: Record, dead_zones: Mapping[str, float]) -> np.ndarr
 
 
 def split_by_direction(record: Record, dead_zones: Mapping[str, float]) -> list[Stroke]:
-    """Divide a whole record into stretches with one active direction.
+    """Divide a whole record into strokes with one active direction each.
 
-    A direction stays active while neither command is effective, so that a hold belongs to the stroke before;
-    a hold at the very start belongs to the first stroke.
+    A direction stays active while neither command is effective, so a hold belongs to the stroke before it;
+    a hold at the start belongs to the first stroke.
     """
     signs = direction_signs(record, dead_zones)
     active_samples = np.flatnonzero(signs)
@@ -123,10 +122,10 @@ def split_by_direction(record: Record, dead_zones: Mapping[str, float]) -> list[
 
 
 def strokes(record: Record, dead_zones: Mapping[str, float]) -> list[Stroke]:
-    """Cut a mixed record into strokes that each begin at rest, fit to identify one direction from.
+    """Cut a mixed record into strokes, each for the identification of one direction.
 
-    A stroke begins 0.1 s before its command becomes effective after at least 0.5 s without effect, or where
-    the direction changes, and lasts until the next begins. Strokes shorter than 0.5 s are left out.
+    A stroke begins 0.1 s before the command becomes effective after at least 0.5 s without effect, or at a
+    change of direction, and ends at the start of the next. Strokes shorter than 0.5 s are left out.
     """
     signs = direction_signs(record, dead_zones)
     active_samples = np.flatnonzero(signs)
@@ -150,8 +149,8 @@ def strokes(record: Record, dead_zones: Mapping[str, float]) -> list[Stroke]:
 def end_stop_contact(record: Record, direction: str) -> int | None:
     """Return the sample at which the piston reaches an end stop under command, or None.
 
-    Contact: past half of the record's travel and up to the last strong command (one in the upper half), the
-    displacement changes over 0.3 s by less than 10 % of what it changes in as long a time at its fastest.
+    Contact: beyond half of the record's travel and up to the last strong command (one at or above the
+    median), the travel over 0.3 s is below 10 % of the largest travel over that time.
     """
     command = np.abs(record.command(direction))
     active = command > ACTIVE_FRACTION * command.max()

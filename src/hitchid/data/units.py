@@ -1,4 +1,4 @@
-"""Table of the units a log may have, and conversion between units of one dimension."""
+"""Table of the units of logs, and conversion between units of one dimension."""
 
 from typing import NamedTuple
 
@@ -12,7 +12,7 @@ class _Unit(NamedTuple):
     factor: float
 
 
-_DEGREE = 3.141592653589793 / 180.0
+_DEGREE = 3.141592653589793 / 180.0  # rad
 
 UNITS: dict[str, _Unit] = {
     "A": _Unit("current", 1.0),
@@ -52,11 +52,11 @@ UNITS: dict[str, _Unit] = {
     "mm/s": _Unit("speed", 1e-3),
     "N": _Unit("force", 1.0),
     "kN": _Unit("force", 1e3),
-    # Two dimensions: their zeros differ, and conversion is by a factor alone.
+    # Two dimensions: their zeros differ, and conversion is only by a factor.
     "degC": _Unit("temperature above freezing", 1.0),
     "K": _Unit("absolute temperature", 1.0),
 }
-# Endings of column names that need not be units: cylinder_1, lowest value, height.
+# Units that are not read from the ending of a column name: cylinder_1, lowest value, height.
 NOT_COLUMN_SUFFIXES = ("1", "min", "h", "d")
 
 # Unit to its spellings in files, in lower case.
@@ -94,7 +94,7 @@ SPELLINGS = {spelling: unit for unit, text in _SPELLINGS_BY_UNIT.items() for spe
 
 
 def parse_unit(spelling: str) -> str | None:
-    """Return the unit that a file means by a spelling, such as `%` or `Volts`; None where it is not known."""
+    """Return the unit of a spelling in a file, such as `%` or `Volts`; None if it is unknown."""
     bare = spelling.strip().strip("[]()").strip()
     if bare in UNITS:
         return bare
@@ -102,23 +102,23 @@ def parse_unit(spelling: str) -> str | None:
 
 
 def check_unit(unit: str, where: str) -> str:
-    """Return `unit` if it is known; raises `InputError` that names `where` it was given."""
+    """Return `unit` if it is known, else raise `InputError`, which begins with `where`."""
     if not isinstance(unit, str) or unit not in UNITS:
         raise InputError(f"{where}: unit '{unit}' is not known; required one of {', '.join(UNITS)}")
     return unit
 
 
 def unit_of_column(column: str) -> str | None:
-    """Return the unit a column name ends in (`stroke_mm` gives `mm`), or None."""
+    """Return the unit at the end of a column name (`stroke_mm` gives `mm`), or None."""
     _, separator, suffix = column.rpartition("_")
     return suffix if separator and suffix in UNITS and suffix not in NOT_COLUMN_SUFFIXES else None
 
 
 def conversion_factor(unit: str, target: str, where: str) -> float:
-    """Return the factor that takes a number in `unit` to `target`.
+    """Return the conversion factor from `unit` to `target`.
 
     Raises:
-        InputError: one of the two is unknown, or their dimensions differ.
+        InputError: a unit is unknown, or their dimensions differ.
     """
     source, wanted = UNITS[check_unit(unit, where)], UNITS[check_unit(target, where)]
     if source.dimension != wanted.dimension:

@@ -16,12 +16,12 @@ from hitchid.errors import InputError
 
 @dataclass(frozen=True)
 class Excitation:
-    """A test signal and how it was made.
+    """A test signal and its settings.
 
     Attributes:
         command: effective command, shape [N].
         step_s: sampling time, s.
-        description: name of the signal and the numbers it was made from.
+        description: name and settings of the signal.
     """
 
     command: np.ndarray
@@ -34,7 +34,7 @@ class Excitation:
 
 
 def precompensated(command: np.ndarray, dead_zone: float) -> np.ndarray:
-    """Return the command that is effective as u behind a dead zone: c = u + d where u > 0, else 0."""
+    """Return the command for an effective command u at dead zone d: c = u + d where u > 0, else 0."""
     return np.where(command > 0, command + dead_zone, 0.0)
 
 
@@ -67,7 +67,7 @@ def prbs(
     The shift register is the shortest whose period 2ⁿ − 1 covers the test; the seed chooses its phase.
 
     Args:
-        low, high: the two levels.
+        low, high: the two levels; raises `InputError` unless 0 ≤ low < high.
         clock_s: shortest time a level is held, s.
         duration_s: length, s.
         seed: phase of the sequence.
@@ -99,13 +99,13 @@ def random_hold(
     rest_s: float = 0.05,
     step_s: float = 0.01,
 ) -> Excitation:
-    """Return levels drawn at random and held for a random time: binary with two of them, else multi-level.
+    """Return random levels, each held for a random time: binary for two levels, else multi-level.
 
     Args:
         levels: the commands to draw from.
-        shortest_s, longest_s: range of the hold time, s.
+        shortest_s, longest_s: range of the hold time, s; raises `InputError` unless 0 < shortest ≤ longest.
         duration_s: length, s.
-        seed: draws levels and times.
+        seed: seed of levels and times.
         rest_s: time at zero before the first level, s.
         step_s: sampling time, s.
     """
@@ -133,18 +133,18 @@ def duty_cycle(
     seed: int,
     step_s: float = 0.01,
 ) -> tuple[Excitation, Excitation]:
-    """Return lift, hold and lower strokes at random that keep within a range of displacement.
+    """Return random lift, hold and lower strokes within a range of displacement.
 
-    Where a stroke would lead is reckoned with the speed per effective command of its direction; the more room
-    a direction has left, the likelier it is drawn.
+    The travel of a stroke is predicted from the speed per effective command of its direction. The probability
+    of a direction grows with the travel left in it.
 
     Args:
         levels: lowest and highest effective command, lifting and lowering.
         speeds: speed per effective command, lifting and lowering, displacement per second and command.
         start: initial displacement.
-        displacement_range: lowest and highest displacement to stay between.
+        displacement_range: lowest and highest displacement.
         duration_s: length, s.
-        seed: draws directions, levels and times.
+        seed: seed of directions, levels and times.
         step_s: sampling time, s.
 
     Returns:

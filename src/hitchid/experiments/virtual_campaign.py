@@ -1,4 +1,4 @@
-"""The experimental programme on the virtual bench: static tests, then dynamic ones within its limits."""
+"""Test campaign on the virtual bench: static tests, then dynamic tests within its limits."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -21,19 +21,19 @@ from hitchid.readers import write_table
 from hitchid.rig import Rig, load_rig, measure, rig_limits, simulate
 
 Protocol = Literal["prbs", "ramp", "cycle"]
-REPEATS = 3  # ramps of a direction
-MOST_TESTS = 10_000  # of a kind, to bound memory
+REPEATS = 3  # ramps of a direction by default (chosen)
+MOST_TESTS = 10_000  # tests of a kind, to limit memory (chosen)
 TESTS: Mapping[Protocol, int] = MappingProxyType({"prbs": 20})
-RAMP_S = 30.0  # s, length of a ramp
-DYNAMIC_S = 10.0  # s, length of a dynamic test
-CYCLE_S = 60.0  # s, length of a mixed test
-RAMP_TRAVEL_M = 0.02  # m, at which an operator would end a ramp
-RAMP_TAIL_S = 1.0  # s at the end of a ramp, for its speed
-FLOW_FRACTION = 0.9  # of the pump flow; above, the pressure compensator starves
-STROKE_FRACTION = 0.6  # of the stroke that a dynamic test may travel
-LOW = (0.03, 0.25)  # low level over the highest command, drawn between
-HIGH = (0.5, 1.0)  # high level over the highest command, drawn between
-CLOCK_S = (0.15, 0.4)  # s, shortest hold of a level, drawn between
+RAMP_S = 30.0  # s, length of a ramp (chosen)
+DYNAMIC_S = 10.0  # s, length of a dynamic test (chosen)
+CYCLE_S = 60.0  # s, length of a mixed test (chosen)
+RAMP_TRAVEL_M = 0.02  # m, travel at which a ramp ends (chosen, as an operator would end it)
+RAMP_TAIL_S = 1.0  # s, end of a ramp used for its speed (chosen)
+FLOW_FRACTION = 0.9  # of the pump flow; above it, the pressure compensator has too little pressure
+STROKE_FRACTION = 0.6  # of the stroke that a dynamic test may travel (chosen)
+LOW = (0.03, 0.25)  # low level over the highest command, limits of a random draw (chosen)
+HIGH = (0.5, 1.0)  # high level over the highest command, limits of a random draw (chosen)
+CLOCK_S = (0.15, 0.4)  # s, shortest hold of a level, limits of a random draw (chosen)
 TRUTH = "truth"  # folder of the true displacements
 COLUMNS = """[signals]
 time = "time_s"
@@ -58,7 +58,7 @@ class StaticResult:
 
 @dataclass(frozen=True)
 class Log:
-    """One test as the bench logs it.
+    """Log of one test.
 
     Attributes:
         name: of its file.
@@ -76,15 +76,19 @@ def run(
 ) -> list[Log]:
     """Run tests on a rig and return their logs.
 
-    Static tests are ramps (Sun et al. 2025, sec. 2.3.1). They are always run, to find dead zones and speeds,
-    from which the levels of dynamic tests within stroke and pump flow follow. Levels are effective; the dead
+    Static tests are ramps (Sun et al. 2025, sec. 2.3.1). They are always run: their dead zones and speeds set
+    the levels of dynamic tests within stroke and pump flow. Levels are effective; the dead
     zone is added (sec. 2.3.2).
 
     Args:
         rig: the virtual bench.
         tests: protocol to number: ramps and `prbs` tests of each direction, cycles.
         directions: directions to excite; cycles excite both.
-        seed: every random draw comes from it.
+        seed: seed of all random draws.
+
+    Raises:
+        InputError: a protocol or direction is unknown, a number of tests not from 1 to 10 000, or the seed
+            not an integer of at least 0.
     """
     for protocol, count in checks.mapping_of(tests, get_args(Protocol), "tests").items():
         if checks.integer(count, f"tests, {protocol}", minimum=1) > MOST_TESTS:
@@ -103,7 +107,7 @@ def run(
         }
     if "cycle" in tests:
         jobs["cycle"] = partial(_cycles, rig, static, tests["cycle"], seed)
-    # Cycles run with the first direction: the second one then reuses its compiled program.
+    # Cycles are started with the first direction: the second one then reuses its compiled program.
     results = parallel(
         lambda name: jobs[name](), sorted(jobs, key=[*directions[:1], "cycle", *directions[1:]].index)
     )
@@ -121,7 +125,7 @@ def write_campaign(
     seed: int = 0,
     force: bool = False,
 ) -> None:
-    """Run tests and write one log each, the true displacements beside them, and `campaign.toml`.
+    """Run tests and write one log each, the true displacements, and `campaign.toml`.
 
     Args:
         out: folder to write.
@@ -132,7 +136,7 @@ def write_campaign(
 
     Raises:
         OutputError: the folder exists and `force` is not given, or it cannot be written.
-        InputError: a number of tests is not from 1 to 10 000.
+        InputError: an argument is invalid, such as a number of tests not from 1 to 10 000.
         SettingsError: the rig's parameters cannot be used.
     """
     folder = checks.path(out, "out")
@@ -152,10 +156,10 @@ def write_campaign(
 
 
 def _ramps(rig: Rig, direction: str, repeats: int, seed: int) -> list[Log]:
-    """Return slow ramps that end at the current at which the piston has gone 20 mm, as an operator would."""
+    """Return slow ramps that end at the current at which the piston has moved 20 mm."""
     top, start = _saturation(rig, direction), _start(rig, direction)
     command = excitation.ramp(top=top, duration_s=RAMP_S).command
-    # As many at once as the ramps that follow, so that one compiled program serves both.
+    # As many at once as in the ramps below, so that both use one compiled program.
     currents = np.stack([_two_channel_command(direction, command)] * repeats)
     motion = simulate(rig, currents, initial_displacement_m=start)
     travel_m = np.abs(np.asarray(motion.displacement_m)[0] - start)

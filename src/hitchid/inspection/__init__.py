@@ -1,4 +1,4 @@
-"""Inspection of logs before an identification, and a first `campaign.toml` from them."""
+"""Inspection of logs before an identification, and proposal of a first `campaign.toml`."""
 
 from hitchid.inspection.inspect_logs import inspect as inspect
 from hitchid.inspection.inspect_logs import inspect_campaign as inspect_campaign

@@ -1,4 +1,4 @@
-"""Inspection of logs before an identification: kind, sampling, signals and faults of each."""
+"""Inspection of logs before an identification: kind, sampling, signals and faults of each log."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
@@ -14,7 +14,7 @@ from hitchid.inspection.results import UNCLASSIFIED, InspectedRecord, Inspection
 from hitchid.readers import assemble, find_logs, read_logs, settings_of
 
 ThresholdLookup = Callable[[Mapping[str, str]], Mapping[str, CommandThreshold]]
-"""From the units of the logs, by role, to the command threshold of each direction."""
+"""Returns direction to command threshold for the units of the logs, role to unit."""
 
 
 def inspect(
@@ -24,12 +24,12 @@ def inspect(
     command_thresholds: ThresholdLookup | None = None,
     strict: bool = False,
 ) -> Inspection:
-    """Inspect logs one by one; one that cannot be read does not stop the others. Changes nothing.
+    """Inspect logs; a log that cannot be read does not prevent the inspection of others. Changes nothing.
 
     Args:
         logs: files and folders.
-        signals: a file like `campaign.toml`; without it each folder's own counts.
-        command_thresholds: thresholds of a model; by default 5 % of full scale.
+        signals: settings file like `campaign.toml`; by default that of each folder.
+        command_thresholds: returns the thresholds of a model; by default 5 % of full scale.
         strict: whether a log that cannot be used is a fault.
 
     Raises:
@@ -52,14 +52,14 @@ def inspect(
 
 
 def inspect_campaign(campaign: Campaign, command_thresholds: ThresholdLookup | None = None) -> Inspection:
-    """Inspect logs that have been read.
+    """Inspect the logs of a campaign.
 
     Args:
         campaign: the tests.
         command_thresholds: as for `inspect`.
 
     Raises:
-        InputError: the model's commands are of another dimension than the logs'.
+        InputError: the commands of model and logs differ in dimension.
     """
     held_out = {record.name for direction in DIRECTIONS for record in campaign.held_out(direction)}
     scales = full_scales(campaign.records)

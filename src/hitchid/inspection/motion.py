@@ -7,10 +7,10 @@ import numpy as np
 
 from hitchid.readers import Content
 
-WINDOW_S = 0.2  # s, over which means and rates are taken: some lags of a valve
-WINDOW_SAMPLES = 3  # in a window at least
-LAGS = (0, 1)  # windows from command to motion
-MAX_CHANNELS = 80  # compared, of a bus with hundreds
+WINDOW_S = 0.2  # s, for means and rates: several lags of a common valve (chosen)
+WINDOW_SAMPLES = 3  # samples in a window, at least (chosen)
+LAGS = (0, 1)  # windows, lags from command to motion (chosen)
+MAX_CHANNELS = 80  # channels compared, to limit the time with hundreds on a bus (chosen)
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class Windows:
     Attributes:
         means: channel to its mean over each window, shape [W].
         rates: channel to its change per second over each window, shape [W].
-        follows: whether a window comes right after the one before it, of the same log, shape [W].
+        follows: whether a window follows the one before it in the same log, shape [W].
     """
 
     means: Mapping[str, np.ndarray]
@@ -30,7 +30,7 @@ class Windows:
     def correlation(self, command: np.ndarray, displacement: str) -> float:
         """Return the correlation of a command's means, shape [W], with the rate of a displacement.
 
-        Of the same window or the one before, whichever is stronger: motion comes late.
+        At a lag of zero or one window, whichever correlation is larger in magnitude.
         """
         rate, best = self.rates[displacement], 0.0
         for lag in LAGS:
@@ -43,11 +43,11 @@ class Windows:
 
 
 def windows(logs: Sequence[tuple[Content, Mapping[str, np.ndarray]]], names: Sequence[str]) -> Windows:
-    """Cut logs into windows of 0.2 s, or of three samples where they are longer.
+    """Return means and rates over windows of 0.2 s, or of three samples if that is longer.
 
     Args:
         logs: content, and channel to the time of its samples, s, shape [N].
-        names: the channels to look at; of very many the first.
+        names: of the channels; at most the first 80 are used.
     """
     names = names[:MAX_CHANNELS]
     means: dict[str, list[np.ndarray]] = {name: [] for name in names}
@@ -65,7 +65,7 @@ def windows(logs: Sequence[tuple[Content, Mapping[str, np.ndarray]]], names: Seq
         for name in names:
             time, values = times[name], content.channels[name].values
             steps = np.diff(time, append=time[-1])
-            # A reading holds until the next: its integral is a line from sample to sample.
+            # Zero-order hold: the integral is linear between samples.
             integral = np.concatenate([[0.0], np.cumsum(values * steps)[:-1]])
             means[name].append(np.diff(np.interp(edges, time, integral)) / width)
             rates[name].append(np.diff(np.interp(edges, time, values)) / width)

@@ -24,17 +24,17 @@ ANGLE = _list("angle ang winkel")
 RATIO = _list("duty pwm percent pct ratio")
 CURRENT = _list("current curr strom")
 TIME = _list("time zeit timestamp t")
-ANALOG_V = 10.5  # V, range of an analogue input of 10 V
-SERVO_NEUTRAL = (6.5, 8.5)  # percent: 1.5 ms of 20 ms, the rest of a servo's pulse width
+ANALOG_V = 10.5  # V, range of a 10 V analogue input with 5 % margin
+SERVO_NEUTRAL = (6.5, 8.5)  # percent, around 7.5: neutral pulse of a servo, 1.5 ms of 20 ms (limits chosen)
 
 
 def words(name: str) -> frozenset[str]:
-    """Return the words of a column's name, in lower case: `Boom_UpH_Cyl_P` has boom, up, h, cyl, p."""
+    """Return the words of a column's name, in lower case: boom, up, h, cyl, p for `Boom_UpH_Cyl_P`."""
     return frozenset(word.lower() for word in re.findall(r"[A-Z]?[a-zµ°%]+|[A-Z]+(?![a-z])", name))
 
 
 def stated_unit(name: str, unit: str | None) -> tuple[str | None, str]:
-    """Return the unit given by the file or the column's name, or None, and its source."""
+    """Return the unit stated by the file or the column's name, or None, and its source."""
     if file_unit := parse_unit(unit or ""):
         return file_unit, "unit from the file"
     last = re.split(r"[^A-Za-z%°µ]+", name.strip(")] "))[-1]
@@ -45,14 +45,14 @@ def stated_unit(name: str, unit: str | None) -> tuple[str | None, str]:
 def unit_of(
     role: str, name: str, unit: str | None, largest: float, zero: float | None = None
 ) -> tuple[str, str]:
-    """Return the unit of a signal and where it is from: the file, the name, or a guess from the range.
+    """Return the unit of a signal and its source: the file, the name, or a guess from the range.
 
     Args:
         role: as in `[signals]`.
         name: of the column.
-        unit: as the file spells it.
-        largest: largest reading, whatever its sign.
-        zero: reading at which a command rests; a servo's 1.5 ms in 20 ms are 7.5 percent.
+        unit: as spelled in the file.
+        largest: largest absolute reading.
+        zero: neutral reading of a command; for a servo, 1.5 ms in 20 ms are 7.5 percent.
     """
     stated, source = stated_unit(name, unit)
     if stated is not None and UNITS[stated].dimension in DIMENSIONS[role]:

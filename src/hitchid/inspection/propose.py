@@ -1,4 +1,4 @@
-"""From the channels of logs to the text of a `campaign.toml`, every guess with its reason."""
+"""Proposal of a `campaign.toml` from the channels of logs, every guess with its reason."""
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -17,17 +17,17 @@ from hitchid.inspection import naming
 from hitchid.inspection.motion import Windows, windows
 from hitchid.readers import ChannelSelection, Content, ReaderProcess, find_logs, read_content, settings_of
 
-MAX_LOGS, MAX_SHOWN = 24, 6  # logs read, evenly spread; pressures named
-INCREASING_FRACTION = 0.99  # of the intervals of a time column
-MAX_STEP_RATIO = 0.05  # mean one-step change over the range of a displacement
-# Correlation of each of two one-sided commands; by how much both together exceed the better one.
+MAX_LOGS, MAX_SHOWN = 24, 6  # logs read, evenly spread; pressures named (chosen)
+INCREASING_FRACTION = 0.99  # of the intervals of a time column, positive ones at least (chosen)
+MAX_STEP_RATIO = 0.05  # mean one-step change over the range of a displacement, at most (chosen)
+# Correlation of each of two one-sided commands; least increase by combining them (chosen).
 MIN_PAIR_CORRELATION, MIN_PAIR_GAIN = 0.05, 0.02
-SCORE_MARGIN = 0.02  # below the best score: nearly as good
-STEPS_S = (("s", 0.5), ("ms", 500.0), ("us", 5e5))  # unit of time, and step below which it is taken
+SCORE_MARGIN = 0.02  # below the best score; guesses within it are listed as alternatives (chosen)
+STEPS_S = (("s", 0.5), ("ms", 500.0), ("us", 5e5))  # unit of time and upper limit of its step (chosen)
 
 
 class _Guess(NamedTuple):
-    """A displacement and the one or two commands that move it."""
+    """Candidate: a displacement with one or two commands."""
 
     score: float
     correlation: float
@@ -36,7 +36,7 @@ class _Guess(NamedTuple):
 
 
 class _Time(NamedTuple):
-    """The time column, its unit and the reason; no name where the file keeps clocks."""
+    """The time column, its unit and the reason; the name is None if every channel has a clock."""
 
     name: str | None
     unit: str
@@ -46,14 +46,14 @@ class _Time(NamedTuple):
 def propose(logs: str | Path | Iterable[str | Path]) -> str:
     """Return the text of a first `campaign.toml` for logs, every guess with its reason as a comment.
 
-    The displacement and its command are those two columns of which one's rate correlates best with the
-    other's mean, over windows of all logs, with a bonus for names; two one-sided commands are taken together.
+    Displacement and command are the two columns with the largest correlation of rate and mean over windows of
+    all logs, with a bonus for names; two one-sided commands are combined.
 
     Args:
         logs: files and folders.
 
     Raises:
-        InputError: there are no logs, none can be read, or no two columns move together.
+        InputError: there are no logs, none can be read, or no two columns correlate.
     """
     paths = find_logs(logs)
     paths = [paths[index] for index in np.unique(np.linspace(0, len(paths) - 1, MAX_LOGS).astype(int))]
@@ -70,7 +70,7 @@ def propose(logs: str | Path | Iterable[str | Path]) -> str:
         )
     if not contents:
         refuse(unread, "logs")
-    # Where logs differ in their columns, those that most have: others belong to another campaign.
+    # If columns differ between logs, the most common set: others belong to another campaign.
     reference = max(contents, key=lambda log: sum(log.channels.keys() == c.channels.keys() for c in contents))
     contents = [log for log in contents if log.channels.keys() == reference.channels.keys()]
     time = _time(contents)
@@ -82,12 +82,12 @@ def propose(logs: str | Path | Iterable[str | Path]) -> str:
         raise InputError(
             f"no two columns move together as command and displacement do; found {', '.join(names) or 'none'}"
         )
-    # A line break in a name must not end a comment.
+    # A line break in a name would end a comment.
     return "\n".join(line.replace("\n", " ") for line in _lines(guesses, time, timed, names))
 
 
 def _time(contents: Sequence[Content]) -> _Time:
-    """Return the column that increases in every log, one called time before others."""
+    """Return the column that increases in every log, preferably one named as a time."""
     first = contents[0].channels
     if all(channel.clock_s is not None for channel in first.values()):
         return _Time(None, "s", "")
@@ -123,13 +123,13 @@ def _times(content: Content, time: _Time) -> Mapping[str, np.ndarray]:
 
 
 def _usable(name: str, contents: Sequence[Content]) -> bool:
-    """Return whether a channel holds finite numbers only, and not a constant."""
+    """Return whether a channel is finite and not constant."""
     arrays = [content.channels[name].values for content in contents]
     return all(a.size > 1 and np.all(np.isfinite(a)) for a in arrays) and any(np.ptp(a) > 0 for a in arrays)
 
 
 def _guesses(log_windows: Windows, names: Sequence[str], contents: Sequence[Content]) -> Iterator[_Guess]:
-    """Return every displacement with every command, or pair of one-sided commands, that may move it."""
+    """Yield every displacement with every candidate command, or pair of one-sided commands."""
     lowest = {name: min(float(c.channels[name].values.min()) for c in contents) for name in log_windows.means}
     for y in (name for name in log_windows.means if _smooth(name, contents)):
         single = {c: log_windows.correlation(log_windows.means[c], y) for c in log_windows.means if c != y}
@@ -145,14 +145,14 @@ def _guesses(log_windows: Windows, names: Sequence[str], contents: Sequence[Cont
 
 
 def _smooth(name: str, contents: Sequence[Content]) -> bool:
-    """Return whether a channel changes in small steps compared with its range, as a piston does."""
+    """Return whether a channel's one-step changes are small compared with its range, as for a piston."""
     arrays = [content.channels[name].values for content in contents]
     value_range = max(float(a.max()) for a in arrays) - min(float(a.min()) for a in arrays)
     return sum(float(np.abs(np.diff(a)).mean()) for a in arrays) < MAX_STEP_RATIO * len(arrays) * value_range
 
 
 def _score(correlation: float, commands: tuple[str, ...], y: str, contents: Sequence[Content]) -> float:
-    """Return the strength of a correlation with what the names add to it."""
+    """Return the magnitude of a correlation plus the bonuses and penalties of the names."""
     of_y, of_commands = naming.words(y), [naming.words(c) for c in commands]
     unit, _ = naming.stated_unit(y, contents[0].channels[y].unit)
     position = bool(of_y & naming.POSITION) or (unit and UNITS[unit].dimension in ("length", "angle"))
@@ -213,7 +213,7 @@ def _lines(
 
 
 def _roles(best: _Guess, zero: float | None, limits: tuple[float, float]) -> list[tuple[str, str]]:
-    """Return role and column of each command; a single one is signed if its range about its zero is."""
+    """Return role and column of each command; a single one is signed if its range includes its zero."""
     if len(best.commands) == 2:
         lifting, lowering = best.commands
         if naming.words(lifting) & naming.DOWN and naming.words(lowering) & naming.UP:
@@ -237,7 +237,7 @@ def _reason(role: str, best: _Guess) -> str:
 
 
 def _rest_reading(best: _Guess, timed: Sequence[tuple[Content, Mapping[str, np.ndarray]]]) -> float | None:
-    """Return the reading at which a signed command rests, where it is not zero."""
+    """Return the neutral reading of a signed command; None if it is zero."""
     if len(best.commands) != 1:
         return None
     (command,), displacement = best.commands, best.displacement
@@ -252,7 +252,7 @@ def _rest_reading(best: _Guess, timed: Sequence[tuple[Content, Mapping[str, np.n
 
 
 def _covariates(best: _Guess, contents: Sequence[Content], names: Sequence[str]) -> Iterator[str]:
-    """Return lines on the pressure that most probably measures the load, and on other pressures."""
+    """Yield lines on the pressure that probably measures the load, and on other pressures."""
     first = contents[0].channels
     units = {name: naming.stated_unit(name, first[name].unit)[0] for name in names}
     pressures = [
@@ -271,7 +271,7 @@ def _covariates(best: _Guess, contents: Sequence[Content], names: Sequence[str])
 
 
 def _others(guesses: Sequence[_Guess]) -> Iterator[str]:
-    """Return a comment on guesses that are nearly as good."""
+    """Yield comments on guesses of nearly the same score."""
     best = guesses[0]
     alternatives = [guess for guess in guesses[1:4] if guess.score > best.score - SCORE_MARGIN]
     for guess in alternatives:

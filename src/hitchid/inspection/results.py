@@ -1,4 +1,4 @@
-"""Results of an inspection of logs: one record a log, and what was found in them."""
+"""Results of an inspection of logs: one entry per record, notices and findings."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -25,14 +25,14 @@ class SignalRange:
 
 @dataclass(frozen=True)
 class InspectedRecord:
-    """One log, or part of one, as it was read.
+    """Result of the inspection of one record, a log or part of one.
 
     Attributes:
         record: its samples.
         kind: kind of test.
-        held_out: whether the test is held out of the identification.
+        held_out: whether the test is held out from identification.
         quality: clock, resolution and noise of the displacement.
-        segments: stretches of lifting, hold, lowering, …; empty where the record is not mixed.
+        segments: intervals of lifting, hold, lowering, …; empty for a record that is not mixed.
     """
 
     record: Record
@@ -90,11 +90,11 @@ class Inspection:
     """Result of an inspection of logs.
 
     Attributes:
-        records: one entry a record.
-        notices: changes made to logs while they were read, each with its record as place.
-        faults: why logs cannot be used at all, each with file, line, column.
+        records: one entry per record.
+        notices: changes made to logs in reading, each with its record as place.
+        faults: reasons why logs cannot be used, with file, line and column.
         findings: audit findings.
-        left_out: logs that cannot be used, where others can.
+        left_out: logs that cannot be used, if others can.
     """
 
     records: tuple[InspectedRecord, ...] = ()
@@ -105,7 +105,7 @@ class Inspection:
 
     @property
     def usable(self) -> tuple[InspectedRecord, ...]:
-        """Records that make a campaign."""
+        """Records that form a campaign."""
         return tuple(record for record in self.records if record.kind != UNCLASSIFIED)
 
     @property

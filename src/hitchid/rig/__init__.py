@@ -1,4 +1,4 @@
-"""The virtual test bench: a tractor's electro-hydraulic hitch as physics, the truth for models."""
+"""Virtual test bench: simulator of a tractor's electro-hydraulic hitch, the ground truth for models."""
 
 from hitchid.rig.measurement import measure as measure
 from hitchid.rig.parameter_files import load_rig as load_rig

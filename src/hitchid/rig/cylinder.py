@@ -19,7 +19,7 @@ class Friction(eqx.Module):
         stribeck_speed: v_s, m/s.
         bristle_stiffness: σ₀, N/m.
         bristle_damping: σ₁, N·s/m.
-        viscous: σ₂ at the oil's reference temperature, N·s/m; it goes with viscosity.
+        viscous: σ₂ at the oil's reference temperature, N·s/m; proportional to viscosity.
     """
 
     coulomb: Scalar = quantity("N", 0.0, 1e5)
@@ -40,11 +40,11 @@ class Cylinder(eqx.Module):
     """Rodless chamber with its hose; the rod side is open to the air.
 
     Attributes:
-        bore: m.
-        stroke: m.
+        bore: piston diameter, m.
+        stroke: travel between the end stops, m.
         dead_volume: of chamber and fittings at zero displacement, m³.
         hose_volume: lifting valve to cylinder, m³.
-        hose_bulk_modulus: of the hose's wall, Pa: the hose widens by V/β a Pa.
+        hose_bulk_modulus: of the hose's wall, Pa: the hose widens by V/β per Pa.
         leakage: past piston and valves to tank at the oil's reference temperature, m³/(s·Pa).
         stop_stiffness: of both end stops, N/m.
         stop_damping: c in F = k δ (1 + c δ̇), s/m (Hunt & Crossley 1975).

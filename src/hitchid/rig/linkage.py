@@ -13,14 +13,14 @@ GRAVITY = 9.80665  # m/s², standard (ISO 80000-3)
 
 
 class Load(NamedTuple):
-    """What the piston carries at one displacement, and how it changes with displacement.
+    """Load at the piston at one displacement, and its derivatives by displacement.
 
     Attributes:
         weight: force of the weights, N.
         weight_slope: N/m.
         mass: equivalent mass, kg.
         mass_slope: kg/m.
-        lever: rise of the implement over stroke.
+        lever: rise of the implement per displacement of the piston, m/m.
         lever_slope: 1/m.
     """
 
@@ -37,7 +37,7 @@ class Linkage(eqx.Module):
 
     The lift arm turns about the origin, the implement side being +x, up being +y. The cylinder's eye on the
     lift arm is a from the origin, its foot c; at length ℓ the angle between them is
-    γ = arccos((a² + c² − ℓ²)/(2 a c)). The lift arm stands at ψ = γ − arm_offset above the horizontal.
+    γ = arccos((a² + c² − ℓ²)/(2 a c)). The lift arm is at ψ = γ − arm_offset above the horizontal.
 
     Attributes:
         cylinder_arm: a, m.
@@ -95,11 +95,11 @@ class Linkage(eqx.Module):
         return jnp.arccos(self.cylinder_cosine(displacement)) - self.arm_offset
 
     def sensor_angle(self, displacement: Values) -> Values:
-        """Return what an ideal angle sensor on the lift arm reads, rad."""
+        """Return the reading of an ideal angle sensor on the lift arm, rad."""
         return jnp.arccos(self.cylinder_cosine(displacement)) - self.sensor_offset
 
     def displacement(self, sensor_angle: Values) -> Values:
-        """Return the displacement that belongs to a sensor angle, m; the inverse of `sensor_angle`."""
+        """Return the displacement at a sensor angle, m; the inverse of `sensor_angle`."""
         a, c = self.cylinder_arm, self.cylinder_base
         square = a**2 + c**2 - 2 * a * c * jnp.cos(sensor_angle + self.sensor_offset)
         return jnp.sqrt(square) - self.retracted_length

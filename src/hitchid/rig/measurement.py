@@ -1,4 +1,4 @@
-"""Logs of simulated tests, as the bench's data acquisition would write them."""
+"""Measured logs of simulated tests: sensors, filters, noise, converter and clock jitter."""
 
 import equinox as eqx
 import jax
@@ -12,7 +12,7 @@ from hitchid.rig.sensors import CalibrationCurve
 from hitchid.rig.simulation import SAMPLE_S, RigMotion
 from hitchid.rig.test_bench import Rig
 
-LARGEST_JITTER = 0.1  # of the sampling time, standard deviation; four of it stay below half a sample
+LARGEST_JITTER = 0.1  # of the sampling time, standard deviation; 4 σ is then below half a sample
 COLUMNS = ("time_s", "current_up_A", "current_down_A", "displacement_mm")
 
 
@@ -27,27 +27,27 @@ def measure(
 ) -> dict[str, np.ndarray]:
     """Return the columns `time_s`, `current_up_A`, `current_down_A`, `displacement_mm`, each of shape [T, N].
 
-    Angle: lift-arm angle, first-order filter (exact for an input that runs straight between samples),
+    Angle: lift-arm angle, first-order filter (exact for an input linear between samples),
     calibration error, noise, converter; the displacement follows from it by the linkage's geometry.
     Currents: a row of currents is read back at the end of its 10 ms, through the same filter.
 
     Args:
         rig: the bench.
-        motion: what `simulate` returned.
-        currents: what it was given, A, shape [T, N, 2].
-        key: noise and jitter.
+        motion: true motion, from `simulate`.
+        currents: the currents that `simulate` was called with, A, shape [T, N, 2].
+        key: random key of noise and jitter.
         jitter: standard deviation of the clock over its period, at most 0.1; clipped at four times that. The
-            stamps are the true sampling instants.
+            time stamps are the true sampling instants.
 
     Raises:
-        InputError: motion and currents are of different tests, or the jitter is out of range.
+        InputError: the shapes of motion and currents differ, or the jitter is out of range.
     """
     shape = motion.displacement_m.shape
     if np.shape(currents) != (*shape, 2):
         raise InputError(f"currents: came shape {np.shape(currents)}, required {(*shape, 2)}")
     if not 0 <= jitter <= LARGEST_JITTER:
         raise InputError(f"jitter: came {jitter:g}, required 0 to {LARGEST_JITTER:g}")
-    # Drawn on the host: a compiler takes longer over the generator than over all the rest.
+    # Drawn on the host: compiling the generator takes longer than compiling everything else.
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)))
     noise = jnp.asarray(rng.standard_normal((4, *shape)))
     columns = _measure(rig, motion.displacement_m, jnp.asarray(currents, jnp.float64), noise, jitter)
@@ -90,7 +90,7 @@ def _measure(
 
 
 def _first_order_filter(signal: Float[Array, "t n"], corner: Array) -> Float[Array, "t n"]:
-    """Return a signal behind a first-order filter, exact where it runs straight from sample to sample."""
+    """Return a signal after a first-order filter, exact for a signal linear between samples."""
     decay = jnp.exp(-corner)
     ramp_gain = 1 - (1 - decay) / corner
 
@@ -104,7 +104,7 @@ def _first_order_filter(signal: Float[Array, "t n"], corner: Array) -> Float[Arr
 
 
 def _filter_held_input(signal: Float[Array, "t n 2"], corner: Array) -> Float[Array, "t n 2"]:
-    """Return a signal that is held between samples as a first-order filter shows it at each hold's end."""
+    """Return a signal held between samples after a first-order filter, at the end of each hold."""
     decay = jnp.exp(-corner)
 
     def step(output: Array, sample: Array) -> tuple[Array, Array]:

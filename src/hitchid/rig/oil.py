@@ -1,4 +1,4 @@
-"""Oil with entrained air: how much of it a volume holds under pressure, and its viscosity.
+"""Oil with entrained air: compressibility, viscosity, and flow through an orifice.
 
 Amounts of oil are volumes at tank pressure, so that they are conserved; every pressure is absolute.
 """
@@ -26,8 +26,8 @@ class Oil(eqx.Module):
         density: kg/m³.
         bulk_modulus: of oil without air, β, Pa.
         air_fraction: volume of entrained air over the whole at tank pressure, α.
-        temperature: at which the tests run unless they say otherwise, °C.
-        reference_temperature: at which viscous parameters were given, °C.
+        temperature: of the oil in a test that gives no other, °C.
+        reference_temperature: that the viscous parameters refer to, °C.
         viscosity_slope: λ in μ(T) = μ_ref·exp(−λ (T − T_ref)), 1/K.
     """
 
@@ -44,7 +44,7 @@ class Oil(eqx.Module):
         return oil + self.air_fraction * TANK_PRESSURE_PA / pressure
 
     def amount(self, pressure: Values, volume: Values, compliance: Values) -> Values:
-        """Return what a volume, m³, with walls that yield, m³/Pa, holds: M = (V + h (p − p₀))/σ(p)."""
+        """Return the amount in a volume, m³, with compliant walls, m³/Pa: M = (V + h (p − p₀))/σ(p)."""
         return (volume + compliance * (pressure - TANK_PRESSURE_PA)) / self.specific_volume(pressure)
 
     def capacity(self, pressure: Values, amount: Values, compliance: Values) -> Values:

@@ -21,7 +21,7 @@ from hitchid.rig.supply import Supply
 from hitchid.rig.test_bench import Rig
 from hitchid.rig.valves import LiftingValve, LoweringValve, Spool
 
-CHECKED_POSITIONS = 201  # over the stroke, at which the linkage must close
+CHECKED_POSITIONS = 201  # positions over the stroke at which the linkage is checked (chosen)
 SETS = resources.files("hitchid.rig") / "parameters"
 
 COMPONENTS: dict[str, tuple[type[eqx.Module], ...]] = {
@@ -34,11 +34,11 @@ COMPONENTS: dict[str, tuple[type[eqx.Module], ...]] = {
     "linkage": (Linkage,),
     "sensors": (Sensors,),
 }
-"""Table of the file to the parts whose quantities it holds."""
+"""Table of the file to the components whose quantities it holds."""
 
 
 class Entry(BaseModel):
-    """One parameter: value, unit, and where it comes from."""
+    """One parameter: value, unit and source."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -101,7 +101,7 @@ def load_rig(name_or_path: str | Path) -> Rig:
 
 
 def build_rig(tables: dict[str, object]) -> Rig:
-    """Return the rig that parsed tables describe; raises as `load_rig`."""
+    """Return the rig of parsed tables; raises `SettingsError` as `load_rig` does."""
     try:
         parsed = RigFile.model_validate(tables).model_dump()
     except ValidationError as error:

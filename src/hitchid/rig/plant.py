@@ -2,9 +2,9 @@
 
 Spools, solenoids and compensator are advanced exactly or exponentially; pressures, speed, displacement and
 bristle by one stage of the Rosenbrock method with γ = ½ (the linearly implicit midpoint rule, order 2 and
-A-stable: Hairer & Wanner 1996, sec. IV.7), its linear system solved by hand. Oil is booked by volume: every
-flow is added to one account and taken from another, and pressures follow from the accounts, so that no oil is
-made or lost whatever the step.
+A-stable: Hairer & Wanner 1996, sec. IV.7), its linear system solved in closed form. Oil volumes are a
+balance: every flow is added to one volume and subtracted from another, and pressures are computed from the
+volumes, so that oil is conserved at any step size.
 """
 
 from typing import NamedTuple
@@ -32,7 +32,7 @@ class RigState(NamedTuple):
     """The bench at one instant: SI units, absolute pressures.
 
     `bristle` is the deflection z of the LuGre model; `supply_oil` and `cylinder_oil` are the amounts at the
-    start; the present amounts are these plus the accounts.
+    start; the present amounts are these plus the volumes in `oils`.
     """
 
     lifting: SpoolState
@@ -57,7 +57,7 @@ class RigInputs(NamedTuple):
 
 
 class StepFactors(NamedTuple):
-    """Factors that depend on the step's length alone."""
+    """Factors that depend only on the step's length."""
 
     dt: Values
     lifting: SpoolStep
@@ -78,7 +78,7 @@ def step_factors(rig: Rig, dt: Values) -> StepFactors:
 def at_rest(rig: Rig, displacement: Values, load_force: Values) -> RigState:
     """Return the bench holding its load at a displacement, valves closed, pump on relief.
 
-    It was lifted there, so friction is still deflected against lifting: (p − p₀) A = W + F_load dh/dx + F_c.
+    The friction is that after lifting, directed against it: (p − p₀) A = W + F_load dh/dx + F_c.
     """
     zero = jnp.zeros_like(displacement)
     friction = rig.cylinder.friction
@@ -184,7 +184,7 @@ def advance(
         state: at the start of the step.
         inputs: held during the step.
         ripple: the pump's flow over its mean, averaged over the step.
-        steps: factors that belong to its length.
+        steps: factors of the step's length.
     """
     dt, cylinder = steps.dt, rig.cylinder
     valves = _step_valves(rig, state, inputs, steps)
@@ -318,7 +318,7 @@ def _solve(
 
 
 def _book(oils: OilVolumes, flows: _Flows, change: _Increments, dt: Values) -> OilVolumes:
-    """Add the mean flows over the step to the accounts."""
+    """Add the volumes of the mean flows over the step."""
 
     def flowed(flow: tuple[Values, Values], pressure_change: Values) -> Values:
         return dt * (flow[0] + 0.5 * flow[1] * pressure_change)

@@ -1,4 +1,4 @@
-"""Quantities of a rig: the unit each is kept in, what may be given instead, and the admissible range."""
+"""Quantities of a rig: base unit, admissible units and admissible range."""
 
 import math
 from typing import Any, NamedTuple
@@ -8,9 +8,9 @@ import equinox as eqx
 from hitchid.data.units import UNITS
 from hitchid.errors import SettingsError
 
-_LITRE = 1e-3
-_MINUTE = 60.0
-_RPM = 2 * math.pi / _MINUTE
+_LITRE = 1e-3  # m³
+_MINUTE = 60.0  # s
+_RPM = 2 * math.pi / _MINUTE  # rad/s
 _BASE = {"current": "A", "ratio": "1", "length": "m", "angle": "rad", "pressure": "Pa", "time": "s"}
 
 FACTORS: dict[str, tuple[str, float]] = {
@@ -41,11 +41,11 @@ FACTORS: dict[str, tuple[str, float]] = {
     "degC": ("degC", 1.0),
     "1/K": ("1/K", 1.0),
 }
-"""Unit to the unit it is kept in and the factor between them."""
+"""Unit to its base unit and the factor from the one to the other."""
 
 
 class QuantityRange(NamedTuple):
-    """Unit a quantity is kept in, and the closed interval it must lie in, in that unit."""
+    """Base unit of a quantity, and the closed interval it must lie in, in that unit."""
 
     unit: str
     low: float
@@ -53,12 +53,12 @@ class QuantityRange(NamedTuple):
 
 
 def quantity(unit: str, low: float, high: float) -> Any:
-    """Declare a field of a part: kept in `unit`, between `low` and `high`, a scalar once inside jit."""
+    """Declare a field of a component: base unit, and limits in it; a scalar array inside jit."""
     return eqx.field(metadata={"range": QuantityRange(unit, low, high)})
 
 
 def to_base_unit(value: float, unit: str, expected: QuantityRange, context: str) -> float:
-    """Return a value in the unit it is kept in.
+    """Return a value in its base unit.
 
     Raises:
         SettingsError: the unit is unknown or of another dimension, or the value is out of range.

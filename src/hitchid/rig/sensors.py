@@ -8,14 +8,14 @@ from jaxtyping import Array, Float
 from hitchid.rig.oil import Scalar
 from hitchid.rig.quantities import quantity
 
-HARMONICS = np.array([0.5, 1.0, 1.5])  # f_k, periods over full scale
+HARMONICS = np.array([0.5, 1.0, 1.5])  # f_k, periods over full scale (chosen)
 
 
 class CalibrationCurve(eqx.Module):
     """Calibration error e(r) = Σ a_k sin(2π f_k r + φ_k), error and reading r over full scale.
 
     Attributes:
-        amplitudes: a_k; they add up to the largest error.
+        amplitudes: a_k; their sum is the largest error.
         phases: φ_k, rad.
     """
 
@@ -43,10 +43,10 @@ class Sensors(eqx.Module):
         angle_range: full scale of the angle sensor, rad.
         current_range: full scale of the current sensors, A.
         curve_error: largest calibration error over full scale.
-        angle_noise, current_noise: white noise over full scale, rms, as it reaches the converter.
+        angle_noise, current_noise: white noise over full scale, rms, at the converter's input.
         filter_frequency: corner of the first-order anti-alias filters, rad/s.
         converter_bits: resolution over full scale.
-        calibration_seed: from which the curves are drawn.
+        calibration_seed: seed of the random curves.
     """
 
     angle_curve: CalibrationCurve
@@ -62,6 +62,6 @@ class Sensors(eqx.Module):
     calibration_seed: Scalar = quantity("1", 0.0, 1e9)
 
     def quantise(self, reading: Array) -> Array:
-        """Return readings over full scale as the converter gives them, clipped to its range."""
+        """Return readings over full scale, quantised and clipped by the converter."""
         count = 2.0**self.converter_bits
         return jnp.clip(jnp.round(reading * count), 0, count - 1) / count

@@ -1,4 +1,4 @@
-"""Simulated tests: currents in, true motion out."""
+"""Simulation of tests: true motion of the bench under given currents."""
 
 from functools import partial
 
@@ -25,11 +25,11 @@ from hitchid.rig.plant import (
 from hitchid.rig.test_bench import Rig, at_temperature
 
 SAMPLE_S = 0.01  # s, sampling time of the data acquisition
-SUBSTEPS = 8  # integration steps a sample; see tests/rig for the order of convergence
+SUBSTEPS = 8  # integration steps per sample (chosen); tests/rig compares with twice as many
 
 
 class RigMotion(eqx.Module):
-    """True motion of the bench, sampled every 10 ms, each sample before its row of currents acts.
+    """True motion of the bench, sampled every 10 ms, each sample at the start of its row of currents.
 
     All arrays have the shape [T, N]; pressures are absolute, volumes are of oil at tank pressure.
 
@@ -37,7 +37,7 @@ class RigMotion(eqx.Module):
         displacement_m, speed_m_s: of the piston, positive lifting.
         supply_pressure_pa, pressure_pa: in the supply line and in the cylinder.
         bristle_m: deflection of the friction model's bristles.
-        lifting_spool, lowering_spool: spool positions over their travel.
+        lifting_spool, lowering_spool: spool positions as a fraction of their travel.
         compensator_m2: opening of the pressure compensator.
         lifting_flow_m3_s, lowering_flow_m3_s: mean flows over the 10 ms before the sample.
         pumped_m3, relieved_m3, lifted_m3, lowered_m3, leaked_m3, safety_relieved_m3: volumes that have

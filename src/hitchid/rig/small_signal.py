@@ -19,7 +19,7 @@ class OperatingPoint(NamedTuple):
         displacement_m: m.
         current_a: current in the direction's coil less the hysteresis, A.
         load_force_n: at the implement, N.
-        oil_temperature_c: °C, None for the rig's own.
+        oil_temperature_c: °C; None for that of the rig.
     """
 
     displacement_m: float | Scalar
@@ -52,14 +52,14 @@ def small_signal(rig: Rig, operating_point: OperatingPoint) -> SmallSignal:
     """Return gain, natural frequency and damping of the lifting chain, spool current to displacement.
 
     With flow gain k_q k_v, flow-pressure coefficient k_c, leakage C_p, C = V/β_e, piston area A, effective
-    mass m, B = σ₂ + dg/dv and load stiffness k = dW/dx, Sun et al. 2025, sec. 2.2.2, but for k, which they
-    drop:
+    mass m, B = σ₂ + dg/dv and load stiffness k = dW/dx, Sun et al. 2025, sec. 2.2.2, except k, which they
+    neglect:
 
         D = A + B (C_p + k_c)/A + k C/A
         K = k_q k_v/D,  ωh² = A D/(m C),  2 ξh/ωh = (B C/A + m (C_p + k_c)/A)/D
 
-    k (C_p + k_c), which bends the integrator far below 0.1 rad/s, is left out. The lags of solenoid, spool
-    and compensator are no part of it. Flows are counted at tank pressure, hence A/σ(p) for A in continuity.
+    k (C_p + k_c), which limits the integrator far below 0.1 rad/s, is neglected. The lags of solenoid, spool
+    and compensator are not included. Flows are volumes at tank pressure, hence A/σ(p) for A in continuity.
     The steady speed is v = (Q − C_p (p − p₀))/(A + k C/A).
     """
     return SmallSignal(*map(float, _lifting(rig, _as_arrays(rig, operating_point))))
@@ -69,19 +69,19 @@ def small_signal(rig: Rig, operating_point: OperatingPoint) -> SmallSignal:
 def lowering_small_signal(rig: Rig, operating_point: OperatingPoint) -> SmallSignal:
     """Return gain, natural frequency and damping of the lowering chain, spool current to downward travel.
 
-    Gravity drives the flow Q = C_d a(i) √(2 (p − p₀)/ρ) through notches and damper against p₀ of the tank, so
+    Gravity drives the flow Q = C_d a(i) √(2 (p − p₀)/ρ) through notches and damper to tank pressure p₀, so
 
         p − p₀ = (W − g(v) − σ₂ v)/A,  k_q k_v = ∂Q/∂i,  k_c = ∂Q/∂p = Q/(2 (p − p₀)),
 
-    and chamber, mass and friction are those of `small_signal`, with leakage on the valve's side:
-    v = (Q + C_p (p − p₀))/(A + k C/A). Two slow terms are left out: k (C_p + k_c), by which speed falls with
-    the load's pressure, and v C dk/dx, by which it rises again as the hose gives off less oil.
+    and chamber, mass and friction are those of `small_signal`, with leakage added to the valve's flow:
+    v = (Q + C_p (p − p₀))/(A + k C/A). Two slow terms are neglected: k (C_p + k_c), by which speed falls with
+    the load's pressure, and v C dk/dx, by which it rises as the hose releases less oil.
     """
     return SmallSignal(*map(float, _lowering(rig, _as_arrays(rig, operating_point))))
 
 
 def _as_arrays(rig: Rig, point: OperatingPoint) -> OperatingPoint:
-    """Return a point as arrays with its temperature set, so that one compiled program serves all points."""
+    """Return a point as arrays with its temperature set, so that all points use one compiled program."""
     temperature = point.oil_temperature_c
     complete_point = point._replace(
         oil_temperature_c=rig.oil.temperature if temperature is None else temperature
@@ -102,7 +102,7 @@ def _lowering(rig: Rig, point: OperatingPoint) -> Array:
 
 
 def _chain(rig: Rig, point: OperatingPoint, steady: SteadyState, leakage_sign: float) -> Array:
-    """Return the numbers of a `SmallSignal`, shape [4]."""
+    """Return the fields of a `SmallSignal`, shape [4]."""
     displacement = jnp.asarray(point.displacement_m)
     load = rig.linkage.load(displacement)
     mass, stiffness = load.mass, load.weight_slope + point.load_force_n * load.lever_slope
@@ -138,7 +138,7 @@ def _steady_lowering(rig: Rig, point: OperatingPoint) -> SteadyState:
         friction_force = cylinder.friction.stribeck(speed)[1] + cylinder.friction.viscous * speed
         return frictionless_pressure - friction_force / cylinder.area, speed
 
-    # Friction carries part of the weight: a contraction.
+    # Friction carries part of the weight; the iteration is a contraction.
     pressure, speed = jax.lax.fori_loop(
         0, 20, fixed_point_step, (frictionless_pressure, jnp.zeros_like(frictionless_pressure))
     )
@@ -174,7 +174,7 @@ def _steady_lifting(rig: Rig, point: OperatingPoint) -> SteadyState:
         friction_force = cylinder.friction.stribeck(speed)[1] + cylinder.friction.viscous * speed
         return frictionless_pressure + friction_force / cylinder.area, supply_pressure, opening, flow, speed
 
-    # Friction raises the pressure, lifting lowers the supply's: a contraction.
+    # Friction raises the pressure, flow lowers the supply pressure; the iteration is a contraction.
     none = jnp.zeros_like(area)
     pressure, supply_pressure, opening, flow, speed = jax.lax.fori_loop(
         0, 50, fixed_point_step, (frictionless_pressure, idle, none, none, none)

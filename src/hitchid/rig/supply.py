@@ -15,11 +15,11 @@ class Supply(eqx.Module):
         pump_slip: loss of volumetric efficiency with pressure, 1/Pa: Q = Q₀ (1 − c (p − p₀)).
         ripple: amplitude of the flow ripple over the mean flow.
         shaft_speed: rad/s.
-        displacements: pumping elements a revolution, which set the ripple's frequency.
+        displacements: pumping strokes per revolution, which give the ripple's frequency.
         relief_pressure: at which the relief valve opens, Pa above tank.
-        relief_gain: flow it lets pass for each Pa above that, m³/(s·Pa).
+        relief_gain: flow of the relief valve per Pa above that, m³/(s·Pa).
         line_volume: pump to lifting valve, m³.
-        line_bulk_modulus: of the line's wall, Pa: the line widens by V/β a Pa.
+        line_bulk_modulus: of the line's wall, Pa: the line widens by V/β per Pa.
         accumulator_volume: gas volume at precharge, m³, 0 for none.
         accumulator_precharge: Pa above tank.
     """
@@ -57,7 +57,7 @@ class Supply(eqx.Module):
         return self.relief_gain * jnp.maximum(over, 0.0), jnp.where(over > 0, self.relief_gain, 0.0)
 
     def idle_pressure(self) -> Values:
-        """Return the pressure at which the relief valve takes all the pump gives, Pa."""
+        """Return the pressure at which the relief flow equals the pump flow, Pa."""
         excess = self.pump_flow * (1 - self.pump_slip * self.relief_pressure)
         slope = self.relief_gain + self.pump_flow * self.pump_slip
         return TANK_PRESSURE_PA + self.relief_pressure + excess / slope

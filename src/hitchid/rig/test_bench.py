@@ -1,4 +1,4 @@
-"""The bench as a whole: its parts, and the figures that bound its motion."""
+"""The bench: its components, and the limits of its motion."""
 
 from typing import NamedTuple
 
@@ -37,10 +37,10 @@ class Rig(eqx.Module):
 
 
 class RigLimits(NamedTuple):
-    """Figures a test must respect.
+    """Limits of currents, travel and speed in a test.
 
     Attributes:
-        stroke_m: m.
+        stroke_m: travel of the piston between the end stops, m.
         lifting_speed_m_s: pump flow over piston area, m/s.
         lifting_dead_zone_a, lowering_dead_zone_a: rising current at which the valve begins to open, A.
         lifting_saturation_a, lowering_saturation_a: rising current at which the valve is wide open, A.
@@ -56,7 +56,7 @@ class RigLimits(NamedTuple):
 
 @double_precision
 def rig_limits(rig: Rig) -> RigLimits:
-    """Return stroke, largest lifting speed and the currents at which the valves begin and cease to respond.
+    """Return stroke, largest lifting speed and the currents at which the valves open and saturate.
 
     The hysteresis is included: a rising current leads the spool by half the width of the loop.
     """

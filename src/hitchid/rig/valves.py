@@ -8,11 +8,11 @@ import jax.numpy as jnp
 from hitchid.rig.oil import TANK_PRESSURE_PA, Scalar, Values, orifice_flow
 from hitchid.rig.quantities import quantity
 
-TINY_AREA = 1e-12  # m²; keeps the series of two closed orifices differentiable
+TINY_AREA = 1e-12  # m²; keeps two closed orifices in series differentiable (chosen, far below any opening)
 
 
 class SpoolState(NamedTuple):
-    """Lagged current, A; current behind the hysteresis, A; spool position over its travel; its speed, 1/s."""
+    """Lagged current, A; output of the hysteresis, A; spool position over its travel; its speed, 1/s."""
 
     force: Values
     play_output: Values
@@ -34,15 +34,15 @@ class Spool(eqx.Module):
     """Coil current to opening area: solenoid lag, hysteresis, second-order spool, overlap, notches.
 
     Attributes:
-        solenoid_lag: of force behind current, s.
+        solenoid_lag: time constant from current to force, s.
         hysteresis: half width of the play between force and spool, A.
         natural_frequency, damping_ratio: of the spool on its spring, rad/s and 1.
-        dead_zone: current that takes the spool through its overlap, A.
-        saturation: current that takes it to its stop, A.
+        dead_zone: current at the end of the spool's overlap, A.
+        saturation: current at the spool's stop, A.
         full_area: opening at the stop, m².
-        notch: travel beyond the overlap, over the rest of it, at which the notches turn from growing with the
-            square of travel to growing in proportion.
-        discharge: C_d.
+        notch: travel beyond the overlap, as a fraction of the remaining travel, at which the growth of the
+            area changes from quadratic to linear.
+        discharge: discharge coefficient C_d.
     """
 
     solenoid_lag: Scalar = quantity("s", 1e-4, 1.0)
@@ -78,8 +78,8 @@ class Spool(eqx.Module):
     def advance(self, state: SpoolState, current: Values, step: SpoolStep) -> SpoolState:
         """Advance by one step under a constant current.
 
-        The play operator h ← min(max(h, i − w), i + w) (Brokate & Sprekels 1996) is taken at the step's end,
-        and half way to it for the spool.
+        The play operator h ← min(max(h, i − w), i + w) (Brokate & Sprekels 1996) is evaluated at the step's
+        end; the spool's input is the mean over the step.
         """
         force = current + (state.force - current) * step.decay
         play_output = jnp.clip(state.play_output, force - self.hysteresis, force + self.hysteresis)
@@ -98,13 +98,13 @@ class Spool(eqx.Module):
 
 
 class LiftingValve(eqx.Module):
-    """Metering orifice behind a pressure compensator, followed by a check valve.
+    """Metering orifice downstream of a pressure compensator, followed by a check valve.
 
     Attributes:
         spool: current to metering area.
-        compensator_lag: of the compensator's opening behind the one in balance, s.
+        compensator_lag: time constant from balanced to actual opening of the compensator, s.
         offset_pressure: drop over the metering orifice set by the compensator's spring, Pa.
-        droop: by how much of itself that drop grows until the compensator is closed.
+        droop: relative increase of that drop until the compensator is closed.
         compensator_area: opening of the compensator at its stop, m², which limits the flow.
         check_pressure: opening pressure of the check valve, Pa.
     """
@@ -117,14 +117,14 @@ class LiftingValve(eqx.Module):
     check_pressure: Scalar = quantity("Pa", 0.0, 2e6)
 
     def metering_drop(self, compensator: Values) -> Values:
-        """Return the drop the spring demands, Pa: Δp₀ (1 + d (1 − a_k/a_k,max))."""
+        """Return the drop set by the spring, Pa: Δp₀ (1 + d (1 − a_k/a_k,max))."""
         return self.offset_pressure * (1 + self.droop * (1 - compensator / self.compensator_area))
 
     def balanced_opening(self, area: Values, compensator: Values, drop: Values) -> Values:
         """Return the compensator's opening in balance, m².
 
         Two orifices in series share the whole drop as the inverse squares of their areas, so the metering one
-        has Δp_m where a_k = a_m √(Δp_m/(Δp − Δp_m)); with too little pressure the compensator is wide open.
+        has Δp_m where a_k = a_m √(Δp_m/(Δp − Δp_m)); with too little pressure the compensator is fully open.
         """
         metering = self.metering_drop(compensator)
         rest = jnp.maximum(drop - metering, 1e-3 * metering)
@@ -137,13 +137,13 @@ class LiftingValve(eqx.Module):
 
 
 class LoweringValve(eqx.Module):
-    """Metering orifice to tank without compensation, a damper in series, and the safety valve beside them.
+    """Metering orifice to tank without compensation, a damper in series, and the safety valve in parallel.
 
     Attributes:
         spool: current to metering area.
-        damper_area: fixed throttle that bounds the lowering speed, m².
+        damper_area: fixed throttle that limits the lowering speed, m².
         safety_pressure: at which the safety valve opens, Pa above tank.
-        safety_gain: flow it lets pass for each Pa above that, m³/(s·Pa).
+        safety_gain: flow of the safety valve per Pa above that, m³/(s·Pa).
     """
 
     spool: Spool
