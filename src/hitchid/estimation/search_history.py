@@ -87,7 +87,7 @@ class SearchComparison:
 def compare_searches(
     objective: Objective, comparison: SearchComparison, first_seed: int = 0
 ) -> tuple[SearchHistory, ...]:
-    """Run several searches of one misfit from several seeds, none of them polished.
+    """Run several searches of one objective from several seeds, without least squares after them.
 
     All work on the tests thinned to a few hundred samples each, so that they can be compared in seconds.
 
