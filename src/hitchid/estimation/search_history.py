@@ -15,8 +15,8 @@ from hitchid.estimation.global_search import DifferentialEvolution, MultiStart, 
 from hitchid.estimation.objective import Objective
 from hitchid.estimation.search_problem import SearchProblem
 
-BUDGET = 600  # simulations of all tests for each run
-SEEDS = 8  # runs of each search
+BUDGET = 600  # simulations of all tests for each run; chosen
+SEEDS = 8  # runs of each search; chosen
 SAMPLES = 256  # largest number of samples of a test, which keeps a comparison within seconds
 
 
@@ -71,7 +71,7 @@ def default_searches(budget: int = BUDGET) -> tuple[Search, ...]:
 
 @dataclass(frozen=True)
 class SearchComparison:
-    """How searches are compared.
+    """Settings of a comparison of searches.
 
     Attributes:
         searches: what is compared; by default whale, differential evolution and multi-start least squares.
@@ -93,7 +93,7 @@ def compare_searches(
 
     Args:
         objective: what is searched.
-        comparison: which, how many, and where they are kept.
+        comparison: searches, number of seeds, and store of finished runs.
         first_seed: of each search; the others follow.
     """
     coarse = objective.with_data(objective.batch.decimate(SAMPLES))

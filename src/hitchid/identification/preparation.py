@@ -21,7 +21,7 @@ from hitchid.identification.dead_zone import (
 )
 from hitchid.structures import Batch, before_end_stop
 
-VALIDATION_EVERY = 4  # every fourth test stops the training
+VALIDATION_EVERY = 4  # chosen: every fourth test stops the training
 VALIDATION_FRACTION = 0.25  # share of one test alone that stops the training
 STOP_AGREEMENT = 0.02  # share of the range of displacements within which tests meet one end stop
 MAX_LENGTH_RATIO, SETTLING_S = 2.0, 2.0  # of the median stroke; s of rest that are kept: lags have died away

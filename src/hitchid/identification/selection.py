@@ -37,7 +37,7 @@ from hitchid.identification.phase1 import Fit, Phase1, assess_fit, find_paramete
 from hitchid.structures import Batch, ModelOption, ModelSpec, Structure, external_structures
 from hitchid.uncertainty import NO_ERROR, DeadZoneError
 
-SAMPLES = 2048  # largest number of samples of a test while forms are compared
+SAMPLES = 2048  # largest number of samples of a test while candidates are compared; chosen
 # Shares of a dead zone that is tried again with a valve curve; the first decides whether the others are.
 DEAD_ZONE_SHARES = (0.5, 0.25, 0.75, 0.0)
 # Fractions of the work: of one search, of one candidate, and before the search of the chosen form.
