@@ -1,4 +1,4 @@
-"""Fitting: the objective of a form over tests, global searches of it, and least squares."""
+"""Fitting: the objective over tests, its global searches, and least squares."""
 
 from hitchid.estimation.correlations import search_problem as search_problem
 from hitchid.estimation.global_search import DifferentialEvolution as DifferentialEvolution

@@ -1,4 +1,4 @@
-"""Where parameters may lie, and their place between the bounds."""
+"""Bounds of parameters, and the map between values and positions in the unit cube."""
 
 from collections.abc import Sequence
 
@@ -36,12 +36,12 @@ class Bounds(eqx.Module):
         return jnp.where(self.linear, self.lower + position * width, logarithmic)
 
     def slopes(self, position: Float[Array, " d"]) -> Float[Array, " d"]:
-        """Return the parameters' derivatives by their place between the bounds."""
+        """Return the derivatives of the parameters with respect to their positions."""
         width, span = self._spans()
         return jnp.where(self.linear, width, self.values(position) * span)
 
     def position(self, values: np.ndarray) -> np.ndarray:
-        """Return where between their bounds values lie, at a bound those beyond it."""
+        """Return the position of values, clipped to the bounds."""
         return np.clip(self.unclipped_position(values), 0.0, 1.0)
 
     def unclipped_position(self, values: np.ndarray) -> np.ndarray:

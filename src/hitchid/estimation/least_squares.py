@@ -27,7 +27,7 @@ class StopReason(Enum):
 
 
 class Minimum(NamedTuple):
-    """Where least squares ended.
+    """Local minimum found by least squares.
 
     Attributes:
         position: in the unit cube, shape [D].
@@ -104,7 +104,7 @@ def minimise(
 
 @dataclass(frozen=True)
 class LeastSquaresResult:
-    """Where least squares ended.
+    """Result of least squares.
 
     Attributes:
         position: in the unit cube, shape [D].

@@ -29,11 +29,11 @@ TOLERANCE = 1e-6  # relative change of fitness or position at which least square
 
 
 class Objective(eqx.Module):
-    """From a position in the unit cube to residuals over all tests, zero where samples do not count.
+    """Residuals over all tests at a position in the unit cube, zero where samples do not count.
 
     Attributes:
         batch: tests.
-        spec: what is searched.
+        spec: model specification.
         scales: of the nonlinearities.
         bounds: of its parameters.
         per_test_gain: whether each test has a factor on its speed; see

@@ -15,8 +15,8 @@ from hitchid.estimation.global_search import DifferentialEvolution, MultiStart, 
 from hitchid.estimation.objective import Objective
 from hitchid.estimation.search_problem import SearchProblem
 
-BUDGET = 600  # simulations of all tests for each run
-SEEDS = 8  # runs of each search
+BUDGET = 600  # simulations of all tests for each run; chosen
+SEEDS = 8  # runs of each search; chosen
 SAMPLES = 256  # largest number of samples of a test, which keeps a comparison within seconds
 
 
@@ -71,7 +71,7 @@ def default_searches(budget: int = BUDGET) -> tuple[Search, ...]:
 
 @dataclass(frozen=True)
 class SearchComparison:
-    """How searches are compared.
+    """Settings of a comparison of searches.
 
     Attributes:
         searches: what is compared; by default whale, differential evolution and multi-start least squares.
@@ -87,13 +87,13 @@ class SearchComparison:
 def compare_searches(
     objective: Objective, comparison: SearchComparison, first_seed: int = 0
 ) -> tuple[SearchHistory, ...]:
-    """Run several searches of one misfit from several seeds, none of them polished.
+    """Run several searches of one objective from several seeds, without least squares after them.
 
     All work on the tests thinned to a few hundred samples each, so that they can be compared in seconds.
 
     Args:
         objective: what is searched.
-        comparison: which, how many, and where they are kept.
+        comparison: searches, number of seeds, and store of finished runs.
         first_seed: of each search; the others follow.
     """
     coarse = objective.with_data(objective.batch.decimate(SAMPLES))

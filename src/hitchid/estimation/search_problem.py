@@ -31,7 +31,7 @@ class NormalEquations(NamedTuple):
         )
 
     def subset(self, columns: np.ndarray) -> "NormalEquations":
-        """Return those of some of the parameters, by their numbers."""
+        """Return the equations of some of the parameters, by index."""
         return NormalEquations(self.cost, self.gradient[columns], self.curvature[np.ix_(columns, columns)])
 
 

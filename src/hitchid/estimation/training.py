@@ -80,11 +80,11 @@ def train(
         error: from network and data to the sum of squared errors and the number of them; one function for
             trainings that are to share a compiled program.
         training, validation: arrays whose first axis runs over sequences; of the training's, those that fill
-            no batch are left out in turn, see `filled`.
+            no batch are left out in turn.
         settings: epochs, patience, batch, learning rate.
         key: shuffles the sequences.
         progress: called after each epoch with its number, training and validation loss.
-        checkpoints: where the weights and the losses are kept and found again.
+        checkpoints: store of the weights and the losses.
     """
 
     def work() -> Arrays:

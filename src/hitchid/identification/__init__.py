@@ -1,4 +1,4 @@
-"""Identification: dead zones, phase 1, phase 2; `identify` is the way in."""
+"""Identification: dead zones, phase 1, phase 2; the entry point is `identify`."""
 
 from hitchid.estimation import DifferentialEvolution as DifferentialEvolution
 from hitchid.estimation import MultiStart as MultiStart

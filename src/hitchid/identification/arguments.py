@@ -1,4 +1,4 @@
-"""The arguments of an identification, checked and put together."""
+"""Checks of the arguments of an identification, and the configuration made from them."""
 
 from collections.abc import Mapping
 
@@ -12,7 +12,7 @@ from hitchid.identification.phase2 import CompensatorConfig
 from hitchid.identification.selection import AutoStructure
 from hitchid.structures import ModelSpec, structure_named
 
-LARGEST_SEED = 2**32 - 1  # of NumPy's and JAX's generators alike
+LARGEST_SEED = 2**32 - 1  # upper limit of the seeds of NumPy's and JAX's generators
 CAMPAIGN = 'a campaign as hitchid.read("logs") returns it'
 
 
@@ -36,12 +36,12 @@ def identification_config(
     """Return the configuration of an identification; see `identify`.
 
     Args:
-        default_specs: direction to how its form is chosen where `structure` has none.
-        paper_specs: direction to the paper's form.
-        structure, search, training, dead_zones, drift, comparison, seed: as they were handed in.
+        default_specs: direction to its model specification or automatic choice, where `structure` has none.
+        paper_specs: direction to the paper's model specification.
+        structure, search, training, dead_zones, drift, comparison, seed: see `identify`.
 
     Raises:
-        InputError: one of them is not what `identify` takes.
+        InputError: an argument has the wrong type, or a value outside its limits.
     """
     checks.instance(search, Search, "search", "Whale, DifferentialEvolution or MultiStart")
     checks.instance(training, (CompensatorConfig, type(None)), "training", "CompensatorConfig or None")

@@ -1,4 +1,4 @@
-"""Bands around a channel's predictions, calibrated on tests that were held out in turn."""
+"""Prediction bands of a channel, calibrated by cross-conformal prediction on tests held out in turn."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,22 +16,22 @@ from hitchid.uncertainty.conformal import (
     sensor_noise,
 )
 
-FEWEST_TESTS = 3  # of fewer, no order statistic of held-out errors means a level
-MAX_STEP = 0.25  # share of the range between bounds that an ensemble member may be off
-VARIANCE_SHARE = 0.99  # share of the ensemble's variance that the members kept must have
+FEWEST_TESTS = 3  # chosen: fewer held-out errors give no usable quantile
+MAX_STEP = 0.25  # largest deviation of an ensemble member, share of the range between bounds; chosen
+VARIANCE_SHARE = 0.99  # share of the ensemble's variance that the selected members explain; chosen
 
 
 def calibrate_bands(channel: Channel, phase1: Phase1, all_tests: Batch, validation: Batch) -> Bands | None:
-    """Find bands around the predictions of a channel.
+    """Return the prediction bands of a channel.
 
     Each test is predicted in free run by a model that was fitted without it: parameters to first order, and
     the one network that was not trained on it. Horizons are evaluated on the validation tests.
 
     Args:
-        channel: compensators and all.
+        channel: benchmark and compensators.
         phase1: its benchmark, and the influence of each test on it.
         all_tests: all identification tests.
-        validation: those that stopped the training.
+        validation: tests that stopped the training.
 
     Returns:
         The bands; None where there are fewer than three tests.
@@ -69,9 +69,9 @@ def calibrate_bands(channel: Channel, phase1: Phase1, all_tests: Batch, validati
 
 
 def _ensemble(channel: Channel, phase1: Phase1) -> list[EnsembleMember]:
-    """Return the ensemble: one standard error along each principal axis, and each network alone.
+    """Return the ensemble: one standard error along each principal axis, and each single network.
 
-    No member lies farther off than a quarter of the range between bounds, or beyond these.
+    A member deviates by at most a quarter of the range between bounds and lies within the bounds.
     """
     influence, position = phase1.influence, phase1.fit.position
     sizes, axes = np.linalg.eigh(influence.covariance)
@@ -92,7 +92,7 @@ def _ensemble(channel: Channel, phase1: Phase1) -> list[EnsembleMember]:
 
 
 def _parameter_vector(channel: Channel, phase1: Phase1, position: np.ndarray) -> tuple[float, ...]:
-    """Return the benchmark's parameter vector at a position, its gain calibrated as the channel's."""
+    """Return the benchmark's parameter vector at a position, with the gain calibration of the channel."""
     objective = phase1.fit.objective
     vector = np.array(
         objective.spec.physical_model(
@@ -126,7 +126,7 @@ def _held_out(channel: Channel, phase1: Phase1, batch: Batch) -> np.ndarray:
 def _horizon_half_widths(
     channel: Channel, batch: Batch
 ) -> tuple[tuple[int, ...], tuple[tuple[float, ...], ...]]:
-    """Return horizons, and for each of them the half width at each level."""
+    """Return the horizons, and the half width of each horizon at each level."""
     loss_mask, measured = np.asarray(batch.loss_mask), np.asarray(batch.displacement)
     horizons = tuple(horizon for horizon in HORIZONS if horizon < loss_mask.sum(axis=1).min())
     predicted = np.asarray(channel.predict(batch, horizons))

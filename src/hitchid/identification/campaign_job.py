@@ -1,4 +1,4 @@
-"""One campaign on its way to a model: what is asked of it, its tests made ready, and what comes of them."""
+"""Identification of one campaign: configuration, prepared tests, and assembly of the model."""
 
 import platform
 from collections.abc import Mapping, Sequence
@@ -33,11 +33,11 @@ ChannelResults = Mapping[str, tuple[Channel, ChannelTrace]]
 
 @dataclass(frozen=True)
 class IdentificationConfig:
-    """What is asked of a campaign; see `identify`.
+    """Configuration of an identification; see `identify`.
 
     Attributes:
-        specs: mode to the form of its benchmark, or how it is chosen.
-        paper_specs: mode to the paper's form.
+        specs: direction to the model specification of its benchmark, or its automatic choice.
+        paper_specs: direction to the paper's model specification.
         search, training, dead_zones, drift, comparison, seed: see `identify`.
     """
 
@@ -51,7 +51,7 @@ class IdentificationConfig:
     seed: int
 
     def with_default_covariate(self, campaign: Campaign) -> "IdentificationConfig":
-        """Return the question with the campaign's first further input, where a choice names none itself."""
+        """Return the configuration with the campaign's first covariate where an automatic choice has none."""
         covariates = campaign.covariates[:1]
         return replace(
             self,
@@ -59,7 +59,7 @@ class IdentificationConfig:
         )
 
     def describe(self) -> dict[str, object]:
-        """Return what is asked as JSON can hold it."""
+        """Return the configuration as JSON values."""
         return {
             "structure": {direction: _describe_spec(spec) for direction, spec in self.specs.items()},
             "search": repr(self.search),
@@ -69,7 +69,7 @@ class IdentificationConfig:
         }
 
     def checkpoints(self, folder: Path | None, campaign: Campaign) -> Checkpoints:
-        """Return where runs of the same logs, settings and versions are kept, on machines of one kind."""
+        """Return the checkpoints of runs with the same logs, settings, versions and kind of machine."""
         if folder is None:
             return DISABLED
         stamp = {
@@ -84,11 +84,11 @@ class IdentificationConfig:
 
 @dataclass(frozen=True)
 class Identification:
-    """An identified model and how it came about.
+    """An identified model and the trace of its identification.
 
     Attributes:
-        model: the grey box.
-        channels: mode to trace.
+        model: the grey-box model.
+        channels: direction to trace.
     """
 
     model: Hitch
@@ -103,21 +103,21 @@ class Identification:
         save(self.model, folder, trace=self.describe(), force=force)
 
     def describe(self) -> dict[str, dict]:
-        """Return mode to trace as JSON can hold it."""
+        """Return direction to trace as JSON values."""
         return {direction: describe_channel(trace) for direction, trace in self.channels.items()}
 
 
 @dataclass(frozen=True)
 class CampaignJob:
-    """A campaign made ready.
+    """A campaign prepared for identification.
 
     Attributes:
         campaign: tests of one direction each; where there were none, strokes cut from mixed logs.
-        config: what is asked of it.
-        cycles: the mixed logs that strokes were cut from.
-        segmentation_dead_zones: mode to the dead zone they were cut at.
+        config: configuration of the identification.
+        cycles: the mixed logs that the strokes were cut from.
+        segmentation_dead_zones: direction to the dead zone at which strokes were cut.
         fingerprints: fingerprints of all records that are used.
-        channel_data, channel_configs: mode to its tests, and to what is asked of them.
+        channel_data, channel_configs: direction to its tests and to its settings.
     """
 
     campaign: Campaign
@@ -130,7 +130,7 @@ class CampaignJob:
 
     @classmethod
     def of(cls, campaign: Campaign, config: IdentificationConfig, checkpoints: Checkpoints) -> "CampaignJob":
-        """Make a campaign ready; raises as `identify`."""
+        """Prepare a campaign; raises InputError as `identify` does."""
         if campaign.unmatched:
             pattern = campaign.unmatched[0]
             raise InputError(
@@ -183,9 +183,9 @@ class CampaignJob:
         )
 
     def calibrate_gains(self, results: ChannelResults) -> ChannelResults:
-        """Return benchmarks with the gains on which strokes cut from mixed logs agree best as whole logs.
+        """Return the channels with gains calibrated on whole mixed logs.
 
-        Only where logs held out in turn prove those gains better.
+        Gains change only where strokes were cut from mixed logs and logs held out in turn prove them better.
         """
         if len(results) < 2 or not self.segmentation_dead_zones:
             return results
@@ -207,7 +207,7 @@ class CampaignJob:
         }
 
     def build_model(self, results: ChannelResults) -> Identification:
-        """Return the model that channels make up, with all that is to be known of it."""
+        """Assemble the model from its channels, with provenance, uncertainty and comparison."""
         campaign, traces = self.campaign, {direction: trace for direction, (_, trace) in results.items()}
         provenance = Provenance(
             identification={direction: self._used(direction) for direction in results},
@@ -242,7 +242,7 @@ class CampaignJob:
         return Identification(hitch, traces)
 
     def _used(self, direction: str) -> tuple[str, ...]:
-        """Return the names of a direction's tests that it is identified from."""
+        """Return the names of the tests that a direction is identified from."""
         left_out = {test.name for test in self.channel_data[direction].left_out}
         return tuple(name for name in _names(self.campaign.identification(direction)) if name not in left_out)
 
@@ -262,7 +262,7 @@ class CampaignJob:
 
 
 def _check_dead_zone(campaign: Campaign, direction: str, value: float) -> None:
-    """Refuse a dead zone that no command of the tests to identify from goes beyond."""
+    """Raise SettingsError for a dead zone that no command of the identification tests exceeds."""
     tests = [
         record
         for kind in (direction, CYCLE)
@@ -279,7 +279,7 @@ def _check_dead_zone(campaign: Campaign, direction: str, value: float) -> None:
 
 
 def _check_window(training: CompensatorConfig | None, channel_data: Mapping[str, ChannelData]) -> None:
-    """Refuse a window that no test fills: it is allocated whole, for every stretch of every test."""
+    """Raise SettingsError for a window longer than any test: memory is allocated for the whole window."""
     longest = max(int(data.all_tests.valid.sum(axis=1).max()) for data in channel_data.values())
     if training is not None and training.window > max(longest, CompensatorConfig.window):
         raise SettingsError(
@@ -289,7 +289,7 @@ def _check_window(training: CompensatorConfig | None, channel_data: Mapping[str,
 
 
 def _with_notices(results: ChannelResults, notices: Sequence[str]) -> ChannelResults:
-    """Return channels with further notices on their traces."""
+    """Return the channels with notices added to their traces."""
     return {
         direction: (channel, replace(trace, notices=(*trace.notices, *notices)))
         for direction, (channel, trace) in results.items()
@@ -316,7 +316,7 @@ def _fingerprints(campaign: Campaign, kinds: tuple[str, ...]) -> set[str]:
 
 
 def _uses_raw_command(spec: ModelSpec | AutoStructure) -> bool:
-    """Tell whether a form takes the whole command, from which no dead zone is removed."""
+    """Return whether a structure takes the raw command, from which no dead zone is removed."""
     return isinstance(spec, ModelSpec) and spec.structure.uses_raw_command
 
 

@@ -1,4 +1,4 @@
-"""Candidate forms of one direction, evaluated in free run on operating points held out in turn."""
+"""Candidate structures of one direction, cross-validated in free run by operating point."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -10,26 +10,26 @@ from hitchid._support.metrics import proven_better
 from hitchid.estimation import Objective, allows_per_test_gain, refine_subset
 from hitchid.structures import Batch, ModelSpec
 
-FOLDS = 4  # every fourth operating point is held out together
+FOLDS = 4  # chosen: every fourth operating point is held out together
 LEVEL_TOLERANCE = 0.01  # share of the range of levels within which tests are at one operating point
-STEPS = 40  # positions of least squares from each start
-REFIT_STEPS = 4  # positions of the refit to a fold: the start and three damped steps
-MIN_GAIN_TESTS = 6  # fewest held-out tests for comparing forms with a factor on each test's speed
+STEPS = 40  # largest number of least-squares iterations from each start; chosen
+REFIT_STEPS = 4  # iterations of the refit without a fold: the start and three damped steps
+MIN_GAIN_TESTS = 6  # fewest held-out tests for comparing structures with a gain per test; chosen
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """One form that was tried.
+    """One candidate structure with its fit and its cross-validation errors.
 
     Attributes:
-        name: what it has that the ones before have not.
-        spec: the form.
+        name: the option it adds to the candidate before it.
+        spec: its model specification.
         values: its parameters at the optimum, shape [D].
-        rmse: free run over all identification tests, each weighing the same.
+        rmse: free-run RMSE over all identification tests with equal weights.
         dead_zone: dead zone at which it was fitted, in the command's unit.
-        held_out: the same of each test whose operating point was held out in turn, shape [H].
-        held_out_per_test_gain: likewise, apart from a factor on each test's speed, shape [H].
-        chosen: whether it is the one that was taken.
+        held_out: free-run RMSE of each test whose operating point was held out in turn, shape [H].
+        held_out_per_test_gain: the same with a gain fitted to each test, shape [H].
+        chosen: whether it was chosen.
     """
 
     name: str
@@ -49,16 +49,16 @@ class Candidate:
 
     @property
     def held_out_rmse(self) -> float:
-        """Free run over operating points held out in turn, each test weighing the same."""
+        """Free-run RMSE over operating points held out in turn, with equal weights of the tests."""
         return float(np.sqrt(np.mean(self.held_out**2)))
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Best positions of a form, those of parameters that it does not have included, and its errors.
+    """Optimum of a candidate and its errors.
 
     Attributes:
-        positions: in the unit cube, shape [D].
+        positions: all parameters of the objective in the unit cube, free and fixed, shape [D].
         rmse, held_out, held_out_per_test_gain: as in `Candidate`.
     """
 
@@ -68,7 +68,7 @@ class Evaluation:
     held_out_per_test_gain: np.ndarray
 
     def candidate(self, name: str, spec: ModelSpec, objective: Objective, free: Sequence[int]) -> Candidate:
-        """Return the candidate; `free` are the numbers of its parameters among those of the objective."""
+        """Return the candidate; `free` are the indices of its parameters in the objective."""
         return Candidate(
             name=name,
             spec=spec,
@@ -81,10 +81,9 @@ class Evaluation:
 
 
 def best_candidate(candidates: Sequence[Candidate], batch: Batch) -> int:
-    """Return the number of the form to take: a later one where held-out tests prove it better.
+    """Return the index of the best candidate: a later one replaces an earlier one if proven better.
 
-    Forms whose tests may each have a factor on their speed are compared apart from such factors, by six tests
-    or more.
+    Candidates that allow a gain per test are compared by the errors with that gain, over six tests or more.
     """
     best = 0
     for number, candidate in enumerate(candidates):
@@ -99,7 +98,7 @@ def best_candidate(candidates: Sequence[Candidate], batch: Batch) -> int:
 
 
 def with_positions(positions: np.ndarray, names: Sequence[str], start: Mapping[str, float]) -> np.ndarray:
-    """Return positions with some of them, by parameter name, replaced."""
+    """Return positions with those of the named parameters replaced."""
     changed = positions.copy()
     for name, value in start.items():
         changed[names.index(name)] = value
@@ -109,7 +108,7 @@ def with_positions(positions: np.ndarray, names: Sequence[str], start: Mapping[s
 def fit_and_evaluate(
     objective: Objective, free: Sequence[int], starts: Sequence[np.ndarray], folds: Sequence[np.ndarray]
 ) -> Evaluation:
-    """Fit the free parameters from several starts, and evaluate the best.
+    """Fit the free parameters from several starts, and cross-validate the best fit.
 
     Raises:
         FitError: none of the starts can be simulated.
@@ -123,11 +122,11 @@ def fit_and_evaluate(
 def evaluate(
     objective: Objective, free: Sequence[int], positions: np.ndarray, folds: Sequence[np.ndarray]
 ) -> Evaluation:
-    """Return the errors of a form on tests held out in turn.
+    """Return the errors of a candidate on tests held out in turn.
 
-    For each fold the other tests refit it from its best position by three damped steps: enough for what the
-    tests determine. What they hardly determine keeps the value of the fit to all tests, where a full descent
-    would take it anywhere; so the error is a little too small for large forms.
+    For each fold the candidate is refitted to the other tests by three damped steps from its optimum. This
+    suffices for the parameters that the tests determine; the others stay near the fit to all tests, where a
+    full least-squares run is ill-conditioned. The error is therefore slightly too small for large candidates.
     """
     pooled, per_test_gain = objective.pooled(), replace(objective, per_test_gain=True)
     rmse = pooled.error(positions)
@@ -142,7 +141,7 @@ def evaluate(
 
 
 def _with_tests(objective: Objective, tests: np.ndarray) -> Objective:
-    """Return the objective over some of its tests; shapes stay, so that no program is compiled anew."""
+    """Return the objective over some of its tests; shapes stay the same, so nothing is recompiled."""
     batch = objective.batch.masked(
         jnp.asarray(np.broadcast_to(tests[:, None], objective.batch.loss_mask.shape))
     )
@@ -150,10 +149,10 @@ def _with_tests(objective: Objective, tests: np.ndarray) -> Objective:
 
 
 def operating_point_folds(batch: Batch, *, separate_tests: bool) -> list[np.ndarray]:
-    """Return which tests are held out together, boolean arrays of shape [T].
+    """Return the folds of the cross-validation, boolean arrays of shape [T].
 
-    Every fourth operating point between the lowest and the highest level, so that a fold's neighbours stay
-    in. Tests of one level are one operating point; with a second input every test is one of its own.
+    A fold is every fourth operating point between the lowest and the highest level, so that neighbouring
+    levels stay in the training set. Tests at one level share an operating point unless `separate_tests`.
     """
     command, loss_mask = np.abs(np.asarray(batch.command)), np.asarray(batch.loss_mask)
     active = loss_mask & (command > 0)

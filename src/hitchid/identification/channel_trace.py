@@ -22,15 +22,15 @@ class ChannelTrace:
     """How one direction was identified.
 
     Attributes:
-        dead_zone: the dead zone and where it came from.
+        dead_zone: the dead zone and its origin.
         phase1: benchmark, parameters, search.
         phase2: losses of the training of the compensator for predictions; None where none was trained.
         holdout_test: test of the compensator for free run on tests held out; None where none was trained.
         notices: remarks on the data and on choices made automatically.
-        candidates: the forms that were compared, where the form was chosen automatically.
+        candidates: the candidates that were compared by an automatic choice of structure.
         seconds: name of each fit to its duration, s.
         uncertainty: of the channel.
-        comparison: what was fitted to the same tests for comparison.
+        comparison: baselines, paper's method and searches fitted to the same tests.
         characteristics: speed map, dead zone, delay and response time; None where there are none.
     """
 
@@ -51,14 +51,14 @@ class ChannelConfig:
     """Settings of the identification of one direction.
 
     Attributes:
-        spec: of its benchmark, or how it is chosen.
-        paper_spec: the paper's form, for the paper's method beside it.
+        spec: model specification of the benchmark, or its automatic choice.
+        paper_spec: model specification of the paper's method, fitted for comparison.
         search: of phase 1.
         training: of phase 2; None for the benchmark alone.
-        seed: every random draw comes from it.
+        seed: seed of all random draws.
         units: `x` and `u` to the units of displacement and command.
-        comparison: how searches are compared; None compares none.
-        checkpoints: where finished pieces are kept and found again.
+        comparison: settings of the comparison of searches; None compares none.
+        checkpoints: store of finished partial results.
     """
 
     spec: ModelSpec | AutoStructure
@@ -78,7 +78,7 @@ class ChannelConfig:
 
 @contextmanager
 def timed(seconds: dict[str, float], name: str) -> Iterator[None]:
-    """Enter under a name how long the block takes, s."""
+    """Store the duration of the block, s, under a name."""
     started = time.perf_counter()
     yield
     seconds[name] = time.perf_counter() - started

@@ -38,20 +38,20 @@ def fit_comparison(
     progress: ProgressCallback,
     seconds: dict[str, float],
 ) -> tuple[Comparison, list[str]]:
-    """Fit the baselines, and the method of Sun et al. 2025 where the channel is not that.
+    """Fit the baselines, and the method of Sun et al. 2025 where the channel has another structure.
 
     Args:
-        channel: the identified one.
+        channel: the identified channel.
         data: its tests.
         initial_data: its tests with the dead zone of a linear valve, for the paper's method.
         config: settings of the direction.
         training: size and training of networks.
-        keys: of the baselines, of the paper's method.
-        progress: called with what is being done and the fraction that is done.
-        seconds: gets the duration of each fit.
+        keys: random keys of the baselines and of the paper's method.
+        progress: called with the current task and the completed fraction.
+        seconds: filled with the duration of each fit, s.
 
     Returns:
-        What was fitted, and a notice for each fit that failed.
+        The fitted models, and a notice for each fit that failed.
     """
     notices: list[str] = []
     comparison = Comparison(_fit_baselines(data, config, training, keys[0], progress, seconds, notices))
@@ -70,7 +70,7 @@ def fit_comparison(
 
 
 def search_summaries(objective: Objective, config: ChannelConfig) -> tuple[SearchSummary, ...]:
-    """Compare global searches of the parameters, each from several seeds."""
+    """Return summaries of the global searches, each run from several seeds."""
     if config.comparison is None:
         return ()
     histories = compare_searches(objective, config.comparison, config.seed)
@@ -127,7 +127,7 @@ def _fit_paper_method(
     key: PRNGKeyArray,
     progress: ProgressCallback,
 ) -> tuple[Channel, Estimates]:
-    """Return the paper's method; its valve is linear, so it has the dead zone found with a linear valve."""
+    """Return the channel of the paper's method; `data` has the dead zone found with a linear valve."""
     checkpoints = config.checkpoints.child("paper")
     phase1 = identify_spec(data, config, config.paper_spec, checkpoints)
     channel, _ = with_compensator(
@@ -142,7 +142,7 @@ def _fit_paper_method(
 
 
 def benchmark_channel(data: ChannelData, phase1: Phase1, operating_range: OperatingRange) -> Channel:
-    """Return a channel of a benchmark alone."""
+    """Return a channel with a benchmark and no compensators."""
     return Channel(
         direction=data.direction,
         sign=data.sign,
@@ -194,7 +194,7 @@ def with_compensator(
 
 
 def epoch_callback(progress: ProgressCallback, stage: str, start: float, width: float) -> EpochCallback:
-    """Return a callback that reports epochs; a training stops early, so its length is not known before."""
+    """Return a callback that reports epochs; early stopping leaves the total number unknown."""
 
     def show(number: int, training_loss: float, validation_loss: float) -> None:
         done = start + width * number / (number + TYPICAL_ITERATIONS)

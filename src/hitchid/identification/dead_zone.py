@@ -1,4 +1,4 @@
-"""The command at which the piston begins to move, from slow ramps or, without them, from dynamic tests."""
+"""Dead zone of the command, from slow ramps or, without them, from dynamic tests."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,15 +14,15 @@ from hitchid.model import Quantity, make_quantity
 from hitchid.uncertainty import NO_ERROR, DeadZoneError
 from hitchid.uncertainty.dead_zone_error import t_quantile
 
-CANDIDATES = 400  # dead zones that are compared, a quarter of a percent of the largest command apart
-FLAT_TOLERANCE = 1e-3  # share of the largest residual sum by which dead zones must differ
-ROUNDING = 1e-6  # share of the travel's energy: residual sums below it are rounding
-MIN_RESIDUAL_REDUCTION = 0.2  # share of the drift's residual norm that motion must explain
-UNKNOWN_SPREAD = 0.5  # share of the largest command: standard error of a dead zone that tests do not show
-MIN_GROUPS, MAX_GROUPS = 6, 24  # groups of the jackknife
-SAMPLES, MAX_ELEMENTS = 2048, 1_000_000  # of a test; of one array, which bounds the memory
-# Lags of hydraulics at sampling times up to 0.1 s, s; at longer ones they are as many samples, see
-# `slow_clock_factor`.
+CANDIDATES = 400  # grid points of the dead zone, 0.25 % of the largest command apart; chosen
+FLAT_TOLERANCE = 1e-3  # share of the largest residual sum by which dead zones must differ; chosen
+ROUNDING = 1e-6  # share of the travel's energy below which residual sums are rounding errors
+MIN_RESIDUAL_REDUCTION = 0.2  # share of the drift's residual norm that motion must explain; chosen
+UNKNOWN_SPREAD = 0.5  # standard error of an undetermined dead zone, share of the largest command; chosen
+MIN_GROUPS, MAX_GROUPS = 6, 24  # number of jackknife groups; chosen
+SAMPLES, MAX_ELEMENTS = 2048, 1_000_000  # of a test; elements of an array: limits of the memory
+# Lags, s, at sampling times up to FAST_STEP_S, s; at longer ones multiplied by `slow_clock_factor`. Chosen to
+# cover the lags of hydraulics.
 LAGS_S, FAST_STEP_S = (0.03, 0.1, 0.3, 1.0), 0.1
 
 
@@ -33,11 +33,10 @@ class DeadZone:
     Attributes:
         value: dead zone, in the command's unit.
         spread: standard deviation over repeated ramps, or the jackknife's standard error over dynamic tests,
-            in the command's unit; None where it is not known.
-        count: ramps or tests it was found from.
+            in the command's unit; None where it is not available.
+        count: number of ramps or tests.
         origin: `ramps`, `tests`, `given` or `none` (not determined by the data, taken as zero).
-        delay_rise: by how much the ramps' commands go on rising before the plant answers, in the command's
-            unit.
+        delay_rise: rise of the ramps' command during the delay of the plant, in the command's unit.
     """
 
     value: float
@@ -48,7 +47,7 @@ class DeadZone:
 
     @property
     def error(self) -> DeadZoneError:
-        """How well it is known: the error of the mean over ramps and their delay, or the jackknife's."""
+        """Standard error: of the mean over ramps combined with their delay, or the jackknife's."""
         if self.spread is None and not self.delay_rise:
             return NO_ERROR
         spread = self.spread or 0.0
@@ -56,7 +55,7 @@ class DeadZone:
         return DeadZoneError(float(np.hypot(mean, self.delay_rise)), self.count)
 
     def to_quantity(self, unit: str) -> Quantity:
-        """Return it with its 95 % interval, which is open where no error is known."""
+        """Return the dead zone with its 95 % interval, open where no standard error is available."""
         if self.origin == "given":
             return make_quantity("dead zone", unit, self.value, (self.value, self.value), 0.0)
         if not self.error.standard_error and self.spread is None:
@@ -67,7 +66,7 @@ class DeadZone:
 
 
 def from_ramps(ramps: Sequence[Record], direction: str, sign: int) -> DeadZone:
-    """Return mean and spread of the command at which each slow ramp sets the piston in motion.
+    """Return the dead zone as mean and spread of the onsets of motion in slow ramps.
 
     Sun et al. 2025, sec. 2.3.1: one ramp from zero, repeated three times.
 
@@ -78,18 +77,18 @@ def from_ramps(ramps: Sequence[Record], direction: str, sign: int) -> DeadZone:
 
 
 def from_onsets(onsets: Sequence[float], delay_rise: float = 0.0) -> DeadZone:
-    """Return mean and spread of the commands at which ramps set the piston in motion."""
+    """Return the dead zone as mean and spread of onsets, in the command's unit."""
     values = np.array(onsets)
     spread = float(values.std(ddof=1)) if values.size > 1 else None
     return DeadZone(float(values.mean()), spread, values.size, "ramps", delay_rise)
 
 
 def ramp_onset(record: Record, direction: str, sign: int) -> float:
-    """Return the command d that best explains a ramp as drift, then motion.
+    """Return the command d at the onset of motion in a ramp, by a least-squares fit of drift and motion.
 
-    x(t) = x₀ + c t + Σ bₙ wⁿ, n = 2, 2.5, 3, w = max(u(t) − d, 0), b ≥ 0. Leakage lets the piston creep
-    before the valve opens, and an opening valve's speed grows from zero, so a threshold on displacement would
-    be early in the first case and late in the second.
+    x(t) = x₀ + c t + Σ bₙ wⁿ, n = 2, 2.5, 3, w = max(u(t) − d, 0), b ≥ 0. A threshold on displacement would
+    be biased: low with leakage before the valve opens, high where the speed of an opening valve grows from
+    zero.
 
     Raises:
         LogError: the ramp ends before the piston moves.
@@ -123,12 +122,12 @@ def ramp_onset(record: Record, direction: str, sign: int) -> float:
 
 
 def ramp_rate(record: Record, direction: str) -> float:
-    """Return how fast the command of a ramp rises, in its unit per second."""
+    """Return the slope of a ramp's command, in its unit per second."""
     return _fit_ramp_line(record, direction)[0]
 
 
 def _fit_ramp_line(record: Record, direction: str) -> tuple[float, float, int]:
-    """Return slope and offset of the line that a ramp's command follows, and where the ramp ends."""
+    """Return slope and offset of the line through a ramp's command, and the number of its samples."""
     command = record.command(direction)
     stop = int(np.argmax(command)) + 1
     active = np.flatnonzero(command[:stop] > ACTIVE_FRACTION * command.max())
@@ -139,9 +138,9 @@ def _fit_ramp_line(record: Record, direction: str) -> tuple[float, float, int]:
 def response_delay(
     tests: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], dead_zone: float, step_s: float
 ) -> float:
-    """Return the lag, s, by which half of the speed of dynamic tests has followed the command.
+    """Return the response delay of dynamic tests, s.
 
-    The weighted median of the lags of `from_tests` by their gains behind a dead zone.
+    The median of the lags of `from_tests`, weighted by their gains at a given dead zone.
 
     Args:
         tests, step_s: as for `from_tests`.
@@ -156,22 +155,22 @@ def response_delay(
 
 
 def from_tests(tests: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], step_s: float) -> DeadZone:
-    """Return the dead zone with which an integrator explains dynamic tests best.
+    """Return the dead zone with which integrators with lags fit dynamic tests best.
 
-    w = Σ gᵢ ∫ uᵢ dt, where uᵢ is u = sign(c)·max(|c| − d, 0) behind a lag of 0, 0.03, 0.1, 0.3 and 1 s, in
-    proportion longer where the clock is slower than 0.1 s: for each candidate d the gains gᵢ ≥ 0 follow by
-    least squares over all tests, and together they stand for any short lag or dead time. The standard error
-    is the jackknife's over tests, over at most 24 groups of them, and of fewer than six tests over their
-    stretches; at the least or largest candidate, where leaving tests out may move nothing, how far from it
-    groups are not fitted worse by a standard error.
+    w = Σ gᵢ ∫ uᵢ dt, where uᵢ is u = sign(c)·max(|c| − d, 0) filtered by a lag of 0, 0.03, 0.1, 0.3 and 1 s
+    (scaled by `slow_clock_factor`). For each candidate d the gains gᵢ ≥ 0 follow by least squares over all
+    tests; their sum approximates any short lag or dead time. The standard error is the jackknife's over at
+    most 24 groups of tests, of fewer than six tests over their stretches. Where the jackknife gives zero, as
+    at the ends of the grid, it is the distance within which the groups' fit worsens by no more than its
+    standard error.
 
     Args:
-        tests: command, travel and which samples count, arrays of shape [N_i] for each test.
+        tests: command, travel and loss mask of each test, arrays of shape [N_i].
         step_s: sampling time, s.
 
     Returns:
-        The dead zone; zero with origin `none` where all candidates explain the tests equally well, as with
-        one constant command: then its spread is half of the largest command.
+        The dead zone. Where all candidates fit the tests equally well, as with one constant command: zero,
+        with origin `none` and half of the largest command as spread.
     """
     largest = max(float(np.abs(command).max()) for command, _, _ in tests)
     candidates = np.linspace(0.0, 0.95 * largest, CANDIDATES)
@@ -195,11 +194,11 @@ def from_tests(tests: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], step_
 
 
 def _half_width_without_jackknife(candidates: np.ndarray, groups: np.ndarray) -> float:
-    """Return how far from the best a dead zone may lie before groups are fitted worse by a standard error.
+    """Return the distance from the best dead zone within which the fit worsens by at most its standard error.
 
     Args:
         candidates: dead zones, shape [C].
-        groups: products of each group, shape [G, C, 6, 6].
+        groups: normal equations of each group, shape [G, C, 6, 6].
     """
     squares = []
     for number in range(candidates.size):
@@ -210,7 +209,7 @@ def _half_width_without_jackknife(candidates: np.ndarray, groups: np.ndarray) ->
     increase = np.array(squares) - squares[lowest]
     spread = increase.std(axis=1, ddof=1) / np.sqrt(len(groups))
     allowed = candidates[increase.mean(axis=1) <= spread]
-    # One candidate farther: the border lies between them.
+    # Plus one grid step: the border lies between two candidates.
     return float(np.max(np.abs(allowed - candidates[lowest])) + candidates[1] - candidates[0])
 
 
@@ -245,30 +244,30 @@ def _rows(command: np.ndarray, travel: np.ndarray, dead_zones: np.ndarray, step_
 
 
 def _residual_sums(products: np.ndarray) -> np.ndarray:
-    """Return the residual sum of squares for each candidate's products, shape [C]."""
+    """Return the residual sum of squares of each candidate, shape [C]."""
     return np.array([_gains(product)[1] ** 2 for product in products])
 
 
 def _gains(product: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the gains that least squares finds from products of the rows, and the residuals' norm."""
-    # Any square root of the products is as good as the rows themselves.
+    """Return the non-negative least-squares gains from normal equations, and the residual norm."""
+    # A square root of the normal equations replaces the rows: same gains, same norm.
     values, vectors = np.linalg.eigh(product)
     root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
     return nnls(root[:, :-1], root[:, -1])
 
 
 def _lags_s(step_s: float) -> list[float]:
-    """Return the lags by which an integrator's speed may follow, s."""
+    """Return the lags for a sampling time, s."""
     return [lag * slow_clock_factor(step_s) for lag in LAGS_S]
 
 
 def slow_clock_factor(step_s: float) -> float:
-    """Return the factor on times of hydraulics at sampling times above 0.1 s, else one."""
+    """Return the factor on lags at sampling times above 0.1 s; 1 below."""
     return max(1.0, step_s / FAST_STEP_S)
 
 
 def _parabola_minimum(candidates: np.ndarray, residual_sums: np.ndarray) -> float:
-    """Return the minimum between candidates by a parabola through the three lowest neighbours."""
+    """Return the minimum by a parabola through the lowest candidate and its two neighbours."""
     lowest = int(np.argmin(residual_sums))
     if lowest in (0, candidates.size - 1):
         return float(candidates[lowest])

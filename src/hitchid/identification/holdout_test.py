@@ -1,4 +1,4 @@
-"""The gate of the compensator for free run: its test on tests held out from its training."""
+"""Gate of the compensator for free run: its test on tests held out from its training."""
 
 from dataclasses import dataclass, field
 

@@ -1,4 +1,4 @@
-"""Campaign in, model and trace out: dead zones, then phase 1, then phase 2, for both directions at once."""
+"""Identification of a campaign: dead zones, phase 1, then phase 2, for both directions in parallel."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -84,7 +84,7 @@ def compare_modes(channel_data: Mapping[str, ChannelData]) -> TwoModes | None:
 
 
 def _pool_directions(batches: list[Batch]) -> tuple[Batch, np.ndarray]:
-    """Return the tests of both directions as travel from zero, and the place of each one's direction."""
+    """Return the tests of both directions as travel from zero, and the direction index of each test."""
     width = max(batch.command.shape[1] for batch in batches)
 
     def pad_and_stack(name: str) -> jnp.ndarray:
@@ -108,7 +108,7 @@ def _pool_directions(batches: list[Batch]) -> tuple[Batch, np.ndarray]:
 
 
 def _fit(objective: Objective, tests: np.ndarray, start: np.ndarray, limit: int) -> np.ndarray:
-    """Return the least squares over some tests; shapes stay, so that one program does for all."""
+    """Return the least-squares position over some tests; shapes stay the same, so nothing recompiles."""
     loss_mask = jnp.asarray(np.broadcast_to(tests[:, None], objective.batch.loss_mask.shape))
     problem = objective.with_data(objective.batch.masked(loss_mask)).problem()
     return refine(problem, start, limit=limit).position

@@ -1,4 +1,4 @@
-"""Nested forms around the second-order integrator, and starting points of their least squares."""
+"""Nested candidates based on the second-order integrator, and the starts of their least squares."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -37,7 +37,7 @@ SPOOL_LAG_START = 0.5
 
 
 def largest_spec(baseline: ModelSpec, covariate: str | None, *, opening_known: bool) -> ModelSpec:
-    """Return the largest form that is tried."""
+    """Return the largest candidate."""
     return replace(
         baseline,
         structure=structure_named("integrator-second-order"),
@@ -51,7 +51,7 @@ def largest_spec(baseline: ModelSpec, covariate: str | None, *, opening_known: b
 
 
 def nested_specs(largest: ModelSpec) -> list[tuple[str, ModelSpec]]:
-    """Return names and forms from a dead time up to everything."""
+    """Return names and specifications of the candidates, from a dead time alone to all options."""
     delayed = replace(
         largest,
         bounds={},
@@ -78,7 +78,7 @@ def nested_specs(largest: ModelSpec) -> list[tuple[str, ModelSpec]]:
 
 
 def starts(spec: ModelSpec, previous: Sequence[Parameter]) -> Sequence[Mapping[str, float]]:
-    """Return starting positions, by parameter name, of what a form has beyond the one before it.
+    """Return starting positions, by name, of the parameters that a candidate adds to the one before it.
 
     Args:
         spec: the form.

@@ -1,4 +1,4 @@
-"""Parts of a result that may fail without the model: what failed is left out, with a notice."""
+"""Optional parts of a result: a part that fails is left out, with a notice."""
 
 from collections.abc import Callable
 from typing import TypeVar
@@ -9,7 +9,7 @@ Result = TypeVar("Result")
 
 
 def attempt(description: str, compute: Callable[[], Result], notices: list[str]) -> Result | None:
-    """Compute a part of a result that the model can do without.
+    """Compute an optional part of a result.
 
     Args:
         description: what it is, for the notice.
@@ -20,7 +20,7 @@ def attempt(description: str, compute: Callable[[], Result], notices: list[str])
         The part; None where it failed, for whatever cause.
 
     Raises:
-        OutputError: a finished piece cannot be written; with room on the disk the run goes on.
+        OutputError: a checkpoint cannot be written, as on a full disk.
     """
     try:
         return compute()

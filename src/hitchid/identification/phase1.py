@@ -21,7 +21,7 @@ ROUGH_TOLERANCE, ROUGH_STEPS, STEPS = 1e-9, 60, 60  # of the first descents; pos
 
 @dataclass(frozen=True)
 class Fit:
-    """The best parameters of a form, and how they were found.
+    """The best parameters of a model specification, and the search for them.
 
     Attributes:
         objective: the tests and the form.
@@ -46,7 +46,7 @@ class Fit:
 
 @dataclass(frozen=True)
 class Phase1:
-    """The benchmark of one direction, how it was found, and its uncertainty.
+    """The benchmark of one direction, its fit and its uncertainty.
 
     Attributes:
         benchmark: structure with values.

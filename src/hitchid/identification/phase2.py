@@ -1,4 +1,4 @@
-"""Phase 2: the benchmark is frozen and the compensator learns its error by gradient descent."""
+"""Phase 2: the benchmark is frozen and the compensator is trained on its error."""
 
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -81,7 +81,7 @@ def train_compensator(
         training, validation: tests and the displacement the benchmark gives for them, shape [T, N].
         settings: size, window, optimiser.
         key: initial weights and shuffling.
-        progress, checkpoints: see `descend`.
+        progress, checkpoints: see `train`.
 
     Returns:
         The compensator of the epoch with the smallest validation loss, and both losses.

@@ -1,4 +1,4 @@
-"""Questions to campaigns carried out phase by phase, all directions of all campaigns at the same time."""
+"""Identification of several campaigns phase by phase, with all directions in parallel."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -34,12 +34,12 @@ def run_pipeline(
 
     Args:
         campaigns: of one machine each.
-        config: what is asked of each.
-        progress: told where the work stands.
-        checkpoints: where finished pieces are kept, for one campaign.
+        config: configuration, the same for all.
+        progress: called with the current task and the completed fraction.
+        checkpoints: folder of finished partial results, for one campaign.
 
     Returns:
-        In the order of the campaigns what was found, or the error with which one ended.
+        In the order of the campaigns the identification, or the error that ended it.
     """
 
     def prepare_job(campaign: Campaign) -> CampaignJob:
@@ -90,7 +90,7 @@ def _phase(
 
 
 def _campaign_results(results: Mapping[Key, ChannelResult | HitchError], number: int) -> ChannelResults:
-    """Return mode to answer of one campaign, or raise the error that one of them is."""
+    """Return direction to result of one campaign; raises the HitchError of a failed direction."""
     return {
         direction: _or_raise(result)
         for (campaign_number, direction), result in results.items()

@@ -1,4 +1,4 @@
-"""From the tests of one direction to what both phases work on: direction, end stop, dead zone, validation."""
+"""Preparation of the tests of one direction: sign, end stop, dead zone, validation tests."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -21,7 +21,7 @@ from hitchid.identification.dead_zone import (
 )
 from hitchid.structures import Batch, before_end_stop
 
-VALIDATION_EVERY = 4  # every fourth test stops the training
+VALIDATION_EVERY = 4  # chosen: every fourth test stops the training
 VALIDATION_FRACTION = 0.25  # share of one test alone that stops the training
 STOP_AGREEMENT = 0.02  # share of the range of displacements within which tests meet one end stop
 MAX_LENGTH_RATIO, SETTLING_S = 2.0, 2.0  # of the median stroke; s of rest that are kept: lags have died away
@@ -72,14 +72,14 @@ def prepare(
 ) -> ChannelData:
     """Prepare the identification tests of one direction.
 
-    Left out are tests that lack the second input or are all at the end stop, and ramps that end before the
+    Left out are tests that lack the covariate or are all at the end stop, and ramps that end before the
     piston moves; of a strict campaign the first of them is an error. What is held out stays so.
 
     Args:
         campaign: tests, of one direction each.
         direction: the direction.
         dead_zone: where it is known already; otherwise found from ramps, or else from the tests.
-        covariate: name of a second measured input.
+        covariate: name of a further measured input.
 
     Raises:
         InputError: every test of the direction is held out or left out.

@@ -37,7 +37,7 @@ from hitchid.identification.phase1 import Fit, Phase1, assess_fit, find_paramete
 from hitchid.structures import Batch, ModelOption, ModelSpec, Structure, external_structures
 from hitchid.uncertainty import NO_ERROR, DeadZoneError
 
-SAMPLES = 2048  # largest number of samples of a test while forms are compared
+SAMPLES = 2048  # largest number of samples of a test while candidates are compared; chosen
 # Shares of a dead zone that is tried again with a valve curve; the first decides whether the others are.
 DEAD_ZONE_SHARES = (0.5, 0.25, 0.75, 0.0)
 # Fractions of the work: of one search, of one candidate, and before the search of the chosen form.
@@ -47,11 +47,11 @@ BASELINE = "transfer function"  # name of the first candidate
 
 @dataclass(frozen=True)
 class AutoStructure:
-    """In place of a form: the form is chosen, from a plain transfer function up.
+    """Automatic choice of the structure, used in place of a model specification.
 
     Attributes:
-        baseline_spec: the form a choice starts from and must beat.
-        covariate: name of the second measured input that may be used; None for the campaign's first, if any.
+        baseline_spec: specification the choice starts from and must improve on.
+        covariate: name of the covariate that may be used; None for the campaign's first, if any.
     """
 
     baseline_spec: ModelSpec
@@ -116,7 +116,7 @@ def choose_spec(
 
 @dataclass(frozen=True)
 class _Choice:
-    """What every step of one choice shares.
+    """Data and settings shared by all steps of one choice.
 
     Attributes:
         batch, coarse: identification tests, and the same at a longer sampling time.

@@ -102,7 +102,7 @@ class TrainingSection(Strict):
 
 
 class IdentifyFile(Strict):
-    """All of the file."""
+    """The whole settings file."""
 
     seed: int = Field(default=0, ge=0, le=LARGEST_SEED)
     drift: bool = False

@@ -1,4 +1,4 @@
-"""The trace of an identification as JSON can hold it."""
+"""The trace of an identification as JSON values."""
 
 import math
 from dataclasses import asdict

@@ -39,7 +39,7 @@ class WhaleConfig:
     spiral: float = 1.0
 
     def __post_init__(self) -> None:
-        """Refuse what no search could run with."""
+        """Raise InputError for settings that do not allow one generation."""
         if self.population < 2 or self.iterations < 1:
             raise InputError(
                 f"whale: required at least 2 whales and 1 iteration, came {self.population} "
@@ -94,7 +94,7 @@ class WhaleTrace(eqx.Module):
 
 
 class WhaleResult(eqx.Module):
-    """What a search found.
+    """Result of a search.
 
     Attributes:
         best: best position in the unit cube, shape [D].
@@ -151,7 +151,7 @@ def ask(key: PRNGKeyArray, state: WhaleState, config: WhaleConfig) -> Float[Arra
 def tell(
     state: WhaleState, population: Float[Array, "p d"], fitness: Float[Array, " p"], config: WhaleConfig
 ) -> WhaleState:
-    """Take in the fitness of a generation; what is not finite counts as +inf and is never best."""
+    """Return the state updated by the fitness of a generation; a fitness that is not finite is +inf."""
     finite = jnp.where(jnp.isfinite(fitness), fitness, jnp.inf)
     leader = jnp.argmin(finite)
     better = finite[leader] < state.best_fitness
@@ -197,7 +197,7 @@ def outcome(carry: tuple[WhaleState, WhaleTrace], config: WhaleConfig) -> WhaleR
 
 
 def stagnated(state: WhaleState, config: WhaleConfig) -> Array:
-    """Tell whether a swarm has not improved by more than its tolerance for as long as it may, shape []."""
+    """Return whether the swarm has not improved by more than its tolerance for too long, shape []."""
     if config.stagnation is None:
         return jnp.asarray(False)
     return state.generation - 1 - state.improved >= config.stagnation
@@ -210,7 +210,7 @@ def run_until(
     key: PRNGKeyArray,
     until: Int[Array, ""] | int,
 ) -> tuple[WhaleState, WhaleTrace]:
-    """Let a swarm move on until it has gone through so many generations or settles.
+    """Run the swarm until a number of generations or until it stagnates.
 
     Args:
         objective: from positions of shape [P, D] to fitness of shape [P]; NaN marks a failed simulation.
