@@ -27,7 +27,7 @@ class Batch(eqx.Module):
         valid: which samples exist, shape [T, N].
         loss_mask: which samples errors are taken over (those before an end stop is met), shape [T, N].
         initial: displacement before motion, shape [T].
-        load: second measured input before motion, zero where there is none, shape [T].
+        covariate: second measured input before motion, zero where there is none, shape [T].
         step_s: sampling time, s.
         sign: +1 where the displacement grows with the command, −1 where it falls.
     """
@@ -66,7 +66,7 @@ class Batch(eqx.Module):
             sign: +1 where the displacement grows with the command, −1 where it falls.
             end_stop: displacement at which the piston meets its end stop, None where it never did.
             initial: displacement before motion; by default found by `mean_before_motion`.
-            load: name of the second measured input, of which the mean before motion counts; None for none.
+            covariate: name of the second measured input, whose mean before motion is used; None for none.
 
         Raises:
             InputError: a record lacks the second input.
