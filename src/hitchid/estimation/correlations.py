@@ -18,7 +18,7 @@ MAX_SAMPLES_PER_TEST = 256  # samples a test for every test: with fewer tests si
 
 
 class Correlations(eqx.Module):
-    """Correlations that give the squared error of a linear model at a cost independent of the number of tests.
+    """Correlations that give the squared error of a linear model at a cost that no number of tests raises.
 
     A model's travel is ŷ(n) = Σⱼ hⱼ u(n−j), with h its response to a command of one sample. With an
     integrator's h = κ as reference, e = y − κ Σ u its error, and δ = h − κ,

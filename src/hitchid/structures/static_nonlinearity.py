@@ -130,7 +130,7 @@ class StaticNonlinearity(eqx.Module):
 
         Args:
             command: u, what lies beyond the dead zone.
-            load: second input before motion.
+            covariate: second input before motion.
         """
         opening, exponent, saturation, shift = self._named("opening", "exponent", "saturation", "load_shift")
         size = jnp.abs(command) / self.scales.command
@@ -148,7 +148,7 @@ class StaticNonlinearity(eqx.Module):
 
         Args:
             displacement: where the piston is.
-            load: second input before motion.
+            covariate: second input before motion.
         """
         slope, curve, gain = self._named("position_slope", "position_curve", "load_gain")
         position = (displacement - self.scales.centre) / self.scales.span
@@ -172,7 +172,7 @@ class StaticNonlinearity(eqx.Module):
 
         Args:
             linear: travel of the linear model.
-            load: second input before motion.
+            covariate: second input before motion.
             initial: displacement before motion.
             sign: +1 where displacement grows with travel, −1 where it falls.
         """
