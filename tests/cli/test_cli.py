@@ -372,7 +372,7 @@ BAD_MODELS = {
     "trace edited": (edited("trace.json", "{", "{ "), ["trace.json", "edited"]),
     "a newer schema": (
         edited("model.json", '"schema": 6', '"schema": 7'),
-        ["model.json", "schema 6", "required 3 to 5"],
+        ["model.json", "schema 7", "required 3 to 6"],
     ),
 }
 
