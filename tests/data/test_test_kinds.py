@@ -14,6 +14,7 @@ from hitchid.data.test_kinds import (
     LEAD_IN_S,
     REST_S,
     SHORTEST_STROKE_S,
+    SHORTEST_STROKE_SAMPLES,
     STALL_S,
     STALL_SPEED_FRACTION,
     detect_kind,
@@ -166,6 +167,11 @@ def test_during_a_stroke_no_other_mode_has_an_effect(pieces):
 def test_a_stroke_shorter_than_half_a_second_is_left_out():
     brief = round(SHORTEST_STROKE_S / STEP_S) // 2
     record = held((100, 1, 0), (brief, 0, 1), (100, 1, 0))
+    assert [stroke.direction for stroke in strokes(record, ZONES)] == ["lifting", "lifting"]
+
+
+def test_on_a_slow_clock_a_stroke_of_fewer_samples_than_determine_two_speeds_is_left_out():
+    record = replace(held((20, 1, 0), (SHORTEST_STROKE_SAMPLES - 1, 0, 1), (20, 1, 0)), step_s=2.0)
     assert [stroke.direction for stroke in strokes(record, ZONES)] == ["lifting", "lifting"]
 
 

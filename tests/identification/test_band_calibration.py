@@ -11,6 +11,7 @@ from hitchid.identification import ModelSpec, MultiStart, band_calibration
 from hitchid.identification.band_calibration import FEWEST_TESTS, calibrate_bands
 from hitchid.identification.phase1 import identify_benchmark
 from hitchid.model import Channel, EnsembleMember
+from hitchid.model.bands import free_run_half_width
 from hitchid.model.ensemble import ensemble_deviations
 from hitchid.networks.operating_range import OperatingRange
 from hitchid.structures import Batch, structure_named
@@ -44,7 +45,7 @@ def calibrated(batch):
 def covered(channel, bands, batch, coverage):
     """Return the share of samples of tests that lie within the band of a free run."""
     simulated, deviations = ensemble_deviations(channel, bands.ensemble, batch)
-    half_width = bands.free_run_half_width(coverage, np.sqrt(np.sum(deviations**2, axis=0)))
+    half_width = free_run_half_width([bands], [np.sqrt(np.sum(deviations**2, axis=0))], coverage)
     inside = np.abs(np.asarray(batch.displacement) - simulated) <= half_width
     return float(np.mean(inside[np.asarray(batch.loss_mask)]))
 
@@ -63,10 +64,33 @@ def test_the_noise_is_that_of_the_sensor_and_bands_widen_with_level_and_horizon(
     np.testing.assert_allclose(widths[0], widths[1], rtol=0.2)
 
 
+def test_tests_to_come_are_covered_to_the_level(make_record):
+    rng = np.random.default_rng(0)
+    shares = {0.8: [], 0.9: []}
+    for _ in range(SETS):
+        channel, _, bands = calibrated(exchangeable(make_record, rng, TESTS))
+        to_come = exchangeable(make_record, rng, TO_COME)
+        for level, rows in shares.items():
+            rows.append(covered(channel, bands, to_come, level))
+    for level, rows in shares.items():
+        # Samples of a test hang together: the level is met to within one test, and the mean of sets scatters
+        # as a Beta(k, T + 1 - k) number does.
+        error = np.sqrt(level * (1 - level) / (TESTS + 2) / SETS)
+        assert abs(np.mean(rows) - level) <= 1 / (TESTS + 1) + SURE * error
+
+
 @pytest.mark.parametrize("count", [1, FEWEST_TESTS - 1])
 def test_too_few_tests_give_no_bands(make_record, count):
     _, _, bands = calibrated(exchangeable(make_record, np.random.default_rng(2), count))
     assert bands is None
+
+
+def test_few_tests_are_enough_and_their_band_holds_each_of_them(make_record):
+    batch = exchangeable(make_record, np.random.default_rng(3), FEWEST_TESTS)
+    channel, _, bands = calibrated(batch)
+    assert bands.tests == (FEWEST_TESTS, FEWEST_TESTS)
+    # No level above 3/4 is known from three tests: the largest score stands for it.
+    assert covered(channel, bands, batch, 0.95) >= 0.95
 
 
 def test_one_validation_test_gives_horizons_the_largest_error_of_its_quantiles(make_record):

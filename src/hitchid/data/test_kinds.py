@@ -16,6 +16,7 @@ STALL_COMMAND_FRACTION = 0.8  # of a standstill; least share with a strong comma
 REST_S = 0.5  # s without command before a stroke, in which the piston comes to rest (chosen)
 LEAD_IN_S = 0.1  # s kept before the onset of a stroke (chosen)
 SHORTEST_STROKE_S = 0.5  # s; shorter strokes do not determine the lag (chosen)
+SHORTEST_STROKE_SAMPLES = 3  # samples; the fewest with two speeds, on a slow clock too
 
 
 @dataclass(frozen=True)
@@ -125,14 +126,16 @@ def strokes(record: Record, dead_zones: Mapping[str, float]) -> list[Stroke]:
     """Cut a mixed record into strokes, each for the identification of one direction.
 
     A stroke begins 0.1 s before the command becomes effective after at least 0.5 s without effect, or at a
-    change of direction, and ends at the start of the next. Strokes shorter than 0.5 s are left out.
+    change of direction, and ends at the start of the next. Strokes shorter than 0.5 s or 3 samples are left
+    out.
     """
     signs = direction_signs(record, dead_zones)
     active_samples = np.flatnonzero(signs)
     if active_samples.size == 0:
         return []
-    rest = round(REST_S / record.step_s)
-    lead, shortest = round(LEAD_IN_S / record.step_s), SHORTEST_STROKE_S / record.step_s
+    rest = max(1, round(REST_S / record.step_s))
+    lead = round(LEAD_IN_S / record.step_s)
+    shortest = max(SHORTEST_STROKE_S / record.step_s, SHORTEST_STROKE_SAMPLES)
     after_rest = np.diff(active_samples, prepend=-rest - 1) > rest
     after_reversal = np.diff(signs[active_samples], prepend=signs[active_samples[0]]) != 0
     is_start = after_rest | after_reversal
