@@ -201,7 +201,7 @@ def test_settings_beyond_measure_are_refused_in_time_and_in_few_words(
 def test_a_budget_without_measure_is_refused(tmp_path, key):
     path = tmp_path / "settings.toml"
     path.write_text(f"[search]\n{key} = 0x{'f' * 5000}\n")
-    with pytest.raises(SettingsError, match=f"search.{key}.*came a huge number"):
+    with pytest.raises(SettingsError, match=f"search.{key}.*got a huge number"):
         read_settings(path)
 
 

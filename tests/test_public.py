@@ -100,7 +100,7 @@ wrong = {
         lambda: save("model", out),
     ],
     "there is no structure 'spring'": [lambda: hitchid.identify(campaign, structure={"lifting": "spring"})],
-    "one of lifting, lowering, came str 'up'": [
+    "one of lifting, lowering, got str 'up'": [
         lambda: hitchid.identify(campaign, structure={"up": "integrator"}),
         lambda: hitchid.identify(campaign, dead_zones={"up": 0.1}),
         lambda: record.command("up"),
@@ -166,7 +166,7 @@ wrong = {
         lambda: write_campaign(out, tests={"prbs": "20"}),
         lambda: simulate_log(model, 3, out),
     ],
-    "unit 'millimetre' is not known; required one of A, mA": [
+    "unit 'millimetre' is not known; expected one of A, mA": [
         lambda: hitchid.Record("a", 0.01, signals, {**units, "displacement": "millimetre"}),
         lambda: record.convert({"displacement": "millimetre"}),
     ],

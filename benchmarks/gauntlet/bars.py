@@ -50,7 +50,7 @@ def compare(outcomes: Iterable[Outcome], bars: Bars) -> None:
             value = outcome.figures.get(figure)
             if not holds(bar, value):
                 value_text = "missing" if value is None else f"{value:.4g}"
-                outcome.failures.append(f"{figure}: {value_text}, required {format_bar(bar)}")
+                outcome.failures.append(f"{figure}: {value_text}, expected {format_bar(bar)}")
 
 
 def zoo_total(outcomes: Iterable[Outcome]) -> Outcome:

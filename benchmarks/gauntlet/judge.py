@@ -17,8 +17,8 @@ from .zoo import Truth, draw
 PHYSICS = {"training": None, "comparison": None}
 GROSS_MISS_WIDTHS = 2.0
 MAX_STEPS = 50
-# A refusal names what came and what was required, or what to change or to measure.
-ADVICE = ("required", "measure", "name ", "give ", "use ", "must", "check", "needs")
+# A refusal names what it got and what was expected, or what to change or to measure.
+ADVICE = ("required", "expected", "choose ", "measure", "name ", "give ", "use ", "must", "check", "needs")
 LAGS = ("time_constant", "natural_frequency", "damping_ratio")
 TIMES = ("time_constant", "dead_time")
 
@@ -82,14 +82,23 @@ def exercise_model(
             if run["rmse"] is None:
                 outcome.failures.append(f"{name}: the free run diverges on unseen tests")
     with outcome.timed("simulate and step"):
-        # A campaign of one test identifies one direction; fresh tests have both.
-        usable_records = [record for record in unseen.records if _has_channels(model, record)]
-        record = max(usable_records, key=lambda record: float(np.ptp(record.displacement)))
+        record = _widest_usable(model, unseen)
         if not np.all(np.isfinite(model.simulate(record))):
             outcome.failures.append("simulate: a displacement is not finite")
         if not np.all(np.isfinite(_step_predictions(model, record))):
             outcome.failures.append("step: a displacement is not finite")
     return model, metrics
+
+
+def _widest_usable(model: Hitch, unseen: hitchid.Campaign) -> hitchid.Record:
+    """Return the test of most travel, or the stroke where every test excites a direction without a channel.
+
+    A campaign of one test may identify one direction only, where fresh tests have both.
+    """
+    strokes = unseen.segmented(model.segmentation_dead_zones(unseen.units)).records
+    whole = [record for record in unseen.records if _has_channels(model, record)]
+    usable_records = whole or [record for record in strokes if _has_channels(model, record)]
+    return max(usable_records, key=lambda record: float(np.ptp(record.displacement)))
 
 
 def _has_channels(model: Hitch, record: hitchid.Record) -> bool:

@@ -43,7 +43,7 @@ def test_a_registered_part_stands_behind_the_own_ones(folder: Path):
     [
         ("gone = words_pack:fourth", "AttributeError"),
         ("gone = no_such_pack:part", "ModuleNotFoundError"),
-        ("number = words_pack:number", "required a str, came a int"),
+        ("number = words_pack:number", "expected str, got int"),
         ("twice = words_pack:first", "'first' is taken"),
     ],
 )

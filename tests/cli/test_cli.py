@@ -295,9 +295,9 @@ BAD_CONFIGS = {
         '[lowering]\nstructure = "integrator"\nbounds = { gain = [5, inf] }',
         ["gain", "inf"],
     ),
-    "a negative dead zone": ("[lifting]\ndead_zone = -1", ["'lifting.dead_zone'", "came -1"]),
+    "a negative dead zone": ("[lifting]\ndead_zone = -1", ["'lifting.dead_zone'", "got -1"]),
     "a search nobody knows": ('[search]\nmethod = "fish"', ["'search.method'", "'whale'", "'fish'"]),
-    "a window of one": ("[training]\nwindow = 1", ["'training.window'", "came 1"]),
+    "a window of one": ("[training]\nwindow = 1", ["'training.window'", "got 1"]),
     "no TOML": ("seed = \n", ["not valid TOML", "line 1"]),
     "a seed too large": (f"seed = {10**20}\n{QUICK}", ["seed", str(10**20)]),
     "a rate without end": (QUICK + "learning_rate = inf", ["'training.learning_rate'", "inf"]),
@@ -353,7 +353,7 @@ def cut(file, keep):
 
 
 BAD_MODELS = {
-    "no folder": (shutil.rmtree, ["model.json", "required a model folder"]),
+    "no folder": (shutil.rmtree, ["model.json", "expected a model folder"]),
     "weights cut short": (cut("weights.safetensors", -10), ["weights.safetensors", "cut short", "required"]),
     "no weights": (lambda folder: (folder / "weights.safetensors").unlink(), ["weights.safetensors"]),
     "description edited": (
@@ -372,7 +372,7 @@ BAD_MODELS = {
     "trace edited": (edited("trace.json", "{", "{ "), ["trace.json", "edited"]),
     "a newer schema": (
         edited("model.json", '"schema": 6', '"schema": 7'),
-        ["model.json", "schema 7", "required 3 to 6"],
+        ["model.json", "schema 7", "expected 3 to 6"],
     ),
 }
 
@@ -506,8 +506,8 @@ def test_run_starts_where_it_is_told_to(tmp_path):
 
 
 def test_run_refuses_what_it_cannot_start_from(refused, model, tmp_path):
-    refused("run", tmp_path / "missing", said=["model.json", "required a model folder"])
-    refused("run", model, "--initial", "nan", said=["displacement", "required a finite number"])
+    refused("run", tmp_path / "missing", said=["model.json", "expected a model folder"])
+    refused("run", model, "--initial", "nan", said=["displacement", "expected a finite number"])
 
 
 @pytest.mark.parametrize("horizon", ["free", "3"])
@@ -545,7 +545,7 @@ def test_simulate_without_bands_in_the_model_says_why_and_writes_nothing(model, 
     out = tmp_path / "out.csv"
     result = hitchid("simulate", model, bench_folder / "lowering-02.csv", "--out", out, "--bands")
     assert result.code == 2
-    assert "no bands for lifting and lowering; required at least three tests" in result.err
+    assert "no bands for lifting and lowering; expected at least three tests" in result.err
     assert not out.exists()
 
 
@@ -553,7 +553,7 @@ def test_design_of_a_model_that_knows_nothing_says_so_and_writes_nothing(model, 
     out = tmp_path / "next.csv"
     result = hitchid("design", model, "--direction", "lifting", "--out", out)
     assert result.code == 2
-    assert "came lifting" in result.err
+    assert "got lifting" in result.err
     assert not out.exists()
 
 

@@ -283,14 +283,19 @@ def test_every_ending_reaches_its_format_whatever_its_case(log, tmp_path, ending
 @pytest.mark.parametrize(
     ("writer", "ending", "module", "said"),
     [
-        (write_table, ".tdms", "nptdms", "required npTDMS to read it: pip install 'hitchid[tdms]'"),
-        (write_table, ".mf4", "asammdf", "required asammdf to read it: pip install 'hitchid[mdf]'"),
-        (write_mat73, ".mat", "h5py", "required h5py to read it: pip install 'hitchid[hdf5]'"),
-        (write_hdf5, ".h5", "h5py", "required h5py to read it: pip install 'hitchid[hdf5]'"),
-        (write_table, ".parquet", "pyarrow", "required pyarrow to read it: pip install 'hitchid[parquet]'"),
-        (write_bus, ".asc", "can", "required python-can to read it: pip install 'hitchid[can]'"),
-        (write_bus, ".blf", "can", "required python-can to read it: pip install 'hitchid[can]'"),
-        (write_bus, ".blf", "cantools", "required cantools to read it: pip install 'hitchid[can]'"),
+        (write_table, ".tdms", "nptdms", "npTDMS is required to read it: pip install 'hitchid[tdms]'"),
+        (write_table, ".mf4", "asammdf", "asammdf is required to read it: pip install 'hitchid[mdf]'"),
+        (write_mat73, ".mat", "h5py", "h5py is required to read it: pip install 'hitchid[hdf5]'"),
+        (write_hdf5, ".h5", "h5py", "h5py is required to read it: pip install 'hitchid[hdf5]'"),
+        (
+            write_table,
+            ".parquet",
+            "pyarrow",
+            "pyarrow is required to read it: pip install 'hitchid[parquet]'",
+        ),
+        (write_bus, ".asc", "can", "python-can is required to read it: pip install 'hitchid[can]'"),
+        (write_bus, ".blf", "can", "python-can is required to read it: pip install 'hitchid[can]'"),
+        (write_bus, ".blf", "cantools", "cantools is required to read it: pip install 'hitchid[can]'"),
     ],
 )
 def test_a_missing_library_is_named_with_the_command_that_brings_it(

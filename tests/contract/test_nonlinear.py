@@ -122,7 +122,7 @@ def test_what_comes_later_changes_nothing_before(structure):
     ],
 )
 def test_a_nonlinear_structure_takes_no_options(structure, option, named):
-    with pytest.raises(InputError, match=f"'{structure.name}' takes no {named}; required a form without"):
+    with pytest.raises(InputError, match=f"'{structure.name}' takes no {named}; expected a form without"):
         ModelSpec(structure, **option)
     assert ModelSpec(structure).parameters == structure.parameters
 
@@ -132,7 +132,7 @@ def test_it_has_no_transfer_function(structure):
     model = PhysicalModel(structure, values_of(structure), jnp.asarray(0.0))
     for asked in (model.to_scipy, model.to_control):
         for step_s in (None, STEP_S):
-            with pytest.raises(InputError, match=f"'{structure.name}' is not linear; required a linear"):
+            with pytest.raises(InputError, match=f"'{structure.name}' is not linear; expected a linear"):
                 asked(step_s)
     with pytest.raises(InputError, match="is not linear"):
         model.discretised(STEP_S)

@@ -65,7 +65,7 @@ def test_it_stands_beside_those_of_the_package(installed):
 
 
 def test_a_renderer_that_is_not_installed_is_refused_by_its_name(result):
-    with pytest.raises(InputError, match="came 'latex', required one of html, pdf, markdown"):
+    with pytest.raises(InputError, match="got 'latex', expected one of html, pdf, markdown"):
         render(result.report(), "latex")
 
 

@@ -76,7 +76,7 @@ def identified(installed, campaign):
 
 
 def test_without_the_package_its_name_is_refused():
-    with pytest.raises(InputError, match=f"no structure '{NAME}'; required one of integrator-second-order"):
+    with pytest.raises(InputError, match=f"no structure '{NAME}'; expected one of integrator-second-order"):
         structure_named(NAME)
 
 

@@ -185,7 +185,7 @@ def test_settings_that_contradict_the_logs_are_refused_before_any_search(five):
     campaign = read(five)
     for value in (0.5, 7.0, -1.0, np.nan):
         with pytest.raises(
-            SettingsError, match=r"lifting: dead_zone is .* A; required from 0 to below.*0\.5"
+            SettingsError, match=r"lifting: dead_zone is .* A; expected from 0 to below.*0\.5"
         ):
             _check_dead_zone(campaign, LIFTING, value)
     _check_dead_zone(campaign, LIFTING, 0.49)
@@ -219,6 +219,6 @@ def test_a_run_that_failed_is_not_in_the_way_of_the_next(five, tmp_path, monkeyp
     monkeypatch.setattr("hitchid.identification.identify", None)
     Checkpoints.of_run(unfinished, {"seed": 0})
     (unfinished / "failed").unlink(missing_ok=True)
-    with pytest.raises(OutputError, match=r"required --resume .*--force"):
+    with pytest.raises(OutputError, match=r"expected --resume .*--force"):
         CliRunner().invoke(app, identify, catch_exceptions=False)
     assert is_run(unfinished)

@@ -130,8 +130,8 @@ def test_time_that_runs_backwards_is_refused_with_its_line(first_line):
     ("stamps", "said"),
     [
         ([3.0] * 5, "all 5 time stamps are 3 s"),
-        ([0.0, np.nan, 1.0], "came nan"),
-        ([0.0, 1.0, np.inf], "came inf"),
+        ([0.0, np.nan, 1.0], "got nan"),
+        ([0.0, 1.0, np.inf], "got inf"),
         ([0.0, 1e-12, 2e-12], "sampling time"),
     ],
 )

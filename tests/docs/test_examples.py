@@ -120,7 +120,7 @@ def commands(block: Block) -> Iterator[Command]:
     """Return the commands of a console, each with the output below it."""
     lines = block.text.splitlines()
     starts = [number for number, line in enumerate(lines) if line.startswith("$ ")]
-    assert starts[:1] == [0], f"{block.place}: required a first line that begins with '$ '"
+    assert starts[:1] == [0], f"{block.place}: expected a first line that begins with '$ '"
     for start, stop in zip(starts, [*starts[1:], len(lines)], strict=True):
         line, _, code = lines[start].removeprefix("$ ").partition("  # exit code ")
         yield Command(line, int(code or 0), tuple(lines[start + 1 : stop]))
@@ -139,7 +139,7 @@ def run_command(command: Command, place: str) -> None:
         del arguments[index : index + 2]
     code, printed = call(arguments, standard_input)
     context = f"{place}: $ {command.line}"
-    assert code == command.code, f"{context}\nexit code {code}, required {command.code}\n{printed}"
+    assert code == command.code, f"{context}\nexit code {code}, expected {command.code}\n{printed}"
     remaining = iter(printed.splitlines())
     for line in command.shown:
         matched = line in ("", OMITTED) or any(alike(line, printed_line) for printed_line in remaining)

@@ -70,5 +70,5 @@ def test_precompensation_adds_the_dead_zone_only_where_something_is_commanded():
 
 
 def test_levels_the_wrong_way_round_are_refused():
-    with pytest.raises(InputError, match=r"0 ≤ low < high, came 0.3 and 0.1"):
+    with pytest.raises(InputError, match=r"0 ≤ low < high, got 0.3 and 0.1"):
         excitation.prbs(low=0.3, high=0.1, clock_s=0.1, duration_s=10.0, seed=0)

@@ -36,7 +36,7 @@ def test_a_missing_figure_fails_and_stands_on_the_page():
     outcome = Outcome("rig-a", figures={"a": 1.0})
     bars = {"rig-a": {"a": {"most": 1.0}, "b": {"most": 1.0}}}
     compare([outcome], bars)
-    assert outcome.failures == ["b: missing, required ≤ 1"]
+    assert outcome.failures == ["b: missing, expected ≤ 1"]
     text = page([outcome, zoo_total([])], bars, left_out=["emps"], seed=9)
     assert "| rig-a | a | 1 | ≤ 1 |" in text
     assert "- rig-a: b: missing" in text
@@ -45,14 +45,14 @@ def test_a_missing_figure_fails_and_stands_on_the_page():
 
 def test_errors_become_outcomes():
     def refuse(_):
-        raise InputError("no test; required one")
+        raise InputError("no test; expected one")
 
     def fall(outcome):
         with outcome.timed("identify"):
             raise OverflowError("far out")
 
     refused, fallen = run_guarded(Outcome("a"), refuse), run_guarded(Outcome("b"), fall)
-    assert (refused.result, refused.message, refused.failures) == (REFUSED, "no test; required one", [])
+    assert (refused.result, refused.message, refused.failures) == (REFUSED, "no test; expected one", [])
     assert fallen.result == TRACEBACK
     assert fallen.failures == ["identify: OverflowError: far out"]
     assert "identify" in fallen.seconds

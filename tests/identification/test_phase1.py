@@ -193,14 +193,14 @@ def test_bounds_are_kept_and_a_parameter_at_one_is_said_to_be(batch_of, bounds, 
 @pytest.mark.parametrize(
     ("bounds", "complaint"),
     [
-        ({"tau": (0.1, 1.0)}, "no parameter 'tau'; required one of gain, time_constant"),
+        ({"tau": (0.1, 1.0)}, "no parameter 'tau'; expected one of gain, time_constant"),
         ({"dead_time": (0.1, 1.0)}, "no parameter 'dead_time'"),
-        ({"gain": (2.0, 1.0)}, "'gain': required 0 < lower < upper, came 2 and 1"),
-        ({"gain": (1.0, 1.0)}, "required 0 < lower < upper"),
-        ({"gain": (0.0, 1.0)}, "required 0 < lower < upper"),
-        ({"gain": (-1.0, 1.0)}, "required 0 < lower < upper"),
-        ({"gain": (1.0, float("inf"))}, "required 0 < lower < upper"),
-        ({"gain": (float("nan"), 1.0)}, "required 0 < lower < upper"),
+        ({"gain": (2.0, 1.0)}, "'gain': expected 0 < lower < upper, got 2 and 1"),
+        ({"gain": (1.0, 1.0)}, "expected 0 < lower < upper"),
+        ({"gain": (0.0, 1.0)}, "expected 0 < lower < upper"),
+        ({"gain": (-1.0, 1.0)}, "expected 0 < lower < upper"),
+        ({"gain": (1.0, float("inf"))}, "expected 0 < lower < upper"),
+        ({"gain": (float("nan"), 1.0)}, "expected 0 < lower < upper"),
     ],
 )
 def test_bounds_that_make_no_sense_are_refused(batch_of, bounds, complaint):

@@ -62,9 +62,7 @@ def test_without_bands_for_a_channel_there_is_none(cycle):
 
 @pytest.mark.parametrize("coverage", [0.4, 0.99, float("nan")])
 def test_a_share_that_was_not_calibrated_is_refused(cycle, coverage):
-    with pytest.raises(
-        InputError, match=r"coverage: required (between 0\.5 and 0\.95|a finite number), came"
-    ):
+    with pytest.raises(InputError, match=r"coverage: expected (between 0\.5 and 0\.95|a finite number), got"):
         MODEL.band(cycle[0], coverage=coverage)
 
 

@@ -245,7 +245,7 @@ def test_what_is_no_json_is_told(line):
 def test_what_is_no_object_is_told(line):
     answer = Live(MODEL, initial=START).process(line)
     assert answer.displacement == START
-    assert said(answer, "required an object")
+    assert said(answer, "expected an object")
 
 
 @pytest.mark.parametrize("value", ["100", True, False, [100.0], {"mm": 100.0}])

@@ -464,7 +464,7 @@ def test_a_message_whose_frames_are_all_short_is_refused(plain, source):
 
 def test_a_log_without_a_database_says_what_is_required(source):
     with pytest.raises(
-        LogError, match=r"log\.asc: required a DBC file: put it into the log's folder or name it in camp"
+        LogError, match=r"log\.asc: expected a DBC file: put it into the log's folder or name it in camp"
     ):
         read_bus([], source, wanted("x"))
 
@@ -674,7 +674,7 @@ def test_a_line_that_misses_bytes_is_left_out(tmp_path, plain):
 def test_relative_stamps_are_refused(tmp_path, plain):
     (tmp_path / "log.asc").write_text(HEADER.replace("absolute", "relative") + LINES)
     with pytest.raises(
-        LogError, match="count from the line before each; required 'base hex timestamps absolute'"
+        LogError, match="count from the line before each; expected 'base hex timestamps absolute'"
     ):
         read(tmp_path / "log.asc", wanted("Speed", databases=[plain]))
 

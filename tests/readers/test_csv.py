@@ -180,7 +180,7 @@ def test_a_cell_is_the_number_it_says_or_is_refused_by_line_and_column(log, cell
     except LogError as error:
         message = str(error)
         assert message.startswith(f"{path}: line 11: column 'current_up_A': ")
-        assert "required a number" in message
+        assert "expected a number" in message
         return
     np.testing.assert_array_equal(read, float(cell.strip()))
 

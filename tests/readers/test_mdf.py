@@ -281,5 +281,5 @@ def test_a_missing_library_is_named_with_its_extra(tmp_path, monkeypatch):
     without(monkeypatch, "asammdf")
     with pytest.raises(LogError, match=r"pip install 'hitchid\[mdf\]'"):
         read(tmp_path / "log.mf4", ALL)
-    with pytest.raises(LogError, match="required asammdf to write it"):
+    with pytest.raises(LogError, match="asammdf is required to write it"):
         write_table(tmp_path / "log.mf4", table())

@@ -154,7 +154,7 @@ def test_a_missing_library_is_named_with_its_extra(tmp_path, monkeypatch):
     without(monkeypatch, "pyarrow")
     with pytest.raises(LogError, match=r"pip install 'hitchid\[parquet\]'"):
         read(tmp_path / "log.parquet", ALL)
-    with pytest.raises(LogError, match="required pyarrow to write it"):
+    with pytest.raises(LogError, match="pyarrow is required to write it"):
         write_table(tmp_path / "log.parquet", table())
 
 

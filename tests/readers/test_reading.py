@@ -336,7 +336,7 @@ def test_a_stretch_that_is_not_finite_is_refused_with_its_line_and_length(folder
     write_table(folder / "a.csv", log)
     with pytest.raises(LogError) as caught:
         read(folder)
-    for said in ("a.csv", "line 32", f"'{column}'", f"came {value}", "20", "100"):
+    for said in ("a.csv", "line 32", f"'{column}'", f"got {value}", "20", "100"):
         assert said in str(caught.value)
 
 

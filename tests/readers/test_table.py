@@ -241,7 +241,7 @@ def test_what_is_not_finite_is_refused_with_its_place_and_count(name, value):
     spoiled[[4, 9]] = value
     channels = {**given.channels, name: given.channels[name]._replace(values=spoiled)}
     said = refused(Content(SOURCE, channels, line_of=lambda sample: 100 + sample), signal_map("x", "mm"))
-    for part in ("line 104", f"column '{name}'", f"came {value}", "2 such of 30", "at sample 4"):
+    for part in ("line 104", f"column '{name}'", f"got {value}", "2 such of 30", "at sample 4"):
         assert part in said
 
 

@@ -236,7 +236,7 @@ def test_a_missing_library_is_named_with_its_extra(tmp_path, monkeypatch):
     without(monkeypatch, "nptdms")
     with pytest.raises(LogError, match=r"pip install 'hitchid\[tdms\]'"):
         read(tmp_path / "log.tdms", ALL)
-    with pytest.raises(LogError, match="required npTDMS to write it"):
+    with pytest.raises(LogError, match="npTDMS is required to write it"):
         write_table(tmp_path / "log.tdms", table())
 
 

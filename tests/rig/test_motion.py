@@ -148,15 +148,15 @@ def test_derivatives_by_parameters_are_finite_differences(rig, held):
 
 def test_misuse_is_refused(rig, held):
     currents = held([0.5], 0.0)
-    with pytest.raises(InputError, match=r"came shape \(1001, 2\)"):
+    with pytest.raises(InputError, match=r"got shape \(1001, 2\)"):
         simulate(rig, currents[0], initial_displacement_m=0.1)
     with pytest.raises(InputError, match=r"initial_displacement_m: .*0\.3.*0 to 0\.25"):
         simulate(rig, currents, initial_displacement_m=0.3)
-    with pytest.raises(InputError, match=r"currents: came -0\.5"):
+    with pytest.raises(InputError, match=r"currents: got -0\.5"):
         simulate(rig, -currents, initial_displacement_m=0.1)
-    with pytest.raises(InputError, match="load_force_n: came shape"):
+    with pytest.raises(InputError, match="load_force_n: got shape"):
         simulate(rig, currents, initial_displacement_m=0.1, load_force_n=np.zeros(7))
     with pytest.raises(InputError, match=r"oil_temperature_c: .*finite"):
         simulate(rig, currents, initial_displacement_m=0.1, oil_temperature_c=np.nan)
-    with pytest.raises(InputError, match="substeps: came 0"):
+    with pytest.raises(InputError, match="substeps: got 0"):
         simulate(rig, currents, initial_displacement_m=0.1, substeps=0)

@@ -215,7 +215,7 @@ def test_a_wider_band_covers_more(levels, horizon):
 
 @pytest.mark.parametrize("coverage", [0.0, 0.49, 0.96, 0.99, 1.0, 95.0, float("nan")])
 def test_coverage_beyond_the_levels_is_refused(coverage):
-    complaint = f"coverage: required between 0.5 and 0.95, came {coverage:g}"
+    complaint = f"coverage: expected between 0.5 and 0.95, got {coverage:g}"
     for ask in (
         lambda: BANDS.multiplier(coverage),
         lambda: BANDS.half_width(coverage, 1),

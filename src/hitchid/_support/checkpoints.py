@@ -49,12 +49,12 @@ class Checkpoints:
             if run_file.read_bytes() != stamp:
                 raise InputError(
                     f"{folder}: holds an unfinished run of other logs, other settings or another version; "
-                    "required the same ones; --force without --resume begins anew"
+                    "use the same ones; --force without --resume begins anew"
                 )
         elif folder.is_dir() and any(
             not child_path.name.startswith(f".{RUN_FILE}-") for child_path in folder.iterdir()
         ):
-            raise InputError(f"{folder}: holds no unfinished run; required another place, or an empty folder")
+            raise InputError(f"{folder}: holds no unfinished run; choose another place, or an empty folder")
         else:
             write_bytes(run_file, stamp, force=True)
         return cls(folder)

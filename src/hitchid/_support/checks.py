@@ -90,4 +90,4 @@ def input_error(name: str, required: str, value: object) -> InputError:
     """Return the error for a value that does not meet a requirement."""
     text = repr(value)
     shown = text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}…"
-    return InputError(f"{name}: required {required}, came {type(value).__name__} {shown}")
+    return InputError(f"{name}: expected {required}, got {type(value).__name__} {shown}")

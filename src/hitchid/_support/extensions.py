@@ -31,9 +31,7 @@ def with_extensions(
     for entry in sorted(entry_points(group=group), key=lambda entry: entry.name):
         extension = _load(entry, kind)
         if name(extension) in extensions:
-            raise InputError(
-                f"{_source(entry)}: the name '{name(extension)}' is taken; required another name"
-            )
+            raise InputError(f"{_source(entry)}: the name '{name(extension)}' is taken; choose another name")
         extensions[name(extension)] = extension
     return MappingProxyType(extensions)
 
@@ -43,11 +41,11 @@ def _load(entry: EntryPoint, kind: type[Extension]) -> Extension:
         extension = entry.load()
     except Exception as error:  # the code of another package may raise anything
         raise InputError(
-            f"{_source(entry)}: cannot be imported: {type(error).__name__}: {error}; required a package that "
-            "can be imported; repair or uninstall it"
+            f"{_source(entry)}: cannot be imported: {type(error).__name__}: {error}; repair or "
+            "uninstall the package"
         ) from error
     if not isinstance(extension, kind):
-        raise InputError(f"{_source(entry)}: required a {kind.__name__}, came a {type(extension).__name__}")
+        raise InputError(f"{_source(entry)}: expected {kind.__name__}, got {type(extension).__name__}")
     return extension
 
 

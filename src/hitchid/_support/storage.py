@@ -35,7 +35,7 @@ def inside_folder(path: Path) -> Path:
     if path.is_symlink() and not target.is_relative_to(os.path.realpath(path.parent)):
         raise InputError(
             f"{path}: is a link out of its folder, to {target}; "
-            "required a file of the folder, or the target itself"
+            "expected a file of the folder, or the target itself"
         )
     return path
 
@@ -133,7 +133,7 @@ def check_folder(folder: Path, *, result_kind: str, force: bool) -> None:
     _check_path(folder)
     occupied = folder.exists() and not (folder.is_dir() and not any(folder.iterdir()))
     if occupied and not force:
-        raise OutputError(f"{folder}: exists already; required a new folder, or --force to replace it")
+        raise OutputError(f"{folder}: exists already; use a new folder, or --force to replace it")
     if occupied:
         _check_replaceable(folder, result_kind)
 
@@ -146,12 +146,12 @@ def _check_replaceable(folder: Path, result_kind: str) -> None:
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise OutputError(
             f"{folder}: holds no {MANIFEST_FILE} that lists a result, so --force does not replace it; "
-            "required another place"
+            "choose another place"
         ) from error
     if kind != result_kind:
         raise OutputError(
             f"{folder}: is a result with {kind}, not with {result_kind}, so --force does not replace it; "
-            "required another place"
+            "choose another place"
         )
     try:
         foreign = [name for name, checksum in _digests(folder).items() if files.get(name) != checksum]
@@ -162,7 +162,7 @@ def _check_replaceable(folder: Path, result_kind: str) -> None:
         names = f"{', '.join(foreign[:MAX_NAMED])}{more}"
         raise OutputError(
             f"{folder}: holds {len(foreign)} file{'s' if len(foreign) > 1 else ''} that the command did not "
-            f"write or that changed since: {names}; --force does not replace it; required another place"
+            f"write or that changed since: {names}; --force does not replace it; choose another place"
         )
 
 
@@ -185,13 +185,13 @@ def check_inputs(out: Path, inputs: Iterable[Path | None]) -> None:
             continue
         real_path = Path(os.path.realpath(input_path))
         if any(os.path.samefile(out, ancestor) for ancestor in (real_path, *real_path.parents)):
-            raise OutputError(f"{out}: {input_path} is read from there; required another place to write")
+            raise OutputError(f"{out}: {input_path} is read from there; choose another place to write")
         if (
             out.is_file()
             and real_path.is_dir()
             and os.path.samefile(Path(os.path.realpath(out)).parent, real_path)
         ):
-            raise OutputError(f"{out}: lies in {input_path}, which is read; required another place to write")
+            raise OutputError(f"{out}: lies in {input_path}, which is read; choose another place to write")
 
 
 def _check_path(path: Path) -> None:
@@ -213,7 +213,7 @@ def check_file(path: Path, *, force: bool) -> None:
     """
     _check_path(path)
     if path.exists() and not (force and path.is_file()):
-        raise OutputError(f"{path}: exists already; required a new file, or --force to replace one")
+        raise OutputError(f"{path}: exists already; use a new file, or --force to replace one")
 
 
 def write_file(path: Path, write: Callable[[Path], None], *, force: bool) -> None:

@@ -29,5 +29,5 @@ def baseline_named(name: str) -> Baseline:
     """
     baselines = all_baselines()
     if name not in baselines:
-        raise InputError(f"baseline: required one of {', '.join(baselines)}, came '{name}'")
+        raise InputError(f"baseline: expected one of {', '.join(baselines)}, got '{name}'")
     return baselines[name]

@@ -101,7 +101,7 @@ def _make_way(unfinished: Path, *, force: bool) -> None:
 
     if not force:
         raise OutputError(
-            f"{unfinished}: holds a run that was stopped; required --resume to go on with it, "
+            f"{unfinished}: holds a run that was stopped; use --resume to go on with it, "
             "or --force to begin anew"
         )
     if not is_run(unfinished):

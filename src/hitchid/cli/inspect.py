@@ -42,7 +42,7 @@ def inspect(
     from hitchid.inspection.inspect_logs import inspect as look
 
     if out is not None and not propose:
-        raise InputError("--out: required --propose beside it")
+        raise InputError("--out: expected --propose beside it")
     if propose:
         _propose(logs, out, force=force)
         return
@@ -84,7 +84,7 @@ def _check_picture(path: Path, *, force: bool, inputs: list[Path | None]) -> Non
     from hitchid._support.storage import check_file, check_inputs
 
     if path.suffix not in PICTURES:
-        raise InputError(f"--draw: required a name ending in {', '.join(PICTURES)}, came '{path.name}'")
+        raise InputError(f"--draw: expected a name ending in {', '.join(PICTURES)}, got '{path.name}'")
     check_file(path, force=force)
     check_inputs(path, inputs)
 

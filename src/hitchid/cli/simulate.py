@@ -56,4 +56,4 @@ def _horizon(text: str) -> int | None:
         return None
     if text.isdecimal() and int(text) > 0:
         return int(text)
-    raise InputError(f"--horizon: required 'free' or a whole number of samples above 0, came '{text}'")
+    raise InputError(f"--horizon: expected 'free' or a whole number of samples above 0, got '{text}'")

@@ -38,7 +38,7 @@ def validate(
     check_inputs(out, inputs)
     if junit is not None:
         if accept is None:
-            raise InputError("--junit: required --accept with limits, came none")
+            raise InputError("--junit: expected --accept with limits, got none")
         check_file(junit, force=force)
         check_inputs(junit, inputs)
     prepare_jax()

@@ -74,9 +74,9 @@ class Campaign:
             test_patterns = checks.tuple_of(test_patterns, str, "test_patterns", "patterns on names")
         checks.instance(kinds or {}, Mapping, "kinds", "pattern on names to kind")
         if not records:
-            raise InputError("a campaign needs at least one record, none came")
+            raise InputError("a campaign needs at least one record, got none")
         if empty := [record.name for record in records if not len(record)]:
-            raise InputError(f"record '{empty[0]}' holds no samples; required at least one")
+            raise InputError(f"record '{empty[0]}' holds no samples; expected at least one")
         names = [record.name for record in records]
         for name in names:
             if names.count(name) > 1:
@@ -235,7 +235,7 @@ def _require_motion(record: Record) -> Record:
         raise LogError(
             record.source or record.name,
             f"the displacement is constant ({record.displacement[0]:g} {record.unit}) over all "
-            f"{len(record)} samples although the command changes; required a moving piston "
+            f"{len(record)} samples although the command changes; expected a moving piston "
             "(is the sensor connected?)",
         )
     return record
@@ -271,7 +271,7 @@ def _to_common_clock(record: Record, step_s: float) -> Record:
         raise LogError(
             record.source or record.name,
             f"has a sampling time of {record.step_s:.4g} s, the logs one of {step_s:.4g} s in the median; "
-            f"required none that differs by more than a factor of {MAX_RATE_RATIO}",
+            f"expected none that differs by more than a factor of {MAX_RATE_RATIO}",
         )
     return replace(record, step_s=step_s) if drift <= 0.05 * step_s else record.resample(step_s)
 
@@ -280,6 +280,6 @@ def _kind(record: Record, scales: Mapping[str, float], kinds: Mapping[str, str])
     for pattern, kind in kinds.items():
         if fnmatchcase(record.name, pattern):
             if kind not in KINDS:
-                raise InputError(f"tests: '{kind}' is no kind of test; required one of {', '.join(KINDS)}")
+                raise InputError(f"tests: '{kind}' is no kind of test; expected one of {', '.join(KINDS)}")
             return kind
     return detect_kind(record, scales)

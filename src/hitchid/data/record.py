@@ -63,26 +63,24 @@ class Record:
         checks.one_of(self.kind, KINDS, f"record '{self.name}': kind")
         if DISPLACEMENT not in self.signals:
             raise InputError(
-                f"record '{self.name}': a displacement signal is required, came {sorted(self.signals)}"
+                f"record '{self.name}': a displacement signal is required, got {sorted(self.signals)}"
             )
         if not any(role in self.signals for role in COMMAND.values()):
-            raise InputError(f"record '{self.name}': at least one command signal is required, none came")
+            raise InputError(f"record '{self.name}': at least one command signal is required, got none")
         if not checks.number(self.step_s, f"record '{self.name}': the sampling time") > 0:
-            raise InputError(
-                f"record '{self.name}': the sampling time must be positive, came {self.step_s} s"
-            )
+            raise InputError(f"record '{self.name}': the sampling time must be positive, got {self.step_s} s")
         frozen = {}
         for role, samples in self.signals.items():
             array = _read_only(samples, f"record '{self.name}': '{role}'")
             if role not in self.units:
                 raise InputError(
-                    f"record '{self.name}': '{role}' has no unit; required one of {', '.join(UNITS)}"
+                    f"record '{self.name}': '{role}' has no unit; expected one of {', '.join(UNITS)}"
                 )
             check_unit(self.units[role], f"record '{self.name}': '{role}'")
             expected_shape = np.shape(self.signals[DISPLACEMENT])[:1] or (1,)
             if array.shape != expected_shape:
                 raise InputError(
-                    f"record '{self.name}': '{role}' has shape {array.shape}, required {expected_shape}"
+                    f"record '{self.name}': '{role}' has shape {array.shape}, expected {expected_shape}"
                 )
             if not np.all(np.isfinite(array)):
                 row = int(np.flatnonzero(~np.isfinite(array))[0])

@@ -75,7 +75,7 @@ def unique_stamp_rows(time_s: np.ndarray, source: object, *, column: str, line_o
     """
     bad = np.flatnonzero(~np.isfinite(time_s))
     if bad.size:
-        problem = f"required finite time stamps, came {time_s[bad[0]]}"
+        problem = f"expected finite time stamps, got {time_s[bad[0]]}"
         raise LogError(source, problem, line=line_of(int(bad[0])), column=column)
     intervals = np.diff(time_s)
     backward = np.flatnonzero(intervals < 0)
@@ -88,7 +88,7 @@ def unique_stamp_rows(time_s: np.ndarray, source: object, *, column: str, line_o
             column=column,
         )
     if intervals.size and not np.any(intervals):
-        problem = f"all {time_s.size} time stamps are {time_s[0]:g} s; required a time that increases"
+        problem = f"all {time_s.size} time stamps are {time_s[0]:g} s; expected a time that increases"
         raise LogError(source, problem, line=line_of(1), column=column)
     rows = np.concatenate([[0], np.flatnonzero(intervals) + 1]) if time_s.size else np.arange(0)
     median = float(np.median(intervals[intervals > 0])) if intervals.size else SHORTEST_STEP_S
@@ -96,7 +96,7 @@ def unique_stamp_rows(time_s: np.ndarray, source: object, *, column: str, line_o
     if not SHORTEST_STEP_S <= median <= longest < np.inf:
         problem = (
             f"the sampling time is {median:g} s, the longest interval {longest:g} s; "
-            f"required {SHORTEST_STEP_S:g} s or more, and no interval without end"
+            f"expected {SHORTEST_STEP_S:g} s or more, and no interval without end"
         )
         raise LogError(source, problem, column=column)
     return rows

@@ -70,7 +70,7 @@ class Column(Strict):
     @classmethod
     def _not_zero(cls, scale: float | None) -> float | None:
         if scale == 0:
-            raise ValueError("required a number other than zero: the unit per reading")
+            raise ValueError("expected a number other than zero: the unit per reading")
         return scale
 
 
@@ -101,9 +101,9 @@ class SignalMap(Strict):
     @model_validator(mode="after")
     def _check_signals(self) -> "SignalMap":
         if self.command and (self.lifting_command or self.lowering_command):
-            raise ValueError("required either command or lifting_command and lowering_command, not both")
+            raise ValueError("expected either command or lifting_command and lowering_command, not both")
         if not (self.command or self.lifting_command or self.lowering_command):
-            raise ValueError("required at least one of command, lifting_command, lowering_command")
+            raise ValueError("expected at least one of command, lifting_command, lowering_command")
         reserved = DIMENSIONS.keys() & {covariate.column for covariate in self.covariates}
         if reserved:
             raise ValueError(f"covariates: '{reserved.pop()}' is the name of a signal; rename the column")
@@ -115,7 +115,7 @@ class SignalMap(Strict):
             if dimension not in dimensions:
                 raise ValueError(
                     f"{role}: '{column.unit}' is a unit of {dimension}, "
-                    f"required one of {', '.join(dimensions)}"
+                    f"expected one of {', '.join(dimensions)}"
                 )
         return self
 
@@ -203,7 +203,7 @@ def describe(error: ValidationError) -> str:
         return f"key '{key}' is not known; check its spelling"
     message = first["msg"].removeprefix("Value error, ")
     value = first.get("input")
-    received = f", came {_printed(value)}" if isinstance(value, str | int | float | bool) else ""
+    received = f", got {_printed(value)}" if isinstance(value, str | int | float | bool) else ""
     return f"key '{key}': {message}{received}"
 
 

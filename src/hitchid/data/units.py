@@ -104,7 +104,7 @@ def parse_unit(spelling: str) -> str | None:
 def check_unit(unit: str, where: str) -> str:
     """Return `unit` if it is known, else raise `InputError`, which begins with `where`."""
     if not isinstance(unit, str) or unit not in UNITS:
-        raise InputError(f"{where}: unit '{unit}' is not known; required one of {', '.join(UNITS)}")
+        raise InputError(f"{where}: unit '{unit}' is not known; expected one of {', '.join(UNITS)}")
     return unit
 
 
@@ -124,6 +124,6 @@ def conversion_factor(unit: str, target: str, where: str) -> float:
     if source.dimension != wanted.dimension:
         raise InputError(
             f"{where}: '{unit}' is a unit of {source.dimension}, "
-            f"required one of {wanted.dimension} like '{target}'"
+            f"expected one of {wanted.dimension} like '{target}'"
         )
     return 1.0 if unit == target else source.factor / wanted.factor

@@ -152,7 +152,7 @@ def best_refined(
     Raises:
         FitError: none of the starts can be simulated.
     """
-    results, failure = [], FitError("least squares: required at least one start, came none")
+    results, failure = [], FitError("least squares: expected at least one start, got none")
     for start in starts:
         try:
             results.append(refine(problem, start, limit=limit, tolerance=tolerance))

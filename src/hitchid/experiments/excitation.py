@@ -75,7 +75,7 @@ def prbs(
         step_s: sampling time, s.
     """
     if not 0 <= low < high:
-        raise InputError(f"prbs: required 0 ≤ low < high, came {low:g} and {high:g}")
+        raise InputError(f"prbs: expected 0 ≤ low < high, got {low:g} and {high:g}")
     count, hold_samples = _count(duration_s, step_s), max(1, round(clock_s / step_s))
     rest = round(rest_s / step_s)
     clocks = -(-(count - rest) // hold_samples)
@@ -110,7 +110,7 @@ def random_hold(
         step_s: sampling time, s.
     """
     if not 0 < shortest_s <= longest_s:
-        raise InputError(f"hold: required 0 < shortest ≤ longest, came {shortest_s:g} and {longest_s:g} s")
+        raise InputError(f"hold: expected 0 < shortest ≤ longest, got {shortest_s:g} and {longest_s:g} s")
     rng = np.random.default_rng(seed)
     count = _count(duration_s, step_s)
     command = np.zeros(count)
@@ -174,6 +174,6 @@ def _count(duration_s: float, step_s: float) -> int:
     """Return the samples of a test, both ends included: 10 s at 0.01 s gives 1001."""
     if not (duration_s > 0 and step_s > 0 and duration_s >= step_s):
         raise InputError(
-            f"excitation: required a duration of at least one step, came {duration_s:g} s and {step_s:g} s"
+            f"excitation: expected a duration of at least one step, got {duration_s:g} s and {step_s:g} s"
         )
     return round(duration_s / step_s) + 1

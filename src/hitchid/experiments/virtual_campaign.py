@@ -92,7 +92,7 @@ def run(
     """
     for protocol, count in checks.mapping_of(tests, get_args(Protocol), "tests").items():
         if checks.integer(count, f"tests, {protocol}", minimum=1) > MOST_TESTS:
-            raise InputError(f"tests, {protocol}: required at most {MOST_TESTS}, came {count}")
+            raise InputError(f"tests, {protocol}: expected at most {MOST_TESTS}, got {count}")
     for direction in checks.tuple_of(directions, str, "modes", "directions"):
         checks.one_of(direction, DIRECTIONS, "direction")
     checks.integer(seed, "seed")

@@ -51,7 +51,7 @@ def identification_config(
         raise checks.input_error("seed", f"at most {LARGEST_SEED}", seed)
     for direction, dead_zone in checks.mapping_of(dead_zones, DIRECTIONS, "dead_zones").items():
         if checks.number(dead_zone, f"dead_zones, {direction}") < 0:
-            raise InputError(f"dead_zones, {direction}: required at least 0, came {dead_zone}")
+            raise InputError(f"dead_zones, {direction}: expected at least 0, got {dead_zone}")
     structures = checks.mapping_of(structure, DIRECTIONS, "structure")
     specs = {
         direction: _spec_of(structures.get(direction, default_specs[direction]), direction)

@@ -273,7 +273,7 @@ def _check_dead_zone(campaign: Campaign, direction: str, value: float) -> None:
     if not 0 <= value < highest:
         unit = campaign.units.get(COMMAND[direction], "")
         raise SettingsError(
-            f"{direction}: dead_zone is {value:g} {unit}; required from 0 to below the largest command, "
+            f"{direction}: dead_zone is {value:g} {unit}; expected from 0 to below the largest command, "
             f"{highest:.4g}"
         )
 
@@ -283,7 +283,7 @@ def _check_window(training: CompensatorConfig | None, channel_data: Mapping[str,
     longest = max(int(data.all_tests.valid.sum(axis=1).max()) for data in channel_data.values())
     if training is not None and training.window > max(longest, CompensatorConfig.window):
         raise SettingsError(
-            f"training: window is {training.window} samples, required at most {longest}, those of the "
+            f"training: window is {training.window} samples, expected at most {longest}, those of the "
             "longest test"
         )
 

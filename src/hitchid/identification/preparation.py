@@ -208,13 +208,13 @@ def _check_before_end_stop(record: Record, sign: int, end_stop: float | None) ->
     if len(record) < FEWEST_SAMPLES:
         raise LogError(
             record.source or record.name,
-            f"the stroke has {len(record)} samples; required {FEWEST_SAMPLES} or more",
+            f"the stroke has {len(record)} samples; expected {FEWEST_SAMPLES} or more",
         )
     if np.count_nonzero(before_end_stop(record.displacement, sign, end_stop)) < FEWEST_SAMPLES:
         raise LogError(
             record.source or record.name,
             f"the piston is at its end stop of {end_stop:.4g} {record.unit} from the start; "
-            "required a test that begins away from it",
+            "expected a test that begins away from it",
         )
     return record
 

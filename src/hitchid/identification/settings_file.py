@@ -153,7 +153,7 @@ def _spec(direction: str, section: ChannelSection) -> ModelSpec | AutoStructure:
         if decided:
             raise InputError(
                 f"{direction}: structure '{AUTOMATIC}' decides on {' and '.join(sorted(decided))} itself; "
-                "required the name of a structure beside it"
+                "expected the name of a structure beside it"
             )
         return replace(DEFAULT_STRUCTURES[direction], covariate=section.load)
     return ModelSpec(

@@ -103,7 +103,7 @@ def _read_description(folder: Path) -> dict:
         raise ModelFolderError(f"{path}: is not the description of a hitchid model")
     if not is_readable(content.get("schema")):
         raise ModelFolderError(
-            f"{path}: has schema {content.get('schema')!r}, required {min(MIGRATIONS)} to {SCHEMA}; "
+            f"{path}: has schema {content.get('schema')!r}, expected {min(MIGRATIONS)} to {SCHEMA}; "
             "was it written by another version of hitchid? Identify again"
         )
     claimed = content.pop("digest", "")
@@ -117,12 +117,12 @@ def _read_description(folder: Path) -> dict:
 def _read(path: Path, required: str) -> bytes:
     try:
         if inside_folder(path).exists() and not path.is_file():  # reading a pipe would block
-            raise ModelFolderError(f"{path}: cannot be read: it is not a file; required {required}")
+            raise ModelFolderError(f"{path}: cannot be read: it is not a file; expected {required}")
         return path.read_bytes()
     except OSError as error:
-        raise ModelFolderError(f"{path}: cannot be read: {error.strerror}; required {required}") from error
+        raise ModelFolderError(f"{path}: cannot be read: {error.strerror}; expected {required}") from error
     except ValueError as error:
-        raise ModelFolderError(f"{path}: cannot be read: {error}; required {required}") from error
+        raise ModelFolderError(f"{path}: cannot be read: {error}; expected {required}") from error
     except InputError as error:
         raise ModelFolderError(str(error)) from error
 
@@ -133,6 +133,6 @@ def _read_checked(path: Path, content: dict) -> bytes:
     if digest(data) != claimed:
         raise ModelFolderError(
             f"{path}: was cut short or edited: its SHA-256 is {digest(data)[:12]}…, "
-            f"required {str(claimed)[:12]}…"
+            f"expected {str(claimed)[:12]}…"
         )
     return data

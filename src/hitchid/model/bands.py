@@ -78,7 +78,7 @@ class Bands:
     def _checked_coverage(self, coverage: float) -> float:
         if not self.levels[0] <= coverage <= self.levels[-1]:
             raise InputError(
-                f"coverage: required between {self.levels[0]:g} and {self.levels[-1]:g}, came {coverage:g}"
+                f"coverage: expected between {self.levels[0]:g} and {self.levels[-1]:g}, got {coverage:g}"
             )
         return coverage
 

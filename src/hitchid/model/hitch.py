@@ -153,7 +153,7 @@ class Hitch:
         for name, value in (("displacement", displacement), ("load", load)):
             numbers.append(checks.number(value, name))
             if not abs(numbers[-1]) < MAX_MAGNITUDE:
-                raise InputError(f"{name}: required a number within ±{MAX_MAGNITUDE:g}, came {value}")
+                raise InputError(f"{name}: expected a number within ±{MAX_MAGNITUDE:g}, got {value}")
         return self._step_functions.init_state(*numbers)
 
     def step(
@@ -244,7 +244,7 @@ class Hitch:
         """
         horizons = [checks.integer(horizon, "horizon", minimum=1) for horizon in horizons]
         if not horizons:
-            raise InputError("horizons: required at least one number of samples, none came")
+            raise InputError("horizons: expected at least one number of samples, got none")
         checks.integer(stride, "stride", minimum=1)
         model_record = self.to_model_units(record)
         initial = conversion.initial_condition(model_record, self.channels)
@@ -282,7 +282,7 @@ class Hitch:
         missing = [direction for direction in self.channels if direction not in bands]
         if missing:
             raise InputError(
-                f"the model has no bands for {' and '.join(missing)}; required at least three tests to "
+                f"the model has no bands for {' and '.join(missing)}; expected at least three tests to "
                 "identify it from"
             )
         model_record = self.to_model_units(record)

@@ -71,8 +71,8 @@ def join_inputs(
         )
     if command_array.shape != (len(DIRECTIONS),):
         raise InputError(
-            f"commands: required lifting and lowering, shape (2,), came shape {command_array.shape}"
+            f"commands: expected lifting and lowering, shape (2,), got shape {command_array.shape}"
         )
     if measured_array.shape != ():
-        raise InputError(f"measured: required one displacement, shape (), came shape {measured_array.shape}")
+        raise InputError(f"measured: expected one displacement, shape (), got shape {measured_array.shape}")
     return xp.append(command_array, measured_array).astype(np.float64)

@@ -202,7 +202,7 @@ def _parse(line: str) -> tuple[dict[str, float], list[str]]:
     except (ValueError, RecursionError):
         return {}, ["not understood: the line is no JSON"]
     if not isinstance(content, dict):
-        return {}, ['not understood: required an object like {"time_s": 0.01, "lifting_command": 0.5}']
+        return {}, ['not understood: expected an object like {"time_s": 0.01, "lifting_command": 0.5}']
     flags = [f"not known: '{name}'; known are {', '.join(FIELDS)}" for name in content if name not in FIELDS]
     sample = {}
     for name in FIELDS:

@@ -39,7 +39,7 @@ def resample_to_common_clock(
             if channel.values.size != time.values.size:
                 raise LogError(
                     source,
-                    f"has {channel.values.size} samples, required {time.values.size} as the time",
+                    f"has {channel.values.size} samples, expected {time.values.size} as the time",
                     column=names[role],
                 )
             _check_agrees(source, time.values, channel, names[role])
@@ -80,17 +80,17 @@ def _check_agrees(source: Path, time_s: np.ndarray, channel: LogChannel, name: s
         problem = (
             f"lasts {clock_duration_s:g} s by its own clock, {time_duration_s:g} s by the time that is named"
         )
-        raise LogError(source, f"{problem}; required one that is its own", column=name)
+        raise LogError(source, f"{problem}; expected one that is its own", column=name)
 
 
 def _with_increasing_clock(source: Path, channel: LogChannel, name: str) -> LogChannel:
     """Return a channel whose clock increases from sample to sample."""
     clock = channel.clock_s
     if clock is None:
-        problem = 'has no clock in the file; required the time\'s column: time = "…" in campaign.toml'
+        problem = 'has no clock in the file; expected the time\'s column: time = "…" in campaign.toml'
         raise LogError(source, problem, column=name)
     if clock.size < 2:
-        raise LogError(source, f"has {clock.size} samples, required at least 2", column=name)
+        raise LogError(source, f"has {clock.size} samples, expected at least 2", column=name)
     rows = unique_stamp_rows(clock, source, column=name, line_of=lambda _: None)
     if rows.size == clock.size:
         return channel

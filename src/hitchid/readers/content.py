@@ -12,7 +12,7 @@ from hitchid.errors import LogError
 MAX_LISTED = 30  # names in one message
 # Limits of unpacked logs: bytes a byte of the file, and a size that is always allowed, bytes; chosen.
 MAX_UNPACK_RATIO, ALWAYS_ALLOWED_BYTES = 200, 2**28
-CHANNEL_HINT = "required it, or another named in campaign.toml"
+CHANNEL_HINT = "expected it, or another named in campaign.toml"
 
 
 class ChannelSelection(NamedTuple):
@@ -119,7 +119,7 @@ def _check_one_group(source: Path, matches: Mapping[str, str], time: str) -> Non
         return
     for name in matches.values():
         if not name.startswith(f"{group}/"):
-            problem = f"lies in another group than '{name}'; required its full name, '{matches[time]}'"
+            problem = f"lies in another group than '{name}'; expected its full name, '{matches[time]}'"
             raise LogError(source, problem, column=time)
 
 

@@ -31,7 +31,7 @@ def find_logs(logs: str | Path | Iterable[str | Path]) -> list[Path]:
             ]
             if not folder_logs:
                 raise InputError(
-                    f"{path}: no log in this folder; required files ending in {known_suffixes()}"
+                    f"{path}: no log in this folder; expected files ending in {known_suffixes()}"
                 )
             paths.update(dict.fromkeys(folder_logs))
         elif path.is_file():
@@ -39,7 +39,7 @@ def find_logs(logs: str | Path | Iterable[str | Path]) -> list[Path]:
         else:
             raise InputError(f"{path}: there is no such file or folder")
     if not paths:
-        raise InputError("no logs were named; required files or folders")
+        raise InputError("no logs were named; expected files or folders")
     if not any(map(known_format, paths)):
         format_of(next(iter(paths)))
     return list(paths)

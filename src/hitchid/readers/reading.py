@@ -165,7 +165,7 @@ def records_of(table: LogTable, signals: SignalMap) -> list[Record]:
     usable = [section for section in all_sections if section.stop - section.start >= MIN_SAMPLES]
     if not usable:
         longest = max((section.stop - section.start for section in all_sections), default=time_s.size)
-        raise LogError(path, f"the log has {longest} samples in a row, required at least {MIN_SAMPLES}")
+        raise LogError(path, f"the log has {longest} samples in a row, expected at least {MIN_SAMPLES}")
     name = record_name(path)
     records = [
         _record(name if len(usable) == 1 else f"{name}@{number}", table, section)

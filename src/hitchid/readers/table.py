@@ -52,7 +52,7 @@ def table_of(content: Content, signals: SignalMap) -> LogTable:
     columns = _columns_by_role(signals, content)
     if TIME not in columns and signals.time.column != DEFAULT_SIGNALS.time.column:
         problem = (
-            "there is no such channel; the file has clocks of its own; required no time in campaign.toml"
+            "there is no such channel; the file has clocks of its own; expected no time in campaign.toml"
         )
         raise LogError(content.source, problem, column=signals.time.column)
     converted, notices = {}, list(content.notices)
@@ -98,7 +98,7 @@ def _convert_unit(content: Content, role: str, column: Column) -> tuple[LogChann
         raise LogError(
             source,
             "no unit in its name or in the file; "
-            f'required {{ column = "{name}", unit = "…" }} in campaign.toml',
+            f'expected {{ column = "{name}", unit = "…" }} in campaign.toml',
             column=name,
         )
     _check_dimension(source, role, name, declared_unit)
@@ -134,7 +134,7 @@ def _check_dimension(source: Path, role: str, name: str, declared_unit: str) -> 
     if dimensions and dimension not in dimensions:
         raise LogError(
             source,
-            f"'{declared_unit}' is a unit of {dimension}, required one of {', '.join(dimensions)} for {role}",
+            f"'{declared_unit}' is a unit of {dimension}, expected one of {', '.join(dimensions)} for {role}",
             column=name,
         )
 
@@ -146,12 +146,12 @@ def _check_agrees(source: Path, name: str, declared_unit: str, file_unit: str | 
     dimension = UNITS[declared_unit].dimension
     name_unit = unit_of_column(name)
     if name_unit not in (None, file_unit) and UNITS[name_unit].dimension == dimension:
-        problem = f"the unit is '{name_unit}' in the name, '{file_unit}' in the file; required equal units"
+        problem = f"the unit is '{name_unit}' in the name, '{file_unit}' in the file; expected equal units"
         raise LogError(source, problem, column=name)
     if UNITS[file_unit].dimension != dimension:
         raise LogError(
             source,
-            f"the unit is '{file_unit}' in the file, '{declared_unit}' in the map; required one dimension",
+            f"the unit is '{file_unit}' in the file, '{declared_unit}' in the map; expected one dimension",
             column=name,
         )
 
@@ -162,7 +162,7 @@ def _check_finite(content: Content, name: str) -> None:
     if bad.size:
         raise LogError(
             content.source,
-            f"required finite numbers, came {values[bad[0]]} ({bad.size} such of {values.size} samples, "
+            f"expected finite numbers, got {values[bad[0]]} ({bad.size} such of {values.size} samples, "
             f"the first at sample {bad[0]})",
             line=content.line_of(int(bad[0])),
             column=name,

@@ -44,9 +44,9 @@ def measure(
     """
     shape = motion.displacement_m.shape
     if np.shape(currents) != (*shape, 2):
-        raise InputError(f"currents: came shape {np.shape(currents)}, required {(*shape, 2)}")
+        raise InputError(f"currents: got shape {np.shape(currents)}, expected {(*shape, 2)}")
     if not 0 <= jitter <= LARGEST_JITTER:
-        raise InputError(f"jitter: came {jitter:g}, required 0 to {LARGEST_JITTER:g}")
+        raise InputError(f"jitter: got {jitter:g}, expected 0 to {LARGEST_JITTER:g}")
     # Drawn on the host: compiling the generator takes longer than compiling everything else.
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)))
     noise = jnp.asarray(rng.standard_normal((4, *shape)))

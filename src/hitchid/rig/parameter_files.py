@@ -86,7 +86,7 @@ def load_rig(name_or_path: str | Path) -> Rig:
         if isinstance(name_or_path, str) and not name.endswith(".toml"):
             if name not in parameter_sets():
                 raise SettingsError(
-                    f"rig '{name}': required one of {', '.join(parameter_sets())}, or a file *.toml"
+                    f"rig '{name}': expected one of {', '.join(parameter_sets())}, or a file *.toml"
                 )
             text = (SETS / f"{name}.toml").read_text(encoding="utf-8")
         else:
@@ -149,8 +149,8 @@ def _check_valves(rig: Rig) -> None:
     ):
         if not spool.dead_zone < spool.saturation:
             raise SettingsError(
-                f"key '{table}.saturation': came {float(spool.saturation):g} A, "
-                f"required more than the dead zone, {float(spool.dead_zone):g} A"
+                f"key '{table}.saturation': got {float(spool.saturation):g} A, "
+                f"expected more than the dead zone, {float(spool.dead_zone):g} A"
             )
 
 
@@ -158,8 +158,8 @@ def _check_friction(rig: Rig) -> None:
     friction = rig.cylinder.friction
     if friction.static < friction.coulomb:
         raise SettingsError(
-            f"key 'friction.static': came {float(friction.static):g} N, "
-            f"required at least friction.coulomb, {float(friction.coulomb):g} N"
+            f"key 'friction.static': got {float(friction.static):g} N, "
+            f"expected at least friction.coulomb, {float(friction.coulomb):g} N"
         )
 
 
@@ -194,5 +194,5 @@ def _require(
         position = float(np.asarray(positions)[row])
         raise SettingsError(
             f"key 'linkage.{key}': {condition} only if its measure lies in {required}; "
-            f"came {values[row]:g} at {position:g} m of the stroke"
+            f"got {values[row]:g} at {position:g} m of the stroke"
         )

@@ -66,12 +66,11 @@ def to_base_unit(value: float, unit: str, expected: QuantityRange, context: str)
     allowed_units = [name for name, (base, _) in FACTORS.items() if base == expected.unit]
     if unit not in allowed_units:
         raise SettingsError(
-            f"{context}: came {value:g} {unit}, required a unit among {', '.join(allowed_units)}"
+            f"{context}: got {value:g} {unit}, expected a unit among {', '.join(allowed_units)}"
         )
     converted = value * FACTORS[unit][1]
     if not expected.low <= converted <= expected.high:
         raise SettingsError(
-            f"{context}: came {value:g} {unit}, "
-            f"required {expected.low:g} to {expected.high:g} {expected.unit}"
+            f"{context}: got {value:g} {unit}, expected {expected.low:g} to {expected.high:g} {expected.unit}"
         )
     return converted

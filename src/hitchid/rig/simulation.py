@@ -93,9 +93,9 @@ def simulate(
     """
     shape = np.shape(currents)
     if len(shape) != 3 or shape[2] != 2 or 0 in shape:
-        raise InputError(f"currents: came shape {shape}, required [tests, samples, 2]")
+        raise InputError(f"currents: got shape {shape}, expected [tests, samples, 2]")
     if substeps < 1:
-        raise InputError(f"substeps: came {substeps}, required at least 1")
+        raise InputError(f"substeps: got {substeps}, expected at least 1")
     tests, samples, _ = shape
     temperature = rig.oil.temperature if oil_temperature_c is None else oil_temperature_c
     inputs = {
@@ -125,7 +125,7 @@ def _broadcast(name: str, value: object, shape: tuple[int, ...]) -> Array:
     try:
         return jnp.broadcast_to(array, shape)
     except ValueError as error:
-        raise InputError(f"{name}: came shape {array.shape}, required one that spreads to {shape}") from error
+        raise InputError(f"{name}: got shape {array.shape}, expected one that spreads to {shape}") from error
 
 
 def _check(name: str, array: Array, low: float, high: object) -> None:
@@ -136,7 +136,7 @@ def _check(name: str, array: Array, low: float, high: object) -> None:
         raise InputError(f"{name}: a value is not finite")
     if np.any(values < low) or np.any(values > top):
         worst = values[(values < low) | (values > top)].flat[0]
-        raise InputError(f"{name}: came {worst:g}, required {low:g} to {top:g}")
+        raise InputError(f"{name}: got {worst:g}, expected {low:g} to {top:g}")
 
 
 @eqx.filter_jit

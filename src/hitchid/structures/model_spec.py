@@ -54,18 +54,18 @@ class ModelSpec:
         refused = [option.value for option in ModelOption if option in self.options - self.structure.options]
         if refused:
             raise InputError(
-                f"structure '{self.structure.name}' takes no {' and no '.join(refused)}; required a form "
+                f"structure '{self.structure.name}' takes no {' and no '.join(refused)}; expected a form "
                 "without"
             )
         by_name = {parameter.name: parameter for parameter in self.parameters}
         for name, (lower, upper) in self.bounds.items():
             if name not in by_name:
                 raise InputError(
-                    f"bounds: there is no parameter '{name}'; required one of {', '.join(by_name)}"
+                    f"bounds: there is no parameter '{name}'; expected one of {', '.join(by_name)}"
                 )
             if not (by_name[name].linear or lower > 0) or not -np.inf < lower < upper < np.inf:
                 raise InputError(
-                    f"bounds of '{name}': required 0 < lower < upper, came {lower:g} and {upper:g}"
+                    f"bounds of '{name}': expected 0 < lower < upper, got {lower:g} and {upper:g}"
                 )
 
     @property

@@ -159,14 +159,14 @@ class PhysicalModel(eqx.Module):
         if self.nonlinearity is not None:
             raise InputError(
                 "a benchmark with curves of valve or stroke has no transfer function; "
-                "required one identified without them"
+                "expected one identified without them"
             )
         if step_s is not None:
             number(step_s, "step_s", above=0.0)
         if step_s is None:
             if float(self.dead_time_s):
                 raise InputError(
-                    f"a dead time of {float(self.dead_time_s):.4g} s has no rational G(s); required a "
+                    f"a dead time of {float(self.dead_time_s):.4g} s has no rational G(s); expected a "
                     "sampling time, for the exact G(z)"
                 )
             numerator, denominator = structure.transfer_function(tuple(map(float, self.values)))

@@ -48,5 +48,5 @@ def structure_named(name: str) -> Structure:
             return structure
     structures = registered_structures()
     if name not in structures:
-        raise InputError(f"there is no structure '{name}'; required one of {', '.join(structures)}")
+        raise InputError(f"there is no structure '{name}'; expected one of {', '.join(structures)}")
     return structures[name]

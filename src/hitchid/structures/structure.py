@@ -98,7 +98,7 @@ class Structure(eqx.Module):
             InputError: it is not linear.
         """
         if self.linear is None:
-            raise InputError(f"structure '{self.name}' is not linear; required a linear structure")
+            raise InputError(f"structure '{self.name}' is not linear; expected a linear structure")
         return self.linear
 
     @property
@@ -107,7 +107,7 @@ class Structure(eqx.Module):
         for index, parameter in enumerate(self.parameters):
             if parameter.name == self.gain:
                 return index
-        raise InputError(f"structure '{self.name}' has no gain; required a structure with one")
+        raise InputError(f"structure '{self.name}' has no gain; expected a structure with one")
 
     def derived(self, values: tuple[float, ...]) -> dict[str, tuple[float, str]]:
         """Return quantities computed from the parameters: name to value and unit template."""

@@ -154,15 +154,15 @@ def compare(
     if not any(name in second.channels for name in first.channels):
         raise InputError(
             f"model A has channels for {' and '.join(first.channels)}, model B for "
-            f"{' and '.join(second.channels)}; required one in common"
+            f"{' and '.join(second.channels)}; expected one in common"
         )
     if not isclose(first.step_s, second.step_s, rel_tol=SAME_CLOCK):
         raise InputError(
-            f"model A has a sampling time of {first.step_s:g} s, model B of {second.step_s:g} s; required "
+            f"model A has a sampling time of {first.step_s:g} s, model B of {second.step_s:g} s; expected "
             "the same, for they are compared sample by sample"
         )
     if not unseen.records:
-        raise InputError("one of the models was identified from every test; required tests neither has seen")
+        raise InputError("one of the models was identified from every test; expected tests neither has seen")
     usable, lacking = with_covariates(unseen, first, second)
     segmentation_dead_zones = first.segmentation_dead_zones(campaign.units)
     one = validate(
@@ -181,5 +181,5 @@ def compare(
         one, other, len(campaign.records) - len(unseen.records), first.step_s, lacking
     )
     if not comparison.sections:
-        raise InputError("the models have no test in common; required tests of a direction that both have")
+        raise InputError("the models have no test in common; expected tests of a direction that both have")
     return comparison

@@ -28,7 +28,7 @@ class _NonEmptyLimits(Strict):
     def _require_any(self) -> "_NonEmptyLimits":
         limits = {name: value for name, value in self if name != "unit"}
         if all(value is None for value in limits.values()):
-            raise ValueError(f"demands nothing; required at least one of {', '.join(limits)}")
+            raise ValueError(f"demands nothing; expected at least one of {', '.join(limits)}")
         return self
 
 
@@ -81,29 +81,29 @@ class DirectionLimits(_NonEmptyLimits):
             return value
         horizons = {str(steps): steps for steps in HORIZONS}
         if not value:
-            raise ValueError(f"demands nothing; required one of {', '.join(horizons)} samples ahead")
+            raise ValueError(f"demands nothing; expected one of {', '.join(horizons)} samples ahead")
         for key in value:
             if str(key) not in horizons:
-                raise ValueError(f"came '{key}' samples ahead, required one of {', '.join(horizons)}")
+                raise ValueError(f"got '{key}' samples ahead, expected one of {', '.join(horizons)}")
         return {horizons[str(key)]: limit for key, limit in value.items()}
 
     @field_validator("coverage")
     @classmethod
     def _require_ordered(cls, value: tuple[float, float] | None) -> tuple[float, float] | None:
         if value is not None and value[0] > value[1]:
-            raise ValueError(f"came {list(value)}, required [at least, at most]")
+            raise ValueError(f"got {list(value)}, expected [at least, at most]")
         return value
 
     @field_validator("better_than")
     @classmethod
     def _require_known_baselines(cls, value: tuple[str, ...] | None) -> tuple[str, ...] | None:
         if value == ():
-            raise ValueError(f"demands nothing; required one of {', '.join(BASELINES)}")
+            raise ValueError(f"demands nothing; expected one of {', '.join(BASELINES)}")
         for name in value or ():
             if name not in BASELINES:
-                raise ValueError(f"came '{name}', required one of {', '.join(BASELINES)}")
+                raise ValueError(f"got '{name}', expected one of {', '.join(BASELINES)}")
         if value is not None and len(set(value)) < len(value):
-            raise ValueError(f"came {', '.join(value)}, required each once")
+            raise ValueError(f"got {', '.join(value)}, expected each once")
         return value
 
 
@@ -124,7 +124,7 @@ class AcceptanceLimits(_NonEmptyLimits):
     @classmethod
     def _require_known_unit(cls, unit: str) -> str:
         if unit not in UNITS:
-            raise ValueError(f"required one of {', '.join(UNITS)}")
+            raise ValueError(f"expected one of {', '.join(UNITS)}")
         return unit
 
     @property

@@ -131,7 +131,7 @@ def residual_tests(
         lags: largest lag; where the tests are short, the largest with N_k at least N/2.
 
     Raises:
-        InputError: shapes differ, a value is not finite, fewer than 8 samples came in all, or the sampling
+        InputError: shapes differ, a value is not finite, there are fewer than 8 samples, or the sampling
             time or the lags are not positive.
     """
     series = {"errors": errors, "commands": commands, "displacements": displacements, "speeds": speeds}
@@ -199,7 +199,7 @@ def _check_series(
 ) -> dict[str, list[np.ndarray]]:
     """Return the tests that have samples, as float64, or raise `InputError`."""
     if not (np.isfinite(step_s) and step_s > 0 and lags >= 1):
-        raise InputError(f"a positive step_s and at least 1 lag are required, came {step_s} s and {lags}")
+        raise InputError(f"a positive step_s and at least 1 lag are required, got {step_s} s and {lags}")
     tests = {name: [np.asarray(test, dtype=np.float64) for test in arrays] for name, arrays in series.items()}
     shapes = [test.shape for test in tests["errors"]]
     for name, arrays in tests.items():
@@ -215,7 +215,7 @@ def _check_series(
                 )
     count = sum(shape[0] for shape in shapes)
     if count < MIN_SAMPLES:
-        raise InputError(f"{count} samples came in all, at least {MIN_SAMPLES} are required")
+        raise InputError(f"expected at least {MIN_SAMPLES} samples, got {count}")
     return {name: [test for test in arrays if test.size] for name, arrays in tests.items()}
 
 

@@ -89,7 +89,7 @@ def validate(
     if not channels and cycles is None:
         raise InputError(
             "the identification used every test of these logs or has no channel for them; "
-            "required tests it has not seen"
+            "expected tests it has not seen"
         )
     mode_test = model.two_modes
     if mode_test is not None:

@@ -54,8 +54,8 @@ class DifferentialEvolution(Search):
         members = self.population * problem.dimensions
         if self.evaluations < 2 * members:
             raise InputError(
-                f"differential evolution: required evaluations for two generations of {members} members, "
-                f"came {self.evaluations}"
+                f"differential evolution: expected evaluations for two generations of {members} members, "
+                f"got {self.evaluations}"
             )
         differential_evolution(
             generation,

@@ -42,13 +42,13 @@ class WhaleConfig:
         """Raise InputError for settings that do not allow one generation."""
         if self.population < 2 or self.iterations < 1:
             raise InputError(
-                f"whale: required at least 2 whales and 1 iteration, came {self.population} "
+                f"whale: expected at least 2 whales and 1 iteration, got {self.population} "
                 f"and {self.iterations}"
             )
         if self.evaluations is not None and self.evaluations < self.population:
             raise InputError(
-                f"whale: required evaluations for one generation of {self.population} whales, "
-                f"came {self.evaluations}"
+                f"whale: expected evaluations for one generation of {self.population} whales, "
+                f"got {self.evaluations}"
             )
 
     @property

@@ -64,7 +64,7 @@ def formats() -> Mapping[str, Format]:
         names = " and ".join(
             name for name, known_format in log_format.items() if suffix in known_format.suffixes
         )
-        raise InputError(f"hitchid.formats: {names} both read '{suffix}'; required one format for an ending")
+        raise InputError(f"hitchid.formats: {names} both read '{suffix}'; expected one format for an ending")
     return log_format
 
 
@@ -82,7 +82,7 @@ def format_of(path: Path) -> Format:
     """
     log_format = known_format(path)
     if log_format is None:
-        raise InputError(f"{path}: the format is not known; required a file ending in {known_suffixes()}")
+        raise InputError(f"{path}: the format is not known; expected a file ending in {known_suffixes()}")
     return log_format
 
 
@@ -106,5 +106,5 @@ def write_table(path: Path, columns: Mapping[str, np.ndarray]) -> None:
     """
     write = format_of(path).write
     if write is None:
-        raise InputError(f"{path}: logs are not written in this format; required another ending")
+        raise InputError(f"{path}: logs are not written in this format; expected another ending")
     write(path, columns)

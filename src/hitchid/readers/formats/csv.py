@@ -238,7 +238,7 @@ def _lines(block: str, first: int, rows: int) -> np.ndarray | int:
 
 def _problem(row: Sequence[str], index: int, dialect: Dialect) -> str | None:
     if index >= len(row):
-        return f"the line has {len(row)} cells, required {len(dialect.names)}"
+        return f"the line has {len(row)} cells, expected {len(dialect.names)}"
     cell = row[index].strip()
     try:
         float(_with_decimal_point(cell) if dialect.comma else cell)
@@ -249,7 +249,7 @@ def _problem(row: Sequence[str], index: int, dialect: Dialect) -> str | None:
             return None
     shown = repr(cell if len(cell) <= LONGEST_SHOWN else f"{cell[:LONGEST_SHOWN]}…")
     expected = "a number with a decimal comma, as others have" if dialect.comma else "a number"
-    return f"required {expected}, came {shown if cell else 'an empty cell'}"
+    return f"expected {expected}, got {shown if cell else 'an empty cell'}"
 
 
 def _blocks(path: Path) -> Iterator[str]:

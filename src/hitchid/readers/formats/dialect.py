@@ -74,7 +74,7 @@ def encoding_of(head: bytes, source: Path) -> str:
         sum(byte > 127 for byte in text[:4096]) if encoding == "cp1252" else len(CONTROL.findall(text[:4096]))
     )
     if not readable or suspect_count > NOT_TEXT * len(text[:4096]):
-        raise LogError(source, "is not text in UTF-8, UTF-16 or Latin-1; required a CSV log")
+        raise LogError(source, "is not text in UTF-8, UTF-16 or Latin-1; expected a CSV log")
     return encoding
 
 
@@ -94,7 +94,7 @@ def dialect_of(text: str, source: Path, requested: Sequence[str] = ()) -> Dialec
     """
     first_line = next((line for line in text.split("\n") if line.strip()), "").strip()
     if not first_line:
-        raise LogError(source, "the file is empty; required a header line and samples")
+        raise LogError(source, "the file is empty; expected a header line and samples")
     rows_by_separator = {separator: _rows(text, separator) for separator in SEPARATORS}
     separator = max(SEPARATORS, key=lambda candidate: _count_numbers(rows_by_separator[candidate]))
     if not _count_numbers(rows_by_separator[separator]):
@@ -147,7 +147,7 @@ def check_width(
         width = max((column for column, cell in enumerate(cells, start=1) if cell), default=0)
         if width > len(names) or (separator == " " and len(cells) < len(names)):
             problem = f"the line has {len(cells)} cells, the header in line {header} {len(names)} names"
-            raise LogError(source, f"{problem}; required a name for each", line=line)
+            raise LogError(source, f"{problem}; expected a name for each", line=line)
 
 
 def _check_thousands(source: Path, samples: Sequence[_Row]) -> None:
@@ -161,7 +161,7 @@ def _check_thousands(source: Path, samples: Sequence[_Row]) -> None:
     mixed = [cell for column, cell in commas if column in integer_columns]
     if mixed and all(THOUSANDS.fullmatch(cell) for _, cell in commas):
         problem = (
-            f"'{mixed[0]}' may be a decimal or a thousand; required one sign for decimals, none for thousands"
+            f"'{mixed[0]}' may be a decimal or a thousand; expected one sign for decimals, none for thousands"
         )
         raise LogError(source, problem)
 

@@ -31,7 +31,9 @@ def import_optional(module: str, extra: str, path: Path, purpose: str = "read") 
     except ImportError as error:
         package = module.partition(".")[0]
         library = DISTRIBUTIONS.get(package, package)
-        raise LogError(path, f"required {library} to {purpose} it: pip install 'hitchid[{extra}]'") from error
+        raise LogError(
+            path, f"{library} is required to {purpose} it: pip install 'hitchid[{extra}]'"
+        ) from error
 
 
 @contextmanager

@@ -116,7 +116,7 @@ def _count_data_bytes(path: Path, stream: BinaryIO) -> int:
             if starts.setdefault(channel, start) != start:
                 problem = f"holds several recordings, the next from segment {segment_number} on"
                 raise LogError(
-                    path, f"{problem}; required one a file", column=channel.decode(errors="replace")
+                    path, f"{problem}; expected one a file", column=channel.decode(errors="replace")
                 )
         data_bytes += raw
         position = end
@@ -205,7 +205,7 @@ def _clocks(path: Path, waveforms: Mapping[str, _Waveform]) -> dict[str, np.ndar
     without_start = [name for name, waveform in waveforms.items() if not waveform.start[0]]
     if without_start and len(without_start) < len(waveforms):
         raise LogError(
-            path, "has no start time, others have one; required all or none", column=without_start[0]
+            path, "has no start time, others have one; expected all or none", column=without_start[0]
         )
     clocks: dict[_Waveform, np.ndarray] = {}
     for waveform in waveforms.values():

@@ -37,5 +37,5 @@ def render(document: Document, renderer: str) -> bytes:
     """
     renderers = registered_renderers()
     if renderer not in renderers:
-        raise InputError(f"renderer: came '{renderer}', required one of {', '.join(renderers)}")
+        raise InputError(f"renderer: got '{renderer}', expected one of {', '.join(renderers)}")
     return renderers[renderer].render(document)

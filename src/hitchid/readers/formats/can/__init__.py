@@ -94,7 +94,7 @@ def _read_asc(path: Path, library: Any, notices: list[str]) -> Iterator[Frame]:
 
 def _check_absolute(path: Path, reader: Any) -> None:
     if reader.timestamps_format == "relative":
-        problem = "its time stamps count from the line before each; required 'base hex timestamps absolute'"
+        problem = "its time stamps count from the line before each; expected 'base hex timestamps absolute'"
         raise LogError(path, problem)
 
 

@@ -97,7 +97,7 @@ def _unpack(path: Path, content: bytes) -> bytes:
         raise LogError(path, f"cannot be read as a CAN log: {error}") from error
     if len(unpacked) != length:
         raise LogError(
-            path, f"cannot be read as a CAN log: a container holds {len(unpacked)} bytes, required {length}"
+            path, f"cannot be read as a CAN log: a container holds {len(unpacked)} bytes, expected {length}"
         )
     return unpacked
 

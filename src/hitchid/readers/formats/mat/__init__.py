@@ -50,7 +50,7 @@ def _channels(
         values = source.values.load(variables)
         if values.dtype.kind not in "fiub":
             if strict:
-                raise LogError(path, "required a real numeric vector", column=requested)
+                raise LogError(path, "expected a real numeric vector", column=requested)
             continue  # whether a vector is complex is known only after reading
         clock_s = None if source.time is None else _clock(source.time, source.time_unit, variables, clocks)
         channels[requested] = LogChannel(floats(values), source.unit, clock_s)

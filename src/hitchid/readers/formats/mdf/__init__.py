@@ -72,7 +72,7 @@ def write_table(path: Path, columns: Mapping[str, np.ndarray]) -> None:
         InputError: there is no column `time_s`, or no other.
     """
     if TIME not in columns or len(columns) < 2:
-        raise InputError(f"required a column '{TIME}' and one more, came {', '.join(columns) or 'none'}")
+        raise InputError(f"expected a column '{TIME}' and one more, got {', '.join(columns) or 'none'}")
     asammdf = import_optional("asammdf", "mdf", path, purpose="write")
     signals = [
         asammdf.Signal(
@@ -138,7 +138,7 @@ def _clock(path: Path, log: Any, group: int, master: tuple[int, int]) -> np.ndar
     _check_count(path, log, group, clock, channel.name)
     unit = unit_text(channel.unit)
     if unit is not None and not is_time(unit):
-        raise LogError(path, f"is a clock in '{unit}', required a unit of time", column=channel.name)
+        raise LogError(path, f"is a clock in '{unit}', expected a unit of time", column=channel.name)
     return to_seconds(clock, unit)
 
 
