@@ -107,7 +107,7 @@ wrong = {
         lambda: campaign.segmented({"up": 0.1}),
         lambda: write_campaign(out, directions=["up"]),
     ],
-    "required": [
+    "expected": [
         lambda: hitchid.identify(campaign, structure="integrator"),
         lambda: hitchid.identify(campaign, structure={"lifting": 3}),
         lambda: hitchid.identify(campaign, dead_zones={"lifting": [0.1]}),

@@ -177,14 +177,14 @@ BAD_LOGS = {
         ["line 6", "'displacement_mm'", "finite", "nan"],
     ),
     "an infinite command": (cell(9, 1, "1e999"), ["line 10", "'current_up_A'", "finite", "inf"]),
-    "a constant displacement": (every_cell(3, "5.0"), ["constant", "5 mm", "required"]),
+    "a constant displacement": (every_cell(3, "5.0"), ["constant", "5 mm", "expected"]),
     "time that runs back": (cell(9, 0, "0.01"), ["line 10", "'time_s'", "must not run backwards", "0.01 s"]),
     "time that stands still": (every_cell(0, "0.07"), ["line 3", "'time_s'", "time stamps are 0.07 s"]),
-    "an empty file": (lambda lines: [], ["empty", "required"]),
+    "an empty file": (lambda lines: [], ["empty", "expected"]),
     "a header only": (lambda lines: lines[:1], ["line 1", "no samples"]),
     "five samples": (lambda lines: lines[:6], ["5 samples", "at least 20"]),
     "binary garbage": (lambda lines: ["\udcff\udc80" * 99], ["UTF-8"]),
-    "a quote never closed": (cell(5, 1, '"0.5'), ["line", "required"]),
+    "a quote never closed": (cell(5, 1, '"0.5'), ["line", "expected"]),
 }
 
 
@@ -285,7 +285,7 @@ BAD_CONFIGS = {
     "a structure nobody knows": ('[lifting]\nstructure = "triple"', ["'triple'", "integrator-first-order"]),
     "bounds reversed": (
         '[lifting]\nstructure = "integrator"\nbounds = { gain = [100, 5] }',
-        ["gain", "100", "5", "required"],
+        ["gain", "100", "5", "expected"],
     ),
     "bounds of no parameter": (
         '[lifting]\nstructure = "integrator"\nbounds = { gian = [5, 100] }',
@@ -354,7 +354,7 @@ def cut(file, keep):
 
 BAD_MODELS = {
     "no folder": (shutil.rmtree, ["model.json", "expected a model folder"]),
-    "weights cut short": (cut("weights.safetensors", -10), ["weights.safetensors", "cut short", "required"]),
+    "weights cut short": (cut("weights.safetensors", -10), ["weights.safetensors", "cut short", "expected"]),
     "no weights": (lambda folder: (folder / "weights.safetensors").unlink(), ["weights.safetensors"]),
     "description edited": (
         edited("model.json", '"step_s": 0.01', '"step_s": 0.02'),

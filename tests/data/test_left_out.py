@@ -219,6 +219,6 @@ def test_a_run_that_failed_is_not_in_the_way_of_the_next(five, tmp_path, monkeyp
     monkeypatch.setattr("hitchid.identification.identify", None)
     Checkpoints.of_run(unfinished, {"seed": 0})
     (unfinished / "failed").unlink(missing_ok=True)
-    with pytest.raises(OutputError, match=r"expected --resume .*--force"):
+    with pytest.raises(OutputError, match=r"use --resume .*--force"):
         CliRunner().invoke(app, identify, catch_exceptions=False)
     assert is_run(unfinished)

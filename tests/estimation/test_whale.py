@@ -154,7 +154,7 @@ def test_no_more_is_evaluated_than_the_budget_allows():
 
 @pytest.mark.parametrize("setting", [{"evaluations": 7}, {"population": 1}, {"iterations": 0}])
 def test_a_swarm_that_cannot_run_is_refused(setting):
-    with pytest.raises(InputError, match="whale: required"):
+    with pytest.raises(InputError, match="whale: expected"):
         WhaleConfig(**{"population": 8, "iterations": 10, **setting})
 
 

@@ -103,7 +103,7 @@ def test_jittered_stamps_tell_when_samples_were_taken(rig):
 def test_misuse_is_refused(rig):
     currents = np.zeros((4, 1001, 2))
     motion = simulate(rig, currents, initial_displacement_m=0.1)
-    with pytest.raises(InputError, match="required"):
+    with pytest.raises(InputError, match="expected"):
         measure(rig, motion, np.zeros((4, 1000, 2)), jax.random.key(0))
     with pytest.raises(InputError, match=r"jitter: .*0\.5.*0 to 0\.1"):
         measure(rig, motion, currents, jax.random.key(0), jitter=0.5)

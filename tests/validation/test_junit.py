@@ -39,7 +39,7 @@ def test_a_kept_and_a_broken_limit_become_two_cases():
     assert len(kept) == 0
     assert broken.attrib == {"classname": "hitchid.lowering", "name": BROKEN.name}
     (failure,) = broken
-    assert failure.attrib == {"message": "0.98, expected at least 0.99", "type": "limit"}
+    assert failure.attrib == {"message": "0.98, required at least 0.99", "type": "limit"}
     assert failure.text == "fail  lowering: free run, R² 0.98, required at least 0.99" == check_line(BROKEN)
 
 
@@ -60,7 +60,7 @@ def test_what_xml_does_not_admit_is_left_out_and_all_else_stays():
     admitted = "ab <&>\"' é\t\n\r\U0001f600\U0001ffff"
     case = parsed(check)[0][0]
     assert case.get("name") == admitted
-    assert case[0].get("message") == f"{admitted}, expected {admitted}"
+    assert case[0].get("message") == f"{admitted}, required {admitted}"
 
 
 @settings(deadline=None)

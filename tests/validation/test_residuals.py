@@ -260,7 +260,7 @@ def test_what_cannot_be_tested_is_refused(change, message):
 
 @pytest.mark.parametrize("lengths", [(), (7,), (3, 0, 4)])
 def test_fewer_than_eight_samples_are_refused(lengths):
-    with pytest.raises(InputError, match=rf"^{sum(lengths)} samples.*8"):
+    with pytest.raises(InputError, match=rf"^expected at least 8 samples, got {sum(lengths)}"):
         found_in([np.arange(float(n)) for n in lengths])
 
 
