@@ -232,7 +232,8 @@ def _open_ends(
             continue
         end, outward = profile.positions[number], step * profile.tangents[number]
         centre, forward, backward = quantities(np.stack([end, end + outward, end - outward]))
-        pace = (forward - backward) / (2 * EDGE * profile.search_range)
+        with np.errstate(invalid="ignore"):  # a quantity that is infinite on both sides does not change
+            pace = (forward - backward) / (2 * EDGE * profile.search_range)
         open_below, open_above = (
             open_below | (centre <= lower) & (pace < -MIN_PACE),
             open_above | (centre >= upper) & (pace > MIN_PACE),
