@@ -28,5 +28,7 @@ def attempt(description: str, compute: Callable[[], Result], notices: list[str])
         raise
     except Exception as error:
         cause = str(error) or "no message"
-        notices.append(f"{description} left out: it could not be computed ({type(error).__name__}: {cause})")
+        notices.append(
+            f"{description} could not be computed and is left out ({type(error).__name__}: {cause})"
+        )
         return None

@@ -282,8 +282,8 @@ class Hitch:
         missing = [direction for direction in self.channels if direction not in bands]
         if missing:
             raise InputError(
-                f"the model has no bands for {' and '.join(missing)}; expected at least three tests to "
-                "identify it from"
+                f"the model has no bands for {' and '.join(missing)}; identification needs at least three "
+                "tests for bands"
             )
         model_record = self.to_model_units(record)
         run = self.free_run(model_record)

@@ -27,7 +27,9 @@ VALVE_CURVE = (
     Parameter("saturation", "1", 0.05, 1e4, excitation_hint=HIGH_LEVELS),
 )
 SPOOL_DYNAMICS = (
-    Parameter("hysteresis", "1", 0.0, 1.0, linear=True, excitation_hint="commands that fall between levels"),
+    Parameter(
+        "hysteresis", "1", 0.0, 1.0, linear=True, excitation_hint="commands that decrease between levels"
+    ),
     Parameter("spool_lag", "s", 1e-3, 0.5, symbol="spool lag"),
 )
 STROKE_GAIN_LINEAR = (Parameter("position_slope", "1", -2.0, 2.0, linear=True, excitation_hint=STROKE),)
