@@ -228,7 +228,7 @@ def test_time_that_runs_back_is_refused_by_the_channels_name(bad):
     channels = {"x": (FAST, line(FAST)), "i": (SLOW, stepped(SLOW))}
     said = refused({**channels, bad: (stamps, np.zeros(100))})
     assert f"column '{bad}'" in said
-    assert f"{stamps[50]:g} s came after {stamps[49]:g} s" in said
+    assert f"{stamps[50]:g} s follows {stamps[49]:g} s" in said
 
 
 def test_of_samples_with_one_stamp_the_first_is_kept():
@@ -241,7 +241,7 @@ def test_a_channel_without_a_clock_is_refused_by_name_with_the_way_out(bad):
     channels = {"x": (FAST, line(FAST)), "i": (SLOW, stepped(SLOW))}
     said = refused({**channels, bad: (None, np.zeros(100))})
     assert f"column '{bad}'" in said
-    assert 'time = "…" in campaign.toml' in said
+    assert 'campaign.toml: time = "…"' in said
 
 
 @pytest.mark.parametrize("samples", [0, 1])

@@ -356,7 +356,7 @@ def test_a_band_is_judged_by_what_it_holds(judged, covered, level):
     told = {"covered": covered, "covered_error": 0.01}
     band = finding(judged(partial(with_bands, **told)), "Lifting", "band")
     assert band.level == level
-    assert f"held {100 * covered:.0f} %" in band.sentence
+    assert f"{100 * covered:.0f} % of samples fell inside" in band.sentence
 
 
 def test_a_band_is_not_judged_by_tests_that_tell_little(judged):
@@ -471,11 +471,11 @@ def test_the_table_of_logs_says_what_each_was_used_for(logs, tmp_path):
     (table,) = blocks(found, Table)
     assert {row[0]: row[2] for row in table.rows} == {
         "lifting-01": "identification",
-        "lifting-02": "validation while training",
+        "lifting-02": "early stopping",
         "lifting-03": "unseen test",
         "lowering-01": "unseen test",
         "lowering-02": "unseen test",
-        "lowering-03": "dead zone's ramp",
+        "lowering-03": "ramp for the dead zone",
         "cycle-01": "unseen cycle",
         "resting": "not used",
     }
@@ -554,7 +554,7 @@ def test_the_verdict_names_the_model_that_errs_less(compared, pair, better):
     (lifting,) = findings(document, "Lifting")
     if better is None:
         assert lifting.level == Rating.CAUTION
-        assert "do not tell the models apart" in lifting.sentence
+        assert "no significant difference" in lifting.sentence
     else:
         assert lifting.level == Rating.GOOD
         assert lifting.sentence.startswith(f"Lifting: {better} errs less")

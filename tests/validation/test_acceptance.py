@@ -167,8 +167,8 @@ def test_every_limit_of_a_file_gets_a_verdict(read):
     ("text", "said"),
     [
         ("", "key 'unit': Field required"),
-        ('unit = "mm"', "demands nothing; expected at least one of lifting, lowering, cycles"),
-        ('unit = "mm"\n[lifting]', "key 'lifting': demands nothing; expected at least one of tests"),
+        ('unit = "mm"', "is empty; expected at least one of lifting, lowering, cycles"),
+        ('unit = "mm"\n[lifting]', "key 'lifting': is empty; expected at least one of tests"),
         ('unit = "mm"\nlifting.one_step = {}', "key 'lifting.one_step': demands nothing"),
         ('unit = "mm"\nlifting.horizon = {}', "key 'lifting.horizon': demands nothing"),
         ('unit = "mm"\nlifting.better_than = []', "key 'lifting.better_than': demands nothing"),

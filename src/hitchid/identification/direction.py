@@ -112,7 +112,7 @@ def find_compensators(
     trace = replace(trace, phase2=training_history)
     if config.training.rollouts is not None:
         progress(ProgressUpdate("free runs", 0.5))
-        with timed(seconds, "LSTM correction for free run"):
+        with timed(seconds, "compensator for free run"):
             travel = channel.benchmark.travel(data.all_tests)
             speed_compensator, holdout_test = train_on_rollouts(
                 data.all_tests,

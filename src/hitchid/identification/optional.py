@@ -28,7 +28,5 @@ def attempt(description: str, compute: Callable[[], Result], notices: list[str])
         raise
     except Exception as error:
         cause = str(error) or "no message"
-        notices.append(
-            f"{description} could not be computed and is left out ({type(error).__name__}: {cause})"
-        )
+        notices.append(f"could not be computed: {description} ({type(error).__name__}: {cause})")
         return None

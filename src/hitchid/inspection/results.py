@@ -11,7 +11,7 @@ from hitchid.data.left_out import LeftOut, left_out_notices
 from hitchid.data.record import CYCLE, Record
 from hitchid.data.segmentation import Segment, durations_s
 
-UNCLASSIFIED = "unknown"  # kind of a record whose campaign cannot be assembled; a value in JSON
+UNCLASSIFIED = "not told"  # kind of a record whose campaign cannot be assembled; a value in JSON
 
 
 @dataclass(frozen=True)

@@ -54,7 +54,7 @@ class ModelSpec:
         refused = [option.value for option in ModelOption if option in self.options - self.structure.options]
         if refused:
             raise InputError(
-                f"structure '{self.structure.name}' has no option {' and no option '.join(refused)}; "
+                f"structure '{self.structure.name}' has no {' and no '.join(refused)}; "
                 "choose another structure"
             )
         by_name = {parameter.name: parameter for parameter in self.parameters}

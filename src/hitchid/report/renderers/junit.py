@@ -41,7 +41,7 @@ def junit_xml(checks: Sequence[Check], *, name: str = "hitchid") -> bytes:
             suite, "testcase", {"classname": _clean(f"{name}.{check.direction}"), "name": _clean(check.name)}
         )
         if not check.passed:
-            message = {"message": _clean(f"{check.figure}, expected {check.limit}"), "type": "limit"}
+            message = {"message": _clean(f"{check.figure}, required {check.limit}"), "type": "limit"}
             ElementTree.SubElement(case, "failure", message).text = check_line(check)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n"

@@ -11,7 +11,7 @@ def limits(acceptance: Acceptance) -> ReportSection:
         for check in acceptance.checks
     )
     failed = tuple(
-        Finding(Rating.BAD, f"{check.name}: {check.figure}, expected {check.limit}.")
+        Finding(Rating.BAD, f"{check.name}: {check.figure}, required {check.limit}.")
         for check in acceptance.checks
         if not check.passed
     )
@@ -22,5 +22,5 @@ def limits(acceptance: Acceptance) -> ReportSection:
 def check_line(check: Check) -> str:
     """Return a check as one line; unprintable characters, as in names of logs, are replaced."""
     verdict = "pass" if check.passed else "fail"
-    text = f"{verdict}  {check.name} {check.figure}, expected {check.limit}"
+    text = f"{verdict}  {check.name} {check.figure}, required {check.limit}"
     return "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in text)

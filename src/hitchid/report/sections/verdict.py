@@ -32,7 +32,7 @@ def _acceptance_finding(acceptance: Acceptance) -> Finding:
     count = len(acceptance.checks)
     if not failed:
         return Finding(Rating.GOOD, f"Accepted: {_all_text(count, 'limit')} met.")
-    names = "; ".join(f"{check.name} {check.figure}, expected {check.limit}" for check in failed)
+    names = "; ".join(f"{check.name} {check.figure}, required {check.limit}" for check in failed)
     return Finding(Rating.BAD, f"Not accepted: {len(failed)} of {count} limits violated: {names}.")
 
 
