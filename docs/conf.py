@@ -28,7 +28,14 @@ math_eqref_format = "({number})"
 napoleon_numpy_docstring = False
 napoleon_use_ivar = True
 napoleon_attr_annotations = False  # docstrings contain shapes and units
-autodoc_typehints = "none"
+autodoc_typehints = "signature"
+autodoc_typehints_format = "short"
+autodoc_preserve_defaults = True
+python_use_unqualified_type_names = True
+maximum_signature_line_length = 88
+# Types of other packages, whose documentation is not on this machine, and internal ones.
+INTERNAL = r"(_support\.checkpoints|estimation\.search_problem|networks|report\.trace_file)\."
+nitpick_ignore_regex = [("py:.*", r"(?!hitchid\.).*"), ("py:.*", rf"hitchid\.{INTERNAL}.*")]
 autodoc_member_order = "bysource"
 autodoc_default_options = {"members": True}
 default_role = "code"

@@ -194,7 +194,7 @@ def test_a_folder_of_something_else_is_refused_and_left_alone(tmp_path):
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "precious").write_text("mine")
     assert not is_run(tmp_path / "run")
-    with pytest.raises(InputError, match=r"run: holds no unfinished run.*another place"):
+    with pytest.raises(InputError, match=r"run: holds no unfinished run.*empty folder"):
         Checkpoints.of_run(tmp_path / "run", {"seed": 1})
     assert [path.name for path in files(tmp_path)] == ["precious"]
 

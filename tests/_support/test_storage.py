@@ -178,7 +178,7 @@ def test_force_replaces_nothing_of_another_kind(tmp_path, foreign):
     precious = tmp_path / "a" / "precious" if foreign == "a folder" else tmp_path / "a"
     precious.parent.mkdir(exist_ok=True)
     precious.write_text("mine")
-    with pytest.raises(OutputError, match=r"holds no .hitchid.json.*another place"):
+    with pytest.raises(OutputError, match=r"no .hitchid.json.*another folder"):
         write_folder(tmp_path / "a", fill("new"), result_kind="mark.json", force=True)
     assert precious.read_text() == "mine"
 

@@ -158,7 +158,7 @@ def test_starts_at_unlike_places_are_noted(clean, changed, found):
     moved = changed(clean[0], signals={"displacement": clean[0].displacement + 20})
     (finding,) = found([moved, *clean[1:]], "start position")
     assert finding.severity is Severity.NOTE
-    assert "6 tests of lifting start between" in finding.what
+    assert "6 lifting tests start between" in finding.what
 
 
 def test_ramps_that_set_off_at_unlike_commands_are_found(make_test, found):
@@ -204,7 +204,7 @@ def test_little_motion_short_tests_and_rests_are_told(clean, make_test, found):
 def test_commands_barely_above_the_dead_zone_are_told(clean, make_test, found):
     weak = [make_test(f"w-{k}", command=0.5 * r.command("lifting")) for k, r in enumerate(clean[:6])]
     findings = found([*weak, *clean[6:]], "excitation")
-    (finding,) = said(findings, "ramps start motion")
+    (finding,) = said(findings, "motion starts in ramps")
     assert (finding.severity, finding.signal) == (Severity.WARNING, "lifting_command")
 
 
@@ -212,7 +212,7 @@ def test_missing_ramps_tests_and_held_out_tests_are_noted(clean, make_test, foun
     findings = found([make_test("lifting-1")], "excitation")
     assert said(findings, "no slow lifting ramp")
     assert said(findings, "lifting tests or strokes: 1, too few")
-    assert said(findings, "no test of lifting is held out")
+    assert said(findings, "no lifting test is held out")
     assert said(findings, "lowering is never commanded")
     assert {each.severity for each in findings} == {Severity.NOTE}
     without = found([r for r in clean if "ramp" not in r.name], "excitation")

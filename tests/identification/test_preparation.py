@@ -79,7 +79,7 @@ def test_an_end_stop_is_the_place_where_tests_agree_to_stand(make_record, direct
     found = prepare(everything(records), LIFTING, GIVEN)
     assert found.end_stop == pytest.approx(20.0 + direction * 50.0)
     assert told(found.notices, "end stop at")
-    assert told(found.notices, "met in 3 of 3 tests")
+    assert told(found.notices, "reached in 3 of 3 tests")
     counted = np.asarray(found.all_tests.loss_mask)
     # The stop is met after 50 mm / 30 mm/s = 1.67 s; what counts ends 1 % of the way before.
     np.testing.assert_array_equal(counted.sum(axis=1), [165, 165, 165])

@@ -217,7 +217,9 @@ def test_nodes_that_send_one_group_are_told_apart(j1939, source):
             np.testing.assert_allclose(speed.clock_s, 0.01 * np.arange(6), rtol=EPS)
     for ambiguous in ("EngSpeed", "EEC1/EngSpeed"):
         nodes = "EEC1@0x00/EngSpeed, EEC1@0x03/EngSpeed"
-        with pytest.raises(LogError, match=f"'{ambiguous}': the name is ambiguous: {nodes}"):
+        with pytest.raises(
+            LogError, match=f"'{ambiguous}': several signals have this name; use the full name: {nodes}"
+        ):
             read_bus(senders(0, 3), source, wanted(ambiguous, databases=[j1939]))
     with pytest.raises(LogError, match=r"'EEC1@0x05/EngSpeed': .*no such"):
         read_bus(senders(0, 3), source, wanted("EEC1@0x05/EngSpeed", databases=[j1939]))
@@ -315,7 +317,7 @@ def test_ids_of_29_bits_are_met_exactly_where_nothing_says_j1939(tmp_path, sourc
     np.testing.assert_array_equal(read.channels["x"].values, [0xF0, 0xF2, 0xF4])
     with pytest.raises(
         LogError,
-        match=r"'x': its message 'Own', id 0x18ff1000, is not.*group 65296 is, from 0x01.*J1939PG",
+        match=r"'x': its message 'Own', id 0x18ff1000, is not.*PGN 65296 is, from source address 0x01.*J1939PG",
     ):
         read_bus(frames[1::2], source, wanted("x", databases=[database]))
 

@@ -335,7 +335,7 @@ def test_a_last_line_without_an_end_is_told(log):
     wanted = ChannelSelection(NAMES[0], NAMES[1:])
     assert read(log(PLAIN), wanted).notices == ()
     (notice,) = read(log(PLAIN.rstrip("\n")), wanted).notices
-    assert "cut short" in notice
+    assert "truncated" in notice
 
 
 @pytest.mark.parametrize("cell", ["nan", "inf", "-inf", "1e999"])

@@ -261,7 +261,7 @@ def test_no_cut_of_structs_passes(saved):
 def test_a_cut_names_where_it_is(log):
     path = log()
     path.write_bytes(path.read_bytes()[:-40])
-    with pytest.raises(LogError, match=r"cut short: .*byte \d+.* \d+$"):
+    with pytest.raises(LogError, match=r"truncated: .*byte \d+.* \d+$"):
         read(path, SOME)
 
 

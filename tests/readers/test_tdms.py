@@ -196,7 +196,7 @@ def test_a_segment_with_less_data_than_its_metadata_promise_is_refused(log, less
     whole = path.read_bytes()
     length = SEGMENT.unpack_from(whole)[3]
     path.write_bytes(whole[:12] + struct.pack("<Q", length - less) + whole[20:-less])
-    with pytest.raises(LogError, match=r"column 'Bench/x': .*cut short: .*\d+ of 40"):
+    with pytest.raises(LogError, match=r"column 'Bench/x': .*truncated: .*\d+ of 40"):
         read(path, ALL)
 
 

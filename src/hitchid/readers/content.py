@@ -109,7 +109,7 @@ def match_channels(
         elif is_required:
             raise LogError(
                 source,
-                f"there is no such channel; {CHANNEL_HINT}; channels found: {format_names(names)}",
+                f"there is no such channel; {CHANNEL_HINT}; found {format_names(names)}",
                 column=requested,
             )
     _check_one_group(source, matches, selection.time)
