@@ -112,8 +112,8 @@ def no_manifest(folder):
         (lambda folder: (folder / "mark.json").write_text("edited"), r"1 file .*: mark\.json;"),
         (lambda folder: (folder / "link").symlink_to(folder / "mark.json"), r"1 file .*: link;"),
         (lambda folder: [(folder / f"{n}").touch() for n in range(5)], r"5 files .*: 0, 1, 2 and 2 more;"),
-        (no_manifest, rf"holds no \{MANIFEST_FILE}"),
-        (lambda folder: (folder / MANIFEST_FILE).write_text("[]"), rf"holds no \{MANIFEST_FILE}"),
+        (no_manifest, rf"no \{MANIFEST_FILE}"),
+        (lambda folder: (folder / MANIFEST_FILE).write_text("[]"), rf"no \{MANIFEST_FILE}"),
     ],
     ids=["added", "edited", "linked", "many", "of no version that lists its files", "manifest damaged"],
 )

@@ -189,7 +189,7 @@ def test_no_ramps_are_advised_where_the_dead_zone_is_given(model):
     ("asked", "complaint"),
     [
         ({"parameter": "damping"}, "expected a parameter with a standard error \\(.*gain.*\\), got damping"),
-        ({"direction": "sideways"}, "expected .*lifting gain.*lowering time_constant\), got sideways"),
+        ({"direction": "sideways"}, r"expected .*lifting gain.*lowering time_constant\), got sideways"),
         ({"direction": LIFTING, "parameter": "damping"}, "got lifting damping"),
         (
             {"direction": LIFTING, "limits": ExcitationLimits(highest=0.3)},

@@ -50,7 +50,7 @@ def test_the_direction_is_found_and_an_unusual_one_told(tests_of, mode, directio
     found = prepare(everything(tests_of(4, mode, direction=direction)), mode, GIVEN)
     assert found.sign == found.all_tests.sign == direction
     usual = direction == (1 if mode == LIFTING else -1)
-    words = "grows" if direction > 0 else "falls"
+    words = "increases" if direction > 0 else "decreases"
     assert (
         bool(
             told(

@@ -218,7 +218,7 @@ def test_nodes_that_send_one_group_are_told_apart(j1939, source):
     for ambiguous in ("EngSpeed", "EEC1/EngSpeed"):
         nodes = "EEC1@0x00/EngSpeed, EEC1@0x03/EngSpeed"
         with pytest.raises(
-            LogError, match=f"'{ambiguous}': several signals have this name; use the full name: {nodes}"
+            LogError, match=f"'{ambiguous}': several channels have this name; use the full name: {nodes}"
         ):
             read_bus(senders(0, 3), source, wanted(ambiguous, databases=[j1939]))
     with pytest.raises(LogError, match=r"'EEC1@0x05/EngSpeed': .*no such"):

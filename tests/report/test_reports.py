@@ -557,7 +557,7 @@ def test_the_verdict_names_the_model_that_errs_less(compared, pair, better):
         assert "no significant difference" in lifting.sentence
     else:
         assert lifting.level == Rating.GOOD
-        assert lifting.sentence.startswith(f"Lifting: {better} errs less")
+        assert lifting.sentence.startswith(f"Lifting: {better} has the smaller free-run error")
         worse = {"A": "b", "B": "a"}[better]
         assert not rmse[better.lower()] > rmse[worse]
 
@@ -633,7 +633,7 @@ def test_what_is_there_is_replaced_by_force_and_only_where_it_is_a_report(write,
     write(place, force=True)
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "mine.txt").write_text("mine")
-    with pytest.raises(OutputError, match=r"holds no \.hitchid\.json"):
+    with pytest.raises(OutputError, match=r"no \.hitchid\.json"):
         write(tmp_path / "other", force=True)
     assert (tmp_path / "other" / "mine.txt").read_text() == "mine"
 

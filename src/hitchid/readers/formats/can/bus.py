@@ -118,7 +118,7 @@ def _match_requested(
         if len(candidates) > 1:
             raise LogError(
                 source,
-                f"several signals have this name; use the full name: {format_names(candidates)}",
+                f"several channels have this name; use the full name: {format_names(candidates)}",
                 column=requested,
             )
         if candidates:
