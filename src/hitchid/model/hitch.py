@@ -197,7 +197,7 @@ class Hitch:
     def simulate(self, record: Record, *, compensated: bool = True) -> np.ndarray:
         """Return the free run: displacement from the commands and the initial displacement alone.
 
-        One `step` for each sample; docs/switching.md describes the change of direction.
+        One `step` for each sample. Change of direction: :doc:`/switching`.
 
         Args:
             record: commands, and displacement, of which only the mean before motion is used.

@@ -78,7 +78,7 @@ class StaticNonlinearity(eqx.Module):
 
     The spool follows the command with a lag, ṡ = (c − s)/τ, and with play: p(k) = p(k−1) held within
     s̄(k) ± h d₀/2, where s̄ is the mean of s over a sampling interval, d₀ the dead zone and h d₀ the width of
-    the hysteresis. Beyond the dead zone lies u = sign(p)·max(|p| − d₀ + h d₀/2, 0), which without lag and
+    the hysteresis. Beyond the dead zone lies u = sign(p)·max(abs(p) − d₀ + h d₀/2, 0), which without lag and
     hysteresis is the effective command.
 
     With z = u/U and the second input c in its own spread, v = max(z − s c − d, 0)ⁿ and
