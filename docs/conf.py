@@ -1,5 +1,6 @@
 """Settings of the documentation: Sphinx, Markdown, docstrings, equations as MathML, nothing from outside."""
 
+import re
 import sys
 from importlib.metadata import version as installed
 from pathlib import Path
@@ -28,7 +29,27 @@ math_eqref_format = "({number})"
 napoleon_numpy_docstring = False
 napoleon_use_ivar = True
 napoleon_attr_annotations = False  # docstrings contain shapes and units
-autodoc_typehints = "none"
+autodoc_typehints = "signature"
+autodoc_typehints_format = "short"
+autodoc_preserve_defaults = True
+python_use_unqualified_type_names = True
+maximum_signature_line_length = 88
+# Types of other packages, whose documentation is not part of this one, and internal types.
+INTERNAL = (
+    "_support.checkpoints",
+    "estimation.search_problem",
+    "identification.phase1.Fit",
+    "model.state.SpeedCompensatorState",
+    "networks",
+    "report.trace_file",
+    "structures.discrete_physical_model",
+    "uncertainty.dead_zone_error",
+    "uncertainty.influence",
+)
+nitpick_ignore_regex = [
+    ("py:.*", r"(?!hitchid\.).*"),
+    *(("py:.*", rf"hitchid\.{re.escape(name)}(\..*)?") for name in INTERNAL),
+]
 autodoc_member_order = "bysource"
 autodoc_default_options = {"members": True}
 default_role = "code"

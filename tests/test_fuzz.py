@@ -238,7 +238,7 @@ def test_a_displacement_of_the_smallest_numbers_is_looked_at(put, process):
 def test_logs_of_far_too_unlike_rates_are_refused_instead_of_resampled(put, process):
     fast, slow = rows([1e-8 * n for n in range(40)]), rows([float(n) for n in range(40)])
     said = refused(put(a__csv=fast, b__csv=slow, c__csv=fast), process)
-    assert "differs by more than a factor" in said
+    assert "expected a ratio of at most" in said
     assert "b.csv" in said
 
 
@@ -288,7 +288,7 @@ def test_a_model_holds_no_link_out_of_its_folder(model, tmp_path, name):
     inside.rename(tmp_path / "outside")
     (model / name).unlink()
     (model / name).symlink_to(tmp_path / "outside")
-    with pytest.raises(ModelFolderError, match="link out of its folder"):
+    with pytest.raises(ModelFolderError, match="outside its folder"):
         load(model)
 
 
@@ -335,7 +335,7 @@ def test_a_forged_description_is_refused_without_making_room_for_it(model, path,
     content = json.loads(files["model.json"])
     put_in(content, path, value)
     fuzzing.put(model, fuzzing.resealed(files, content))
-    with pytest.raises(ModelFolderError, match="cannot be understood"):
+    with pytest.raises(ModelFolderError, match="cannot be parsed"):
         load(model)
 
 
@@ -359,7 +359,7 @@ def test_nothing_is_unpickled(model, tmp_path):
         with pytest.raises(ModelFolderError):
             load(model)
     fuzzing.put(model, fuzzing.resealed({**files, "trace.json": code}, content))
-    with pytest.raises(ModelFolderError, match="cannot be understood"):
+    with pytest.raises(ModelFolderError, match="cannot be parsed"):
         load_trace(model)
     assert not mark.exists()
 
@@ -385,7 +385,7 @@ def test_links_of_hdf5_to_other_files_are_refused(tmp_path, process):
         for name in NAMES[:3]:
             file.create_dataset(name, data=fuzzing.columns()[name])
         file["displacement_mm"] = h5py.ExternalLink(str(tmp_path / "other.h5"), "displacement_mm")
-    assert "in another file" in refused(tmp_path / "logs", process)
+    assert "link to another file" in refused(tmp_path / "logs", process)
 
 
 def test_a_database_of_10_000_signals_is_read(every, tmp_path, process):

@@ -27,7 +27,7 @@ def test_the_lag_of_the_papers_lowering_model_is_not_printed_as_if_it_were_deter
     assert lag["interval_95"][0] > 100.0
     assert lag["interval_95"][1] is None
     assert lag["verdict"].startswith("only K/τ is determined: τ > ")
-    section = result.markdown().split("## lowering: parameters of the benchmark")[1].split("##")[0]
+    section = result.markdown().split("## lowering: parameters of the physics model")[1].split("##")[0]
     cells = {
         row.split("|")[1].strip(): row.split("|")[3].strip() for row in section.splitlines() if "|" in row
     }

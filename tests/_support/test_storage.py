@@ -112,8 +112,8 @@ def no_manifest(folder):
         (lambda folder: (folder / "mark.json").write_text("edited"), r"1 file .*: mark\.json;"),
         (lambda folder: (folder / "link").symlink_to(folder / "mark.json"), r"1 file .*: link;"),
         (lambda folder: [(folder / f"{n}").touch() for n in range(5)], r"5 files .*: 0, 1, 2 and 2 more;"),
-        (no_manifest, rf"holds no \{MANIFEST_FILE}"),
-        (lambda folder: (folder / MANIFEST_FILE).write_text("[]"), rf"holds no \{MANIFEST_FILE}"),
+        (no_manifest, rf"no \{MANIFEST_FILE}"),
+        (lambda folder: (folder / MANIFEST_FILE).write_text("[]"), rf"no \{MANIFEST_FILE}"),
     ],
     ids=["added", "edited", "linked", "many", "of no version that lists its files", "manifest damaged"],
 )
@@ -165,9 +165,9 @@ def test_an_input_is_never_an_output(tmp_path):
     link.symlink_to(log)
     (logs / "out.csv").touch()
     for out, source in [(log, log), (link, log), (log, link), (logs, log), (tmp_path, link), (logs, logs)]:
-        with pytest.raises(OutputError, match=f"{source.name} is read from there"):
+        with pytest.raises(OutputError, match=f"contains the input .*{source.name}"):
             check_inputs(out, [None, source])
-    with pytest.raises(OutputError, match=r"out\.csv: lies in .*logs, which is read"):
+    with pytest.raises(OutputError, match=r"out\.csv: is inside the input .*logs"):
         check_inputs(logs / "out.csv", [logs])
     check_inputs(logs / "out.csv", [log])
     check_inputs(logs / "model", [logs, log])
@@ -178,7 +178,7 @@ def test_force_replaces_nothing_of_another_kind(tmp_path, foreign):
     precious = tmp_path / "a" / "precious" if foreign == "a folder" else tmp_path / "a"
     precious.parent.mkdir(exist_ok=True)
     precious.write_text("mine")
-    with pytest.raises(OutputError, match=r"holds no .hitchid.json.*another place"):
+    with pytest.raises(OutputError, match=r"no .hitchid.json.*another folder"):
         write_folder(tmp_path / "a", fill("new"), result_kind="mark.json", force=True)
     assert precious.read_text() == "mine"
 

@@ -89,7 +89,7 @@ def turned(record, changed):
 def test_one_test_against_the_others_is_that_tests_fault(clean, changed, found):
     (finding,) = found([turned(clean[0], changed), *clean[1:]], "sign")
     assert (finding.severity, finding.record) == (Severity.FAULT, "lifting-1")
-    assert "falls" in finding.what
+    assert "decreases" in finding.what
 
 
 def test_both_reversed_is_a_warning_and_both_alike_a_fault(clean, changed, found):
@@ -100,7 +100,7 @@ def test_both_reversed_is_a_warning_and_both_alike_a_fault(clean, changed, found
     lowering = [turned(r, changed) for r in clean if "lowering" in r.name]
     (alike,) = found([*lifting, *lowering], "sign")
     assert alike.severity is Severity.FAULT
-    assert "grows under lifting and under lowering alike" in alike.what
+    assert "increases in lifting and in lowering" in alike.what
 
 
 def test_both_valves_at_once_are_found_with_their_span(clean, changed, found):
@@ -158,7 +158,7 @@ def test_starts_at_unlike_places_are_noted(clean, changed, found):
     moved = changed(clean[0], signals={"displacement": clean[0].displacement + 20})
     (finding,) = found([moved, *clean[1:]], "start position")
     assert finding.severity is Severity.NOTE
-    assert "6 tests of lifting start between" in finding.what
+    assert "6 lifting tests start between" in finding.what
 
 
 def test_ramps_that_set_off_at_unlike_commands_are_found(make_test, found):
@@ -204,15 +204,15 @@ def test_little_motion_short_tests_and_rests_are_told(clean, make_test, found):
 def test_commands_barely_above_the_dead_zone_are_told(clean, make_test, found):
     weak = [make_test(f"w-{k}", command=0.5 * r.command("lifting")) for k, r in enumerate(clean[:6])]
     findings = found([*weak, *clean[6:]], "excitation")
-    (finding,) = said(findings, "ramps set the piston off")
+    (finding,) = said(findings, "motion starts in ramps")
     assert (finding.severity, finding.signal) == (Severity.WARNING, "lifting_command")
 
 
 def test_missing_ramps_tests_and_held_out_tests_are_noted(clean, make_test, found):
     findings = found([make_test("lifting-1")], "excitation")
-    assert said(findings, "no slow ramp of lifting")
-    assert said(findings, "tests or strokes of lifting: 1, too few")
-    assert said(findings, "no test of lifting is held out")
+    assert said(findings, "no slow lifting ramp")
+    assert said(findings, "lifting tests or strokes: 1, too few")
+    assert said(findings, "no lifting test is held out")
     assert said(findings, "lowering is never commanded")
     assert {each.severity for each in findings} == {Severity.NOTE}
     without = found([r for r in clean if "ramp" not in r.name], "excitation")

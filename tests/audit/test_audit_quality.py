@@ -84,6 +84,6 @@ def test_a_dead_band_of_the_sensor_is_found(make_test, changed, found):
     for value in smooth[1:]:
         held.append(value if abs(value - held[-1]) > 0.4 else held[-1])
     (finding,) = found([changed(record, signals={"displacement": np.array(held)})], "dead band")
-    hop = float(finding.what.split("hops by ")[1].split()[0])
+    hop = float(finding.what.split("jumps by ")[1].split()[0])
     assert 0.4 <= hop < 0.6
     assert found([record], "dead band") == []

@@ -91,7 +91,7 @@ def test_an_end_stop_is_found_and_keeps_the_noise(make_test, changed, found):
     # Contact is told by what moves over 0.3 s.
     assert ends[0].spans[0][0] == pytest.approx(at, abs=0.3)
     assert ends[0].spans[0][1] == pytest.approx(9.99)
-    assert float(ends[0].what.split("stands at ")[1].split()[0]) == pytest.approx(60.0, abs=0.1)
+    assert float(ends[0].what.split("stays at ")[1].split()[0]) == pytest.approx(60.0, abs=0.1)
     assert not [each for each in findings if "sensor" in each.check]
     assert found(records, "end stop") == []
 

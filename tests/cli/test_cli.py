@@ -177,8 +177,8 @@ BAD_LOGS = {
         ["line 6", "'displacement_mm'", "finite", "nan"],
     ),
     "an infinite command": (cell(9, 1, "1e999"), ["line 10", "'current_up_A'", "finite", "inf"]),
-    "a constant displacement": (every_cell(3, "5.0"), ["constant", "5 mm", "expected"]),
-    "time that runs back": (cell(9, 0, "0.01"), ["line 10", "'time_s'", "must not run backwards", "0.01 s"]),
+    "a constant displacement": (every_cell(3, "5.0"), ["constant", "5 mm", "check"]),
+    "time that runs back": (cell(9, 0, "0.01"), ["line 10", "'time_s'", "must not decrease", "0.01 s"]),
     "time that stands still": (every_cell(0, "0.07"), ["line 3", "'time_s'", "time stamps are 0.07 s"]),
     "an empty file": (lambda lines: [], ["empty", "expected"]),
     "a header only": (lambda lines: lines[:1], ["line 1", "no samples"]),
@@ -354,7 +354,7 @@ def cut(file, keep):
 
 BAD_MODELS = {
     "no folder": (shutil.rmtree, ["model.json", "expected a model folder"]),
-    "weights cut short": (cut("weights.safetensors", -10), ["weights.safetensors", "cut short", "expected"]),
+    "weights cut short": (cut("weights.safetensors", -10), ["weights.safetensors", "truncated", "expected"]),
     "no weights": (lambda folder: (folder / "weights.safetensors").unlink(), ["weights.safetensors"]),
     "description edited": (
         edited("model.json", '"step_s": 0.01', '"step_s": 0.02'),
@@ -471,7 +471,7 @@ def test_a_picture_that_cannot_be_drawn_is_refused(refused, bench_folder, tests_
         refused("inspect", tests_with_a_cycle, "--draw", tmp_path / name, said=said)
     (tmp_path / "broken").mkdir()
     (tmp_path / "broken" / "a.csv").write_text("time_s\n")
-    said = ["--draw", "nothing to draw"]
+    said = ["--draw", "none of the logs can be used"]
     refused("inspect", tmp_path / "broken", "--draw", tmp_path / "logs.png", said=said)
 
 
@@ -493,7 +493,7 @@ def test_run_answers_every_line_with_one(tmp_path):
         "mode": "lifting",
         "flags": [],
     }
-    assert "not understood: the line is no JSON" in odd["flags"]
+    assert "not understood: the line is not JSON" in odd["flags"]
     assert odd["displacement"] == pytest.approx(100.09, rel=1e-12)
     assert blank["flags"] == odd["flags"]
     assert (last["displacement"], last["flags"]) == (pytest.approx(100.145, rel=1e-12), [])
@@ -574,7 +574,7 @@ def test_simulate_says_on_stderr_where_it_leaves_what_the_tests_covered(bench_fo
     samples = np.count_nonzero(effective > 0.05)
     assert samples > 0
     assert result.err == (
-        "notice: lifting: the command leaves what the tests covered, 0 to 0.05 A beyond the dead zone, "
+        "notice: lifting: the command is outside the identified range, 0 to 0.05 A beyond the dead zone, "
         f"in {samples} of {len(record)} samples\n"
     )
     ahead = hitchid(*arguments, "--force", "--horizon", "3")
@@ -781,7 +781,7 @@ def test_identify_writes_a_model_and_prints_what_it_found(bench_folder, tmp_path
     assert {path.name: path.read_bytes() for path in out.iterdir()} == first
     used_all = hitchid("validate", out, bench_folder / "lifting-01.csv", "--out", tmp_path / "out")
     assert used_all.code == 2
-    assert "used every test" in used_all.err
+    assert "was used for identification" in used_all.err
 
 
 def test_a_run_that_fails_has_exit_code_1_and_leaves_nothing(bench_folder, tmp_path, monkeypatch):

@@ -194,7 +194,7 @@ def test_an_identification_is_stopped_begun_anew_killed_and_gone_on_with(identif
     code, out, err = identify("--resume", "--seed", "7").end()
     assert (code, out) == (2, "")
     (line,) = err.splitlines()
-    assert "other logs, other settings or another version" in line
+    assert "other logs, settings or version" in line
     assert "--force" in line
     assert stamps(unfinished) == before
 

@@ -180,7 +180,7 @@ def test_what_was_written_comes_back_bit_for_bit(log, ending):
 def test_a_format_that_is_written_is_written_bit_for_bit(tmp_path, ending):
     path = tmp_path / f"log{ending}"
     if format_of(path).write is None:
-        with pytest.raises(InputError, match="not written in this format"):
+        with pytest.raises(InputError, match="cannot write this format"):
             write_table(path, TABLE)
         assert not path.exists()
         return

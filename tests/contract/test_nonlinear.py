@@ -122,7 +122,7 @@ def test_what_comes_later_changes_nothing_before(structure):
     ],
 )
 def test_a_nonlinear_structure_takes_no_options(structure, option, named):
-    with pytest.raises(InputError, match=f"'{structure.name}' takes no {named}; expected a form without"):
+    with pytest.raises(InputError, match=f"'{structure.name}' has no {named}; choose another structure"):
         ModelSpec(structure, **option)
     assert ModelSpec(structure).parameters == structure.parameters
 

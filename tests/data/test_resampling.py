@@ -119,7 +119,7 @@ def test_a_lost_sample_is_interpolated_and_the_others_stay_on_their_grid(step_s)
 def test_time_that_runs_backwards_is_refused_with_its_line(first_line):
     stamps = STEP_S * np.arange(10)
     stamps[5] = -1.0
-    with pytest.raises(LogError, match=r"backwards; -1 s came after 0\.04 s") as caught:
+    with pytest.raises(LogError, match=r"decrease; -1 s follows 0\.04 s") as caught:
         rows(stamps, first_line)
     assert "column 'time_s'" in str(caught.value)
     assert ("line" in str(caught.value)) == (first_line is not None)

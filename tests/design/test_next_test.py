@@ -188,24 +188,24 @@ def test_no_ramps_are_advised_where_the_dead_zone_is_given(model):
 @pytest.mark.parametrize(
     ("asked", "complaint"),
     [
-        ({"parameter": "damping"}, "expected a parameter with an error, .*gain.*; got damping"),
-        ({"direction": "sideways"}, "expected .*lifting gain.*lowering time_constant; got sideways"),
+        ({"parameter": "damping"}, "expected a parameter with a standard error \\(.*gain.*\\), got damping"),
+        ({"direction": "sideways"}, r"expected .*lifting gain.*lowering time_constant\), got sideways"),
         ({"direction": LIFTING, "parameter": "damping"}, "got lifting damping"),
         (
             {"direction": LIFTING, "limits": ExcitationLimits(highest=0.3)},
-            "highest command: expected above the dead zone of 0.35, got 0.3",
+            "highest command: expected more than the dead zone, 0.35, got 0.3",
         ),
         (
             {"direction": LIFTING, "limits": ExcitationLimits(highest=0.35)},
-            "expected above the dead zone of 0.35, got 0.35",
+            "expected more than the dead zone, 0.35, got 0.35",
         ),
         (
             {"direction": LIFTING, "limits": ExcitationLimits(travel=0.001)},
-            f"lifting: none of {CANDIDATES} tests stays within the limits; expected wider ones",
+            f"lifting: none of {CANDIDATES} candidate tests is within the limits; use wider limits",
         ),
         (
             {"direction": LIFTING, "limits": ExcitationLimits(longest_s=0.0)},
-            f"none of {CANDIDATES} tests stays within",
+            f"none of {CANDIDATES} candidate tests is within",
         ),
     ],
 )
@@ -217,7 +217,9 @@ def test_what_cannot_be_designed_is_refused(model, asked, complaint):
 def test_a_model_that_knows_nothing_of_its_tests_is_refused(model):
     known = {mode: Uncertainty(each.benchmark) for mode, each in model.uncertainty.items()}
     for each in (made_up(), Hitch(model.channels, STEP_S, UNITS, uncertainty=known)):
-        with pytest.raises(InputError, match="expected a parameter with an error, nothing; got anything"):
+        with pytest.raises(
+            InputError, match="expected a parameter with a standard error \\(nothing\\), got anything"
+        ):
             design(each)
 
 

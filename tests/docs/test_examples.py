@@ -25,6 +25,8 @@ from hitchid.validation import read_limits
 
 ROOT = Path(__file__).parents[2]
 TUTORIAL = "docs/tutorial.md"
+# Pages that identify with the default settings, which takes minutes, and save a model where none was.
+DEFAULT_SETTINGS = ("README.md", "docs/index.md")
 # Commands that are not run here.
 NOT_RUN = ("pip install ", "make ", "recorder | ")
 DIRECTIVES = ("{toctree}", "{figure}", "{include}", "{eval-rst}", "{command-line}")
@@ -208,8 +210,7 @@ def test_the_examples_work(subtests, tmp_path):
             for name in ("logs", "ramps", "model"):
                 shutil.copytree(tutorial / name, folder / name)
             shutil.copy(tutorial / "quick.toml", folder)
-            if page == "README.md":
-                # It identifies with all there is, which takes minutes, and saves a model where none was.
+            if page in DEFAULT_SETTINGS:
                 patch.setattr(hitchid, "identify", quick, raising=False)
                 shutil.rmtree(folder / "model")
             run_page(page, folder)

@@ -42,7 +42,7 @@ def test_for_directions_that_mirror_each_other_one_mode_would_do(prepared):
     # The truth leaves the noise, of which a test's start takes a share of its own.
     for rmse in (found.shared_rmse, found.two_rmse):
         assert NOISE / 2 < rmse < 2 * NOISE
-    assert found.sentence.startswith("one mode would do")
+    assert found.sentence.startswith("one shared model is sufficient")
 
 
 def test_a_plant_with_half_the_gain_one_way_needs_two_modes(prepared):
@@ -51,7 +51,7 @@ def test_a_plant_with_half_the_gain_one_way_needs_two_modes(prepared):
     assert found.p_value < 0.01
     assert NOISE / 2 < found.two_rmse < 2 * NOISE
     assert found.shared_rmse > 10 * found.two_rmse
-    assert found.sentence.startswith("the plant needs two modes")
+    assert found.sentence.startswith("two separate models are justified")
 
 
 def test_one_direction_cannot_be_compared(prepared):

@@ -210,7 +210,7 @@ def test_bounds_that_make_no_sense_are_refused(batch_of, bounds, complaint):
 
 def test_tests_in_which_nothing_happens_are_refused(batch_of):
     ((command, travel), _) = plants(lag(15.0, 0.7))
-    with pytest.raises(FitError, match="command never leaves the dead zone"):
+    with pytest.raises(FitError, match="command never exceeds the dead zone"):
         identified(batch_of([(0 * command, travel)]), LAG)
     with pytest.raises(FitError, match="piston does not move"):
         identified(batch_of([(command, 0 * travel)]), LAG)

@@ -50,8 +50,15 @@ def test_the_direction_is_found_and_an_unusual_one_told(tests_of, mode, directio
     found = prepare(everything(tests_of(4, mode, direction=direction)), mode, GIVEN)
     assert found.sign == found.all_tests.sign == direction
     usual = direction == (1 if mode == LIFTING else -1)
-    words = "grows" if direction > 0 else "falls"
-    assert bool(told(found.notices, f"the displacement {words} in {mode}: taken as measured")) != usual
+    words = "increases" if direction > 0 else "decreases"
+    assert (
+        bool(
+            told(
+                found.notices, f"the displacement {words} in {mode}; the direction is identified as measured"
+            )
+        )
+        != usual
+    )
     # Whichever way the sensor counts, travel is positive where the command drives.
     assert np.all(np.asarray(found.all_tests.travel)[:, SAMPLES - 1] > 0)
 
@@ -72,7 +79,7 @@ def test_an_end_stop_is_the_place_where_tests_agree_to_stand(make_record, direct
     found = prepare(everything(records), LIFTING, GIVEN)
     assert found.end_stop == pytest.approx(20.0 + direction * 50.0)
     assert told(found.notices, "end stop at")
-    assert told(found.notices, "met in 3 of 3 tests")
+    assert told(found.notices, "reached in 3 of 3 tests")
     counted = np.asarray(found.all_tests.loss_mask)
     # The stop is met after 50 mm / 30 mm/s = 1.67 s; what counts ends 1 % of the way before.
     np.testing.assert_array_equal(counted.sum(axis=1), [165, 165, 165])
@@ -116,7 +123,7 @@ def test_whole_tests_are_set_aside_to_stop_the_training(tests_of, count, validat
 
 def test_the_last_quarter_of_a_single_test_stops_its_training(tests_of):
     found = prepare(everything(tests_of(2)), LIFTING, GIVEN)
-    assert told(found.notices, "one test only: its last quarter stops the training")
+    assert told(found.notices, "only one test: its last quarter is used for early stopping")
     sample = np.arange(found.all_tests.loss_mask.shape[1])
     np.testing.assert_array_equal(found.training.loss_mask[0], sample < 225)
     np.testing.assert_array_equal(found.validation.loss_mask[0], (sample >= 225) & (sample < 300))
@@ -161,7 +168,7 @@ def test_a_dead_zone_that_cannot_be_told_is_zero_with_a_notice(make_record):
         records.append(make_record(displacement, command, 0 * command, name=f"test-{number}"))
     found = prepare(everything(records), LIFTING, None)
     assert (found.dead_zone.value, found.dead_zone.origin) == (0.0, "none")
-    assert told(found.notices, "cannot be found from one level of command: taken as zero")
+    assert told(found.notices, "cannot be identified from one level of command; zero is used")
 
 
 def test_what_was_done_to_a_log_is_passed_on(tests_of):

@@ -75,9 +75,9 @@ def test_a_speed_that_the_benchmark_misses_is_learnt_and_ships(tests_of):
     # What is missed is up to 30 % of the speed; half of the error is gone on tests it has not seen.
     before, after = (np.sqrt(np.mean(errors**2)) for errors in (gate.benchmark, gate.compensated))
     assert after < 0.5 * before
-    figures = f"{before:.4g} → {after:.4g} on tests held out in turn"
+    figures = f"RMSE {before:.4g} without, {after:.4g} with it in cross-validation"
     better = np.count_nonzero(gate.compensated < gate.benchmark)
-    assert gate.sentence == f"a compensator in free run: {figures}, better on {better} of 12"
+    assert gate.sentence == f"LSTM correction in free run: {figures}, smaller in {better} of 12 tests"
     # And on tests of the same plant that nothing has seen.
     fresh = tests_of(along_the_stroke, tests=6, seed=1)
     alone = BENCHMARK.travel(fresh)
@@ -90,7 +90,7 @@ def test_where_the_benchmark_is_the_truth_nothing_ships(tests_of):
     model, gate = trained(tests_of(integrating))
     assert model is None
     assert not gate.accepted
-    assert gate.sentence.startswith("no compensator in free run: ")
+    assert gate.sentence.startswith("no LSTM correction in free run: ")
     # The initial displacement, a mean of six noisy samples, and white noise are all that is left.
     assert np.mean(gate.benchmark) == pytest.approx(NOISE * np.sqrt(1 + 1 / 6), rel=0.1)
 
@@ -147,7 +147,7 @@ def test_too_few_tests_train_nothing_and_say_so(tests_of, tests):
     assert model is None
     assert not gate.accepted
     assert gate.benchmark.size == gate.compensated.size == 0
-    assert gate.sentence == ("no compensator in free run: fewer than 3 tests, too few to hold any out")
+    assert gate.sentence == ("no LSTM correction in free run: cross-validation needs 3 tests")
 
 
 def test_three_tests_are_enough_for_three_members(tests_of):

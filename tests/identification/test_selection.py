@@ -103,9 +103,7 @@ def test_a_hysteresis_is_found_where_there_is_one_and_its_width_told(make_record
     batch = simulated(make_record, played, PLAYED, dead_zone=0.3)
     found, tried = choose_spec(batch, AutoStructure(PLAIN), SEARCH, 0, units=UNITS)
     named = {each.name: each for each in tried}
-    with_play, without = (
-        named[name] for name in ("with lag and hysteresis of the spool", "with valve curve")
-    )
+    with_play, without = (named[name] for name in ("with spool lag and hysteresis", "with valve curve"))
     assert proven_better(with_play.held_out, without.held_out)
     assert with_play.held_out_rmse == pytest.approx(np.sqrt(np.mean(with_play.held_out**2)), rel=1e-15)
     assert with_play.held_out_rmse < 0.5 * without.held_out_rmse

@@ -185,7 +185,7 @@ def test_what_a_model_knows_of_the_valves_divides_a_mixed_log(write_log):
 def test_no_logs_and_a_broken_settings_file_are_refused(tmp_path, write_log):
     with pytest.raises(InputError, match="no log in this folder"):
         inspect(tmp_path / "logs")
-    with pytest.raises(InputError, match="no logs were named"):
+    with pytest.raises(InputError, match="no logs given"):
         inspect([])
     folder = write_log("a", pulse())
     (folder / "campaign.toml").write_text("[signals]\nfoo = 1\n")

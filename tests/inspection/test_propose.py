@@ -75,7 +75,7 @@ def test_every_guess_has_its_reason_before_it(logs):
 def test_logs_without_motion_are_refused_with_what_was_found(tmp_path):
     still = {"t": STEP_S * np.arange(100), "a": np.zeros(100), "b": np.ones(100)}
     write_table(tmp_path / "log.csv", still)
-    with pytest.raises(InputError, match="no two columns move together"):
+    with pytest.raises(InputError, match="no pair of columns correlates"):
         propose(tmp_path)
 
 

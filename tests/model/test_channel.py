@@ -111,11 +111,11 @@ def test_extrapolation_is_told_in_words_for_each_direction(make_record):
     mine = np.arange(SAMPLES) < 110
     high = simulated > 103.0
     assert model.extrapolation(record) == (
-        "lifting: the command leaves what the tests covered, 0 to 0.3 A beyond the dead zone, in 60 of 200 "
+        "lifting: the command is outside the identified range, 0 to 0.3 A beyond the dead zone, in 60 of 200 "
         "samples",
-        f"lifting: the displacement leaves what the tests covered, 90 to 103 mm, in "
+        f"lifting: the displacement is outside the identified range, 90 to 103 mm, in "
         f"{np.count_nonzero(high & mine)} of 200 samples",
-        f"lowering: the displacement leaves what the tests covered, 90 to 103 mm, in "
+        f"lowering: the displacement is outside the identified range, 90 to 103 mm, in "
         f"{np.count_nonzero(high & ~mine)} of 200 samples",
     )
     within = make_record(np.full(SAMPLES, 100.0), 0 * lifting, 0 * lowering)
@@ -139,7 +139,7 @@ def test_extrapolation_tells_of_the_second_input_by_its_unit(make_record):
         told[pressure] = model.extrapolation(heard)
     assert told == {
         105.0: (),
-        111.0: ("lifting: the load leaves what the tests covered, 100 to 110 bar, in 188 of 200 samples",),
+        111.0: ("lifting: the load is outside the identified range, 100 to 110 bar, in 188 of 200 samples",),
     }
 
 

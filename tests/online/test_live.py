@@ -48,7 +48,7 @@ def test_it_waits_for_a_displacement_and_starts_there():
     live = Live(MODEL)
     waiting = live.process(sample(0.0, LIFT, 0.0))
     assert (waiting.displacement, waiting.mode) == (None, "standing")
-    assert waiting.flags == ("waiting for a displacement to start from",)
+    assert waiting.flags == ("waiting for an initial displacement",)
     begun = live.process(full(0.01))
     assert (begun.mode, begun.flags) == ("lifting", ())
     alone = Live(MODEL).process(full(0.01))
@@ -81,18 +81,18 @@ def test_a_missing_command_keeps_the_last_one():
     answer, expected = live.process(sample(0.01)), told.process(sample(0.01, LIFT, 0.0))
     assert answer.displacement == expected.displacement
     assert answer.flags == tuple(
-        f"{mode}_command is missing: the last one stands" for mode in ("lifting", "lowering")
+        f"{mode}_command is missing: the last value is held" for mode in ("lifting", "lowering")
     )
     assert expected.flags == ()
 
 
 def test_a_missing_displacement_is_coasted_over_and_told_once_there_was_one():
     live = Live(MODEL, initial=START)
-    assert not said(live.process(sample(0.0, LIFT, 0.0)), "coasting")
+    assert not said(live.process(sample(0.0, LIFT, 0.0)), "no displacement was measured")
     measured = live.process(full(0.01))
-    assert not said(measured, "coasting")
+    assert not said(measured, "no displacement was measured")
     coasted = live.process(sample(0.02, LIFT, 0.0))
-    assert said(coasted, "coasting")
+    assert said(coasted, "no displacement was measured")
     # The benchmark's travel, and the step of the predicted error, a few of its σ.
     assert coasted.displacement == pytest.approx(measured.displacement + TRAVEL, abs=10 * handmade.ERROR_STEP)
 
@@ -137,7 +137,7 @@ def test_of_two_samples_for_one_time_the_later_counts():
         each.process(full(0.0))
     live.process(sample(0.006, LIFT, 0.0, 102.0))
     answer = live.process(sample(0.014, 0.0, LIFT))
-    assert said(answer, "early: 0.014 s takes the place of 0.006 s")
+    assert said(answer, "early: the sample at 0.014 s replaces that at 0.006 s")
     expected = told.process(sample(0.01, 0.0, LIFT, 102.0))
     assert (answer.displacement, answer.mode) == (expected.displacement, expected.mode)
 
@@ -161,10 +161,11 @@ def test_what_leaves_the_tests_is_told():
     for lifting, displacement in ((zone + 0.41, 100.0), (zone + 0.04, 100.0)):
         (flag,) = live.process(full(None, lifting=lifting, displacement=displacement)).flags
         assert flag == (
-            f"outside: lifting_command {lifting:g}; the tests covered 0.05 to 0.4 A beyond the dead zone"
+            f"outside: lifting_command {lifting:g}; the identified range is 0.05 to 0.4 A "
+            "beyond the dead zone"
         )
     (flag,) = live.process(full(None, displacement=151.0)).flags
-    assert flag.startswith("outside: displacement 151; the tests covered 50 to 150 mm")
+    assert flag.startswith("outside: displacement 151; the identified range is 50 to 150 mm")
 
 
 def test_everything_is_compiled_before_the_first_sample():
@@ -212,7 +213,7 @@ def test_after_too_long_a_gap_nothing_is_known_any_more(gap_s):
     forgotten = live.process(sample(gap_s, LIFT, 0.0))
     assert (forgotten.displacement, forgotten.mode) == (None, "standing")
     assert said(forgotten, "late: ")
-    assert said(forgotten, "waiting for a displacement")
+    assert said(forgotten, "waiting for an initial displacement")
     begun = live.process(full(gap_s + STEP_S, displacement=70.0))
     assert begun.displacement == Live(MODEL).process(full(0.0, displacement=70.0)).displacement
 
@@ -220,7 +221,10 @@ def test_after_too_long_a_gap_nothing_is_known_any_more(gap_s):
 def test_both_valves_on_is_told():
     live = Live(MODEL, initial=START)
     both = live.process(sample(0.0, LIFT, LIFT))
-    assert (both.mode, both.flags) == ("lowering", ("both valves are on: lowering counts",))
+    assert (both.mode, both.flags) == (
+        "lowering",
+        ("both commands are active: the lowering command is used",),
+    )
     assert live.process(sample(0.01, LIFT, 0.0)).flags == ()
 
 
@@ -238,7 +242,7 @@ def test_what_is_not_known_is_told_and_passed_over():
 def test_what_is_no_json_is_told(line):
     answer = Live(MODEL, initial=START).process(line)
     assert answer.displacement == START
-    assert said(answer, "the line is no JSON")
+    assert said(answer, "the line is not JSON")
 
 
 @pytest.mark.parametrize("line", ["[]", "[0.0, 0.5]", "1", '"text"', "null", "true", "NaN"])
@@ -268,7 +272,7 @@ def test_what_is_not_finite_counts_as_missing(role, text):
     del lines[role]
     expected = told.process(json.dumps(lines))
     assert live.process(json.dumps(lines)[:-1] + f', "{role}": {text}}}') == expected
-    assert said(expected, "coasting" if role == "displacement" else "missing")
+    assert said(expected, "no displacement was measured" if role == "displacement" else "missing")
 
 
 @pytest.mark.parametrize("size", [1e10, 1e40, 1.7e308])

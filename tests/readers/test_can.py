@@ -201,7 +201,7 @@ def test_a_multiplexer_says_which_frames_hold_a_signal(tmp_path, source):
         read_bus(frames, source, wanted("Never", databases=[database]))
     everything = read_bus(frames, source, wanted(databases=[database]))
     assert "Mux/Never" not in everything.channels
-    assert "left out, without a valid sample: Mux/Never" in everything.notices
+    assert "left out because no sample is valid: Mux/Never" in everything.notices
 
 
 # --- J1939 ------------------------------------------------------------------------------------------------
@@ -217,7 +217,9 @@ def test_nodes_that_send_one_group_are_told_apart(j1939, source):
             np.testing.assert_allclose(speed.clock_s, 0.01 * np.arange(6), rtol=EPS)
     for ambiguous in ("EngSpeed", "EEC1/EngSpeed"):
         nodes = "EEC1@0x00/EngSpeed, EEC1@0x03/EngSpeed"
-        with pytest.raises(LogError, match=f"'{ambiguous}': the name is ambiguous: {nodes}"):
+        with pytest.raises(
+            LogError, match=f"'{ambiguous}': several channels have this name; use the full name: {nodes}"
+        ):
             read_bus(senders(0, 3), source, wanted(ambiguous, databases=[j1939]))
     with pytest.raises(LogError, match=r"'EEC1@0x05/EngSpeed': .*no such"):
         read_bus(senders(0, 3), source, wanted("EEC1@0x05/EngSpeed", databases=[j1939]))
@@ -290,7 +292,7 @@ def test_what_is_not_available_is_left_out_of_its_own_signal_alone(j1939, source
     np.testing.assert_array_equal(speed.values, [100.0, 0xFAFF / 8, 101.0])
     np.testing.assert_allclose(speed.clock_s, [0.1, 0.4, 0.5], rtol=4 * EPS)
     assert content.channels["Torque"].values.size == 6
-    assert content.notices == ("'EngSpeed': 3 of 6 samples are left out: not valid by J1939",)
+    assert content.notices == ("'EngSpeed': 3 of 6 samples are left out: not valid in J1939",)
 
 
 def test_a_signal_that_is_never_available_is_an_error_only_where_it_is_asked_for(j1939, source):
@@ -299,7 +301,7 @@ def test_a_signal_that_is_never_available_is_an_error_only_where_it_is_asked_for
         read_bus(frames, source, wanted("EngSpeed", databases=[j1939]))
     content = read_bus(frames, source, wanted(databases=[j1939]))
     assert list(content.channels) == ["EEC1/Torque"]
-    assert content.notices == ("left out, without a valid sample: EEC1/EngSpeed",)
+    assert content.notices == ("left out because no sample is valid: EEC1/EngSpeed",)
 
 
 def test_outside_j1939_all_ones_are_a_number(plain, source):
@@ -315,7 +317,7 @@ def test_ids_of_29_bits_are_met_exactly_where_nothing_says_j1939(tmp_path, sourc
     np.testing.assert_array_equal(read.channels["x"].values, [0xF0, 0xF2, 0xF4])
     with pytest.raises(
         LogError,
-        match=r"'x': its message 'Own', id 0x18ff1000, is not.*group 65296 is, from 0x01.*J1939PG",
+        match=r"'x': its message 'Own', id 0x18ff1000, .*PGN 65296 is, from source address 0x01.*J1939PG",
     ):
         read_bus(frames[1::2], source, wanted("x", databases=[database]))
 
@@ -325,7 +327,7 @@ def test_an_id_of_no_node_stands_for_all_unless_it_is_met(tmp_path, source):
     content = read_bus(senders(0), source, wanted("EngSpeed", databases=[database]))
     np.testing.assert_array_equal(content.channels["EngSpeed"].values, np.arange(6))
     assert content.notices == (
-        "'EEC1' was matched by its parameter group 61444, from 0x00: "
+        "'EEC1' was matched by its PGN 61444, from source address 0x00: "
         "the id in the DBC file, 0xcf004fe, has the null address",
     )
     content = read_bus(senders(0, 0xFE), source, wanted("EngSpeed", databases=[database]))
@@ -464,7 +466,7 @@ def test_a_message_whose_frames_are_all_short_is_refused(plain, source):
 
 def test_a_log_without_a_database_says_what_is_required(source):
     with pytest.raises(
-        LogError, match=r"log\.asc: expected a DBC file: put it into the log's folder or name it in camp"
+        LogError, match=r"log\.asc: a DBC file is required: put it in the log's folder or name it in camp"
     ):
         read_bus([], source, wanted("x"))
 
@@ -582,7 +584,7 @@ def test_a_blf_log_that_was_never_closed_is_refused_where_an_object_is_cut_else_
             continue
         values = content.channels["Speed"].values
         np.testing.assert_array_equal(values, np.arange(values.size))
-        assert content.notices == ("the log was never closed: its end may be missing",)
+        assert content.notices == ("the log was never closed: it may be incomplete",)
         read_whole += values.size == 60
     assert read_whole >= 1
 
@@ -616,7 +618,7 @@ def test_an_asc_log_cut_anywhere_gives_no_false_number(tmp_path, plain):
         values = content.channels["Speed"].values
         np.testing.assert_array_equal(values, 0xA0 + np.arange(values.size))
         assert values.size == whole[:size].count(b"\n") - 5
-        assert "the log has no 'End TriggerBlock': its end may be missing" in content.notices
+        assert "the log has no 'End TriggerBlock': it may be incomplete" in content.notices
 
 
 @pytest.mark.parametrize("kind", [".asc.gz", ".mf4"])
@@ -674,7 +676,7 @@ def test_a_line_that_misses_bytes_is_left_out(tmp_path, plain):
 def test_relative_stamps_are_refused(tmp_path, plain):
     (tmp_path / "log.asc").write_text(HEADER.replace("absolute", "relative") + LINES)
     with pytest.raises(
-        LogError, match="count from the line before each; expected 'base hex timestamps absolute'"
+        LogError, match="relative to the previous line; expected 'base hex timestamps absolute'"
     ):
         read(tmp_path / "log.asc", wanted("Speed", databases=[plain]))
 

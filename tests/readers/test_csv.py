@@ -323,7 +323,7 @@ def test_no_sample_is_lost_above_a_bad_line(log):
 
 def test_commas_that_may_be_thousands_are_refused(log):
     rows = "".join(f"{k};{k};{cell}\n" for k, cell in enumerate(["998", "999", "1,000", "1,001"] * 5))
-    with pytest.raises(LogError, match="may be a decimal or a thousand"):
+    with pytest.raises(LogError, match="a decimal comma or a thousands separator"):
         read(log("time_s;current_up_A;p\n" + rows), ChannelSelection("time_s", ("p",)))
     for decimal in ("0,998", "1,5", "1,0005"):
         text = "time_s;current_up_A;p\n" + rows.replace("998", decimal, 1)
@@ -335,7 +335,7 @@ def test_a_last_line_without_an_end_is_told(log):
     wanted = ChannelSelection(NAMES[0], NAMES[1:])
     assert read(log(PLAIN), wanted).notices == ()
     (notice,) = read(log(PLAIN.rstrip("\n")), wanted).notices
-    assert "cut short" in notice
+    assert "truncated" in notice
 
 
 @pytest.mark.parametrize("cell", ["nan", "inf", "-inf", "1e999"])

@@ -165,7 +165,9 @@ def test_what_is_kept_in_another_file_is_refused(log, tmp_path, fill):
 
     path = log(both)
     for wanted in (ALL, ChannelSelection("y", ("x",))):
-        with pytest.raises(LogError, match="column 'x': is in another file; expected in this one"):
+        with pytest.raises(
+            LogError, match="column 'x': is a link to another file; expected the data in this file"
+        ):
             read(path, wanted)
     np.testing.assert_array_equal(read(path, ChannelSelection("y", ())).channels["y"].values, np.arange(8.0))
 

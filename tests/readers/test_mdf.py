@@ -89,7 +89,9 @@ def test_groups_without_a_name_of_their_own_go_by_number(log):
     path = log(("same", [signal("x")]), ("same", [signal("x")]), ("other", [signal("y"), signal("y")]))
     content = read(path, ALL)
     assert list(content.channels) == ["0/x", "1/x", "other/y", "other/y (2)"]
-    with pytest.raises(LogError, match="column 'x': the name is ambiguous: 0/x, 1/x"):
+    with pytest.raises(
+        LogError, match="column 'x': several channels have this name; use the full name: 0/x, 1/x"
+    ):
         read(path, ChannelSelection("t", ("x",)))
 
 
@@ -252,7 +254,7 @@ def test_a_cut_names_where_it_is(tmp_path):
     write_table(tmp_path / "log.mf4", table())
     whole = (tmp_path / "log.mf4").read_bytes()
     (tmp_path / "log.mf4").write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(LogError, match=r"cut short: .*byte \d+.* \d+$"):
+    with pytest.raises(LogError, match=r"truncated: .*byte \d+.* \d+$"):
         read(tmp_path / "log.mf4", ALL)
 
 
@@ -261,7 +263,7 @@ def test_an_unfinished_recording_is_refused(tmp_path, change):
     write_table(tmp_path / "log.mf4", table())
     whole, (at, mark) = (tmp_path / "log.mf4").read_bytes(), change
     (tmp_path / "log.mf4").write_bytes(whole[:at] + mark + whole[at + len(mark) :])
-    with pytest.raises(LogError, match=r"cut short: .*never finished"):
+    with pytest.raises(LogError, match=r"truncated: .*never finished"):
         read(tmp_path / "log.mf4", ALL)
 
 

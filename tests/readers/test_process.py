@@ -95,7 +95,7 @@ MISBEHAVING = {
         'out.write(b\'{"channels": [["x"\'); out.flush(); os.abort()',
         "its reader crashed",
     ),
-    "eats memory": ("np.ones(2**33)", "needs more memory than allowed for its size"),
+    "eats memory": ("np.ones(2**33)", "needs more memory than is allowed for its size"),
     "recurses": ("def f(): f()\nf()", "RecursionError"),
     "raises anything": ("class Odd(Exception): pass\nraise Odd('\\udcff \\u2028 line\\nline')", "Odd"),
     "raises nothing": ("raise ValueError", "cannot be read: ValueError"),

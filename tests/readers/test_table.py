@@ -156,7 +156,7 @@ def test_a_unit_nobody_knows_is_told_and_the_map_counts():
 def test_no_unit_anywhere_is_refused_with_the_line_to_write(unit):
     said = refused(content(unit), signal_map("x"))
     assert "column 'x'" in said
-    assert '{ column = "x", unit = "…" } in campaign.toml' in said
+    assert 'in campaign.toml: { column = "x", unit = "…" }' in said
 
 
 @pytest.mark.parametrize("unit", [unit for unit in UNITS if UNITS[unit].dimension in POSITIONS])
@@ -241,7 +241,7 @@ def test_what_is_not_finite_is_refused_with_its_place_and_count(name, value):
     spoiled[[4, 9]] = value
     channels = {**given.channels, name: given.channels[name]._replace(values=spoiled)}
     said = refused(Content(SOURCE, channels, line_of=lambda sample: 100 + sample), signal_map("x", "mm"))
-    for part in ("line 104", f"column '{name}'", f"got {value}", "2 such of 30", "at sample 4"):
+    for part in ("line 104", f"column '{name}'", f"got {value}", "2 of 30", "at sample 4"):
         assert part in said
 
 

@@ -178,7 +178,7 @@ def test_no_cut_within_a_segment_passes(log):
     # Cut between two segments, a file is one that was recorded for less long: nothing in it says otherwise.
     assert cut_everywhere(path, read, cuts=400, whole_at=ends) > 350
     path.write_bytes(whole[: ends[1] - 1])
-    with pytest.raises(LogError, match=rf"cut short: segment 2 .*byte {ends[1]}.* \d+$"):
+    with pytest.raises(LogError, match=rf"truncated: segment 2 .*byte {ends[1]}.* \d+$"):
         read(path, ALL)
 
 
@@ -186,7 +186,7 @@ def test_a_segment_that_was_never_finished_is_refused(log):
     path = log([ChannelObject("Bench", "x", np.arange(40.0))])
     whole = path.read_bytes()
     path.write_bytes(whole[:12] + b"\xff" * 8 + whole[20:])
-    with pytest.raises(LogError, match=r"cut short: segment 1 .*never finished"):
+    with pytest.raises(LogError, match=r"truncated: segment 1 .*never finished"):
         read(path, ALL)
 
 
@@ -196,7 +196,7 @@ def test_a_segment_with_less_data_than_its_metadata_promise_is_refused(log, less
     whole = path.read_bytes()
     length = SEGMENT.unpack_from(whole)[3]
     path.write_bytes(whole[:12] + struct.pack("<Q", length - less) + whole[20:-less])
-    with pytest.raises(LogError, match=r"column 'Bench/x': .*cut short: .*\d+ of 40"):
+    with pytest.raises(LogError, match=r"column 'Bench/x': .*truncated: .*\d+ of 40"):
         read(path, ALL)
 
 

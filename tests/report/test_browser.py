@@ -34,7 +34,7 @@ WIDTHS, SCHEMES = (1280, 390), ("light", "dark")
 TEXT_CONTRAST = 4.5
 RIVALS = ("lstm", "narx", "arx", "transfer_function", "benchmark", "free_run")
 WIDE_TABLE = Table(
-    "lifting: parameters of the benchmark",
+    "lifting: parameters of the physics model",
     ("parameter", "unit", "value ± standard error", "95 %", "bootstrap", "RMSE for ±1 % / %", "verdict"),
     tuple(
         (

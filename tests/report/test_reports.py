@@ -356,13 +356,13 @@ def test_a_band_is_judged_by_what_it_holds(judged, covered, level):
     told = {"covered": covered, "covered_error": 0.01}
     band = finding(judged(partial(with_bands, **told)), "Lifting", "band")
     assert band.level == level
-    assert f"held {100 * covered:.0f} %" in band.sentence
+    assert f"{100 * covered:.0f} % of samples fell inside" in band.sentence
 
 
 def test_a_band_is_not_judged_by_tests_that_tell_little(judged):
     told = {"covered": 0.8, "covered_error": 0.06}
     band = finding(judged(partial(with_bands, **told)), "Lifting", "band")
-    assert (band.level, "by chance" in band.sentence) == (Rating.CAUTION, True)
+    assert (band.level, "not significantly" in band.sentence) == (Rating.CAUTION, True)
     alone = {"covered": 0.8, "covered_error": None}
     band = finding(judged(partial(with_bands, **alone)), "Lifting", "band")
     assert (band.level, "too few" in band.sentence) == (Rating.CAUTION, True)
@@ -471,11 +471,11 @@ def test_the_table_of_logs_says_what_each_was_used_for(logs, tmp_path):
     (table,) = blocks(found, Table)
     assert {row[0]: row[2] for row in table.rows} == {
         "lifting-01": "identification",
-        "lifting-02": "validation while training",
+        "lifting-02": "early stopping",
         "lifting-03": "unseen test",
         "lowering-01": "unseen test",
         "lowering-02": "unseen test",
-        "lowering-03": "dead zone's ramp",
+        "lowering-03": "ramp for the dead zone",
         "cycle-01": "unseen cycle",
         "resting": "not used",
     }
@@ -554,10 +554,10 @@ def test_the_verdict_names_the_model_that_errs_less(compared, pair, better):
     (lifting,) = findings(document, "Lifting")
     if better is None:
         assert lifting.level == Rating.CAUTION
-        assert "do not tell the models apart" in lifting.sentence
+        assert "no significant difference" in lifting.sentence
     else:
         assert lifting.level == Rating.GOOD
-        assert lifting.sentence.startswith(f"Lifting: {better} errs less")
+        assert lifting.sentence.startswith(f"Lifting: {better} has the smaller free-run error")
         worse = {"A": "b", "B": "a"}[better]
         assert not rmse[better.lower()] > rmse[worse]
 
@@ -633,7 +633,7 @@ def test_what_is_there_is_replaced_by_force_and_only_where_it_is_a_report(write,
     write(place, force=True)
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "mine.txt").write_text("mine")
-    with pytest.raises(OutputError, match=r"holds no \.hitchid\.json"):
+    with pytest.raises(OutputError, match=r"no \.hitchid\.json"):
         write(tmp_path / "other", force=True)
     assert (tmp_path / "other" / "mine.txt").read_text() == "mine"
 

@@ -278,9 +278,8 @@ def test_what_cannot_be_computed_is_left_out_with_a_notice(monkeypatch):
     vars(phase1).update(fit=SimpleNamespace(objective=None, position=None), influence=moved)
     found, said = direction._characteristics(DeadZone(0.3, None, 0, "given"), phase1, UNITS)
     assert found is None
-    part, cause = said[0].split(" left out: ")
-    assert part == "speed map, delay and response time"
-    assert cause == "it could not be computed (FloatingPointError: too large)"
+    part = "speed map, delay and response time"
+    assert said[0] == f"could not be computed: {part} (FloatingPointError: too large)"
 
 
 @pytest.mark.parametrize(

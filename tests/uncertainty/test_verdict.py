@@ -40,13 +40,14 @@ def test_what_is_determined_needs_no_more_words(interval):
         (TIME, (None, 1 / (8 * pi)), "τ < 0.0398 s at 95 %; excite above 4 Hz"),
         (TIME, (1 / (8 * pi), None), "τ > 0.0398 s at 95 %; excite below 4 Hz"),
         (TIME, (0.01, 0.5), "τ from 0.01 to 0.5 s at 95 %"),
-        (TIME, (None, None), "any τ between the bounds fits"),
+        (TIME, (None, None), "all values of τ between the bounds fit equally well"),
         (RATIO, (0.1, 5.0), "damping ratio from 0.1 to 5 at 95 %; excite near the natural frequency"),
         (RATIO, (0.1, None), "damping ratio > 0.1 at 95 %; excite near the natural frequency"),
         (
             RATIO,
             (None, None),
-            "any damping ratio between the bounds fits; excite near the natural frequency",
+            "all values of damping ratio between the bounds fit equally well; "
+            "excite near the natural frequency",
         ),
     ],
 )
@@ -62,10 +63,14 @@ def test_units_are_those_of_the_log():
     ("parameter", "interval", "words"),
     [
         # The fastest that samples every 10 ms show is π/0.01 = 314 rad/s, a time of 3.18 ms.
-        (FREQUENCY, (320.0, None), "ωh > 320 rad/s at 95 %; too fast for samples every 0.01 s"),
-        (FREQUENCY, (320.0, 900.0), "ωh from 320 to 900 rad/s at 95 %; too fast for samples every 0.01 s"),
-        (TIME, (None, 0.003), "τ < 0.003 s at 95 %; too fast for samples every 0.01 s"),
-        (TIME, (0.001, 0.003), "τ from 0.001 to 0.003 s at 95 %; too fast for samples every 0.01 s"),
+        (FREQUENCY, (320.0, None), "ωh > 320 rad/s at 95 %; too fast for a sampling time of 0.01 s"),
+        (
+            FREQUENCY,
+            (320.0, 900.0),
+            "ωh from 320 to 900 rad/s at 95 %; too fast for a sampling time of 0.01 s",
+        ),
+        (TIME, (None, 0.003), "τ < 0.003 s at 95 %; too fast for a sampling time of 0.01 s"),
+        (TIME, (0.001, 0.003), "τ from 0.001 to 0.003 s at 95 %; too fast for a sampling time of 0.01 s"),
     ],
 )
 def test_no_excitation_is_advised_that_the_sampling_cannot_show(parameter, interval, words):
@@ -90,7 +95,10 @@ def test_an_estimate_at_a_bound_is_said_to_be(bound):
     expected = f"at its {bound} bound: ωh > 25.1 rad/s at 95 %; excite above 4 Hz"
     assert told(FREQUENCY, (8 * pi, None), bound=bound) == expected
     # Where anything between the bounds fits, that the estimate is at one of them says nothing.
-    assert told(FREQUENCY, (None, None), bound=bound) == "not determined: any ωh between the bounds fits"
+    assert (
+        told(FREQUENCY, (None, None), bound=bound)
+        == "not determined: all values of ωh between the bounds fit equally well"
+    )
 
 
 @pytest.mark.parametrize("bound", ["", "upper"])

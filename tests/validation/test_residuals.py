@@ -242,11 +242,17 @@ def test_short_tests_have_fewer_lags(lengths, used):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"errors": [np.zeros(7)]}, "commands have shapes"),
-        ({"errors": [np.zeros((4, 2))]}, r"\[N_i\] are required"),
-        ({"speeds": [np.zeros(9), np.zeros(2)]}, "speeds have shapes"),
-        ({"commands": [np.array([0.0] * 8 + [np.nan])]}, "commands of test 0 are nan at sample 8"),
-        ({"displacements": [np.full(9, np.inf)]}, "displacements of test 0 are inf at sample 0"),
+        ({"errors": [np.zeros(7)]}, "commands: expected the shapes"),
+        ({"errors": [np.zeros((4, 2))]}, r"each \[N_i\]"),
+        ({"speeds": [np.zeros(9), np.zeros(2)]}, "speeds: expected the shapes"),
+        (
+            {"commands": [np.array([0.0] * 8 + [np.nan])]},
+            "commands of test 0: expected finite numbers, got nan at sample 8",
+        ),
+        (
+            {"displacements": [np.full(9, np.inf)]},
+            "displacements of test 0: expected finite numbers, got inf at sample 0",
+        ),
         ({"step_s": 0.0}, "positive step_s"),
         ({"step_s": float("nan")}, "positive step_s"),
         ({"lags": 0}, "at least 1 lag"),

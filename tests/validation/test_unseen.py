@@ -91,5 +91,5 @@ def test_of_mixed_logs_only_strokes_of_held_out_cycles_are_validated_on(cycles, 
     for channel in metrics["channels"].values():
         assert channel["tests"]
         assert all(name.startswith("cycle-3#") for name in channel["tests"])
-    with pytest.raises(InputError, match="identification used every test"):
+    with pytest.raises(InputError, match="was used for identification"):
         validate(found["one"].model, Campaign.of(cycles[:3]))

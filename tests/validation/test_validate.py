@@ -180,7 +180,7 @@ def test_a_campaign_of_nothing_new_is_refused(tests_of):
     records = tests_of()
     seen = frozenset(record.fingerprint for record in records)
     model = hitch(compensated=True, baselines=True, provenance=Provenance(seen=seen))
-    with pytest.raises(InputError, match="identification used every test"):
+    with pytest.raises(InputError, match="was used for identification"):
         validate(model, Campaign.of(records))
 
 
@@ -372,9 +372,9 @@ def test_it_is_said_where_tests_leave_what_the_identification_covered(tests_of):
     told = {}
     for name, covered in (("wide", wide), ("narrow", narrow)):
         result = validate(hitch(free_run=False, covered=covered), Campaign.of(tests_of()))
-        told[name] = [notice for notice in result.notices if "leaves what the identification" in notice]
+        told[name] = [notice for notice in result.notices if "is outside the identified" in notice]
     assert told["wide"] == []
-    assert told["narrow"] == ["lifting: in 3 of 3 tests the command leaves what the identification covered"]
+    assert told["narrow"] == ["lifting: in 3 of 3 tests the command is outside the identified range"]
 
 
 def test_tests_of_a_direction_without_a_channel_are_left_out_with_a_notice(tests_of):

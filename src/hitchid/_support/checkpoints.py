@@ -48,13 +48,13 @@ class Checkpoints:
         if run_file.is_file():
             if run_file.read_bytes() != stamp:
                 raise InputError(
-                    f"{folder}: holds an unfinished run of other logs, other settings or another version; "
-                    "use the same ones; --force without --resume begins anew"
+                    f"{folder}: holds an unfinished run with other logs, settings or version; "
+                    "use the same ones, or start again with --force and without --resume"
                 )
         elif folder.is_dir() and any(
             not child_path.name.startswith(f".{RUN_FILE}-") for child_path in folder.iterdir()
         ):
-            raise InputError(f"{folder}: holds no unfinished run; choose another place, or an empty folder")
+            raise InputError(f"{folder}: holds no unfinished run; choose an empty folder")
         else:
             write_bytes(run_file, stamp, force=True)
         return cls(folder)

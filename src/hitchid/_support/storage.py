@@ -34,8 +34,8 @@ def inside_folder(path: Path) -> Path:
     target = Path(os.path.realpath(path))
     if path.is_symlink() and not target.is_relative_to(os.path.realpath(path.parent)):
         raise InputError(
-            f"{path}: is a link out of its folder, to {target}; "
-            "expected a file of the folder, or the target itself"
+            f"{path}: is a link to {target}, outside its folder; "
+            "expected a file inside the folder; name the target directly"
         )
     return path
 
@@ -145,13 +145,13 @@ def _check_replaceable(folder: Path, result_kind: str) -> None:
         kind, files = manifest["kind"], dict(manifest["files"])
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise OutputError(
-            f"{folder}: holds no {MANIFEST_FILE} that lists a result, so --force does not replace it; "
-            "choose another place"
+            f"{folder}: is not a result of hitchid (no {MANIFEST_FILE} lists its files), so --force does not "
+            "replace it; choose another folder"
         ) from error
     if kind != result_kind:
         raise OutputError(
             f"{folder}: is a result with {kind}, not with {result_kind}, so --force does not replace it; "
-            "choose another place"
+            "choose another folder"
         )
     try:
         foreign = [name for name, checksum in _digests(folder).items() if files.get(name) != checksum]
@@ -162,7 +162,7 @@ def _check_replaceable(folder: Path, result_kind: str) -> None:
         names = f"{', '.join(foreign[:MAX_NAMED])}{more}"
         raise OutputError(
             f"{folder}: holds {len(foreign)} file{'s' if len(foreign) > 1 else ''} that the command did not "
-            f"write or that changed since: {names}; --force does not replace it; choose another place"
+            f"write or that changed since: {names}; --force does not replace it; choose another folder"
         )
 
 
@@ -185,13 +185,13 @@ def check_inputs(out: Path, inputs: Iterable[Path | None]) -> None:
             continue
         real_path = Path(os.path.realpath(input_path))
         if any(os.path.samefile(out, ancestor) for ancestor in (real_path, *real_path.parents)):
-            raise OutputError(f"{out}: {input_path} is read from there; choose another place to write")
+            raise OutputError(f"{out}: contains the input {input_path}; choose another folder")
         if (
             out.is_file()
             and real_path.is_dir()
             and os.path.samefile(Path(os.path.realpath(out)).parent, real_path)
         ):
-            raise OutputError(f"{out}: lies in {input_path}, which is read; choose another place to write")
+            raise OutputError(f"{out}: is inside the input {input_path}; choose another folder")
 
 
 def _check_path(path: Path) -> None:

@@ -54,8 +54,8 @@ def current_lag(context: RecordContext) -> list[AuditFinding]:
         phrase = f"leads {name} by" if lag < 0 else f"lags behind {name} by"
         advice = {
             Severity.FAULT: "command and current are on different clocks: log both with one device",
-            Severity.WARNING: "check the filter of the current and the clocks; the model has it as dead time",
-            Severity.NOTE: "nothing to do: the model takes this into its dead time and lag",
+            Severity.WARNING: "check the current filter and the clocks; the lag becomes dead time",
+            Severity.NOTE: "no action needed: the lag is part of the model's dead time and time constant",
         }[severity]
         findings.append(
             context.finding("lag", severity, f"{role} {phrase} {abs(lag):.4f} s", advice, signal=role)
@@ -160,10 +160,10 @@ def motion_before_command(context: CampaignContext) -> list[AuditFinding]:
                 "motion before command",
                 Severity.FAULT if clocks_disagree and not creeping else Severity.WARNING,
                 f"the displacement {verb} by {travelled:.3g} {test.quality.unit} "
-                f"before any command changes, beginning {lead_s:.3g} s ahead",
+                f"before any command changes; the motion starts {lead_s:.3g} s earlier",
                 "let the piston come to rest before a test"
                 if creeping
-                else "check that command and displacement are logged on one clock, or begin tests at rest",
+                else "check that command and displacement are logged on one clock, or start tests at rest",
                 intervals=[(start, onset + 1)],
             )
         )

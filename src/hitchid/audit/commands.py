@@ -32,9 +32,9 @@ def both_valves(context: RecordContext) -> list[AuditFinding]:
         context.finding(
             "both valves",
             Severity.NOTE if longest <= SHORT_OVERLAP_S else Severity.WARNING,
-            f"both valves are on {starts.size} time{'s' * (starts.size > 1)}, {time:.3g} s in all, "
-            f"{longest:.3g} s at the longest, first at {record.start_s + starts[0] * record.step_s:.6g} s",
-            "let one command end before the other begins; lowering counts where both are on",
+            f"both commands are active {starts.size} time{'s' * (starts.size > 1)}, {time:.3g} s in total, "
+            f"at most {longest:.3g} s at once, first at {record.start_s + starts[0] * record.step_s:.6g} s",
+            "end one command before the other starts; in an overlap the lowering command is used",
             signal="",
             intervals=list(zip(starts.tolist(), stops.tolist(), strict=True)),
         )
@@ -60,7 +60,7 @@ def idle_commands(context: CampaignContext) -> list[AuditFinding]:
                 f"the {direction} command is never below {smallest:.3g} {unit} in any log, "
                 f"{smallest / scale:.0%} of the largest"
             )
-            advice = "take the offset off, or log one test from rest: it counts as part of the dead zone"
+            advice = "subtract the offset, or log one test from rest: the offset adds to the dead zone"
             findings.append(
                 AuditFinding("idle command", Severity.WARNING, "", COMMAND[direction], (), what, advice)
             )
@@ -71,7 +71,7 @@ def idle_commands(context: CampaignContext) -> list[AuditFinding]:
         level = float(np.median(levels)) if levels else 0.0
         if level > IDLE_FRACTION * scale:
             what = f"the idle {direction} command is {level:.3g} {unit}, {level / scale:.1%} of full scale"
-            advice = "check the zero of the current sensor, or whether the valve is biased"
+            advice = "check the zero of the current sensor and the bias of the valve"
             findings.append(
                 AuditFinding("idle command", Severity.NOTE, "", COMMAND[direction], (), what, advice)
             )

@@ -37,9 +37,9 @@ def end_stops(context: RecordContext) -> list[AuditFinding]:
         context.finding(
             "end stop",
             Severity.NOTE,
-            f"the piston stands at {stop_position:.5g} {record.unit} under command from "
-            f"{record.start_s + start * record.step_s:.6g} s on, {time:.3g} s in all",
-            "end tests before the stop: samples at it hold no information on the valve",
+            f"the piston stays at {stop_position:.5g} {record.unit} under command from "
+            f"{record.start_s + start * record.step_s:.6g} s, {time:.3g} s in total",
+            "end tests before the stop: samples at the stop contain no information on the valve",
             intervals=stretches,
         )
     ]

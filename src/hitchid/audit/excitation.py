@@ -31,8 +31,8 @@ def little_motion(context: RecordContext) -> list[AuditFinding]:
         context.finding(
             "excitation",
             Severity.WARNING,
-            f"the displacement moves by {quality.peak_to_peak:.3g} {quality.unit}, {ratio:.0f} times its "
-            f"noise of {quality.noise:.2g} {quality.unit}",
+            f"the displacement changes by {quality.peak_to_peak:.3g} {quality.unit}, {ratio:.0f} times its "
+            f"noise standard deviation of {quality.noise:.2g} {quality.unit}",
             "run the test longer or at a higher command",
         )
     ]
@@ -49,7 +49,7 @@ def short_or_idle(context: RecordContext) -> list[AuditFinding]:
         what = "no command is active; the record is not used"
         return [
             context.finding(
-                "excitation", Severity.NOTE, what, "leave the log out, or check the columns", signal=""
+                "excitation", Severity.NOTE, what, "remove the log, or check its columns", signal=""
             )
         ]
     if active < LEAST_ACTIVE * len(record):
@@ -81,7 +81,7 @@ def changes(context: CampaignContext) -> list[AuditFinding]:
             tests = "the one test" if len(spans) == 1 else f"all {len(spans)} tests"
             verb = "has" if len(spans) == 1 else "have"
             what = f"{tests} of {direction} {verb} one level of command, about {high:.3g} {unit}"
-            advice = "run tests at several levels, or a PRBS between two that change from test to test"
+            advice = "run tests at several levels, or PRBS tests with different pairs of levels"
             findings.append(_direction_finding(direction, Severity.WARNING, what, advice))
         few = [test.record.name for test, _, _, turns in spans if turns < FEWEST_CHANGES]
         if few:
@@ -89,7 +89,7 @@ def changes(context: CampaignContext) -> list[AuditFinding]:
                 f"in {len(few)} of {len(spans)} tests the {direction} command changes fewer than "
                 f"{FEWEST_CHANGES} times ({join_names(few)})"
             )
-            advice = "change the command more often within a test, as a PRBS does: there lag shows"
+            advice = "change the command more often within a test, as a PRBS does: steps determine the lag"
             findings.append(_direction_finding(direction, Severity.NOTE, what, advice))
     return findings
 
@@ -122,22 +122,25 @@ def too_few_tests(context: CampaignContext) -> list[AuditFinding]:
         if strokes == 0 and not ramps:
             findings.append(
                 _direction_finding(
-                    direction, Severity.NOTE, f"{direction} is never commanded", "no model of it is possible"
+                    direction,
+                    Severity.NOTE,
+                    f"{direction} is never commanded",
+                    "this direction cannot be identified",
                 )
             )
             continue
         if not ramps:
-            what = f"there is no slow ramp of {direction}: its dead zone is estimated from tests, less surely"
+            what = f"there is no slow {direction} ramp: the dead zone from tests has a larger error"
             findings.append(
                 _direction_finding(direction, Severity.NOTE, what, "add two or three slow ramps from zero")
             )
         if strokes < FEWEST_TESTS:
-            what = f"tests or strokes of {direction}: {strokes}, too few to tell how uncertain the model is"
+            what = f"{direction} tests or strokes: {strokes}, too few to estimate the uncertainty"
             findings.append(
                 _direction_finding(direction, Severity.NOTE, what, f"measure at least {FEWEST_TESTS}")
             )
         if tests and not campaign.held_out(direction) and not (mixed and campaign.held_out(CYCLE)):
-            what = f"no test of {direction} is held out: how good the model is cannot be told"
+            what = f"no {direction} test is held out: the accuracy of the model cannot be validated"
             findings.append(
                 _direction_finding(
                     direction, Severity.NOTE, what, "name tests to hold out under [split] in campaign.toml"
@@ -161,7 +164,7 @@ def _weak_commands(context: CampaignContext, direction: str) -> list[AuditFindin
     unit = command_unit(context.tests[0].record, direction)
     what = (
         f"in {len(weak)} of {len(tests)} tests the {direction} command stays below {ABOVE_DEAD_ZONE:g} times "
-        f"the {zone:.3g} {unit} at which ramps set the piston off ({join_names(weak)})"
+        f"the {zone:.3g} {unit} at which motion starts in ramps ({join_names(weak)})"
     )
     return [
         _direction_finding(

@@ -89,9 +89,12 @@ def neutral(context: CampaignContext) -> list[AuditFinding]:
     unseen = all(np.min(run.command) * np.max(run.command) >= 0 for run in runs)
     direction = LIFTING if LIFTING in records[0].directions else LOWERING
     unit = command_unit(records[0], direction)
-    consequence = ", so that one direction is taken for both" if unseen else ""
-    what = f"the command rests at {level:.6g} {unit} and moves the piston both ways around it{consequence}"
-    advice = f"put zero = {level:.6g} beside the column of the command in campaign.toml"
+    consequence = ", so one direction is identified from motion in both" if unseen else ""
+    what = (
+        f"the command rests at {level:.6g} {unit} and moves the piston in both directions about this value"
+        f"{consequence}"
+    )
+    advice = f"set zero = {level:.6g} for the command's column in campaign.toml"
     severity = Severity.FAULT if unseen else Severity.WARNING
     return [AuditFinding("neutral", severity, "", COMMAND[direction], (), what, advice)]
 

@@ -58,7 +58,7 @@ def _travels(context: CampaignContext, direction: str) -> list[tuple[RecordConte
 
 
 def _verb(sign: float | int) -> str:
-    return "grows" if sign > 0 else "falls"
+    return "increases" if sign > 0 else "decreases"
 
 
 def _contradicting(context: RecordContext, direction: str, signed_travel: float, tests: int) -> AuditFinding:
@@ -66,7 +66,7 @@ def _contradicting(context: RecordContext, direction: str, signed_travel: float,
         f"the displacement {_verb(signed_travel)} by {abs(signed_travel):.4g} {context.quality.unit} while "
         f"{direction} is commanded; in most of the {tests} tests of {direction} it {_verb(-signed_travel)}"
     )
-    advice = "check the sign of the displacement and which command is which in this log; leave it out"
+    advice = "check the sign of the displacement and the assignment of the commands in this log, or remove it"
     return context.finding("sign", Severity.FAULT, what, advice)
 
 
@@ -74,10 +74,10 @@ def _inconsistent(direction: str, opposed: list[tuple[RecordContext, float]], te
     names = join_names([test.record.name for test, _ in opposed])
     verb, others = _verb(opposed[0][1]), _verb(-opposed[0][1])
     what = (
-        f"under {direction} the displacement {verb} in {len(opposed)} of {tests} tests ({names}) "
+        f"in {direction} the displacement {verb} in {len(opposed)} of {tests} tests ({names}) "
         f"and {others} in the others"
     )
-    advice = "check the sign of the displacement and which command is which, test by test"
+    advice = "check the sign of the displacement and the assignment of the commands in each test"
     return AuditFinding("sign", Severity.FAULT, "", DISPLACEMENT, (), what, advice)
 
 
@@ -85,13 +85,13 @@ def _compare_directions(majority_sign: dict[str, int]) -> list[AuditFinding]:
     if set(majority_sign) != set(DIRECTIONS) or majority_sign == {LIFTING: 1, LOWERING: -1}:
         return []
     if majority_sign[LIFTING] == majority_sign[LOWERING]:
-        what = f"the displacement {_verb(majority_sign[LIFTING])} under lifting and under lowering alike"
-        advice = f"check which columns are {COMMAND[LIFTING]} and {COMMAND[LOWERING]} in campaign.toml"
+        what = f"the displacement {_verb(majority_sign[LIFTING])} in lifting and in lowering"
+        advice = f"check the columns assigned to {COMMAND[LIFTING]} and {COMMAND[LOWERING]} in campaign.toml"
         return [AuditFinding("sign", Severity.FAULT, "", DISPLACEMENT, (), what, advice)]
-    what = "the displacement falls under lifting and grows under lowering"
+    what = "the displacement decreases in lifting and increases in lowering"
     advice = (
-        "this is right for a sensor that measures downwards, and each direction is taken as measured; "
-        "otherwise the commands are swapped in campaign.toml, or one signal's sign is turned: put scale = -1 "
-        "beside its column"
+        "this is correct for a sensor that measures downwards: each direction is identified as measured; "
+        "otherwise swap the commands in campaign.toml, or reverse the sign of one signal: set scale = -1 "
+        "for its column"
     )
     return [AuditFinding("sign", Severity.WARNING, "", DISPLACEMENT, (), what, advice)]

@@ -58,7 +58,7 @@ _POSITION = (
         "length",
         lambda r: 0 < r.peak_to_peak * r.si < SHORTEST_M,
         Severity.WARNING,
-        "a larger unit, such as m, or a piston that hardly moves",
+        "a larger unit, such as m, or a piston that does not move",
     ),
 )
 _ANGLE = (
@@ -67,7 +67,7 @@ _ANGLE = (
         "angle",
         lambda r: r.unit == "deg" and r.largest > 360.0,
         Severity.WARNING,
-        "a raw count, or an encoder that ran over",
+        "a raw count, or an encoder overflow",
     ),
     _PlausibilityRule(
         "angle", lambda r: r.unit == "deg" and 0 < r.largest <= 2 * pi, Severity.NOTE, "radians"
@@ -107,7 +107,7 @@ _PRESSURE = (
         "pressure",
         lambda r: r.highest * r.si > LARGEST_PRESSURE_PA or r.lowest * r.si < LOWEST_PRESSURE_PA,
         Severity.WARNING,
-        "another unit of pressure, or the zero of the sensor is off",
+        "another unit of pressure, or an offset of the sensor",
     ),
 )
 PLAUSIBILITY_RULES = (*_POSITION, *_ANGLE, *_RATIO, *_ELECTRIC, *_PRESSURE)
@@ -136,7 +136,7 @@ def units(context: CampaignContext) -> list[AuditFinding]:
                 _finding(role, signal_range, rule.severity, f"this is probably {rule.suggestion}")
             )
         if is_covariate and signal_range.unit == "1" and signal_range.largest > OVERDRIVE:
-            findings.append(_finding(role, signal_range, Severity.NOTE, "so its unit is not told"))
+            findings.append(_finding(role, signal_range, Severity.NOTE, "its unit is probably missing"))
     return findings
 
 
@@ -152,8 +152,8 @@ def _signal_range(context: CampaignContext, role: str) -> _SignalRange:
 
 def _finding(role: str, signal_range: _SignalRange, severity: Severity, judgement: str) -> AuditFinding:
     what = (
-        f"{role} runs from {signal_range.lowest:.4g} to {signal_range.highest:.4g} over all logs "
-        f"and is said to be in unit '{signal_range.unit}': {judgement}"
+        f"{role} ranges from {signal_range.lowest:.4g} to {signal_range.highest:.4g} in all logs "
+        f"and has the unit '{signal_range.unit}': {judgement}"
     )
     return AuditFinding(
         "units",
@@ -162,5 +162,5 @@ def _finding(role: str, signal_range: _SignalRange, severity: Severity, judgemen
         role,
         (),
         what,
-        "check the unit of this column in campaign.toml; nothing is converted",
+        "check the unit of this column in campaign.toml; no value was converted",
     )

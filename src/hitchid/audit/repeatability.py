@@ -42,7 +42,7 @@ def drift(context: CampaignContext) -> list[AuditFinding]:
             f"in the last test than in the first, over {len(tests)} tests "
             f"({join_names([test.record.name for test in tests])})"
         )
-        advice = "warm the oil before measuring, or log its temperature; hold out tests from all of the day"
+        advice = "warm the oil before the tests, or log its temperature; hold out tests from the whole day"
         findings.append(AuditFinding("drift", Severity.WARNING, "", DISPLACEMENT, (), what, advice))
     return findings
 
@@ -115,8 +115,8 @@ def start_positions(context: CampaignContext) -> list[AuditFinding]:
             continue
         unit = context.tests[0].quality.unit
         span = f"between {min(starts):.4g} and {max(starts):.4g} {unit}"
-        what = f"the {len(starts)} tests of {direction} start {span}"
-        advice = "good for a model of the whole stroke; start repeats that are to be compared at one place"
+        what = f"the {len(starts)} {direction} tests start {span}"
+        advice = "suitable for a model of the whole stroke; start repeated tests at the same position"
         findings.append(AuditFinding("start position", Severity.NOTE, "", DISPLACEMENT, (), what, advice))
     return findings
 
@@ -151,10 +151,10 @@ def ramp_onsets(context: CampaignContext) -> list[AuditFinding]:
         unit = command_unit(context.tests[0].record, direction)
         names = join_names([test.record.name for test in similar_ramps])
         what = (
-            f"{len(similar_ramps)} equal ramps of {direction} set the piston off between "
+            f"{len(similar_ramps)} equal {direction} ramps start motion between "
             f"{min(onsets):.3g} and {max(onsets):.3g} {unit} ({names})"
         )
-        advice = "repeat the ramps with warm oil and the same load; the dead zone is their mean"
+        advice = "repeat the ramps with warm oil and the same load; their mean is used as dead zone"
         findings.append(AuditFinding("dead zone", Severity.WARNING, "", COMMAND[direction], (), what, advice))
     return findings
 

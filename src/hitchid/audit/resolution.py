@@ -32,7 +32,7 @@ def quantisation(context: RecordContext) -> list[AuditFinding]:
             context.finding(
                 "quantisation",
                 Severity.WARNING,
-                f"the displacement comes in steps of {step:.3g} {quality.unit}, only {count:.0f} over the "
+                f"the displacement is quantised in steps of {step:.3g} {quality.unit}, {count:.0f} in the "
                 f"range of {context.campaign_range:.4g} {quality.unit}",
                 "use a finer sensor or converter, or log more digits",
             )
@@ -55,9 +55,10 @@ def _below_resolution(context: RecordContext, step: float) -> list[AuditFinding]
         context.finding(
             "quantisation",
             Severity.NOTE,
-            f"in {still_share:.0%} of the commanded samples the displacement does not change, for it comes "
-            f"in steps of {step:.3g} {quality.unit} and moves {mean_motion:.2g} {quality.unit} a sample",
-            "judge models by long runs, not by one-step errors; or log more digits",
+            f"in {still_share:.0%} of the commanded samples the displacement does not change: it is "
+            f"quantised in steps of {step:.3g} {quality.unit}; "
+            f"it moves {mean_motion:.2g} {quality.unit} per sample",
+            "compare models by free runs, not by one-step errors; or log more digits",
         )
     ]
 
@@ -76,7 +77,7 @@ def noisy(context: RecordContext) -> list[AuditFinding]:
             Severity.WARNING,
             f"the displacement's noise has a standard deviation of {noise:.3g} {unit}, "
             f"{noise / context.campaign_range:.1%} of the range of {context.campaign_range:.4g} {unit}",
-            "look at shielding, supply and the sensor's range",
+            "check the shielding, the supply and the range of the sensor",
         )
     ]
 
@@ -100,16 +101,14 @@ def update_rate(context: RecordContext) -> list[AuditFinding]:
         return []
     middle, long = np.percentile(spacing, [50, 90])
     if middle > REPEATS and long <= MAX_SPACING_RATIO * middle:
-        what = (
-            f"the displacement is renewed only every {middle * step_s:.3g} s, but logged every {step_s:g} s"
-        )
-        advice = "log at the rate the sensor is read at; dead times below that cannot be told"
+        what = f"the displacement is updated every {middle * step_s:.3g} s but logged every {step_s:g} s"
+        advice = "log at the update rate of the sensor; shorter dead times cannot be identified"
         return [context.finding("sampling", Severity.WARNING, what, advice)]
     share = np.count_nonzero(steps) / steps.size
     what = (
-        f"the displacement changes in {share:.1%} of the samples and else repeats exactly; in slow motion it "
-        f"hops by {hop:.2g} {quality.unit}, the range being {context.campaign_range:.4g} {quality.unit}"
+        f"the displacement changes in {share:.1%} of the samples and is constant in between; in slow motion "
+        f"it jumps by {hop:.2g} {quality.unit} (range {context.campaign_range:.4g} {quality.unit})"
     )
-    advice = "look for a dead band in the sensor or in the logger, or friction in the sensor's drive"
+    advice = "check for a dead band in the sensor or logger, or friction in the sensor's linkage"
     severity = Severity.WARNING if hop * FEWEST_STEPS > context.campaign_range else Severity.NOTE
     return [context.finding("dead band", severity, what, advice)]

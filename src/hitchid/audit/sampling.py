@@ -32,7 +32,7 @@ def steps(context: RecordContext) -> list[AuditFinding]:
                 Severity.WARNING if step_differs else Severity.NOTE,
                 f"the log was sampled every {clock.logged_step_s:.4g} s, the campaign every {step_s:.4g} s; "
                 "it was resampled",
-                "log every test at the same step",
+                "log every test with the same sampling time",
                 signal="",
             )
         )
@@ -43,7 +43,7 @@ def steps(context: RecordContext) -> list[AuditFinding]:
                 Severity.WARNING if context.quality.jitter >= MUCH_JITTER else Severity.NOTE,
                 f"the clock jitters by {context.quality.jitter:.1%} of {context.record.step_s:g} s; "
                 "the log was resampled",
-                "log on the controller's own clock, or give each sample the time it was taken at",
+                "log on the controller's clock, or record the time of each sample",
                 signal="",
             )
         )
@@ -54,7 +54,7 @@ def steps(context: RecordContext) -> list[AuditFinding]:
                 Severity.WARNING if clock.interpolated_share >= MUCH_LOST else Severity.NOTE,
                 f"{clock.interpolated_share:.1%} of the samples were lost and are interpolated; "
                 f"the longest gap is {clock.longest_gap_s:.3g} s",
-                "find out why the logger dropped samples",
+                "check why the logger lost samples",
                 signal="",
             )
         )
@@ -85,7 +85,7 @@ def coarse(context: RecordContext) -> list[AuditFinding]:
             Severity.WARNING,
             f"from one sample to the next the piston moves by up to {fast_step:.3g} {quality.unit}, "
             f"{share:.0%} of its range of {quality.peak_to_peak:.4g} {quality.unit}",
-            f"log at a shorter step, so that a stroke has at least {FEWEST_SAMPLES_A_STROKE} samples",
+            f"log with a shorter sampling time: at least {FEWEST_SAMPLES_A_STROKE} samples per stroke",
         )
     ]
 
@@ -121,5 +121,5 @@ def _gaps_of(base: str, tests: list[RecordContext]) -> list[AuditFinding]:
         f"the log '{base}' has {len(lost)} gap{'s' * (len(lost) > 1)}: "
         f"{missing:.3g} s of {total:.4g} s are lost ({missing / total:.1%})"
     )
-    advice = "find out why the logger dropped samples; each part after a gap begins in mid-motion"
+    advice = "check why the logger lost samples; each part after a gap starts in motion"
     return [AuditFinding("gaps", severity, tests[0].record.name, "", tuple(lost), what, advice)]

@@ -40,7 +40,7 @@ def spikes(context: RecordContext) -> list[AuditFinding]:
             Severity.WARNING,
             f"{len(pairs)} spike{'s' * (len(pairs) > 1)} of up to {max(heights):.3g} {unit} in the "
             f"displacement, first at {first_s:.6g} s",
-            "look at the sensor's cable, its shield and its slider; a fit takes spikes for motion",
+            "check the sensor's cable, shield and slider; spikes are fitted as motion",
             intervals=pairs,
         )
     ]
@@ -75,7 +75,7 @@ def jumps(context: RecordContext) -> list[AuditFinding]:
             f"the displacement jumps {jump_samples.size} time{'s' * (jump_samples.size > 1)}, by up to "
             f"{abs(largest):.3g} {context.quality.unit} from one sample to the next, "
             f"first at {first_s:.6g} s",
-            "look whether the sensor slips, its slider sticks, or samples were lost; cut the log there",
+            "check for a slipping sensor, a sticking slider or lost samples; cut the log at the jump",
             intervals=[(int(k), int(k) + 2) for k in jump_samples],
         )
     ]

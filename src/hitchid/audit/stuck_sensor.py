@@ -65,7 +65,7 @@ def _constant_finding(context: RecordContext, group: list[_ConstantRun], *, satu
     level = float(np.median(np.abs(record.command(first.direction)[first.start : first.stop])))
     begin, end = (record.start_s + sample * record.step_s for sample in (first.start, first.stop - 1))
     what = (
-        f"the displacement stands at {first.level:.5g} {context.quality.unit} from {begin:.6g} to "
+        f"the displacement is constant at {first.level:.5g} {context.quality.unit} from {begin:.6g} to "
         f"{end:.6g} s although {first.direction} is commanded at {level:.3g} "
         f"{command_unit(record, first.direction)}"
     )
@@ -73,11 +73,15 @@ def _constant_finding(context: RecordContext, group: list[_ConstantRun], *, satu
         what += f", and {len(group) - 1} more times"
     stretches = [(run.start, run.stop) for run in group]
     if saturated:
-        advice = "this is the end of the sensor's range: move the sensor, or keep the tests inside it"
+        advice = "this is the end of the sensor's range: move the sensor, or keep the tests within its range"
         return context.finding(
-            "saturated sensor", Severity.WARNING, what + ", as in other places", advice, intervals=stretches
+            "saturated sensor",
+            Severity.WARNING,
+            what + ", and again at other times",
+            advice,
+            intervals=stretches,
         )
-    advice = "look at the sensor and its cable; leave this stretch out or measure again"
+    advice = "check the sensor and its cable; cut this interval out, or repeat the test"
     return context.finding("stuck sensor", Severity.FAULT, what, advice, intervals=stretches)
 
 

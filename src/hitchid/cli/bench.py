@@ -41,12 +41,15 @@ def bench(
     tests: Annotated[
         int | None,
         typer.Option(
-            "--tests", min=1, max=10_000, help="Tests a direction, or cycles [20]; ramps a direction [3]."
+            "--tests",
+            min=1,
+            max=10_000,
+            help="Number of tests per direction, or of cycles [20]; of ramps per direction [3].",
         ),
     ] = None,
-    protocol: Annotated[Protocol, typer.Option("--protocol", help="What is run.")] = Protocol.PRBS,
+    protocol: Annotated[Protocol, typer.Option("--protocol", help="Kind of test.")] = Protocol.PRBS,
     mode: Annotated[
-        TestedDirections, typer.Option("--mode", help="Which direction is excited.")
+        TestedDirections, typer.Option("--mode", help="Direction to excite.")
     ] = TestedDirections.BOTH,
     rig: Annotated[str, typer.Option("--rig", help="Parameter set: a name or a TOML file.")] = "nominal",
     log_format: Annotated[LogFormat, typer.Option("--format", help="Format of the logs.")] = LogFormat.CSV,

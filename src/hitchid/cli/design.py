@@ -26,27 +26,32 @@ def design(
     ] = None,
     parameter: Annotated[
         str | None,
-        typer.Option("--parameter", help="Parameter to narrow, such as time_constant [least determined]."),
+        typer.Option(
+            "--parameter", help="Parameter whose error to reduce, such as time_constant [least determined]."
+        ),
     ] = None,
     highest: Annotated[
         float | None,
-        typer.Option("--highest", help="Largest command, in the model's unit [that of the tests]."),
+        typer.Option(
+            "--highest", help="Largest command allowed, in the model's unit [largest in the tests]."
+        ),
     ] = None,
     travel: Annotated[
         float | None,
-        typer.Option("--travel", min=0, help="Farthest way, in the model's unit [that of the tests]."),
+        typer.Option("--travel", min=0, help="Largest travel allowed, in the model's unit [from the tests]."),
     ] = None,
     longest: Annotated[
-        float | None, typer.Option("--longest", min=0, help="Longest duration, s [twice the tests'].")
+        float | None,
+        typer.Option("--longest", min=0, help="Longest duration allowed, s [twice that of the tests]."),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option("--out", help="CSV file to write the best test's command to.")
+        Path | None, typer.Option("--out", help="CSV file for the command of the best test.")
     ] = None,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the candidates.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the candidate tests.")] = 0,
     force: Force = False,
     as_json: AsJson = False,
 ) -> None:
-    """Propose the next test: the one that narrows the least determined parameter most."""
+    """Propose the next test: the one that most reduces the error of the least determined parameter."""
     from hitchid._support.storage import check_file, check_inputs
     from hitchid.cli import terminal as display
 

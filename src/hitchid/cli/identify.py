@@ -24,7 +24,8 @@ def identify(
         int | None, typer.Option("--seed", min=0, max=2**32 - 1, help="Seed of every random draw [0].")
     ] = None,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Go on with a run that was stopped; ends in the same model.")
+        bool,
+        typer.Option("--resume", help="Continue a stopped run; the model is the same as without the stop."),
     ] = False,
     force: Force = False,
     quiet: Quiet = False,
@@ -101,9 +102,8 @@ def _make_way(unfinished: Path, *, force: bool) -> None:
 
     if not force:
         raise OutputError(
-            f"{unfinished}: holds a run that was stopped; use --resume to go on with it, "
-            "or --force to begin anew"
+            f"{unfinished}: holds a stopped run; use --resume to continue it, or --force to start again"
         )
     if not is_run(unfinished):
-        raise OutputError(f"{unfinished}: holds no unfinished run, so --force does not replace it")
+        raise OutputError(f"{unfinished}: is not an unfinished run, so --force does not replace it")
     shutil.rmtree(unfinished)

@@ -24,25 +24,26 @@ def inspect(
     ] = None,
     picture: Annotated[
         Path | None,
-        typer.Option(
-            "--draw", help="Picture to write, of mixed logs and of findings in place: .png, .svg or .pdf."
-        ),
+        typer.Option("--draw", help="File for a plot of mixed logs and findings: .png, .svg or .pdf."),
     ] = None,
     propose: Annotated[
-        bool, typer.Option("--propose", help="Write a first campaign.toml instead, with reasons.")
+        bool,
+        typer.Option(
+            "--propose", help="Write a proposed campaign.toml instead, with the reason for each choice."
+        ),
     ] = False,
     out: Annotated[Path | None, typer.Option("--out", help="File for --propose [standard output].")] = None,
     strict: Strict = False,
     force: Force = False,
     as_json: AsJson = False,
 ) -> None:
-    """Show what logs hold, and audit them: what would spoil a model, where, and what to measure again."""
+    """Show the content of logs and audit them: problems, where they are, and what to measure again."""
     from hitchid.audit import Severity
     from hitchid.cli import terminal as display
     from hitchid.inspection.inspect_logs import inspect as look
 
     if out is not None and not propose:
-        raise InputError("--out: expected --propose beside it")
+        raise InputError("--out needs --propose")
     if propose:
         _propose(logs, out, force=force)
         return
@@ -91,7 +92,7 @@ def _check_picture(path: Path, *, force: bool, inputs: list[Path | None]) -> Non
 
 def _draw(inspection: "Inspection", path: Path, *, force: bool) -> None:
     if not inspection.usable:
-        raise InputError("--draw: none of the logs can be used; there is nothing to draw")
+        raise InputError("--draw: none of the logs can be used; check the warnings")
     from hitchid.report.figures.timeline import Mark, draw
 
     marks = [

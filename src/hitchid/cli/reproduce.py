@@ -13,9 +13,7 @@ from hitchid.cli.program import command_line
 
 def reproduce(
     out: Annotated[Path, typer.Option("--out", help="Folder to write.")],
-    quick: Annotated[
-        bool, typer.Option("--quick", help="A first look: fewer tests, short training.")
-    ] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Quick study: fewer tests, short training.")] = False,
     rig: Annotated[str, typer.Option("--rig", help="Parameter set: a name or a TOML file.")] = "nominal",
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of every random draw.")] = 0,
     force: Force = False,

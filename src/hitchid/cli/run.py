@@ -14,9 +14,9 @@ def run(
     model: Annotated[Path, typer.Argument(help="Model folder.", show_default=False)],
     initial: Annotated[
         float | None,
-        typer.Option("--initial", help="Displacement to start from, in the model's unit [first measured]."),
+        typer.Option("--initial", help="Initial displacement, in the model's unit [first measured]."),
     ] = None,
-    load: Annotated[float, typer.Option("--load", help="Covariate before motion.")] = 0.0,
+    load: Annotated[float, typer.Option("--load", help="Load: the covariate before motion.")] = 0.0,
 ) -> None:
     """Read samples from standard input, line by line; write the displacement one sample later (JSON)."""
     prepare_jax()

@@ -16,14 +16,16 @@ def simulate(
     out: Annotated[Path, typer.Option("--out", help="CSV file to write: the log and the prediction.")],
     horizon: Annotated[
         str,
-        typer.Option("--horizon", help="'free' for commands alone, or a number of samples to look ahead."),
+        typer.Option(
+            "--horizon", help="'free' for a free run (commands only), or a prediction horizon in samples."
+        ),
     ] = "free",
     bands: Annotated[
-        bool, typer.Option("--bands", help="Write the ends of a band around the prediction too.")
+        bool, typer.Option("--bands", help="Also write the lower and upper limit of the prediction band.")
     ] = False,
     coverage: Annotated[
         float,
-        typer.Option("--coverage", min=50, max=95, help="Percent of the samples the band shall hold."),
+        typer.Option("--coverage", min=50, max=95, help="Coverage of the band, percent of the samples."),
     ] = 90,
     signals: Signals = None,
     force: Force = False,

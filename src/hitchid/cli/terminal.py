@@ -57,7 +57,7 @@ def show_inspection(inspection: "Inspection") -> None:
     if inspection.findings:
         _console().print(_findings(inspection.findings))
     elif inspection.records:
-        _print_wrapped("The audit found nothing to mend.")
+        _print_wrapped("No problems found.")
     write_messages("notice", inspection.notices)
     write_messages("warning", inspection.warnings)
     write_messages("fault", inspection.faults)
@@ -80,7 +80,7 @@ def show_audit(findings: Iterable["AuditFinding"], *, quiet: bool = False) -> No
 
 def _findings(findings: Iterable["AuditFinding"]) -> RichTable:
     """Return the table of audit findings: severity, place, fault and remedy."""
-    table = _table("finding", "where", "what, and what to do")
+    table = _table("finding", "where", "problem and remedy")
     for finding in findings:
         signal = finding.signal.replace("_", " ")
         source = finding.record or (f"{len(finding.records)} logs" if finding.records else "the campaign")
@@ -112,9 +112,9 @@ def show_identification(identification: "Identification", out: Path) -> None:
         )
         displacement = identification.model.units["displacement"]
         chosen = [candidate.name for candidate in trace.candidates if candidate.chosen]
-        form = f"form taken of {len(trace.candidates)}: {chosen[0]}; " if chosen else ""
+        form = f"structure chosen from {len(trace.candidates)}: {chosen[0]}; " if chosen else ""
         _print_wrapped(
-            f"{form}RMSE {trace.phase1.rmse:.4g} {displacement} over the identification tests, free run"
+            f"{form}RMSE {trace.phase1.rmse:.4g} {displacement} in free run on the identification tests"
         )
         for text in (
             characteristic_sentences(trace.characteristics, direction) if trace.characteristics else ()
@@ -159,7 +159,7 @@ def show_advice(advice: "Advice", model: "Hitch") -> None:
         f"error of {name} / %",
     )
     table.add_row(
-        "another like those", "", "", "", "", "", f"{100 * advice.baseline_reduction[advice.parameter]:.0f}"
+        "one more such test", "", "", "", "", "", f"{100 * advice.baseline_reduction[advice.parameter]:.0f}"
     )
     for number, proposal in enumerate(advice.proposals, start=1):
         table.add_row(
@@ -174,7 +174,7 @@ def show_advice(advice: "Advice", model: "Hitch") -> None:
     _console().print(table)
     if advice.ramps:
         write_messages(
-            "notice", [f"{name} waits for the dead zone: three more ramps would narrow it more than any test"]
+            "notice", [f"the error of {name} is mostly due to the dead zone: measure three more ramps"]
         )
 
 

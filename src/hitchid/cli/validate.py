@@ -17,10 +17,11 @@ def validate(
     logs: Logs,
     out: Annotated[Path, typer.Option("--out", help="Folder to write: report.html, figures, metrics.json.")],
     accept: Annotated[
-        Path | None, typer.Option("--accept", help="Limits in TOML; exit code 1 where one does not hold.")
+        Path | None,
+        typer.Option("--accept", help="Acceptance limits in TOML; exit code 1 if one is violated."),
     ] = None,
     junit: Annotated[
-        Path | None, typer.Option("--junit", help="JUnit XML file to write the limits' verdicts to.")
+        Path | None, typer.Option("--junit", help="JUnit XML file for the results of the limits.")
     ] = None,
     as_pdf: AsPdf = False,
     signals: Signals = None,
@@ -29,7 +30,7 @@ def validate(
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
-    """Compare a model with tests its identification has not used."""
+    """Validate a model on tests that were not used for identification."""
     from hitchid._support.storage import check_file, check_folder, check_inputs, write_bytes
     from hitchid.cli import terminal as display
 
@@ -38,7 +39,7 @@ def validate(
     check_inputs(out, inputs)
     if junit is not None:
         if accept is None:
-            raise InputError("--junit: expected --accept with limits, got none")
+            raise InputError("--junit needs --accept")
         check_file(junit, force=force)
         check_inputs(junit, inputs)
     prepare_jax()

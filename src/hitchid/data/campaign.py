@@ -80,7 +80,7 @@ class Campaign:
         names = [record.name for record in records]
         for name in names:
             if names.count(name) > 1:
-                raise InputError(f"two records are called '{name}'; names must differ")
+                raise InputError(f"two records have the name '{name}'; names must differ")
         ordered = sorted(records, key=lambda record: _natural_sort_key(record.name))
         reference = _most_common(ordered)
         usable, mismatched = split_usable(
@@ -224,7 +224,8 @@ def _to_reference_units(record: Record, reference: Record) -> Record:
     if record.directions != reference.directions:
         raise InputError(
             f"record '{record.name}' has commands for {' and '.join(record.directions)}, "
-            f"'{reference.name}' for {' and '.join(reference.directions)}; one campaign needs one signal map"
+            f"'{reference.name}' for {' and '.join(reference.directions)}; "
+            "all records of a campaign must have the same commands"
         )
     return record if record.units == reference.units else record.convert(reference.units)
 
@@ -235,8 +236,8 @@ def _require_motion(record: Record) -> Record:
         raise LogError(
             record.source or record.name,
             f"the displacement is constant ({record.displacement[0]:g} {record.unit}) over all "
-            f"{len(record)} samples although the command changes; expected a moving piston "
-            "(is the sensor connected?)",
+            f"{len(record)} samples although the command changes; "
+            "check whether the sensor is connected",
         )
     return record
 
@@ -270,8 +271,8 @@ def _to_common_clock(record: Record, step_s: float) -> Record:
     if not 1 / MAX_RATE_RATIO <= record.step_s / step_s <= MAX_RATE_RATIO:
         raise LogError(
             record.source or record.name,
-            f"has a sampling time of {record.step_s:.4g} s, the logs one of {step_s:.4g} s in the median; "
-            f"expected none that differs by more than a factor of {MAX_RATE_RATIO}",
+            f"has a sampling time of {record.step_s:.4g} s, the median of the logs is {step_s:.4g} s; "
+            f"expected a ratio of at most {MAX_RATE_RATIO}",
         )
     return replace(record, step_s=step_s) if drift <= 0.05 * step_s else record.resample(step_s)
 
@@ -280,6 +281,6 @@ def _kind(record: Record, scales: Mapping[str, float], kinds: Mapping[str, str])
     for pattern, kind in kinds.items():
         if fnmatchcase(record.name, pattern):
             if kind not in KINDS:
-                raise InputError(f"tests: '{kind}' is no kind of test; expected one of {', '.join(KINDS)}")
+                raise InputError(f"tests: '{kind}' is not a kind of test; expected one of {', '.join(KINDS)}")
             return kind
     return detect_kind(record, scales)

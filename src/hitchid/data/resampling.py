@@ -83,12 +83,12 @@ def unique_stamp_rows(time_s: np.ndarray, source: object, *, column: str, line_o
         row = int(backward[0]) + 1
         raise LogError(
             source,
-            f"time must not run backwards; {time_s[row]:g} s came after {time_s[row - 1]:g} s",
+            f"time must not decrease; {time_s[row]:g} s follows {time_s[row - 1]:g} s",
             line=line_of(row),
             column=column,
         )
     if intervals.size and not np.any(intervals):
-        problem = f"all {time_s.size} time stamps are {time_s[0]:g} s; expected a time that increases"
+        problem = f"all {time_s.size} time stamps are {time_s[0]:g} s; expected increasing time stamps"
         raise LogError(source, problem, line=line_of(1), column=column)
     rows = np.concatenate([[0], np.flatnonzero(intervals) + 1]) if time_s.size else np.arange(0)
     median = float(np.median(intervals[intervals > 0])) if intervals.size else SHORTEST_STEP_S
@@ -96,7 +96,7 @@ def unique_stamp_rows(time_s: np.ndarray, source: object, *, column: str, line_o
     if not SHORTEST_STEP_S <= median <= longest < np.inf:
         problem = (
             f"the sampling time is {median:g} s, the longest interval {longest:g} s; "
-            f"expected {SHORTEST_STEP_S:g} s or more, and no interval without end"
+            f"expected {SHORTEST_STEP_S:g} s or more, and finite intervals"
         )
         raise LogError(source, problem, column=column)
     return rows

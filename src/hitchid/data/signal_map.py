@@ -70,7 +70,7 @@ class Column(Strict):
     @classmethod
     def _not_zero(cls, scale: float | None) -> float | None:
         if scale == 0:
-            raise ValueError("expected a number other than zero: the unit per reading")
+            raise ValueError("expected a number other than zero (units per reading)")
         return scale
 
 
@@ -188,7 +188,7 @@ def parse_toml(text: str, source: object) -> dict[str, object]:
     if len(text) > MAX_LENGTH or any(
         fragment.count(".") > MAX_DOTS for fragment in re.split(r"[\n=,]", text)
     ):
-        raise SettingsError(f"{source}: is longer than settings are, or a key in it is; refused")
+        raise SettingsError(f"{source}: is too large for a settings file; check the path")
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # numbers that are too long, nesting that is too deep

@@ -155,7 +155,7 @@ def design(
     ]
     if not proposals:
         raise InputError(
-            f"{direction}: none of {CANDIDATES} tests stays within the limits; expected wider ones"
+            f"{direction}: none of {CANDIDATES} candidate tests is within the limits; use wider limits"
         )
     proposals.sort(key=lambda proposal: proposal.remaining_error[parameter])
     return Advice(
@@ -203,7 +203,7 @@ def _select_target(
     if not matching:
         request = " ".join(name for name in (direction, parameter) if name) or "anything"
         available = ", ".join(" ".join(key) for key in interval_widths) or "nothing"
-        raise InputError(f"design: expected a parameter with an error, {available}; got {request}")
+        raise InputError(f"design: expected a parameter with a standard error ({available}), got {request}")
     best = max(matching, key=lambda key: interval_widths[key][0])
     return *best, interval_widths[best][1]
 
@@ -218,7 +218,7 @@ def _candidates(
         highest = limits.highest - channel.dead_zone
     if not highest > 0:
         raise InputError(
-            f"highest command: expected above the dead zone of {channel.dead_zone:.4g}, "
+            f"highest command: expected more than the dead zone, {channel.dead_zone:.4g}, "
             f"got {limits.highest:.4g}"
         )
     stroke_range = float(operating_range.displacement.highest - operating_range.displacement.lowest)

@@ -21,9 +21,9 @@ MIN_SCALE = 1e-300  # of a parameter without effect
 class StopReason(Enum):
     """Why least squares stopped, with what to try."""
 
-    CONVERGED = "the sum of squares no longer falls"
-    LIMIT = "all steps were taken; more of them may still improve the fit"
-    NOT_FINITE = "the simulation or its derivative is not finite wherever a step leads; narrow the bounds"
+    CONVERGED = "converged: the sum of squares no longer decreases"
+    LIMIT = "the maximum number of steps was reached; more may improve the fit"
+    NOT_FINITE = "every step led to a simulation or derivative that is not finite; narrow the bounds"
 
 
 class Minimum(NamedTuple):
@@ -135,7 +135,7 @@ def refine(
     """
     minimum = minimise(problem.normal_equations, start, limit=limit, tolerance=tolerance)
     if minimum is None:
-        raise FitError("the simulation failed at the start of the least squares; narrow the bounds")
+        raise FitError("the simulation is not finite at the start of least squares; narrow the bounds")
     return LeastSquaresResult(
         position=minimum.position,
         fitness=float(np.sqrt(minimum.equations.cost / problem.samples)),

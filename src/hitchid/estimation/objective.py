@@ -307,7 +307,7 @@ def _speed_per_command(batch: Batch) -> float:
     distance = sum(float(np.ptp(travel[mask])) for travel, mask in tests if mask.any())
     command_integral = batch.step_s * float(np.sum(np.abs(np.asarray(batch.command)) * loss_mask))
     if command_integral == 0:
-        raise FitError("the command never leaves the dead zone in the identification tests")
+        raise FitError("the command never exceeds the dead zone in the identification tests")
     if distance == 0:
         raise FitError("the piston does not move in the identification tests")
     return distance / command_integral

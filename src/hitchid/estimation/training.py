@@ -26,7 +26,7 @@ class TrainingStopReason(Enum):
     """Why a training stopped, with what to try."""
 
     PATIENCE = "the validation loss no longer improved"
-    EPOCHS = "all epochs were run; more of them may still improve the fit"
+    EPOCHS = "the maximum number of epochs was reached; more may improve the fit"
     FAILED = "the loss was not finite; lower the learning rate"
 
 

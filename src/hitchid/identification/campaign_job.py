@@ -161,8 +161,8 @@ class CampaignJob:
             fingerprints |= _fingerprints(campaign, campaign.directions)
         if not campaign.directions:
             raise InputError(
-                "no test moves the piston one way, and no cycle holds a stroke to identify from; measure "
-                "tests whose command goes well beyond the dead zone, and check the units of the signals"
+                "no test moves the piston in one direction, and no cycle contains a stroke; measure "
+                "tests with commands well above the dead zone, and check the units of the signals"
             )
         channel_data = {
             m: prepare(campaign, m, dead_zones.get(m), covariate=specs[m].covariate)
@@ -223,7 +223,7 @@ class CampaignJob:
         notices: list[str] = []
         mode_test = None
         if same_unit:
-            mode_test = attempt("test of two modes", lambda: compare_modes(self.channel_data), notices)
+            mode_test = attempt("test of one shared model", lambda: compare_modes(self.channel_data), notices)
         traces = {direction: trace for direction, (_, trace) in _with_notices(results, notices).items()}
         hitch = self._hitch(results)
         hitch = replace(
@@ -273,8 +273,8 @@ def _check_dead_zone(campaign: Campaign, direction: str, value: float) -> None:
     if not 0 <= value < highest:
         unit = campaign.units.get(COMMAND[direction], "")
         raise SettingsError(
-            f"{direction}: dead_zone is {value:g} {unit}; expected from 0 to below the largest command, "
-            f"{highest:.4g}"
+            f"{direction}: dead_zone: expected at least 0 and less than the largest command, "
+            f"{highest:.4g} {unit}, got {value:g}"
         )
 
 
@@ -283,8 +283,8 @@ def _check_window(training: CompensatorConfig | None, channel_data: Mapping[str,
     longest = max(int(data.all_tests.valid.sum(axis=1).max()) for data in channel_data.values())
     if training is not None and training.window > max(longest, CompensatorConfig.window):
         raise SettingsError(
-            f"training: window is {training.window} samples, expected at most {longest}, those of the "
-            "longest test"
+            f"training: window: expected at most {longest} samples, the length of the "
+            f"longest test, got {training.window}"
         )
 
 

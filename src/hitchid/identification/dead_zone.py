@@ -116,7 +116,7 @@ def ramp_onset(record: Record, direction: str, sign: int) -> float:
         raise LogError(
             record.source or record.name,
             f"the ramp reaches {command.max():.4g} {record.units[f'{direction}_command']} and the piston "
-            "does not move; expected a ramp that goes on until it does",
+            "does not move; expected a ramp that continues until it moves",
         )
     return _parabola_minimum(candidates, residual_norms**2)
 

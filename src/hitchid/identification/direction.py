@@ -74,7 +74,7 @@ def with_calibrated_gain(
     channel = with_gain(channel, factor)
     assessment = trace.phase1.assessment.scaled(channel.benchmark.structure.gain, factor)
     phase1 = replace(trace.phase1, benchmark=channel.benchmark, assessment=assessment)
-    notice = f"gain times {factor:.4f}, so that whole mixed logs agree best in free run"
+    notice = f"gain multiplied by {factor:.4f} for the smallest free-run error on mixed logs"
     scaled_characteristics = trace.characteristics and trace.characteristics.scaled(factor)
     return channel, replace(
         trace, phase1=phase1, notices=(*trace.notices, notice), characteristics=scaled_characteristics

@@ -30,14 +30,14 @@ class HoldoutTest:
     def sentence(self) -> str:
         """The result in one sentence."""
         if not self.benchmark.size:
-            return f"no compensator in free run: fewer than {FEWEST_TESTS} tests, too few to hold any out"
+            return f"no LSTM correction in free run: cross-validation needs {FEWEST_TESTS} tests"
         benchmark_rmse, compensated_rmse = (
             float(np.sqrt(np.mean(errors**2))) for errors in (self.benchmark, self.compensated)
         )
         better = int(np.sum(self.compensated < self.benchmark))
-        figures = f"{benchmark_rmse:.4g} → {compensated_rmse:.4g} on tests held out in turn"
-        outcome = "a compensator" if self.accepted else "no compensator"
-        return f"{outcome} in free run: {figures}, better on {better} of {self.benchmark.size}"
+        figures = f"RMSE {benchmark_rmse:.4g} without, {compensated_rmse:.4g} with it in cross-validation"
+        outcome = "LSTM correction" if self.accepted else "no LSTM correction"
+        return f"{outcome} in free run: {figures}, smaller in {better} of {self.benchmark.size} tests"
 
 
 def deal_roles(tests: int, members: int) -> tuple[np.ndarray, np.ndarray]:

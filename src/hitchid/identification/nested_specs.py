@@ -67,9 +67,9 @@ def nested_specs(largest: ModelSpec) -> list[tuple[str, ModelSpec]]:
     named_specs = [
         ("second order, dead time", delayed),
         ("with valve curve", with_curve),
-        ("with lag and hysteresis of the spool", with_spool),
-        ("with gain growing along the stroke", with_slope),
-        ("with any gain along the stroke", with_position),
+        ("with spool lag and hysteresis", with_spool),
+        ("with a gain linear along the stroke", with_slope),
+        ("with a gain quadratic along the stroke", with_position),
         (f"with {largest.covariate}", largest),
     ]
     return named_specs[:1] + [

@@ -28,5 +28,5 @@ def attempt(description: str, compute: Callable[[], Result], notices: list[str])
         raise
     except Exception as error:
         cause = str(error) or "no message"
-        notices.append(f"{description} left out: it could not be computed ({type(error).__name__}: {cause})")
+        notices.append(f"could not be computed: {description} ({type(error).__name__}: {cause})")
         return None

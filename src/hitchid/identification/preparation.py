@@ -88,7 +88,7 @@ def prepare(
     if not records:
         raise InputError(
             f"all {len(campaign.of_kind(direction))} {direction} tests are held out; "
-            "none is left to identify from"
+            "name at least one for identification under [split]"
         )
     strict, total = campaign.strict, len(records)
     records, without_covariate = split_usable(
@@ -109,11 +109,12 @@ def prepare(
     notices = [*_log_notices(records), *left_out_sentences]
     if sign != _expected_sign(direction):
         notices.append(
-            f"the displacement {'grows' if sign > 0 else 'falls'} in {direction}: taken as measured"
+            f"the displacement {'increases' if sign > 0 else 'decreases'} in {direction}; "
+            "the direction is identified as measured"
         )
     if end_stop is not None:
         notices.append(
-            f"end stop at {end_stop:.4g} {records[0].unit}, met in {contacts} of "
+            f"end stop at {end_stop:.4g} {records[0].unit}, reached in {contacts} of "
             f"{total - len(without_covariate)} tests; samples at it are left out"
         )
     signals = [_test_signals(record, direction, sign, end_stop) for record in records]
@@ -125,13 +126,13 @@ def prepare(
     if dead_zone is None:
         dead_zone = from_tests(signals, campaign.step_s)
     if dead_zone.origin == "none":
-        notices.append("the dead zone cannot be found from one level of command: taken as zero")
+        notices.append("the dead zone cannot be identified from one level of command; zero is used")
     all_tests = Batch.of(
         records, direction, dead_zone=dead_zone.value, sign=sign, end_stop=end_stop, covariate=covariate
     )
     training, validation, validation_rows = _split_validation(all_tests, len(records))
     if len(records) == 1:
-        notices.append("one test only: its last quarter stops the training, so validation is not by test")
+        notices.append("only one test: its last quarter is used for early stopping")
     return ChannelData(
         direction=direction,
         sign=sign,
@@ -214,7 +215,7 @@ def _check_before_end_stop(record: Record, sign: int, end_stop: float | None) ->
         raise LogError(
             record.source or record.name,
             f"the piston is at its end stop of {end_stop:.4g} {record.unit} from the start; "
-            "expected a test that begins away from it",
+            "expected a test that starts before the end stop",
         )
     return record
 

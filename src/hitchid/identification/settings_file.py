@@ -152,8 +152,8 @@ def _spec(direction: str, section: ChannelSection) -> ModelSpec | AutoStructure:
         decided = section.model_fields_set - {"structure", "load", "dead_zone"}
         if decided:
             raise InputError(
-                f"{direction}: structure '{AUTOMATIC}' decides on {' and '.join(sorted(decided))} itself; "
-                "expected the name of a structure beside it"
+                f"{direction}: structure '{AUTOMATIC}' determines {' and '.join(sorted(decided))} itself; "
+                "name a structure to set this"
             )
         return replace(DEFAULT_STRUCTURES[direction], covariate=section.load)
     return ModelSpec(

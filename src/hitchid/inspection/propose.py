@@ -80,7 +80,8 @@ def propose(logs: str | Path | Iterable[str | Path]) -> str:
     guesses = sorted(_guesses(log_windows, names, contents), reverse=True)
     if not guesses:
         raise InputError(
-            f"no two columns move together as command and displacement do; found {', '.join(names) or 'none'}"
+            "no pair of columns correlates like command and displacement; "
+            f"check the columns: {', '.join(names) or 'none'}"
         )
     # A line break in a name would end a comment.
     return "\n".join(line.replace("\n", " ") for line in _lines(guesses, time, timed, names))
@@ -97,7 +98,7 @@ def _time(contents: Sequence[Content]) -> _Time:
     increasing.sort(key=lambda name: not naming.words(name) & naming.TIME)
     if not increasing:
         raise InputError(
-            f"{contents[0].source}: no column increases as a time does; found {', '.join(first)}"
+            f"{contents[0].source}: no column increases like a time; check the columns: {', '.join(first)}"
         )
     name = increasing[0]
     step = float(np.median(np.diff(first[name].values)))
@@ -174,13 +175,13 @@ def _lines(
     names: Sequence[str],
 ) -> Iterator[str]:
     best, contents = guesses[0], [content for content, _ in timed]
-    yield f"# Proposed by hitchid inspect --propose from {len(contents)} logs: check every guess."
+    yield f"# Proposed by hitchid inspect --propose from {len(contents)} logs: check every line."
     yield "[signals]"
     if time.name is not None:
         yield f"# {time.reason}"
         yield f"time = {_column(time.name, time.unit)}"
     else:
-        yield "# the file keeps a clock for every channel: no time is needed"
+        yield "# the file has a clock for every channel: no time column is needed"
     zero = _rest_reading(best, timed)
     for role, name in _roles(best, zero, _range(best.commands[0], contents)):
         low, high = _range(name, contents)
@@ -189,10 +190,10 @@ def _lines(
         options = ""
         if role == "command" and zero is not None:
             options += f", zero = {zero:.6g}"
-            yield f"# it rests at {zero:.6g} and moves the displacement both ways around it: its zero"
+            yield f"# at rest {zero:.6g}, moves the displacement in both directions about this value"
         if role == "command" and best.correlation < 0:
             options += ", scale = -1"
-            yield "# the displacement falls while it is above its zero: its sign is turned"
+            yield "# the displacement decreases while it is above its zero: the sign is reversed"
         yield f"# {low:.5g} to {high:.5g}, {_reason(role, best)}; {source}"
         yield f"{role} = {_column(name, unit, options)}"
     low, high = _range(best.displacement, contents)
@@ -230,7 +231,7 @@ def _roles(best: _Guess, zero: float | None, limits: tuple[float, float]) -> lis
 
 def _reason(role: str, best: _Guess) -> str:
     if role == "command":
-        return f"one signed column that moves {best.displacement} both ways"
+        return f"one signed column that moves {best.displacement} in both directions"
     direction = "up" if role == "lifting_command" else "down"
     other = "with the other command" if len(best.commands) == 2 else "alone"
     return f"one-sided, {other} it moves {best.displacement}; {direction} by its name or the motion"
@@ -265,8 +266,8 @@ def _covariates(best: _Guess, contents: Sequence[Content], names: Sequence[str])
         key=lambda name: (not naming.words(name) & naming.LOADED_SIDE, -np.ptp(_range(name, contents)))
     )
     if pressures:
-        also = f"; also there: {', '.join(pressures[1:MAX_SHOWN])}" if pressures[1:] else ""
-        yield f"# a pressure by its name, which may measure the load{also}"
+        also = f"; other pressures: {', '.join(pressures[1:MAX_SHOWN])}" if pressures[1:] else ""
+        yield f"# a pressure by its name; may represent the load{also}"
         yield f"covariates = [{json.dumps(pressures[0], ensure_ascii=False)}]"
 
 
@@ -275,7 +276,7 @@ def _others(guesses: Sequence[_Guess]) -> Iterator[str]:
     best = guesses[0]
     alternatives = [guess for guess in guesses[1:4] if guess.score > best.score - SCORE_MARGIN]
     for guess in alternatives:
-        yield f"# nearly as good: {' and '.join(guess.commands)} with {guess.displacement}"
+        yield f"# almost equally likely: {' and '.join(guess.commands)} with {guess.displacement}"
 
 
 def _range(name: str, contents: Sequence[Content]) -> tuple[float, float]:

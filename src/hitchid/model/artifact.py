@@ -74,7 +74,7 @@ def load(folder: str | Path) -> Hitch:
         tensors = {name: array for data in stored for name, array in load_tensors(data).items()}
         return read_hitch(*migrate(content, tensors))
     except Exception as error:  # an edited description may come with a recomputed digest
-        raise ModelFolderError(f"{path}: cannot be understood: {error!r}") from error
+        raise ModelFolderError(f"{path}: cannot be parsed: {error!r}") from error
 
 
 def load_trace(folder: str | Path) -> dict:
@@ -88,7 +88,7 @@ def load_trace(folder: str | Path) -> dict:
     try:
         return json.loads(data)
     except (ValueError, RecursionError) as error:
-        raise ModelFolderError(f"{path / TRACE_FILE}: cannot be understood: {error!r}") from error
+        raise ModelFolderError(f"{path / TRACE_FILE}: cannot be parsed: {error!r}") from error
 
 
 def _read_description(folder: Path) -> dict:
@@ -98,19 +98,19 @@ def _read_description(folder: Path) -> dict:
         content = json.loads(data)
         canonical = canonical_json(content)
     except (ValueError, RecursionError) as error:
-        raise ModelFolderError(f"{path}: was cut short or edited: {type(error).__name__}") from error
+        raise ModelFolderError(f"{path}: is truncated or was edited: {type(error).__name__}") from error
     if not isinstance(content, dict) or content.get("kind") != KIND:
         raise ModelFolderError(f"{path}: is not the description of a hitchid model")
     if not is_readable(content.get("schema")):
         raise ModelFolderError(
             f"{path}: has schema {content.get('schema')!r}, expected {min(MIGRATIONS)} to {SCHEMA}; "
-            "was it written by another version of hitchid? Identify again"
+            "it may be from another version of hitchid; identify again"
         )
     claimed = content.pop("digest", "")
     if canonical != data or claimed != digest(canonical_json(content)):
         raise ModelFolderError(f"{path}: was edited: its digest does not match; identify again")
     if not isinstance(content.get("files"), dict):
-        raise ModelFolderError(f"{path}: cannot be understood: it lists no files")
+        raise ModelFolderError(f"{path}: cannot be parsed: it lists no files; identify again")
     return {**content, "digest": claimed}
 
 
@@ -128,11 +128,11 @@ def _read(path: Path, required: str) -> bytes:
 
 
 def _read_checked(path: Path, content: dict) -> bytes:
-    data = _read(path, "it with model.json")
+    data = _read(path, "a model folder with model.json")
     claimed = content["files"].get(path.name)
     if digest(data) != claimed:
         raise ModelFolderError(
-            f"{path}: was cut short or edited: its SHA-256 is {digest(data)[:12]}…, "
+            f"{path}: is truncated or was edited: its SHA-256 is {digest(data)[:12]}…, "
             f"expected {str(claimed)[:12]}…"
         )
     return data

@@ -1,6 +1,7 @@
 """Dynamics of a hitch, one sample at a time: the channel in charge, and the motion of the piston.
 
-Simulation, prediction and online use of a hitch run this step. docs/switching.md: state machine as a table.
+Simulation, prediction and online use of a hitch run this step. The state machine is documented in
+:doc:`/switching`.
 """
 
 from collections.abc import Sequence

@@ -31,14 +31,14 @@ def warnings(
             samples = int(np.sum(is_outside[0, : len(record)] & in_charge))
             if samples:
                 sentences.append(
-                    f"{direction}: the {name} leaves what the tests covered, "
+                    f"{direction}: the {name} is outside the identified range, "
                     f"{describe_range(channel, units, name)}, in {samples} of {len(record)} samples"
                 )
     limits = next(iter(channels.values())).limits
     samples = 0 if limits is None else int(np.sum(limits.at_soft_limit(displacement)))
     if limits is not None and samples:
         sentence = limits.sentence(units[DISPLACEMENT])
-        sentences.append(f"{sentence}; this one is in {samples} of {displacement.size} samples")
+        sentences.append(f"{sentence}; this limit applies in {samples} of {displacement.size} samples")
     return tuple(sentences)
 
 

@@ -197,7 +197,7 @@ class Hitch:
     def simulate(self, record: Record, *, compensated: bool = True) -> np.ndarray:
         """Return the free run: displacement from the commands and the initial displacement alone.
 
-        One `step` for each sample; docs/switching.md describes the change of direction.
+        One `step` for each sample. Change of direction: :doc:`/switching`.
 
         Args:
             record: commands, and displacement, of which only the mean before motion is used.
@@ -282,8 +282,8 @@ class Hitch:
         missing = [direction for direction in self.channels if direction not in bands]
         if missing:
             raise InputError(
-                f"the model has no bands for {' and '.join(missing)}; expected at least three tests to "
-                "identify it from"
+                f"the model has no bands for {' and '.join(missing)}; identification needs at least three "
+                "tests for bands"
             )
         model_record = self.to_model_units(record)
         run = self.free_run(model_record)

@@ -54,9 +54,9 @@ class TwoModes:
     @property
     def sentence(self) -> str:
         """Sentence that states the result."""
-        verdict = "the plant needs two modes" if self.needed else "one mode would do"
+        verdict = "two separate models are justified" if self.needed else "one shared model is sufficient"
         return (
-            f"{verdict}: free run on tests held out in turn {self.shared_rmse:.4g} with one shared model, "
+            f"{verdict}: free-run RMSE in cross-validation {self.shared_rmse:.4g} with one shared model, "
             f"{self.two_rmse:.4g} with two; F = {self.f_statistic:.3g}, p = {self.p_value:.2g}, "
             f"{self.tests} tests"
         )

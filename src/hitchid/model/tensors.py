@@ -50,7 +50,7 @@ def check_size(tensors: Tensors, count: int) -> None:
         ValueError: the stored arrays have fewer elements.
     """
     if count > sum(stored.size for stored in tensors.values()):
-        raise ValueError("the description has more weights than the tensors")
+        raise ValueError("the description lists more weights than the tensor file contains")
 
 
 def _name(prefix: str, path: tuple) -> str:

@@ -85,17 +85,17 @@ class Live:
             self._set_clock(time_s)
         offset = _round_samples((time_s - self._next_sample_s) / self._model.step_s)
         if offset < -CLOCK_SET_BACK_SAMPLES:
-            flags.append(f"the clock was set back from {self._latest_s:g} s: starting anew")
+            flags.append(f"the clock was set back from {self._latest_s:g} s: the model restarts")
             self._reset(time_s)
             offset = 0
         elif offset < 0 and (stamp <= self._latest_s or -offset > len(self._history)):
-            return self._output([*flags, f"out of order: {stamp:g} s came after {self._latest_s:g} s"])
+            return self._output([*flags, f"out of order: {stamp:g} s follows {self._latest_s:g} s"])
         elif offset > 0:
             flags.append(f"late: {offset} samples are missing before {time_s:g} s")
             self._fill_gap(offset, time_s)
         replaced = self._undo_steps(-offset) if offset < 0 else {}
         if TIME in replaced:
-            flags.append(f"early: {time_s:g} s takes the place of {replaced[TIME]:g} s, nearest to one time")
+            flags.append(f"early: the sample at {time_s:g} s replaces that at {replaced[TIME]:g} s")
         if stamped:
             self._latest_s = stamp
         merged = {**replaced, **sample}
@@ -150,12 +150,12 @@ class Live:
     def _input_flags(self, state: Packed, sample: Sample) -> list[str]:
         roles = [COMMAND[direction] for direction in self._model.channels]
         missing = [role for role in roles if not math.isfinite(sample.get(role, math.nan))]
-        flags = [f"{role} is missing: the last one stands" for role in missing]
+        flags = [f"{role} is missing: the last value is held" for role in missing]
         if self._measured and not math.isfinite(sample.get(DISPLACEMENT, math.nan)):
-            flags.append("coasting: no displacement was measured")
+            flags.append("no displacement was measured: the model simulates")
         hitch_state = self._model.unpack_state(state)
         if bool(hitch_state.both_valves_active):
-            flags.append("both valves are on: lowering counts")
+            flags.append("both commands are active: the lowering command is used")
         return flags + self._out_of_range(sample, int(hitch_state.mode))
 
     def _out_of_range(self, sample: Sample, active_channel: int) -> list[str]:
@@ -174,12 +174,15 @@ class Live:
         ranges = [self._ranges[direction][DISPLACEMENT] for direction in possible_modes]
         if math.isfinite(measured) and all(not low <= measured <= high for low, high in ranges):
             outside.append((DISPLACEMENT, model.describe_range(possible_modes[0], DISPLACEMENT)))
-        return [f"outside: {role} {sample[role]:g}; the tests covered {covered}" for role, covered in outside]
+        return [
+            f"outside: {role} {sample[role]:g}; the identified range is {covered}"
+            for role, covered in outside
+        ]
 
     def _output(self, flags: list[str]) -> Output:
         time_s = round(self._next_sample_s, DIGITS)
         if self._state is None:
-            return Output(time_s, None, STANDING, (*flags, "waiting for a displacement to start from"))
+            return Output(time_s, None, STANDING, (*flags, "waiting for an initial displacement"))
         active_channel = int(self._model.unpack_state(self._state).mode)
         direction = STANDING if active_channel < 0 else tuple(self._model.channels)[active_channel]
         return Output(time_s, self._displacement, direction, tuple(flags))
@@ -200,10 +203,12 @@ def _parse(line: str) -> tuple[dict[str, float], list[str]]:
     try:
         content = json.loads(line)
     except (ValueError, RecursionError):
-        return {}, ["not understood: the line is no JSON"]
+        return {}, ["not understood: the line is not JSON"]
     if not isinstance(content, dict):
         return {}, ['not understood: expected an object like {"time_s": 0.01, "lifting_command": 0.5}']
-    flags = [f"not known: '{name}'; known are {', '.join(FIELDS)}" for name in content if name not in FIELDS]
+    flags = [
+        f"not known: '{name}'; expected one of {', '.join(FIELDS)}" for name in content if name not in FIELDS
+    ]
     sample = {}
     for name in FIELDS:
         value = content.get(name)

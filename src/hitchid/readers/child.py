@@ -44,7 +44,7 @@ def main() -> None:
         except LogError as error:
             _send(output, {"problem": error.problem, "line": error.line, "column": error.column})
         except MemoryError:
-            _send(output, {"problem": "needs more memory than allowed for its size; refused"})
+            _send(output, {"problem": "needs more memory than is allowed for its size; check the file"})
         except Exception as error:  # a library may raise anything on a damaged file
             _send(output, {"problem": f"cannot be read: {type(error).__name__}: {error}"})
         else:
@@ -77,7 +77,7 @@ def _send_content(output: IO[bytes], content: Content, max_bytes: int) -> None:
     ]
     sizes = [clock.size for clock in clocks.values()]
     if 8 * (sum(sizes) + sum(entry[2] for entry in channels)) > max_bytes:
-        _send(output, {"problem": f"unpacks to more than {MAX_UNPACK_RATIO} times its size; refused"})
+        _send(output, {"problem": f"unpacks to more than {MAX_UNPACK_RATIO} times its size; check the file"})
         return
     _send(output, {"channels": channels, "clocks": sizes, "notices": content.notices})
     for samples in (*clocks.values(), *(channel.values for channel in content.channels.values())):

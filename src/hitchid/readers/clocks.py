@@ -58,7 +58,7 @@ def resample_to_common_clock(
     for role in other_roles:
         mask &= _is_covered(target, clocks[role], steps[slowest], extend_ends=role in HOLD_ROLES)
     if not mask.any():
-        raise LogError(source, "the channels have no stretch of time in common")
+        raise LogError(source, "the time ranges of the channels do not overlap")
     common_time_s = target[mask]
     sampled = {
         role: _resample(role, channel.values, clocks[role], common_time_s)
@@ -67,7 +67,7 @@ def resample_to_common_clock(
         for role, channel in channels.items()
     }
     steps_text = ", ".join(f"{names[role]} {steps[role]:.4g} s" for role in channels)
-    return common_time_s, sampled, [f"merged on the clock of {names[slowest]}: {steps_text}"]
+    return common_time_s, sampled, [f"resampled to the clock of {names[slowest]}: {steps_text}"]
 
 
 def _check_agrees(source: Path, time_s: np.ndarray, channel: LogChannel, name: str) -> None:
@@ -77,17 +77,17 @@ def _check_agrees(source: Path, time_s: np.ndarray, channel: LogChannel, name: s
         return
     clock_duration_s, time_duration_s = float(clock[-1] - clock[0]), float(time_s[-1] - time_s[0])
     if not abs(clock_duration_s - time_duration_s) <= abs(time_duration_s) / (clock.size - 1):
-        problem = (
-            f"lasts {clock_duration_s:g} s by its own clock, {time_duration_s:g} s by the time that is named"
+        problem = f"lasts {clock_duration_s:g} s on its own clock, {time_duration_s:g} s on the time channel"
+        raise LogError(
+            source, f"{problem}; name the time channel of its own group in campaign.toml", column=name
         )
-        raise LogError(source, f"{problem}; expected one that is its own", column=name)
 
 
 def _with_increasing_clock(source: Path, channel: LogChannel, name: str) -> LogChannel:
     """Return a channel whose clock increases from sample to sample."""
     clock = channel.clock_s
     if clock is None:
-        problem = 'has no clock in the file; expected the time\'s column: time = "…" in campaign.toml'
+        problem = 'has no clock in the file; name the time channel in campaign.toml: time = "…"'
         raise LogError(source, problem, column=name)
     if clock.size < 2:
         raise LogError(source, f"has {clock.size} samples, expected at least 2", column=name)

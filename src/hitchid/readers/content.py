@@ -12,7 +12,7 @@ from hitchid.errors import LogError
 MAX_LISTED = 30  # names in one message
 # Limits of unpacked logs: bytes a byte of the file, and a size that is always allowed, bytes; chosen.
 MAX_UNPACK_RATIO, ALWAYS_ALLOWED_BYTES = 200, 2**28
-CHANNEL_HINT = "expected it, or another named in campaign.toml"
+CHANNEL_HINT = "name the channel in campaign.toml"
 
 
 class ChannelSelection(NamedTuple):
@@ -99,7 +99,11 @@ def match_channels(
         )
         is_required = requested != selection.time or not has_clocks
         if len(candidates) > 1 and is_required:
-            raise LogError(source, f"the name is ambiguous: {format_names(candidates)}", column=requested)
+            raise LogError(
+                source,
+                f"several channels have this name; use the full name: {format_names(candidates)}",
+                column=requested,
+            )
         if len(candidates) == 1:
             matches[requested] = candidates[0]
         elif is_required:
@@ -119,7 +123,7 @@ def _check_one_group(source: Path, matches: Mapping[str, str], time: str) -> Non
         return
     for name in matches.values():
         if not name.startswith(f"{group}/"):
-            problem = f"lies in another group than '{name}'; expected its full name, '{matches[time]}'"
+            problem = f"is in another group than '{name}'; use its full name, '{matches[time]}'"
             raise LogError(source, problem, column=time)
 
 

@@ -39,7 +39,7 @@ def find_logs(logs: str | Path | Iterable[str | Path]) -> list[Path]:
         else:
             raise InputError(f"{path}: there is no such file or folder")
     if not paths:
-        raise InputError("no logs were named; expected files or folders")
+        raise InputError("no logs given; expected files or folders")
     if not any(map(known_format, paths)):
         format_of(next(iter(paths)))
     return list(paths)

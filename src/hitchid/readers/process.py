@@ -57,10 +57,14 @@ class ReaderProcess(AbstractContextManager["ReaderProcess"]):
             raise
         except TimeoutError:
             self._end()
-            raise LogError(path, f"cannot be read within {limit_s:.0f} s: it is damaged") from None
+            raise LogError(
+                path, f"cannot be read within {limit_s:.0f} s; check whether the file is damaged"
+            ) from None
         except (EOFError, BrokenPipeError):
             self._end()
-            raise LogError(path, "cannot be read: it is damaged, and its reader crashed") from None
+            raise LogError(
+                path, "cannot be read: its reader crashed; check whether the file is damaged"
+            ) from None
         except BaseException:
             self._end()
             raise

@@ -165,7 +165,9 @@ def records_of(table: LogTable, signals: SignalMap) -> list[Record]:
     usable = [section for section in all_sections if section.stop - section.start >= MIN_SAMPLES]
     if not usable:
         longest = max((section.stop - section.start for section in all_sections), default=time_s.size)
-        raise LogError(path, f"the log has {longest} samples in a row, expected at least {MIN_SAMPLES}")
+        raise LogError(
+            path, f"the longest part without gaps has {longest} samples, expected at least {MIN_SAMPLES}"
+        )
     name = record_name(path)
     records = [
         _record(name if len(usable) == 1 else f"{name}@{number}", table, section)
@@ -173,11 +175,13 @@ def records_of(table: LogTable, signals: SignalMap) -> list[Record]:
     ]
     notices = [Notice("as-read", sentence) for sentence in table.notices]
     if repeated:
-        sentence = f"{repeated} rows are left out: their time is that of the row before"
+        sentence = f"{repeated} rows are left out: they repeat the time stamp of the previous row"
         notices.append(Notice("rows-left-out", sentence))
     left_out = time_s.size - sum(section.stop - section.start for section in usable)
     if left_out:
-        sentence = f"{left_out} of {time_s.size} samples are left out: fewer than {MIN_SAMPLES} in a row"
+        sentence = (
+            f"{left_out} of {time_s.size} samples are left out: parts shorter than {MIN_SAMPLES} samples"
+        )
         notices.append(Notice("samples-left-out", sentence))
     records[0] = replace(records[0], notices=(*records[0].notices, *notices))
     return records

@@ -52,7 +52,8 @@ def table_of(content: Content, signals: SignalMap) -> LogTable:
     columns = _columns_by_role(signals, content)
     if TIME not in columns and signals.time.column != DEFAULT_SIGNALS.time.column:
         problem = (
-            "there is no such channel; the file has clocks of its own; expected no time in campaign.toml"
+            "there is no such channel; every channel has its own clock: name an existing channel as time in "
+            "campaign.toml, or remove this line"
         )
         raise LogError(content.source, problem, column=signals.time.column)
     converted, notices = {}, list(content.notices)
@@ -98,7 +99,7 @@ def _convert_unit(content: Content, role: str, column: Column) -> tuple[LogChann
         raise LogError(
             source,
             "no unit in its name or in the file; "
-            f'expected {{ column = "{name}", unit = "…" }} in campaign.toml',
+            f'give one in campaign.toml: {{ column = "{name}", unit = "…" }}',
             column=name,
         )
     _check_dimension(source, role, name, declared_unit)
@@ -120,7 +121,7 @@ def _convert_unit(content: Content, role: str, column: Column) -> tuple[LogChann
         notices.append(f"{name}: converted from {file_unit}, the unit in the file, to {declared_unit}")
     elif file_unit is None and unit_of_column(name) not in (None, declared_unit):
         notices.append(
-            f"{name}: read as {declared_unit}, the unit in the signal map, although its name ends otherwise"
+            f"{name}: read as {declared_unit}, the unit in the signal map, although the name has another unit"
         )
     source_unit = file_unit or declared_unit
     factor = 1.0 if source_unit == unit else UNITS[source_unit].factor / UNITS[unit].factor
@@ -146,12 +147,15 @@ def _check_agrees(source: Path, name: str, declared_unit: str, file_unit: str | 
     dimension = UNITS[declared_unit].dimension
     name_unit = unit_of_column(name)
     if name_unit not in (None, file_unit) and UNITS[name_unit].dimension == dimension:
-        problem = f"the unit is '{name_unit}' in the name, '{file_unit}' in the file; expected equal units"
+        problem = (
+            f"the unit is '{name_unit}' in the name but '{file_unit}' in the file; expected the same unit"
+        )
         raise LogError(source, problem, column=name)
     if UNITS[file_unit].dimension != dimension:
         raise LogError(
             source,
-            f"the unit is '{file_unit}' in the file, '{declared_unit}' in the map; expected one dimension",
+            f"the unit is '{file_unit}' in the file but '{declared_unit}' in the signal map; "
+            "expected units of the same quantity",
             column=name,
         )
 
@@ -162,7 +166,7 @@ def _check_finite(content: Content, name: str) -> None:
     if bad.size:
         raise LogError(
             content.source,
-            f"expected finite numbers, got {values[bad[0]]} ({bad.size} such of {values.size} samples, "
+            f"expected finite numbers, got {values[bad[0]]} ({bad.size} of {values.size} samples, "
             f"the first at sample {bad[0]})",
             line=content.line_of(int(bad[0])),
             column=name,

@@ -31,8 +31,8 @@ def characteristic_sentences(characteristics: Characteristics, direction: str) -
     sentences.append(f"the piston {VERBS[direction]} at mid stroke{load_phrase}: {'; '.join(speeds)}")
     if characteristics.delay is not None and characteristics.response_time is not None:
         sentences.append(
-            f"after a step to {characteristics.level:.3g} {unit} motion begins (5 % of the speed) after "
-            f"{_quantity_text(characteristics.delay, 's')} and has 63 % of its speed after "
+            f"after a step to {characteristics.level:.3g} {unit} motion starts (5 % of the speed) after "
+            f"{_quantity_text(characteristics.delay, 's')} and reaches 63 % of its speed after "
             f"{_quantity_text(characteristics.response_time, 's')}"
         )
     return tuple(sentences)

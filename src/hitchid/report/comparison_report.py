@@ -74,11 +74,11 @@ def verdict_text(comparison: ModelComparison, section: str) -> str:
     verdict = comparison.verdict(section)
     if verdict.tests < MIN_TESTS:
         tests = numbers.count(verdict.tests, "test")
-        return f"{tests}, too few to tell the models apart in free run: {figures_text}"
+        return f"{tests}, too few for a conclusion in free run: {figures_text}"
     if verdict.better is None:
-        return f"{verdict.tests} tests do not tell the models apart in free run: {figures_text}"
+        return f"no significant difference in free run on {verdict.tests} tests: {figures_text}"
     wins = f"on {verdict.wins} of {verdict.tests} tests"
-    return f"{verdict.better} errs less in free run, {wins}: {figures_text}"
+    return f"{verdict.better} has the smaller free-run error {wins}: {figures_text}"
 
 
 def _finding(comparison: ModelComparison, section: str) -> Finding:
@@ -109,13 +109,13 @@ def _section(comparison: ModelComparison, section: str) -> ReportSection:
         Picture(
             f"{section}-horizons",
             figures.horizons(Horizons(one.steps, rmse), comparison.step_s, unit),
-            "Error over how far is looked ahead.",
+            "Error over the prediction horizon.",
             f"RMSE in {unit} over the horizon for both models.",
         ),
         Picture(
             f"{section}-tests",
             figures.errors_by_test(tests, unit, ("b", "a")),
-            "Error of every test in free run; the bar is the figure over all tests.",
+            "RMSE of each test in free run; the bar is the RMSE over all tests.",
             f"RMSE of each of {len(tests.names)} tests for both models.",
         ),
     ]

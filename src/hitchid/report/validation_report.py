@@ -103,7 +103,7 @@ def all_tables(result: Validation) -> list[Table]:
             tables.single_test_table(direction, accuracy, unit),
         ]
         if channel.parameters is not None:
-            title = f"{direction}: parameters of the benchmark"
+            title = f"{direction}: parameters of the physics model"
             table_list.append(tables.parameter_table(title, channel.parameters))
         if channel.characteristics is not None:
             table_list += tables.characteristic_tables(direction, channel.characteristics)

@@ -54,8 +54,8 @@ class ModelSpec:
         refused = [option.value for option in ModelOption if option in self.options - self.structure.options]
         if refused:
             raise InputError(
-                f"structure '{self.structure.name}' takes no {' and no '.join(refused)}; expected a form "
-                "without"
+                f"structure '{self.structure.name}' has no {' and no '.join(refused)}; "
+                "choose another structure"
             )
         by_name = {parameter.name: parameter for parameter in self.parameters}
         for name, (lower, upper) in self.bounds.items():

@@ -158,16 +158,16 @@ class PhysicalModel(eqx.Module):
         structure = self.structure.require_linear()
         if self.nonlinearity is not None:
             raise InputError(
-                "a benchmark with curves of valve or stroke has no transfer function; "
-                "expected one identified without them"
+                "a physics model with a valve curve or a gain along the stroke has no transfer function; "
+                "name a linear structure in the settings and identify again"
             )
         if step_s is not None:
             number(step_s, "step_s", above=0.0)
         if step_s is None:
             if float(self.dead_time_s):
                 raise InputError(
-                    f"a dead time of {float(self.dead_time_s):.4g} s has no rational G(s); expected a "
-                    "sampling time, for the exact G(z)"
+                    f"a dead time of {float(self.dead_time_s):.4g} s has no rational G(s); give "
+                    "step_s for the exact G(z)"
                 )
             numerator, denominator = structure.transfer_function(tuple(map(float, self.values)))
             return np.asarray(numerator), np.asarray(denominator)

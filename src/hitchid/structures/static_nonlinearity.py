@@ -27,7 +27,9 @@ VALVE_CURVE = (
     Parameter("saturation", "1", 0.05, 1e4, excitation_hint=HIGH_LEVELS),
 )
 SPOOL_DYNAMICS = (
-    Parameter("hysteresis", "1", 0.0, 1.0, linear=True, excitation_hint="commands that fall between levels"),
+    Parameter(
+        "hysteresis", "1", 0.0, 1.0, linear=True, excitation_hint="commands that decrease between levels"
+    ),
     Parameter("spool_lag", "s", 1e-3, 0.5, symbol="spool lag"),
 )
 STROKE_GAIN_LINEAR = (Parameter("position_slope", "1", -2.0, 2.0, linear=True, excitation_hint=STROKE),)
@@ -76,7 +78,7 @@ class StaticNonlinearity(eqx.Module):
 
     The spool follows the command with a lag, ṡ = (c − s)/τ, and with play: p(k) = p(k−1) held within
     s̄(k) ± h d₀/2, where s̄ is the mean of s over a sampling interval, d₀ the dead zone and h d₀ the width of
-    the hysteresis. Beyond the dead zone lies u = sign(p)·max(|p| − d₀ + h d₀/2, 0), which without lag and
+    the hysteresis. Beyond the dead zone lies u = sign(p)·max(abs(p) − d₀ + h d₀/2, 0), which without lag and
     hysteresis is the effective command.
 
     With z = u/U and the second input c in its own spread, v = max(z − s c − d, 0)ⁿ and

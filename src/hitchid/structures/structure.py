@@ -107,7 +107,7 @@ class Structure(eqx.Module):
         for index, parameter in enumerate(self.parameters):
             if parameter.name == self.gain:
                 return index
-        raise InputError(f"structure '{self.name}' has no gain; expected a structure with one")
+        raise InputError(f"structure '{self.name}' has no gain; choose a structure with a gain")
 
     def derived(self, values: tuple[float, ...]) -> dict[str, tuple[float, str]]:
         """Return quantities computed from the parameters: name to value and unit template."""

@@ -51,7 +51,7 @@ def _range_text(parameter: Parameter, unit: str, interval: Interval) -> str:
         return f"{name} > {lower:.3g}{unit_suffix} at 95 %"
     if upper is not None:
         return f"{name} < {upper:.3g}{unit_suffix} at 95 %"
-    return f"any {name} between the bounds fits"
+    return f"all values of {name} between the bounds fit equally well"
 
 
 def _excitation_hint(parameter: Parameter, interval: Interval, step_s: float) -> str:
@@ -61,7 +61,7 @@ def _excitation_hint(parameter: Parameter, interval: Interval, step_s: float) ->
     frequency_too_high = parameter.unit == "rad/s" and lower is not None and lower > nyquist_rad_s
     time_too_short = parameter.unit == "s" and upper is not None and upper < 1 / nyquist_rad_s
     if frequency_too_high or time_too_short:
-        return f"too fast for samples every {step_s:.3g} s"
+        return f"too fast for a sampling time of {step_s:.3g} s"
     if parameter.unit == "rad/s" and lower is not None and upper is None:
         return f"excite above {lower / (2 * pi):.2g} Hz"
     if parameter.unit == "rad/s" and upper is not None and lower is None:

@@ -159,10 +159,10 @@ def compare(
     if not isclose(first.step_s, second.step_s, rel_tol=SAME_CLOCK):
         raise InputError(
             f"model A has a sampling time of {first.step_s:g} s, model B of {second.step_s:g} s; expected "
-            "the same, for they are compared sample by sample"
+            "the same, because they are compared sample by sample"
         )
     if not unseen.records:
-        raise InputError("one of the models was identified from every test; expected tests neither has seen")
+        raise InputError("every test was used to identify one of the models; expected other tests")
     usable, lacking = with_covariates(unseen, first, second)
     segmentation_dead_zones = first.segmentation_dead_zones(campaign.units)
     one = validate(
@@ -181,5 +181,7 @@ def compare(
         one, other, len(campaign.records) - len(unseen.records), first.step_s, lacking
     )
     if not comparison.sections:
-        raise InputError("the models have no test in common; expected tests of a direction that both have")
+        raise InputError(
+            "no test can be simulated by both models; expected tests of a direction that both have"
+        )
     return comparison

@@ -28,7 +28,7 @@ class _NonEmptyLimits(Strict):
     def _require_any(self) -> "_NonEmptyLimits":
         limits = {name: value for name, value in self if name != "unit"}
         if all(value is None for value in limits.values()):
-            raise ValueError(f"demands nothing; expected at least one of {', '.join(limits)}")
+            raise ValueError(f"is empty; expected at least one of {', '.join(limits)}")
         return self
 
 
@@ -81,7 +81,7 @@ class DirectionLimits(_NonEmptyLimits):
             return value
         horizons = {str(steps): steps for steps in HORIZONS}
         if not value:
-            raise ValueError(f"demands nothing; expected one of {', '.join(horizons)} samples ahead")
+            raise ValueError(f"is empty; expected one of {', '.join(horizons)} samples ahead")
         for key in value:
             if str(key) not in horizons:
                 raise ValueError(f"got '{key}' samples ahead, expected one of {', '.join(horizons)}")
@@ -98,7 +98,7 @@ class DirectionLimits(_NonEmptyLimits):
     @classmethod
     def _require_known_baselines(cls, value: tuple[str, ...] | None) -> tuple[str, ...] | None:
         if value == ():
-            raise ValueError(f"demands nothing; expected one of {', '.join(BASELINES)}")
+            raise ValueError(f"is empty; expected one of {', '.join(BASELINES)}")
         for name in value or ():
             if name not in BASELINES:
                 raise ValueError(f"got '{name}', expected one of {', '.join(BASELINES)}")

@@ -12,7 +12,7 @@ NAMES = {
     **{baseline.name: baseline.title for baseline in BASELINES},
     "transfer_function": "paper's transfer function",
     "paper": "paper's grey box",
-    BENCHMARK: "benchmark",
+    BENCHMARK: "physics model",
     GREYBOX: "grey box",
 }
 RUNS = {ONE_STEP: "one step", FREE_RUN: "free run"}

@@ -24,7 +24,7 @@ def channel_notices(
     notices = _accuracy_notices(direction, accuracy) + _out_of_range_notices(direction, channel, tests)
     covariate = channel.benchmark.covariate
     if covariate is not None:
-        notices.append(f"{direction}: the free run takes '{covariate}' as measured before motion")
+        notices.append(f"{direction}: the free run uses the mean of '{covariate}' before motion")
     return notices
 
 
@@ -46,7 +46,7 @@ def cycle_notices(model: Hitch, result: CycleResult, factor: float) -> list[str]
 def _accuracy_notices(direction: str, accuracy: Accuracy) -> list[str]:
     uncompensated = accuracy.uncompensated
     left_out = (GREYBOX, BENCHMARK) if uncompensated else (GREYBOX,)
-    notices = [f"{direction}: in free run the grey box is the benchmark alone"] if uncompensated else []
+    notices = [f"{direction}: the LSTM correction is not used in simulation"] if uncompensated else []
     for run, label in RUNS.items():
         greybox = accuracy.models[GREYBOX].run(run)
         others = {name: models.run(run) for name, models in accuracy.models.items() if name not in left_out}
@@ -64,8 +64,8 @@ def _out_of_range_notices(direction: str, channel: Channel, tests: Sequence[Reco
     batch = channel.batch(tests)
     out_of_range = channel.out_of_range(batch, channel.simulate(batch))
     return [
-        f"{direction}: in {int(rows.any(axis=1).sum())} of {len(tests)} tests the {name} leaves what the "
-        "identification covered"
+        f"{direction}: in {int(rows.any(axis=1).sum())} of {len(tests)} tests the {name} is outside the "
+        "identified range"
         for name, rows in out_of_range.items()
         if rows.any()
     ]

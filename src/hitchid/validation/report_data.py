@@ -147,13 +147,13 @@ def _use(record: Record, model: Hitch) -> str:
     """Return the use of a log by the model; the strokes of a segmented cycle have the cycle's name."""
     provenance = model.provenance
     if record.kind == RAMP:
-        return "dead zone's ramp"
+        return "ramp for the dead zone"
     if record.kind == IDLE or (record.kind == CYCLE and len(model.channels) < 2):
         return "not used"
     if record.fingerprint in provenance.seen:
         stopping = any(record.name in names for names in provenance.validation.values())
-        strokes = ", by strokes" if record.kind == CYCLE else ""
-        return "validation while training" if stopping else f"identification{strokes}"
+        strokes = ", split into strokes" if record.kind == CYCLE else ""
+        return "early stopping" if stopping else f"identification{strokes}"
     if record.kind == CYCLE:
         return "unseen cycle"
     return "unseen test" if record.kind in model.channels else "not used"

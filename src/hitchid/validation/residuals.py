@@ -199,19 +199,19 @@ def _check_series(
 ) -> dict[str, list[np.ndarray]]:
     """Return the tests that have samples, as float64, or raise `InputError`."""
     if not (np.isfinite(step_s) and step_s > 0 and lags >= 1):
-        raise InputError(f"a positive step_s and at least 1 lag are required, got {step_s} s and {lags}")
+        raise InputError(f"expected a positive step_s and at least 1 lag, got {step_s} s and {lags}")
     tests = {name: [np.asarray(test, dtype=np.float64) for test in arrays] for name, arrays in series.items()}
     shapes = [test.shape for test in tests["errors"]]
     for name, arrays in tests.items():
         if [test.shape for test in arrays] != shapes or any(len(shape) != 1 for shape in shapes):
             received = [test.shape for test in arrays]
-            raise InputError(f"{name} have shapes {received}, errors {shapes}: equal ones [N_i] are required")
+            raise InputError(f"{name}: expected the shapes of errors, {shapes}, each [N_i], got {received}")
         for test_index, test in enumerate(arrays):
             if not np.all(np.isfinite(test)):
                 sample = int(np.flatnonzero(~np.isfinite(test))[0])
                 raise InputError(
-                    f"{name} of test {test_index} are {test[sample]} at sample {sample}: finite ones are "
-                    "required"
+                    f"{name} of test {test_index}: expected finite numbers, got {test[sample]} "
+                    f"at sample {sample}"
                 )
     count = sum(shape[0] for shape in shapes)
     if count < MIN_SAMPLES:

@@ -88,8 +88,8 @@ def validate(
             notices += cycle_notices(model, cycles, factor)
     if not channels and cycles is None:
         raise InputError(
-            "the identification used every test of these logs or has no channel for them; "
-            "expected tests it has not seen"
+            "every test of these logs was used for identification, or the model has no channel for it; "
+            "expected tests that the identification has not used"
         )
     mode_test = model.two_modes
     if mode_test is not None:

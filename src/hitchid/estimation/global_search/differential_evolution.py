@@ -54,7 +54,7 @@ class DifferentialEvolution(Search):
         members = self.population * problem.dimensions
         if self.evaluations < 2 * members:
             raise InputError(
-                f"differential evolution: expected evaluations for two generations of {members} members, "
+                f"differential evolution: expected at least {2 * members} evaluations (two generations), "
                 f"got {self.evaluations}"
             )
         differential_evolution(

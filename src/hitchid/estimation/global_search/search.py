@@ -16,10 +16,10 @@ EVALUATIONS = 3000  # simulations of all tests, the default budget of a search
 class SearchStopReason(Enum):
     """Why a search stopped, with what to try."""
 
-    ITERATIONS = "all iterations were run; more of them may still improve the fit"
-    BUDGET = "the budget of evaluations was spent; a larger one may still improve the fit"
-    STAGNATION = "the best fitness no longer improved; the search has settled"
-    FAILED = "no position gave a finite error; widen or move the bounds"
+    ITERATIONS = "the maximum number of iterations was reached; more may improve the fit"
+    BUDGET = "the maximum number of evaluations was reached; more may improve the fit"
+    STAGNATION = "converged: the best fitness no longer improved"
+    FAILED = "no parameter vector gave a finite error; change the bounds"
 
 
 @dataclass(frozen=True)

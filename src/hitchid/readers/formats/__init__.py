@@ -64,7 +64,9 @@ def formats() -> Mapping[str, Format]:
         names = " and ".join(
             name for name, known_format in log_format.items() if suffix in known_format.suffixes
         )
-        raise InputError(f"hitchid.formats: {names} both read '{suffix}'; expected one format for an ending")
+        raise InputError(
+            f"hitchid.formats: {names} both read '{suffix}'; expected one format per file ending"
+        )
     return log_format
 
 
@@ -106,5 +108,5 @@ def write_table(path: Path, columns: Mapping[str, np.ndarray]) -> None:
     """
     write = format_of(path).write
     if write is None:
-        raise InputError(f"{path}: logs are not written in this format; expected another ending")
+        raise InputError(f"{path}: hitchid cannot write this format; choose another file ending")
     write(path, columns)

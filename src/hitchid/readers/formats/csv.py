@@ -29,7 +29,7 @@ from hitchid.readers.formats.dialect import Dialect, check_width, dialect_of, en
 SUFFIXES = (".csv", ".csv.gz", ".tsv", ".tsv.gz", ".lvm")
 HEAD, BLOCK = 2**20, 2**25  # bytes: beginning that decides the dialect; part parsed at once
 LONGEST_SHOWN = 40  # characters of a cell in a message
-NO_FINAL_NEWLINE = "the last line has no line end: it may have been cut short"
+NO_FINAL_NEWLINE = "the final newline is missing: the last line may be truncated"
 
 
 def read(path: Path, selection: ChannelSelection) -> Content:
@@ -95,7 +95,7 @@ def read_rows(path: Path) -> tuple[list[str], list[list[str]]]:
             reader = csv.reader(io.StringIO("\n".join(lines)), delimiter=dialect.separator)
             rows = [row for row in reader if row]
     except csv.Error as error:
-        raise LogError(path, f"cannot be understood as comma-separated text: {error}") from error
+        raise LogError(path, f"cannot be parsed as comma-separated text: {error}") from error
     if dialect.comma:
         rows = [
             [_with_decimal_point(cell) if cell.strip(" +-0123456789eE") == "," else cell for cell in row]
@@ -205,8 +205,8 @@ class _ColumnReader(NamedTuple):
                         return LogError(self.path, problem, line=first + reader.line_num - 1, column=name)
         except csv.Error as error:
             line = first + reader.line_num - 1
-            return LogError(self.path, f"cannot be understood: {error}", line=line)
-        return LogError(self.path, "cannot be understood as columns of numbers")
+            return LogError(self.path, f"cannot be parsed: {error}", line=line)
+        return LogError(self.path, "cannot be parsed as columns of numbers")
 
 
 def _blocks_from_line(blocks: Iterable[str], first: int) -> Iterator[tuple[int, str]]:
@@ -248,7 +248,7 @@ def _problem(row: Sequence[str], index: int, dialect: Dialect) -> str | None:
         if cell.isascii() and "_" not in cell:
             return None
     shown = repr(cell if len(cell) <= LONGEST_SHOWN else f"{cell[:LONGEST_SHOWN]}…")
-    expected = "a number with a decimal comma, as others have" if dialect.comma else "a number"
+    expected = "a number with a decimal comma, as in other cells" if dialect.comma else "a number"
     return f"expected {expected}, got {shown if cell else 'an empty cell'}"
 
 
@@ -281,7 +281,9 @@ def _check_unpacked(path: Path) -> None:
         for chunk in iter(partial(file.read, BLOCK), b""):
             size += len(chunk)
             if size > max_bytes:
-                raise LogError(path, f"unpacks to more than {MAX_UNPACK_RATIO} times its size; refused")
+                raise LogError(
+                    path, f"unpacks to more than {MAX_UNPACK_RATIO} times its size; check the file"
+                )
 
 
 def _decode_text(path: Path) -> Iterator[str]:

@@ -147,7 +147,7 @@ def check_width(
         width = max((column for column, cell in enumerate(cells, start=1) if cell), default=0)
         if width > len(names) or (separator == " " and len(cells) < len(names)):
             problem = f"the line has {len(cells)} cells, the header in line {header} {len(names)} names"
-            raise LogError(source, f"{problem}; expected a name for each", line=line)
+            raise LogError(source, f"{problem}; expected one name per cell", line=line)
 
 
 def _check_thousands(source: Path, samples: Sequence[_Row]) -> None:
@@ -161,7 +161,7 @@ def _check_thousands(source: Path, samples: Sequence[_Row]) -> None:
     mixed = [cell for column, cell in commas if column in integer_columns]
     if mixed and all(THOUSANDS.fullmatch(cell) for _, cell in commas):
         problem = (
-            f"'{mixed[0]}' may be a decimal or a thousand; expected one sign for decimals, none for thousands"
+            f"'{mixed[0]}' is ambiguous: a decimal comma or a thousands separator; use no thousands separator"
         )
         raise LogError(source, problem)
 

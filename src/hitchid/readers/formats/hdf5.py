@@ -88,7 +88,7 @@ def read_dataset(path: Path, dataset: Any, name: str) -> np.ndarray:
         LogError: the dataset is in another file.
     """
     if is_external(dataset):
-        raise LogError(path, "is in another file; expected in this one", column=name)
+        raise LogError(path, "is a link to another file; expected the data in this file", column=name)
     return dataset[()]
 
 

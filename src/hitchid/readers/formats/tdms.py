@@ -107,16 +107,18 @@ def _count_data_bytes(path: Path, stream: BinaryIO) -> int:
             ends = (
                 f"ends at byte {end}" if end < UNFINISHED else f"from byte {position} on was never finished"
             )
-            raise LogError(path, f"was cut short: segment {segment_number} {ends}, the file has {size}")
+            raise LogError(path, f"is truncated: segment {segment_number} {ends}, the file has {size}")
         if raw < 0:
             raise LogError(
-                path, f"cannot be read as {KIND}: segment {segment_number} has its data behind its end"
+                path, f"cannot be read as {KIND}: the data of segment {segment_number} is outside the segment"
             )
         for channel, start in _starts(stream.read(end - stream.tell() - raw)):
             if starts.setdefault(channel, start) != start:
-                problem = f"holds several recordings, the next from segment {segment_number} on"
+                problem = f"contains several recordings, the next from segment {segment_number}"
                 raise LogError(
-                    path, f"{problem}; expected one a file", column=channel.decode(errors="replace")
+                    path,
+                    f"{problem}; expected one recording per file",
+                    column=channel.decode(errors="replace"),
                 )
         data_bytes += raw
         position = end
@@ -151,7 +153,7 @@ def _check_sample_counts(
         if status is not None and status.read_length < status.expected_length:
             counts_text = f"holds {status.read_length} of {status.expected_length} samples at its end"
             raise LogError(
-                path, f"was cut short: {counts_text}", column=f"{channel.group_name}/{channel.name}"
+                path, f"is truncated: {counts_text}", column=f"{channel.group_name}/{channel.name}"
             )
     non_empty = [channel for channel in channels if len(channel)]
     sizes = [channel.data_type.size for channel in non_empty]
@@ -173,7 +175,7 @@ def _holds_numbers(channel: Any) -> bool:
 def _channel(path: Path, name: str, channel: Any, clock_s: np.ndarray | None) -> LogChannel:
     samples = channel[:]
     if len(samples) != len(channel):
-        raise LogError(path, f"was cut short: holds {len(samples)} of {len(channel)} samples", column=name)
+        raise LogError(path, f"is truncated: holds {len(samples)} of {len(channel)} samples", column=name)
     if np.dtype(channel.dtype).kind == "M":
         return LogChannel(_since_first(samples), "s", clock_s)
     return LogChannel(floats(samples), unit_text(channel.properties.get("unit_string")), clock_s)
@@ -205,7 +207,9 @@ def _clocks(path: Path, waveforms: Mapping[str, _Waveform]) -> dict[str, np.ndar
     without_start = [name for name, waveform in waveforms.items() if not waveform.start[0]]
     if without_start and len(without_start) < len(waveforms):
         raise LogError(
-            path, "has no start time, others have one; expected all or none", column=without_start[0]
+            path,
+            "has no start time although other channels have one; expected all or none",
+            column=without_start[0],
         )
     clocks: dict[_Waveform, np.ndarray] = {}
     for waveform in waveforms.values():

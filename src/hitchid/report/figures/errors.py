@@ -48,7 +48,7 @@ def predicted_errors(subsets: Mapping[str, Predictions], unit: str) -> Figure:
             color=colour,
             label=_prediction_label(subset, len(subsets)),
         )
-        axis.set_ylabel(f"error, {subset} / {unit}" if len(subsets) > 1 else f"benchmark's error / {unit}")
+        axis.set_ylabel(f"error, {subset} / {unit}" if len(subsets) > 1 else f"error / {unit}")
     legend_above(figure, *axes, columns=1 if len(subsets) > 1 else 2)
     axes[-1].set_xlabel("sample, test after test")
     return figure
@@ -87,7 +87,7 @@ def error_distribution(rows: Mapping[str, np.ndarray], unit: str) -> Figure:
     distribution_axis.set_xlim(0, half_width)
     distribution_axis.set_ylim(0, 100)
     distribution_axis.set_xlabel(f"absolute error / {unit}")
-    distribution_axis.set_ylabel("samples below / %")
+    distribution_axis.set_ylabel("share of samples below / %")
     legend_above(figure, histogram_axis)
     return figure
 
@@ -188,7 +188,7 @@ def horizons(errors: Horizons, step_s: float, unit: str) -> Figure:
         )
     logarithmic(axis.xaxis)
     logarithmic(axis.yaxis)
-    axis.set_xlabel("looked ahead / s")
+    axis.set_xlabel("prediction horizon / s")
     axis.set_ylabel(f"RMSE / {unit}")
     legend_above(figure, axis)
     return figure

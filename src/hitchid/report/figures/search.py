@@ -70,7 +70,7 @@ def searches(results: Sequence[SearchSummary], unit: str) -> Figure:
         final_errors = [value for value in result.rmse if value is not None]
         final_axis.plot([index] * len(final_errors), final_errors, "o", color=colour, markersize=3, alpha=0.7)
     logarithmic(history_axis.yaxis)
-    history_axis.set_xlabel("budget spent / %")
+    history_axis.set_xlabel("evaluations used / %")
     history_axis.set_ylabel(f"best RMSE / {unit}")
     final_axis.set_xticks(range(len(results)), [""] * len(results))
     final_axis.set_xlim(-0.6, len(results) - 0.4)
@@ -122,7 +122,7 @@ def structures(candidates: Sequence[TracedCandidate], unit: str) -> Figure:
             "D",
             COLOURS["benchmark"],
             "full",
-            "levels held out in turn",
+            "cross-validation over levels",
         ),
     ):
         axis.plot(
@@ -134,7 +134,7 @@ def structures(candidates: Sequence[TracedCandidate], unit: str) -> Figure:
             markersize=4,
             label=label,
         )
-    names = [f"{candidate.name}{' (taken)' if candidate.chosen else ''}" for candidate in candidates]
+    names = [f"{candidate.name}{' (chosen)' if candidate.chosen else ''}" for candidate in candidates]
     axis.set_yticks(row_positions, [fill(name, WRAP) for name in names])
     axis.set_ylim(-0.6, len(candidates) - 0.4)
     logarithmic(axis.xaxis)

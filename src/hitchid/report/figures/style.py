@@ -76,7 +76,7 @@ MARKERS = {
 }
 """Whose colours are alike to some eyes differ in dashes and markers; a model that is not here has neither."""
 LABELS = NAMES | {
-    "benchmark": "benchmark, free run",
+    "benchmark": "physics model, free run",
     "one_step": "grey box, one step",
     "free_run": "grey box, free run",
     "mechanistic": "mechanistic, free run",

@@ -159,10 +159,10 @@ def coverage(bands: BandFigures, step_s: float) -> Figure:
         axis.plot(ahead_s, covered, "o-", color=COLOURS["one_step"], label="ahead", clip_on=False)
         least = min(free, covered.min())
     axis.axhline(free, color=COLOURS["free_run"], linestyle="--", label="free run")
-    axis.axhline(100 * bands.coverage, color=INK, linewidth=0.8, label="asked for")
+    axis.axhline(100 * bands.coverage, color=INK, linewidth=0.8, label="nominal")
     logarithmic(axis.xaxis)
     axis.set_ylim(min(70.0, least - 2), 100)
-    axis.set_xlabel("looked ahead / s")
+    axis.set_xlabel("prediction horizon / s")
     axis.set_ylabel("unseen samples covered / %")
     legend_above(figure, axis, columns=3)
     return figure

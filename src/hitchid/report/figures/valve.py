@@ -70,6 +70,6 @@ def dead_zone(
     axis.set_xlim(0.4 * value, ONSET_FACTOR * value)
     axis.set_ylim(-0.02 * highest, 1.05 * highest or 1.0)
     axis.set_xlabel(f"{direction} command / {command_unit}")
-    axis.set_ylabel(f"way of the piston / {unit}")
+    axis.set_ylabel(f"travel / {unit}")
     legend_above(figure, axis)
     return figure

@@ -22,13 +22,13 @@ def accuracy(context: DirectionContext) -> ReportSection:
         Picture(
             context.figure_name("horizons"),
             figures.horizons(result.horizons, context.step_s, unit),
-            "Error over how far is looked ahead. A model is of use where it lies below persistence.",
+            "Error over the prediction horizon. A useful model is below persistence.",
             f"RMSE in {unit} over the horizon for each model, from one sample on.",
         ),
         Picture(
             context.figure_name("tests"),
             figures.errors_by_test(tests, unit, models),
-            "Error of every unseen test in free run; the bar is the figure over all tests.",
+            "RMSE of each unseen test in free run; the bar is the RMSE over all tests.",
             f"RMSE of each of {len(tests.names)} tests in free run, for {len(models)} models.",
         ),
     )
@@ -42,10 +42,10 @@ def errors(context: DirectionContext) -> ReportSection:
     selected_tests, selection_text = shown_tests(tests)
     names = ", ".join(selected_tests.names)
     models_equal = all(map(np.array_equal, tests.models[BENCHMARK], tests.models[FREE_RUN]))
-    equal_note = " In free run the grey box is the benchmark alone." if models_equal else ""
+    equal_note = " The LSTM correction is not used in simulation." if models_equal else ""
     models = (FREE_RUN, ONE_STEP) if models_equal else (BENCHMARK, FREE_RUN, ONE_STEP)
     rmse = context.accuracy.free_run().rmse
-    error_text = "the free run diverged" if rmse is None else f"the free run errs by {rmse:.3g} {unit} RMSE"
+    error_text = "the free run diverged" if rmse is None else f"free-run RMSE {rmse:.3g} {unit}"
     pictures = [
         Picture(
             context.figure_name("outputs"),
@@ -66,8 +66,8 @@ def errors(context: DirectionContext) -> ReportSection:
             Picture(
                 context.figure_name("predicted-errors"),
                 figures.predicted_errors({"test": tests}, unit),
-                "Error of the benchmark, and the compensator's prediction of it one step ahead.",
-                f"Benchmark's error in {unit} over the sample, actual and predicted.",
+                "Error of the physics model, and the LSTM correction's prediction of it one step ahead.",
+                f"Error of the physics model in {unit} over the samples, actual and predicted.",
             )
         )
     table = single_test_table(context.direction, context.accuracy, unit)

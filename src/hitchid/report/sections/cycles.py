@@ -38,7 +38,7 @@ def cycles(accuracy: Accuracy, step_s: float, unit: str) -> ReportSection:
         Picture(
             "cycles-horizons",
             figures.horizons(accuracy.horizons, step_s, unit),
-            "Error over how far is looked ahead, across switches of direction.",
+            "Error over the prediction horizon, including changes of direction.",
             f"RMSE in {unit} over the horizon.",
         ),
     )

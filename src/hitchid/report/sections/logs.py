@@ -31,7 +31,7 @@ def logs(data: LogData) -> ReportSection:
     )
     notices = (*data.notices, *inspection.notices)
     findings += tuple(Finding(Rating.CAUTION, sentence(str(notice))) for notice in notices)
-    summary: Block = Findings(findings) if findings else Text("The audit of the logs found nothing to mend.")
+    summary: Block = Findings(findings) if findings else Text("The audit of the logs found no problems.")
     blocks: list[Block] = [summary, _table(data.logs)]
     if inspection.mixed:
         shown_logs = inspection.mixed[:MAX_MIXED_SHOWN]
@@ -39,8 +39,8 @@ def logs(data: LogData) -> ReportSection:
         picture = Picture(
             "timeline",
             timeline([(log.record, log.segments) for log in shown_logs]),
-            f"What mixed logs do, stretch by stretch: {names} ({len(inspection.mixed)} in all).",
-            f"Displacement and commands of {names} over time, coloured by what the hitch does.",
+            f"Segments of mixed logs: {names} ({len(inspection.mixed)} in total).",
+            f"Displacement and commands of {names} over time, coloured by segment.",
             wide=True,
         )
         blocks.append(Pictures((picture,)))

@@ -30,8 +30,8 @@ def origin(source: Origin, command: str) -> ReportSection:
         ),
     ]
     note = Text(
-        "The same logs, model and versions give the same figures; on another kind of machine the last digits "
-        "may differ. Hashes of the logs stand in their table."
+        "The same logs, model and versions give the same figures; on another processor the last digits "
+        "may differ. The hashes of the logs are in the table of logs."
     )
     return ReportSection(
         "How to reproduce", (note, Table("Origin", ("what", "value"), tuple(r for r in rows if r[1])))

@@ -42,7 +42,7 @@ def _speed_map(context: DirectionContext, characteristics: Characteristics) -> P
     return Picture(
         context.figure_name("speed-map"),
         figures.speed_map(characteristics),
-        "Speed map: steady speed at mid stroke over the command, as the fitted form has it, with its "
+        "Speed map: steady speed at mid stroke over the command, as identified, with its "
         f"95 % band; open circles are mean speeds of identification tests while their command stood.{load}",
         " ".join(map(sentence, characteristic_sentences(characteristics, context.direction))),
     )
@@ -53,7 +53,7 @@ def _valve_map(context: DirectionContext) -> Picture:
     return Picture(
         context.figure_name("valve"),
         figures.valve_map(data.valve_map, data.unit, data.command_unit),
-        "Map of the valve: speed over command. Below the dead zone, points show motion dying away.",
+        "Valve map: speed over command. Points below the dead zone are decaying motion.",
         f"Speed in {data.unit}/s over command in {data.command_unit}: benchmark, tests and ramps.",
     )
 
@@ -87,7 +87,7 @@ def _dead_zone(context: DirectionContext) -> Iterator[Picture]:
 def _dead_zone_caption(zone: TracedDeadZone) -> str:
     """Return the origin of a dead zone, as a caption."""
     if zone.origin == "ramps":
-        return f"Dead zone from {zone.count} slow ramps, ± its spread: where they set the piston moving."
+        return f"Dead zone from {zone.count} slow ramps, ± its spread: the command at which motion starts."
     if zone.origin == "tests":
         return f"Dead zone from {zone.count} dynamic tests, ± its standard error; the ramps were not used."
-    return "Dead zone as it was given; the ramps were not used."
+    return "Dead zone as given; the ramps were not used."

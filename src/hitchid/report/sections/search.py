@@ -23,8 +23,8 @@ def search(context: DirectionContext) -> ReportSection:
             Picture(
                 context.figure_name("searches"),
                 figures.searches(searches, context.unit),
-                "Searches compared on one budget: the median run, and the final error of each seed.",
-                f"Best RMSE over the budget for {', '.join(summary.name for summary in searches)}.",
+                "Searches with equal evaluations: the median run, and the final error of each seed.",
+                f"Best RMSE over the evaluations for {', '.join(summary.name for summary in searches)}.",
             )
         )
     return ReportSection("Search and training", (*blocks, *([Pictures(tuple(pictures))] if pictures else [])))
@@ -35,24 +35,23 @@ def _trace_pictures(context: DirectionContext, trace: ChannelTraceFile) -> Itera
     yield Picture(
         context.figure_name("convergence"),
         figures.convergence(trace.phase1, unit),
-        "Search: best fitness so far, over the tests as the search weighs them, and the parameters "
-        "that gave it.",
+        "Search: best fitness so far (weighted over the tests), and the parameters of the best member.",
         "Best RMSE and the parameters that gave it, over the iterations of the search.",
     )
     if trace.phase2 is not None:
         yield Picture(
             context.figure_name("losses"),
             figures.losses(trace.phase2),
-            "Training of the compensator; the epoch with the least validation loss is kept.",
-            f"Losses over epochs; that of epoch {trace.phase2.best_epoch} is kept.",
+            "Training of the LSTM correction; the epoch with the smallest validation loss is used.",
+            f"Losses over epochs; epoch {trace.phase2.best_epoch} is used.",
         )
     if trace.candidates:
         chosen = next(candidate.name for candidate in trace.candidates if candidate.chosen)
         yield Picture(
             context.figure_name("structures"),
             figures.structures(trace.candidates, unit),
-            "Structures compared in free run, on all tests and on levels held out in turn. A gain "
-            "that grows along the stroke is judged with each test's own speed, so it may be taken "
-            "with a larger error here.",
-            f"RMSE of {len(trace.candidates)} structures; taken: {chosen}.",
+            "Free-run RMSE of each structure, on all tests and in cross-validation over levels. A gain "
+            "along the stroke is compared with a separate speed factor for each test, so the chosen "
+            "structure may have a larger error in this figure.",
+            f"RMSE of {len(trace.candidates)} structures; chosen: {chosen}.",
         )

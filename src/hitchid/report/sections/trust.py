@@ -19,7 +19,7 @@ def trust(context: DirectionContext) -> ReportSection:
             Picture(
                 context.figure_name("coverage"),
                 figures.coverage(bands, context.step_s),
-                "Share of unseen samples inside the bands, and the share they are made for.",
+                "Share of unseen samples inside the bands, and their nominal coverage.",
                 "Coverage of the bands in percent over the horizon.",
             )
         )
@@ -30,15 +30,15 @@ def trust(context: DirectionContext) -> ReportSection:
             Picture(
                 context.figure_name("correlations"),
                 figures.residual_correlations(free_run),
-                "Free run: correlation of the errors with themselves and with the command. Beyond the bounds "
-                "is what a model could still explain.",
+                "Free run: autocorrelation of the errors and correlation with the command. Values outside "
+                "the bounds are errors that a better model could explain.",
                 "Autocorrelation of the errors and their correlation with the command, with 99 % bounds.",
             ),
             Picture(
                 context.figure_name("places"),
                 figures.residuals_by_variable(free_run, unit, context.data.command_unit),
                 "Free run: mean error (bar) and its spread (line) by displacement, speed and command beyond "
-                "the dead zone. A bar off zero shows where the model is wrong.",
+                "the dead zone. A bar away from zero is a systematic error.",
                 f"Mean and spread of the errors in {unit} by displacement, speed and command.",
             ),
         ]

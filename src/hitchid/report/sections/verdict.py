@@ -31,9 +31,9 @@ def _acceptance_finding(acceptance: Acceptance) -> Finding:
     failed = [check for check in acceptance.checks if not check.passed]
     count = len(acceptance.checks)
     if not failed:
-        return Finding(Rating.GOOD, f"Accepted: {_all_text(count, 'limit')} held.")
+        return Finding(Rating.GOOD, f"Accepted: {_all_text(count, 'limit')} met.")
     names = "; ".join(f"{check.name} {check.figure}, required {check.limit}" for check in failed)
-    return Finding(Rating.BAD, f"Not accepted: {len(failed)} of {count} limits fail: {names}.")
+    return Finding(Rating.BAD, f"Not accepted: {len(failed)} of {count} limits violated: {names}.")
 
 
 def _all_text(count: int, what: str) -> str:
@@ -52,9 +52,9 @@ def _free_run_finding(subset: str, accuracy: Accuracy, unit: str) -> Finding:
     rmse = numbers.with_error(free_run.rmse, free_run.rmse_error)
     text = f"{subset.capitalize()}, free run: RMSE {rmse} {unit} on {tests_text} (fit {free_run.fit:.3g} %)"
     if count > 1:
-        text += f", worst {tests.names[worst]} with {errors[worst]:.3g} {unit}"
+        text += f", worst {tests.names[worst]}: {errors[worst]:.3g} {unit}"
     if free_run.fit < 0:
-        return Finding(Rating.BAD, f"{text}: worse than each test's own mean.")
+        return Finding(Rating.BAD, f"{text}: worse than the mean of each test.")
     baselines = {
         name: np.inf if figures.free_run.rmse is None else figures.free_run.rmse
         for name, figures in accuracy.models.items()
@@ -67,31 +67,30 @@ def _free_run_finding(subset: str, accuracy: Accuracy, unit: str) -> Finding:
         return Finding(Rating.CAUTION, f"{text}; every baseline diverged.")
     text += f"; best baseline: {model_name(best)}, {baselines[best]:.3g} {unit}"
     if count < MIN_TESTS:
-        return Finding(Rating.CAUTION, f"{text}: too few tests to tell how the next will go.")
+        return Finding(Rating.CAUTION, f"{text}; too few tests for a conclusion.")
     if tests.is_significantly_better("free_run", best):
         return Finding(Rating.GOOD, f"{text}.")
     less = free_run.rmse < baselines[best]
-    return Finding(Rating.CAUTION, f"{text}: {'not surely better' if less else 'no better'} than that.")
+    rank = "not significantly better" if less else "no better"
+    return Finding(Rating.CAUTION, f"{text}; the model is {rank}.")
 
 
 def _band_finding(direction: str, bands: BandFigures, count: int, unit: str) -> Finding:
     """Return whether the coverage of a band agrees with its level, given the number of tests."""
     nominal, covered, error = bands.coverage, bands.covered, bands.covered_error
     text = (
-        f"{direction.capitalize()}: the band for {100 * nominal:.0f} % of the samples, {bands.width:.3g} "
-        f"{unit} wide on average, held {100 * covered:.0f} %"
+        f"{direction.capitalize()}: {100 * covered:.0f} % of samples fell inside the "
+        f"{100 * nominal:.0f} % band (mean width {bands.width:.3g} {unit})"
     )
     if count < MIN_TESTS or error is None:
-        return Finding(Rating.CAUTION, f"{text}: too few tests to judge it.")
+        return Finding(Rating.CAUTION, f"{text}; too few tests for a conclusion.")
     tolerance = max(COVERAGE_TOLERANCE, 2 * error)
     if covered < nominal - tolerance:
-        return Finding(Rating.BAD, f"{text}: it is too narrow for these tests.")
+        return Finding(Rating.BAD, f"{text}: the band is too narrow for these tests.")
     if covered < nominal - COVERAGE_TOLERANCE:
-        return Finding(
-            Rating.CAUTION, f"{text}: less than it is made for, as {count} tests may do by chance."
-        )
+        return Finding(Rating.CAUTION, f"{text}: below its level, but not significantly with {count} tests.")
     if covered > nominal + tolerance:
-        return Finding(Rating.CAUTION, f"{text}: wider than these tests need.")
+        return Finding(Rating.CAUTION, f"{text}: the band is wider than necessary for these tests.")
     return Finding(Rating.GOOD, f"{text}.")
 
 

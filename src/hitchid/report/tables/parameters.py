@@ -60,7 +60,7 @@ def characteristic_tables(direction: str, characteristics: Characteristics) -> l
     header = (f"command / {unit}", *([load] if load else []), speed_header, "95 %", "verdict")
     quantities = (
         ("dead zone", unit, characteristics.dead_zone),
-        ("command at which flow begins", unit, characteristics.opening),
+        ("command at which flow starts", unit, characteristics.opening),
         ("delay (5 %)", "s", characteristics.delay),
         ("response time (63 %)", "s", characteristics.response_time),
     )

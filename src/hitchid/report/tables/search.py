@@ -38,4 +38,4 @@ def search_table(direction: str, searches: Sequence[SearchSummary], unit: str) -
         "evaluations",
         "failed",
     )
-    return Table(f"{direction}: searches on one budget, before least squares", header, rows)
+    return Table(f"{direction}: searches with equal evaluations, before least squares", header, rows)

@@ -41,7 +41,7 @@ def residual_table(direction: str, residuals: Mapping[str, ResidualTests | None]
         f"largest RMSE / {unit}",
     )
     rows = tuple((RUNS[run], *_residual_cells(tests, len(header) - 1)) for run, tests in residuals.items())
-    return Table(f"{direction}: what the errors show, at 1 %", header, rows)
+    return Table(f"{direction}: tests of the errors, level 1 %", header, rows)
 
 
 def _residual_cells(tests: ResidualTests | None, count: int) -> tuple[str, ...]:

@@ -60,7 +60,7 @@ class _AscText:
             is_event = words[0][0].isdigit()
             if is_event and not line.endswith("\n"):
                 # A cut frame may look complete: the last digit of a byte may be missing.
-                self.notices.append("the last line is left out: it does not end")
+                self.notices.append("the last line is left out: it is incomplete")
                 return
             if is_event and before_frames:
                 # python-can drops the first line after the header.
@@ -89,12 +89,12 @@ def _read_asc(path: Path, library: Any, notices: list[str]) -> Iterator[Frame]:
         detail = str(error) or type(error).__name__
         raise LogError(path, f"cannot be read as {KIND}: {detail}", line=text.line or None) from error
     if text.begun and not text.ended:
-        notices.append("the log has no 'End TriggerBlock': its end may be missing")
+        notices.append("the log has no 'End TriggerBlock': it may be incomplete")
 
 
 def _check_absolute(path: Path, reader: Any) -> None:
     if reader.timestamps_format == "relative":
-        problem = "its time stamps count from the line before each; expected 'base hex timestamps absolute'"
+        problem = "its time stamps are relative to the previous line; expected 'base hex timestamps absolute'"
         raise LogError(path, problem)
 
 
@@ -102,7 +102,7 @@ def _read_blf(path: Path, library: Any, notices: list[str]) -> Iterator[Frame]:
     with as_log_errors(path, KIND):
         log_inventory = inventory(path)
         if not log_inventory.closed:
-            notices.append("the log was never closed: its end may be missing")
+            notices.append("the log was never closed: it may be incomplete")
         frame_count = 0
         with library.BLFReader(path) as reader:
             # From 1970, the stamps would be rounded to 0.25 µs.

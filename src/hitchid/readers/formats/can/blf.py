@@ -49,7 +49,7 @@ def inventory(path: Path) -> Inventory:
             raise LogError(path, "cannot be read as a CAN log: it does not start as a BLF file")
         _, header, stated_size = HEADER.unpack(start)
         if size < max(header, stated_size):
-            raise LogError(path, f"was cut short: holds {size} of {max(header, stated_size)} bytes")
+            raise LogError(path, f"is truncated: holds {size} of {max(header, stated_size)} bytes")
         stream.seek(header)
         frame_count = _count_frames(path, stream)
     return Inventory(frame_count, closed=size - stated_size < PADDING)
@@ -63,7 +63,7 @@ def _count_frames(path: Path, stream: BinaryIO) -> int:
             container_count, rest = _count_container_frames(path, rest + _unpack(path, content))
             count += container_count
     if rest.strip(b"\0"):
-        raise LogError(path, "was cut short: it ends within a frame")
+        raise LogError(path, "is truncated: it ends within a frame")
     return count
 
 
@@ -71,14 +71,14 @@ def _iterate_objects(path: Path, stream: BinaryIO) -> Iterator[tuple[int, bytes]
     """Yield kind and content of each top-level object."""
     while start := stream.read(OBJECT.size):
         if len(start) < OBJECT.size:
-            raise LogError(path, "was cut short: it ends within the start of an object")
+            raise LogError(path, "is truncated: it ends within the start of an object")
         signature, length, kind = OBJECT.unpack(start)
         if signature != OBJECT_SIGNATURE or length < OBJECT.size:
             position = stream.tell() - OBJECT.size
             raise LogError(path, f"cannot be read as a CAN log: there is no object at byte {position}")
         content = stream.read(length - OBJECT.size)
         if len(content) < length - OBJECT.size:
-            raise LogError(path, "was cut short: it ends within an object")
+            raise LogError(path, "is truncated: it ends within an object")
         stream.read(length % PADDING)
         yield kind, content
 
@@ -108,7 +108,7 @@ def _count_container_frames(path: Path, data: bytes) -> tuple[int, bytes]:
     while True:
         start = data.find(OBJECT_SIGNATURE, position, position + 2 * PADDING)
         if start < 0 and len(data) - position >= 2 * PADDING:
-            raise LogError(path, "cannot be read as a CAN log: there is no object where one should be")
+            raise LogError(path, "cannot be read as a CAN log: an expected object is missing")
         if start < 0 or start + OBJECT.size > len(data):
             return count, data[position:]
         _, length, kind = OBJECT.unpack_from(data, start)

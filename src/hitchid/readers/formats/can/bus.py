@@ -116,7 +116,11 @@ def _match_requested(
     for requested in dict.fromkeys((selection.time, *selection.signals)):
         candidates = aliases.get(requested, [])
         if len(candidates) > 1:
-            raise LogError(source, f"the name is ambiguous: {format_names(candidates)}", column=requested)
+            raise LogError(
+                source,
+                f"several channels have this name; use the full name: {format_names(candidates)}",
+                column=requested,
+            )
         if candidates:
             matches[requested] = candidates[0]
         elif requested != selection.time and requested not in {name.rpartition("/")[2] for name in names}:
@@ -149,7 +153,7 @@ def _check_not_in_log(
             if parameter_group(identifier) == group
         ]
         if message.extended and nodes:
-            problem += f"; its parameter group {group} is, from {format_names(nodes)}"
+            problem += f"; its PGN {group} is, from source address {format_names(nodes)}"
         if message.extended and nodes and not message.is_j1939:
             problem += ": if the bus is J1939, set VFrameFormat 'J1939PG' in the DBC file"
         raise LogError(source, problem, column=requested)
@@ -190,14 +194,14 @@ class _BusReader:
             if unavailable_count:
                 total = values.size + unavailable_count
                 notices.append(
-                    f"'{requested}': {unavailable_count} of {total} samples are left out: not valid by J1939"
+                    f"'{requested}': {unavailable_count} of {total} samples are left out: not valid in J1939"
                 )
             # Channels on one clock share one array: the record is cut and resampled by clocks.
             key = id(location.stream), np.packbits(present).tobytes()
             clock_s = clocks.setdefault(key, block.clock_s if present.all() else block.clock_s[present])
             channels[requested] = LogChannel(values, location.signal.unit, clock_s)
         if empty:
-            notices.append(f"left out, without a valid sample: {format_names(empty)}")
+            notices.append(f"left out because no sample is valid: {format_names(empty)}")
         return channels, notices
 
     def _stream_notices(self) -> Iterator[str]:
@@ -211,7 +215,7 @@ class _BusReader:
             if stream.j1939_assumed:
                 identifier = stream.message.identifier
                 yield (
-                    f"'{name}' was matched by its parameter group {parameter_group(identifier)}, from "
+                    f"'{name}' was matched by its PGN {parameter_group(identifier)}, from source address "
                     f"{stream.node:#04x}: the id in the DBC file, {identifier:#x}, has the null address"
                 )
 
@@ -237,9 +241,9 @@ def _decode(payload: Payload, location: _SignalLocation) -> tuple[np.ndarray, np
 
 def _empty_reason(location: _SignalLocation, unavailable_count: int) -> str:
     if unavailable_count:
-        return f"all {unavailable_count} samples are 'not available' or an error by J1939"
+        return f"all {unavailable_count} samples are 'not available' or 'error' in J1939"
     if location.stream.frames:
-        return "no frame holds it: its multiplexer never selects it"
+        return "no frame contains it: its multiplexer never selects it"
     return f"all frames of its message are shorter than {location.stream.message.length} bytes"
 
 

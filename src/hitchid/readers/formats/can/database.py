@@ -101,7 +101,7 @@ def read_databases(paths: Sequence[Path], source: Path) -> Databases:
     """
     if not paths:
         problem = (
-            "expected a DBC file: put it into the log's folder or name it in campaign.toml, [can] databases"
+            "a DBC file is required: put it in the log's folder or name it in campaign.toml, [can] databases"
         )
         raise LogError(source, problem)
     import_optional("cantools", "can", source)
@@ -129,7 +129,7 @@ def _read_database(path: Path) -> Databases:
     with as_log_errors(path, "a DBC file"):
         database = _parse(path.read_bytes())
     if not database.messages:
-        raise LogError(path, "holds no messages with signals; expected a DBC file of the bus")
+        raise LogError(path, "contains no messages with signals; expected a DBC file of the bus")
     return database
 
 
@@ -210,8 +210,6 @@ def _with_distinct_names(messages_by_path: dict[Path, tuple[CanMessage, ...]]) -
     taken_names: set[str] = set()
     for renamed_message, path in renamed.items():
         if renamed_message.name in taken_names:
-            raise LogError(
-                path, f"several messages are named '{renamed_message.name}'; expected one of each name"
-            )
+            raise LogError(path, f"several messages are named '{renamed_message.name}'; names must differ")
         taken_names.add(renamed_message.name)
     return list(renamed)

@@ -78,7 +78,7 @@ def _group_frames(path: Path, log: Any, index: int) -> list[Frame]:
     data = _frame_data(log, index, names)
     stamps = log.get(f"{DATA}.ID", group=index).timestamps
     if not count == len(stamps) == len(identifiers) == len(data):
-        raise LogError(path, f"was cut short: holds {min(len(identifiers), len(data))} of {count} frames")
+        raise LogError(path, f"is truncated: holds {min(len(identifiers), len(data))} of {count} frames")
     # Without a field of its own, the top bit of the id marks 29 bits.
     extended = _column(log, index, "IDE") if f"{DATA}.IDE" in names else identifiers & EXTENDED_BIT
     buses = _column(log, index, "BusChannel") if f"{DATA}.BusChannel" in names else np.zeros(count)

@@ -84,7 +84,7 @@ def check_sizes(path: Path) -> None:
             kind, length = _read_tag(stream.read(8), order)
             end = position + 8 + length
             if end > size:
-                raise LogError(path, f"was cut short: a variable ends at byte {end}, the file has {size}")
+                raise LogError(path, f"is truncated: a variable ends at byte {end}, the file has {size}")
             _check_declared_size(path, stream, order, kind, length)
             position = end
 

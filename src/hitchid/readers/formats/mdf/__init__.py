@@ -138,7 +138,7 @@ def _clock(path: Path, log: Any, group: int, master: tuple[int, int]) -> np.ndar
     _check_count(path, log, group, clock, channel.name)
     unit = unit_text(channel.unit)
     if unit is not None and not is_time(unit):
-        raise LogError(path, f"is a clock in '{unit}', expected a unit of time", column=channel.name)
+        raise LogError(path, f"is a clock with unit '{unit}', expected a unit of time", column=channel.name)
     return to_seconds(clock, unit)
 
 
@@ -158,4 +158,4 @@ def _channel(
 def _check_count(path: Path, log: Any, group: int, values: np.ndarray, name: str) -> None:
     expected_count = log.groups[group].channel_group.cycles_nr
     if values.size != expected_count:
-        raise LogError(path, f"was cut short: holds {values.size} of {expected_count} samples", column=name)
+        raise LogError(path, f"is truncated: holds {values.size} of {expected_count} samples", column=name)

@@ -26,12 +26,12 @@ def check_complete(path: Path) -> None:
         identification = stream.read(IDENTIFICATION)
         magic = identification[:8].rstrip(b" \0")
         if magic not in (b"MDF", b"UnFinMF"):
-            raise LogError(path, "cannot be read as an MDF file: it does not start as one")
+            raise LogError(path, "cannot be read as an MDF file: its header is not that of an MDF file")
         if len(identification) < IDENTIFICATION:
-            raise LogError(path, f"was cut short: the file has {len(identification)} bytes")
+            raise LogError(path, f"is truncated: the file has {len(identification)} bytes")
         version, flags = (_read_uint16(identification, offset) for offset in (VERSION_OFFSET, FLAGS_OFFSET))
         if magic == b"UnFinMF" or flags:
-            raise LogError(path, "was cut short: its recording was never finished (unfinalized MDF)")
+            raise LogError(path, "is truncated: its recording was never finished (unfinalized MDF)")
         if version >= 400:
             _walk(path, stream)
 
@@ -51,11 +51,11 @@ def _walk(path: Path, stream: BinaryIO) -> None:
 
 def _links(path: Path, stream: BinaryIO, address: int, size: int) -> tuple[int, ...]:
     if address + HEADER.size > size:
-        raise LogError(path, f"was cut short: a block starts at byte {address}, the file has {size}")
+        raise LogError(path, f"is truncated: a block starts at byte {address}, the file has {size}")
     stream.seek(address)
     name, length, links = HEADER.unpack(stream.read(HEADER.size))
     if not name.startswith(b"##") or length < HEADER.size + 8 * links:
         raise LogError(path, f"cannot be read as an MDF file: there is no block at byte {address}")
     if address + length > size:
-        raise LogError(path, f"was cut short: a block ends at byte {address + length}, the file has {size}")
+        raise LogError(path, f"is truncated: a block ends at byte {address + length}, the file has {size}")
     return struct.unpack(f"<{links}Q", stream.read(8 * links))

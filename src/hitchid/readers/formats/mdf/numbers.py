@@ -109,7 +109,11 @@ def _convert(path: Path, log: Any, channel: Any, values: np.ndarray) -> np.ndarr
     blocks = [conversion, *_scales(conversion)]
     # asammdf may evaluate a formula as Python: a file must not execute code.
     if any(block.conversion_type in codes.formulas for block in blocks):
-        raise LogError(path, "is converted by a formula, expected numbers", column=channel.name)
+        raise LogError(
+            path,
+            "is converted by a formula, which is not supported; choose another channel",
+            column=channel.name,
+        )
     if conversion.conversion_type in codes.texts and len(blocks) == 1:
         return values  # numbers of states, whose names are text
     converted = np.asarray(conversion.convert(values))
