@@ -193,9 +193,7 @@ def test_settings_that_contradict_the_logs_are_refused_before_any_search(five):
         ):
             _check_dead_zone(campaign, LIFTING, value)
     _check_dead_zone(campaign, LIFTING, 0.49)
-    with pytest.raises(
-        SettingsError, match="lifting: load is 'nope'; expected none, for the logs have no cov"
-    ):
+    with pytest.raises(SettingsError, match="load is 'nope'; expected none, for the logs have no covariates"):
         _check_load(campaign, LIFTING, "nope")
     _check_load(campaign, LIFTING, None)
     prepared = {LIFTING: prepare(campaign, LIFTING, GIVEN)}
