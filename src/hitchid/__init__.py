@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from hitchid.errors import HitchError as HitchError
 
 if TYPE_CHECKING:
+    from hitchid.cross_validation import cross_validate as cross_validate
     from hitchid.data.campaign import Campaign as Campaign
     from hitchid.data.record import Record as Record
     from hitchid.identification import identify as identify
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from hitchid.model import load as load
     from hitchid.model import save as save
     from hitchid.readers import read as read
+    from hitchid.validation import compare as compare
     from hitchid.validation import validate as validate
 
     __version__: str
@@ -28,6 +30,8 @@ _HOME = {
     "Campaign": "hitchid.data.campaign",
     "Hitch": "hitchid.model",
     "Record": "hitchid.data.record",
+    "compare": "hitchid.validation",
+    "cross_validate": "hitchid.cross_validation",
     "identify": "hitchid.identification",
     "identify_many": "hitchid.identification",
     "load": "hitchid.model",
@@ -42,6 +46,8 @@ __all__ = [
     "HitchError",
     "Record",
     "__version__",
+    "compare",
+    "cross_validate",
     "identify",
     "identify_many",
     "load",

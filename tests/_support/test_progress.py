@@ -6,7 +6,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hitchid._support.progress import ProgressUpdate, iteration_progress, parallel_progress, subtask_progress
+from hitchid._support.progress import (
+    ProgressUpdate,
+    iteration_progress,
+    parallel_progress,
+    split_progress,
+    subtask_progress,
+)
 from hitchid.cli.terminal_progress import BLOCKS, WIDTH, Curves, progress, sparkline
 
 fractions = st.floats(0, 1)
@@ -32,24 +38,35 @@ def test_parts_of_parts_are_named_from_the_outside_in():
 @given(st.lists(st.tuples(st.sampled_from(["lifting", "lowering"]), fractions), min_size=1))
 def test_works_done_at_the_same_time_add_up_to_their_place_in_the_whole(told):
     heard = []
-    tell = parallel_progress(heard.append, 0.2, 0.6, ["lifting", "lowering"])
+    tell = parallel_progress(heard.append, ["lifting", "lowering"])
     last = {"lifting": 0.0, "lowering": 0.0}
     for name, fraction in told:
         tell[name](ProgressUpdate("phase 1", fraction))
-        last[name] = fraction
-        expected = pytest.approx(0.2 + 0.6 * (last["lifting"] + last["lowering"]) / 2)
+        last[name] = max(last[name], fraction)
+        expected = pytest.approx((last["lifting"] + last["lowering"]) / 2)
         assert heard[-1] == ProgressUpdate(f"{name}: phase 1", expected, task=name)
+
+
+@given(st.lists(st.floats(0.01, 10), min_size=1, max_size=6), st.data())
+def test_parts_follow_each_other_from_beginning_to_end(shares, data):
+    told = []
+    parts = split_progress(told.append, {str(number): share for number, share in enumerate(shares)})
+    for number in range(len(shares)):
+        for done in (0.0, data.draw(fractions), 1.0):
+            parts[str(number)](ProgressUpdate("stage", done))
+            before = sum(shares[:number])
+            assert told[-1].fraction == pytest.approx((before + done * shares[number]) / sum(shares))
 
 
 def test_rounds_go_on_without_reaching_the_end():
     told = []
-    hear = iteration_progress(told.append, "search", 0.2, 0.5, "RMSE / mm")
+    hear = iteration_progress(told.append, "search", "RMSE / mm")
     for number in range(1, 2000, 37):
         hear(number, 1.0 / number)
     done = [step.fraction for step in told]
     assert done == sorted(done)
-    assert done[0] > 0.2
-    assert done[-1] < 0.7
+    assert done[0] > 0
+    assert done[-1] < 1
     assert told[1].iteration == "iteration 38"
     assert told[1].figures == {"RMSE / mm": 1.0 / 38}
 

@@ -173,6 +173,19 @@ def test_an_input_is_never_an_output(tmp_path):
     check_inputs(logs / "model", [logs, log])
 
 
+def test_the_target_of_a_link_in_an_input_folder_is_never_an_output(tmp_path):
+    logs, elsewhere = tmp_path / "logs", tmp_path / "elsewhere"
+    logs.mkdir()
+    elsewhere.mkdir()
+    (elsewhere / "1.csv").touch()
+    (logs / "1.csv").symlink_to(elsewhere / "1.csv")
+    (logs / "broken.csv").symlink_to("nothing")
+    for out in (elsewhere / "1.csv", elsewhere):
+        with pytest.raises(OutputError, match="logs is read from there"):
+            check_inputs(out, [logs])
+    check_inputs(elsewhere / "2.csv", [logs])
+
+
 @pytest.mark.parametrize("foreign", ["a folder", "a file"])
 def test_force_replaces_nothing_of_another_kind(tmp_path, foreign):
     precious = tmp_path / "a" / "precious" if foreign == "a folder" else tmp_path / "a"

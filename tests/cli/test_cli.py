@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 from contextlib import redirect_stderr, redirect_stdout
+from importlib.metadata import version
 from io import StringIO
 from typing import NamedTuple
 from xml.etree import ElementTree
@@ -119,7 +120,16 @@ def test_the_help_names_every_command():
     assert {"inspect", "identify", "validate", "simulate"} <= set(COMMANDS)
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["identify", "--help"]])
+@pytest.mark.parametrize("command", [[], ["inspect"], ["identify"], ["compare"]])
+def test_help_has_a_short_option(command):
+    assert hitchid(*command, "-h") == hitchid(*command, "--help")
+
+
+def test_the_version_is_that_of_the_package():
+    assert hitchid("--version") == (0, f"hitchid {version('hitchid')}\n", "")
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["identify", "--help"]])
 def test_help_imports_no_jax(arguments):
     program = (
         f"import sys; sys.argv[1:] = {arguments!r}\n"
@@ -128,7 +138,7 @@ def test_help_imports_no_jax(arguments):
         "except SystemExit as done: print('imported:', 'jax' in sys.modules, done.code)"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)  # noqa: S603
-    assert "Usage: " in done.stdout
+    assert ("Usage: " in done.stdout) == (arguments != ["--version"])
     assert done.stdout.endswith("imported: False 0\n")
 
 
@@ -687,6 +697,33 @@ def test_two_models_are_compared_on_tests_neither_has_seen(tests_with_a_cycle, m
     printed = hitchid(*arguments, "--force", "--json")
     assert json.loads(printed.out) == json.loads((out / "comparison.json").read_text())
     assert set(json.loads(printed.out)["better"]) == {"lifting", "lowering", "cycles"}
+
+
+def test_any_number_of_models_is_compared_before_the_logs(tests_with_a_cycle, model, tmp_path):
+    others = [tmp_path / "other", tmp_path / "third"]
+    for place, structure in zip(others, ("integrator-first-order", "first-order-lag"), strict=True):
+        save(handmade.hitch(structure, baselines=True), place)
+    out = tmp_path / "out"
+    shown = hitchid("compare", model, *others, tests_with_a_cycle, "--out", out)
+    assert shown.code == 0
+    content = json.loads((out / "comparison.json").read_text())
+    assert content["models"] == dict(zip("ABC", map(str, (model, *others)), strict=True))
+    assert {"unit", "left_out", "A", "B", "C", "better", "leaderboard"} <= set(content)
+    for rows in content["leaderboard"].values():
+        assert sorted(row["model"] for row in rows) == ["A", "B", "C"]
+
+
+def test_models_come_first_and_logs_follow(refused, tests_with_a_cycle, model, tmp_path):
+    out, logs = tmp_path / "out", tests_with_a_cycle
+    for arguments, said in (
+        ((model,), ["two or more model folders", str(model)]),
+        ((model, logs), [str(logs), "expected a model folder"]),
+        ((logs, model, model), [str(logs), "expected a model folder"]),
+        ((model, tmp_path / "nope", logs), [str(tmp_path / "nope"), "expected a model folder"]),
+        ((model, model), ["expected logs after the 2 model folders, got none"]),
+        ((model, model, logs), [f"two models are called '{model}'"]),
+    ):
+        refused("compare", *arguments, "--out", out, said=said)
 
 
 def test_the_metrics_have_the_keys_of_the_contract(metrics):

@@ -1,5 +1,7 @@
 """One bad log does not refuse a campaign: what is left out, why, and that held-out tests stay so."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -9,8 +11,10 @@ from hitchid.cli import app
 from hitchid.data.campaign import Campaign
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import FitError, InputError, LogError, OutputError, SettingsError
-from hitchid.identification.campaign_job import _check_dead_zone, _check_window
+from hitchid.identification import AutoStructure, identify
+from hitchid.identification.campaign_job import _check_dead_zone, _check_load, _check_window
 from hitchid.identification.dead_zone import DeadZone
+from hitchid.identification.identify import PAPER_SPECS
 from hitchid.identification.phase2 import CompensatorConfig
 from hitchid.identification.preparation import prepare
 from hitchid.readers import read, write_table
@@ -189,10 +193,29 @@ def test_settings_that_contradict_the_logs_are_refused_before_any_search(five):
         ):
             _check_dead_zone(campaign, LIFTING, value)
     _check_dead_zone(campaign, LIFTING, 0.49)
+    with pytest.raises(SettingsError, match="load is 'nope'; expected none, for the logs have no covariates"):
+        _check_load(campaign, LIFTING, "nope")
+    _check_load(campaign, LIFTING, None)
     prepared = {LIFTING: prepare(campaign, LIFTING, GIVEN)}
     _check_window(CompensatorConfig(window=120), prepared)
     with pytest.raises(SettingsError, match=r"window.*120 samples.*100000"):
         _check_window(CompensatorConfig(window=100_000), prepared)
+
+
+def test_a_load_that_no_log_has_is_refused_with_the_names_of_those_they_have(five):
+    campaign = read(five)
+    records = [
+        replace(
+            record, signals={**record.signals, name: np.ones(len(record))}, units=record.units | {name: "bar"}
+        )
+        for record, name in zip(campaign.records, ("head", "rod", "head", "rod", "head"), strict=True)
+    ]
+    measured = replace(campaign, records=tuple(records))
+    with pytest.raises(SettingsError, match="lifting: load is 'nope'; expected one of head, rod"):
+        identify(measured, structure={LIFTING: AutoStructure(PAPER_SPECS[LIFTING], "nope")})
+    with pytest.raises(SettingsError, match="lifting: load is 'displacement'; expected one of head, rod"):
+        _check_load(measured, LIFTING, "displacement")
+    _check_load(measured, LIFTING, "head")
 
 
 @pytest.mark.parametrize(

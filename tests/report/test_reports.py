@@ -537,8 +537,8 @@ def compared(bench_folder):
     def run(name):
         if name not in found:
             with np.errstate(all="ignore"):
-                result = compare(*pairs[name], campaign)
-            found[name] = result, result.report(names=("old", "new"), command=COMMAND)
+                result = compare(pairs[name], campaign, ["old", "new"])
+            found[name] = result, result.report(command=COMMAND)
         return found[name]
 
     return run
@@ -550,16 +550,16 @@ def compared(bench_folder):
 def test_the_verdict_names_the_model_that_errs_less(compared, pair, better):
     result, document = compared(pair)
     tests = result.free_runs(LIFTING)
-    rmse = {name: np.sqrt(np.mean(tests.rmse(name) ** 2)) for name in "ab"}
+    rmse = {name: np.sqrt(np.mean(tests.rmse(name) ** 2)) for name in "AB"}
     (lifting,) = findings(document, "Lifting")
     if better is None:
         assert lifting.level == Rating.CAUTION
-        assert "no significant difference" in lifting.sentence
+        assert "do not distinguish the models" in lifting.sentence
     else:
         assert lifting.level == Rating.GOOD
-        assert lifting.sentence.startswith(f"Lifting: {better} has the smaller free-run error")
-        worse = {"A": "b", "B": "a"}[better]
-        assert not rmse[better.lower()] > rmse[worse]
+        assert lifting.sentence.startswith(f"Lifting: {better} has a significantly smaller error")
+        worse = {"A": "B", "B": "A"}[better]
+        assert not rmse[better] > rmse[worse]
 
 
 @pytest.mark.parametrize("pair", ["right and plain", "diverging and plain", "alike"])

@@ -1,4 +1,4 @@
-"""Two models on tests that neither has seen."""
+"""Models on tests that none of them has seen."""
 
 from dataclasses import replace
 
@@ -7,16 +7,31 @@ import pytest
 
 from handmade import DEAD_ZONES, GAINS, hitch, hitch_of, with_bands
 from handmade import channel as handmade_channel
+from hitchid._support.metrics import rmse_error
 from hitchid.data.campaign import Campaign
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError
 from hitchid.model import Provenance
 from hitchid.report import comparison_tables
 from hitchid.report.comparison_report import verdict_text
-from hitchid.validation import compare, validate
+from hitchid.validation import Standing, compare, validate
 from truth import STEP_S, levels
 
 RIGHT, SLOW = hitch(), hitch("first-order-lag")
+
+
+def with_gain_times(factor):
+    """Return `RIGHT` with a factor on the gain of each direction."""
+    channels = [handmade_channel(mode) for mode in (LIFTING, LOWERING)]
+    return hitch_of(
+        *(
+            replace(c, benchmark=c.benchmark.with_parameter_vector(factor * c.benchmark.parameter_vector))
+            for c in channels
+        )
+    )
+
+
+MODELS = [with_gain_times(factor) for factor in (1.2, 1.0, 1.1)]
 
 
 @pytest.fixture
@@ -42,27 +57,29 @@ def having_seen(model, *records):
 
 def test_the_model_that_errs_less_on_every_test_is_found_on_either_side(campaign):
     for first, second, better in ((RIGHT, SLOW, "A"), (SLOW, RIGHT, "B")):
-        compared = compare(first, second, campaign)
+        compared = compare([first, second], campaign)
         assert compared.sections == (LIFTING, LOWERING)
         for mode in compared.sections:
             verdict = compared.verdict(mode)
             assert (verdict.better, verdict.wins, verdict.tests) == (better, 5, 5)
-            assert verdict_text(compared, mode).startswith(
-                f"{better} has the smaller free-run error on 5 of 5 tests"
+            worse = {"A": "B", "B": "A"}[better]
+            told = (
+                f"{better} has a significantly smaller error in free run than {worse}, the smallest on 5 of 5"
             )
+            assert verdict_text(compared, mode).startswith(told)
         assert compared.metrics["better"] == {LIFTING: better, LOWERING: better}
 
 
 def test_a_model_is_never_proven_better_than_itself(campaign):
-    compared = compare(RIGHT, RIGHT, campaign)
+    compared = compare([RIGHT, RIGHT], campaign)
     for mode in compared.sections:
         assert compared.verdict(mode).better is None
-        assert "no significant difference" in verdict_text(compared, mode)
+        assert "do not distinguish the models" in verdict_text(compared, mode)
 
 
 def test_tests_that_either_has_seen_are_left_out_for_both(campaign):
     first, second, *_ = campaign.records
-    compared = compare(having_seen(RIGHT, first), having_seen(SLOW, second), campaign)
+    compared = compare([having_seen(RIGHT, first), having_seen(SLOW, second)], campaign)
     assert compared.left_out == 2
     assert "2 tests are left out" in compared.notices[0]
     for accuracy in compared.accuracy(LIFTING):
@@ -70,37 +87,125 @@ def test_tests_that_either_has_seen_are_left_out_for_both(campaign):
 
 
 def test_the_figures_are_those_of_two_validations(campaign):
-    compared = compare(RIGHT, SLOW, campaign)
-    for model, metrics in ((RIGHT, compared.first.metrics), (SLOW, compared.second.metrics)):
+    compared = compare([RIGHT, SLOW], campaign)
+    for model, metrics in zip((RIGHT, SLOW), (each.metrics for each in compared), strict=True):
         assert metrics == validate(model, campaign).metrics
     runs = compared.free_runs(LIFTING)
-    for name, model in (("a", RIGHT), ("b", SLOW)):
+    for name, model in (("A", RIGHT), ("B", SLOW)):
         alone = validate(model, campaign).predictions[LIFTING].models["free_run"]
         for one, other in zip(runs.models[name], alone, strict=True):
             np.testing.assert_array_equal(one, other)
 
 
-def test_both_models_stand_in_every_table(campaign):
-    bands = [with_bands(model, LIFTING) for model in (RIGHT, SLOW)]
-    for table in comparison_tables(compare(*bands, campaign)).tables:
-        cells = {row[0] for row in table.rows} | set(table.header)
-        assert {"model A", "model B"} <= cells
+def test_every_model_stands_in_every_table(campaign):
+    bands = [with_bands(model, LIFTING) for model in (RIGHT, SLOW, RIGHT)]
+    for table in comparison_tables(compare(bands, campaign)).tables:
+        cells = {cell for row in table.rows for cell in row} | set(table.header)
+        assert {"model A", "model B", "model C"} <= cells
+
+
+def test_models_are_ranked_by_their_error_in_free_run(campaign):
+    compared = compare(MODELS, campaign, ["fast", "right", "near"])
+    assert [validation.model for validation in compared] == MODELS
+    assert len(compared) == 3
+    for mode in compared.sections:
+        rows = compared.leaderboard().section(mode)
+        assert [(row.rank, row.label, row.name) for row in rows] == [
+            (1, "B", "right"),
+            (2, "C", "near"),
+            (3, "A", "fast"),
+        ]
+        assert [row.standing for row in rows] == [Standing.BEST, Standing.WORSE, Standing.WORSE]
+        assert compared.verdict(mode).better == "B"
+        text = verdict_text(compared, mode)
+        assert text.startswith("B has a significantly smaller error in free run than C and A, the smallest")
+    assert compared.metrics["models"] == {"A": "fast", "B": "right", "C": "near"}
+    assert compared.metrics["better"] == {LIFTING: "B", LOWERING: "B"}
+    assert [row["model"] for row in compared.metrics["leaderboard"][LIFTING]] == ["B", "C", "A"]
+
+
+def test_the_leaderboard_has_the_figures_of_the_validations_with_errors_over_tests(campaign):
+    compared = compare(MODELS, campaign)
+    for row in compared.leaderboard():
+        validation = compared.validations[compared.labels.index(row.label)]
+        accuracy = validation.accuracy[row.section]
+        assert (row.free_run, row.one_step) == (accuracy.free_run(), accuracy.models["greybox"].one_step)
+        assert row.tests == len(accuracy.tests)
+        assert [rmse for rmse, _ in row.horizons.values()] == list(accuracy.horizons.rmse["greybox"])
+        # One step ahead is the first horizon, with the same standard error.
+        assert row.horizons[1] == (row.one_step.rmse, row.one_step.rmse_error)
+        runs = compared.free_runs(row.section)
+        actual, predicted = runs.actual, runs.models[row.label]
+        assert row.free_run.rmse_error == pytest.approx(rmse_error(actual, predicted), rel=1e-12)
+        relative = row.free_run.rmse_error / row.free_run.rmse
+        assert row.free_run.fit_error == pytest.approx((100 - row.free_run.fit) * relative, rel=1e-12)
+
+
+def test_the_p_values_are_adjusted_for_all_pairs_of_models(campaign):
+    alone = compare(MODELS[1:], campaign).leaderboard().section(LIFTING)[1].p_value
+    runs = compare(MODELS, campaign).free_runs(LIFTING)
+    pairs = [("B", "C"), ("B", "A"), ("C", "A")]
+    p_values = sorted(runs.better_p_value(*pair) for pair in pairs)
+    assert alone == runs.better_p_value("B", "C")  # one pair of two models: nothing to adjust
+    adjusted = {row.label: row.p_value for row in compare(MODELS, campaign).leaderboard().section(LIFTING)}
+    assert adjusted["B"] is None
+    assert min(adjusted["A"], adjusted["C"]) in (3 * p_values[0], max(3 * p_values[0], 2 * p_values[1]))
+
+
+def test_equal_models_share_the_first_rank_and_are_not_distinguishable(campaign):
+    compared = compare([SLOW, RIGHT, RIGHT], campaign)
+    rows = compared.leaderboard().section(LIFTING)
+    assert [(row.rank, row.label, row.standing) for row in rows] == [
+        (1, "B", Standing.BEST),
+        (1, "C", Standing.SIMILAR),
+        (3, "A", Standing.WORSE),
+    ]
+    assert compared.verdict(LIFTING).better is None
+    assert "smaller error in free run than A, and is not distinguishable from C" in verdict_text(
+        compared, LIFTING
+    )
+
+
+def test_the_leaderboard_is_a_dataframe_with_units_in_its_columns(campaign):
+    pytest.importorskip("pandas")
+    leaderboard = compare(MODELS, campaign, ["fast", "right", "near"]).leaderboard()
+    frame = leaderboard.to_dataframe()
+    assert len(frame) == len(leaderboard) == 6
+    lifting = frame[frame.section == LIFTING].set_index("model")
+    assert list(lifting.index) == ["right", "near", "fast"]
+    best = leaderboard.section(LIFTING)[0]
+    assert lifting.loc["right", "free_run_rmse_mm"] == best.free_run.rmse
+    assert lifting.loc["right", "10_steps_rmse_error_mm"] == best.horizons[10][1]
+    assert np.isnan(lifting.loc["right", "p_value"])
+
+
+@pytest.mark.parametrize(
+    ("models", "names", "said"),
+    [
+        ([RIGHT], None, "models: expected two or more, got 1"),
+        ([RIGHT, SLOW], ["one"], "names: expected 2, one for each model, got 1"),
+        ([RIGHT, SLOW], ["one", "one"], "two models are called 'one'"),
+    ],
+)
+def test_what_cannot_be_compared_is_refused(campaign, models, names, said):
+    with pytest.raises(InputError, match=said):
+        compare(models, campaign, names)
 
 
 def test_models_without_a_direction_in_common_cannot_be_compared(campaign):
     lifting, lowering = (hitch_of(handmade_channel(mode)) for mode in (LIFTING, LOWERING))
-    with pytest.raises(InputError, match=r"A .*lifting, .*B .*lowering"):
-        compare(lifting, lowering, campaign)
+    with pytest.raises(InputError, match=r"A for lifting, .*B for lowering"):
+        compare([lifting, lowering], campaign)
 
 
 def test_models_of_two_clocks_cannot_be_compared(campaign):
     with pytest.raises(InputError, match=r"0\.01 s, model B .*0\.02 s"):
-        compare(RIGHT, replace(RIGHT, step_s=0.02), campaign)
+        compare([RIGHT, replace(RIGHT, step_s=0.02)], campaign)
 
 
 def test_what_is_said_of_one_model_alone_is_said_with_its_name(campaign):
     lifting = hitch_of(handmade_channel(LIFTING))
-    compared = compare(RIGHT, lifting, campaign)
+    compared = compare([RIGHT, lifting], campaign)
     assert any(each.startswith("model B: ") and "no lowering channel" in each for each in compared.notices)
     assert not any(
         each.startswith("model A: ") and "no lowering channel" in each for each in compared.notices
@@ -108,8 +213,8 @@ def test_what_is_said_of_one_model_alone_is_said_with_its_name(campaign):
 
 
 def test_where_every_test_was_used_there_is_nothing_to_compare(campaign):
-    with pytest.raises(InputError, match="every test was used to identify"):
-        compare(having_seen(RIGHT, *campaign.records), SLOW, campaign)
+    with pytest.raises(InputError, match="expected tests that none of them has seen"):
+        compare([having_seen(RIGHT, *campaign.records), SLOW], campaign)
 
 
 def test_cycles_are_cut_alike_for_both_where_there_is_nothing_else(make_record):
@@ -124,7 +229,7 @@ def test_cycles_are_cut_alike_for_both_where_there_is_nothing_else(make_record):
         records.append(make_record(measured, lifting, lowering, name=f"cycle-{number}"))
     cut = replace(RIGHT, provenance=Provenance(segmentation_dead_zones={LIFTING: 0.3, LOWERING: 0.2}))
     compared = compare(
-        cut, replace(SLOW, provenance=Provenance(segmentation_dead_zones=DEAD_ZONES)), Campaign.of(records)
+        [cut, replace(SLOW, provenance=Provenance(segmentation_dead_zones=DEAD_ZONES))], Campaign.of(records)
     )
     assert "cycles" in compared.sections
     for part in compared.sections:

@@ -119,9 +119,10 @@ def test_a_test_that_lacks_a_covariate_of_its_direction_is_left_out(tests_of):
         "1 of 6 tests left out",
         *without.notices,
     )
-    compared = compare(model, hitch(), Campaign.of([bare, *complete]))
-    assert compared.first.metrics == without.metrics
-    assert compared.second.metrics["channels"][LIFTING]["tests"] == ["lifting-01", "lifting-02"]
+    compared = compare([model, hitch()], Campaign.of([bare, *complete]))
+    first, second = compared
+    assert first.metrics == without.metrics
+    assert second.metrics["channels"][LIFTING]["tests"] == ["lifting-01", "lifting-02"]
     assert compared.notices[:2] == found.notices[:2]
     for refused in (Campaign.of([bare]), Campaign.of([bare, *complete], strict=True)):
         with pytest.raises(InputError, match="record 'lifting-00' has no 'pressure'"):

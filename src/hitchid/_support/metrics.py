@@ -4,13 +4,14 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import stdtrit
+from scipy.special import stdtr, stdtrit
 
 HORIZONS = (1, 2, 5, 10, 20, 50, 100)  # samples predicted ahead, as listed in metrics.json
 MIN_IMPROVEMENT = 1.02  # ratio of RMSE: 2 % better (chosen)
 MIN_WIN_RATE = 2 / 3  # share of tests in which the better model has the smaller error (chosen)
 # From six tests on a difference of one standard error (84 %, one-sided) counts; with fewer, 90 % (chosen).
 MIN_TESTS, ONE_SIGMA_LEVEL, FEW_TESTS_LEVEL = 6, 0.84, 0.9
+SIGNIFICANCE = 0.025  # level of one-sided tests between two models, 5 % for both directions (chosen)
 ERROR_FLOOR = 1e-300  # lower limit of an error, so that its logarithm is finite (chosen)
 
 
@@ -84,11 +85,16 @@ def rmse_error(actual: Sequence[np.ndarray], predicted: Sequence[np.ndarray]) ->
 
 
 def significantly_better(errors: np.ndarray, other_errors: np.ndarray, samples: np.ndarray) -> bool:
-    """Return whether one model has a significantly smaller error than another over the same tests.
+    """Return whether `better_p_value` is below 2.5 %; the arguments are the same."""
+    return better_p_value(errors, other_errors, samples) < SIGNIFICANCE
+
+
+def better_p_value(errors: np.ndarray, other_errors: np.ndarray, samples: np.ndarray) -> float:
+    """Return the one-sided p-value of one model having a smaller error than another over the same tests.
 
     d = ln r₂ − ln r over all samples, r₂ being the error of the other model; its standard error s is by the
-    jackknife over the tests. d/s is compared with Student's t at T − 1 degrees of freedom, one-sided 2.5 %.
-    Logarithms are used since errors of tests differ by factors.
+    jackknife over the tests. d/s is compared with Student's t at T − 1 degrees of freedom. Logarithms are
+    used since errors of tests differ by factors.
 
     Args:
         errors, other_errors: root mean square error of each test, of the one and of the other, shape [T];
@@ -96,13 +102,13 @@ def significantly_better(errors: np.ndarray, other_errors: np.ndarray, samples: 
         samples: number of samples of each test, shape [T].
 
     Returns:
-        The result; False for a single test.
+        From 0 to 1; 1 for a single test, and for a model that diverged.
     """
     tests = errors.size
     if not np.all(np.isfinite(errors)) or tests < 2:
-        return False
+        return 1.0
     if not np.all(np.isfinite(other_errors)):
-        return True
+        return 0.0
 
     def log_ratio(selected: np.ndarray) -> float:
         pooled = [
@@ -116,9 +122,30 @@ def significantly_better(errors: np.ndarray, other_errors: np.ndarray, samples: 
         overall = log_ratio(test_indices >= 0)
         leave_one_out = np.array([log_ratio(test_indices != omitted) for omitted in test_indices])
     if not np.all(np.isfinite(leave_one_out)):  # the logarithm of a zero error is infinite
-        return bool(np.all(errors < other_errors))
+        return 0.0 if np.all(errors < other_errors) else 1.0
     error = np.sqrt((tests - 1) / tests * np.sum((leave_one_out - leave_one_out.mean()) ** 2))
-    return bool(overall > stdtrit(tests - 1, 0.975) * error)
+    if error == 0:
+        return 0.0 if overall > 0 else 1.0
+    return float(stdtr(tests - 1, -overall / error))
+
+
+def holm(p_values: Sequence[float]) -> tuple[float, ...]:
+    """Return p-values adjusted for the number of comparisons (Holm 1979).
+
+    The k-th smallest of m is multiplied by m − k + 1, and is at least the adjusted one before it. Where all
+    adjusted values below a level α count as significant, the probability of any false one is at most α.
+
+    Args:
+        p_values: of all comparisons, in any order.
+
+    Returns:
+        The adjusted values in the same order, at most 1.
+    """
+    order = np.argsort(p_values, kind="stable")
+    factors = np.arange(len(order), 0, -1)
+    adjusted = np.empty(len(order))
+    adjusted[order] = np.minimum(1.0, np.maximum.accumulate(factors * np.asarray(p_values)[order]))
+    return tuple(adjusted.tolist())
 
 
 def proven_better(errors: np.ndarray, other_errors: np.ndarray) -> bool:

@@ -54,23 +54,34 @@ def subtask_progress(
     return report
 
 
-def parallel_progress(
-    progress: ProgressCallback, start: float, width: float, names: Sequence[str]
-) -> dict[str, ProgressCallback]:
+def split_progress(progress: ProgressCallback, shares: Mapping[str, float]) -> dict[str, ProgressCallback]:
+    """Return a callback for each of several consecutive parts of a task, by name.
+
+    Args:
+        progress: of the task.
+        shares: name of each part, in their order, to its work relative to the others.
+    """
+    total, start, parts = sum(shares.values()), 0.0, {}
+    for name, share in shares.items():
+        parts[name] = subtask_progress(progress, start / total, share / total)
+        start += share
+    return parts
+
+
+def parallel_progress(progress: ProgressCallback, names: Sequence[str]) -> dict[str, ProgressCallback]:
     """Return a thread-safe callback for each of several parallel tasks, by name.
 
     Args:
         progress: of the whole.
-        start, width: start of the tasks and their total share of the whole, fractions.
-        names: of the tasks, prefixed to each stage.
+        names: of the tasks, prefixed to each stage; the fraction of a task never falls.
     """
     fractions, lock = dict.fromkeys(names, 0.0), Lock()
 
     def reporter(name: str) -> ProgressCallback:
         def report(step: ProgressUpdate) -> None:
             with lock:
-                fractions[name] = step.fraction
-                fraction = start + width * sum(fractions.values()) / len(fractions)
+                fractions[name] = max(fractions[name], step.fraction)
+                fraction = sum(fractions.values()) / len(fractions)
                 progress(step._replace(stage=f"{name}: {step.stage}", fraction=fraction, task=name))
 
         return report
@@ -78,22 +89,19 @@ def parallel_progress(
     return {name: reporter(name) for name in names}
 
 
-def iteration_progress(
-    progress: ProgressCallback, stage: str, start: float, width: float, name: str
-) -> IterationCallback:
+def iteration_progress(progress: ProgressCallback, stage: str, name: str) -> IterationCallback:
     """Return a callback that reports the iterations of a search.
 
-    The number of iterations until convergence is unknown, so the fraction approaches the end asymptotically.
+    The number of iterations until convergence is unknown, so the fraction approaches 1 asymptotically.
 
     Args:
-        progress: of the whole.
+        progress: of the search.
         stage: name of the search.
-        start, width: start of the search and its share of the whole, fractions.
         name: of the minimised error.
     """
 
     def report(number: int, error: float) -> None:
-        fraction = start + width * number / (number + TYPICAL_ITERATIONS)
+        fraction = number / (number + TYPICAL_ITERATIONS)
         progress(ProgressUpdate(stage, fraction, f"iteration {number}", {name: error}))
 
     return report

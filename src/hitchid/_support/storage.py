@@ -169,7 +169,8 @@ def _check_replaceable(folder: Path, result_kind: str) -> None:
 def check_inputs(out: Path, inputs: Iterable[Path | None]) -> None:
     """Check that the output of a command replaces none of its inputs.
 
-    The output must not be an input, contain one, or be a file in an input folder.
+    The output must not be an input, contain one, or be a file in an input folder. The target of a link in an
+    input folder is an input.
 
     Args:
         out: file or folder to write.
@@ -184,14 +185,23 @@ def check_inputs(out: Path, inputs: Iterable[Path | None]) -> None:
         if input_path is None or not input_path.exists():
             continue
         real_path = Path(os.path.realpath(input_path))
-        if any(os.path.samefile(out, ancestor) for ancestor in (real_path, *real_path.parents)):
-            raise OutputError(f"{out}: contains the input {input_path}; choose another folder")
+        for source in (real_path, *_link_targets(real_path)):
+            if any(os.path.samefile(out, ancestor) for ancestor in (source, *source.parents)):
+                raise OutputError(f"{out}: contains the input {input_path}; choose another folder")
         if (
             out.is_file()
             and real_path.is_dir()
             and os.path.samefile(Path(os.path.realpath(out)).parent, real_path)
         ):
             raise OutputError(f"{out}: is inside the input {input_path}; choose another folder")
+
+
+def _link_targets(path: Path) -> list[Path]:
+    """Return the existing targets of the links in a folder; none for a file."""
+    if not path.is_dir():
+        return []
+    links = [child for child in path.iterdir() if child.is_symlink() and child.exists()]
+    return [Path(os.path.realpath(link)) for link in links]
 
 
 def _check_path(path: Path) -> None:

@@ -1,4 +1,4 @@
-"""`hitchid compare`: comparison of two models."""
+"""`hitchid compare`: comparison of models."""
 
 import json
 from pathlib import Path
@@ -7,14 +7,20 @@ from typing import Annotated
 import typer
 
 from hitchid.cli.cache import prepare_jax
-from hitchid.cli.options import AsJson, AsPdf, Force, Logs, Quiet, Signals, Strict
+from hitchid.cli.options import AsJson, AsPdf, Force, Quiet, Signals, Strict
 from hitchid.cli.program import command_line
+from hitchid.errors import InputError
 
 
 def compare(
-    first: Annotated[Path, typer.Argument(metavar="MODEL_A", help="Model folder.", show_default=False)],
-    second: Annotated[Path, typer.Argument(metavar="MODEL_B", help="Model folder.", show_default=False)],
-    logs: Logs,
+    paths: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="MODEL MODEL [MODEL]... LOGS...",
+            help="Two or more model folders, then log files or folders of logs.",
+            show_default=False,
+        ),
+    ],
     out: Annotated[Path, typer.Option("--out", help="Folder to write: report.html, comparison.json.")],
     as_pdf: AsPdf = False,
     signals: Signals = None,
@@ -23,12 +29,12 @@ def compare(
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
-    """Compare two models with each other on tests that neither has used."""
+    """Compare models with each other on tests that none of them has used."""
     from hitchid._support.storage import check_folder, check_inputs
     from hitchid.cli import terminal as display
 
     check_folder(out, result_kind="comparison.json", force=force)
-    check_inputs(out, [first, second, *logs, signals])
+    check_inputs(out, [*paths, signals])
     prepare_jax()
     from hitchid._support.progress import ProgressUpdate
     from hitchid.model import load
@@ -37,14 +43,36 @@ def compare(
     from hitchid.validation import compare as run
 
     check_pdf(requested=as_pdf)
+    folders, logs = _split(paths)
+    models = [load(folder) for folder in folders]
     campaign = read(logs, signals=signals, strict=strict)
     display.show_left_out(campaign, quiet=quiet)
     with display.progress(quiet=quiet) as report:
-        comparison = run(load(first), load(second), campaign, progress=report)
+        comparison = run(models, campaign, [str(folder) for folder in folders], progress=report)
         report(ProgressUpdate("report", 0.98))
-        document = comparison.report(names=(str(first), str(second)), command=command_line())
+        document = comparison.report(command=command_line())
         write_report(out, document, comparison.files(), as_pdf=as_pdf, mark="comparison.json", force=force)
     if as_json:
         typer.echo(json.dumps(comparison.metrics, indent=1))
     elif not quiet:
         display.show_report(document, comparison.notices, out)
+
+
+def _split(paths: list[Path]) -> tuple[list[Path], list[Path]]:
+    """Return the model folders, which come first, and the logs.
+
+    Raises:
+        InputError: fewer than two model folders come first, or no logs follow.
+    """
+    from hitchid.model import is_model_folder
+
+    count = next((number for number, path in enumerate(paths) if not is_model_folder(path)), len(paths))
+    if len(paths) < 2:
+        raise InputError(f"expected two or more model folders, then logs; got {paths[0]} alone")
+    if count < 2:
+        raise InputError(
+            f"{paths[count]}: expected a model folder (with model.json), for two or more come before the logs"
+        )
+    if count == len(paths):
+        raise InputError(f"expected logs after the {count} model folders, got none")
+    return paths[:count], paths[count:]

@@ -2,9 +2,11 @@
 
 import shlex
 import sys
+from typing import Annotated
 
 import typer
 
+import hitchid
 from hitchid.errors import HitchError, InputError
 
 app = typer.Typer(
@@ -14,7 +16,24 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
+    context_settings={"help_option_names": ["--help", "-h"]},
 )
+
+
+def _print_version(requested: bool) -> None:
+    if requested:
+        typer.echo(f"hitchid {hitchid.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool,
+        typer.Option("--version", help="Print the version.", callback=_print_version, is_eager=True),
+    ] = False,
+) -> None:
+    """Options of the program itself."""
 
 
 def main() -> None:

@@ -9,12 +9,12 @@ from typing import Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from hitchid.data.settings_errors import describe
 from hitchid.data.units import UNITS, check_unit, unit_of_column
 from hitchid.errors import InputError, SettingsError
 
 CAMPAIGN_FILE = "campaign.toml"
 MAX_LENGTH, MAX_DOTS = 2**20, 100  # characters of a settings file; dots in one key (chosen)
-MAX_SHOWN, MAX_PRINTED = 200, 10**100  # characters, largest integer in a message (chosen)
 POSITIONS = ("length", "angle", "voltage", "ratio")  # dimensions of a displacement
 COMMANDS = ("current", "voltage", "ratio", "pressure", "flow", "frequency")  # dimensions of a command
 DIMENSIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
@@ -173,7 +173,7 @@ def parse_settings(path: Path, model: type[Settings]) -> Settings:
     try:
         return model.model_validate(content)
     except ValidationError as error:
-        raise SettingsError(f"{path}: {describe(error)}") from error
+        raise SettingsError(f"{path}: {describe(error, model)}") from error
     except SettingsError as error:
         raise SettingsError(f"{path}: {error}") from error
 
@@ -193,26 +193,3 @@ def parse_toml(text: str, source: object) -> dict[str, object]:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # numbers that are too long, nesting that is too deep
         raise SettingsError(f"{source}: is not valid TOML: {error}") from error
-
-
-def describe(error: ValidationError) -> str:
-    """Return the first error of a validation as one sentence that names the key."""
-    first = error.errors()[0]
-    key = _truncated(".".join(str(key_part) for key_part in first["loc"]) or "settings")
-    if first["type"] == "extra_forbidden":
-        return f"key '{key}' is not known; check its spelling"
-    message = first["msg"].removeprefix("Value error, ")
-    value = first.get("input")
-    received = f", got {_printed(value)}" if isinstance(value, str | int | float | bool) else ""
-    return f"key '{key}': {message}{received}"
-
-
-def _truncated(text: str) -> str:
-    return text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}…"
-
-
-def _printed(value: str | int | float | bool) -> str:
-    # Python prints no integer above 4300 digits; TOML allows longer ones in hexadecimal.
-    return (
-        _truncated(repr(value)) if not isinstance(value, int) or abs(value) < MAX_PRINTED else "a huge number"
-    )

@@ -139,6 +139,8 @@ class CampaignJob:
         specs = config.specs
         for direction, value in config.dead_zones.items():
             _check_dead_zone(campaign, direction, value)
+        for direction, spec in specs.items():
+            _check_load(campaign, direction, spec.covariate)
         dead_zones = {
             direction: DeadZone(0.0, None, 0, "structure")
             for direction, spec in specs.items()
@@ -276,6 +278,18 @@ def _check_dead_zone(campaign: Campaign, direction: str, value: float) -> None:
             f"{direction}: dead_zone: expected at least 0 and less than the largest command, "
             f"{highest:.4g} {unit}, got {value:g}"
         )
+
+
+def _check_load(campaign: Campaign, direction: str, load: str | None) -> None:
+    """Raise SettingsError for a load that no log of a direction in the campaign has measured."""
+    signals = {
+        name for kind in (direction, CYCLE) for record in campaign.of_kind(kind) for name in record.signals
+    }
+    covariates = sorted(signals - {DISPLACEMENT, *COMMAND.values()})
+    if load is None or not signals or load in covariates:
+        return
+    required = f"one of {', '.join(covariates)}" if covariates else "none, for the logs have no covariates"
+    raise SettingsError(f"{direction}: load is '{load}'; expected {required}")
 
 
 def _check_window(training: CompensatorConfig | None, channel_data: Mapping[str, ChannelData]) -> None:

@@ -159,10 +159,21 @@ def operating_point_folds(batch: Batch, *, separate_tests: bool) -> list[np.ndar
     levels = np.array(
         [row[mask].mean() if mask.any() else 0.0 for row, mask in zip(command, active, strict=True)]
     )
+    point = operating_points(levels, separate_tests=separate_tests)
+    last = int(point.max())
+    fold = np.where((point > 0) & (point < last), (point - 1) % FOLDS, -1)
+    return [fold == index for index in range(min(FOLDS, last - 1))]
+
+
+def operating_points(levels: np.ndarray, *, separate_tests: bool) -> np.ndarray:
+    """Return the index of the operating point of each test, in the order of the levels, shape [T].
+
+    Args:
+        levels: mean command of each test where it is active, shape [T].
+        separate_tests: whether tests at one level differ in another input, so that each is a point.
+    """
     order = np.argsort(levels)
-    is_new_level = separate_tests | (np.diff(levels[order]) > LEVEL_TOLERANCE * float(np.ptp(levels)))
-    level_index = np.concatenate([[0], np.cumsum(is_new_level)])
-    is_interior = (level_index > 0) & (level_index < level_index[-1])
-    fold = np.full(levels.size, -1)
-    fold[order] = np.where(is_interior, (level_index - 1) % FOLDS, -1)
-    return [fold == index for index in range(min(FOLDS, int(level_index[-1]) - 1))]
+    is_new_point = separate_tests | (np.diff(levels[order]) > LEVEL_TOLERANCE * float(np.ptp(levels)))
+    points = np.empty(levels.size, int)
+    points[order] = np.concatenate([[0], np.cumsum(is_new_point)])
+    return points

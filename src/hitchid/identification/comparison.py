@@ -9,9 +9,11 @@ from jaxtyping import Array, Key, PRNGKeyArray
 from hitchid._support.checkpoints import Checkpoints
 from hitchid._support.progress import (
     TYPICAL_ITERATIONS,
-    IterationCallback,
     ProgressCallback,
     ProgressUpdate,
+    silent,
+    split_progress,
+    subtask_progress,
 )
 from hitchid.baselines.baseline import FitContext
 from hitchid.baselines.fitted import FittedBaseline
@@ -54,13 +56,16 @@ def fit_comparison(
         The fitted models, and a notice for each fit that failed.
     """
     notices: list[str] = []
-    comparison = Comparison(_fit_baselines(data, config, training, keys[0], progress, seconds, notices))
+    parts = split_progress(progress, {"baselines": 0.6, "paper": 0.4})
+    comparison = Comparison(
+        _fit_baselines(data, config, training, keys[0], parts["baselines"], seconds, notices)
+    )
     if config.spec == config.paper_spec:
         return comparison, notices
     with timed(seconds, "paper's method"):
         fitted = attempt(
             "the paper's method",
-            lambda: _fit_paper_method(initial_data, config, training, keys[1], progress),
+            lambda: _fit_paper_method(initial_data, config, training, keys[1], parts["paper"]),
             notices,
         )
     if fitted is None:
@@ -98,13 +103,16 @@ def _fit_baselines(
     seconds: dict[str, float],
     notices: list[str],
 ) -> Mapping[str, FittedBaseline]:
-    baselines = {}
-    for name, baseline in all_baselines().items():
+    baselines, available = {}, all_baselines()
+    parts = split_progress(progress, dict.fromkeys(available, 1.0))
+    for name, baseline in available.items():
+        stage = f"{baseline.title} baseline"
+        parts[name](ProgressUpdate(stage, 0.0))
         context = FitContext(
             training.hidden,
             training.adam,
             key,
-            epoch_callback(progress, f"{baseline.title} baseline", 0.6, 0.2),
+            epoch_callback(parts[name], stage),
             config.checkpoints.child(f"baseline {name}"),
         )
         with timed(seconds, baseline.title):
@@ -129,13 +137,15 @@ def _fit_paper_method(
 ) -> tuple[Channel, Estimates]:
     """Return the channel of the paper's method; `data` has the dead zone found with a linear valve."""
     checkpoints = config.checkpoints.child("paper")
-    phase1 = identify_spec(data, config, config.paper_spec, checkpoints)
+    parts = split_progress(progress, {"phase 1": 0.6, "phase 2": 0.4})
+    searched = subtask_progress(parts["phase 1"], 0.0, 1.0, "paper's method")
+    phase1 = identify_spec(data, config, config.paper_spec, checkpoints, searched)
     channel, _ = with_compensator(
         benchmark_channel(data, phase1, OperatingRange.unbounded()),
         data,
         training,
         key,
-        epoch_callback(progress, "paper's method", 0.8, 0.2),
+        epoch_callback(parts["phase 2"], "paper's method"),
         checkpoints,
     )
     return channel, phase1.assessment
@@ -158,7 +168,7 @@ def identify_spec(
     config: ChannelConfig,
     spec: ModelSpec,
     checkpoints: Checkpoints,
-    callback: IterationCallback | None = None,
+    progress: ProgressCallback = silent,
 ) -> Phase1:
     """Identify a benchmark of a given structure."""
     return identify_benchmark(
@@ -168,7 +178,7 @@ def identify_spec(
         config.seed,
         units=config.units,
         dead_zone=data.dead_zone.error,
-        callback=callback,
+        progress=progress,
         checkpoints=checkpoints,
     )
 
@@ -193,11 +203,11 @@ def with_compensator(
     return replace(channel, compensator=compensator), training_history
 
 
-def epoch_callback(progress: ProgressCallback, stage: str, start: float, width: float) -> EpochCallback:
+def epoch_callback(progress: ProgressCallback, stage: str) -> EpochCallback:
     """Return a callback that reports epochs; early stopping leaves the total number unknown."""
 
     def show(number: int, training_loss: float, validation_loss: float) -> None:
-        done = start + width * number / (number + TYPICAL_ITERATIONS)
+        done = number / (number + TYPICAL_ITERATIONS)
         figures = {"training loss": training_loss, "validation loss": validation_loss}
         progress(ProgressUpdate(stage, done, f"epoch {number}", figures))
 

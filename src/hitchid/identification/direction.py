@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hitchid._support.progress import ProgressCallback, ProgressUpdate, iteration_progress, subtask_progress
+from hitchid._support.progress import ProgressCallback, ProgressUpdate, split_progress
 from hitchid.data.record import DIRECTIONS
 from hitchid.estimation import Objective
 from hitchid.identification.band_calibration import calibrate_bands
@@ -47,11 +47,12 @@ def find_benchmark(
         FitError: nothing moves, or no parameters give a finite error.
     """
     seconds: dict[str, float] = {}
-    progress(ProgressUpdate(f"phase 1, {config.search.name}", 0.02))
+    parts = split_progress(progress, {"benchmark": 0.85, "speed map": 0.15})
     with timed(seconds, "benchmark"):
-        phase1, candidates = _fit_benchmark(data, config, subtask_progress(progress, 0.02, 0.98))
+        phase1, candidates = _fit_benchmark(data, config, parts["benchmark"])
     data = data.with_dead_zone(_revised_dead_zone(data.dead_zone, candidates))
     channel = benchmark_channel(data, phase1, operating_range_of(data.all_tests))
+    parts["speed map"](ProgressUpdate("phase 1, speed map", 0.0))
     with timed(seconds, "speed map"):
         operating_characteristics, characteristics_notices = _characteristics(
             data.dead_zone, phase1, config.units
@@ -95,23 +96,25 @@ def find_compensators(
         data, config, progress: as for `find_benchmark`.
     """
     seconds, initial_data, data = dict(trace.seconds), data, data.with_dead_zone(trace.dead_zone)
+    parts = split_progress(progress, _phase2_shares(config))
     if config.training is None:
-        return channel, _finished(channel, trace, Comparison(), data, config, seconds)
+        return channel, _finished(channel, trace, Comparison(), data, config, seconds, parts)
     keys = jax.random.split(
         jax.random.fold_in(jax.random.key(config.seed), DIRECTIONS.index(data.direction)), 4
     )
+    parts["compensator"](ProgressUpdate("phase 2", 0.0))
     with timed(seconds, "compensator"):
         channel, training_history = with_compensator(
             channel,
             data,
             config.training,
             keys[0],
-            epoch_callback(progress, "phase 2", 0.2, 0.3),
+            epoch_callback(parts["compensator"], "phase 2"),
             config.checkpoints.child("compensator"),
         )
     trace = replace(trace, phase2=training_history)
     if config.training.rollouts is not None:
-        progress(ProgressUpdate("free runs", 0.5))
+        parts["free runs"](ProgressUpdate("phase 2, free runs", 0.0))
         with timed(seconds, "compensator for free run"):
             travel = channel.benchmark.travel(data.all_tests)
             speed_compensator, holdout_test = train_on_rollouts(
@@ -127,10 +130,24 @@ def find_compensators(
     comparison = Comparison()
     if config.training.baselines:
         comparison, notices = fit_comparison(
-            channel, data, initial_data, config, config.training, keys[2:], progress, seconds
+            channel, data, initial_data, config, config.training, keys[2:], parts["baselines"], seconds
         )
         trace = replace(trace, notices=(*trace.notices, *notices))
-    return channel, _finished(channel, trace, comparison, data, config, seconds)
+    return channel, _finished(channel, trace, comparison, data, config, seconds, parts)
+
+
+def _phase2_shares(config: ChannelConfig) -> dict[str, float]:
+    """Return the parts of phase 2 with their relative work (measured at default settings)."""
+    training = config.training
+    parts = {
+        "compensator": 0.15 if training else 0.0,
+        "free runs": 0.2 if training and training.rollouts else 0.0,
+        "baselines": 0.4 if training and training.baselines else 0.0,
+        "searches": 0.1 if config.comparison else 0.0,
+        "bands": 0.1,
+        "information": 0.05,
+    }
+    return {name: share for name, share in parts.items() if share}
 
 
 def _finished(
@@ -140,10 +157,12 @@ def _finished(
     data: ChannelData,
     config: ChannelConfig,
     seconds: dict[str, float],
+    parts: Mapping[str, ProgressCallback],
 ) -> ChannelTrace:
     """Return the trace with the searches compared, bands and information; what fails leaves a notice."""
     notices: list[str] = []
     if config.comparison is not None:
+        parts["searches"](ProgressUpdate("comparison of searches", 0.0))
         with timed(seconds, "searches compared"):
             searches = attempt(
                 "comparison of searches",
@@ -151,12 +170,14 @@ def _finished(
                 notices,
             )
         comparison = replace(comparison, searches=searches or ())
+    parts["bands"](ProgressUpdate("bands around predictions", 0.0))
     with timed(seconds, "bands"):
         bands = attempt(
             "bands around predictions",
             lambda: calibrate_bands(channel, trace.phase1, data.all_tests, data.validation),
             notices,
         )
+    parts["information"](ProgressUpdate("information for the design of tests", 0.0))
     fit = trace.phase1.fit
     information = attempt(
         "information for the design of tests",
@@ -236,9 +257,7 @@ def _fit_benchmark(
             progress=progress,
             checkpoints=config.checkpoints,
         )
-    error = f"RMSE / {config.units['x']}"
-    callback = iteration_progress(progress, f"phase 1, {config.search.name}", 0.0, 0.9, error)
-    return identify_spec(data, config, config.spec, config.checkpoints, callback), ()
+    return identify_spec(data, config, config.spec, config.checkpoints, progress), ()
 
 
 def _revised_dead_zone(dead_zone: DeadZone, candidates: Iterable[Candidate]) -> DeadZone:

@@ -7,7 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from hitchid._support.checkpoints import DISABLED, Checkpoints
-from hitchid._support.progress import IterationCallback
+from hitchid._support.progress import (
+    ProgressCallback,
+    ProgressUpdate,
+    iteration_progress,
+    silent,
+    split_progress,
+)
 from hitchid.estimation import Objective, Search, SearchResult, best_refined, refine, search_problem
 from hitchid.identification.optional import attempt
 from hitchid.model import Estimate, Estimates
@@ -16,6 +22,7 @@ from hitchid.uncertainty import NO_ERROR, DeadZoneError, Influence, assess, unas
 
 GAIN_ITERATIONS = 3  # of the gain, on which the travel depends weakly through the gain along the stroke
 SEARCH_SAMPLES, COARSE_SAMPLES = 8192, 2048  # of a test, at most: in the search, in the first descents
+FIT_SHARES = {"search": 0.6, "rough": 0.2, "least squares": 0.2}  # of the work of a fit (measured)
 ROUGH_TOLERANCE, ROUGH_STEPS, STEPS = 1e-9, 60, 60  # of the first descents; positions of each descent
 
 
@@ -79,21 +86,31 @@ def identify_benchmark(
     units: Mapping[str, str],
     start: np.ndarray | None = None,
     dead_zone: DeadZoneError = NO_ERROR,
-    callback: IterationCallback | None = None,
+    progress: ProgressCallback = silent,
     checkpoints: Checkpoints = DISABLED,
 ) -> Phase1:
     """Find the parameters that minimise the free-run error over all tests, with their intervals.
 
     Args:
-        batch, spec, search, seed, start, callback, checkpoints: see `find_parameters`.
+        batch, spec, search, seed, start, progress, checkpoints: see `find_parameters`.
         units: `x` and `u` to the units of displacement and command.
         dead_zone: its standard error.
 
     Raises:
         FitError: nothing moves, or no parameters give a finite error.
     """
-    fit = find_parameters(batch, spec, search, seed, start=start, callback=callback, checkpoints=checkpoints)
-    return assess_fit(fit, units=units, dead_zone=dead_zone, seed=seed)
+    parts = split_progress(progress, {"fit": 0.6, "intervals": 0.4})
+    fit = find_parameters(
+        batch,
+        spec,
+        search,
+        seed,
+        unit=units["x"],
+        start=start,
+        progress=parts["fit"],
+        checkpoints=checkpoints,
+    )
+    return assess_fit(fit, units=units, dead_zone=dead_zone, seed=seed, progress=parts["intervals"])
 
 
 def find_parameters(
@@ -102,8 +119,10 @@ def find_parameters(
     search: Search,
     seed: int,
     *,
+    name: str = "",
+    unit: str = "",
     start: np.ndarray | None = None,
-    callback: IterationCallback | None = None,
+    progress: ProgressCallback = silent,
     checkpoints: Checkpoints = DISABLED,
 ) -> Fit:
     """Find the parameters that minimise the free-run error over all tests.
@@ -117,8 +136,9 @@ def find_parameters(
         spec: structure, dead time, bounds.
         search: global search; least squares follows it whatever it is.
         seed: every random draw comes from it.
+        name, unit: of the structure and of the displacement, for `progress`.
         start: values of the form's parameters from which least squares starts too, shape [D].
-        callback: called with the state of the search.
+        progress: called with the current task and the completed fraction.
         checkpoints: where finished results are kept and read back.
 
     Raises:
@@ -126,6 +146,10 @@ def find_parameters(
     """
     objective = Objective.of(batch, spec)
     problem = search_problem(objective.with_data(batch.decimate(SEARCH_SAMPLES)))
+    stage = ", ".join(filter(None, ("phase 1", search.name, name)))
+    parts = split_progress(progress, FIT_SHARES)
+    parts["search"](ProgressUpdate(stage, 0.0))
+    callback = iteration_progress(parts["search"], stage, f"RMSE / {unit}" if unit else "RMSE")
     search_result = checkpoints.cached(
         "search", SearchResult, lambda: search.minimise(problem, seed, callback)
     )
@@ -135,23 +159,34 @@ def find_parameters(
         *([] if start is None else [objective.position(start)]),
     ]
     position = checkpoints.cached_arrays(
-        "least squares", lambda: {"position": _refine_from_starts(objective, starts)}
+        "least squares", lambda: {"position": _refine_from_starts(objective, starts, parts)}
     )["position"]
     return Fit(objective, position, search_result)
 
 
-def _refine_from_starts(objective: Objective, starts: Sequence[np.ndarray]) -> np.ndarray:
+def _refine_from_starts(
+    objective: Objective, starts: Sequence[np.ndarray], parts: Mapping[str, ProgressCallback]
+) -> np.ndarray:
     """Return where least squares ends from the best of several starts, the first of them the search's."""
+    parts["rough"](ProgressUpdate("phase 1, least squares from several starts", 0.0))
     coarse = objective.with_data(objective.batch.decimate(COARSE_SAMPLES)).problem()
     rough_result = best_refined(coarse, starts, limit=ROUGH_STEPS, tolerance=ROUGH_TOLERANCE)
     problem = objective.problem()
+    parts["least squares"](ProgressUpdate("phase 1, least squares", 0.0))
     best = refine(problem, rough_result.position, limit=STEPS)
     # The first descents are over fewer samples: over all of them the end of the search may be better.
     search_error = objective.error(starts[0])
     return _with_calibrated_gain(objective, best.position if best.fitness <= search_error else starts[0])
 
 
-def assess_fit(fit: Fit, *, units: Mapping[str, str], dead_zone: DeadZoneError, seed: int) -> Phase1:
+def assess_fit(
+    fit: Fit,
+    *,
+    units: Mapping[str, str],
+    dead_zone: DeadZoneError,
+    seed: int,
+    progress: ProgressCallback = silent,
+) -> Phase1:
     """Return a fit as a benchmark, with the intervals of its parameters; see `assess`.
 
     Where these cannot be computed every interval is open, and the verdict names the cause.
@@ -159,7 +194,9 @@ def assess_fit(fit: Fit, *, units: Mapping[str, str], dead_zone: DeadZoneError, 
     failures: list[str] = []
     result = attempt(
         "intervals of the parameters",
-        lambda: assess(fit.objective, fit.position, units=units, dead_zone=dead_zone, seed=seed),
+        lambda: assess(
+            fit.objective, fit.position, units=units, dead_zone=dead_zone, seed=seed, progress=progress
+        ),
         failures,
     )
     assessment, influence = result or unassessed(

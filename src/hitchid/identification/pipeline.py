@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import ParamSpec, TypeVar
 
 from hitchid._support.parallel import parallel
-from hitchid._support.progress import ProgressCallback, parallel_progress
+from hitchid._support.progress import ProgressCallback, ProgressUpdate, parallel_progress, split_progress
 from hitchid.data.campaign import Campaign
 from hitchid.errors import HitchError
 from hitchid.identification.campaign_job import (
@@ -18,6 +18,9 @@ from hitchid.identification.channel_trace import ChannelTrace
 from hitchid.identification.direction import find_benchmark, find_compensators
 from hitchid.model import Channel
 
+# Parts of an identification with their relative work (measured at default settings).
+SHARES = {"tests": 0.03, "phase 1": 0.5, "phase 2": 0.45, "model": 0.02}
+SHARES_WITHOUT_TRAINING = {"tests": 0.05, "phase 1": 0.75, "phase 2": 0.17, "model": 0.03}
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
 Key = tuple[int, str]
@@ -41,6 +44,9 @@ def run_pipeline(
     Returns:
         In the order of the campaigns the identification, or the error that ended it.
     """
+
+    parts = split_progress(progress, SHARES if config.training else SHARES_WITHOUT_TRAINING)
+    parts["tests"](ProgressUpdate("tests and dead zones", 0.0))
 
     def prepare_job(campaign: Campaign) -> CampaignJob:
         campaign_config = config.with_default_covariate(campaign)
@@ -67,9 +73,10 @@ def run_pipeline(
     def build_model(number: int) -> Identification:
         return jobs[number].build_model(_campaign_results(phase2_results, number))
 
-    phase1_results = _phase(run_phase1, keys, progress, 0.02)
+    phase1_results = _phase(run_phase1, keys, parts["phase 1"])
     calibrated_results = {number: _result_or_error(calibrate_gains, number) for number in jobs}
-    phase2_results = _phase(run_phase2, keys, progress, 0.5)
+    phase2_results = _phase(run_phase2, keys, parts["phase 2"])
+    parts["model"](ProgressUpdate("model", 0.0))
     models = parallel(lambda number: _result_or_error(build_model, number), jobs)
     return tuple(
         job if isinstance(job, HitchError) else models[number] for number, job in enumerate(jobs_or_errors)
@@ -80,12 +87,11 @@ def _phase(
     work: Callable[[Key, ProgressCallback], ChannelResult],
     keys: Sequence[Key],
     progress: ProgressCallback,
-    start: float,
 ) -> Mapping[Key, ChannelResult | HitchError]:
-    """Do half of the work for all directions at the same time."""
+    """Do one phase for all directions at the same time."""
     single_campaign = len({number for number, _ in keys}) == 1
     names = {key: key[1] if single_campaign else f"{key[0] + 1}, {key[1]}" for key in keys}
-    channel_progress = parallel_progress(progress, start, 0.48, tuple(names.values()))
+    channel_progress = parallel_progress(progress, tuple(names.values()))
     return parallel(lambda key: _result_or_error(work, key, channel_progress[names[key]]), keys)
 
 

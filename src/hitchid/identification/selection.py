@@ -8,12 +8,7 @@ import numpy as np
 
 from hitchid._support.checkpoints import DISABLED, Checkpoints
 from hitchid._support.metrics import proven_better
-from hitchid._support.progress import (
-    ProgressCallback,
-    ProgressUpdate,
-    iteration_progress,
-    silent,
-)
+from hitchid._support.progress import ProgressCallback, ProgressUpdate, silent, split_progress
 from hitchid.errors import FitError
 from hitchid.estimation import Objective, Search, allows_per_test_gain
 from hitchid.identification.candidates import (
@@ -40,8 +35,8 @@ from hitchid.uncertainty import NO_ERROR, DeadZoneError
 SAMPLES = 2048  # largest number of samples of a test while candidates are compared; chosen
 # Shares of a dead zone that is tried again with a valve curve; the first decides whether the others are.
 DEAD_ZONE_SHARES = (0.5, 0.25, 0.75, 0.0)
-# Fractions of the work: of one search, of one candidate, and before the search of the chosen form.
-SEARCH_SHARE, CANDIDATE_SHARE, LAST_BEGINS = 0.3, 0.05, 0.7
+# Work of the first fit, the candidates, structures of other packages, the last fit, the intervals (measured).
+CHOICE_SHARES = {"baseline": 0.25, "candidates": 0.2, "external": 0.05, "chosen": 0.2, "intervals": 0.3}
 BASELINE = "transfer function"  # name of the first candidate
 
 
@@ -99,10 +94,12 @@ def choose_spec(
     """
     covariate, baseline_spec = auto_structure.covariate, auto_structure.baseline_spec
     folds = operating_point_folds(batch, separate_tests=covariate is not None)
-    choice = _Choice(batch, batch.decimate(SAMPLES), folds, search, seed, units["x"], progress, checkpoints)
-    baseline = choice.search_fit(baseline_spec, BASELINE, begin=0.0, checkpoint="plain")
+    parts = split_progress(progress, CHOICE_SHARES)
+    choice = _Choice(batch, batch.decimate(SAMPLES), folds, search, seed, units, parts, checkpoints)
+    assessed = partial(assess_fit, units=units, dead_zone=dead_zone, seed=seed, progress=parts["intervals"])
+    baseline = choice.search_fit(baseline_spec, BASELINE, part="baseline", checkpoint="plain")
     if not folds:
-        return assess_fit(baseline, units=units, dead_zone=dead_zone, seed=seed), ()
+        return assessed(baseline), ()
     largest = largest_spec(baseline_spec, covariate, opening_known=opening_known)
     candidates = choice.nested_candidates(baseline, largest, revised=revised)
     chosen = best_candidate(candidates, choice.coarse)
@@ -111,7 +108,7 @@ def choose_spec(
         chosen = best_candidate(candidates, choice.coarse)
     candidates[chosen] = replace(candidates[chosen], chosen=True)
     fit = choice.final_fit(candidates[chosen], candidates[0].dead_zone) if chosen else baseline
-    return assess_fit(fit, units=units, dead_zone=dead_zone, seed=seed), tuple(candidates)
+    return assessed(fit), tuple(candidates)
 
 
 @dataclass(frozen=True)
@@ -121,8 +118,8 @@ class _Choice:
     Attributes:
         batch, coarse: identification tests, and the same at a longer sampling time.
         folds: tests that are held out together.
-        search, seed, progress, checkpoints: as for `choose_spec`.
-        unit: of the displacement.
+        search, seed, units, checkpoints: as for `choose_spec`.
+        parts: progress of each part of the choice.
     """
 
     batch: Batch
@@ -130,8 +127,8 @@ class _Choice:
     folds: Sequence[np.ndarray]
     search: Search
     seed: int
-    unit: str
-    progress: ProgressCallback
+    units: Mapping[str, str]
+    parts: Mapping[str, ProgressCallback]
     checkpoints: Checkpoints
 
     def search_fit(
@@ -139,20 +136,21 @@ class _Choice:
         spec: ModelSpec,
         name: str,
         *,
-        begin: float,
+        part: str,
         checkpoint: str,
         batch: Batch | None = None,
         start: np.ndarray | None = None,
     ) -> Fit:
         """Fit a form by global search and least squares; see `find_parameters`."""
-        label, error = f"phase 1, {self.search.name}, {name}", f"RMSE / {self.unit}"
         return find_parameters(
             self.batch if batch is None else batch,
             spec,
             self.search,
             self.seed,
+            name=name,
+            unit=self.units["x"],
             start=start,
-            callback=iteration_progress(self.progress, label, begin, SEARCH_SHARE, error),
+            progress=self.parts[part],
             checkpoints=self.checkpoints.child(checkpoint),
         )
 
@@ -162,7 +160,7 @@ class _Choice:
         return self.search_fit(
             candidate.spec,
             candidate.name,
-            begin=LAST_BEGINS,
+            part="chosen",
             checkpoint=f"chosen {candidate.name}",
             batch=self.batch.with_dead_zone(candidate.dead_zone) if was_reduced else None,
             start=candidate.values,
@@ -179,7 +177,9 @@ class _Choice:
         names = [parameter.name for parameter in largest.parameters]
         gain = {largest.structure.gain: baseline.gain} if spec.structure.gain else {}
         positions = _positions_of(objective, names, gain)
-        for name, spec in nested_specs(largest):
+        specs = nested_specs(largest)
+        for number, (name, spec) in enumerate(specs):
+            self.parts["candidates"](ProgressUpdate(f"phase 1, structure {name}", number / len(specs)))
             free = [names.index(parameter.name) for parameter in spec.parameters]
             objective = replace(objective, per_test_gain=allows_per_test_gain(self.coarse, spec))
             previous = candidates[-1].spec
@@ -193,7 +193,7 @@ class _Choice:
                 objective, evaluation = self._with_smaller_dead_zone(objective, evaluation, free)
             positions = evaluation.positions
             candidates.append(evaluation.candidate(name, spec, objective, free))
-            self._report(candidates[-1], SEARCH_SHARE + CANDIDATE_SHARE * len(candidates))
+            self._report("candidates", candidates[-1], (number + 1) / len(specs))
         return candidates
 
     def candidates_of(self, structure: Structure, incumbent: Candidate) -> list[Candidate]:
@@ -214,14 +214,14 @@ class _Choice:
             objective, names = Objective.of(batch, spec), [parameter.name for parameter in spec.parameters]
             try:
                 if not extended:
-                    fit = self.search_fit(spec, name, begin=SEARCH_SHARE, checkpoint=f"plain {name}")
+                    fit = self.search_fit(spec, name, part="external", checkpoint=f"plain {name}")
                     values = dict(zip(names, fit.values.tolist(), strict=True))
                 start = _positions_of(objective, names, {**incumbent.named_values, **values})
                 evaluation = self._fitted(f"form {name}", objective, range(len(names)), [start])
             except FitError:
                 continue
             candidates.append(evaluation.candidate(name, spec, objective, range(len(names))))
-            self._report(candidates[-1], LAST_BEGINS - CANDIDATE_SHARE)
+            self._report("external", candidates[-1], 1.0)
         return candidates
 
     def _fitted(
@@ -230,9 +230,11 @@ class _Choice:
         work = partial(fit_and_evaluate, objective, free, starts, self.folds)
         return self.checkpoints.cached(name, Evaluation, work)
 
-    def _report(self, candidate: Candidate, fraction: float) -> None:
-        figures = {f"RMSE on levels held out / {self.unit}": candidate.held_out_rmse}
-        self.progress(ProgressUpdate("phase 1, structures", fraction, candidate.name, figures))
+    def _report(self, part: str, candidate: Candidate, fraction: float) -> None:
+        figures = {f"RMSE on levels held out / {self.units['x']}": candidate.held_out_rmse}
+        self.parts[part](
+            ProgressUpdate(f"phase 1, structure {candidate.name}", fraction, candidate.name, figures)
+        )
 
     def _with_smaller_dead_zone(
         self, objective: Objective, evaluation: Evaluation, free: Sequence[int]

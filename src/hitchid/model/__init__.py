@@ -1,5 +1,6 @@
 """Identified models: channel, hitch, their uncertainty, and the model folder."""
 
+from hitchid.model.artifact import is_model_folder as is_model_folder
 from hitchid.model.artifact import load as load
 from hitchid.model.artifact import load_trace as load_trace
 from hitchid.model.artifact import save as save

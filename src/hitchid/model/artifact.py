@@ -77,6 +77,14 @@ def load(folder: str | Path) -> Hitch:
         raise ModelFolderError(f"{path}: cannot be parsed: {error!r}") from error
 
 
+def is_model_folder(path: Path) -> bool:
+    """Return whether a path is a folder with a `model.json`, which may still be damaged."""
+    try:
+        return (path / MODEL_FILE).is_file()
+    except OSError:  # a name that no file can have
+        return False
+
+
 def load_trace(folder: str | Path) -> dict:
     """Return the identification trace of a model folder, direction to trace; empty if saved without one.
 

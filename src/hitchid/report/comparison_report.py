@@ -1,4 +1,6 @@
-"""Report of a comparison: errors of two models in common tables and figures."""
+"""Report of a comparison: errors of models in common tables and figures."""
+
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -13,24 +15,24 @@ from hitchid.report.document import (
     Table,
     sentence,
 )
-from hitchid.validation import Horizons, ModelComparison
-from hitchid.validation.comparison import MODELS
+from hitchid.report.figures.style import COMPARED
+from hitchid.validation import Horizons, LeaderboardRow, ModelComparison, Standing
 from hitchid.validation.names import GREYBOX, PERSISTENCE
 from hitchid.validation.predictions import MIN_TESTS
 
 
-def comparison_report(comparison: ModelComparison, *, names: tuple[str, str], command: str = "") -> Document:
+def comparison_report(comparison: ModelComparison, *, command: str = "") -> Document:
     """Return the report of a comparison.
 
     Args:
-        comparison: the two models on tests that neither identification used.
-        names: of the models A and B.
+        comparison: models on tests that none of their identifications used.
         command: the command line that wrote the report.
     """
     parameters = tables.comparison_parameters(comparison)
+    models = zip(comparison.labels, comparison.names, strict=True)
     return Document(
-        title="Comparison of two hitch models",
-        subtitle=f"A: {names[0]}; B: {names[1]}",
+        title=f"Comparison of {numbers.count(len(comparison), 'hitch model')}",
+        subtitle="; ".join(f"{label}: {name}" for label, name in models),
         verdict=tuple(_finding(comparison, section) for section in comparison.sections),
         notices=tuple(map(sentence, comparison.notices)),
         sections=(
@@ -45,9 +47,10 @@ def comparison_report(comparison: ModelComparison, *, names: tuple[str, str], co
 
 def comparison_tables(comparison: ModelComparison) -> Document:
     """Return every table of a comparison, the content of `tables.md`."""
-    table_list: list[Table] = []
+    table_list = [tables.comparison_models(comparison)]
     for section in comparison.sections:
         table_list += [
+            tables.leaderboard_table(comparison, section),
             tables.comparison_accuracy(comparison, section),
             tables.comparison_horizons(comparison, section),
         ]
@@ -62,23 +65,38 @@ def comparison_tables(comparison: ModelComparison) -> Document:
 
 
 def verdict_text(comparison: ModelComparison, section: str) -> str:
-    """Return which model has the smaller error in free run, or that the difference is not significant."""
-    runs = [accuracy.free_run() for accuracy in comparison.accuracy(section)]
-    a, b = (
-        numbers.DIVERGED
-        if run.rmse is None
-        else f"{numbers.with_error(run.rmse, run.rmse_error)} {comparison.unit}"
-        for run in runs
+    """Return the model with the smallest error in free run and the significance of its difference."""
+    rows = comparison.leaderboard().section(section)
+    errors_text = _errors_text(rows, comparison.unit)
+    best, tests = rows[0], numbers.count(rows[0].tests, "test")
+    worse, similar = (
+        _listed([row.label for row in rows if row.standing is standing])
+        for standing in (Standing.WORSE, Standing.SIMILAR)
     )
-    figures_text = f"RMSE {a} with A, {b} with B"
-    verdict = comparison.verdict(section)
-    if verdict.tests < MIN_TESTS:
-        tests = numbers.count(verdict.tests, "test")
-        return f"{tests}, too few for a conclusion in free run: {figures_text}"
-    if verdict.better is None:
-        return f"no significant difference in free run on {verdict.tests} tests: {figures_text}"
-    wins = f"on {verdict.wins} of {verdict.tests} tests"
-    return f"{verdict.better} has the smaller free-run error {wins}: {figures_text}"
+    if best.tests < MIN_TESTS:
+        return f"{tests}, too few to distinguish the models in free run: {errors_text}"
+    if not worse:
+        return f"{tests} do not distinguish the models in free run: {errors_text}"
+    better = f"{best.label} has a significantly smaller error in free run than {worse}"
+    if similar:
+        return f"{better}, and is not distinguishable from {similar}, over {tests}: {errors_text}"
+    wins = comparison.verdict(section).wins
+    return f"{better}, the smallest on {wins} of {tests}: {errors_text}"
+
+
+def _errors_text(rows: Sequence[LeaderboardRow], unit: str) -> str:
+    def error(row: LeaderboardRow) -> str:
+        figures = row.free_run
+        if figures.rmse is None:
+            return numbers.DIVERGED
+        return f"{numbers.with_error(figures.rmse, figures.rmse_error)} {unit}"
+
+    return "RMSE " + ", ".join(f"{error(row)} with {row.label}" for row in rows)
+
+
+def _listed(labels: Sequence[str]) -> str:
+    """Return labels as `B`, `B and C`, `B, C and D`; empty for none."""
+    return " and ".join(filter(None, (", ".join(labels[:-1]), *labels[-1:])))
 
 
 def _finding(comparison: ModelComparison, section: str) -> Finding:
@@ -87,44 +105,61 @@ def _finding(comparison: ModelComparison, section: str) -> Finding:
 
 
 def _summary(comparison: ModelComparison, section: str) -> Table:
-    pairs = zip(MODELS, comparison.accuracy(section), strict=True)
-    models = [(f"model {name}", accuracy.models[GREYBOX]) for name, accuracy in pairs]
+    accuracies = zip(comparison.labels, comparison.accuracy(section), strict=True)
+    models = [(f"model {label}", accuracy.models[GREYBOX]) for label, accuracy in accuracies]
     return tables.summary_table(section, models, comparison.unit)
 
 
 def _section(comparison: ModelComparison, section: str) -> ReportSection:
+    blocks = (
+        tables.leaderboard_table(comparison, section),
+        tables.comparison_accuracy(comparison, section),
+        tables.comparison_horizons(comparison, section),
+        Pictures(tuple(_pictures(comparison, section))),
+    )
+    return ReportSection(section.capitalize(), blocks)
+
+
+def _pictures(comparison: ModelComparison, section: str) -> list[Picture]:
+    """Return the figures of one section, with at most the first eight models."""
     unit, tests = comparison.unit, comparison.free_runs(section)
-    selected_tests, selection_text = sections.shown_tests(tests, "b")
-    one, other = (accuracy.horizons for accuracy in comparison.accuracy(section))
-    rmse = {PERSISTENCE: one.rmse[PERSISTENCE], "a": one.rmse[GREYBOX], "b": other.rmse[GREYBOX]}
-    pictures = [
+    labels = [label for label in comparison.labels if label in COMPARED]
+    selected_tests, selection_text = sections.shown_tests(tests, labels[-1])
+    models_text = "all models" if len(labels) == len(comparison) else f"models {labels[0]} to {labels[-1]}"
+    return [
         Picture(
             f"{section}-overlay",
-            figures.outputs(selected_tests, unit, ("a", "b")),
-            "Free runs of both models and their errors: "
+            figures.outputs(selected_tests, unit, labels),
+            f"Free runs of {models_text} and their errors: "
             f"{selection_text} ({', '.join(selected_tests.names)}).",
-            f"Displacement and error over time of {', '.join(selected_tests.names)} for both models.",
+            f"Displacement and error over time of {', '.join(selected_tests.names)} for {models_text}.",
         ),
-        *_distribution(section, {name: tests.errors(name) for name in "ab"}, unit),
+        *_distribution(section, {label: tests.errors(label) for label in labels}, unit, models_text),
         Picture(
             f"{section}-horizons",
-            figures.horizons(Horizons(one.steps, rmse), comparison.step_s, unit),
+            figures.horizons(_horizons(comparison, section, labels), comparison.step_s, unit),
             "Error over the prediction horizon.",
-            f"RMSE in {unit} over the horizon for both models.",
+            f"RMSE in {unit} over the horizon for {models_text}.",
         ),
         Picture(
             f"{section}-tests",
-            figures.errors_by_test(tests, unit, ("b", "a")),
-            "RMSE of each test in free run; the bar is the RMSE over all tests.",
-            f"RMSE of each of {len(tests.names)} tests for both models.",
+            figures.errors_by_test(tests, unit, labels[::-1]),
+            "Error of every test in free run; the bar is the error over all tests.",
+            f"RMSE of each of {len(tests.names)} tests for {models_text}.",
         ),
     ]
-    accuracy = tables.comparison_accuracy(comparison, section)
-    horizons = tables.comparison_horizons(comparison, section)
-    return ReportSection(section.capitalize(), (accuracy, horizons, Pictures(tuple(pictures))))
 
 
-def _distribution(section: str, errors: dict[str, np.ndarray], unit: str) -> list[Picture]:
+def _horizons(comparison: ModelComparison, section: str, labels: Sequence[str]) -> Horizons:
+    by_label = dict(zip(comparison.labels, comparison.accuracy(section), strict=True))
+    first = by_label[comparison.labels[0]].horizons
+    rmse = {label: by_label[label].horizons.rmse[GREYBOX] for label in labels}
+    return Horizons(first.steps, {PERSISTENCE: first.rmse[PERSISTENCE], **rmse})
+
+
+def _distribution(
+    section: str, errors: Mapping[str, np.ndarray], unit: str, models_text: str
+) -> list[Picture]:
     if not all(np.all(np.isfinite(rows)) for rows in errors.values()):
         return []
     return [
@@ -132,6 +167,6 @@ def _distribution(section: str, errors: dict[str, np.ndarray], unit: str) -> lis
             f"{section}-distribution",
             figures.error_distribution(errors, unit),
             "Errors in free run on all tests.",
-            f"Distribution of errors in {unit} for both models.",
+            f"Distribution of errors in {unit} for {models_text}.",
         )
     ]

@@ -10,7 +10,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
 from hitchid._support.precision import double_precision
-from hitchid.data.signal_map import describe, parse_toml
+from hitchid.data.settings_errors import describe
+from hitchid.data.signal_map import parse_toml
 from hitchid.errors import SettingsError
 from hitchid.rig.cylinder import Cylinder, Friction
 from hitchid.rig.linkage import Linkage
@@ -105,7 +106,7 @@ def build_rig(tables: dict[str, object]) -> Rig:
     try:
         parsed = RigFile.model_validate(tables).model_dump()
     except ValidationError as error:
-        raise SettingsError(describe(error)) from error
+        raise SettingsError(describe(error, RigFile)) from error
     values = {
         table: {
             key: jnp.asarray(

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hitchid._support.progress import ProgressCallback, ProgressUpdate, silent, split_progress
 from hitchid.estimation import Objective
 from hitchid.model.estimates import MAX_INTERVAL_RATIO, Estimate, Estimates, Interval, Quantity
 from hitchid.structures import Parameter
@@ -19,6 +20,7 @@ MAX_LINEAR_SHARE = 0.5  # width of a determined interval over the search range, 
 TIGHT_RATIO, TIGHT_SHARE = 1.4, 0.2  # widest interval without a profile: ratio, share of range; chosen
 PERCENTILES = (2.5, 97.5)  # ends of a 95 % interval
 PROFILE_SAMPLES = 2048  # samples of a test in a profile's fits; chosen for speed
+ASSESSMENT_SHARES = {"standard errors": 0.3, "intervals": 0.5, "derived": 0.2}  # of the work (measured)
 # Share of the largest derivative: below it an error of 0.1 % of the travel is wider than the bounds.
 MIN_RELATIVE_DERIVATIVE = 1e-5
 
@@ -94,6 +96,7 @@ def assess(
     units: Mapping[str, str],
     dead_zone: DeadZoneError = NO_ERROR,
     seed: int = 0,
+    progress: ProgressCallback = silent,
 ) -> tuple[Estimates, Influence]:
     """Return standard error, 95 % interval and verdict of each parameter of a model.
 
@@ -108,6 +111,7 @@ def assess(
         units: `x` and `u` to the units of displacement and command.
         dead_zone: standard error of the dead zone.
         seed: of the bootstrap.
+        progress: called with the current task and the completed fraction.
 
     Returns:
         The estimates, and the influence of each test on them.
@@ -121,10 +125,16 @@ def assess(
         for result, norm in zip(results, derivative_norms, strict=True)
     ]
     free = np.array([not (result.bound or result.insensitive) for result in results])
+    parts = split_progress(progress, ASSESSMENT_SHARES)
+    parts["standard errors"](ProgressUpdate("phase 1, standard errors", 0.0))
     influence = compute_influence(objective, position, free, dead_zone, seed=seed)
-    results = [_with_interval(result, objective, position, influence, dead_zone) for result in results]
+    for number, result in enumerate(results):
+        stage, name = "phase 1, intervals", result.parameter.name.replace("_", " ")
+        parts["intervals"](ProgressUpdate(stage, number / len(results), name))
+        results[number] = _with_interval(result, objective, position, influence, dead_zone)
     profiles = [result.profile for result in results if result.profile is not None]
     results = [replace(result, interval=_with_open_ends(result, profiles)) for result in results]
+    parts["derived"](ProgressUpdate("phase 1, derived quantities", 0.0))
     quantities = derived(objective, position, influence, profiles, units)
     estimates = Estimates(
         parameters=_estimates(results, objective, position, influence, quantities, units),

@@ -5,6 +5,9 @@ from hitchid.validation.acceptance import Check as Check
 from hitchid.validation.acceptance import check_limits as check_limits
 from hitchid.validation.comparison import ModelComparison as ModelComparison
 from hitchid.validation.comparison import compare as compare
+from hitchid.validation.leaderboard import Leaderboard as Leaderboard
+from hitchid.validation.leaderboard import LeaderboardRow as LeaderboardRow
+from hitchid.validation.leaderboard import Standing as Standing
 from hitchid.validation.limits import read_limits as read_limits
 from hitchid.validation.names import CYCLES as CYCLES
 from hitchid.validation.names import NAMES as NAMES

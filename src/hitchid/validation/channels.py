@@ -137,12 +137,11 @@ def _accuracy(
             BENCHMARK: ModelFigures(free_run=figures(runs.benchmark)),
             GREYBOX: ModelFigures(figures(runs.multi_step[GREYBOX][0], 1), figures(runs.free_run)),
         },
-        horizons=Horizons(
-            tuple(runs.steps),
+        horizons=Horizons.of(
             {
-                name: tuple(figures(row, h).rmse for h, row in zip(runs.steps, rows, strict=True))
+                name: {h: figures(row, h) for h, row in zip(runs.steps, rows, strict=True)}
                 for name, rows in runs.multi_step.items()
-            },
+            }
         ),
         per_test=figures_by_test(predictions),
         predictions=predictions,

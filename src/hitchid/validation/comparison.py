@@ -1,7 +1,10 @@
-"""Comparison of two models on tests that neither identification used."""
+"""Comparison of models on tests that none of their identifications used."""
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from math import isclose
+from string import ascii_uppercase
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +15,7 @@ from hitchid._support.storage import canonical_json
 from hitchid.data.campaign import Campaign
 from hitchid.errors import InputError
 from hitchid.model import Hitch
+from hitchid.validation.leaderboard import Leaderboard, LeaderboardRow, Standing, section_rows
 from hitchid.validation.names import FREE_RUN
 from hitchid.validation.predictions import Predictions
 from hitchid.validation.results import Accuracy
@@ -23,17 +27,17 @@ if TYPE_CHECKING:
     from hitchid.report import Document
 
 COMPARISON_FILE = "comparison.json"
-MODELS = ("A", "B")
+MODEL = "a model as hitchid.load returns it"
 SAME_CLOCK = 1e-3  # relative difference of two sampling times that counts as none
 
 
 @dataclass(frozen=True)
 class ComparisonVerdict:
-    """Which of two models has the smaller error in free run.
+    """Which model has the smallest error in free run.
 
     Attributes:
-        better: `A` or `B`; None if the difference is not significant.
-        wins: number of tests on which the better one has the smaller error.
+        better: label of the model that is significantly better than every other; None if there is none.
+        wins: number of tests on which it has the smallest error.
         tests: number of tests.
     """
 
@@ -44,84 +48,121 @@ class ComparisonVerdict:
 
 @dataclass(frozen=True)
 class ModelComparison:
-    """Two models on the same unseen tests.
+    """Models on the same unseen tests; iterates over the validation of each.
 
     Attributes:
-        first, second: validation of each; the tests are the same, in the same order.
+        names: of the models.
+        validations: of each model; the tests are the same, in the same order.
         left_out: number of tests left out, used by one of the identifications.
-        step_s: sampling time of both, s.
-        lacking: sentences on tests that lack a covariate required by one of them.
+        step_s: sampling time of all models, s.
+        lacking: sentences on tests that lack a covariate required by one of the models.
     """
 
-    first: Validation
-    second: Validation
+    names: tuple[str, ...]
+    validations: tuple[Validation, ...]
     left_out: int
     step_s: float
     lacking: tuple[str, ...] = ()
 
+    def __iter__(self) -> Iterator[Validation]:
+        return iter(self.validations)
+
+    def __len__(self) -> int:
+        return len(self.validations)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """A letter for each model, A, B, C, …; after Z follow A1, B1, …."""
+        return model_labels(len(self.validations))
+
     @property
     def unit(self) -> str:
         """Unit of every error."""
-        return self.first.unit
+        return self.validations[0].unit
 
     @property
     def sections(self) -> tuple[str, ...]:
-        """The directions that both models have, and `cycles` if both were validated on cycles."""
-        return tuple(name for name in self.first.accuracy if name in self.second.accuracy)
+        """The directions that all models have, and `cycles` if all were validated on cycles."""
+        first, *others = (validation.accuracy for validation in self.validations)
+        return tuple(name for name in first if all(name in other for other in others))
 
-    def accuracy(self, section: str) -> tuple[Accuracy, Accuracy]:
-        """Return the errors of both models in one of `sections`."""
-        return self.first.accuracy[section], self.second.accuracy[section]
+    def accuracy(self, section: str) -> tuple[Accuracy, ...]:
+        """Return the errors of each model in one of `sections`."""
+        return tuple(validation.accuracy[section] for validation in self.validations)
 
     def free_runs(self, section: str) -> Predictions:
-        """Return the tests of one of `sections` with the free runs of both models, `a` and `b`."""
-        one, other = (accuracy.predictions for accuracy in self.accuracy(section))
-        runs = {"a": one.models[FREE_RUN], "b": other.models[FREE_RUN]}
-        return Predictions(one.names, one.time_s, one.actual, runs)
+        """Return the tests of one of `sections` with the free runs of the models, by label."""
+        predictions = [accuracy.predictions for accuracy in self.accuracy(section)]
+        runs = {label: tests.models[FREE_RUN] for label, tests in zip(self.labels, predictions, strict=True)}
+        first = predictions[0]
+        return Predictions(first.names, first.time_s, first.actual, runs)
+
+    def leaderboard(self) -> Leaderboard:
+        """Return errors, ranks and significance of the differences, for each section and model."""
+        return self._leaderboard
+
+    @cached_property
+    def _leaderboard(self) -> Leaderboard:
+        names = dict(zip(self.labels, self.names, strict=True))
+        rows: list[LeaderboardRow] = []
+        for section in self.sections:
+            rows += section_rows(section, names, self.accuracy(section), self.free_runs(section))
+        return Leaderboard(self.unit, tuple(rows))
 
     def verdict(self, section: str) -> ComparisonVerdict:
-        """Return which model has the smaller error in free run, tested at 2.5 % over the tests."""
+        """Return which model is significantly better than every other in free run."""
+        best, *others = self.leaderboard().section(section)
+        if any(row.standing is not Standing.WORSE for row in others):
+            return ComparisonVerdict(None, 0, best.tests)
         tests = self.free_runs(section)
-        for better, worse in (MODELS, MODELS[::-1]):
-            if tests.is_significantly_better(better.lower(), worse.lower()):
-                wins = int(np.sum(tests.rmse(better.lower()) < tests.rmse(worse.lower())))
-                return ComparisonVerdict(better, wins, len(tests.names))
-        return ComparisonVerdict(None, 0, len(tests.names))
+        other_errors = np.min([tests.rmse(row.label) for row in others], axis=0)
+        wins = int(np.sum(tests.rmse(best.label) < other_errors))
+        return ComparisonVerdict(best.label, wins, best.tests)
 
     @property
     def notices(self) -> tuple[str, ...]:
-        """Warnings on the tests and on either model."""
-        ours, theirs = self.first.notices, self.second.notices
-        left_out_notices = [f"{self.left_out} tests are left out: one of the models was identified from them"]
+        """Warnings on the tests and on single models."""
+        by_model = [validation.notices for validation in self.validations]
+        shared = [notice for notice in by_model[0] if all(notice in notices for notices in by_model)]
+        left_out_notices = [
+            f"{self.left_out} tests are left out: at least one of the models was identified from them"
+        ]
         return (
             *(left_out_notices if self.left_out else []),
             *self.lacking,
-            *(notice for notice in ours if notice in theirs),
-            *(f"model A: {notice}" for notice in ours if notice not in theirs),
-            *(f"model B: {notice}" for notice in theirs if notice not in ours),
+            *shared,
+            *(
+                f"model {label}: {notice}"
+                for label, notices in zip(self.labels, by_model, strict=True)
+                for notice in notices
+                if notice not in shared
+            ),
         )
 
     @property
     def metrics(self) -> dict[str, object]:
         """All figures, the content of `comparison.json`."""
+        leaderboard = self.leaderboard()
         return {
             "unit": self.unit,
             "left_out": self.left_out,
-            "A": self.first.metrics,
-            "B": self.second.metrics,
-            "better": {name: self.verdict(name).better for name in self.sections},
+            "models": dict(zip(self.labels, self.names, strict=True)),
+            **{label: each.metrics for label, each in zip(self.labels, self.validations, strict=True)},
+            "better": {section: self.verdict(section).better for section in self.sections},
+            "leaderboard": {
+                section: [row.describe() for row in leaderboard.section(section)] for section in self.sections
+            },
         }
 
-    def report(self, *, names: tuple[str, str], command: str = "") -> "Document":
+    def report(self, *, command: str = "") -> "Document":
         """Return the report, for `hitchid.report.render`.
 
         Args:
-            names: of the models A and B.
             command: the command line that wrote the report.
         """
         from hitchid.report import comparison_report
 
-        return comparison_report(self, names=names, command=command)
+        return comparison_report(self, command=command)
 
     def files(self) -> dict[str, bytes]:
         """Return `comparison.json` and `tables.md` with their content."""
@@ -131,57 +172,88 @@ class ModelComparison:
         return {COMPARISON_FILE: canonical_json(self.metrics), TABLES_FILE: tables}
 
 
+def model_labels(count: int) -> tuple[str, ...]:
+    """Return letters for a number of models: A to Z, then A1 to Z1, and so on."""
+    rounds = (divmod(index, len(ascii_uppercase)) for index in range(count))
+    return tuple(f"{ascii_uppercase[letter]}{number or ''}" for number, letter in rounds)
+
+
 def compare(
-    first: Hitch, second: Hitch, campaign: Campaign, *, progress: ProgressCallback | None = None
+    models: Sequence[Hitch],
+    campaign: Campaign,
+    names: Sequence[str] | None = None,
+    *,
+    progress: ProgressCallback | None = None,
 ) -> ModelComparison:
-    """Compare two models on the tests of a campaign that neither identification used.
+    """Compare models on the tests of a campaign that none of their identifications used.
+
+    Two models differ significantly if the ratio of their RMSE in free run does, over three tests or more, at
+    2.5 % (one-sided; jackknife over the tests and Student's t), adjusted for the number of pairs of models
+    (Holm 1979).
 
     Args:
-        first, second: identified hitches, called A and B.
-        campaign: logs; those that either identification used are left out, recognised by their content.
+        models: identified hitches, two or more.
+        campaign: logs; those that one of the identifications used are left out, recognised by their content.
+        names: of the models, for tables and reports; by default the letters A, B, C, ….
         progress: called with the current task and the completed fraction of the work.
 
     Raises:
-        InputError: no test is left, the models have no common direction or different sampling times, or a
-            unit has another dimension than a model's.
+        InputError: fewer than two models, no test is left, the models have no common direction or different
+            sampling times, or a unit has another dimension than a model's.
     """
-    for model in (first, second):
-        checks.instance(model, Hitch, "model", "a model as hitchid.load returns it")
+    models = checks.tuple_of(models, Hitch, "models", f"several, each {MODEL}")
     checks.instance(campaign, Campaign, "campaign", 'a campaign as hitchid.read("logs") returns it')
-    report = progress or silent
-    seen = first.provenance.seen | second.provenance.seen
-    unseen = campaign.without(seen)
-    if not any(name in second.channels for name in first.channels):
-        raise InputError(
-            f"model A has channels for {' and '.join(first.channels)}, model B for "
-            f"{' and '.join(second.channels)}; expected one in common"
-        )
-    if not isclose(first.step_s, second.step_s, rel_tol=SAME_CLOCK):
-        raise InputError(
-            f"model A has a sampling time of {first.step_s:g} s, model B of {second.step_s:g} s; expected "
-            "the same, because they are compared sample by sample"
-        )
+    if len(models) < 2:
+        raise InputError(f"models: expected two or more, got {len(models)}")
+    model_names = _names(names, len(models))
+    labels = model_labels(len(models))
+    _check_comparable(dict(zip(labels, models, strict=True)))
+    unseen = campaign.without(frozenset().union(*(model.provenance.seen for model in models)))
     if not unseen.records:
-        raise InputError("every test was used to identify one of the models; expected other tests")
-    usable, lacking = with_covariates(unseen, first, second)
-    segmentation_dead_zones = first.segmentation_dead_zones(campaign.units)
-    one = validate(
-        first,
-        usable,
-        segmentation_dead_zones=segmentation_dead_zones,
-        progress=subtask_progress(report, 0.0, 0.5, "model A"),
-    )
-    other = validate(
-        second,
-        usable,
-        segmentation_dead_zones=segmentation_dead_zones,
-        progress=subtask_progress(report, 0.5, 0.5, "model B"),
-    )
-    comparison = ModelComparison(
-        one, other, len(campaign.records) - len(unseen.records), first.step_s, lacking
-    )
-    if not comparison.sections:
         raise InputError(
-            "no test can be simulated by both models; expected tests of a direction that both have"
+            "the models were identified from every test together; expected tests that none of them has seen"
         )
+    usable, lacking = with_covariates(unseen, *models)
+    report, width = progress or silent, 1.0 / len(models)
+    segmentation_dead_zones = models[0].segmentation_dead_zones(campaign.units)
+    validations = tuple(
+        validate(
+            model,
+            usable,
+            segmentation_dead_zones=segmentation_dead_zones,
+            progress=subtask_progress(report, number * width, width, f"model {labels[number]}"),
+        )
+        for number, model in enumerate(models)
+    )
+    left_out = len(campaign.records) - len(unseen.records)
+    comparison = ModelComparison(model_names, validations, left_out, models[0].step_s, lacking)
+    if not comparison.sections:
+        raise InputError("the models have no test in common; expected tests of a direction that all have")
     return comparison
+
+
+def _names(names: Sequence[str] | None, count: int) -> tuple[str, ...]:
+    """Return a name for each model; raises InputError for another number of names or equal ones."""
+    if names is None:
+        return model_labels(count)
+    model_names = checks.tuple_of(names, str, "names", "names of the models, each a string")
+    if len(model_names) != count:
+        raise InputError(f"names: expected {count}, one for each model, got {len(model_names)}")
+    for name in model_names:
+        if model_names.count(name) > 1:
+            raise InputError(f"names: two models are called '{name}'; expected names that differ")
+    return model_names
+
+
+def _check_comparable(models: dict[str, Hitch]) -> None:
+    """Raise InputError for models without a common direction or with different sampling times."""
+    (first_label, first), *others = models.items()
+    if not any(all(name in other.channels for _, other in others) for name in first.channels):
+        listed = ", ".join(f"model {label} for {' and '.join(m.channels)}" for label, m in models.items())
+        raise InputError(f"the models have channels: {listed}; expected a direction that all have")
+    for label, other in others:
+        if not isclose(first.step_s, other.step_s, rel_tol=SAME_CLOCK):
+            raise InputError(
+                f"model {first_label} has a sampling time of {first.step_s:g} s, model {label} of "
+                f"{other.step_s:g} s; expected the same, because they are compared sample by sample"
+            )

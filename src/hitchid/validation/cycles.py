@@ -43,13 +43,13 @@ def cycle_result(model: Hitch, cycles: Sequence[Record], factor: float) -> Cycle
         return RunFigures.of([y[h::ORIGIN_STRIDE] for y in actual], [p[h::ORIGIN_STRIDE] for p in predicted])
 
     multi_step = {
-        GREYBOX: [figures([rows[i] for rows in multi_step], h) for i, h in enumerate(steps)],
-        PERSISTENCE: [figures([np.concatenate([y[:h], y[:-h]]) for y in actual], h) for h in steps],
+        GREYBOX: {h: figures([rows[i] for rows in multi_step], h) for i, h in enumerate(steps)},
+        PERSISTENCE: {h: figures([np.concatenate([y[:h], y[:-h]]) for y in actual], h) for h in steps},
     }
     free = {name: RunFigures.of(actual, rows) for name, rows in predictions.models.items()}
     models = {name: ModelFigures(free_run=run) for name, run in free.items() if name != FREE_RUN}
-    models[PERSISTENCE] = ModelFigures(one_step=multi_step[PERSISTENCE][0])
-    models[GREYBOX] = ModelFigures(multi_step[GREYBOX][0], free[FREE_RUN])
+    models[PERSISTENCE] = ModelFigures(one_step=multi_step[PERSISTENCE][steps[0]])
+    models[GREYBOX] = ModelFigures(multi_step[GREYBOX][steps[0]], free[FREE_RUN])
     bands = _bands(model, cycles, factor)
     if bands is not None:
         ends = (tuple(band.lower for band in bands), tuple(band.upper for band in bands))
@@ -57,9 +57,7 @@ def cycle_result(model: Hitch, cycles: Sequence[Record], factor: float) -> Cycle
     max_jump = factor * max(map(_largest_jump, free_runs))
     accuracy = Accuracy(
         models=models,
-        horizons=Horizons(
-            tuple(steps), {name: tuple(run.rmse for run in runs) for name, runs in multi_step.items()}
-        ),
+        horizons=Horizons.of(multi_step),
         per_test=figures_by_test(predictions),
         predictions=predictions,
         bands=None if bands is None else cycle_band_figures(bands, actual),

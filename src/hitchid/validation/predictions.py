@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hitchid._support.metrics import significantly_better
+from hitchid._support.metrics import SIGNIFICANCE, better_p_value
 
 MIN_TESTS = 3  # fewest tests for a significance test; fewer do not determine the variance
 Rows = tuple[np.ndarray, ...]
@@ -56,7 +56,16 @@ class Predictions:
             errors = np.array([np.sqrt(np.mean((a - p) ** 2)) for a, p in pairs])
         return np.where(np.isfinite(errors), errors, np.inf)
 
-    def is_significantly_better(self, model: str, other: str) -> bool:
-        """Return whether one model's RMSE is significantly below another's; see `significantly_better`."""
+    def better_p_value(self, model: str, other: str) -> float:
+        """Return the p-value of one model's RMSE being below another's, 1 with fewer than three tests.
+
+        See `better_p_value` in `_support/metrics.py`.
+        """
         samples = np.array([row.size for row in self.actual])
-        return len(samples) >= MIN_TESTS and significantly_better(self.rmse(model), self.rmse(other), samples)
+        if len(samples) < MIN_TESTS:
+            return 1.0
+        return better_p_value(self.rmse(model), self.rmse(other), samples)
+
+    def is_significantly_better(self, model: str, other: str) -> bool:
+        """Return whether one model's RMSE is below another's at a significance of 2.5 %, one-sided."""
+        return self.better_p_value(model, other) < SIGNIFICANCE

@@ -1,7 +1,7 @@
 """Results of a validation as frozen records: one layout for directions and for mixed cycles."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -42,6 +42,13 @@ class RunFigures:
         """Return one figure by its name."""
         return getattr(self, figure)
 
+    @property
+    def fit_error(self) -> float | None:
+        """Standard error of the fit, percent: (100 − fit) s/r, s being that of the RMSE r; None without."""
+        if self.fit is None or self.rmse_error is None or not self.rmse:
+            return None
+        return (100.0 - self.fit) * self.rmse_error / self.rmse
+
     def errs_less(self, other: "RunFigures") -> bool:
         """Return whether this RMSE is finite and below the other; a run that diverged is never better."""
         return self.rmse is not None and (other.rmse is None or self.rmse < other.rmse)
@@ -64,6 +71,19 @@ class ModelFigures:
         """Return the figures of `one_step` or `free_run`."""
         return self.one_step if name == ONE_STEP else self.free_run
 
+    def columns(self, unit: str) -> dict[str, float | None]:
+        """Return RMSE in `unit` and fit in percent of each run, with standard errors, by column name."""
+        columns: dict[str, float | None] = {}
+        for run, figures in ((FREE_RUN, self.free_run), (ONE_STEP, self.one_step)):
+            if figures is not None:
+                columns |= {
+                    f"{run}_rmse_{unit}": figures.rmse,
+                    f"{run}_rmse_error_{unit}": figures.rmse_error,
+                    f"{run}_fit_percent": figures.fit,
+                    f"{run}_fit_error_percent": figures.fit_error,
+                }
+        return columns
+
 
 @dataclass(frozen=True)
 class Horizons:
@@ -72,10 +92,21 @@ class Horizons:
     Attributes:
         steps: horizons, in samples.
         rmse: model to its RMSE at each horizon, in the displacement's unit; None where it diverged.
+        rmse_error: model to the standard errors of these over tests; None where it diverged or for one test.
     """
 
     steps: tuple[int, ...]
     rmse: Mapping[str, tuple[float | None, ...]]
+    rmse_error: Mapping[str, tuple[float | None, ...]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, figures: Mapping[str, Mapping[int, RunFigures]]) -> "Horizons":
+        """Return the horizons of models, each with its figures by horizon in samples."""
+        return cls(
+            tuple(next(iter(figures.values()))),
+            {name: tuple(run.rmse for run in runs.values()) for name, runs in figures.items()},
+            {name: tuple(run.rmse_error for run in runs.values()) for name, runs in figures.items()},
+        )
 
 
 @dataclass(frozen=True)

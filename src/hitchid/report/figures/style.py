@@ -42,6 +42,7 @@ SHADES = {
     "arx": Shade("#8c6d1f", "#c9a54e"),
     "narx": Shade("#e69f00", "#f2b632"),
     "lstm": Shade("#7a5ba6", "#b79be0"),
+    "crimson": Shade("#9b1c3a", "#f0708a"),
     "hold": Shade("#ededf0", "#2c2c34"),
 }
 COLOURS = {name: shade.light for name, shade in SHADES.items()} | {
@@ -49,9 +50,19 @@ COLOURS = {name: shade.light for name, shade in SHADES.items()} | {
     "persistence": SHADES["faint"].light,
     "mechanistic": SHADES["faint"].light,
     "paper": SHADES["transfer_function"].light,
-    "a": SHADES["one_step"].light,
-    "b": SHADES["benchmark"].light,
 }
+COMPARED = {
+    "A": ("one_step", (None, None), "o"),
+    "B": ("benchmark", (4, 1.5), "s"),
+    "C": ("greybox", (1.2, 1.2), "^"),
+    "D": ("lstm", (5, 1.2, 1.2, 1.2), "D"),
+    "E": ("narx", (8, 2), "v"),
+    "F": ("transfer_function", (2.5, 1.5), "P"),
+    "G": ("arx", (6, 1.5, 1, 1.5, 1, 1.5), "*"),
+    "H": ("crimson", (1, 2.5), "<"),
+}
+"""Label of a compared model to the name of its shade, its dashes and its marker."""
+COLOURS |= {label: SHADES[shade].light for label, (shade, _, _) in COMPARED.items()}
 PAPER = "#ffffff"
 INK, FAINT, GRID = COLOURS["ink"], COLOURS["faint"], COLOURS["grid"]
 SUBSET_COLOURS = {"training": COLOURS["one_step"], "validation": COLOURS["transfer_function"]}
@@ -62,7 +73,7 @@ DASHES = {
     "mechanistic": (6, 1.5, 1, 1.5),
     "arx": (2.5, 1.5),
     "lstm": (1, 2),
-    "b": (4, 1.5),
+    **{label: dashes for label, (_, dashes, _) in COMPARED.items()},
 }
 MARKERS = {
     "persistence": "x",
@@ -72,7 +83,7 @@ MARKERS = {
     "arx": "D",
     "narx": "P",
     "lstm": "*",
-    "b": "s",
+    **{label: marker for label, (_, _, marker) in COMPARED.items()},
 }
 """Whose colours are alike to some eyes differ in dashes and markers; a model that is not here has neither."""
 LABELS = NAMES | {
@@ -80,8 +91,7 @@ LABELS = NAMES | {
     "one_step": "grey box, one step",
     "free_run": "grey box, free run",
     "mechanistic": "mechanistic, free run",
-    "a": "model A",
-    "b": "model B",
+    **{label: f"model {label}" for label in COMPARED},
 }
 _RC_PARAMS: dict[Any, Any] = {
     "figure.constrained_layout.use": True,

@@ -7,7 +7,9 @@ from hitchid.report.tables.accuracy import single_test_table as single_test_tabl
 from hitchid.report.tables.accuracy import summary_table as summary_table
 from hitchid.report.tables.comparison import comparison_accuracy as comparison_accuracy
 from hitchid.report.tables.comparison import comparison_horizons as comparison_horizons
+from hitchid.report.tables.comparison import comparison_models as comparison_models
 from hitchid.report.tables.comparison import comparison_parameters as comparison_parameters
+from hitchid.report.tables.comparison import leaderboard_table as leaderboard_table
 from hitchid.report.tables.parameters import characteristic_tables as characteristic_tables
 from hitchid.report.tables.parameters import parameter_table as parameter_table
 from hitchid.report.tables.search import search_table as search_table

@@ -1,57 +1,94 @@
-"""Tables of two models side by side: errors, horizons, parameters."""
+"""Tables of models side by side: leaderboard, errors, horizons, parameters."""
 
 from hitchid.model import Estimate
 from hitchid.report import numbers
 from hitchid.report.document import Table
 from hitchid.report.tables.accuracy import error_header
-from hitchid.validation import ModelComparison
-from hitchid.validation.comparison import MODELS
+from hitchid.validation import LeaderboardRow, ModelComparison, Standing
 from hitchid.validation.names import CYCLES, GREYBOX, RUNS
 
 
-def comparison_accuracy(comparison: ModelComparison, section: str) -> Table:
-    """Return the errors of both models."""
-    pair = comparison.accuracy(section)
+def comparison_models(comparison: ModelComparison) -> Table:
+    """Return the letter and the name of each model."""
     rows = tuple(
-        (f"model {name}", label, *numbers.error_cells(figures))
-        for run, label in reversed(RUNS.items())
-        for name, accuracy in zip(MODELS, pair, strict=True)
+        (f"model {label}", name) for label, name in zip(comparison.labels, comparison.names, strict=True)
+    )
+    return Table("models", ("model", "name"), rows)
+
+
+def leaderboard_table(comparison: ModelComparison, section: str) -> Table:
+    """Return the models of one section by their error in free run, and their difference from the best."""
+    rows = comparison.leaderboard().section(section)
+    header = (
+        "rank",
+        "model",
+        f"free run: RMSE / {comparison.unit}",
+        "free run: fit / %",
+        f"one step: RMSE / {comparison.unit}",
+        "difference from the best",
+    )
+    cells = tuple(
+        (
+            str(row.rank),
+            f"model {row.label}",
+            numbers.with_error(row.free_run.rmse, row.free_run.rmse_error),
+            numbers.with_error(row.free_run.fit, row.free_run.fit_error),
+            "" if row.one_step is None else numbers.with_error(row.one_step.rmse, row.one_step.rmse_error),
+            _difference(row),
+        )
+        for row in rows
+    )
+    tests = numbers.count(rows[0].tests, "test")
+    return Table(f"{section}: leaderboard over {tests} that no model has used", header, cells)
+
+
+def comparison_accuracy(comparison: ModelComparison, section: str) -> Table:
+    """Return the errors of every model."""
+    rows = tuple(
+        (f"model {label}", run_label, *numbers.error_cells(figures))
+        for run, run_label in reversed(RUNS.items())
+        for label, accuracy in zip(comparison.labels, comparison.accuracy(section), strict=True)
         if (figures := accuracy.models[GREYBOX].run(run)) is not None
     )
-    tests = numbers.count(len(pair[0].tests), "test")
-    title = f"{section}: accuracy on {tests} that neither has seen"
+    tests = numbers.count(len(comparison.accuracy(section)[0].tests), "test")
+    title = f"{section}: accuracy on {tests} that no model has used"
     return Table(title, error_header(comparison.unit, "model", "run"), rows)
 
 
 def comparison_horizons(comparison: ModelComparison, section: str) -> Table:
-    """Return the RMSE of both models over each horizon."""
-    pair = [accuracy.horizons for accuracy in comparison.accuracy(section)]
+    """Return the RMSE of every model over each horizon."""
+    all_horizons = [accuracy.horizons for accuracy in comparison.accuracy(section)]
     rows = tuple(
-        (f"model {name}", *map(numbers.digits, horizons.rmse[GREYBOX]))
-        for name, horizons in zip(MODELS, pair, strict=True)
+        (f"model {label}", *map(numbers.digits, horizons.rmse[GREYBOX]))
+        for label, horizons in zip(comparison.labels, all_horizons, strict=True)
     )
     title = f"{section}: RMSE / {comparison.unit} over the horizon in samples"
-    return Table(title, ("model", *map(str, pair[0].steps)), rows)
+    return Table(title, ("model", *map(str, all_horizons[0].steps)), rows)
 
 
 def comparison_parameters(comparison: ModelComparison) -> list[Table]:
-    """Return the parameters of both models, for directions with estimates."""
+    """Return the parameters of every model, for directions with estimates."""
     all_tables = []
     for direction in (name for name in comparison.sections if name != CYCLES):
-        pair = [
-            {estimate.name: estimate for estimate in result.parameters.parameters}
-            if result.parameters
-            else {}
-            for result in (comparison.first.channels[direction], comparison.second.channels[direction])
+        all_estimates = [
+            {estimate.name: estimate for estimate in parameters.parameters} if parameters else {}
+            for parameters in (validation.channels[direction].parameters for validation in comparison)
         ]
-        names = dict.fromkeys([*pair[0], *pair[1]])
+        names = dict.fromkeys(name for estimates in all_estimates for name in estimates)
         rows = [
-            (name.replace("_", " "), *(_cell(estimates.get(name)) for estimates in pair)) for name in names
+            (name.replace("_", " "), *(_cell(estimates.get(name)) for estimates in all_estimates))
+            for name in names
         ]
         if rows:
-            header = ("parameter", *(f"model {name}" for name in MODELS))
+            header = ("parameter", *(f"model {label}" for label in comparison.labels))
             all_tables.append(Table(f"{direction}: parameters", header, tuple(rows)))
     return all_tables
+
+
+def _difference(row: LeaderboardRow) -> str:
+    if row.p_value is None:
+        return Standing.BEST.value
+    return f"{row.standing.value}, {numbers.p_value(row.p_value)}"
 
 
 def _cell(estimate: Estimate | None) -> str:
