@@ -14,6 +14,7 @@ from hitchid._support.progress import (
     silent,
     split_progress,
 )
+from hitchid._support.short_repr import short_repr
 from hitchid.estimation import Objective, Search, SearchResult, best_refined, refine, search_problem
 from hitchid.identification.optional import attempt
 from hitchid.model import Estimate, Estimates
@@ -26,6 +27,7 @@ FIT_SHARES = {"search": 0.6, "rough": 0.2, "least squares": 0.2}  # of the work 
 ROUGH_TOLERANCE, ROUGH_STEPS, STEPS = 1e-9, 60, 60  # of the first descents; positions of each descent
 
 
+@short_repr
 @dataclass(frozen=True)
 class Fit:
     """The best parameters of a model specification, and the search for them.
@@ -51,6 +53,7 @@ class Fit:
         return float(self.values[self.objective.spec.structure.gain_index])
 
 
+@short_repr
 @dataclass(frozen=True)
 class Phase1:
     """The benchmark of one direction, its fit and its uncertainty.

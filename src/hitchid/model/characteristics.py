@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 
+from hitchid._support.short_repr import short_repr
 from hitchid.model.estimates import Interval, Quantity
 
 # Error up to which a speed is determined, as a share of it and of the fastest speed of the map; chosen.
@@ -9,6 +10,7 @@ SPEED_TOLERANCE, FASTEST_SPEED_TOLERANCE = 0.25, 0.05
 TIME_RESOLUTION_SAMPLES = 2  # samples: an interval of a delay up to this width is determined; chosen
 
 
+@short_repr
 @dataclass(frozen=True)
 class SpeedPoint:
     """Steady speed at one level of the command, at mid stroke.
@@ -47,6 +49,7 @@ class SpeedPoint:
         return replace(self, speed=factor * self.speed, interval=scaled_interval)
 
 
+@short_repr
 @dataclass(frozen=True)
 class MeasuredSpeed:
     """Mean speed of an identification test around mid stroke at a constant command.
@@ -60,6 +63,7 @@ class MeasuredSpeed:
     speed: float
 
 
+@short_repr
 @dataclass(frozen=True)
 class Characteristics:
     """Operating characteristics of one direction, derived from the fitted model.

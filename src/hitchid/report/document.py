@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from matplotlib.figure import Figure
 
+from hitchid._support.short_repr import short_repr
 from hitchid.report.svg import svg
 from hitchid.validation import Check
 
@@ -20,6 +21,7 @@ class Rating(Enum):
     BAD = "bad"
 
 
+@short_repr
 class Finding(NamedTuple):
     """One finding and its rating."""
 
@@ -27,6 +29,7 @@ class Finding(NamedTuple):
     sentence: str
 
 
+@short_repr
 class Table(NamedTuple):
     """One table: a title, a header, and rows of text with names in the first column."""
 
@@ -41,6 +44,7 @@ class Table(NamedTuple):
         return [any(column) and all(map(_is_number, column)) for column in columns]
 
 
+@short_repr
 @dataclass(frozen=True)
 class Picture:
     """A figure.
@@ -79,6 +83,7 @@ class Findings:
     items: tuple[Finding, ...]
 
 
+@short_repr
 @dataclass(frozen=True)
 class Pictures:
     """A group of figures."""
@@ -89,6 +94,7 @@ class Pictures:
 Block = Text | Findings | Pictures | Table
 
 
+@short_repr
 @dataclass(frozen=True)
 class ReportSection:
     """A section: heading, blocks and subsections."""
@@ -104,6 +110,7 @@ class ReportSection:
             yield from section.walk()
 
 
+@short_repr
 @dataclass(frozen=True)
 class Document:
     """A report.
