@@ -1,10 +1,11 @@
 """Record: signals of one test on a uniform clock, with units and source."""
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,6 +14,9 @@ from hitchid._support.notices import Notice
 from hitchid.data.resampling import GRID_TOLERANCE, REGULAR_CLOCK, ClockQuality
 from hitchid.data.units import UNITS, check_unit, conversion_factor
 from hitchid.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 DISPLACEMENT = "displacement"
 LIFTING = "lifting"
@@ -193,6 +197,22 @@ class Record:
             signals={role: samples * factors.get(role, 1.0) for role, samples in self.signals.items()},
             units={**self.units, **{role: units[role] for role in factors}},
         )
+
+    def plot(self, axes: "Sequence[Axes] | np.ndarray | None" = None) -> np.ndarray:
+        """Draw displacement above and commands below, over the time of the log.
+
+        Args:
+            axes: two matplotlib axes to draw into; None for a new figure of pyplot.
+
+        Returns:
+            The two axes.
+
+        Raises:
+            InputError: other than two axes are given.
+        """
+        from hitchid.data.plotting import plot_record
+
+        return plot_record(self, axes)
 
 
 def _read_only(samples: np.ndarray, name: str) -> np.ndarray:

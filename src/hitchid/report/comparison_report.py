@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hitchid.report import figures, numbers, sections, tables
+from hitchid.report import figures, numbers, tables
 from hitchid.report.document import (
     Document,
     Finding,
@@ -17,6 +17,7 @@ from hitchid.validation import Horizons, ModelComparison
 from hitchid.validation.comparison import MODELS
 from hitchid.validation.names import GREYBOX, PERSISTENCE
 from hitchid.validation.predictions import MIN_TESTS
+from hitchid.validation.shown_tests import shown_tests
 
 
 def comparison_report(comparison: ModelComparison, *, names: tuple[str, str], command: str = "") -> Document:
@@ -94,7 +95,7 @@ def _summary(comparison: ModelComparison, section: str) -> Table:
 
 def _section(comparison: ModelComparison, section: str) -> ReportSection:
     unit, tests = comparison.unit, comparison.free_runs(section)
-    selected_tests, selection_text = sections.shown_tests(tests, "b")
+    selected_tests, selection_text = shown_tests(tests, "b")
     one, other = (accuracy.horizons for accuracy in comparison.accuracy(section))
     rmse = {PERSISTENCE: one.rmse[PERSISTENCE], "a": one.rmse[GREYBOX], "b": other.rmse[GREYBOX]}
     pictures = [

@@ -1,5 +1,6 @@
 """Comparison of two models on tests that neither identification used."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isclose
 from typing import TYPE_CHECKING
@@ -20,6 +21,8 @@ from hitchid.validation.validate import validate
 from hitchid.validation.validation import TABLES_FILE, Validation
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
     from hitchid.report import Document
 
 COMPARISON_FILE = "comparison.json"
@@ -87,6 +90,32 @@ class ModelComparison:
                 wins = int(np.sum(tests.rmse(better.lower()) < tests.rmse(worse.lower())))
                 return ComparisonVerdict(better, wins, len(tests.names))
         return ComparisonVerdict(None, 0, len(tests.names))
+
+    def plot(
+        self,
+        axes: "Sequence[Axes] | np.ndarray | None" = None,
+        *,
+        section: str | None = None,
+        test: str | None = None,
+    ) -> np.ndarray:
+        """Draw measured on top of the free runs of the models, and their errors below.
+
+        Args:
+            axes: two matplotlib axes to draw into; None for a new figure of pyplot.
+            section: one of `sections`; None for the first.
+            test: name of one test; None for at most four, from the best to the worst.
+
+        Returns:
+            The two axes.
+
+        Raises:
+            InputError: there is no such section or test, or other than two axes are given.
+        """
+        from hitchid.validation.plotting import plot_fit
+
+        section = checks.one_of(section or self.sections[0], self.sections, "section")
+        tests = self.free_runs(section)
+        return plot_fit(tests, tuple(tests.models), axes, section=section, test=test, unit=self.unit)
 
     @property
     def notices(self) -> tuple[str, ...]:

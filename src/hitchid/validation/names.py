@@ -16,6 +16,14 @@ NAMES = {
     GREYBOX: "grey box",
 }
 RUNS = {ONE_STEP: "one step", FREE_RUN: "free run"}
+LABELS = NAMES | {
+    "benchmark": "benchmark, free run",
+    "one_step": "grey box, one step",
+    "free_run": "grey box, free run",
+    "mechanistic": "mechanistic, free run",
+    "a": "model A",
+    "b": "model B",
+}
 
 
 def model_name(key: str) -> str:
@@ -30,3 +38,8 @@ def in_table_order(keys: Iterable[str]) -> list[str]:
     others = [key for key in present if key not in NAMES]
     ordered = [*(key for key in NAMES if key not in (BENCHMARK, GREYBOX)), *others, BENCHMARK, GREYBOX]
     return [key for key in ordered if key in present]
+
+
+def label(key: str) -> str:
+    """Return the name of a model and its run in a legend; the key itself for other models."""
+    return LABELS.get(key, key)

@@ -1,6 +1,6 @@
 """Predictions of models on tests, sample by sample."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,3 +60,17 @@ class Predictions:
         """Return whether one model's RMSE is significantly below another's; see `significantly_better`."""
         samples = np.array([row.size for row in self.actual])
         return len(samples) >= MIN_TESTS and significantly_better(self.rmse(model), self.rmse(other), samples)
+
+
+def concatenate_tests(tests: Sequence[np.ndarray]) -> np.ndarray:
+    """Return concatenated tests; NaN replaces the first sample, which is the initial value, as a gap."""
+    return np.concatenate([np.append(np.nan, test[1:]) for test in tests])
+
+
+def concatenated_time(tests: Predictions) -> np.ndarray:
+    """Return the time of concatenated tests, s."""
+    shifted_times, start = [], 0.0
+    for time_s in tests.time_s:
+        shifted_times.append(start + time_s)
+        start += float(time_s[-1])
+    return np.concatenate(shifted_times)

@@ -4,11 +4,10 @@ import numpy as np
 
 from hitchid.report import figures
 from hitchid.report.document import Picture, Pictures, ReportSection
-from hitchid.report.figures.style import LABELS
 from hitchid.report.sections.context import DirectionContext
-from hitchid.report.sections.shown_tests import shown_tests
 from hitchid.report.tables import accuracy_table, horizon_table, single_test_table
-from hitchid.validation.names import BENCHMARK, FREE_RUN, ONE_STEP
+from hitchid.validation.names import BENCHMARK, FREE_RUN, LABELS, ONE_STEP
+from hitchid.validation.shown_tests import shown_tests
 
 COMPARED_MODELS = ("lstm", "narx", "arx", "transfer_function", BENCHMARK, FREE_RUN)
 
