@@ -599,7 +599,8 @@ def test_the_speed_map_shows_speeds_bands_and_measured_points_for_each_load():
     known = reported.characteristics()
     axes = figures.speed_map(known).axes[0]
     lines = {line.get_label(): line for line in axes.get_lines()}
-    assert set(lines) == {"90", "120", "150", "measured"}
+    assert set(lines) == {"90", "120", "150", "measured", "dead zone"}
+    assert set(lines["dead zone"].get_xdata()) == {known.dead_zone.value}
     for load, band in zip((90.0, 120.0, 150.0), axes.collections, strict=True):
         points = [point for point in known.speed_map if point.load == load]
         drawn = np.column_stack(lines[f"{load:g}"].get_data())

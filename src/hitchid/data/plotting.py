@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 RECORD_IN, CELL_IN, LEGEND_IN = 3.4, 1.5, 0.4  # height of a record, of a row of tests, of the legend; chosen
 MAX_TESTS, COLUMNS = 12, 3  # tests of a campaign in a new figure, and in one of its rows; chosen
-MAX_TITLE = 34  # characters of a test's name that fit over its axes; chosen
+MAX_TITLE = 36  # characters that fit over the axes of a test; chosen
 
 
 def plot_record(record: Record, axes: Axes | Sequence[Axes] | np.ndarray | None) -> np.ndarray:
@@ -53,20 +53,27 @@ def plot_campaign(
     records = campaign.records if direction is None else campaign.of_kind(direction)
     if not records:
         raise InputError(f"the campaign has no {direction or ''} tests to plot; expected at least one")
-    shown = records[: MAX_TESTS if axes is None else checked_axes(axes).size]
-    columns = min(COLUMNS, len(shown))
+    given = None if axes is None else checked_axes(axes)
+    shown = records[: MAX_TESTS if given is None else given.size]
+    columns = min(COLUMNS, len(shown)) if given is None else 1
     rows = -(-len(shown) // columns)
-    given = None if axes is None else checked_axes(axes)[: len(shown)]
-    height_in = CELL_IN * rows + LEGEND_IN
-    with canvas(given, rows, columns, height_in=height_in, legend_order=LABELS, sharey=True) as drawn:
+    with canvas(
+        None if given is None else given[: len(shown)],
+        rows,
+        columns,
+        height_in=CELL_IN * rows + LEGEND_IN,
+        legend_order=LABELS,
+        sharey=True,
+    ) as drawn:
         held_out = _held_out(campaign)
-        for each, record in zip(drawn, shown, strict=False):
+        for number, (each, record) in enumerate(zip(drawn, shown, strict=False), start=1):
             draw_segments(each, _spans(record, segments(record)))
             draw_displacement(each, record.time_s, record.displacement, record.unit)
             each.set_xlabel("time / s")
-            each.set_title(_title(record, record.name in held_out), loc="left", parse_math=False)
-        if len(shown) < len(records):
-            drawn[len(shown) - 1].set_title(f"+ {len(records) - len(shown)} more tests", loc="right")
+            remark = " (held out)" if record.name in held_out else ""
+            if number == len(shown) < len(records):
+                remark += f" + {len(records) - number} more tests"
+            each.set_title(_title(record.name, remark), loc="left", parse_math=False)
         if axes is None:
             _tidy_grid(drawn, len(shown), columns)
     return drawn[: len(shown)]
@@ -86,10 +93,11 @@ def _held_out(campaign: "Campaign") -> set[str]:
     return {record.name for kind in (*DIRECTIONS, CYCLE) for record in campaign.held_out(kind)}
 
 
-def _title(record: Record, held_out: bool) -> str:
-    name = printable(record.name)
-    short = name if len(name) <= MAX_TITLE else f"{name[: MAX_TITLE - 1]}…"
-    return f"{short} (held out)" if held_out else short
+def _title(name: str, remark: str) -> str:
+    """Return a name, shortened where there is no room for it, and a remark."""
+    room = MAX_TITLE - len(remark)
+    short = name if len(name) <= room else f"{name[: room - 1]}…"
+    return f"{printable(short)}{remark}"
 
 
 def printable(name: str) -> str:

@@ -52,8 +52,18 @@ def plot_speed_map(model: "Hitch", axes: "Axes | Sequence[Axes] | np.ndarray | N
             else:
                 draw_characteristics(each, known)
             if axes is None:
-                each.set_title(direction if known is None else f"{direction}, 95 % bands", loc="left")
+                each.set_title(_map_title(model, direction, known), loc="left", parse_math=False)
     return drawn
+
+
+def _map_title(model: "Hitch", direction: str, known: Characteristics | None) -> str:
+    if known is None:
+        return direction
+    load = ""
+    if known.load is not None:
+        unit = f" / {model.units[known.load]}" if known.load in model.units else ""
+        load = f", by {known.load}{unit}"
+    return f"{direction}{load}, 95 % bands"
 
 
 def draw_characteristics(axes: "Axes", characteristics: Characteristics) -> None:

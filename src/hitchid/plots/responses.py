@@ -7,12 +7,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MultipleLocator
 
-from hitchid.plots.style import COLOURS
+from hitchid.plots.style import COLOURS, logarithmic
 
 BAND_ALPHA = 0.22  # opacity of a band; chosen
 LEVEL_COLOURS = tuple(COLOURS[name] for name in ("one_step", "benchmark", "greybox", "lstm", "narx", "arx"))
 """Colours of the levels of a command, from the first."""
-DEGREES_PER_TICK = 90.0  # of the phase; chosen
+DECIBELS_PER_TICK, DEGREES_PER_TICK = 20.0, 90.0  # or whole multiples, a decade and a quarter turn
+MAX_TICKS = 8  # on an axis; chosen
 
 
 class BandedCurve(NamedTuple):
@@ -59,13 +60,8 @@ def draw_bode(
     """
     draw_curves(magnitude_axes, magnitudes, "", f"magnitude (re 1 {unit}) / dB")
     draw_curves(phase_axes, [phase._replace(label=None) for phase in phases], "frequency / Hz", "phase / °")
-    for axes in (magnitude_axes, phase_axes):
-        axes.set_xscale("log")
-    low, high = phase_axes.get_ylim()
-    if high - low >= DEGREES_PER_TICK:
-        phase_axes.yaxis.set_major_locator(MultipleLocator(DEGREES_PER_TICK * _stride(high - low)))
-
-
-def _stride(span: float) -> int:
-    """Return how many quarter turns lie between two ticks, so that there are eight at most."""
-    return int(-(-span // (8 * DEGREES_PER_TICK)))
+    for axes, spacing in ((magnitude_axes, DECIBELS_PER_TICK), (phase_axes, DEGREES_PER_TICK)):
+        logarithmic(axes.xaxis)
+        low, high = axes.get_ylim()
+        if high - low >= spacing:
+            axes.yaxis.set_major_locator(MultipleLocator(spacing * -(-(high - low) // (MAX_TICKS * spacing))))

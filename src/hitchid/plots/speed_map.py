@@ -39,6 +39,8 @@ def draw_speed_map(
 ) -> None:
     """Draw speed over command for each load, with bands, and the mean speeds measured in tests.
 
+    Points of curves with a band are operating points; a curve without one is drawn without points.
+
     Args:
         axes: to draw into.
         curves: at most three: one, or one for each load; an open upper end extends to the edge.
@@ -51,11 +53,13 @@ def draw_speed_map(
     styles = LINE_STYLES if len(curves) > 1 else LINE_STYLES[1:2]
     for curve, (colour, marker, dashes) in zip(curves, styles, strict=False):
         shade = COLOURS[colour]
-        if curve.lower is not None and curve.upper is not None:
-            upper = np.where(np.isfinite(curve.upper), curve.upper, highest)
-            if curve.commands.size == 1:
-                axes.vlines(curve.commands, curve.lower, upper, alpha=BAND_ALPHA, linewidth=4, color=shade)
-            axes.fill_between(curve.commands, curve.lower, upper, alpha=BAND_ALPHA, linewidth=0, color=shade)
+        if curve.lower is None or curve.upper is None:
+            axes.plot(curve.commands, curve.speeds, label=curve.label, color=shade)
+            continue
+        upper = np.where(np.isfinite(curve.upper), curve.upper, highest)
+        if curve.commands.size == 1:
+            axes.vlines(curve.commands, curve.lower, upper, alpha=BAND_ALPHA, linewidth=4, color=shade)
+        axes.fill_between(curve.commands, curve.lower, upper, alpha=BAND_ALPHA, linewidth=0, color=shade)
         axes.plot(
             curve.commands, curve.speeds, dashes, marker=marker, markersize=3, label=curve.label, color=shade
         )

@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from hitchid._support import checks
+from hitchid.errors import InputError
 from hitchid.plots import (
     ErrorBin,
     canvas,
@@ -39,6 +40,8 @@ def plot_fit(
     unit: str,
 ) -> np.ndarray:
     """Draw measured and predicted displacement of unseen tests, and errors below; see `Validation.plot`."""
+    if not models:
+        raise InputError("models: expected at least one, got none")
     for model in models:
         checks.one_of(model, predictions.models, "models")
     if test is None:

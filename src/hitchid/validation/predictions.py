@@ -49,6 +49,11 @@ class Predictions:
         """Return actual minus predicted over all tests, without the first sample of each, shape [M]."""
         return np.concatenate([a[1:] - p[1:] for a, p in zip(self.actual, self.models[model], strict=True)])
 
+    @property
+    def uncompensated(self) -> bool:
+        """Whether `free_run` is `benchmark` in every test: the model corrects nothing in free run."""
+        return all(map(np.array_equal, self.models["benchmark"], self.models["free_run"]))
+
     def rmse(self, model: str) -> np.ndarray:
         """Return the root mean square error of each test, infinite where the model diverged, shape [T]."""
         pairs = zip(self.actual, self.models[model], strict=True)

@@ -76,7 +76,7 @@ class Validation:
         *,
         section: str | None = None,
         test: str | None = None,
-        models: Sequence[str] = (BENCHMARK, FREE_RUN),
+        models: Sequence[str] | None = None,
     ) -> np.ndarray:
         """Draw measured on top of predicted displacement with the band of the free run, and errors below.
 
@@ -84,7 +84,8 @@ class Validation:
             axes: two matplotlib axes to draw into; None for a new figure of pyplot.
             section: a direction or `cycles`; None for the first of `accuracy`.
             test: name of one unseen test; None for at most four, from the best to the worst.
-            models: keys of `predictions[section].models`.
+            models: keys of `predictions[section].models`; None for the free run of the grey box, and of the
+                benchmark where it differs.
 
         Returns:
             The two axes.
@@ -96,6 +97,8 @@ class Validation:
 
         section = checks.one_of(section or next(iter(self.accuracy)), self.accuracy, "section")
         tests = self.predictions[section]
+        if models is None:
+            models = (FREE_RUN,) if tests.uncompensated else (BENCHMARK, FREE_RUN)
         return plot_fit(tests, models, axes, section=section, test=test, unit=self.unit)
 
     def plot_residuals(

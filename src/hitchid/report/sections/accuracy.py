@@ -1,7 +1,5 @@
 """Errors of one direction: every model, over horizons, by test, over time, distribution."""
 
-import numpy as np
-
 from hitchid.report import figures
 from hitchid.report.document import Picture, Pictures, ReportSection
 from hitchid.report.sections.context import DirectionContext
@@ -40,9 +38,8 @@ def errors(context: DirectionContext) -> ReportSection:
     tests, unit = context.accuracy.predictions, context.unit
     selected_tests, selection_text = shown_tests(tests)
     names = ", ".join(selected_tests.names)
-    models_equal = all(map(np.array_equal, tests.models[BENCHMARK], tests.models[FREE_RUN]))
-    equal_note = " In free run the grey box is the benchmark alone." if models_equal else ""
-    models = (FREE_RUN, ONE_STEP) if models_equal else (BENCHMARK, FREE_RUN, ONE_STEP)
+    equal_note = " In free run the grey box is the benchmark alone." if tests.uncompensated else ""
+    models = (FREE_RUN, ONE_STEP) if tests.uncompensated else (BENCHMARK, FREE_RUN, ONE_STEP)
     rmse = context.accuracy.free_run().rmse
     error_text = "the free run diverged" if rmse is None else f"the free run errs by {rmse:.3g} {unit} RMSE"
     pictures = [
