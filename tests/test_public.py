@@ -107,6 +107,9 @@ wrong = {
         lambda: hitchid.identify(campaign, dead_zones={"up": 0.1}),
         lambda: record.command("up"),
         lambda: campaign.segmented({"up": 0.1}),
+        lambda: campaign.plot(direction="up"),
+        lambda: model.plot_bode("up"),
+        lambda: model.plot_step_response("up"),
         lambda: write_campaign(out, directions=["up"]),
     ],
     "expected": [
@@ -167,6 +170,22 @@ wrong = {
         lambda: write_campaign(out, tests=20),
         lambda: write_campaign(out, tests={"prbs": "20"}),
         lambda: simulate_log(model, 3, out),
+    ],
+    "matplotlib axes, got": [
+        lambda: record.plot("axes"),
+        lambda: campaign.plot(3),
+        lambda: model.plot(3),
+        lambda: model.plot_bode(axes=[record]),
+        lambda: model.plot_step_response(axes=(1, 2, 3, 4)),
+    ],
+    "commands: expected": [
+        lambda: model.plot_step_response(),
+        lambda: model.plot_step_response(commands=[-0.5]),
+        lambda: model.plot_step_response(commands=["0.5"]),
+    ],
+    "frequency_hz: expected": [
+        lambda: model.plot_bode(frequency_hz=[0.0]),
+        lambda: model.plot_bode(frequency_hz="1 Hz"),
     ],
     "unit 'millimetre' is not known; expected one of A, mA": [
         lambda: hitchid.Record("a", 0.01, signals, {**units, "displacement": "millimetre"}),

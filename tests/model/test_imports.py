@@ -15,6 +15,7 @@ IDENTIFICATION = (
     "hitchid.identification",
     "hitchid.uncertainty",
     "hitchid._support.checkpoints",
+    "matplotlib",
     "optax",
     "scipy.optimize",
 )

@@ -7,6 +7,7 @@ from itertools import product
 import pytest
 
 import reported
+from hitchid.plots.style import SHADES
 from hitchid.report import (
     Document,
     Picture,
@@ -19,7 +20,6 @@ from hitchid.report import (
     write_report,
 )
 from hitchid.report.document import Findings
-from hitchid.report.figures.style import SHADES
 
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
 ARGUMENTS = [

@@ -18,11 +18,13 @@ from scipy.integrate import trapezoid
 import handmade
 import reported
 from hitchid.data.record import LIFTING
+from hitchid.plots.style import COLOURS, DECIMATION_BINS, SHADES, decimate
 from hitchid.report import figures
-from hitchid.report.figures.style import COLOURS, DECIMATION_BINS, LABELS, SHADES, decimate
 from hitchid.report.figures.valve import ONSET_FACTOR
 from hitchid.report.svg import svg
 from hitchid.validation import Horizons
+from hitchid.validation.names import LABELS
+from hitchid.validation.predictions import concatenated_time
 from hitchid.validation.valve_map import valve_map
 
 COLUMN_IN, PAGE_IN = 3.5, 7.2
@@ -433,7 +435,7 @@ def test_predicted_errors_show_what_the_benchmark_misses():
 def test_time_goes_on_from_test_to_test():
     tests = reported.predictions((3, 4, 2))
     steps = [0, 1, 2, 2, 3, 4, 5, 5, 6]
-    np.testing.assert_allclose(figures.concatenated_time(tests), 0.01 * np.array(steps), rtol=1e-12)
+    np.testing.assert_allclose(concatenated_time(tests), 0.01 * np.array(steps), rtol=1e-12)
 
 
 def test_coverage_shows_shares_in_percent_over_seconds():
@@ -597,7 +599,8 @@ def test_the_speed_map_shows_speeds_bands_and_measured_points_for_each_load():
     known = reported.characteristics()
     axes = figures.speed_map(known).axes[0]
     lines = {line.get_label(): line for line in axes.get_lines()}
-    assert set(lines) == {"90", "120", "150", "measured"}
+    assert set(lines) == {"90", "120", "150", "measured", "dead zone"}
+    assert set(lines["dead zone"].get_xdata()) == {known.dead_zone.value}
     for load, band in zip((90.0, 120.0, 150.0), axes.collections, strict=True):
         points = [point for point in known.speed_map if point.load == load]
         drawn = np.column_stack(lines[f"{load:g}"].get_data())

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
 import reported
+from hitchid.plots.style import COLOURS, SHADES, style
 from hitchid.report import figures
-from hitchid.report.figures.style import COLOURS, SHADES, style
 from hitchid.report.svg import inline_svg, svg
 
 SVG, XLINK = "{http://www.w3.org/2000/svg}", "{http://www.w3.org/1999/xlink}"

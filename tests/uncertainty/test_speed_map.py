@@ -17,6 +17,7 @@ from hitchid.identification import direction
 from hitchid.identification.dead_zone import DeadZone
 from hitchid.identification.phase1 import Phase1
 from hitchid.model import Characteristics, Estimates, Uncertainty
+from hitchid.model.step_response import speed_lag, steady_speed, step_times
 from hitchid.report.characteristics import characteristic_sentences
 from hitchid.structures import (
     NONLINEARITY_PARAMETERS,
@@ -33,7 +34,6 @@ from hitchid.uncertainty.influence import Influence, compute_influence
 from hitchid.uncertainty.operating_points import measured_speeds, operating_levels
 from hitchid.uncertainty.profile import Profile
 from hitchid.uncertainty.scores import Scores
-from hitchid.uncertainty.step_response import speed_lag, steady_speed, step_times
 from truth import STEP_S, held, second_order, shifted
 
 UNITS = {"x": "mm", "u": "A"}

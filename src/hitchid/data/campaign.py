@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from glob import escape
-from typing import overload
+from typing import TYPE_CHECKING, overload
 
 import numpy as np
 
@@ -19,6 +19,9 @@ from hitchid.data.record import COMMAND, CYCLE, DIRECTIONS, DISPLACEMENT, RAMP, 
 from hitchid.data.test_kinds import ramp_direction, strokes
 from hitchid.data.unification import unified
 from hitchid.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 HELD_OUT_FRACTION = 0.2  # of the tests of a direction; the default split (chosen)
 STROKE_SEPARATOR = "#"
@@ -263,6 +266,28 @@ class Campaign(Value, Summarised):
         held_out = self.held_out(CYCLE)
         patterns = tuple(f"{escape(record.name)}{STROKE_SEPARATOR}*" for record in held_out) or None
         return replace(self, records=tuple(cut_records), test_patterns=patterns)
+
+    def plot(
+        self, axes: "Axes | Sequence[Axes] | np.ndarray | None" = None, *, direction: str | None = None
+    ) -> np.ndarray:
+        """Draw displacement over time of each test, coloured by what the hitch does.
+
+        Args:
+            axes: matplotlib axes to draw into, one for each test; None for a new figure of pyplot with at
+                most 12 tests. Over the last axes stands the number of tests that are not drawn.
+            direction: lifting or lowering, for the tests of one direction; None for all.
+
+        Returns:
+            The axes, one for each test.
+
+        Raises:
+            InputError: there are no such tests, or `axes` are not matplotlib axes.
+        """
+        from hitchid.data.plotting import plot_campaign
+
+        if direction is not None:
+            checks.one_of(direction, DIRECTIONS, "direction")
+        return plot_campaign(self, axes, direction)
 
     def _summary(self) -> Summary:
         from hitchid.data.summaries import campaign_summary

@@ -1,6 +1,6 @@
 """Record: signals of one test on a uniform clock, with units and source."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -19,6 +19,7 @@ from hitchid.errors import InputError
 
 if TYPE_CHECKING:
     import pandas
+    from matplotlib.axes import Axes
 
 DISPLACEMENT = "displacement"
 LIFTING = "lifting"
@@ -278,6 +279,22 @@ class Record(Value, Summarised):
             signals={role: samples * factors.get(role, 1.0) for role, samples in self.signals.items()},
             units={**self.units, **{role: units[role] for role in factors}},
         )
+
+    def plot(self, axes: "Sequence[Axes] | np.ndarray | None" = None) -> np.ndarray:
+        """Draw displacement above and commands below, over the time of the log.
+
+        Args:
+            axes: two matplotlib axes to draw into; None for a new figure of pyplot.
+
+        Returns:
+            The two axes.
+
+        Raises:
+            InputError: other than two axes are given.
+        """
+        from hitchid.data.plotting import plot_record
+
+        return plot_record(self, axes)
 
     def _summary(self) -> Summary:
         from hitchid.data.summaries import record_summary

@@ -17,7 +17,7 @@ from hitchid._support.values import Value
 from hitchid.data.record import DIRECTIONS, Record
 from hitchid.data.segmentation import CommandThreshold
 from hitchid.errors import InputError
-from hitchid.model import conversion, extrapolation, pickling, thresholds
+from hitchid.model import conversion, extrapolation, pickling, plotting, thresholds
 from hitchid.model.bands import Band, Bands
 from hitchid.model.channel import Channel
 from hitchid.model.comparison import Comparison
@@ -289,11 +289,9 @@ class Hitch(Value, Summarised):
             )
         else:
             checks.integer(horizon, "horizon", minimum=1)
-            half_widths = [bands[direction].half_width(coverage, horizon) for direction in self.channels]
+            widths = np.array([bands[direction].half_width(coverage, horizon) for direction in self.channels])
             centre = self.predict(record, horizon=horizon)
-            half_width = np.where(
-                run.active_channel < 0, max(half_widths), np.array(half_widths)[run.active_channel]
-            )
+            half_width = np.where(run.active_channel < 0, widths.max(), widths[run.active_channel])
         half_width = self._to_record_units(half_width, model_record, record)
         return Band(centre - half_width, centre + half_width)
 
@@ -304,12 +302,11 @@ class Hitch(Value, Summarised):
 
     @property
     def _bands(self) -> dict[str, Bands]:
-        all_bands = {
-            direction: uncertainty.bands
-            for direction, uncertainty in self.uncertainty.items()
-            if direction in self.channels
+        return {
+            direction: known.bands
+            for direction, known in self.uncertainty.items()
+            if direction in self.channels and known.bands is not None
         }
-        return {direction: bands for direction, bands in all_bands.items() if bands is not None}
 
     def to_model_units(self, record: Record) -> Record:
         """Return a record on the model's clock and in the model's units.
@@ -319,6 +316,10 @@ class Hitch(Value, Summarised):
                 a unit of another dimension than the model's.
         """
         return conversion.to_model_units(record, tuple(self.channels), self.units, self.step_s)
+
+    plot = plotting.plot_speed_map
+    plot_step_response = plotting.plot_step_response
+    plot_bode = plotting.plot_bode
 
     @cached_property
     def _dynamics(self) -> HitchDynamics:

@@ -4,7 +4,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from hitchid.report import figures, numbers, sections, tables
+from hitchid.plots.style import COMPARED
+from hitchid.report import figures, numbers, tables
 from hitchid.report.document import (
     Document,
     Finding,
@@ -15,10 +16,10 @@ from hitchid.report.document import (
     Table,
     sentence,
 )
-from hitchid.report.figures.style import COMPARED
 from hitchid.validation import Horizons, LeaderboardRow, ModelComparison, Standing
 from hitchid.validation.names import GREYBOX, PERSISTENCE
 from hitchid.validation.predictions import MIN_TESTS
+from hitchid.validation.shown_tests import shown_tests
 
 
 def comparison_report(comparison: ModelComparison, *, command: str = "") -> Document:
@@ -124,7 +125,7 @@ def _pictures(comparison: ModelComparison, section: str) -> list[Picture]:
     """Return the figures of one section, with at most the first eight models."""
     unit, tests = comparison.unit, comparison.free_runs(section)
     labels = [label for label in comparison.labels if label in COMPARED]
-    selected_tests, selection_text = sections.shown_tests(tests, labels[-1])
+    selected_tests, selection_text = shown_tests(tests, labels[-1])
     models_text = "all models" if len(labels) == len(comparison) else f"models {labels[0]} to {labels[-1]}"
     return [
         Picture(

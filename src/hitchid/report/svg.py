@@ -7,7 +7,7 @@ from io import StringIO
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
-from hitchid.report.figures.style import PAPER, SHADES, style
+from hitchid.plots.style import PAPER, SHADES, style
 
 _TAG = re.compile("<[^>]+>")  # text between tags is not changed
 _LONG_NUMBER = re.compile(r"-?\d+\.\d{3,}")

@@ -26,6 +26,8 @@ from hitchid.validation.validate import validate
 from hitchid.validation.validation import TABLES_FILE, Validation
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
     from hitchid.report import Document
 
 COMPARISON_FILE = "comparison.json"
@@ -120,6 +122,32 @@ class ModelComparison(Value, Summarised):
         other_errors = np.min([tests.rmse(row.label) for row in others], axis=0)
         wins = int(np.sum(tests.rmse(best.label) < other_errors))
         return ComparisonVerdict(best.label, wins, best.tests)
+
+    def plot(
+        self,
+        axes: "Sequence[Axes] | np.ndarray | None" = None,
+        *,
+        section: str | None = None,
+        test: str | None = None,
+    ) -> np.ndarray:
+        """Draw measured on top of the free runs of the models, and their errors below.
+
+        Args:
+            axes: two matplotlib axes to draw into; None for a new figure of pyplot.
+            section: one of `sections`; None for the first.
+            test: name of one test; None for at most four, from the best to the worst.
+
+        Returns:
+            The two axes.
+
+        Raises:
+            InputError: there is no such section or test, or other than two axes are given.
+        """
+        from hitchid.validation.plotting import plot_fit
+
+        section = checks.one_of(section or self.sections[0], self.sections, "section")
+        tests = self.free_runs(section)
+        return plot_fit(tests, tuple(tests.models), axes, section=section, test=test, unit=self.unit)
 
     @property
     def notices(self) -> tuple[str, ...]:

@@ -1,6 +1,7 @@
 """Names of models and runs, for tables, notices and figures."""
 
 from collections.abc import Iterable
+from string import ascii_uppercase
 
 from hitchid.baselines.registry import BASELINES, all_baselines
 
@@ -16,6 +17,13 @@ NAMES = {
     GREYBOX: "grey box",
 }
 RUNS = {ONE_STEP: "one step", FREE_RUN: "free run"}
+LABELS = NAMES | {
+    "benchmark": "physics model, free run",
+    "one_step": "grey box, one step",
+    "free_run": "grey box, free run",
+    "mechanistic": "mechanistic, free run",
+    **{letter: f"model {letter}" for letter in ascii_uppercase},
+}
 
 
 def model_name(key: str) -> str:
@@ -30,3 +38,8 @@ def in_table_order(keys: Iterable[str]) -> list[str]:
     others = [key for key in present if key not in NAMES]
     ordered = [*(key for key in NAMES if key not in (BENCHMARK, GREYBOX)), *others, BENCHMARK, GREYBOX]
     return [key for key in ordered if key in present]
+
+
+def label(key: str) -> str:
+    """Return the name of a model and its run in a legend; the key itself for other models."""
+    return LABELS.get(key, key)

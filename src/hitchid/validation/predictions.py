@@ -1,6 +1,6 @@
 """Predictions of models on tests, sample by sample."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,6 +52,11 @@ class Predictions(Value):
         """Return actual minus predicted over all tests, without the first sample of each, shape [M]."""
         return np.concatenate([a[1:] - p[1:] for a, p in zip(self.actual, self.models[model], strict=True)])
 
+    @property
+    def uncompensated(self) -> bool:
+        """Whether `free_run` is `benchmark` in every test: the model corrects nothing in free run."""
+        return all(map(np.array_equal, self.models["benchmark"], self.models["free_run"]))
+
     def rmse(self, model: str) -> np.ndarray:
         """Return the root mean square error of each test, infinite where the model diverged, shape [T]."""
         pairs = zip(self.actual, self.models[model], strict=True)
@@ -72,3 +77,17 @@ class Predictions(Value):
     def is_significantly_better(self, model: str, other: str) -> bool:
         """Return whether one model's RMSE is below another's at a significance of 2.5 %, one-sided."""
         return self.better_p_value(model, other) < SIGNIFICANCE
+
+
+def concatenate_tests(tests: Sequence[np.ndarray]) -> np.ndarray:
+    """Return concatenated tests; NaN replaces the first sample, which is the initial value, as a gap."""
+    return np.concatenate([np.append(np.nan, test[1:]) for test in tests])
+
+
+def concatenated_time(tests: Predictions) -> np.ndarray:
+    """Return the time of concatenated tests, s."""
+    shifted_times, start = [], 0.0
+    for time_s in tests.time_s:
+        shifted_times.append(start + time_s)
+        start += float(time_s[-1])
+    return np.concatenate(shifted_times)

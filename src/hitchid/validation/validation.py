@@ -1,25 +1,30 @@
 """The result of a validation, with its files and its report."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from hitchid._support import checks
 from hitchid._support.storage import canonical_json, write_bytes, write_files, write_folder
 from hitchid._support.summary import Summarised, Summary
 from hitchid._support.values import Value
 from hitchid.data.campaign import Campaign
+from hitchid.data.record import COMMAND
 from hitchid.model import Hitch, TwoModes
 from hitchid.validation.acceptance import Acceptance, check_limits
 from hitchid.validation.limits import AcceptanceLimits
 from hitchid.validation.metrics_json import validation_json
-from hitchid.validation.names import CYCLES
+from hitchid.validation.names import BENCHMARK, CYCLES, FREE_RUN, RUNS
 from hitchid.validation.predictions import Predictions
 from hitchid.validation.report_data import ReportData, report_data
 from hitchid.validation.results import Accuracy, ChannelResult, CycleResult
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
     from hitchid.report import ChannelTraceFile, Document
 
 METRICS_FILE = "metrics.json"
@@ -66,6 +71,70 @@ class Validation(Value, Summarised):
     def check(self, limits: AcceptanceLimits) -> Acceptance:
         """Compare the figures with limits; see `check_limits`."""
         return check_limits(self.unit, self.accuracy, limits)
+
+    def plot(
+        self,
+        axes: "Sequence[Axes] | np.ndarray | None" = None,
+        *,
+        section: str | None = None,
+        test: str | None = None,
+        models: Sequence[str] | None = None,
+    ) -> np.ndarray:
+        """Draw measured on top of predicted displacement with the band of the free run, and errors below.
+
+        Args:
+            axes: two matplotlib axes to draw into; None for a new figure of pyplot.
+            section: a direction or `cycles`; None for the first of `accuracy`.
+            test: name of one unseen test; None for at most four, from the best to the worst.
+            models: keys of `predictions[section].models`; None for the free run of the grey box, and of the
+                benchmark where it differs.
+
+        Returns:
+            The two axes.
+
+        Raises:
+            InputError: there is no such section, test or model, or other than two axes are given.
+        """
+        from hitchid.validation.plotting import plot_fit
+
+        section = checks.one_of(section or next(iter(self.accuracy)), self.accuracy, "section")
+        tests = self.predictions[section]
+        if models is None:
+            models = (FREE_RUN,) if tests.uncompensated else (BENCHMARK, FREE_RUN)
+        return plot_fit(tests, models, axes, section=section, test=test, unit=self.unit)
+
+    def plot_residuals(
+        self,
+        axes: "Sequence[Axes] | np.ndarray | None" = None,
+        *,
+        section: str | None = None,
+        run: str = FREE_RUN,
+    ) -> np.ndarray:
+        """Draw correlations of the errors with 99 % bounds, and mean and spread of the errors over variables.
+
+        Args:
+            axes: five matplotlib axes to draw into: autocorrelation, correlation with the command, and errors
+                over displacement, speed and command; None for a new figure of pyplot.
+            section: a direction; None for the first.
+            run: `free_run` or `one_step`.
+
+        Returns:
+            The five axes; those of a run that diverged say so.
+
+        Raises:
+            InputError: there is no such direction or run, or other than five axes are given.
+        """
+        from hitchid.validation.plotting import plot_residuals
+
+        section = checks.one_of(section or next(iter(self.channels), ""), self.channels, "section")
+        residuals = self.channels[section].residuals
+        return plot_residuals(
+            residuals[checks.one_of(run, residuals, "run")],
+            axes,
+            title=f"{section}, {RUNS[run]}",
+            unit=self.unit,
+            command_unit=self.model.units[COMMAND[section]],
+        )
 
     def report_data(self) -> ReportData:
         """Return the further content of a report: logs, their audit, speed over command, origin."""

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from hitchid.report.figures.style import (
+from hitchid.plots.style import (
     COLOURS,
     COLUMN_IN,
     DASHES,
@@ -15,12 +15,14 @@ from hitchid.report.figures.style import (
     SUBSET_COLOURS,
     decimate,
     finite_or_nan,
-    label,
     legend_above,
     logarithmic,
     styled,
 )
 from hitchid.validation import Horizons, Predictions
+from hitchid.validation.names import label
+from hitchid.validation.plotting import draw_fit
+from hitchid.validation.predictions import concatenate_tests
 
 MAX_SAMPLES, QUANTILES = 2000, 201  # samples, as in the paper; points of a cumulative curve
 PAPER_MODELS = ("one_step", "free_run", "benchmark")
@@ -102,29 +104,9 @@ def outputs(tests: Predictions, unit: str, models: Sequence[str] = PAPER_MODELS)
         models: keys of the predictions to draw.
     """
     figure = Figure(figsize=(COLUMN_IN, 4.2))
-    displacement_axis, error_axis = figure.subplots(2, 1, sharex=True)
-    time_s, measured = concatenated_time(tests), concatenate_tests(tests.actual)
-    if tests.band is not None:
-        lower, upper = (concatenate_tests(rows) for rows in tests.band)
-        band_style = {"color": COLOURS["free_run"], "alpha": 0.25, "linewidth": 0}
-        coarse = _coarse_indices(lower)
-        displacement_axis.fill_between(
-            time_s[coarse], lower[coarse], upper[coarse], label="90 % band of the free run", **band_style
-        )
-        middle = concatenate_tests(tests.models["free_run"])
-        error_axis.fill_between(
-            time_s[coarse], (lower - middle)[coarse], (upper - middle)[coarse], **band_style
-        )
-    displacement_axis.plot(*decimate(time_s, measured), color=INK, label="measured")
-    for model in models:
-        predicted = concatenate_tests(tests.models[model])
-        line_style = {"color": COLOURS.get(model, INK), "dashes": DASHES.get(model, (None, None))}
-        displacement_axis.plot(*decimate(time_s, predicted), label=label(model), **line_style)
-        error_axis.plot(*decimate(time_s, measured - predicted), linewidth=0.8, **line_style)
-    displacement_axis.set_ylabel(f"displacement / {unit}")
-    error_axis.set_ylabel(f"error / {unit}")
-    error_axis.set_xlabel("time, test after test / s")
-    legend_above(figure, displacement_axis)
+    displacement_axes, error_axes = figure.subplots(2, 1, sharex=True)
+    draw_fit(displacement_axes, error_axes, tests, unit, models, thin=True)
+    legend_above(figure, displacement_axes)
     figure.align_ylabels()
     return figure
 
@@ -192,29 +174,6 @@ def horizons(errors: Horizons, step_s: float, unit: str) -> Figure:
     axis.set_ylabel(f"RMSE / {unit}")
     legend_above(figure, axis)
     return figure
-
-
-def concatenate_tests(tests: Sequence[np.ndarray]) -> np.ndarray:
-    """Return concatenated tests; NaN replaces the first sample, which is the initial value, as a gap."""
-    return np.concatenate([np.append(np.nan, test[1:]) for test in tests])
-
-
-def concatenated_time(tests: Predictions) -> np.ndarray:
-    """Return the time of concatenated tests, s."""
-    shifted_times, start = [], 0.0
-    for time_s in tests.time_s:
-        shifted_times.append(start + time_s)
-        start += float(time_s[-1])
-    return np.concatenate(shifted_times)
-
-
-def _coarse_indices(smooth: np.ndarray) -> np.ndarray:
-    """Return the indices of about 300 samples of a smooth curve, with its gaps and their neighbours."""
-    gaps = np.flatnonzero(np.isnan(smooth))
-    indices = np.concatenate(
-        [np.arange(0, smooth.size, max(1, smooth.size // 300)), gaps, gaps - 1, gaps + 1]
-    )
-    return np.unique(indices[(indices >= 0) & (indices < smooth.size)])
 
 
 def _prediction_label(subset: str, subset_count: int) -> str:

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from hitchid.model import SearchSummary
-from hitchid.report.figures.style import (
+from hitchid.plots.style import (
     COLOURS,
     COLUMN_IN,
     FAINT,

@@ -5,29 +5,18 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
 from hitchid._support.storage import write_file
-from hitchid.data.record import COMMAND, LIFTING, LOWERING, Record
-from hitchid.data.segmentation import BOTH_VALVES_ACTIVE, END_STOP, HOLD, SATURATED, Segment
-from hitchid.report.figures.style import COLOURS, INK, PAGE_IN, decimate, style, styled
+from hitchid.data.plotting import draw_record, printable
+from hitchid.data.record import DIRECTIONS, Record
+from hitchid.data.segmentation import LABELS, Segment
+from hitchid.plots.style import COLOURS, PAGE_IN, legend_above, style, styled
 
-FILLS = {
-    LIFTING: COLOURS["one_step"],
-    LOWERING: COLOURS["narx"],
-    HOLD: COLOURS["hold"],
-    SATURATED: COLOURS["transfer_function"],
-    END_STOP: COLOURS["faint"],
-    BOTH_VALVES_ACTIVE: COLOURS["benchmark"],
-}
-LINES = {LIFTING: COLOURS["one_step"], LOWERING: COLOURS["narx"]}
-ALPHA = 0.35  # opacity of a segment; chosen
 ROW_IN = 2.4  # height of a record, inch; chosen
 MARK_COLOUR = COLOURS["benchmark"]
+LEGEND_ORDER = (*LABELS, *(f"{direction} command" for direction in DIRECTIONS))
 
 
 class Mark(NamedTuple):
@@ -55,42 +44,15 @@ def timeline(records: Sequence[tuple[Record, Sequence[Segment]]], marks: Sequenc
     """
     figure = Figure(figsize=(PAGE_IN, ROW_IN * len(records) + 0.4))
     axes = figure.subplots(2 * len(records), 1, squeeze=False, height_ratios=[2, 1] * len(records))[:, 0]
-    shown_labels: dict[str, None] = {}
     for number, (record, segments) in enumerate(records):
         displacement_axes, command_axes = axes[2 * number], axes[2 * number + 1]
-        for label, start, stop in segments:
-            shown_labels[label] = None
-            interval = record.start_s + record.step_s * start, record.start_s + record.step_s * stop
-            displacement_axes.axvspan(
-                *interval, color=FILLS[label], alpha=1.0 if label == HOLD else ALPHA, linewidth=0
-            )
-        displacement_axes.plot(*decimate(record.time_s, record.displacement), color=INK)
+        draw_record(displacement_axes, command_axes, record, segments, thin=True)
         _annotate_marks(displacement_axes, record, [mark for mark in marks if mark.record == record.name])
-        displacement_axes.set_ylabel(f"displacement / {record.unit}")
-        displacement_axes.set_title(
-            record.name.encode(errors="replace").decode(), loc="left", parse_math=False
-        )
+        displacement_axes.set_title(printable(record.name), loc="left", parse_math=False)
         displacement_axes.tick_params(labelbottom=False)
-        for direction in record.directions:
-            command_axes.plot(
-                *decimate(record.time_s, record.command(direction)), color=LINES[direction], label=direction
-            )
-        command_axes.set_ylabel(f"command /\n{record.units[COMMAND[record.directions[0]]]}")
-        command_axes.set_xlabel("time / s")
         for subplot in (displacement_axes, command_axes):
             subplot.set_xlim(record.time_s[0], record.time_s[-1])
-    used_commands = [
-        direction for direction in LINES if any(direction in record.directions for record, _ in records)
-    ]
-    handles: list[Artist] = [
-        Patch(color=FILLS[label], alpha=1.0 if label == HOLD else ALPHA, label=label)
-        for label in FILLS
-        if label in shown_labels
-    ]
-    handles += [
-        Line2D([], [], color=LINES[direction], label=f"{direction} command") for direction in used_commands
-    ]
-    figure.legend(handles=handles, loc="outside upper left", ncols=len(handles))
+    legend_above(figure, *axes, columns=len(LEGEND_ORDER), order=LEGEND_ORDER)
     figure.align_ylabels()
     return figure
 

@@ -15,18 +15,13 @@ from matplotlib.ticker import (
 )
 
 from hitchid.model import Estimate
-from hitchid.report.figures.style import COLOURS, COLUMN_IN, FAINT, INK, legend_above, logarithmic, styled
+from hitchid.plots.style import COLOURS, COLUMN_IN, FAINT, INK, legend_above, logarithmic, styled
 from hitchid.validation import BandFigures
+from hitchid.validation.plotting import VARIABLES, draw_residual_correlations, draw_residuals_by_variable
 from hitchid.validation.residuals import ResidualTests
 
 MARGIN = 0.6  # margin of an interval, share of its width; all values chosen
-MIN_BAR_SHARE = 0.02  # smallest width of a bar, share of the axis
 WIDE_RATIO = 5  # ratio of the ends of a logarithmic axis above which its ticks are logarithmic
-VARIABLES = {
-    "position": "displacement / {unit}",
-    "speed": "speed / ({unit}/s)",
-    "command": "command / {command}",
-}
 
 
 @styled
@@ -88,29 +83,12 @@ def residual_correlations(residuals: ResidualTests) -> Figure:
     Args:
         residuals: of one direction and run.
     """
-    step_s = residuals.step_s
     figure = Figure(figsize=(COLUMN_IN, 3.4))
-    autocorrelation_axis, cross_correlation_axis = figure.subplots(2, 1)
-    bounds = np.array(residuals.autocorrelation_bounds)
-    lags = step_s * np.arange(1, bounds.size + 1)
-    _correlation(autocorrelation_axis, lags, residuals.autocorrelation, bounds)
-    autocorrelation_axis.set_ylabel("autocorrelation\nof errors")
-    autocorrelation_axis.set_xlabel("lag / s")
-    lags = step_s * np.array(residuals.cross_lags)
-    _correlation(cross_correlation_axis, lags, residuals.cross_correlation, np.array(residuals.cross_bounds))
-    cross_correlation_axis.set_ylabel("correlation of errors\nwith command")
-    cross_correlation_axis.set_xlabel("errors after command / s")
-    legend_above(figure, autocorrelation_axis)
+    autocorrelation_axes, cross_correlation_axes = figure.subplots(2, 1)
+    draw_residual_correlations(autocorrelation_axes, cross_correlation_axes, residuals)
+    legend_above(figure, autocorrelation_axes)
     figure.align_ylabels()
     return figure
-
-
-def _correlation(axis: Axes, lags: np.ndarray, values: Sequence[float], bounds: np.ndarray) -> None:
-    axis.fill_between(lags, -bounds, bounds, color=FAINT, alpha=0.3, linewidth=0, label="99 % bounds")
-    axis.vlines(lags, 0, values, color=COLOURS["free_run"], linewidth=1.4)
-    axis.axhline(0, color=INK, linewidth=0.6)
-    largest = max(float(np.max(np.abs(values))), float(bounds.max()))
-    axis.set_ylim(-1.15 * largest, 1.15 * largest)
 
 
 @styled
@@ -123,21 +101,7 @@ def residuals_by_variable(residuals: ResidualTests, unit: str, command_unit: str
     """
     figure = Figure(figsize=(COLUMN_IN, 4.4))
     axes = figure.subplots(len(VARIABLES), 1, sharey=True)
-    for axis, (name, label) in zip(axes, VARIABLES.items(), strict=True):
-        bins = residuals.by_quantity[name].bins
-        least = MIN_BAR_SHARE * (
-            max(interval.upper for interval in bins) - min(interval.lower for interval in bins)
-        )
-        for interval in bins:
-            spread = float(np.sqrt(max(interval.rmse**2 - interval.mean**2, 0.0)))
-            middle = 0.5 * (interval.lower + interval.upper)
-            axis.plot([middle] * 2, [interval.mean - spread, interval.mean + spread], color=FAINT)
-            half = 0.5 * max(interval.upper - interval.lower, least)
-            bar = [middle - half, middle + half]
-            axis.plot(bar, [interval.mean] * 2, color=COLOURS["free_run"], linewidth=2)
-        axis.axhline(0, color=INK, linewidth=0.6)
-        axis.set_xlabel(label.format(unit=unit, command=command_unit))
-    axes[1].set_ylabel(f"error, mean ± std / {unit}")
+    draw_residuals_by_variable(axes, residuals, unit, command_unit)
     return figure
 
 

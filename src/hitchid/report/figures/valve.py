@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from hitchid.data.record import Record
-from hitchid.report.figures.style import COLOURS, COLUMN_IN, FAINT, INK, decimate, legend_above, styled
+from hitchid.plots.style import COLOURS, COLUMN_IN, FAINT, INK, decimate, legend_above, styled
 from hitchid.validation.valve_map import ValveMap
 
 ONSET_FACTOR = 1.6  # end of a ramp's command axis over the dead zone; chosen

@@ -3,8 +3,8 @@
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from hitchid.plots.style import SHADES
 from hitchid.report.document import Document, Findings, Picture, Pictures, Rating, Table, Text
-from hitchid.report.figures.style import SHADES
 from hitchid.report.renderers.renderer import Renderer
 from hitchid.report.svg import inline_svg
 

@@ -10,6 +10,5 @@ from hitchid.report.sections.logs import logs as logs
 from hitchid.report.sections.origin import origin as origin
 from hitchid.report.sections.parameters import parameters as parameters
 from hitchid.report.sections.search import search as search
-from hitchid.report.sections.shown_tests import shown_tests as shown_tests
 from hitchid.report.sections.trust import trust as trust
 from hitchid.report.sections.verdict import verdict as verdict

@@ -1,14 +1,11 @@
 """Errors of one direction: every model, over horizons, by test, over time, distribution."""
 
-import numpy as np
-
 from hitchid.report import figures
 from hitchid.report.document import Picture, Pictures, ReportSection
-from hitchid.report.figures.style import LABELS
 from hitchid.report.sections.context import DirectionContext
-from hitchid.report.sections.shown_tests import shown_tests
 from hitchid.report.tables import accuracy_table, horizon_table, single_test_table
-from hitchid.validation.names import BENCHMARK, FREE_RUN, ONE_STEP
+from hitchid.validation.names import BENCHMARK, FREE_RUN, LABELS, ONE_STEP
+from hitchid.validation.shown_tests import shown_tests
 
 COMPARED_MODELS = ("lstm", "narx", "arx", "transfer_function", BENCHMARK, FREE_RUN)
 
@@ -41,9 +38,8 @@ def errors(context: DirectionContext) -> ReportSection:
     tests, unit = context.accuracy.predictions, context.unit
     selected_tests, selection_text = shown_tests(tests)
     names = ", ".join(selected_tests.names)
-    models_equal = all(map(np.array_equal, tests.models[BENCHMARK], tests.models[FREE_RUN]))
-    equal_note = " The LSTM correction is not used in simulation." if models_equal else ""
-    models = (FREE_RUN, ONE_STEP) if models_equal else (BENCHMARK, FREE_RUN, ONE_STEP)
+    equal_note = " The LSTM correction is not used in simulation." if tests.uncompensated else ""
+    models = (FREE_RUN, ONE_STEP) if tests.uncompensated else (BENCHMARK, FREE_RUN, ONE_STEP)
     rmse = context.accuracy.free_run().rmse
     error_text = "the free run diverged" if rmse is None else f"free-run RMSE {rmse:.3g} {unit}"
     pictures = [

@@ -2,9 +2,9 @@
 
 from hitchid.report import figures
 from hitchid.report.document import Picture, Pictures, ReportSection
-from hitchid.report.sections.shown_tests import shown_tests
 from hitchid.report.tables import cycle_tables
 from hitchid.validation import Accuracy
+from hitchid.validation.shown_tests import shown_tests
 
 MODELS = ("benchmark", "free_run")
 

@@ -6,11 +6,12 @@ from typing import NamedTuple
 import numpy as np
 
 from hitchid.data.record import LIFTING, LOWERING
+from hitchid.plots.style import finite_or_nan
 from hitchid.report import ChannelTraceFile, Picture, figures
-from hitchid.report.figures.style import finite_or_nan
 from hitchid.report.trace_file import TracedSearch
 from hitchid.studies.sun2025.results import DirectionResult
 from hitchid.validation import Predictions
+from hitchid.validation.predictions import concatenate_tests, concatenated_time
 
 MAX_SAMPLES = 2000  # of a subset in the figures of the compensator, as in the paper
 # Numbers of the figures in the paper, by direction.
@@ -76,7 +77,7 @@ def _predicted_errors(direction: str, result: DirectionResult, unit: str) -> Pap
     data = {}
     for subset, tests in subsets.items():
         measured, benchmark, one_step = (
-            figures.concatenate_tests(rows)[:MAX_SAMPLES]
+            concatenate_tests(rows)[:MAX_SAMPLES]
             for rows in (tests.actual, tests.models["benchmark"], tests.models["one_step"])
         )
         data[f"{subset}_actual_{unit}"] = measured - benchmark
@@ -118,10 +119,10 @@ def _test_set(direction: str, test: Predictions, unit: str) -> PaperFigure:
             f"Distribution of the errors in {unit} on {len(test.names)} unseen tests.",
         ),
     )
-    rows = {f"{model}_{unit}": figures.concatenate_tests(test.models[model]) for model in MODELS}
+    rows = {f"{model}_{unit}": concatenate_tests(test.models[model]) for model in MODELS}
     data = {
-        "time_s": figures.concatenated_time(test),
-        f"measured_{unit}": figures.concatenate_tests(test.actual),
+        "time_s": concatenated_time(test),
+        f"measured_{unit}": concatenate_tests(test.actual),
         **rows,
     }
     return PaperFigure(number, pictures, data)

@@ -1,8 +1,8 @@
-"""Tests that a figure of a report shows."""
+"""Tests that a figure shows."""
 
 import numpy as np
 
-from hitchid.validation import Predictions
+from hitchid.validation.predictions import Predictions
 
 MAX_SHOWN_TESTS = 4  # tests in one figure; chosen, so that curves stay distinguishable
 

@@ -1,6 +1,6 @@
 """Style of all figures: widths, one colour per model, legends and axes."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import wraps
 from typing import Any, NamedTuple, ParamSpec
@@ -12,8 +12,6 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis, XAxis
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator, StrMethodFormatter
-
-from hitchid.validation import NAMES
 
 DECADE, DECADES = 10, 50  # ratio of axis ends: below, linear ticks; above, powers of ten only; chosen
 DECIMATION_BINS = 300  # segments of a curve, each drawn by its lowest and highest point; chosen
@@ -86,13 +84,6 @@ MARKERS = {
     **{label: marker for label, (_, _, marker) in COMPARED.items()},
 }
 """Whose colours are alike to some eyes differ in dashes and markers; a model that is not here has neither."""
-LABELS = NAMES | {
-    "benchmark": "physics model, free run",
-    "one_step": "grey box, one step",
-    "free_run": "grey box, free run",
-    "mechanistic": "mechanistic, free run",
-    **{label: f"model {label}" for label in COMPARED},
-}
 _RC_PARAMS: dict[Any, Any] = {
     "figure.constrained_layout.use": True,
     "font.family": ["DejaVu Sans", "sans-serif"],
@@ -147,11 +138,6 @@ def styled(draw: Callable[_Params, Figure]) -> Callable[_Params, Figure]:
     return wrapper
 
 
-def label(model: str) -> str:
-    """Return the name of a model in a legend."""
-    return LABELS.get(model, model)
-
-
 def finite_or_nan(values: Iterable[float | None]) -> np.ndarray:
     """Return values as an array, NaN for None; a line has a gap there."""
     return np.array([np.nan if value is None else value for value in values])
@@ -176,12 +162,19 @@ def decimate(x: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return x[indices], values[indices]
 
 
-def legend_above(figure: Figure, *axes: Axes, columns: int = 2) -> None:
-    """Add one legend of the labelled artists of some axes above the figure."""
+def curve(x: np.ndarray, values: np.ndarray, *, thin: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Return a curve, decimated where `thin`: for files; a figure on a screen may be zoomed."""
+    return decimate(x, values) if thin else (x, values)
+
+
+def legend_above(figure: Figure, *axes: Axes, columns: int = 2, order: Sequence[str] = ()) -> None:
+    """Add one legend of the labelled artists of some axes above the figure; labels of `order` first."""
     handles: dict[str, Artist] = {}
     for axis in axes:
         for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
             handles.setdefault(label, handle)
+    ordered = [label for label in order if label in handles]
+    handles = {label: handles[label] for label in dict.fromkeys([*ordered, *handles])}
     figure.legend(
         list(handles.values()), list(handles), ncols=columns, loc="outside upper left", columnspacing=1.2
     )

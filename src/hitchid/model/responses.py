@@ -1,0 +1,248 @@
+"""Step and frequency response of the physical model of one direction, with bands from its parameters."""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hitchid._support.precision import double_precision
+from hitchid.data.test_kinds import effective_command
+from hitchid.model.channel import Channel
+from hitchid.model.step_response import speed_lag, steady_speed
+from hitchid.structures import NONLINEARITY_PARAMETERS, Batch, PhysicalModel, Scales, StaticNonlinearity
+
+STEP_SAMPLES = 512  # of a step response; chosen
+LAGS, MIN_SAMPLES = 6.0, 100  # default length of a step response: lags, and least samples; chosen
+LEVEL_SHARES = (1 / 3, 2 / 3, 1.0)  # of the largest effective command: levels without a speed map; chosen
+FREQUENCIES, DECADES = 241, 3  # of a frequency response, up to half the sampling frequency; chosen
+QUANTILES = (0.025, 0.975)  # of the draws: ends of a band of 95 %
+
+
+class Banded(NamedTuple):
+    """Values with the ends of their 95 % band, each of one shape; None without a band."""
+
+    value: np.ndarray
+    lower: np.ndarray | None = None
+    upper: np.ndarray | None = None
+
+    @classmethod
+    def of(cls, value: np.ndarray, draws: np.ndarray | None) -> "Banded":
+        """Return values, shape [N], with the quantiles of draws, shape [S, N], or without a band."""
+        return cls(value) if draws is None else cls(value, *np.quantile(draws, QUANTILES, axis=0))
+
+    def map(self, function: Callable[[np.ndarray], np.ndarray]) -> "Banded":
+        """Return a rising function of the values and of the ends of their band."""
+        if self.lower is None or self.upper is None:
+            return Banded(function(self.value))
+        return Banded(function(self.value), function(self.lower), function(self.upper))
+
+
+class StepResponse(NamedTuple):
+    """Response from rest to one command step at time zero.
+
+    Attributes:
+        level: the command, in its unit.
+        time_s: s, shape [N].
+        travel: in the direction of the command, in the displacement's unit.
+        speed_time_s: middle of each interval, s, shape [N − 1].
+        speed: mean over each interval, in the displacement's unit/s.
+    """
+
+    level: float
+    time_s: np.ndarray
+    travel: Banded
+    speed_time_s: np.ndarray
+    speed: Banded
+
+
+class FrequencyResponse(NamedTuple):
+    """Response from command to travel over frequency.
+
+    Attributes:
+        frequency_hz: Hz, shape [F].
+        magnitude: |G|, in the displacement's per command's unit.
+        phase_rad: continuous phase, dead time included, rad.
+    """
+
+    frequency_hz: np.ndarray
+    magnitude: Banded
+    phase_rad: Banded
+
+
+def default_levels(channel: Channel, mapped: Sequence[float]) -> list[float]:
+    """Return up to three command levels: lowest, middle and highest of a speed map or of the tests."""
+    if mapped:
+        ordered = sorted(set(mapped))
+        return sorted({ordered[0], ordered[len(ordered) // 2], ordered[-1]})
+    highest = float(channel.operating_range.command.highest)
+    return [channel.dead_zone + share * highest for share in LEVEL_SHARES] if np.isfinite(highest) else []
+
+
+@double_precision
+def default_duration_s(channel: Channel, step_s: float) -> float:
+    """Return six lags of the speed after the dead time, and at least 100 samples, s."""
+    benchmark, lag_s = channel.benchmark, 0.0
+    if benchmark.structure.linear is not None:
+        lag_s = speed_lag(benchmark.structure.linear, np.asarray(benchmark.values))
+    lag_s += benchmark.named_values().get("spool_lag", 0.0)
+    return max(float(benchmark.dead_time_s) + LAGS * lag_s, MIN_SAMPLES * step_s)
+
+
+@double_precision
+def step_responses(
+    channel: Channel, levels: Sequence[float], duration_s: float, vectors: Float[np.ndarray, "s r"] | None
+) -> list[StepResponse]:
+    """Return the responses of the physical model to command steps from rest, without end stops.
+
+    Args:
+        channel: of one direction.
+        levels: commands after the step, in the command's unit.
+        duration_s: length, s.
+        vectors: parameter vectors of the band, shape [S, R]; None for no band.
+    """
+    batch = _step_batch(channel, levels, duration_s / (STEP_SAMPLES - 1))
+    travel = np.asarray(channel.benchmark.travel(batch))
+    draws = None if vectors is None else np.asarray(_travels(channel.benchmark, jnp.asarray(vectors), batch))
+    time_s = batch.step_s * np.arange(STEP_SAMPLES)
+    responses = []
+    for number, level in enumerate(levels):
+        drawn = None if draws is None else draws[:, number]
+        speeds = None if drawn is None else np.diff(drawn, axis=1) / batch.step_s
+        responses.append(
+            StepResponse(
+                level=level,
+                time_s=time_s,
+                travel=Banded.of(travel[number], drawn),
+                speed_time_s=time_s[1:] - 0.5 * batch.step_s,
+                speed=Banded.of(np.diff(travel[number]) / batch.step_s, speeds),
+            )
+        )
+    return responses
+
+
+@double_precision
+def steady_speeds(channel: Channel, commands: Float[np.ndarray, " q"]) -> np.ndarray:
+    """Return the speed at each constant command after the transients, at mid stroke and mean load, shape [Q].
+
+    Args:
+        channel: of one direction, with a linear structure.
+        commands: in the command's unit, shape [Q].
+    """
+    displacement, load = _operating_point(channel)
+    loads = jnp.full(commands.size, load)
+    speeds = steady_speed(channel.benchmark, jnp.asarray(commands), loads, channel.dead_zone, displacement)
+    return np.asarray(speeds)
+
+
+def default_frequencies_hz(step_s: float) -> np.ndarray:
+    """Return three decades of frequencies up to half the sampling frequency, Hz, shape [241]."""
+    highest = 0.5 / step_s
+    return np.geomspace(highest / 10**DECADES, highest, FREQUENCIES)
+
+
+@double_precision
+def frequency_response(
+    channel: Channel,
+    frequency_hz: Float[np.ndarray, " f"],
+    command: float | None,
+    vectors: Float[np.ndarray, "s r"] | None,
+) -> FrequencyResponse:
+    """Return G(jω) = x₁ᵀ (jω − A)⁻¹ B exp(−jωT) of the physical model from command to travel.
+
+    With a valve curve the model is linearised at a constant command, mid stroke and mean load: G is
+    multiplied by the slope of the valve curve, by the gain there, and by 1/(1 + jωτ) of the spool. Small
+    signals within the hysteresis are not described.
+
+    Args:
+        channel: of one direction, with a linear structure.
+        frequency_hz: Hz, shape [F].
+        command: constant command of the linearisation, in its unit; None for the dead zone and half of the
+            largest effective command.
+        vectors: parameter vectors of the band, shape [S, R]; None for no band.
+
+    Raises:
+        InputError: the structure is not linear.
+    """
+    channel.benchmark.structure.require_linear()
+    effective = None if command is None else max(command - channel.dead_zone, 0.0)
+    nominal = np.asarray(channel.benchmark.parameter_vector)[None]
+    every = nominal if vectors is None else np.concatenate([nominal, vectors])
+    rational, dead_time_s = _frequency_responses(channel.benchmark, every, frequency_hz, effective)
+    magnitude = np.abs(rational)
+    phase = np.unwrap(np.angle(rational), axis=1) - 2 * np.pi * frequency_hz * dead_time_s[:, None]
+    if vectors is None:
+        return FrequencyResponse(frequency_hz, Banded(magnitude[0]), Banded(phase[0]))
+    return FrequencyResponse(
+        frequency_hz, Banded.of(magnitude[0], magnitude[1:]), Banded.of(phase[0], phase[1:])
+    )
+
+
+def _step_batch(channel: Channel, levels: Sequence[float], step_s: float) -> Batch:
+    """Return steps of the command at the first sample as tests, shape [L, 512]."""
+    raw_command = np.repeat(np.asarray(levels, dtype=np.float64)[:, None], STEP_SAMPLES, axis=1)
+    initial, load = _operating_point(channel)
+    everywhere = np.ones(raw_command.shape, dtype=bool)
+    return Batch(
+        command=jnp.asarray(effective_command(raw_command, channel.dead_zone)),
+        raw_command=jnp.asarray(raw_command),
+        dead_zone=jnp.full(len(levels), channel.dead_zone),
+        displacement=jnp.full(raw_command.shape, initial),
+        valid=jnp.asarray(everywhere),
+        loss_mask=jnp.asarray(everywhere),
+        initial=jnp.full(len(levels), initial),
+        covariate=jnp.full(len(levels), load),
+        step_s=step_s,
+        sign=channel.sign,
+    )
+
+
+def _operating_point(channel: Channel) -> tuple[float, float]:
+    """Return mid stroke and mean load of the identification tests; zero where they are not known."""
+    nonlinearity = channel.benchmark.nonlinearity
+    if nonlinearity is not None:
+        return float(nonlinearity.scales.centre), float(nonlinearity.scales.load_centre)
+    stroke = channel.operating_range.displacement
+    centre = 0.5 * (float(stroke.lowest) + float(stroke.highest))
+    return (centre if np.isfinite(centre) else 0.0), 0.0
+
+
+@eqx.filter_jit
+def _travels(benchmark: PhysicalModel, vectors: Float[Array, "s r"], batch: Batch) -> Float[Array, "s t n"]:
+    return jax.vmap(lambda vector: benchmark.with_parameter_vector(vector).travel(batch))(vectors)
+
+
+def _frequency_responses(
+    benchmark: PhysicalModel, vectors: np.ndarray, frequency_hz: np.ndarray, effective: float | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return rational part and dead time, s, of each parameter vector, shapes [S, F] and [S]."""
+    count = benchmark.values.size
+    a, b = jax.vmap(benchmark.structure.require_linear().state_space)(jnp.asarray(vectors[:, :count]))
+    s = 2j * np.pi * frequency_hz
+    system = s[:, None, None] * np.eye(b.shape[1]) - np.asarray(a)[:, None]
+    inputs = np.broadcast_to(np.asarray(b)[:, None, :, None], (*system.shape[:3], 1))
+    rational = np.linalg.solve(system, inputs)[:, :, 0, 0]
+    nonlinearity = benchmark.nonlinearity
+    if nonlinearity is not None:
+        curves = vectors[:, count + 1 :]
+        spool_lag_s = curves[:, [parameter.name for parameter in NONLINEARITY_PARAMETERS].index("spool_lag")]
+        gains = np.asarray(_small_signal_gains(nonlinearity.scales, jnp.asarray(curves), effective))
+        rational = rational * gains[:, None] / (1 + s * spool_lag_s[:, None])
+    return rational, vectors[:, count]
+
+
+def _small_signal_gains(
+    scales: Scales, curves: Float[Array, "s c"], effective: float | None
+) -> Float[Array, " s"]:
+    """Return dw/du · g at an effective command, mid stroke and mean load for each row of values."""
+    command = 0.5 * scales.command if effective is None else jnp.asarray(effective)
+
+    def gain(values: Float[Array, " c"]) -> Float[Array, ""]:
+        nonlinearity = StaticNonlinearity(values, scales)
+        slope = jax.grad(lambda size: nonlinearity.flow(size, scales.load_centre))(command)
+        return slope * nonlinearity.gain(scales.centre, scales.load_centre)
+
+    return jax.vmap(gain)(curves)
