@@ -1,7 +1,7 @@
 """Commands without a measurement, from an array or a table."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jax.typing import ArrayLike
@@ -12,18 +12,27 @@ from hitchid.errors import InputError
 
 
 @runtime_checkable
+class SupportsArray(Protocol):
+    """What NumPy can take as an array, such as a pandas Series."""
+
+    def __array__(self) -> np.ndarray:
+        """Return the array."""
+        ...
+
+
+@runtime_checkable
 class Frame(Protocol):
-    """A table with named columns, as pandas and polars have it."""
+    """A table with named columns, such as a pandas or polars DataFrame."""
 
     columns: Iterable[str]
 
-    def __getitem__(self, name: str) -> ArrayLike:
+    def __getitem__(self, name: str) -> SupportsArray:
         """Return a column."""
         ...
 
 
-Commands = Mapping[str, ArrayLike] | Frame | ArrayLike
-"""Commands in the model's units: columns, or an array of shape [N, 2] or [N]; see `Hitch.simulate`."""
+Numbers = ArrayLike | SupportsArray | Sequence[Any]
+Commands = Mapping[str, Numbers] | Frame | Numbers
 
 
 def record_of_commands(
@@ -70,7 +79,7 @@ def _by_role(commands: Commands, directions: Sequence[str]) -> dict[str, np.ndar
     return {COMMAND[LIFTING]: np.maximum(samples, 0.0), COMMAND[LOWERING]: np.maximum(-samples, 0.0)}
 
 
-def _numbers(values: ArrayLike, *dimensions: int) -> np.ndarray:
+def _numbers(values: Numbers, *dimensions: int) -> np.ndarray:
     """Return an array of real numbers of one of the given numbers of dimensions."""
     try:
         array = np.asarray(values)

@@ -19,7 +19,7 @@ from hitchid.errors import InputError
 from hitchid.model import conversion, extrapolation
 from hitchid.model.bands import Band, Bands, bands_by_channel
 from hitchid.model.channel import Channel
-from hitchid.model.commands import Commands
+from hitchid.model.commands import Commands, Numbers
 from hitchid.model.comparison import Comparison
 from hitchid.model.dynamics import MAX_MAGNITUDE, HitchDynamics
 from hitchid.model.free_run import multi_step_predictions
@@ -185,8 +185,8 @@ class Hitch:
         commands: Record | Commands,
         *,
         step_s: float | None = None,
-        initial: ArrayLike | None = None,
-        load: ArrayLike | None = None,
+        initial: Numbers | None = None,
+        load: Numbers | None = None,
         compensated: bool = True,
     ) -> Simulation:
         """Return the free run: displacement from the commands and the initial displacement alone.

@@ -6,7 +6,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from jax.typing import ArrayLike, DTypeLike
+from numpy.typing import DTypeLike
 
 from hitchid._support import checks
 from hitchid._support.dataframes import dataframe
@@ -16,7 +16,7 @@ from hitchid.data.units import conversion_factor
 from hitchid.errors import InputError
 from hitchid.model import conversion
 from hitchid.model.bands import Band, Bands, bands_by_channel
-from hitchid.model.commands import Commands, record_of_commands
+from hitchid.model.commands import Commands, Numbers, record_of_commands
 from hitchid.model.dynamics import MAX_MAGNITUDE, HitchDynamics
 from hitchid.model.ensemble import hitch_half_width
 from hitchid.model.extrapolation import OutOfRange, out_of_range
@@ -158,8 +158,8 @@ def simulate(
     commands: Record | Commands,
     *,
     step_s: float | None,
-    initial: ArrayLike | None,
-    load: ArrayLike | None,
+    initial: Numbers | None,
+    load: Numbers | None,
 ) -> Simulation:
     """Return the free run of a record or of commands alone; see `Hitch.simulate`."""
     channels = {channel.direction: channel for channel in model.dynamics.channels}
@@ -190,7 +190,7 @@ def simulate(
     return Simulation(record.time_s, displacement, record.unit, run, inputs, model_record.time_s, model)
 
 
-def _checked(values: ArrayLike | None, name: str) -> np.ndarray | None:
+def _checked(values: Numbers | None, name: str) -> np.ndarray | None:
     """Return one or several finite numbers as an array of shape [] or [M]; None stays None."""
     if values is None:
         return None
