@@ -26,7 +26,7 @@ REVERSAL_S = 186.0
 
 def free_run_rmse(model: Hitch, record: Record) -> float:
     """Return the root mean square error of a free run, in the record's unit."""
-    return float(np.sqrt(np.mean((model.simulate(record) - record.displacement) ** 2)))
+    return float(np.sqrt(np.mean((model.simulate(record).displacement - record.displacement) ** 2)))
 
 
 def leave_one_out() -> None:

@@ -113,7 +113,7 @@ def figures(name: str, seed: int) -> dict[str, float]:
     measured = {"identification / s": time.perf_counter() - started}
     if chosen.skipped:
         record = campaign.held_out(LIFTING)[0]
-        error = (identification.model.simulate(record) - record.displacement)[chosen.skipped :]
+        error = (identification.model.simulate(record).displacement - record.displacement)[chosen.skipped :]
         return measured | {
             f"RMSE / {record.unit}, without {chosen.skipped} samples": float(np.sqrt(np.mean(error**2)))
         }

@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 
-from hitchid.data.record import COMMAND, DIRECTIONS, DISPLACEMENT, Record
 from hitchid.model import Hitch, load
 
 HOLD_SAMPLES = 50
@@ -34,10 +33,7 @@ def agreement(model: Hitch, steps: int) -> float:
     """Return the largest difference between stepping and `simulate`, in the model's unit."""
     inputs = commands(steps, 0.7, 0)
     inputs[0] = 0.0
-    signals = {DISPLACEMENT: np.full(steps, 120.0)} | {
-        COMMAND[direction]: inputs[:, number] for number, direction in enumerate(DIRECTIONS)
-    }
-    simulated = model.simulate(Record("random", model.step_s, signals, dict(model.units)))
+    simulated = model.simulate(inputs, step_s=model.step_s, initial=120.0).displacement
     state, largest = model.init_state(120.0), 0.0
     for number in range(steps - 1):
         state, displacement = model.step(state, inputs[number])

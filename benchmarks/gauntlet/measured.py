@@ -103,7 +103,7 @@ def _pause_drift(model: hitchid.Hitch, record: hitchid.Record) -> float:
         return np.concatenate([samples[:middle], np.full(pause, rest), samples[middle:]])
 
     signals = {role: hold_constant(role, samples) for role, samples in record.signals.items()}
-    displacement = model.simulate(replace(record, signals=signals))
+    displacement = model.simulate(replace(record, signals=signals)).displacement
     return float(np.ptp(displacement[middle + settling : middle + pause]))
 
 
@@ -140,7 +140,7 @@ def whole_logs(outcome: Outcome, name: str) -> None:
             continue
         factor, second = MILLIMETRES[record.unit], max(1, round(1.0 / record.step_s))
         measured = factor * record.displacement
-        free_run_errors.append(factor * model.simulate(record) - measured)
+        free_run_errors.append(factor * model.simulate(record).displacement - measured)
         ahead_errors.append((factor * model.predict(record, horizon=second) - measured)[second:])
         persistence_errors.append(measured[:-second] - measured[second:])
     outcome.figures["whole logs: free run / mm"] = _rms(free_run_errors)
@@ -211,7 +211,7 @@ def _structure(name: str) -> dict[str, ModelSpec]:
 
 def _official_rmse(model: hitchid.Hitch, campaign: hitchid.Campaign, skipped: int) -> float:
     (record,) = campaign.held_out(LIFTING)
-    return _rms([(model.simulate(record) - record.displacement)[skipped:]])
+    return _rms([(model.simulate(record).displacement - record.displacement)[skipped:]])
 
 
 def _rms(errors: list[np.ndarray]) -> float:

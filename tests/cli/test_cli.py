@@ -528,7 +528,7 @@ def test_simulate_writes_what_the_model_predicts(bench_folder, tmp_path, horizon
     result = hitchid("simulate", tmp_path / "model", log, "--out", out, "--horizon", horizon)
     assert result == (0, "", "")
     (record,) = read(log).records
-    predicted = hitch.simulate(record) if horizon == "free" else hitch.predict(record, horizon=3)
+    predicted = hitch.simulate(record).displacement if horizon == "free" else hitch.predict(record, horizon=3)
     header, *rows = (line.split(",") for line in out.read_text().splitlines())
     assert header == [*log.read_text().splitlines()[0].split(","), "displacement_predicted_mm"]
     # Nine significant digits are written.
@@ -548,14 +548,14 @@ def test_simulate_writes_the_ends_of_a_band_beside_the_prediction(bench_folder, 
     assert header[-3:] == ["displacement_predicted_mm", "displacement_lower_mm", "displacement_upper_mm"]
     written = np.array([[float(cell) for cell in row[-2:]] for row in rows]).T
     # Nine significant digits are written.
-    np.testing.assert_allclose(written, hitch.band(record, coverage=0.8), rtol=5e-9)
+    np.testing.assert_allclose(written, hitch.simulate(record).band(0.8), rtol=5e-9)
 
 
 def test_simulate_without_bands_in_the_model_says_why_and_writes_nothing(model, bench_folder, tmp_path):
     out = tmp_path / "out.csv"
     result = hitchid("simulate", model, bench_folder / "lowering-02.csv", "--out", out, "--bands")
     assert result.code == 2
-    assert "no bands for lifting and lowering; expected at least three tests" in result.err
+    assert "no bands for lifting and lowering; identification needs at least three tests" in result.err
     assert not out.exists()
 
 

@@ -117,8 +117,10 @@ def test_it_is_saved_loaded_and_validated_under_its_name(identified, campaign, t
     model = hitchid.load(tmp_path / "model")
     assert model.channels[LIFTING].benchmark.structure.name == NAME
     record = campaign.records[-1]
-    np.testing.assert_array_equal(model.simulate(record), identified.model.simulate(record))
-    rmse = np.sqrt(np.mean((model.simulate(record) - record.displacement) ** 2))
+    np.testing.assert_array_equal(
+        model.simulate(record).displacement, identified.model.simulate(record).displacement
+    )
+    rmse = np.sqrt(np.mean((model.simulate(record).displacement - record.displacement) ** 2))
     assert rmse == pytest.approx(NOISE, rel=0.2)
     hitchid.validate(model, campaign)
     trace = json.loads((tmp_path / "model" / "trace.json").read_text())

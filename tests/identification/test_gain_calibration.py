@@ -32,7 +32,7 @@ def simulated(make_record):
             moving = np.arange(SAMPLES) >= 10
             up, down = on * lifts * moving, on * ~lifts * moving
             commands = make_record(np.full(SAMPLES, 100.0 * (number + 1)), up, down, name=f"mixed-{number}")
-            run = hitch.simulate(commands)
+            run = hitch.simulate(commands).displacement
             records.append(replace(commands, signals={**commands.signals, "displacement": run}))
         return records
 

@@ -106,11 +106,11 @@ def test_extrapolation_is_told_in_words_for_each_direction(make_record):
     up, down = (np.concatenate([np.zeros(10), np.full(60, level), np.zeros(30)]) for level in (0.8, 0.45))
     lifting, lowering = np.concatenate([up, 0 * down]), np.concatenate([0 * up, down])
     record = make_record(np.full(SAMPLES, 100.0), lifting, lowering)
-    simulated = model.simulate(record)
+    simulation = model.simulate(record)
     # The channel that lowers takes over where its command begins; lifting has none before its own.
     mine = np.arange(SAMPLES) < 110
-    high = simulated > 103.0
-    assert model.extrapolation(record) == (
+    high = simulation.displacement > 103.0
+    assert simulation.flags == (
         "lifting: the command is outside the identified range, 0 to 0.3 A beyond the dead zone, in 60 of 200 "
         "samples",
         f"lifting: the displacement is outside the identified range, 90 to 103 mm, in "
@@ -119,8 +119,8 @@ def test_extrapolation_is_told_in_words_for_each_direction(make_record):
         f"{np.count_nonzero(high & ~mine)} of 200 samples",
     )
     within = make_record(np.full(SAMPLES, 100.0), 0 * lifting, 0 * lowering)
-    assert model.extrapolation(within) == ()
-    assert hitch().extrapolation(record) == ()
+    assert model.simulate(within).flags == ()
+    assert hitch().simulate(record).flags == ()
 
 
 def test_extrapolation_tells_of_the_second_input_by_its_unit(make_record):
@@ -136,7 +136,7 @@ def test_extrapolation_tells_of_the_second_input_by_its_unit(make_record):
         heard = type(record)(
             name="test", step_s=0.01, signals=signals, units={**record.units, "pressure": "bar"}
         )
-        told[pressure] = model.extrapolation(heard)
+        told[pressure] = model.simulate(heard).flags
     assert told == {
         105.0: (),
         111.0: ("lifting: the load is outside the identified range, 100 to 110 bar, in 188 of 200 samples",),
@@ -148,7 +148,7 @@ def test_a_standing_command_moves_nothing_whatever_was_learnt(make_record, mode)
     model = hitch("integrator-second-order", compensated=True, free_run=True)
     command = np.concatenate([np.zeros(10), np.full(100, 0.8), np.zeros(6200)])
     commands = (command, 0 * command) if mode == LIFTING else (0 * command, command)
-    found = model.simulate(make_record(np.full(command.size, 100.0), *commands))
+    found = model.simulate(make_record(np.full(command.size, 100.0), *commands)).displacement
     # After two seconds what is left of the benchmark's speed is exp(−ξ ωh t), some 4e-10 of 20 mm/s.
     assert abs(found[109] - 100.0) > 5.0
     assert np.ptp(found[310:]) < 1e-8

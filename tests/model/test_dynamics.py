@@ -126,7 +126,7 @@ def test_a_free_run_by_single_steps_is_that_of_the_whole_record(record_of, model
     record = record_of(np.full(len(commands), 100.0), commands)
     load = LOAD if any(each.benchmark.covariate for each in model.channels.values()) else 0.0
     found, _ = stepped_singly(model, commands[:-1], load=load)
-    np.testing.assert_allclose(found, model.simulate(record), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found, model.simulate(record).displacement, rtol=0, atol=1e-9)
     assert np.ptp(found) > 5.0
 
 

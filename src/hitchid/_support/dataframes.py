@@ -9,8 +9,8 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
-def dataframe(rows: Sequence[Mapping[str, object]]) -> "DataFrame":
-    """Return rows, each column name to value, as a DataFrame; None becomes a missing value.
+def dataframe(table: Mapping[str, object] | Sequence[Mapping[str, object]]) -> "DataFrame":
+    """Return columns, or rows that are column name to value, as a DataFrame; None becomes a missing value.
 
     Raises:
         InputError: pandas is not installed.
@@ -18,5 +18,5 @@ def dataframe(rows: Sequence[Mapping[str, object]]) -> "DataFrame":
     try:
         import pandas as pd
     except ImportError as error:
-        raise InputError("to_dataframe: expected pandas to be installed; run: pip install pandas") from error
-    return pd.DataFrame(list(rows))
+        raise InputError("pandas is required for DataFrames: pip install 'hitchid[pandas]'") from error
+    return pd.DataFrame(dict(table) if isinstance(table, Mapping) else list(table))

@@ -317,9 +317,14 @@ def resampled(
     Returns:
         Role to samples, each of shape [M].
     """
-    slack = GRID_TOLERANCE * float(np.median(np.diff(old_times_s))) if old_times_s.size > 1 else 0.0
-    hold_rows = np.maximum(np.searchsorted(old_times_s, new_times_s + slack, side="right") - 1, 0)
+    rows = held_rows(old_times_s, new_times_s)
     return {
-        role: samples[hold_rows] if role in COMMAND.values() else np.interp(new_times_s, old_times_s, samples)
+        role: samples[rows] if role in COMMAND.values() else np.interp(new_times_s, old_times_s, samples)
         for role, samples in signals.items()
     }
+
+
+def held_rows(old_times_s: np.ndarray, new_times_s: np.ndarray) -> np.ndarray:
+    """Return the row whose value is held at each new time, with a tolerance of 2 % of a step, shape [M]."""
+    slack = GRID_TOLERANCE * float(np.median(np.diff(old_times_s))) if old_times_s.size > 1 else 0.0
+    return np.maximum(np.searchsorted(old_times_s, new_times_s + slack, side="right") - 1, 0)

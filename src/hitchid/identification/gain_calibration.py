@@ -90,7 +90,8 @@ def _residuals(
     """Return the free-run errors of each record; their norm is the root mean square."""
     scaled_hitch = scaled(hitch, dict(zip(directions, np.exp(logarithms), strict=True)))
     all_errors = [
-        (scaled_hitch.simulate(record) - record.displacement)[::SAMPLE_STRIDE] for record in records
+        (scaled_hitch.simulate(record).displacement - record.displacement)[::SAMPLE_STRIDE]
+        for record in records
     ]
     return [errors / np.sqrt(errors.size) for errors in all_errors]
 

@@ -26,5 +26,6 @@ from hitchid.model.limits import TravelLimits as TravelLimits
 from hitchid.model.packing import Packed as Packed
 from hitchid.model.provenance import Provenance as Provenance
 from hitchid.model.provenance import TwoModes as TwoModes
+from hitchid.model.simulation import Simulation as Simulation
 from hitchid.model.state import HitchState as HitchState
 from hitchid.model.uncertainty import Uncertainty as Uncertainty

@@ -1,6 +1,6 @@
 """Bands around predictions: their record, and the half width from it."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from typing import NamedTuple
@@ -14,7 +14,7 @@ from hitchid.errors import InputError
 
 @short_repr
 class Band(NamedTuple):
-    """Lower and upper limit of the expected displacement, in the record's unit, each of shape [N]."""
+    """Lower and upper limit of the expected displacement, each of its shape and in its unit."""
 
     lower: np.ndarray
     upper: np.ndarray
@@ -85,6 +85,21 @@ class Bands:
                 f"coverage: expected between {self.levels[0]:g} and {self.levels[-1]:g}, got {coverage:g}"
             )
         return coverage
+
+
+def bands_by_channel(bands: Mapping[str, Bands], directions: Sequence[str]) -> list[Bands]:
+    """Return the bands of each direction.
+
+    Raises:
+        InputError: a direction has none.
+    """
+    missing = [direction for direction in directions if direction not in bands]
+    if missing:
+        raise InputError(
+            f"the model has no bands for {' and '.join(missing)}; identification needs at least three "
+            "tests for bands"
+        )
+    return [bands[direction] for direction in directions]
 
 
 def free_run_half_width(bands: Sequence[Bands], spreads: Sequence[np.ndarray], coverage: float) -> np.ndarray:

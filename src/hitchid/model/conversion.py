@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from jaxtyping import Float
 
 from hitchid._support import checks
 from hitchid.data.record import DISPLACEMENT, Record
@@ -42,27 +43,61 @@ def to_model_units(
 
 
 def to_record_units(
-    displacement: np.ndarray, units: Mapping[str, str], model_record: Record, record: Record
+    displacement: Float[np.ndarray, "*m n"],
+    units: Mapping[str, str],
+    model_record: Record,
+    record: Record,
 ) -> np.ndarray:
     """Return a displacement of the model on the record's clock and in its unit."""
     factor = conversion_factor(units[DISPLACEMENT], record.unit, record.name)
-    if model_record.step_s != record.step_s:
-        displacement = np.interp(record.time_s, model_record.time_s, displacement)
-    return displacement * factor
+    return factor * interpolated(displacement, model_record.time_s, record.time_s)
 
 
-def initial_condition(record: Record, channels: Mapping[str, Channel]) -> InitialCondition:
-    """Return displacement and covariate before motion: means before any command is effective."""
+def interpolated(
+    samples: Float[np.ndarray, "*m n"], old_times_s: np.ndarray, new_times_s: np.ndarray
+) -> np.ndarray:
+    """Return samples interpolated from one clock to another, linearly; exact for equal clocks."""
+    return np.apply_along_axis(lambda row: np.interp(new_times_s, old_times_s, row), -1, samples)
+
+
+def covariate_of(channels: Mapping[str, Channel]) -> str | None:
+    """Return the covariate that channels require; None where they require none."""
+    return next((c.benchmark.covariate for c in channels.values() if c.benchmark.covariate), None)
+
+
+def initial_condition(
+    record: Record,
+    channels: Mapping[str, Channel],
+    *,
+    displacement: np.ndarray | None = None,
+    load: np.ndarray | None = None,
+) -> InitialCondition:
+    """Return displacement and covariate before motion.
+
+    Args:
+        record: on the model's clock and in its units.
+        channels: direction to channel.
+        displacement, load: given values, shape [] or [M]; None for the mean before any command is effective.
+
+    Raises:
+        InputError: the record lacks the covariate, or given values differ in number.
+    """
     effective = np.zeros(len(record))
     for direction, channel in channels.items():
         if direction in record.directions:
             effective += np.abs(effective_command(record.command(direction), channel.dead_zone))
-    load = next((c.benchmark.covariate for c in channels.values() if c.benchmark.covariate), None)
-    record.require(load)
-    return InitialCondition(
-        mean_before_motion(record.displacement, effective),
-        0.0 if load is None else mean_before_motion(record.signals[load], effective),
-    )
+    covariate = covariate_of(channels)
+    if displacement is None:
+        displacement = np.asarray(mean_before_motion(record.displacement, effective))
+    if load is None:
+        samples = np.zeros(1) if covariate is None else record.require(covariate).signals[covariate]
+        load = np.asarray(mean_before_motion(samples, effective))
+    try:
+        return InitialCondition(*np.broadcast_arrays(displacement, load))
+    except ValueError as error:
+        raise InputError(
+            f"initial and load: expected equal numbers of values, got {displacement.size} and {load.size}"
+        ) from error
 
 
 def _same_clock(step_s: float, wanted_s: float, samples: int) -> bool:

@@ -8,11 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from hitchid.data.record import Record
 from hitchid.model.bands import Bands, EnsembleMember, free_run_half_width
 from hitchid.model.channel import Channel
 from hitchid.model.dynamics import HitchDynamics
-from hitchid.model.free_run import FreeRun, InitialCondition, ensemble_free_runs
+from hitchid.model.free_run import FreeRun, FreeRunInputs, ensemble_free_runs
 from hitchid.structures import Batch
 
 
@@ -51,20 +50,21 @@ def ensemble_deviations(
 def hitch_half_width(
     dynamics: HitchDynamics,
     bands: Sequence[Bands],
-    record: Record,
-    initial: InitialCondition,
+    inputs: FreeRunInputs,
     run: FreeRun,
     coverage: float,
-) -> Float[np.ndarray, " n"]:
-    """Return the half width of the band around the free run of a hitch, in the model's unit, shape [N].
+) -> Float[np.ndarray, "*m n"]:
+    """Return the half width of the band around free runs of a hitch, in the model's unit.
 
     Args:
         dynamics: dynamics of the hitch in free run.
         bands: bands of each channel.
-        record: on the model's clock and in its units.
-        initial: initial condition of the free run.
-        run: free run of the record.
+        inputs: inputs of the free runs.
+        run: the free runs.
         coverage: share of samples within the band.
+
+    Returns:
+        Half width at every sample, shape [N] or [M, N].
     """
     members, weights, owners = [], [], []
     for number, (channel, channel_bands) in enumerate(zip(dynamics.channels, bands, strict=True)):
@@ -74,7 +74,7 @@ def hitch_half_width(
             members.append(HitchDynamics.of(channels, dynamics.step_s, dynamics.drift))
             weights.append(member.weight)
             owners.append(number)
-    deviations = ensemble_free_runs(members, record, initial) - run.displacement
-    squares = (np.array(weights)[:, None] * deviations) ** 2
+    deviations = ensemble_free_runs(members, inputs) - run.displacement
+    squares = (np.array(weights).reshape(-1, *[1] * run.displacement.ndim) * deviations) ** 2
     spreads = [np.sqrt(squares[np.array(owners) == number].sum(axis=0)) for number in range(len(bands))]
     return free_run_half_width(bands, spreads, coverage)

@@ -1,45 +1,77 @@
-"""Warnings where a free run leaves the operating range of the identification tests."""
+"""Where a free run is outside the operating range of the identification tests."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Bool
 
-from hitchid.data.record import COMMAND, DISPLACEMENT, Record
+from hitchid.data.record import COMMAND, DIRECTIONS, DISPLACEMENT
+from hitchid.data.test_kinds import effective_command
 from hitchid.model.channel import Channel
-from hitchid.model.free_run import FreeRun
+from hitchid.model.free_run import FreeRun, FreeRunInputs
 
 
-def warnings(
-    channels: Mapping[str, Channel], units: Mapping[str, str], record: Record, run: FreeRun
-) -> tuple[str, ...]:
-    """Return a sentence for each signal outside its range, and for each limit that clips the free run.
+class OutOfRange(NamedTuple):
+    """One signal outside its range.
+
+    Attributes:
+        sentence: names the signal, its range and the number of samples outside.
+        samples: which samples are outside, of the shape of the free run.
+    """
+
+    sentence: str
+    samples: Bool[np.ndarray, "*m n"]
+
+
+def out_of_range(
+    channels: Sequence[Channel], units: Mapping[str, str], inputs: FreeRunInputs, run: FreeRun
+) -> tuple[OutOfRange, ...]:
+    """Return each signal outside its range while its channel is in charge, and limits that clip the run.
 
     Args:
         channels, units: channels and units of the model.
-        record: on the model's clock and in its units.
-        run: free run of the record.
+        inputs: inputs of the free runs.
+        run: the free runs.
     """
-    displacement, active_channel = run
-    sentences = []
-    for number, (direction, channel) in enumerate(channels.items()):
-        in_charge = active_channel == number
-        batch = channel.batch([record], [float(displacement[0])])
-        padding = (0, batch.command.shape[1] - displacement.size)
-        padded = np.pad(displacement, padding, mode="edge")
-        for name, is_outside in channel.out_of_range(batch, jnp.asarray(padded)[None]).items():
-            samples = int(np.sum(is_outside[0, : len(record)] & in_charge))
-            if samples:
-                sentences.append(
-                    f"{direction}: the {name} is outside the identified range, "
-                    f"{describe_range(channel, units, name)}, in {samples} of {len(record)} samples"
+    displacement, active_channel, _ = run
+    runs = f" of {len(displacement)} runs" if displacement.ndim > 1 else ""
+    of_all = f"of {displacement.size} samples{runs}"
+    found = []
+    for number, channel in enumerate(channels):
+        for name, mask in _masks(channel, inputs, displacement).items():
+            samples = mask & (active_channel == number)
+            described = describe_range(channel, units, name)
+            found.append(
+                OutOfRange(
+                    f"{channel.direction}: the {name} is outside the identified range, {described}, "
+                    f"in {samples.sum()} {of_all}",
+                    samples,
                 )
-    limits = next(iter(channels.values())).limits
-    samples = 0 if limits is None else int(np.sum(limits.at_soft_limit(displacement)))
-    if limits is not None and samples:
-        sentence = limits.sentence(units[DISPLACEMENT])
-        sentences.append(f"{sentence}; this limit applies in {samples} of {displacement.size} samples")
-    return tuple(sentences)
+            )
+    limits = channels[0].limits
+    if limits is not None:
+        samples = limits.at_soft_limit(displacement)
+        sentence = f"{limits.sentence(units[DISPLACEMENT])}; this limit applies in {samples.sum()} {of_all}"
+        found.append(OutOfRange(sentence, samples))
+    return tuple(signal for signal in found if signal.samples.any())
+
+
+def _masks(
+    channel: Channel, inputs: FreeRunInputs, displacement: np.ndarray
+) -> dict[str, Bool[np.ndarray, "*#m n"]]:
+    """Return `command`, `displacement` and `load` to the samples outside the range of a channel."""
+    command = inputs.commands[:, DIRECTIONS.index(channel.direction)]
+    signals = {
+        "command": np.abs(effective_command(command, channel.dead_zone)),
+        "displacement": displacement,
+        "load": inputs.initial.load[..., None],
+    }
+    return {
+        name: np.asarray(getattr(channel.operating_range, name).trust(jnp.asarray(values))) < 1
+        for name, values in signals.items()
+    }
 
 
 def describe_range(channel: Channel, units: Mapping[str, str], name: str) -> str:

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from hitchid._support.short_repr import short_repr
 from hitchid.data.record import DIRECTIONS, Record
@@ -18,46 +18,70 @@ from hitchid.structures import padded_length
 ORIGINS_PER_BATCH = 64  # predictions advanced at the same time; chosen: their states fit the cache
 
 
-@short_repr
-class FreeRun(NamedTuple):
-    """A free run on the model's clock and in its units.
+class InitialCondition(NamedTuple):
+    """Displacement and covariate of a hitch at rest before a run, in the model's units.
 
     Attributes:
-        displacement: at every sample, shape [N].
-        active_channel: index of the channel in charge from each sample to the next, −1 before the first
-            effective command, shape [N].
+        displacement, load: shape [] each, or [M] for M runs.
     """
 
-    displacement: Float[np.ndarray, " n"]
-    active_channel: Int[np.ndarray, " n"]
+    displacement: Float[np.ndarray, "*m"]
+    load: Float[np.ndarray, "*m"]
 
 
-class InitialCondition(NamedTuple):
-    """Displacement and covariate of a hitch at rest before a record, in the model's units."""
+class FreeRunInputs(NamedTuple):
+    """Inputs of free runs, on the model's clock and in its units.
 
-    displacement: float
-    load: float
+    Attributes:
+        commands: lifting and lowering command, shape [N, 2].
+        initial: initial condition of each run.
+    """
+
+    commands: Float[np.ndarray, "n 2"]
+    initial: InitialCondition
 
 
-def free_run(dynamics: HitchDynamics, record: Record, initial: InitialCondition) -> FreeRun:
-    """Return the free run over a record on the model's clock and in its units."""
-    displacement, active_channel = simulate_free_run(
-        dynamics, jnp.array(initial), pad_with_nan(commands_of(record), 1)
+@short_repr
+class FreeRun(NamedTuple):
+    """Free run on the model's clock and in its units.
+
+    Attributes:
+        displacement: at every sample, shape [N], or [M, N] for M initial conditions.
+        active_channel: index of the channel in charge from each sample to the next, −1 before the first
+            effective command, same shape.
+        is_held: whether no command demands motion from each sample to the next, same shape.
+    """
+
+    displacement: Float[np.ndarray, "*m n"]
+    active_channel: Int[np.ndarray, "*m n"]
+    is_held: Bool[np.ndarray, "*m n"]
+
+
+def free_run(dynamics: HitchDynamics, inputs: FreeRunInputs) -> FreeRun:
+    """Return the free run of each initial condition; several are advanced at the same time."""
+    initial = jnp.asarray(np.stack(inputs.initial, axis=-1))
+    commands = pad_with_nan(inputs.commands, 1)
+    simulate = simulate_free_run if initial.ndim == 1 else simulate_free_runs
+    count = len(inputs.commands)
+    displacement, active_channel, is_held = (
+        np.asarray(rows)[..., :count] for rows in simulate(dynamics, initial, commands)
     )
-    steps = np.asarray(active_channel)[: len(record) - 1]
-    return FreeRun(
-        np.concatenate([[initial.displacement], np.asarray(displacement)[: len(record) - 1]]),
-        np.concatenate([steps, steps[-1:]]),
-    )
+    return FreeRun(_with_initial(displacement, inputs.initial), active_channel, is_held)
 
 
 def ensemble_free_runs(
-    members: Sequence[HitchDynamics], record: Record, initial: InitialCondition
-) -> Float[np.ndarray, "m n"]:
-    """Return the displacement of the free runs of several hitches over one record, shape [M, N]."""
-    commands = pad_with_nan(commands_of(record), 1)
-    rows = simulate_ensemble(members, jnp.array(initial), commands)[:, : len(record) - 1]
-    return np.pad(rows, ((0, 0), (1, 0)), constant_values=initial.displacement)
+    members: Sequence[HitchDynamics], inputs: FreeRunInputs
+) -> Float[np.ndarray, "a *m n"]:
+    """Return the displacement of the free runs of several hitches, shape [A, N] or [A, M, N]."""
+    initial = jnp.asarray(np.stack(inputs.initial, axis=-1))
+    rows = simulate_ensemble(members, initial, pad_with_nan(inputs.commands, 1))
+    return _with_initial(rows[..., : len(inputs.commands)], inputs.initial)
+
+
+def _with_initial(next_displacement: np.ndarray, initial: InitialCondition) -> Float[np.ndarray, "*b n"]:
+    """Return the displacement at every sample from that at the next one, the last of which is dropped."""
+    first = np.broadcast_to(initial.displacement[..., None], (*next_displacement.shape[:-1], 1))
+    return np.concatenate([first, next_displacement[..., :-1]], axis=-1)
 
 
 def multi_step_predictions(
@@ -70,10 +94,10 @@ def multi_step_predictions(
         pad_with_nan(samples, longest) for samples in (commands_of(record), record.displacement)
     )
     predictions = np.asarray(
-        predict_from_origins(dynamics, jnp.array(initial), commands, measured, longest, stride)
+        predict_from_origins(dynamics, jnp.asarray(initial), commands, measured, longest, stride)
     )
     return [
-        align_predictions(predictions, initial.displacement, min(horizon, longest), count, stride)
+        align_predictions(predictions, float(initial.displacement), min(horizon, longest), count, stride)
         for horizon in horizons
     ]
 
@@ -97,24 +121,33 @@ def pad_with_nan(samples: np.ndarray, extra: int) -> Array:
 @eqx.filter_jit
 def simulate_free_run(
     dynamics: HitchDynamics, initial: Float[Array, "2"], commands: Float[Array, "n 2"]
-) -> tuple[Float[Array, " n"], Int[Array, " n"]]:
-    """Return displacement after each sample without measurements, and the channel in charge until then."""
+) -> tuple[Float[Array, " n"], Int[Array, " n"], Bool[Array, " n"]]:
+    """Return displacement after each sample without measurements; until then, channel and whether held."""
 
-    def advance(state: HitchState, command: Array) -> tuple[HitchState, tuple[Array, Array]]:
+    def advance(state: HitchState, command: Array) -> tuple[HitchState, tuple[Array, Array, Array]]:
         state, displacement = dynamics.step(state, command, jnp.asarray(jnp.nan))
-        return state, (displacement, state.mode)
+        demands = [channel.valve.motion_demand[-1] for channel in state.channels]
+        return state, (displacement, state.mode, ~jnp.any(jnp.stack(demands)))
 
     return jax.lax.scan(advance, dynamics.init_state(*initial), commands)[1]
 
 
+@eqx.filter_jit
+def simulate_free_runs(
+    dynamics: HitchDynamics, initial: Float[Array, "m 2"], commands: Float[Array, "n 2"]
+) -> tuple[Float[Array, "m n"], Int[Array, "m n"], Bool[Array, "m n"]]:
+    """Return `simulate_free_run` for several initial conditions."""
+    return jax.vmap(lambda row: simulate_free_run(dynamics, row, commands))(initial)
+
+
 def simulate_ensemble(
-    members: Sequence[HitchDynamics], initial: Float[Array, "2"], commands: Float[Array, "n 2"]
-) -> Float[np.ndarray, "m n"]:
+    members: Sequence[HitchDynamics], initial: Float[Array, "*m 2"], commands: Float[Array, "n 2"]
+) -> Float[np.ndarray, "a *m n"]:
     """Return displacement after each sample for several hitches; one compiled call for each structure."""
     groups: dict[object, list[int]] = {}
     for number, dynamics in enumerate(members):
         groups.setdefault(jax.tree.structure(dynamics), []).append(number)
-    displacements = np.empty((len(members), len(commands)))
+    displacements = np.empty((len(members), *initial.shape[:-1], len(commands)))
     for indices in groups.values():
         stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *(members[number] for number in indices))
         displacements[indices] = _simulate_stacked(stacked, initial, commands)
@@ -122,8 +155,12 @@ def simulate_ensemble(
 
 
 @eqx.filter_jit
-def _simulate_stacked(stacked: HitchDynamics, initial: Array, commands: Array) -> Float[Array, "m n"]:
-    return jax.vmap(lambda dynamics: simulate_free_run(dynamics, initial, commands)[0])(stacked)
+def _simulate_stacked(stacked: HitchDynamics, initial: Array, commands: Array) -> Float[Array, "a *m n"]:
+    def simulate(dynamics: HitchDynamics, row: Array) -> Float[Array, " n"]:
+        return simulate_free_run(dynamics, row, commands)[0]
+
+    by_initial = simulate if initial.ndim == 1 else jax.vmap(simulate, in_axes=(None, 0))
+    return jax.vmap(by_initial, in_axes=(0, None))(stacked, initial)
 
 
 @eqx.filter_jit

@@ -18,15 +18,16 @@ from hitchid.data.record import DIRECTIONS, Record
 from hitchid.data.segmentation import CommandThreshold
 from hitchid.errors import InputError
 from hitchid.model import conversion, extrapolation, pickling, plotting, thresholds
-from hitchid.model.bands import Band, Bands
+from hitchid.model.bands import Band, Bands, bands_by_channel
 from hitchid.model.channel import Channel
+from hitchid.model.commands import Commands, Numbers
 from hitchid.model.comparison import Comparison
 from hitchid.model.dynamics import MAX_MAGNITUDE, HitchDynamics
-from hitchid.model.ensemble import hitch_half_width
-from hitchid.model.free_run import FreeRun, free_run, multi_step_predictions
+from hitchid.model.free_run import multi_step_predictions
 from hitchid.model.limits import TravelLimits
 from hitchid.model.packing import Packed
 from hitchid.model.provenance import Provenance, TwoModes
+from hitchid.model.simulation import SimulatedModel, Simulation, simulate
 from hitchid.model.state import HitchState
 from hitchid.model.step import StepFunctions, join_inputs
 from hitchid.model.uncertainty import Uncertainty
@@ -67,21 +68,6 @@ class Hitch(Value, Summarised):
     def __reduce__(self) -> tuple:
         """Return the fields for `pickle` and `copy`."""
         return pickling.reduced(self)
-
-    @double_precision
-    def extrapolation(self, record: Record) -> tuple[str, ...]:
-        """Return a sentence for each signal of a free run outside the operating range of the tests.
-
-        More than a tenth of a range outside, the free run is that of the benchmark without compensator.
-
-        Args:
-            record: as in `simulate`.
-
-        Raises:
-            InputError: as `simulate`.
-        """
-        model_record = self.to_model_units(record)
-        return extrapolation.warnings(self.channels, self.units, model_record, self.free_run(model_record))
 
     @property
     def limits(self) -> TravelLimits | None:
@@ -183,25 +169,38 @@ class Hitch(Value, Summarised):
             return self._step_functions.unpack(state)
 
     @double_precision
-    def simulate(self, record: Record, *, compensated: bool = True) -> np.ndarray:
+    def simulate(
+        self,
+        commands: Record | Commands,
+        *,
+        step_s: float | None = None,
+        initial: Numbers | None = None,
+        load: Numbers | None = None,
+        compensated: bool = True,
+    ) -> Simulation:
         """Return the free run: displacement from the commands and the initial displacement alone.
 
-        One `step` for each sample. Change of direction: :doc:`/switching`.
+        One `step` for each sample. Change of direction: :doc:`/switching`. Several initial displacements or
+        loads are simulated at the same time.
 
         Args:
-            record: commands, and displacement, of which only the mean before motion is used.
-            compensated: False for a simulation without compensators.
-
-        Returns:
-            Displacement at every sample, in the unit of the record's displacement, shape [N].
+            commands: a record, whose displacement and covariate count only before motion; or commands in
+                the model's units: columns `lifting_command` and `lowering_command` of a mapping or
+                DataFrame, an array of both, shape [N, 2], or one command, shape [N]: that of a model of one
+                channel, otherwise positive for lifting and negative for lowering.
+            step_s: sampling time of commands without a record, s; they are resampled as those of a log.
+            initial: initial displacement, in the model's unit, shape [] or [M]; required without a record.
+            load: covariate before motion, in the model's unit, shape [] or [M]; required without a record
+                where the model has one.
+            compensated: False for a simulation without compensators, which has no bands.
 
         Raises:
-            InputError: the record cannot be converted to the model's units, see `to_model_units`.
+            InputError: an argument is missing or cannot be used, or the record cannot be converted to the
+                model's units, see `to_model_units`.
         """
-        model_record = self.to_model_units(record)
-        return self._to_record_units(
-            self.free_run(model_record, compensated=compensated).displacement, model_record, record
-        )
+        dynamics = self._free_run_dynamics(compensated=compensated)
+        model = SimulatedModel(dynamics, dict(self.units), self._bands if compensated else {})
+        return simulate(model, commands, step_s=step_s, initial=initial, load=load)
 
     def predict(self, record: Record, *, horizon: int = 1) -> np.ndarray:
         """Return the prediction of each sample from displacement measured up to `horizon` samples before.
@@ -240,59 +239,26 @@ class Hitch(Value, Summarised):
         rows = multi_step_predictions(self._dynamics, model_record, initial, horizons, stride)
         return np.stack([self._to_record_units(row, model_record, record) for row in rows])
 
-    @double_precision
-    def free_run(self, record: Record, *, compensated: bool = True) -> FreeRun:
-        """Return the free run of a record, and the channel in charge at each sample.
+    def band(self, record: Record, *, horizon: int, coverage: float = 0.9) -> Band:
+        """Return the band around `predict` that contains the measured displacement for a share of samples.
+
+        Its half width is that of the channel in charge; `Simulation.band` is the band of a free run.
 
         Args:
-            record: on the model's clock and in its units; see `to_model_units`.
-            compensated: False for a simulation without compensators.
-        """
-        initial = conversion.initial_condition(record, self.channels)
-        return free_run(self._free_run_dynamics(compensated=compensated), record, initial)
-
-    @double_precision
-    def band(self, record: Record, *, coverage: float = 0.9, horizon: int | None = None) -> Band:
-        """Return the band that contains the measured displacement for a share of the samples of a test.
-
-        In free run the half width is √(z² n² + Σ q² w² (y_a − y)²), the sum over the ensembles of all
-        channels; see `Bands`. For predictions it is that of the channel in charge.
-
-        Args:
-            record: as in `simulate`, or with a horizon as in `predict`.
+            record, horizon: as in `predict`.
             coverage: share of samples, 0.5 to 0.95.
-            horizon: prediction horizon, in samples; None for free run.
 
         Raises:
-            InputError: the model has no bands or none for this coverage, or as `simulate`.
+            InputError: the model has no bands or none for this coverage, or as `predict`.
         """
         checks.number(coverage, "coverage")
-        bands = self._bands
-        missing = [direction for direction in self.channels if direction not in bands]
-        if missing:
-            raise InputError(
-                f"the model has no bands for {' and '.join(missing)}; identification needs at least three "
-                "tests for bands"
-            )
-        model_record = self.to_model_units(record)
-        run = self.free_run(model_record)
-        if horizon is None:
-            centre = self._to_record_units(run.displacement, model_record, record)
-            initial = conversion.initial_condition(model_record, self.channels)
-            half_width = hitch_half_width(
-                self._free_run_dynamics(),
-                [bands[name] for name in self.channels],
-                model_record,
-                initial,
-                run,
-                coverage,
-            )
-        else:
-            checks.integer(horizon, "horizon", minimum=1)
-            widths = np.array([bands[direction].half_width(coverage, horizon) for direction in self.channels])
-            centre = self.predict(record, horizon=horizon)
-            half_width = np.where(run.active_channel < 0, widths.max(), widths[run.active_channel])
-        half_width = self._to_record_units(half_width, model_record, record)
+        checks.integer(horizon, "horizon", minimum=1)
+        bands = bands_by_channel(self._bands, tuple(self.channels))
+        half_widths = np.array([channel_bands.half_width(coverage, horizon) for channel_bands in bands])
+        active_channel = self.simulate(record).run.active_channel
+        half_width = np.where(active_channel < 0, half_widths.max(), half_widths[active_channel])
+        half_width = self._to_record_units(half_width, self.to_model_units(record), record)
+        centre = self.predict(record, horizon=horizon)
         return Band(centre - half_width, centre + half_width)
 
     @property

@@ -60,10 +60,13 @@ def simulate_log(
     kinds = ("predicted",) if coverage is None else ("predicted", "lower", "upper")
     columns, warnings = np.full((len(kinds), time_s.size), np.nan), []
     for record in campaign.records:
-        values = [model.simulate(record) if horizon is None else model.predict(record, horizon=horizon)]
-        if coverage is not None:
-            values += model.band(record, coverage=coverage, horizon=horizon)
-        warnings += [] if horizon is not None else model.extrapolation(record)
+        if horizon is None:
+            simulation = model.simulate(record)
+            values = [simulation.displacement, *(() if coverage is None else simulation.band(coverage))]
+            warnings += simulation.flags
+        else:
+            band = () if coverage is None else model.band(record, horizon=horizon, coverage=coverage)
+            values = [model.predict(record, horizon=horizon), *band]
         edge = record.step_s / 2
         inside = (time_s > record.time_s[0] - edge) & (time_s < record.time_s[-1] + edge)
         columns[:, inside] = [np.interp(time_s[inside], record.time_s, series) for series in values]

@@ -7,7 +7,7 @@ import numpy as np
 
 from hitchid._support.metrics import HORIZONS
 from hitchid.data.record import Record
-from hitchid.model import Band, Comparison, FreeRun, Hitch
+from hitchid.model import Band, Comparison, FreeRun, Hitch, Simulation
 from hitchid.validation.bands import COVERAGE, cycle_band_figures
 from hitchid.validation.channels import paper_channel
 from hitchid.validation.names import BENCHMARK, FREE_RUN, GREYBOX, PERSISTENCE
@@ -32,8 +32,8 @@ def cycle_result(model: Hitch, cycles: Sequence[Record], factor: float) -> Cycle
         cycles: mixed logs on the model's clock and in its units, at least one.
         factor: from the model's unit of displacement to that of the figures.
     """
-    free_runs = [model.free_run(record) for record in cycles]
-    predictions = _predictions(model, cycles, free_runs, factor)
+    simulations = [model.simulate(record) for record in cycles]
+    predictions = _predictions(model, cycles, simulations, factor)
     actual = predictions.actual
     steps = [h for h in HORIZONS if h < min(map(len, cycles))]
     multi_step = [factor * model.predictions(record, steps, stride=ORIGIN_STRIDE) for record in cycles]
@@ -50,11 +50,11 @@ def cycle_result(model: Hitch, cycles: Sequence[Record], factor: float) -> Cycle
     models = {name: ModelFigures(free_run=run) for name, run in free.items() if name != FREE_RUN}
     models[PERSISTENCE] = ModelFigures(one_step=multi_step[PERSISTENCE][steps[0]])
     models[GREYBOX] = ModelFigures(multi_step[GREYBOX][steps[0]], free[FREE_RUN])
-    bands = _bands(model, cycles, factor)
+    bands = _bands(simulations, factor) if model.has_bands else None
     if bands is not None:
         ends = (tuple(band.lower for band in bands), tuple(band.upper for band in bands))
         predictions = replace(predictions, band=ends)
-    max_jump = factor * max(map(_largest_jump, free_runs))
+    max_jump = factor * max(_largest_jump(simulation.run) for simulation in simulations)
     accuracy = Accuracy(
         models=models,
         horizons=Horizons.of(multi_step),
@@ -66,15 +66,15 @@ def cycle_result(model: Hitch, cycles: Sequence[Record], factor: float) -> Cycle
 
 
 def _predictions(
-    model: Hitch, cycles: Sequence[Record], free_runs: Sequence[FreeRun], factor: float
+    model: Hitch, cycles: Sequence[Record], simulations: Sequence[Simulation], factor: float
 ) -> Predictions:
     paper_model = _paper_model(model)
     runs = {
-        BENCHMARK: [model.simulate(record, compensated=False) for record in cycles],
-        FREE_RUN: [run.displacement for run in free_runs],
+        BENCHMARK: [model.simulate(record, compensated=False).displacement for record in cycles],
+        FREE_RUN: [simulation.displacement for simulation in simulations],
     }
     if paper_model is not None:
-        runs["transfer_function"] = [paper_model.simulate(record) for record in cycles]
+        runs["transfer_function"] = [paper_model.simulate(record).displacement for record in cycles]
     return Predictions(
         names=tuple(record.name for record in cycles),
         time_s=tuple(record.step_s * np.arange(len(record)) for record in cycles),
@@ -83,11 +83,9 @@ def _predictions(
     )
 
 
-def _bands(model: Hitch, cycles: Sequence[Record], factor: float) -> list[Band] | None:
-    """Return bands around the free runs, in the figures' unit; None where there are none or they diverged."""
-    if not model.has_bands:
-        return None
-    bands = [model.band(record, coverage=COVERAGE) for record in cycles]
+def _bands(simulations: Sequence[Simulation], factor: float) -> list[Band] | None:
+    """Return bands around the free runs, in the figures' unit; None where they diverged."""
+    bands = [simulation.band(COVERAGE) for simulation in simulations]
     if not all(np.all(np.isfinite(ends)) for band in bands for ends in band):
         return None
     return [Band(factor * lower, factor * upper) for lower, upper in bands]
