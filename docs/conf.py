@@ -80,6 +80,15 @@ def mend(app: Sphinx, what: str, name: str, obj: object, options: object, lines:
             lines[number] = ":" + field.replace(", ", ",\u200b") + colon + text
 
 
+def plain_defaults(
+    app: Sphinx, what: str, name: str, obj: object, options: object, signature: str | None, result: str | None
+) -> tuple[str, str | None] | None:
+    """Replace defaults that are not Python, `<factory>` and `<Enum.MEMBER: value>`: they hide types."""
+    if signature is None:
+        return None
+    return re.sub(r"<(\w+\.\w+): [^>]*>", r"\1", signature.replace("<factory>", "...")), result
+
+
 def skip_fields(app: Sphinx, what: str, name: str, obj: object, skip: bool, options: object) -> bool | None:
     """Leave out fields of a named tuple: the docstring of its class describes them."""
     return True if type(obj).__name__ == "_tuplegetter" else None
@@ -88,6 +97,7 @@ def skip_fields(app: Sphinx, what: str, name: str, obj: object, skip: bool, opti
 def setup(app: Sphinx) -> None:
     """Connect the handlers of docstrings."""
     app.connect("autodoc-process-docstring", mend, priority=600)
+    app.connect("autodoc-process-signature", plain_defaults)
     app.connect("autodoc-skip-member", skip_fields)
     for field in PyObject.doc_field_types:
         if field.name == "variable":

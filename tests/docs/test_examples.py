@@ -29,7 +29,7 @@ TUTORIAL = "docs/tutorial.md"
 DEFAULT_SETTINGS = ("README.md", "docs/index.md")
 # Commands that are not run here.
 NOT_RUN = ("pip install ", "make ", "recorder | ")
-DIRECTIVES = ("{toctree}", "{figure}", "{include}", "{eval-rst}", "{command-line}")
+DIRECTIVES = ("{toctree}", "{figure}", "{glossary}", "{include}", "{eval-rst}", "{command-line}")
 CAMPAIGN_KEYS = {"can", "signals", "split", "tests"}
 OMITTED = "…"
 NUMBER = re.compile(r"\d+(?:\.\d+)?(?:e-?\d+)?")
