@@ -30,7 +30,7 @@ class Patched:
         import numpy as np
         from hitchid.errors import LogError
         from hitchid.readers import child, formats, process
-        from hitchid.readers.content import LogChannel, Content
+        from hitchid.data.content import LogChannel, Content
 
         def read(path, wanted):
             here = {"np": np, "os": os, "sys": sys, "time": time, "path": path, "wanted": wanted}

@@ -7,11 +7,11 @@ import shutil
 import numpy as np
 import pytest
 
+from hitchid.data.log_records import MIN_SAMPLES
 from hitchid.data.signal_map import DEFAULT_SIGNALS, CampaignFile, Column
 from hitchid.errors import HitchError, InputError, LogError
 from hitchid.readers import ReaderProcess, find_logs, read, read_log, write_table
 from hitchid.readers.formats import record_name
-from hitchid.readers.reading import MIN_SAMPLES
 
 EPS = np.finfo(np.float64).eps
 STEP_S = 0.01

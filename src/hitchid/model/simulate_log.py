@@ -6,12 +6,14 @@ import numpy as np
 
 from hitchid._support import checks
 from hitchid._support.storage import check_inputs, write_file
+from hitchid.data.log_records import records_of
+from hitchid.data.log_table import LogTable
 from hitchid.data.signal_map import SignalMap
 from hitchid.data.units import UNITS
 from hitchid.model import Hitch
-from hitchid.readers import ReaderProcess, assemble, read_table, records_of, settings_of
+from hitchid.readers import ReaderProcess, assemble, read_table, settings_of
+from hitchid.readers.formats import record_name
 from hitchid.readers.formats.csv import SUFFIXES, read_rows, write_rows
-from hitchid.readers.table import LogTable
 
 
 def simulate_log(
@@ -52,7 +54,7 @@ def simulate_log(
     signal_map = settings[log.parent].signals
     with ReaderProcess() as process:
         table = read_table(log, settings[log.parent], process)
-    campaign = assemble(records_of(table, signal_map), settings, strict=True)
+    campaign = assemble(records_of(record_name(log), table, signal_map), settings, strict=True)
     header, rows = _as_text(log, table, signal_map)
     time_s = table.time_s
     kinds = ("predicted",) if coverage is None else ("predicted", "lower", "upper")

@@ -15,8 +15,9 @@ from typing import IO
 
 import numpy as np
 
+from hitchid.data.content import Content
 from hitchid.errors import LogError
-from hitchid.readers.content import MAX_UNPACK_RATIO, ChannelSelection, Content, max_unpacked_bytes
+from hitchid.readers.content import MAX_UNPACK_RATIO, ChannelSelection, max_unpacked_bytes
 from hitchid.readers.formats import Format, format_of
 from hitchid.readers.process import READY
 

@@ -1,11 +1,8 @@
-"""Argument and result of every reader: selected channels; their samples, units and clocks."""
+"""Argument of every reader: the selected channels, and how their names match those in the file."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
-
-import numpy as np
 
 from hitchid.errors import LogError
 
@@ -29,45 +26,9 @@ class ChannelSelection(NamedTuple):
     databases: tuple[Path, ...] = ()
 
 
-class LogChannel(NamedTuple):
-    """One channel as stored in the file.
-
-    Attributes:
-        values: shape [N], float64.
-        unit: as written in the file; None if it has none.
-        clock_s: time of each sample, s, shape [N]; None if the file has no clock for it. Channels on one
-            clock share one array.
-    """
-
-    values: np.ndarray
-    unit: str | None = None
-    clock_s: np.ndarray | None = None
-
-
 def max_unpacked_bytes(path: Path) -> int:
     """Return the largest size, bytes, to which a file may unpack."""
     return max(ALWAYS_ALLOWED_BYTES, MAX_UNPACK_RATIO * path.stat().st_size)
-
-
-def _no_lines(_: int) -> int | None:
-    return None
-
-
-@dataclass(frozen=True)
-class Content:
-    """What a reader returns.
-
-    Attributes:
-        source: the file.
-        channels: each under its requested name; if all are selected, under its full name.
-        notices: messages on what was converted, assumed or left out.
-        line_of: from a sample to its line in the file, None for a format without lines.
-    """
-
-    source: Path
-    channels: Mapping[str, LogChannel]
-    notices: tuple[str, ...] = ()
-    line_of: Callable[[int], int | None] = _no_lines
 
 
 def match_channels(

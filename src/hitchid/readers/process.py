@@ -15,8 +15,9 @@ from typing import IO
 
 import numpy as np
 
+from hitchid.data.content import Content, LogChannel
 from hitchid.errors import LogError
-from hitchid.readers.content import ChannelSelection, Content, LogChannel
+from hitchid.readers.content import ChannelSelection
 
 READY = b"begun\n"
 # Time limits, chosen well above what intact files take: start of the child, s; reading a log, s, and bytes/s.

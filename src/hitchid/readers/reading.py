@@ -6,23 +6,19 @@ from fnmatch import fnmatchcase
 from glob import escape
 from pathlib import Path
 
-import numpy as np
-
 from hitchid._support import checks
-from hitchid._support.notices import Notice
 from hitchid.data.campaign import Campaign
+from hitchid.data.content import Content
 from hitchid.data.left_out import LeftOut, refuse, split_usable
-from hitchid.data.record import COMMAND, DISPLACEMENT, Record, resampled
-from hitchid.data.resampling import LogSection, sections, uniform, unique_stamp_rows
+from hitchid.data.log_records import records_of
+from hitchid.data.log_table import LogTable, table_of
+from hitchid.data.record import Record
 from hitchid.data.signal_map import CampaignFile, SignalMap
-from hitchid.errors import LogError
-from hitchid.readers.content import ChannelSelection, Content
+from hitchid.readers.content import ChannelSelection
 from hitchid.readers.folders import find_logs, settings_of
 from hitchid.readers.formats import format_of, known_format, record_name
 from hitchid.readers.process import ReaderProcess
-from hitchid.readers.table import LogTable, table_of
 
-MIN_SAMPLES = 20  # samples of the shortest usable stretch; chosen
 LOGS = "files and folders of logs"
 
 
@@ -130,7 +126,7 @@ def read_log(path: Path, settings: CampaignFile, process: ReaderProcess) -> list
     Raises:
         LogError: a column is missing, holds no numbers, or the clock cannot be used.
     """
-    return records_of(read_table(path, settings, process), settings.signals)
+    return records_of(record_name(path), read_table(path, settings, process), settings.signals)
 
 
 def read_table(path: Path, settings: CampaignFile, process: ReaderProcess) -> LogTable:
@@ -147,62 +143,6 @@ def read_content(path: Path, selection: ChannelSelection, process: ReaderProcess
     """Read the selected channels of a log as stored; see `read_log`."""
     log_format = format_of(path)
     return process.read(path, selection) if log_format.libraries else log_format.read(path, selection)
-
-
-def records_of(table: LogTable, signals: SignalMap) -> list[Record]:
-    """Return a record for each stretch of a log without a gap.
-
-    Raises:
-        LogError: the clock cannot be used, or no stretch is long enough.
-    """
-    path, column = table.source, signals.time.column
-    rows = unique_stamp_rows(table.time_s, path, column=column, line_of=table.line_of)
-    repeated = table.time_s.size - rows.size
-    table = _select_rows(table, rows) if repeated else table
-    time_s = table.time_s
-    commands = {role: values for role, values in table.signals.items() if role in COMMAND.values()}
-    all_sections = sections(time_s, commands, table.signals[DISPLACEMENT])
-    usable = [section for section in all_sections if section.stop - section.start >= MIN_SAMPLES]
-    if not usable:
-        longest = max((section.stop - section.start for section in all_sections), default=time_s.size)
-        raise LogError(path, f"the log has {longest} samples in a row, expected at least {MIN_SAMPLES}")
-    name = record_name(path)
-    records = [
-        _record(name if len(usable) == 1 else f"{name}@{number}", table, section)
-        for number, section in enumerate(usable, start=1)
-    ]
-    notices = [Notice("as-read", sentence) for sentence in table.notices]
-    if repeated:
-        sentence = f"{repeated} rows are left out: their time is that of the row before"
-        notices.append(Notice("rows-left-out", sentence))
-    left_out = time_s.size - sum(section.stop - section.start for section in usable)
-    if left_out:
-        sentence = f"{left_out} of {time_s.size} samples are left out: fewer than {MIN_SAMPLES} in a row"
-        notices.append(Notice("samples-left-out", sentence))
-    records[0] = replace(records[0], notices=(*records[0].notices, *notices))
-    return records
-
-
-def _select_rows(table: LogTable, rows: np.ndarray) -> LogTable:
-    samples = {role: values[rows] for role, values in table.signals.items()}
-    return replace(table, time_s=table.time_s[rows], signals=samples)
-
-
-def _record(name: str, table: LogTable, section: LogSection) -> Record:
-    stamps = table.time_s[section.start : section.stop]
-    samples = {role: values[section.start : section.stop] for role, values in table.signals.items()}
-    if section.resampled:
-        samples = resampled(samples, stamps, uniform(stamps, section.step_s))
-    return Record(
-        name=name,
-        step_s=section.step_s,
-        signals=samples,
-        units=table.units,
-        start_s=float(stamps[0]),
-        source=table.source,
-        notices=section.notices,
-        clock=section.clock,
-    )
 
 
 def _signal_columns(signals: SignalMap) -> tuple[str, ...]:

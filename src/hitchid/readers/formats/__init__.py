@@ -9,8 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from hitchid._support.extensions import with_extensions
+from hitchid.data.content import Content
 from hitchid.errors import InputError
-from hitchid.readers.content import ChannelSelection, Content
+from hitchid.readers.content import ChannelSelection
 from hitchid.readers.formats import can, csv, hdf5, mat, mdf, parquet, tdms
 
 

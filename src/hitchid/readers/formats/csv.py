@@ -15,15 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hitchid.data.content import Content, LogChannel
 from hitchid.errors import LogError
-from hitchid.readers.content import (
-    CHANNEL_HINT,
-    MAX_UNPACK_RATIO,
-    ChannelSelection,
-    Content,
-    LogChannel,
-    max_unpacked_bytes,
-)
+from hitchid.readers.content import CHANNEL_HINT, MAX_UNPACK_RATIO, ChannelSelection, max_unpacked_bytes
 from hitchid.readers.formats.dialect import Dialect, check_width, dialect_of, encoding_of
 
 SUFFIXES = (".csv", ".csv.gz", ".tsv", ".tsv.gz", ".lvm")

@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from hitchid.data.content import Content, LogChannel
 from hitchid.errors import LogError
-from hitchid.readers.content import ChannelSelection, Content, LogChannel
+from hitchid.readers.content import ChannelSelection
 from hitchid.readers.formats import netcdf3
 from hitchid.readers.formats.cf import decode_values, is_time, to_seconds, unit_attribute
 from hitchid.readers.formats.extra import as_log_errors, import_optional, is_vector, match_clocked_channels

@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from hitchid.data.content import Content, LogChannel
 from hitchid.data.units import unit_of_column
 from hitchid.errors import LogError
-from hitchid.readers.content import ChannelSelection, Content, LogChannel, match_channels
+from hitchid.readers.content import ChannelSelection, match_channels
 from hitchid.readers.formats.extra import as_log_errors, floats, import_optional, unit_text
 
 SUFFIXES = (".parquet",)

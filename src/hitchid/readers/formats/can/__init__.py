@@ -6,8 +6,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from hitchid.data.content import Content
 from hitchid.errors import LogError
-from hitchid.readers.content import ChannelSelection, Content
+from hitchid.readers.content import ChannelSelection
 from hitchid.readers.formats.can.blf import inventory
 from hitchid.readers.formats.can.bus import read_bus as read_bus
 from hitchid.readers.formats.can.mf4 import is_bus_log as is_bus_log

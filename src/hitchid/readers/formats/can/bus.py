@@ -8,8 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hitchid.data.content import Content, LogChannel
 from hitchid.errors import LogError
-from hitchid.readers.content import ChannelSelection, Content, LogChannel, format_names, match_channels
+from hitchid.readers.content import ChannelSelection, format_names, match_channels
 from hitchid.readers.formats.can.bits import (
     Payload,
     available,

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from hitchid.data.content import Content
 from hitchid.errors import LogError
-from hitchid.readers.content import ChannelSelection, Content
+from hitchid.readers.content import ChannelSelection
 from hitchid.readers.formats.can.bus import read_bus
 from hitchid.readers.formats.can.streams import Frame
 from hitchid.readers.formats.extra import as_log_errors, import_optional

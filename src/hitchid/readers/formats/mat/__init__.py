@@ -5,8 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
+from hitchid.data.content import Content, LogChannel
 from hitchid.errors import LogError
-from hitchid.readers.content import ChannelSelection, Content, LogChannel
+from hitchid.readers.content import ChannelSelection
 from hitchid.readers.formats.cf import to_seconds
 from hitchid.readers.formats.extra import as_log_errors, floats, match_clocked_channels
 from hitchid.readers.formats.mat import version5, version73

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from hitchid.data.content import Content, LogChannel
 from hitchid.data.units import unit_of_column
 from hitchid.errors import InputError, LogError
-from hitchid.readers.content import ChannelSelection, Content, LogChannel
+from hitchid.readers.content import ChannelSelection
 from hitchid.readers.formats.cf import is_time, to_seconds
 from hitchid.readers.formats.extra import (
     as_log_errors,

@@ -8,11 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from hitchid.data.content import Content, LogChannel
+from hitchid.data.log_table import table_of
 from hitchid.data.signal_map import COMMANDS, POSITIONS, Column, SignalMap
 from hitchid.data.units import SPELLINGS, UNITS
 from hitchid.errors import LogError
-from hitchid.readers.content import ChannelSelection, Content, LogChannel, match_channels
-from hitchid.readers.table import table_of
+from hitchid.readers.content import ChannelSelection, match_channels
 
 EPS = np.finfo(np.float64).eps
 SAMPLES = 30

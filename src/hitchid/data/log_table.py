@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
+from hitchid.data.clocks import SIGNED_COMMAND, resample_to_common_clock
+from hitchid.data.content import Content, LogChannel
 from hitchid.data.record import COMMAND, DISPLACEMENT, LIFTING, LOWERING
 from hitchid.data.signal_map import DEFAULT_SIGNALS, DIMENSIONS, Column, SignalMap
 from hitchid.data.units import UNITS, parse_unit, unit_of_column
 from hitchid.errors import LogError
-from hitchid.readers.clocks import SIGNED_COMMAND, resample_to_common_clock
-from hitchid.readers.content import Content, LogChannel
 
 TIME = "time"  # role of the time among the signals of a log
 
@@ -21,7 +21,7 @@ class LogTable:
     """The signals of one log.
 
     Attributes:
-        source: the file.
+        source: the file, or the name of a table in memory.
         time_s: time stamps, s, shape [N].
         signals: role to samples, each of shape [N].
         units: role to unit.
@@ -30,7 +30,7 @@ class LogTable:
         line_of: from a sample to its line in the file, None for a format without lines.
     """
 
-    source: Path
+    source: Path | str
     time_s: np.ndarray
     signals: Mapping[str, np.ndarray]
     units: Mapping[str, str]
@@ -97,8 +97,8 @@ def _convert_unit(content: Content, role: str, column: Column) -> tuple[LogChann
     if declared_unit is None:
         raise LogError(
             source,
-            "no unit in its name or in the file; "
-            f'expected {{ column = "{name}", unit = "…" }} in campaign.toml',
+            "no unit in its name or in the log; "
+            f'expected {{ column = "{name}", unit = "…" }} in {content.map_place}',
             column=name,
         )
     _check_dimension(source, role, name, declared_unit)
@@ -109,15 +109,15 @@ def _convert_unit(content: Content, role: str, column: Column) -> tuple[LogChann
         notices = (
             []
             if file_unit in (None, declared_unit)
-            else [f"{name}: scaled to {declared_unit}; the file's unit is {file_unit}"]
+            else [f"{name}: scaled to {declared_unit}; the unit in the log is {file_unit}"]
         )
         return channel._replace(values=(channel.values - column.zero) * factor, unit=unit), notices
     _check_agrees(source, name, declared_unit, file_unit)
     notices = []
     if channel.unit and file_unit is None:
-        notices.append(f"{name}: the unit '{channel.unit}' in the file is not known; read as {declared_unit}")
+        notices.append(f"{name}: the unit '{channel.unit}' in the log is not known; read as {declared_unit}")
     elif file_unit not in (None, declared_unit):
-        notices.append(f"{name}: converted from {file_unit}, the unit in the file, to {declared_unit}")
+        notices.append(f"{name}: converted from {file_unit}, the unit in the log, to {declared_unit}")
     elif file_unit is None and unit_of_column(name) not in (None, declared_unit):
         notices.append(
             f"{name}: read as {declared_unit}, the unit in the signal map, although its name ends otherwise"
@@ -129,7 +129,7 @@ def _convert_unit(content: Content, role: str, column: Column) -> tuple[LogChann
     return channel._replace(values=values, unit=unit), notices
 
 
-def _check_dimension(source: Path, role: str, name: str, declared_unit: str) -> None:
+def _check_dimension(source: Path | str, role: str, name: str, declared_unit: str) -> None:
     dimension, dimensions = UNITS[declared_unit].dimension, DIMENSIONS.get(role)
     if dimensions and dimension not in dimensions:
         raise LogError(
@@ -139,19 +139,19 @@ def _check_dimension(source: Path, role: str, name: str, declared_unit: str) -> 
         )
 
 
-def _check_agrees(source: Path, name: str, declared_unit: str, file_unit: str | None) -> None:
+def _check_agrees(source: Path | str, name: str, declared_unit: str, file_unit: str | None) -> None:
     """Refuse a unit of the file that contradicts the column's name or the signal map."""
     if file_unit is None:
         return
     dimension = UNITS[declared_unit].dimension
     name_unit = unit_of_column(name)
     if name_unit not in (None, file_unit) and UNITS[name_unit].dimension == dimension:
-        problem = f"the unit is '{name_unit}' in the name, '{file_unit}' in the file; expected equal units"
+        problem = f"the unit is '{name_unit}' in the name, '{file_unit}' in the log; expected equal units"
         raise LogError(source, problem, column=name)
     if UNITS[file_unit].dimension != dimension:
         raise LogError(
             source,
-            f"the unit is '{file_unit}' in the file, '{declared_unit}' in the map; expected one dimension",
+            f"the unit is '{file_unit}' in the log, '{declared_unit}' in the map; expected one dimension",
             column=name,
         )
 

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
+from hitchid.data.content import LogChannel
 from hitchid.data.record import COMMAND, LIFTING, resampled
 from hitchid.data.resampling import GAP_FACTOR, unique_stamp_rows
 from hitchid.errors import LogError
-from hitchid.readers.content import LogChannel
 
 SIGNED_COMMAND = "command"  # role of one command for both directions
 HOLD_ROLES = (SIGNED_COMMAND, *COMMAND.values())  # hold their last value between samples
@@ -16,7 +16,7 @@ CLOCK_TOLERANCE_S = 1e-9  # s; rounding of time stamps
 
 
 def resample_to_common_clock(
-    source: Path, time: LogChannel | None, channels: Mapping[str, LogChannel], names: Mapping[str, str]
+    source: Path | str, time: LogChannel | None, channels: Mapping[str, LogChannel], names: Mapping[str, str]
 ) -> tuple[np.ndarray, dict[str, np.ndarray], list[str]]:
     """Return time stamps, s, every channel's samples at them, and notices.
 
@@ -70,7 +70,7 @@ def resample_to_common_clock(
     return common_time_s, sampled, [f"merged on the clock of {names[slowest]}: {steps_text}"]
 
 
-def _check_agrees(source: Path, time_s: np.ndarray, channel: LogChannel, name: str) -> None:
+def _check_agrees(source: Path | str, time_s: np.ndarray, channel: LogChannel, name: str) -> None:
     """Refuse a time that lasts longer or shorter than the channel's own clock."""
     clock = channel.clock_s
     if clock is None or clock.size < 2:
@@ -83,7 +83,7 @@ def _check_agrees(source: Path, time_s: np.ndarray, channel: LogChannel, name: s
         raise LogError(source, f"{problem}; expected one that is its own", column=name)
 
 
-def _with_increasing_clock(source: Path, channel: LogChannel, name: str) -> LogChannel:
+def _with_increasing_clock(source: Path | str, channel: LogChannel, name: str) -> LogChannel:
     """Return a channel whose clock increases from sample to sample."""
     clock = channel.clock_s
     if clock is None:

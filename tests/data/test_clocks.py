@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hitchid.data.clocks import resample_to_common_clock
+from hitchid.data.content import Content, LogChannel
+from hitchid.data.log_table import table_of
 from hitchid.data.signal_map import CampaignFile, Column, SignalMap
 from hitchid.errors import LogError
 from hitchid.readers import ReaderProcess, read_log
-from hitchid.readers.clocks import resample_to_common_clock
-from hitchid.readers.content import Content, LogChannel
-from hitchid.readers.table import table_of
 
 EPS = np.finfo(np.float64).eps
 SOURCE = Path("log.mf4")
