@@ -9,6 +9,8 @@ HitchError                  the root: catch this one to catch them all
 └── FitError                an identification that could not be carried out (exit code 1)
 """
 
+from functools import partial
+
 
 class HitchError(Exception):
     """The root of everything this package raises on purpose."""
@@ -23,7 +25,7 @@ class LogError(InputError):
 
     def __init__(self, source: object, problem: str, *, line: int | None = None, column: str | None = None):
         """Compose `source: line N: column 'C': problem`, leaving out what is not known."""
-        self.problem, self.line, self.column = problem, line, column
+        self.source, self.problem, self.line, self.column = source, problem, line, column
         location = []
         if line is not None:
             location.append(f"line {line}")
@@ -31,6 +33,10 @@ class LogError(InputError):
             location.append(f"column '{column}'")
         self.reason = ": ".join([*location, problem])
         super().__init__(f"{source}: {self.reason}")
+
+    def __reduce__(self) -> tuple:
+        """Return the constructor with its arguments, for `pickle` and `copy`."""
+        return partial(type(self), line=self.line, column=self.column), (self.source, self.problem)
 
 
 class SettingsError(InputError):

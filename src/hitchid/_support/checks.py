@@ -8,6 +8,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from hitchid._support.summary import shortened
 from hitchid.errors import InputError
 
 Kind = TypeVar("Kind")
@@ -88,6 +89,5 @@ def mapping_of(values: object, allowed: Iterable[str], name: str) -> Mapping[str
 
 def input_error(name: str, required: str, value: object) -> InputError:
     """Return the error for a value that does not meet a requirement."""
-    text = repr(value)
-    shown = text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}…"
+    shown = shortened(repr(value), MAX_SHOWN)
     return InputError(f"{name}: expected {required}, got {type(value).__name__} {shown}")

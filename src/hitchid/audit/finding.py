@@ -7,11 +7,13 @@ from math import isfinite
 import numpy as np
 
 from hitchid._support.notices import Severity
+from hitchid._support.short_repr import short_repr
 from hitchid.data.record import Record
 
 MAX_SPANS = 50  # intervals listed in one finding (chosen)
 
 
+@short_repr
 @dataclass(frozen=True)
 class AuditFinding:
     """One finding of an audit.

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hitchid._support.notices import Severity
+from hitchid._support.short_repr import short_repr
 from hitchid.audit.context import CampaignContext, command_unit
 from hitchid.audit.finding import AuditFinding
 from hitchid.data.record import COMMAND, LIFTING, LOWERING, Record
@@ -17,6 +18,7 @@ BINS = 200  # bins of the histogram of a noisy command (chosen)
 CREEP_FRACTION = 0.2  # of the speed away from the rest level; largest speed at it (chosen)
 
 
+@short_repr
 class CommandResponse(NamedTuple):
     """One log's signed command and displacement, each of shape [N], and its sampling time, s."""
 

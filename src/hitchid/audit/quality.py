@@ -5,6 +5,7 @@ from math import isfinite
 
 import numpy as np
 
+from hitchid._support.short_repr import short_repr
 from hitchid.data.record import Record
 from hitchid.data.resampling import GRID_TOLERANCE
 
@@ -18,6 +19,7 @@ NORMAL_MEDIAN = 0.6744897501960817
 SECOND_DIFFERENCE = 6.0**0.5
 
 
+@short_repr
 @dataclass(frozen=True)
 class Quality:
     """Quality of a record's displacement, in its own unit.

@@ -7,9 +7,11 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
+from hitchid._support.short_repr import short_repr
 from hitchid.structures import Batch
 
 
+@short_repr
 class FittedBaseline(eqx.Module):
     """A baseline fitted to the tests of one direction; its arrays are stored in the model folder."""
 

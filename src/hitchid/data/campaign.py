@@ -1,32 +1,35 @@
 """Campaign: all tests of one plant, and which of them are held out."""
 
 import hashlib
-import re
-from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from glob import escape
-from statistics import median_low
+from typing import overload
 
 import numpy as np
 
 from hitchid._support import checks
 from hitchid._support.notices import Notice, Severity
-from hitchid.data.left_out import LeftOut, left_out_notices, refuse, split_usable
-from hitchid.data.record import COMMAND, CYCLE, DIRECTIONS, DISPLACEMENT, IDLE, KINDS, RAMP, Record
-from hitchid.data.test_kinds import detect_kind, full_scales, ramp_direction, strokes
-from hitchid.data.units import UNITS
-from hitchid.errors import InputError, LogError
+from hitchid._support.summary import Summarised, Summary
+from hitchid._support.values import Value
+from hitchid.data.left_out import LeftOut, left_out_notices
+from hitchid.data.record import COMMAND, CYCLE, DIRECTIONS, DISPLACEMENT, RAMP, Record
+from hitchid.data.test_kinds import ramp_direction, strokes
+from hitchid.data.unification import unified
+from hitchid.errors import InputError
 
 HELD_OUT_FRACTION = 0.2  # of the tests of a direction; the default split (chosen)
 STROKE_SEPARATOR = "#"
-MAX_RATE_RATIO = 100  # of sampling times in one campaign; above it, a unit of time is wrong (chosen)
 
 
-@dataclass(frozen=True)
-class Campaign:
-    """Tests of one plant on one clock and in one set of units.
+@dataclass(frozen=True, eq=False, repr=False)
+class Campaign(Value, Summarised):
+    """Tests of one plant on one clock and in one set of units; a sequence of records.
+
+    `campaign[0]` and `campaign["up-1"]` are records, `campaign[:3]` and `campaign[["up-1", "up-2"]]` are
+    campaigns.
 
     Attributes:
         records: the tests, in the order of their names.
@@ -81,22 +84,7 @@ class Campaign:
         for name in names:
             if names.count(name) > 1:
                 raise InputError(f"two records are called '{name}'; names must differ")
-        ordered = sorted(records, key=lambda record: _natural_sort_key(record.name))
-        reference = _most_common(ordered)
-        usable, mismatched = split_usable(
-            _with_names(ordered), lambda record: _to_reference_units(record, reference), strict=strict
-        )
-        step_s = _common_step(usable)
-        on_clock, off_clock = split_usable(
-            _with_names(usable), lambda record: _to_common_clock(record, step_s), strict=strict
-        )
-        scales = full_scales(on_clock)
-        classified = [replace(record, kind=_kind(record, scales, kinds or {})) for record in on_clock]
-        moving, stationary = split_usable(_with_names(classified), _require_motion, strict=strict)
-        excluded = [*mismatched, *off_clock, *stationary]
-        if not moving:
-            refuse(excluded, "tests")
-        _check_directions(moving, excluded, ordered)
+        usable, excluded = unified(records, kinds or {}, strict=strict)
         all_left_out = (*left_out, *excluded)
         for pattern in test_patterns or ():
             if not any(fnmatchcase(name, pattern) for name in (*names, *(item.name for item in left_out))):
@@ -104,7 +92,86 @@ class Campaign:
                     f"split.test: the pattern '{pattern}' matches none of the {len(names)} tests"
                 )
         patterns = None if test_patterns is None else tuple(test_patterns)
-        return cls(tuple(moving), patterns, left_out=all_left_out, strict=strict)
+        return cls(tuple(usable), patterns, left_out=all_left_out, strict=strict)
+
+    @classmethod
+    def from_dataframes(
+        cls,
+        frames: Mapping[str, object] | Iterable[object],
+        *,
+        signals: Mapping[str, object] | None = None,
+        units: Mapping[str, str] | None = None,
+        test_patterns: Sequence[str] | None = None,
+        kinds: Mapping[str, str] | None = None,
+        strict: bool = False,
+    ) -> "Campaign":
+        """Return the campaign of tables, each prepared as a log file is; see `Record.from_dataframe`.
+
+        Args:
+            frames: name to table of pandas or polars; tables without names are called test-1, test-2, ….
+            signals, units: as in `Record.from_dataframe`, the same for all tables.
+            test_patterns, kinds: as in `of`.
+            strict: raise an error for a table that cannot be used; otherwise it is left out.
+
+        Returns:
+            One record a table, several for a table with long gaps.
+
+        Raises:
+            InputError: an argument or no table can be used, or as `of`.
+        """
+        from hitchid.data.dataframes import campaign_from_dataframes
+
+        return campaign_from_dataframes(
+            frames, signals=signals, units=units, test_patterns=test_patterns, kinds=kinds, strict=strict
+        )
+
+    def __len__(self) -> int:
+        """Return the number of tests."""
+        return len(self.records)
+
+    def __iter__(self) -> Iterator[Record]:
+        """Return an iterator over the tests."""
+        return iter(self.records)
+
+    def __contains__(self, test: object) -> bool:
+        """Return whether a test, or a test of a name, is in the campaign."""
+        return any(test in (record.name, record) for record in self.records)
+
+    @overload
+    def __getitem__(self, key: int | str) -> Record: ...
+
+    @overload
+    def __getitem__(self, key: slice | Iterable[str]) -> "Campaign": ...
+
+    def __getitem__(self, key: int | str | slice | Iterable[str]) -> "Record | Campaign":
+        """Return the test of a number or name, or the campaign of a slice or of several names.
+
+        A campaign without patterns of held-out tests holds out the last 20 % of the tests it has.
+
+        Raises:
+            InputError: there is no such test, or no test is selected.
+        """
+        if isinstance(key, str):
+            return self.records[self._index(key)]
+        if isinstance(key, int | np.integer):
+            if not -len(self) <= key < len(self):
+                raise InputError(f"campaign: expected the number of one of its {len(self)} tests, got {key}")
+            return self.records[key]
+        if isinstance(key, slice):
+            chosen = self.records[key]
+        else:
+            names = checks.tuple_of(key, str, "campaign: key", "a number, a name, a slice or names")
+            chosen = tuple(self.records[row] for row in sorted({self._index(name) for name in names}))
+        if not chosen:
+            raise InputError("campaign: no test is selected, expected at least one")
+        return replace(self, records=chosen)
+
+    def _index(self, name: str) -> int:
+        names = [record.name for record in self.records]
+        if name in names:
+            return names.index(name)
+        nearest = get_close_matches(name, names, n=1) or names[:1]
+        raise InputError(f"campaign: there is no test '{name}' among its {len(self)}; is it '{nearest[0]}'?")
 
     @property
     def notices(self) -> tuple[Notice, ...]:
@@ -197,89 +264,11 @@ class Campaign:
         patterns = tuple(f"{escape(record.name)}{STROKE_SEPARATOR}*" for record in held_out) or None
         return replace(self, records=tuple(cut_records), test_patterns=patterns)
 
+    def _summary(self) -> Summary:
+        from hitchid.data.summaries import campaign_summary
+
+        return campaign_summary(self)
+
 
 def _matches(record: Record, patterns: Sequence[str]) -> bool:
     return any(fnmatchcase(record.name, pattern) for pattern in patterns)
-
-
-def _with_names(records: Iterable[Record]) -> list[tuple[str, Record]]:
-    return [(record.name, record) for record in records]
-
-
-def _dimensions(record: Record) -> tuple[tuple[str, str], ...]:
-    """Return displacement and commands with the dimensions of their units."""
-    roles = [role for role in (DISPLACEMENT, *COMMAND.values()) if role in record.signals]
-    units = [record.units.get(role, "") for role in roles]
-    return tuple((r, UNITS[u].dimension if u in UNITS else u) for r, u in zip(roles, units, strict=True))
-
-
-def _most_common(records: Sequence[Record]) -> Record:
-    """Return the first record with the most common commands and dimensions."""
-    counts = Counter(map(_dimensions, records))
-    return max(records, key=lambda record: counts[_dimensions(record)])
-
-
-def _to_reference_units(record: Record, reference: Record) -> Record:
-    """Return a record in the units of another."""
-    if record.directions != reference.directions:
-        raise InputError(
-            f"record '{record.name}' has commands for {' and '.join(record.directions)}, "
-            f"'{reference.name}' for {' and '.join(reference.directions)}; one campaign needs one signal map"
-        )
-    return record if record.units == reference.units else record.convert(reference.units)
-
-
-def _require_motion(record: Record) -> Record:
-    """Return a record unless its displacement is constant although it is commanded to move."""
-    if record.kind != IDLE and np.ptp(record.displacement) == 0:
-        raise LogError(
-            record.source or record.name,
-            f"the displacement is constant ({record.displacement[0]:g} {record.unit}) over all "
-            f"{len(record)} samples although the command changes; expected a moving piston "
-            "(is the sensor connected?)",
-        )
-    return record
-
-
-def _check_directions(records: Sequence[Record], left_out: Sequence[LeftOut], all_: Sequence[Record]) -> None:
-    """Refuse a campaign in which all tests of one direction are left out."""
-    causes = {item.name: item for item in left_out}
-    for direction in DIRECTIONS:
-        excluded = [
-            causes[record.name]
-            for record in all_
-            if record.name in causes and detect_kind(record, full_scales([record])) == direction
-        ]
-        if excluded and not any(record.kind in (direction, CYCLE) for record in records):
-            refuse(excluded, f"{direction} tests")
-
-
-def _natural_sort_key(name: str) -> list[tuple[int, str]]:
-    """Return a sorting key that puts test-2 before test-10."""
-    return [(int(token), "") if token.isdecimal() else (-1, token) for token in re.split(r"(\d+)", name)]
-
-
-def _common_step(records: Sequence[Record]) -> float:
-    """Return the lower median of the sampling times, which is one of them."""
-    return float(f"{median_low(record.step_s for record in records):.4g}")
-
-
-def _to_common_clock(record: Record, step_s: float) -> Record:
-    """Return a record at the common sampling time: resampled, unless the drift is below 5 % of it."""
-    drift = abs(record.step_s - step_s) * len(record)
-    if not 1 / MAX_RATE_RATIO <= record.step_s / step_s <= MAX_RATE_RATIO:
-        raise LogError(
-            record.source or record.name,
-            f"has a sampling time of {record.step_s:.4g} s, the logs one of {step_s:.4g} s in the median; "
-            f"expected none that differs by more than a factor of {MAX_RATE_RATIO}",
-        )
-    return replace(record, step_s=step_s) if drift <= 0.05 * step_s else record.resample(step_s)
-
-
-def _kind(record: Record, scales: Mapping[str, float], kinds: Mapping[str, str]) -> str:
-    for pattern, kind in kinds.items():
-        if fnmatchcase(record.name, pattern):
-            if kind not in KINDS:
-                raise InputError(f"tests: '{kind}' is no kind of test; expected one of {', '.join(KINDS)}")
-            return kind
-    return detect_kind(record, scales)

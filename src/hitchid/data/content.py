@@ -7,7 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hitchid._support.short_repr import short_repr
 
+
+@short_repr
 class LogChannel(NamedTuple):
     """One channel as stored in a log.
 
@@ -27,6 +30,7 @@ def _no_lines(_: int) -> int | None:
     return None
 
 
+@short_repr
 @dataclass(frozen=True)
 class Content:
     """Channels read from one log.

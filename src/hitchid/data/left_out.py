@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import NoReturn, TypeVar
 
 from hitchid._support.notices import Notice, Severity
+from hitchid._support.values import Value
 from hitchid.errors import InputError, LogError, SettingsError
 
 Item = TypeVar("Item")
@@ -12,8 +13,8 @@ Result = TypeVar("Result")
 MAX_SHOWN = 10  # causes named in one error message (chosen)
 
 
-@dataclass(frozen=True)
-class LeftOut:
+@dataclass(frozen=True, eq=False)
+class LeftOut(Value):
     """A log or test that is not used.
 
     Attributes:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hitchid._support.short_repr import short_repr
 from hitchid.data.clocks import SIGNED_COMMAND, resample_to_common_clock
 from hitchid.data.content import Content, LogChannel
 from hitchid.data.record import COMMAND, DISPLACEMENT, LIFTING, LOWERING
@@ -16,6 +17,7 @@ from hitchid.errors import LogError
 TIME = "time"  # role of the time among the signals of a log
 
 
+@short_repr
 @dataclass(frozen=True)
 class LogTable:
     """The signals of one log.

@@ -1,18 +1,24 @@
 """Record: signals of one test on a uniform clock, with units and source."""
 
-import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hitchid._support import checks
 from hitchid._support.notices import Notice
+from hitchid._support.summary import Summarised, Summary
+from hitchid._support.values import Value
 from hitchid.data.resampling import GRID_TOLERANCE, REGULAR_CLOCK, ClockQuality
-from hitchid.data.units import UNITS, check_unit, conversion_factor
+from hitchid.data.samples import fingerprint, frozen_samples
+from hitchid.data.units import UNITS, conversion_factor
 from hitchid.errors import InputError
+
+if TYPE_CHECKING:
+    import pandas
 
 DISPLACEMENT = "displacement"
 LIFTING = "lifting"
@@ -23,13 +29,14 @@ COMMAND = MappingProxyType({LIFTING: "lifting_command", LOWERING: "lowering_comm
 RAMP = "ramp"
 CYCLE = "cycle"
 IDLE = "idle"
-FINGERPRINT_STEP = 1e-6  # of the range; above the rounding error of a unit conversion (chosen)
 KINDS = (LIFTING, LOWERING, RAMP, CYCLE, IDLE)
 
 
-@dataclass(frozen=True)
-class Record:
+@dataclass(frozen=True, eq=False, repr=False)
+class Record(Value, Summarised):
     """One test on a uniform clock.
+
+    Two records are equal if everything but their source is.
 
     Attributes:
         name: the log's file name without its endings.
@@ -39,7 +46,7 @@ class Record:
         units: role to unit.
         kind: `lifting`, `lowering`, `ramp`, `cycle` or `idle`.
         start_s: time of the first sample on the log's clock, s.
-        source: the file it was read from.
+        source: the file it was read from; None for a table in memory.
         notices: changes made to the log in reading.
         clock: regularity of the log's clock.
     """
@@ -50,7 +57,7 @@ class Record:
     units: Mapping[str, str]
     kind: str = IDLE
     start_s: float = 0.0
-    source: Path | None = None
+    source: Path | None = field(default=None, compare=False)
     notices: tuple[Notice, ...] = ()
     clock: ClockQuality = REGULAR_CLOCK
 
@@ -69,25 +76,48 @@ class Record:
             raise InputError(f"record '{self.name}': at least one command signal is required, got none")
         if not checks.number(self.step_s, f"record '{self.name}': the sampling time") > 0:
             raise InputError(f"record '{self.name}': the sampling time must be positive, got {self.step_s} s")
-        frozen = {}
-        for role, samples in self.signals.items():
-            array = _read_only(samples, f"record '{self.name}': '{role}'")
-            if role not in self.units:
-                raise InputError(
-                    f"record '{self.name}': '{role}' has no unit; expected one of {', '.join(UNITS)}"
-                )
-            check_unit(self.units[role], f"record '{self.name}': '{role}'")
-            expected_shape = np.shape(self.signals[DISPLACEMENT])[:1] or (1,)
-            if array.shape != expected_shape:
-                raise InputError(
-                    f"record '{self.name}': '{role}' has shape {array.shape}, expected {expected_shape}"
-                )
-            if not np.all(np.isfinite(array)):
-                row = int(np.flatnonzero(~np.isfinite(array))[0])
-                raise InputError(f"record '{self.name}': '{role}' is {array[row]} at sample {row}")
-            frozen[role] = array
+        shape = np.shape(self.signals[DISPLACEMENT])[:1] or (1,)
+        frozen = frozen_samples(self.name, self.signals, self.units, shape)
         object.__setattr__(self, "signals", MappingProxyType(frozen))
         object.__setattr__(self, "units", MappingProxyType(dict(self.units)))
+
+    @classmethod
+    def from_dataframe(
+        cls,
+        frame: Any,
+        *,
+        name: str = "test",
+        signals: Mapping[str, object] | None = None,
+        units: Mapping[str, str] | None = None,
+        kind: str | None = None,
+    ) -> "Record":
+        """Return the record of a table, prepared as a log file is: clock, units, signed commands, notices.
+
+        Args:
+            frame: of pandas or polars, one column a signal. The time is a column or, in pandas, the index:
+                numbers, dates or durations; of dates, seconds since the first.
+            name: of the record.
+            signals: signal to column as `[signals]` in `campaign.toml`; by default columns named after their
+                signal and unit as `to_dataframe` writes them, or `current_up_A` and `current_down_A`.
+            units: column to unit, where the column's name does not end in it.
+            kind: of the test; by default detected from its commands.
+
+        Raises:
+            InputError: an argument or the table cannot be used, or a long gap divides it.
+        """
+        from hitchid.data.dataframes import record_from_dataframe
+
+        return record_from_dataframe(frame, name=name, signals=signals, units=units, kind=kind)
+
+    def to_dataframe(self) -> "pandas.DataFrame":
+        """Return a table of `time_s` and every signal, each column named after its signal and unit.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        from hitchid.data.dataframes import to_dataframe
+
+        return to_dataframe(self)
 
     def __len__(self) -> int:
         """Return the number of samples."""
@@ -143,13 +173,7 @@ class Record:
         The samples relative to the first, divided by their range and rounded to 10⁻⁶, and the range in SI
         units are hashed: the fingerprint does not depend on file name, unit and mapping of commands.
         """
-        relative = self.displacement - self.displacement[0]
-        peak_to_peak = float(np.ptp(relative))
-        shape = relative / (peak_to_peak or 1.0)
-        # The irrational offset moves round decimals away from the limits of rounding.
-        steps = np.round(shape / FINGERPRINT_STEP + 1 / np.pi).astype(np.int64)
-        size = f"{peak_to_peak * UNITS[self.unit].factor:.6e}"
-        return hashlib.sha256(size.encode() + steps.tobytes()).hexdigest()
+        return fingerprint(self.displacement, UNITS[self.unit].factor)
 
     def slice(self, start: int, stop: int, *, name: str | None = None, kind: str | None = None) -> "Record":
         """Return samples `start:stop` as a new record."""
@@ -176,6 +200,67 @@ class Record:
             clock=replace(self.clock, logged_step_s=self.clock.logged_step_s or self.step_s),
         )
 
+    def trim(self, start_s: float | None = None, stop_s: float | None = None) -> "Record":
+        """Return the samples from one time to another, both included; a notice says so.
+
+        Args:
+            start_s, stop_s: on the record's clock as in `time_s`, s; None for its first and last sample.
+
+        Raises:
+            InputError: fewer than two samples are left.
+        """
+        from hitchid.data.preparation import trim
+
+        return trim(self, start_s, stop_s)
+
+    def detrend(self, *signals: str) -> "Record":
+        """Return the record without the linear trend of measured signals, y − b (t − t̄); a notice says so.
+
+        b is the slope of the least-squares line, t̄ the mean time: the mean of the signal stays. A hitch
+        integrates its command, so a trend of the displacement is motion unless the sensor drifts.
+
+        Args:
+            signals: measured signals; by default the displacement.
+
+        Raises:
+            InputError: a signal is missing or a command.
+        """
+        from hitchid.data.preparation import detrend
+
+        return detrend(self, signals or (DISPLACEMENT,))
+
+    def low_pass(self, cutoff_hz: float, *signals: str) -> "Record":
+        """Return the record with measured signals low-pass filtered, for display; a notice says so.
+
+        A Butterworth filter of order 2, run forwards and backwards: no phase shift, but each sample depends
+        on later ones, so that a model identified from it would be told the future.
+
+        Args:
+            cutoff_hz: frequency at which the amplitude is halved, Hz; below half the sampling rate.
+            signals: measured signals; by default all.
+
+        Raises:
+            InputError: the frequency cannot be used, or a signal is missing or a command.
+        """
+        from hitchid.data.preparation import low_pass
+
+        return low_pass(self, cutoff_hz, signals)
+
+    def decimate(self, factor: int) -> "Record":
+        """Return every `factor`-th sample; a notice says so.
+
+        Measured signals are low-pass filtered before, commands keep the value they hold at that sample.
+
+        Args:
+            factor: of the sampling time, at least 2.
+
+        Raises:
+            InputError: the factor is no such number, or fewer than two samples are left.
+        """
+        from hitchid.data.preparation import decimate
+
+        return decimate(self, factor)
+
     def convert(self, units: Mapping[str, str]) -> "Record":
         """Return the record in other units of the same dimensions.
 
@@ -194,18 +279,10 @@ class Record:
             units={**self.units, **{role: units[role] for role in factors}},
         )
 
+    def _summary(self) -> Summary:
+        from hitchid.data.summaries import record_summary
 
-def _read_only(samples: np.ndarray, name: str) -> np.ndarray:
-    """Return read-only samples: without a copy if they are read-only already."""
-    base = samples if getattr(samples, "base", None) is None else samples.base
-    if isinstance(base, np.ndarray) and samples.dtype == np.float64 and not base.flags.writeable:
-        return samples
-    try:
-        array = np.array(samples, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise checks.input_error(name, "numbers", samples) from error
-    array.setflags(write=False)
-    return array
+        return record_summary(self)
 
 
 def resampled(

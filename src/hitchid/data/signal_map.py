@@ -9,6 +9,7 @@ from typing import Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from hitchid._support import checks
 from hitchid.data.units import UNITS, check_unit, unit_of_column
 from hitchid.errors import InputError, SettingsError
 
@@ -145,6 +146,20 @@ class CampaignFile(Strict):
     can: Can = Can()
     split: Split | None = None
     tests: dict[str, Literal["lifting", "lowering", "ramp", "cycle"]] = {}
+
+
+def signal_map_of(signals: Mapping[str, object]) -> SignalMap:
+    """Return the signal map of a dict with the content of `[signals]`.
+
+    Raises:
+        SettingsError: a key is unknown or a value invalid.
+    """
+    if not isinstance(signals, Mapping):
+        raise checks.input_error("signals", "signal to column, as [signals] in campaign.toml", signals)
+    try:
+        return CampaignFile.model_validate({"signals": dict(signals)}).signals
+    except ValidationError as error:
+        raise SettingsError(describe(error)) from error
 
 
 def read_campaign_file(path: Path) -> CampaignFile:

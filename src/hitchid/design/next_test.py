@@ -15,6 +15,7 @@ from scipy.stats import qmc
 
 from hitchid._support import checks
 from hitchid._support.precision import double_precision
+from hitchid._support.short_repr import short_repr
 from hitchid._support.storage import write_file
 from hitchid.data.record import COMMAND, LIFTING, LOWERING
 from hitchid.errors import InputError
@@ -60,6 +61,7 @@ class ExcitationLimits:
 DEFAULT_LIMITS = ExcitationLimits()
 
 
+@short_repr
 @dataclass(frozen=True)
 class Proposal:
     """A proposed binary test.
@@ -82,6 +84,7 @@ class Proposal:
     remaining_error: Mapping[str, float]
 
 
+@short_repr
 @dataclass(frozen=True)
 class Advice:
     """The best tests to run next, and the expected reduction of standard errors.

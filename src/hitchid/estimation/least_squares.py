@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from hitchid._support.short_repr import short_repr
 from hitchid.errors import FitError
 from hitchid.estimation.search_problem import NormalEquations, SearchProblem
 
@@ -102,6 +103,7 @@ def minimise(
     return Minimum(position, current, steps, reason)
 
 
+@short_repr
 @dataclass(frozen=True)
 class LeastSquaresResult:
     """Result of least squares.

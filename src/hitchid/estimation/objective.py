@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from hitchid._support.short_repr import short_repr
 from hitchid.errors import FitError
 from hitchid.estimation.bounds import Bounds
 from hitchid.estimation.least_squares import LeastSquaresResult, best_refined
@@ -28,6 +29,7 @@ MIN_SPARE_TESTS = 4  # tests beyond the number of parameters; see `allows_per_te
 TOLERANCE = 1e-6  # relative change of fitness or position at which least squares stops
 
 
+@short_repr
 class Objective(eqx.Module):
     """Residuals over all tests at a position in the unit cube, zero where samples do not count.
 

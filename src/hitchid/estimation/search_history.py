@@ -7,6 +7,7 @@ import jax
 import numpy as np
 
 from hitchid._support.checkpoints import DISABLED, Checkpoints
+from hitchid._support.short_repr import short_repr
 from hitchid._support.storage import digest
 from hitchid._support.versions import installed_versions
 from hitchid.errors import FitError
@@ -20,6 +21,7 @@ SEEDS = 8  # runs of each search; chosen
 SAMPLES = 256  # largest number of samples of a test, which keeps a comparison within seconds
 
 
+@short_repr
 @dataclass(frozen=True)
 class SearchRun:
     """One search from one seed.
@@ -44,6 +46,7 @@ class SearchRun:
         return self.fitness[-1] if self.fitness else None
 
 
+@short_repr
 @dataclass(frozen=True)
 class SearchHistory:
     """One search from several seeds.

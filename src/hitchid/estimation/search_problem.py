@@ -7,6 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Array, Float
 
+from hitchid._support.short_repr import short_repr
+
 FitnessFunction = Callable[[Float[Array, "p d"]], Float[Array, " p"]]
 
 
@@ -35,6 +37,7 @@ class NormalEquations(NamedTuple):
         return NormalEquations(self.cost, self.gradient[columns], self.curvature[np.ix_(columns, columns)])
 
 
+@short_repr
 @dataclass(frozen=True)
 class SearchProblem:
     """What is minimised: the root mean square of residuals over the unit cube.

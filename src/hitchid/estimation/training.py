@@ -13,6 +13,7 @@ import optax
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
 from hitchid._support.checkpoints import DISABLED, Arrays, Checkpoints
+from hitchid._support.short_repr import short_repr
 
 Network = TypeVar("Network")
 # Share of the learning rate at the end of the cosine, and largest norm of a gradient: common for an LSTM.
@@ -47,6 +48,7 @@ class AdamConfig:
     learning_rate: float = 3e-3
 
 
+@short_repr
 @dataclass(frozen=True)
 class TrainingHistory:
     """Both losses, an entry an epoch, root mean square in the scale of the target.

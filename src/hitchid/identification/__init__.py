@@ -5,12 +5,12 @@ from hitchid.estimation import MultiStart as MultiStart
 from hitchid.estimation import Search as Search
 from hitchid.estimation import Whale as Whale
 from hitchid.estimation.training import AdamConfig as AdamConfig
-from hitchid.identification.campaign_job import Identification as Identification
 from hitchid.identification.direction import ChannelTrace as ChannelTrace
 from hitchid.identification.holdout_test import HoldoutTest as HoldoutTest
 from hitchid.identification.identify import identify as identify
 from hitchid.identification.identify import identify_many as identify_many
 from hitchid.identification.phase2 import CompensatorConfig as CompensatorConfig
+from hitchid.identification.result import Identification as Identification
 from hitchid.identification.rollouts import Rollouts as Rollouts
 from hitchid.identification.selection import AutoStructure as AutoStructure
 from hitchid.identification.settings_file import Settings as Settings

@@ -23,9 +23,9 @@ from hitchid.identification.mode_test import compare_modes
 from hitchid.identification.optional import attempt
 from hitchid.identification.phase2 import CompensatorConfig
 from hitchid.identification.preparation import ChannelData, mixed_dead_zones, prepare
+from hitchid.identification.result import Identification
 from hitchid.identification.selection import AutoStructure
-from hitchid.identification.trace import describe_channel
-from hitchid.model import Channel, Hitch, Provenance, TravelLimits, save
+from hitchid.model import Channel, Hitch, Provenance, TravelLimits
 from hitchid.structures import ModelSpec
 
 ChannelResults = Mapping[str, tuple[Channel, ChannelTrace]]
@@ -80,31 +80,6 @@ class IdentificationConfig:
             "versions": installed_versions(),
         }
         return Checkpoints.of_run(folder, stamp)
-
-
-@dataclass(frozen=True)
-class Identification:
-    """An identified model and the trace of its identification.
-
-    Attributes:
-        model: the grey-box model.
-        channels: direction to trace.
-    """
-
-    model: Hitch
-    channels: Mapping[str, ChannelTrace]
-
-    def save(self, folder: str | Path, *, force: bool = False) -> None:
-        """Write the model folder with its traces.
-
-        Raises:
-            OutputError: the folder exists and `force` is not given, or it cannot be written.
-        """
-        save(self.model, folder, trace=self.describe(), force=force)
-
-    def describe(self) -> dict[str, dict]:
-        """Return direction to trace as JSON values."""
-        return {direction: describe_channel(trace) for direction, trace in self.channels.items()}
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hitchid._support.metrics import proven_better
+from hitchid._support.short_repr import short_repr
 from hitchid.estimation import Objective, allows_per_test_gain, refine_subset
 from hitchid.structures import Batch, ModelSpec
 
@@ -17,6 +18,7 @@ REFIT_STEPS = 4  # iterations of the refit without a fold: the start and three d
 MIN_GAIN_TESTS = 6  # fewest held-out tests for comparing structures with a gain per test; chosen
 
 
+@short_repr
 @dataclass(frozen=True)
 class Candidate:
     """One candidate structure with its fit and its cross-validation errors.

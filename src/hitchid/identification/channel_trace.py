@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from hitchid._support.checkpoints import DISABLED, Checkpoints
+from hitchid._support.short_repr import short_repr
 from hitchid.estimation import Search, SearchComparison
 from hitchid.estimation.training import TrainingHistory
 from hitchid.identification.dead_zone import DeadZone
@@ -17,6 +18,7 @@ from hitchid.model import Characteristics, Comparison, Uncertainty
 from hitchid.structures import ModelSpec
 
 
+@short_repr
 @dataclass(frozen=True)
 class ChannelTrace:
     """How one direction was identified.

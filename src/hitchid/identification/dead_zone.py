@@ -7,6 +7,7 @@ import numpy as np
 from scipy.optimize import nnls
 from scipy.signal import lfilter
 
+from hitchid._support.short_repr import short_repr
 from hitchid.data.record import Record
 from hitchid.data.test_kinds import ACTIVE_FRACTION, effective_command
 from hitchid.errors import LogError
@@ -26,6 +27,7 @@ SAMPLES, MAX_ELEMENTS = 2048, 1_000_000  # of a test; elements of an array: limi
 LAGS_S, FAST_STEP_S = (0.03, 0.1, 0.3, 1.0), 0.1
 
 
+@short_repr
 @dataclass(frozen=True)
 class DeadZone:
     """Dead zone of one command.

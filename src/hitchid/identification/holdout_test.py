@@ -4,9 +4,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hitchid._support.short_repr import short_repr
+
 FEWEST_TESTS = 3  # one each to train on, to stop the training, and to test on
 
 
+@short_repr
 @dataclass(frozen=True)
 class HoldoutTest:
     """Result of the test of a compensator for free run on tests held out from its training.

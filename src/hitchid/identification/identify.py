@@ -12,9 +12,9 @@ from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import HitchError
 from hitchid.estimation import Search, SearchComparison, Whale
 from hitchid.identification.arguments import CAMPAIGN, check_campaign, identification_config
-from hitchid.identification.campaign_job import Identification
 from hitchid.identification.phase2 import CompensatorConfig
 from hitchid.identification.pipeline import run_pipeline
+from hitchid.identification.result import Identification
 from hitchid.identification.selection import AutoStructure
 from hitchid.structures import ModelSpec, structure_named
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from hitchid._support.checkpoints import DISABLED, Checkpoints
 from hitchid._support.progress import IterationCallback
+from hitchid._support.short_repr import short_repr
 from hitchid.estimation import Objective, Search, SearchResult, best_refined, refine, search_problem
 from hitchid.identification.optional import attempt
 from hitchid.model import Estimate, Estimates
@@ -19,6 +20,7 @@ SEARCH_SAMPLES, COARSE_SAMPLES = 8192, 2048  # of a test, at most: in the search
 ROUGH_TOLERANCE, ROUGH_STEPS, STEPS = 1e-9, 60, 60  # of the first descents; positions of each descent
 
 
+@short_repr
 @dataclass(frozen=True)
 class Fit:
     """The best parameters of a model specification, and the search for them.
@@ -44,6 +46,7 @@ class Fit:
         return float(self.values[self.objective.spec.structure.gain_index])
 
 
+@short_repr
 @dataclass(frozen=True)
 class Phase1:
     """The benchmark of one direction, its fit and its uncertainty.

@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from hitchid._support.notices import Notice
+from hitchid._support.short_repr import short_repr
 from hitchid.audit import AuditFinding, Quality
 from hitchid.data.left_out import LeftOut, left_out_notices
 from hitchid.data.record import CYCLE, Record
@@ -23,6 +24,7 @@ class SignalRange:
     highest: float
 
 
+@short_repr
 @dataclass(frozen=True)
 class InspectedRecord:
     """Result of the inspection of one record, a log or part of one.
@@ -85,6 +87,7 @@ class InspectedRecord:
         return entry
 
 
+@short_repr
 @dataclass(frozen=True)
 class Inspection:
     """Result of an inspection of logs.

@@ -8,9 +8,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtri
 
+from hitchid._support.short_repr import short_repr
 from hitchid.errors import InputError
 
 
+@short_repr
 class Band(NamedTuple):
     """Lower and upper limit of the expected displacement, in the record's unit, each of shape [N]."""
 
@@ -18,6 +20,7 @@ class Band(NamedTuple):
     upper: np.ndarray
 
 
+@short_repr
 @dataclass(frozen=True)
 class EnsembleMember:
     """Perturbation of a channel with about the likelihood of the identified one.
@@ -33,6 +36,7 @@ class EnsembleMember:
     weight: float = 1.0
 
 
+@short_repr
 @dataclass(frozen=True)
 class Bands:
     """Bands around a channel's predictions.

@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 
 from hitchid._support import checks
 from hitchid._support.precision import double_precision
+from hitchid._support.short_repr import short_repr
 from hitchid.data.record import Record
 from hitchid.model.limits import TravelLimits
 from hitchid.networks.error_compensator import Compensator, Sample, free_run, predict_errors
@@ -19,6 +20,7 @@ from hitchid.structures import Batch, PhysicalModel
 RECORDS = 'records as hitchid.read("logs").records holds them'
 
 
+@short_repr
 class Channel(eqx.Module):
     """Grey-box model of one direction: benchmark, compensator for predictions, compensator for free run.
 

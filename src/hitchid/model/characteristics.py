@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 
+from hitchid._support.short_repr import short_repr
 from hitchid.model.estimates import Interval, Quantity
 
 # Error up to which a speed is determined, as a share of it and of the fastest speed of the map; chosen.
@@ -60,6 +61,7 @@ class MeasuredSpeed:
     speed: float
 
 
+@short_repr
 @dataclass(frozen=True)
 class Characteristics:
     """Operating characteristics of one direction, derived from the fitted model.

@@ -3,12 +3,14 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
+from hitchid._support.short_repr import short_repr
 from hitchid.baselines.fitted import FittedBaseline
 from hitchid.model.channel import Channel
 from hitchid.model.estimates import Estimates
 from hitchid.model.limits import TravelLimits
 
 
+@short_repr
 @dataclass(frozen=True)
 class SearchSummary:
     """Summary of one global search of the parameters, run from several seeds.
@@ -33,6 +35,7 @@ class SearchSummary:
         return replace(self, rmse=_scaled(self.rmse, factor), median_rmse=_scaled(self.median_rmse, factor))
 
 
+@short_repr
 @dataclass(frozen=True)
 class Comparison:
     """Models fitted to the same tests as a channel, for comparison.

@@ -5,10 +5,13 @@ from math import inf, log
 
 import numpy as np
 
+from hitchid._support.short_repr import short_repr
+
 Interval = tuple[float | None, float | None]
 MAX_INTERVAL_RATIO = 3.0  # largest upper/lower end of the interval of a determined quantity; chosen
 
 
+@short_repr
 @dataclass(frozen=True)
 class Estimate:
     """Estimate of one parameter and its uncertainty.
@@ -93,6 +96,7 @@ class Quantity:
         return replace(self, value=factor * self.value, interval=_scale_interval(self.interval, factor))
 
 
+@short_repr
 @dataclass(frozen=True)
 class Estimates:
     """Parameter estimates of one direction from the identification tests.

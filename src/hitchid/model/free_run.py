@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from hitchid._support.short_repr import short_repr
 from hitchid.data.record import DIRECTIONS, Record
 from hitchid.model.dynamics import HitchDynamics
 from hitchid.model.state import HitchState
@@ -17,6 +18,7 @@ from hitchid.structures import padded_length
 ORIGINS_PER_BATCH = 64  # predictions advanced at the same time; chosen: their states fit the cache
 
 
+@short_repr
 class FreeRun(NamedTuple):
     """A free run on the model's clock and in its units.
 

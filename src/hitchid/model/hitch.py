@@ -12,11 +12,12 @@ from jaxtyping import Array
 
 from hitchid._support import checks
 from hitchid._support.precision import double_precision
-from hitchid.data.record import COMMAND, DIRECTIONS, Record
+from hitchid._support.summary import Summarised, Summary
+from hitchid._support.values import Value
+from hitchid.data.record import DIRECTIONS, Record
 from hitchid.data.segmentation import CommandThreshold
-from hitchid.data.units import conversion_factor
 from hitchid.errors import InputError
-from hitchid.model import conversion, extrapolation
+from hitchid.model import conversion, extrapolation, pickling, thresholds
 from hitchid.model.bands import Band, Bands
 from hitchid.model.channel import Channel
 from hitchid.model.comparison import Comparison
@@ -31,8 +32,8 @@ from hitchid.model.step import StepFunctions, join_inputs
 from hitchid.model.uncertainty import Uncertainty
 
 
-@dataclass(frozen=True)
-class Hitch:
+@dataclass(frozen=True, eq=False, repr=False)
+class Hitch(Value, Summarised):
     """Grey-box model of a hitch with one channel for each direction, or with a single channel.
 
     Attributes:
@@ -62,6 +63,10 @@ class Hitch:
         }
         object.__setattr__(self, "channels", MappingProxyType(ordered))
         object.__setattr__(self, "units", MappingProxyType(dict(self.units)))
+
+    def __reduce__(self) -> tuple:
+        """Return the fields for `pickle` and `copy`."""
+        return pickling.reduced(self)
 
     @double_precision
     def extrapolation(self, record: Record) -> tuple[str, ...]:
@@ -107,15 +112,7 @@ class Hitch:
             InputError: a unit is of another dimension than the model's.
         """
         checks.instance(units, Mapping, "units", "role to unit")
-        thresholds = {}
-        for direction, channel in self.channels.items():
-            benchmark = channel.benchmark
-            hysteresis = benchmark.named_values().get("hysteresis", 0.0)
-            dead_zone = channel.dead_zone * self._command_factor(direction, units)
-            thresholds[direction] = CommandThreshold(
-                dead_zone, hysteresis * dead_zone, float(benchmark.dead_time_s)
-            )
-        return thresholds
+        return thresholds.command_thresholds(self.channels, self.units, units)
 
     def segmentation_dead_zones(self, units: Mapping[str, str]) -> dict[str, float]:
         """Return direction to the dead zone with which mixed cycles are cut into strokes.
@@ -128,15 +125,7 @@ class Hitch:
         """
         checks.instance(units, Mapping, "units", "role to unit")
         dead_zones = self.provenance.segmentation_dead_zones or self.dead_zones
-        return {
-            direction: dead_zone * self._command_factor(direction, units)
-            for direction, dead_zone in dead_zones.items()
-        }
-
-    def _command_factor(self, direction: str, units: Mapping[str, str]) -> float:
-        role = COMMAND[direction]
-        convertible = role in self.units and role in units
-        return conversion_factor(self.units[role], units[role], role) if convertible else 1.0
+        return thresholds.in_log_units(dead_zones, self.units, units)
 
     @double_precision
     def init_state(self, displacement: float, load: float = 0.0) -> Packed:
@@ -347,3 +336,8 @@ class Hitch:
 
     def _to_record_units(self, displacement: np.ndarray, model_record: Record, record: Record) -> np.ndarray:
         return conversion.to_record_units(displacement, self.units, model_record, record)
+
+    def _summary(self) -> Summary:
+        from hitchid.model.summary import hitch_summary
+
+        return hitch_summary(self)

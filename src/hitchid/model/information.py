@@ -2,7 +2,10 @@
 
 from dataclasses import dataclass
 
+from hitchid._support.short_repr import short_repr
 
+
+@short_repr
 @dataclass(frozen=True)
 class Information:
     """Fisher information of the identification tests, for the parameters that are not at a bound.

@@ -9,10 +9,12 @@ from jax.flatten_util import ravel_pytree
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Float32, PyTree
 
+from hitchid._support.short_repr import short_repr
 from hitchid.model.dynamics import HitchDynamics
 from hitchid.model.state import HitchState
 
 
+@short_repr
 class Packed(NamedTuple):
     """State of a hitch in two arrays.
 

@@ -3,7 +3,10 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from hitchid._support.short_repr import short_repr
 
+
+@short_repr
 @dataclass(frozen=True)
 class Provenance:
     """Provenance of a model: tests, settings, seed and versions, sufficient to repeat the identification.
@@ -31,6 +34,7 @@ class Provenance:
     digest: str = field(default="", compare=False)
 
 
+@short_repr
 @dataclass(frozen=True)
 class TwoModes:
     """Test for two modes: one shared linear model compared with one for each direction.

@@ -4,11 +4,13 @@ from typing import NamedTuple
 
 from jaxtyping import Array, Bool, Float, Float32, Int
 
+from hitchid._support.short_repr import short_repr
 from hitchid.networks.error_compensator import FeatureState
 from hitchid.networks.lstm import LstmState
 from hitchid.structures import ValveState
 
 
+@short_repr
 class SpeedCompensatorState(NamedTuple):
     """State of the compensator for free run.
 
@@ -25,6 +27,7 @@ class SpeedCompensatorState(NamedTuple):
     travel_increment: Float[Array, ""]
 
 
+@short_repr
 class ChannelState(NamedTuple):
     """State of one channel.
 
@@ -41,6 +44,7 @@ class ChannelState(NamedTuple):
     correction: SpeedCompensatorState | None
 
 
+@short_repr
 class HitchState(NamedTuple):
     """State of a hitch at one sample; displacements in the model's unit.
 

@@ -2,12 +2,14 @@
 
 from dataclasses import dataclass
 
+from hitchid._support.short_repr import short_repr
 from hitchid.model.bands import Bands
 from hitchid.model.characteristics import Characteristics
 from hitchid.model.estimates import Estimates
 from hitchid.model.information import Information
 
 
+@short_repr
 @dataclass(frozen=True)
 class Uncertainty:
     """Uncertainty of one channel.

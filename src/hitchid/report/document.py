@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from matplotlib.figure import Figure
 
+from hitchid._support.short_repr import short_repr
 from hitchid.report.svg import svg
 from hitchid.validation import Check
 
@@ -27,6 +28,7 @@ class Finding(NamedTuple):
     sentence: str
 
 
+@short_repr
 class Table(NamedTuple):
     """One table: a title, a header, and rows of text with names in the first column."""
 
@@ -41,6 +43,7 @@ class Table(NamedTuple):
         return [any(column) and all(map(_is_number, column)) for column in columns]
 
 
+@short_repr
 @dataclass(frozen=True)
 class Picture:
     """A figure.
@@ -79,6 +82,7 @@ class Findings:
     items: tuple[Finding, ...]
 
 
+@short_repr
 @dataclass(frozen=True)
 class Pictures:
     """A group of figures."""
@@ -89,6 +93,7 @@ class Pictures:
 Block = Text | Findings | Pictures | Table
 
 
+@short_repr
 @dataclass(frozen=True)
 class ReportSection:
     """A section: heading, blocks and subsections."""
@@ -104,6 +109,7 @@ class ReportSection:
             yield from section.walk()
 
 
+@short_repr
 @dataclass(frozen=True)
 class Document:
     """A report.

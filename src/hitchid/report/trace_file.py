@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from pydantic import TypeAdapter, ValidationError
 
+from hitchid._support.short_repr import short_repr
 from hitchid.model import Estimate
 
 
@@ -64,6 +65,7 @@ class TracedCandidate:
     chosen: bool
 
 
+@short_repr
 @dataclass(frozen=True)
 class ChannelTraceFile:
     """Trace of the identification of one direction.

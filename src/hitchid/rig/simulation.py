@@ -10,6 +10,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from hitchid._support.precision import double_precision
+from hitchid._support.short_repr import short_repr
 from hitchid.errors import InputError
 from hitchid.rig.oil import Scalar
 from hitchid.rig.plant import (
@@ -28,6 +29,7 @@ SAMPLE_S = 0.01  # s, sampling time of the data acquisition
 SUBSTEPS = 8  # integration steps per sample (chosen); tests/rig compares with twice as many
 
 
+@short_repr
 class RigMotion(eqx.Module):
     """True motion of the bench, sampled every 10 ms, each sample at the start of its row of currents.
 

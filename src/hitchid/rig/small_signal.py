@@ -8,10 +8,12 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from hitchid._support.precision import double_precision
+from hitchid._support.short_repr import short_repr
 from hitchid.rig.oil import TANK_PRESSURE_PA, Scalar
 from hitchid.rig.test_bench import Rig, at_temperature, hold_pressure
 
 
+@short_repr
 class OperatingPoint(NamedTuple):
     """Steady lifting or lowering to linearise around.
 

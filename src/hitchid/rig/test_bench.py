@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from hitchid._support.precision import double_precision
+from hitchid._support.short_repr import short_repr
 from hitchid.rig.cylinder import Cylinder
 from hitchid.rig.linkage import Linkage
 from hitchid.rig.oil import TANK_PRESSURE_PA, Oil, Scalar
@@ -14,6 +15,7 @@ from hitchid.rig.supply import Supply
 from hitchid.rig.valves import LiftingValve, LoweringValve
 
 
+@short_repr
 class Rig(eqx.Module):
     """A tractor's electro-hydraulic hitch on its test bench (Sun et al. 2025, sec. 2.1).
 
@@ -36,6 +38,7 @@ class Rig(eqx.Module):
     sensors: Sensors
 
 
+@short_repr
 class RigLimits(NamedTuple):
     """Limits of currents, travel and speed in a test.
 

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from hitchid._support.short_repr import short_repr
 from hitchid.data.record import Record
 from hitchid.data.test_kinds import effective_command
 
@@ -16,6 +17,7 @@ REST_SAMPLES = 50  # samples: their mean has a seventh of the sensor's noise
 STOP_FRACTION = 0.01  # share of the way to the end stop that is left where a sample counts as at it
 
 
+@short_repr
 class Batch(eqx.Module):
     """Tests of one direction, padded to one length.
 

@@ -7,6 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from hitchid._support.short_repr import short_repr
 from hitchid.structures.discretisation import DiscreteStateSpace
 from hitchid.structures.nonlinear import NonlinearStructure, rk4_step
 from hitchid.structures.physical_model import PhysicalModel
@@ -16,6 +17,7 @@ Scalar = Float[Array, ""]
 State = Float[Array, " n"]
 
 
+@short_repr
 class ValveState(NamedTuple):
     """State of the valve of one direction.
 
@@ -32,6 +34,7 @@ class ValveState(NamedTuple):
     motion_demand: Bool[Array, " c"]
 
 
+@short_repr
 class DiscretePhysicalModel(eqx.Module):
     """A physical model of one direction at a fixed sampling time.
 

@@ -9,6 +9,7 @@ from jaxtyping import Array, Float, Int
 
 from hitchid._support.checks import number
 from hitchid._support.precision import double_precision
+from hitchid._support.short_repr import short_repr
 from hitchid.errors import InputError
 from hitchid.structures.batch import Batch
 from hitchid.structures.discretisation import DiscreteStateSpace, Scalar, discretise, simulate_linear
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from scipy import signal
 
 
+@short_repr
 class PhysicalModel(eqx.Module):
     """A structure with values for its parameters, and its options: the physical model of one direction.
 

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from hitchid._support.short_repr import short_repr
 from hitchid.structures.structure import Parameter
 
 # Commands are in shares of U, the largest effective command, displacements in half ranges from their centre.
@@ -43,6 +44,7 @@ NONLINEARITY_PARAMETERS = (*VALVE_CURVE, *SPOOL_DYNAMICS, *STROKE_GAIN_QUADRATIC
 NEUTRAL = {"opening": 0.0, "exponent": 1.0, "saturation": 1e4, "spool_lag": 1e-15}
 
 
+@short_repr
 class Scales(eqx.Module):
     """Scales of the nonlinearities' parameters, taken from the identification tests.
 
@@ -71,6 +73,7 @@ class PlayState(NamedTuple):
     play_output: Float[Array, "*b"]
 
 
+@short_repr
 class StaticNonlinearity(eqx.Module):
     """Static curves around a linear model: u → w(u, c) → linear dynamics → gain g(x, c).
 

@@ -10,6 +10,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from hitchid._support.short_repr import short_repr
 from hitchid.errors import InputError
 
 
@@ -23,6 +24,7 @@ class Scale(Enum):
     HIGHEST = "highest displacement"
 
 
+@short_repr
 class Parameter(NamedTuple):
     """One identifiable parameter.
 

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from hitchid._support.short_repr import short_repr
 from hitchid.estimation import Objective, refine_subset
 from hitchid.uncertainty.dead_zone_error import DeadZoneError, t_quantile, welch_satterthwaite
 from hitchid.uncertainty.profile import Profile
@@ -18,6 +19,7 @@ COARSE_SAMPLES, REFIT_STEPS, TOLERANCE = 2048, 15, 1e-12
 GAIN_INDEX = 0  # the gain is the first parameter of every linear structure
 
 
+@short_repr
 class Influence(NamedTuple):
     """Influence of the tests on the estimates, in the coordinates of the unit cube.
 

@@ -8,6 +8,7 @@ from itertools import count
 from math import inf, isfinite
 from typing import NamedTuple, TypeGuard
 
+from hitchid._support.short_repr import short_repr
 from hitchid.data.units import UNITS
 from hitchid.validation.bands import COVERAGE
 from hitchid.validation.limits import AcceptanceLimits, DirectionLimits, FigureLimits
@@ -17,6 +18,7 @@ from hitchid.validation.results import Accuracy, ModelFigures, RunFigures
 NO_TEST = "missing: no unseen test"
 
 
+@short_repr
 @dataclass(frozen=True)
 class Check:
     """One limit and the figure it applies to.
@@ -36,6 +38,7 @@ class Check:
     passed: bool
 
 
+@short_repr
 @dataclass(frozen=True)
 class Acceptance:
     """All limits of a file and the figures they apply to."""

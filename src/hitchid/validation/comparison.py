@@ -9,6 +9,8 @@ import numpy as np
 from hitchid._support import checks
 from hitchid._support.progress import ProgressCallback, silent, subtask_progress
 from hitchid._support.storage import canonical_json
+from hitchid._support.summary import Summarised, Summary
+from hitchid._support.values import Value
 from hitchid.data.campaign import Campaign
 from hitchid.errors import InputError
 from hitchid.model import Hitch
@@ -42,8 +44,8 @@ class ComparisonVerdict:
     tests: int
 
 
-@dataclass(frozen=True)
-class ModelComparison:
+@dataclass(frozen=True, eq=False, repr=False)
+class ModelComparison(Value, Summarised):
     """Two models on the same unseen tests.
 
     Attributes:
@@ -129,6 +131,11 @@ class ModelComparison:
 
         tables = render(comparison_tables(self), "markdown")
         return {COMPARISON_FILE: canonical_json(self.metrics), TABLES_FILE: tables}
+
+    def _summary(self) -> Summary:
+        from hitchid.validation.summary import comparison_summary
+
+        return comparison_summary(self)
 
 
 def compare(

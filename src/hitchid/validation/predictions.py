@@ -6,13 +6,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from hitchid._support.metrics import significantly_better
+from hitchid._support.short_repr import short_repr
+from hitchid._support.values import Value
 
 MIN_TESTS = 3  # fewest tests for a significance test; fewer do not determine the variance
 Rows = tuple[np.ndarray, ...]
 
 
-@dataclass(frozen=True)
-class Predictions:
+@short_repr
+@dataclass(frozen=True, eq=False)
+class Predictions(Value):
     """Tests and the predictions of models, one array of shape [N_i] for each test, all in the tests' unit.
 
     Attributes:

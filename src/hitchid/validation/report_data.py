@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hitchid._support.notices import Notice
+from hitchid._support.short_repr import short_repr
 from hitchid._support.versions import installed_versions
 from hitchid.data.campaign import Campaign
 from hitchid.data.record import COMMAND, CYCLE, DISPLACEMENT, IDLE, RAMP, Record
@@ -16,6 +17,7 @@ from hitchid.validation.valve_map import ValveMap, valve_map
 HASH_DIGITS = 16  # of the 64 hexadecimal digits of a SHA-256
 
 
+@short_repr
 @dataclass(frozen=True)
 class LogUse:
     """One log of the campaign.
@@ -37,6 +39,7 @@ class LogUse:
     digest: str
 
 
+@short_repr
 @dataclass(frozen=True)
 class LogData:
     """The logs of a campaign and the findings of their audit.
@@ -52,6 +55,7 @@ class LogData:
     logs: tuple[LogUse, ...]
 
 
+@short_repr
 @dataclass(frozen=True)
 class DirectionData:
     """Speed over command and slow ramps of one direction, in the model's units.
@@ -70,6 +74,7 @@ class DirectionData:
     ramps: tuple[Record, ...]
 
 
+@short_repr
 @dataclass(frozen=True)
 class Origin:
     """Origin of a model: provenance, sampling time in s, and the versions installed now."""
@@ -79,6 +84,7 @@ class Origin:
     versions: Mapping[str, str]
 
 
+@short_repr
 @dataclass(frozen=True)
 class ReportData:
     """Content of a report other than the figures of the validation.

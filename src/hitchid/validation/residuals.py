@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtrc, ndtr, ndtri
 
+from hitchid._support.short_repr import short_repr
 from hitchid.errors import InputError
 
 LEVEL = 0.01  # significance of every test; chosen
@@ -28,6 +29,7 @@ class Bin:
     rmse: float
 
 
+@short_repr
 @dataclass(frozen=True)
 class Binned:
     """Errors by the value of a quantity.
@@ -42,6 +44,7 @@ class Binned:
     bins: tuple[Bin, ...]
 
 
+@short_repr
 @dataclass(frozen=True)
 class ResidualTests:
     """Tests of the errors of a model, all tests together; every decision is taken at 1 %.

@@ -6,12 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from hitchid._support.metrics import error_figures, rmse_error
+from hitchid._support.short_repr import short_repr
 from hitchid.model import Characteristics, Estimates, SearchSummary
 from hitchid.validation.names import BENCHMARK, FREE_RUN, GREYBOX, ONE_STEP
 from hitchid.validation.predictions import Predictions
 from hitchid.validation.residuals import ResidualTests
 
 
+@short_repr
 @dataclass(frozen=True)
 class RunFigures:
     """Errors of one model in one kind of run, pooled over tests; None where the run diverged.
@@ -53,6 +55,7 @@ def figures_by_test(tests: Predictions) -> dict[str, RunFigures]:
     return {name: RunFigures.of([actual], [predicted]) for name, actual, predicted in rows}
 
 
+@short_repr
 @dataclass(frozen=True)
 class ModelFigures:
     """Figures of one model by run; None for a run that the model does not have."""
@@ -65,6 +68,7 @@ class ModelFigures:
         return self.one_step if name == ONE_STEP else self.free_run
 
 
+@short_repr
 @dataclass(frozen=True)
 class Horizons:
     """RMSE over prediction horizons.
@@ -78,6 +82,7 @@ class Horizons:
     rmse: Mapping[str, tuple[float | None, ...]]
 
 
+@short_repr
 @dataclass(frozen=True)
 class BandHorizons:
     """Coverage of prediction bands by horizon.
@@ -93,6 +98,7 @@ class BandHorizons:
     width: tuple[float, ...]
 
 
+@short_repr
 @dataclass(frozen=True)
 class BandFigures:
     """Coverage of prediction bands on unseen tests, each test weighing the same.
@@ -116,6 +122,7 @@ class BandFigures:
     horizons: BandHorizons | None = None
 
 
+@short_repr
 @dataclass(frozen=True)
 class Accuracy:
     """Errors of every model on the unseen tests of one direction, or on the unseen mixed cycles.
@@ -156,6 +163,7 @@ class Accuracy:
         return self.free_run() == self.free_run(BENCHMARK)
 
 
+@short_repr
 @dataclass(frozen=True)
 class ChannelResult:
     """Results of one direction.
@@ -177,6 +185,7 @@ class ChannelResult:
     searches: tuple[SearchSummary, ...] = ()
 
 
+@short_repr
 @dataclass(frozen=True)
 class CycleResult:
     """Results of the unseen mixed cycles.

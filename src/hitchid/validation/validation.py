@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 from hitchid._support import checks
 from hitchid._support.storage import canonical_json, write_bytes, write_files, write_folder
+from hitchid._support.summary import Summarised, Summary
+from hitchid._support.values import Value
 from hitchid.data.campaign import Campaign
 from hitchid.model import Hitch, TwoModes
 from hitchid.validation.acceptance import Acceptance, check_limits
@@ -24,8 +26,8 @@ METRICS_FILE = "metrics.json"
 TABLES_FILE = "tables.md"
 
 
-@dataclass(frozen=True)
-class Validation:
+@dataclass(frozen=True, eq=False, repr=False)
+class Validation(Value, Summarised):
     """Errors of a model and its baselines on tests that the identification did not use.
 
     Attributes:
@@ -140,3 +142,8 @@ class Validation:
         """Return `metrics.json` and `tables.md` with their content."""
         text = self.markdown().encode("utf-8", errors="backslashreplace")
         return {METRICS_FILE: canonical_json(self.metrics), TABLES_FILE: text}
+
+    def _summary(self) -> Summary:
+        from hitchid.validation.summary import validation_summary
+
+        return validation_summary(self)

@@ -7,6 +7,7 @@ from enum import Enum
 import numpy as np
 
 from hitchid._support.progress import IterationCallback
+from hitchid._support.short_repr import short_repr
 from hitchid.errors import FitError
 from hitchid.estimation.search_problem import SearchProblem
 
@@ -22,6 +23,7 @@ class SearchStopReason(Enum):
     FAILED = "no position gave a finite error; widen or move the bounds"
 
 
+@short_repr
 @dataclass(frozen=True)
 class SearchResult:
     """What a search found.

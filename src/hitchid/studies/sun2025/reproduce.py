@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from hitchid._support.progress import ProgressCallback, ProgressUpdate, silent, subtask_progress
+from hitchid._support.short_repr import short_repr
 from hitchid._support.storage import write_files, write_folder
 from hitchid.estimation import SearchComparison
 from hitchid.estimation.global_search.whale import WhaleConfig
@@ -51,6 +52,7 @@ def quick_plan() -> Plan:
     return Plan(tests=8, cycles=1, search=search, training=training, comparison=None)
 
 
+@short_repr
 @dataclass(frozen=True)
 class Study:
     """Results of the study.

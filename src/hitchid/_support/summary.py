@@ -1,0 +1,114 @@
+"""What an object shows of itself: at most one screen of text, and in notebooks a table with a picture."""
+
+import abc
+import textwrap
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from html import escape
+
+MAX_LINES, MAX_WIDTH = 25, 110  # lines and characters of a screen; chosen
+GAP = "  "  # between columns
+
+
+@dataclass(frozen=True)
+class Summary:
+    """A title, a table and notes.
+
+    Attributes:
+        title: one sentence without full stop.
+        header, rows: texts of the cells; the last column is wrapped.
+        notes: sentences below the table.
+        pictures: SVG element of each row, shown in HTML only; empty for none.
+    """
+
+    title: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    notes: tuple[str, ...] = ()
+    pictures: tuple[str, ...] = ()
+
+    def text(self) -> str:
+        """Return at most 25 lines of at most 110 characters."""
+        notes = [line for note in self.notes for line in _wrapped(GAP, note)]
+        table = _table_lines([self.header, *self.rows])
+        return screen([shortened(self.title), *table], notes)
+
+    def html(self) -> str:
+        """Return an HTML element with the table; text is escaped, colours are those of the page."""
+        head = _html_row("th", [*self.header, *([""] if self.pictures else [])])
+        pictures = self.pictures or ("",) * len(self.rows)
+        rows = "".join(
+            _html_row("td", row, f"<td>{picture}</td>" if self.pictures else "")
+            for row, picture in zip(self.rows, pictures, strict=True)
+        )
+        notes = "".join(f"<div>{escape(note)}</div>" for note in self.notes)
+        return (
+            f"<div><strong>{escape(self.title)}</strong>"
+            f"<table><thead>{head}</thead><tbody>{rows}</tbody></table>{notes}</div>"
+        )
+
+
+class Summarised(abc.ABC):
+    """Base of an object that shows its summary; a dataclass is declared with `repr=False`."""
+
+    @abc.abstractmethod
+    def _summary(self) -> Summary:
+        """Return what is shown."""
+
+    def __repr__(self) -> str:
+        """Return the summary as text, at most 25 lines."""
+        return self._summary().text()
+
+    def _repr_html_(self) -> str:
+        return self._summary().html()
+
+
+def screen(lines: Sequence[str], last: Sequence[str] = ()) -> str:
+    """Return lines and last lines as text; lines that do not fit on the screen are counted instead."""
+    last = last[: MAX_LINES // 2]
+    room = MAX_LINES - len(last)
+    if len(lines) > room:
+        lines = [*lines[: room - 1], f"{GAP}… {len(lines) - room + 1} more lines"]
+    return "\n".join([*lines, *last])
+
+
+def shortened(text: str, width: int = MAX_WIDTH) -> str:
+    """Return a text on one line, cut with an ellipsis where it is longer than `width` characters."""
+    line = " ".join(text.split())
+    return line if len(line) <= width else f"{line[: width - 1]}…"
+
+
+def count(number: int, noun: str) -> str:
+    """Return a number with a noun, in the plural unless the number is 1."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+def first_notes(notes: Sequence[str], maximum: int, attribute: str) -> tuple[str, ...]:
+    """Return the first notes, and how many more an attribute of the object holds."""
+    more = len(notes) - maximum
+    return (*notes[:maximum], *([f"and {more} more: see .{attribute}"] if more > 0 else []))
+
+
+def first_to_last(names: Sequence[str]) -> str:
+    """Return one or two names, or the first and the last of more."""
+    return ", ".join(names) if len(names) <= 2 else f"{names[0]} … {names[-1]}"
+
+
+def _table_lines(rows: Sequence[Sequence[str]]) -> list[str]:
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)][:-1]
+    widths = [min(width, MAX_WIDTH // 3) for width in widths]
+    lines = []
+    for *cells, last in rows:
+        padded = [shortened(cell, width).ljust(width) for cell, width in zip(cells, widths, strict=True)]
+        lines += _wrapped(GAP + "".join(cell + GAP for cell in padded), last)
+    return lines
+
+
+def _wrapped(start: str, text: str) -> list[str]:
+    lines = textwrap.wrap(text, max(MAX_WIDTH - len(start), MAX_WIDTH // 4)) or [""]
+    return [(start + lines[0]).rstrip(), *(" " * len(start) + line for line in lines[1:])]
+
+
+def _html_row(tag: str, cells: Iterable[str], end: str = "") -> str:
+    style = ' style="text-align: left"'
+    return "<tr>" + "".join(f"<{tag}{style}>{escape(cell)}</{tag}>" for cell in cells) + end + "</tr>"

@@ -1,0 +1,62 @@
+"""What a model shows of itself: structure, parameters with units and errors, corrections."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from hitchid._support.sparkline import sparkline
+from hitchid._support.summary import Summary
+from hitchid.data.record import COMMAND, DISPLACEMENT
+from hitchid.model.channel import Channel
+from hitchid.model.hitch import Hitch
+from hitchid.structures import DEAD_TIME, NONLINEARITY_PARAMETERS
+
+
+def hitch_summary(hitch: Hitch) -> Summary:
+    """Return sampling time, units, and for each direction its structure and parameters."""
+    units = ", ".join(f"{role} in {unit}" for role, unit in hitch.units.items())
+    notes = [] if hitch.two_modes is None else [hitch.two_modes.sentence]
+    if hitch.limits is not None:
+        notes.append(hitch.limits.sentence(hitch.units[DISPLACEMENT]))
+    maps = [_speed_map(hitch, direction) for direction in hitch.channels]
+    return Summary(
+        f"Hitch at {hitch.step_s:g} s: {units}",
+        ("direction", "structure", "parameters"),
+        tuple(
+            (direction, channel.benchmark.structure.name, "; ".join(_facts(hitch, channel)))
+            for direction, channel in hitch.channels.items()
+        ),
+        tuple(notes),
+        tuple(maps) if any(maps) else (),
+    )
+
+
+def _facts(hitch: Hitch, channel: Channel) -> Iterator[str]:
+    """Yield G(s), each parameter with its unit, and the corrections of one direction."""
+    benchmark = channel.benchmark
+    if benchmark.structure.linear is not None:
+        yield f"G(s) = {benchmark.structure.formula}"
+    uncertainty = hitch.uncertainty.get(channel.direction)
+    errors = {e.name: e.error for e in uncertainty.benchmark.parameters} if uncertainty else {}
+    command_unit = hitch.units.get(COMMAND[channel.direction], "")
+    known = (*benchmark.structure.parameters, *NONLINEARITY_PARAMETERS, DEAD_TIME)
+    units = {p.name: p.unit.format(x=hitch.units[DISPLACEMENT], u=command_unit) for p in known}
+    symbols = {parameter.name: parameter.symbol for parameter in benchmark.structure.parameters}
+    for name, value in benchmark.named_values().items():
+        symbol = f" {symbols[name]}" if symbols.get(name) else ""
+        error = f" ± {error:.2g}" if (error := errors.get(name)) else ""
+        unit = "" if units[name] == "1" else f" {units[name]}"
+        yield f"{name}{symbol} = {value:.4g}{error}{unit}"
+    yield f"dead zone = {channel.dead_zone:.4g} {command_unit}".rstrip()
+    parts = (("one step", channel.compensator), ("free run", channel.speed_compensator))
+    yield "LSTM correction: " + (" and ".join(name for name, part in parts if part is not None) or "none")
+
+
+def _speed_map(hitch: Hitch, direction: str) -> str:
+    """Return the steady speed over the command as a small picture; empty where it is not known."""
+    uncertainty = hitch.uncertainty.get(direction)
+    if uncertainty is None or uncertainty.characteristics is None:
+        return ""
+    points = uncertainty.characteristics.speed_map
+    speeds = np.array([point.speed for point in points if point.load == points[0].load])
+    return sparkline([speeds], f"steady speed over the {direction} command")
