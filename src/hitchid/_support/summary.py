@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from html import escape
 
 MAX_LINES, MAX_WIDTH = 25, 110  # lines and characters of a screen; chosen
+NOTE_LINES, NAME_WIDTH = 3, 24  # lines of a note; characters of a name among others; chosen
 GAP = "  "  # between columns
 
 
@@ -17,7 +18,7 @@ class Summary:
     Attributes:
         title: one sentence without full stop.
         header, rows: texts of the cells; the last column is wrapped.
-        notes: sentences below the table.
+        notes: sentences below the table, as text at most three lines each.
         pictures: SVG element of each row, shown in HTML only; empty for none.
     """
 
@@ -29,7 +30,7 @@ class Summary:
 
     def text(self) -> str:
         """Return at most 25 lines of at most 110 characters."""
-        notes = [line for note in self.notes for line in _wrapped(GAP, note)]
+        notes = [line for note in self.notes for line in _wrapped(GAP, note)[:NOTE_LINES]]
         table = _table_lines([self.header, *self.rows])
         return screen([shortened(self.title), *table], notes)
 
@@ -91,7 +92,8 @@ def first_notes(notes: Sequence[str], maximum: int, attribute: str) -> tuple[str
 
 def first_to_last(names: Sequence[str]) -> str:
     """Return one or two names, or the first and the last of more."""
-    return ", ".join(names) if len(names) <= 2 else f"{names[0]} … {names[-1]}"
+    shown = [shortened(name, NAME_WIDTH) for name in (names if len(names) <= 2 else (names[0], names[-1]))]
+    return (", " if len(names) <= 2 else " … ").join(shown)
 
 
 def _table_lines(rows: Sequence[Sequence[str]]) -> list[str]:

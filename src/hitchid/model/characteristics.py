@@ -10,6 +10,7 @@ SPEED_TOLERANCE, FASTEST_SPEED_TOLERANCE = 0.25, 0.05
 TIME_RESOLUTION_SAMPLES = 2  # samples: an interval of a delay up to this width is determined; chosen
 
 
+@short_repr
 @dataclass(frozen=True)
 class SpeedPoint:
     """Steady speed at one level of the command, at mid stroke.
@@ -48,6 +49,7 @@ class SpeedPoint:
         return replace(self, speed=factor * self.speed, interval=scaled_interval)
 
 
+@short_repr
 @dataclass(frozen=True)
 class MeasuredSpeed:
     """Mean speed of an identification test around mid stroke at a constant command.

@@ -74,6 +74,7 @@ class Estimate:
         return self.lower * (self.upper / self.lower) ** position
 
 
+@short_repr
 @dataclass(frozen=True)
 class Quantity:
     """Quantity derived from the parameters: a lag, a bandwidth, a coefficient of the paper.

@@ -12,6 +12,6 @@ def reduced(model: Value) -> tuple:
 
 
 @double_precision
-def _restored(kind: type[Value], content: bytes) -> Value:
+def _restored(kind: type[Value], content: bytes) -> object:
     # Unpacked here, within double precision: JAX otherwise rounds the arrays to float32.
     return rebuild(kind, pickle.loads(content))  # noqa: S301 - part of a pickle that is being read

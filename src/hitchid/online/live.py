@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hitchid._support.short_repr import short_repr
 from hitchid.data.record import COMMAND, DIRECTIONS, DISPLACEMENT
 from hitchid.data.test_kinds import effective_command
 from hitchid.model import Channel, Hitch, Packed
@@ -24,6 +25,7 @@ MAX_MAGNITUDE = 1e9  # a command or displacement beyond it, in its unit, is take
 Sample = Mapping[str, float]
 
 
+@short_repr
 class Output(NamedTuple):
     """Output of a model for one sample.
 

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from hitchid._support.short_repr import short_repr
 from hitchid.errors import LogError
 
 MAX_LISTED = 30  # names in one message
@@ -12,6 +13,7 @@ MAX_UNPACK_RATIO, ALWAYS_ALLOWED_BYTES = 200, 2**28
 CHANNEL_HINT = "expected it, or another named in campaign.toml"
 
 
+@short_repr
 class ChannelSelection(NamedTuple):
     """The channels to read from a log.
 

@@ -21,6 +21,7 @@ class Rating(Enum):
     BAD = "bad"
 
 
+@short_repr
 class Finding(NamedTuple):
     """One finding and its rating."""
 

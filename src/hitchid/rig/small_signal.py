@@ -30,6 +30,7 @@ class OperatingPoint(NamedTuple):
     oil_temperature_c: float | Scalar | None = None
 
 
+@short_repr
 class SmallSignal(NamedTuple):
     """K, mm/(s·A), ωh, rad/s, and ξh of K/(s (s²/ωh² + 2 ξh s/ωh + 1)), and the steady speed, mm/s."""
 
