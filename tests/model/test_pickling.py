@@ -1,4 +1,4 @@
-"""Records, campaigns, models and validations are equal by content, and can be copied and sent to a process."""
+"""Records, campaigns, models and validations: equal by content, copied, sent to another process."""
 
 import copy
 import multiprocessing
