@@ -185,3 +185,49 @@ def test_cutting_moves_no_sample():
         whole = next(record for record in campaign.records if stroke.name.startswith(f"{record.name}#"))
         start = round(stroke.start_s / 0.01)
         np.testing.assert_array_equal(stroke.displacement, whole.displacement[start : start + len(stroke)])
+
+
+@pytest.fixture
+def numbered(make_record):
+    """Return a campaign of four lifting tests."""
+    command = np.where(np.arange(60) > 5, 0.5, 0.0)
+    return Campaign.of([make_record(np.cumsum(command), command, name=f"up-{n}") for n in (1, 2, 3, 10)])
+
+
+def test_a_campaign_is_a_sequence_of_its_records(numbered):
+    assert len(numbered) == 4
+    assert list(numbered) == list(numbered.records)
+    assert numbered[0] is numbered["up-1"] is numbered[np.int64(0)] is numbered.records[0]
+    assert numbered[-1].name == "up-10"
+    assert "up-2" in numbered
+    assert numbered[1] in numbered
+    assert "up-4" not in numbered
+    assert [record.name for record in reversed(numbered)] == ["up-10", "up-3", "up-2", "up-1"]
+
+
+def test_slices_and_names_select_a_campaign(numbered):
+    assert [record.name for record in numbered[1:3]] == ["up-2", "up-3"]
+    assert numbered[:] == numbered
+    chosen = numbered[["up-10", "up-1"]]
+    assert [record.name for record in chosen] == ["up-1", "up-10"]
+    assert isinstance(chosen, Campaign)
+    # The last 20 % of the tests that are left, at least one, are held out.
+    assert [record.name for record in chosen.held_out("lifting")] == ["up-10"]
+    assert [record.name for record in numbered[:2].held_out("lifting")] == ["up-2"]
+
+
+@pytest.mark.parametrize(
+    ("key", "message"),
+    [
+        ("up1", "there is no test 'up1' among its 4; is it 'up-1'"),
+        ("zzz", "there is no test 'zzz' among its 4"),
+        (4, "number of one of its 4 tests, got 4"),
+        (-5, "number of one of its 4 tests, got -5"),
+        (slice(7, 9), "no test is selected"),
+        ([], "no test is selected"),
+        (["up-1", "up-5"], "there is no test 'up-5'"),
+    ],
+)
+def test_a_test_that_is_not_there_is_refused_by_name(numbered, key, message):
+    with pytest.raises(InputError, match=message):
+        numbered[key]
