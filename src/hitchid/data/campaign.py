@@ -141,12 +141,12 @@ class Campaign(Value, Summarised):
         return any(test in (record.name, record) for record in self.records)
 
     @overload
-    def __getitem__(self, key: int | str) -> Record: ...
+    def __getitem__(self, key: int | np.integer | str) -> Record: ...
 
     @overload
     def __getitem__(self, key: slice | Iterable[str]) -> "Campaign": ...
 
-    def __getitem__(self, key: int | str | slice | Iterable[str]) -> "Record | Campaign":
+    def __getitem__(self, key: int | np.integer | str | slice | Iterable[str]) -> "Record | Campaign":
         """Return the test of a number or name, or the campaign of a slice or of several names.
 
         A campaign without patterns of held-out tests holds out the last 20 % of the tests it has.
