@@ -20,10 +20,11 @@ app = typer.Typer(
 )
 
 
-def _print_version(requested: bool) -> None:
+def _print_version(requested: bool) -> bool:
     if requested:
         typer.echo(f"hitchid {hitchid.__version__}")
         raise typer.Exit
+    return requested
 
 
 @app.callback()
@@ -42,7 +43,7 @@ def main() -> None:
     Readers and writers raise errors of this package; any other `OSError` is a failed output.
     """
     try:
-        app()
+        app(prog_name="hitchid")
     except InputError as error:
         sys.stderr.write(f"hitchid: {error}\n")
         sys.exit(2)
