@@ -1,6 +1,8 @@
 """What every plot keeps: its axes, its units, and all that is not its own."""
 
 import re
+import subprocess
+import sys
 import warnings
 
 import matplotlib as mpl
@@ -170,3 +172,10 @@ def test_two_plots_may_share_axes():
     other.plot(axes=axes)
     for line, record in zip(axes[0].get_lines(), (one, other), strict=True):
         np.testing.assert_array_equal(line.get_ydata(), record.displacement)
+
+
+def test_matplotlib_is_not_imported_before_something_is_drawn():
+    code = "import sys, hitchid.data.campaign, hitchid.model, hitchid.validation; print(*sys.modules)"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True)  # noqa: S603
+    assert "hitchid.validation.validation" in run.stdout.split()
+    assert "matplotlib" not in run.stdout.split()

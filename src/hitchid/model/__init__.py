@@ -26,6 +26,10 @@ from hitchid.model.limits import TravelLimits as TravelLimits
 from hitchid.model.packing import Packed as Packed
 from hitchid.model.provenance import Provenance as Provenance
 from hitchid.model.provenance import TwoModes as TwoModes
+from hitchid.model.responses import FrequencyResponse as FrequencyResponse
+from hitchid.model.responses import StepResponse as StepResponse
+from hitchid.model.responses import frequency_response as frequency_response
+from hitchid.model.responses import step_responses as step_responses
 from hitchid.model.simulation import Simulation as Simulation
 from hitchid.model.state import HitchState as HitchState
 from hitchid.model.uncertainty import Uncertainty as Uncertainty

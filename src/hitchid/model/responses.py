@@ -94,7 +94,10 @@ def default_duration_s(channel: Channel, step_s: float) -> float:
 
 @double_precision
 def step_responses(
-    channel: Channel, levels: Sequence[float], duration_s: float, vectors: Float[np.ndarray, "s r"] | None
+    channel: Channel,
+    levels: Sequence[float],
+    duration_s: float,
+    vectors: Float[np.ndarray, "s r"] | None = None,
 ) -> list[StepResponse]:
     """Return the responses of the physical model to command steps from rest, without end stops.
 
@@ -148,8 +151,8 @@ def default_frequencies_hz(step_s: float) -> np.ndarray:
 def frequency_response(
     channel: Channel,
     frequency_hz: Float[np.ndarray, " f"],
-    command: float | None,
-    vectors: Float[np.ndarray, "s r"] | None,
+    command: float | None = None,
+    vectors: Float[np.ndarray, "s r"] | None = None,
 ) -> FrequencyResponse:
     """Return G(jω) = x₁ᵀ (jω − A)⁻¹ B exp(−jωT) of the physical model from command to travel.
 

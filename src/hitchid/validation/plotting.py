@@ -45,7 +45,7 @@ def plot_fit(
     for model in models:
         checks.one_of(model, predictions.models, "models")
     if test is None:
-        shown, selection = shown_tests(predictions, models[0])
+        shown, selection = shown_tests(predictions, models[-1])
     else:
         number = predictions.names.index(checks.one_of(test, predictions.names, "test"))
         shown, selection = predictions.take([number]), test
