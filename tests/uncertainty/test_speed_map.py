@@ -25,6 +25,7 @@ from hitchid.structures import (
     PhysicalModel,
     Scales,
     StaticNonlinearity,
+    steady_speed,
     structure_named,
 )
 from hitchid.structures.static_nonlinearity import NEUTRAL
@@ -33,7 +34,7 @@ from hitchid.uncertainty.influence import Influence, compute_influence
 from hitchid.uncertainty.operating_points import measured_speeds, operating_levels
 from hitchid.uncertainty.profile import Profile
 from hitchid.uncertainty.scores import Scores
-from hitchid.uncertainty.step_response import speed_lag, steady_speed, step_times
+from hitchid.uncertainty.step_response import speed_lag, step_times
 from truth import STEP_S, held, second_order, shifted
 
 UNITS = {"x": "mm", "u": "A"}

@@ -21,9 +21,13 @@ from hitchid.model.estimates import make_quantity as make_quantity
 from hitchid.model.free_run import FreeRun as FreeRun
 from hitchid.model.hitch import Hitch as Hitch
 from hitchid.model.information import Information as Information
+from hitchid.model.inverse_table import InverseTable as InverseTable
 from hitchid.model.limits import TravelLimits as TravelLimits
 from hitchid.model.packing import Packed as Packed
+from hitchid.model.parameters import ParameterRow as ParameterRow
+from hitchid.model.parameters import ParameterTable as ParameterTable
 from hitchid.model.provenance import Provenance as Provenance
 from hitchid.model.provenance import TwoModes as TwoModes
+from hitchid.model.speed import SteadySpeed as SteadySpeed
 from hitchid.model.state import HitchState as HitchState
 from hitchid.model.uncertainty import Uncertainty as Uncertainty

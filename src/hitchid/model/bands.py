@@ -12,7 +12,7 @@ from hitchid.errors import InputError
 
 
 class Band(NamedTuple):
-    """Lower and upper limit of the expected displacement, in the record's unit, each of shape [N]."""
+    """Lower and upper limit of a displacement, in the record's unit, or of a speed, each of shape [N]."""
 
     lower: np.ndarray
     upper: np.ndarray

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import jax
 import numpy as np
@@ -23,12 +24,21 @@ from hitchid.model.comparison import Comparison
 from hitchid.model.dynamics import MAX_MAGNITUDE, HitchDynamics
 from hitchid.model.ensemble import hitch_half_width
 from hitchid.model.free_run import FreeRun, free_run, multi_step_predictions
+from hitchid.model.inverse_table import InverseTable, make_inverse_table
 from hitchid.model.limits import TravelLimits
+from hitchid.model.linear import linear_model
 from hitchid.model.packing import Packed
+from hitchid.model.parameters import ParameterTable, parameter_table
 from hitchid.model.provenance import Provenance, TwoModes
+from hitchid.model.set_by_hand import with_parameters
+from hitchid.model.speed import SteadySpeed, speed_with_band
 from hitchid.model.state import HitchState
 from hitchid.model.step import StepFunctions, join_inputs
 from hitchid.model.uncertainty import Uncertainty
+
+if TYPE_CHECKING:
+    import control
+    from scipy import signal
 
 
 @dataclass(frozen=True)
@@ -321,6 +331,115 @@ class Hitch:
             if direction in self.channels
         }
         return {direction: bands for direction, bands in all_bands.items() if bands is not None}
+
+    @property
+    def parameters(self) -> ParameterTable:
+        """Parameters of all directions, with unit, standard error, 95 % interval and verdict."""
+        return parameter_table(self)
+
+    def with_parameters(
+        self, *, lifting: Mapping[str, float] | None = None, lowering: Mapping[str, float] | None = None
+    ) -> "Hitch":
+        """Return a model with parameters set by hand, such as `lifting={"gain": 25}`.
+
+        A changed direction loses what was computed for its old values: compensators, which were trained on
+        the errors of the old benchmark, bands, which were calibrated with them, speed map, Fisher information
+        and comparison models. The interval of a parameter that was not set stays only if its estimate hardly
+        depends on the set ones, by at most a tenth of its standard error.
+
+        Args:
+            lifting, lowering: name, as in `parameters`, to value, in the unit there.
+
+        Raises:
+            InputError: the model has no such direction or parameter, or a value is not admissible.
+        """
+        return with_parameters(self, {"lifting": lifting, "lowering": lowering})
+
+    def speed(
+        self,
+        command: ArrayLike,
+        direction: str | None = None,
+        *,
+        displacement: ArrayLike | None = None,
+        load: ArrayLike | None = None,
+    ) -> SteadySpeed:
+        """Return the steady speed at constant command, with its 95 % band: K w(c − d₀) g(x).
+
+        That of a structure without an integrator is its speed at the start. Arrays broadcast.
+
+        Args:
+            command: as logged, in the model's unit.
+            direction: of the channel; may be omitted in a model of one channel.
+            displacement: where the piston is, in the model's unit; by default mid stroke.
+            load: second measured input, in the model's unit; by default the mean of the tests.
+
+        Raises:
+            InputError: the structure has no speed map, or an argument does not fit.
+        """
+        return speed_with_band(self, command, direction, displacement=displacement, load=load)
+
+    def inverse_table(
+        self,
+        direction: str | None = None,
+        speeds: ArrayLike | None = None,
+        *,
+        displacement: float | None = None,
+        load: float | None = None,
+    ) -> InverseTable:
+        """Return the command for each steady speed, the inverse of `speed`, as a table for a controller.
+
+        Args:
+            direction, displacement, load: as in `speed`.
+            speeds: positive where the displacement grows; by default 33 from zero to the speed at the largest
+                command of the tests.
+
+        Raises:
+            InputError: as `speed`, a speed cannot be reached, or the speed does not rise with the command.
+        """
+        return make_inverse_table(self, direction, speeds, displacement=displacement, load=load)
+
+    def to_scipy(
+        self,
+        direction: str | None = None,
+        step_s: float | None = None,
+        *,
+        command: float | None = None,
+        displacement: float | None = None,
+        load: float | None = None,
+    ) -> "signal.StateSpace":
+        """Return the linear state-space model of a direction as `scipy.signal` has it; see `to_control`."""
+        point = {"command": command, "displacement": displacement, "load": load}
+        return linear_model(self, direction, step_s, **point).to_scipy()
+
+    def to_control(
+        self,
+        direction: str | None = None,
+        step_s: float | None = None,
+        *,
+        command: float | None = None,
+        displacement: float | None = None,
+        load: float | None = None,
+    ) -> "control.StateSpace":
+        """Return the linear state-space model of a direction as python-control has it, without compensators.
+
+        From the deviation of the command to that of the displacement, about an operating point. Without
+        nonlinearities of valve and stroke it is exact beyond the dead zone, also from rest, for the command
+        minus the dead zone. Otherwise its gain is that at the operating point; see
+        `hitchid.structures.linearise`.
+
+        Args:
+            direction: of the channel; may be omitted in a model of one channel.
+            step_s: sampling time, s, for the exact model of a held command; None for the continuous model,
+                which a model with a dead time does not have.
+            command, displacement, load: operating point, in the model's units; by default half the largest
+                command beyond the dead zone, middle of the displacement, and mean load of the tests.
+
+        Raises:
+            InputError: the structure is not linear, the valve is closed at the operating point, the model is
+                continuous and has a dead time, or python-control is not installed.
+        """
+        point = {"command": command, "displacement": displacement, "load": load}
+        return linear_model(self, direction, step_s, **point).to_control()
 
     def to_model_units(self, record: Record) -> Record:
         """Return a record on the model's clock and in the model's units.

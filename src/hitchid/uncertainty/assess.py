@@ -6,7 +6,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hitchid.estimation import Objective
-from hitchid.model.estimates import MAX_INTERVAL_RATIO, Estimate, Estimates, Interval, Quantity
+from hitchid.model.estimates import (
+    MAX_INTERVAL_RATIO,
+    NOT_ASSESSED,
+    Estimate,
+    Estimates,
+    Interval,
+    Quantity,
+)
 from hitchid.structures import Parameter
 from hitchid.uncertainty.dead_zone_error import NO_ERROR, DeadZoneError
 from hitchid.uncertainty.derived import derived, sensitivities
@@ -154,7 +161,7 @@ def unassessed(
             value=float(values[number]),
             error=None,
             interval=(None, None),
-            method="none",
+            method=NOT_ASSESSED,
             bootstrap=None,
             lower=float(objective.bounds.lower[number]),
             upper=float(objective.bounds.upper[number]),

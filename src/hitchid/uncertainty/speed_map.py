@@ -16,13 +16,13 @@ from hitchid.model.characteristics import (
     SpeedPoint,
 )
 from hitchid.model.estimates import Interval, Quantity, make_quantity
-from hitchid.structures import ModelSpec, Scales
+from hitchid.structures import ModelSpec, Scales, opening_command, steady_speed
 from hitchid.uncertainty.dead_zone_error import DeadZoneError, t_quantile, welch_satterthwaite
 from hitchid.uncertainty.influence import Influence
 from hitchid.uncertainty.operating_points import measured_speeds, operating_levels, operating_loads
 from hitchid.uncertainty.profile import MIN_PACE, Profile
 from hitchid.uncertainty.profile import STEP as EDGE
-from hitchid.uncertainty.step_response import opening_command, speed_lag, steady_speed, step_times
+from hitchid.uncertainty.step_response import speed_lag, step_times
 
 GRADIENT_STEP, TINY = 1e-3, 1e-300  # of differences, in the unit cube, chosen; smallest speed divided by
 INSTANT_S = 1e-6  # response time, s, below which a model has neither lag nor dead time; chosen
