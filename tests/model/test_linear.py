@@ -158,16 +158,16 @@ def test_the_gain_at_the_operating_point_is_the_slope_of_the_speed():
 
 def test_nonlinear_structures_and_closed_valves_are_refused():
     model = handmade.hitch(shape=True)
-    with pytest.raises(InputError, match="the valve is closed 0.05 beyond the dead zone; expected more than"):
+    with pytest.raises(InputError, match=r"the valve is closed 0\.05 beyond the dead zone; expected more"):
         model.to_control(LIFTING, 0.01, command=handmade.DEAD_ZONES[LIFTING] + 0.05)
-    with pytest.raises(InputError, match="beyond the dead zone of 0.35, got 0.3"):
+    with pytest.raises(InputError, match=r"beyond the dead zone of 0.35, got 0.3"):
         model.to_control(LIFTING, 0.01, command=0.3)
     with pytest.raises(InputError, match="direction: expected one of lifting, lowering"):
         model.to_control(step_s=0.01)
-    with pytest.raises(InputError, match="nonlinear structure 'cascaded-tanks'.*use `simulate`"):
+    with pytest.raises(InputError, match=r"nonlinear structure 'cascaded-tanks'.*use `simulate`"):
         tanks().to_control(step_s=0.01)
     for call in (lambda: tanks().speed(1.0), lambda: tanks().inverse_table()):
-        with pytest.raises(InputError, match="nonlinear structure 'cascaded-tanks'.*constant command"):
+        with pytest.raises(InputError, match=r"nonlinear structure 'cascaded-tanks'.*constant command"):
             call()
 
 

@@ -27,6 +27,7 @@ from hitchid.model.free_run import FreeRun, free_run, multi_step_predictions
 from hitchid.model.inverse_table import InverseTable, make_inverse_table
 from hitchid.model.limits import TravelLimits
 from hitchid.model.linear import linear_model
+from hitchid.model.operating_point import Numbers
 from hitchid.model.packing import Packed
 from hitchid.model.parameters import ParameterTable, parameter_table
 from hitchid.model.provenance import Provenance, TwoModes
@@ -357,11 +358,11 @@ class Hitch:
 
     def speed(
         self,
-        command: ArrayLike,
+        command: Numbers,
         direction: str | None = None,
         *,
-        displacement: ArrayLike | None = None,
-        load: ArrayLike | None = None,
+        displacement: Numbers | None = None,
+        load: Numbers | None = None,
     ) -> SteadySpeed:
         """Return the steady speed at constant command, with its 95 % band: K w(c − d₀) g(x).
 
@@ -381,7 +382,7 @@ class Hitch:
     def inverse_table(
         self,
         direction: str | None = None,
-        speeds: ArrayLike | None = None,
+        speeds: Numbers | None = None,
         *,
         displacement: float | None = None,
         load: float | None = None,

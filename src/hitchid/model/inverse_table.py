@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from hitchid._support import checks
@@ -16,7 +15,7 @@ from hitchid._support.storage import write_bytes
 from hitchid.data.record import COMMAND, DISPLACEMENT
 from hitchid.errors import InputError
 from hitchid.model.channel import Channel
-from hitchid.model.operating_point import centre, check_load, linear_channel
+from hitchid.model.operating_point import Numbers, centre, check_load, linear_channel
 from hitchid.model.speed import INSTEAD
 from hitchid.structures import command_for_speed, opening_command, steady_speed
 
@@ -97,7 +96,7 @@ class InverseTable:
 def make_inverse_table(
     model: "Hitch",
     direction: str | None = None,
-    speeds: ArrayLike | None = None,
+    speeds: Numbers | None = None,
     *,
     displacement: float | None = None,
     load: float | None = None,
@@ -148,7 +147,7 @@ class _Inverse:
         self._check_rising(highest)
         return np.unique(np.append(0.0, np.linspace(self._slowest(), fastest, ROWS)))
 
-    def checked_speeds(self, speeds: ArrayLike) -> Float[np.ndarray, " n"]:
+    def checked_speeds(self, speeds: Numbers) -> Float[np.ndarray, " n"]:
         """Return the sizes of signed speeds, ascending."""
         signed = np.atleast_1d(checks.numbers(speeds, "speeds"))
         sizes = np.unique(np.abs(signed))

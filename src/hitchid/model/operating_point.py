@@ -1,6 +1,9 @@
 """Channel, displacement and load that a steady speed or a linear model is for."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
+
+from jax.typing import ArrayLike
 
 from hitchid._support import checks
 from hitchid.errors import InputError
@@ -8,6 +11,8 @@ from hitchid.model.channel import Channel
 
 if TYPE_CHECKING:
     from hitchid.model.hitch import Hitch
+
+Numbers = ArrayLike | Sequence[ArrayLike]  # a number, or an array or nested list of them
 
 
 def linear_channel(model: "Hitch", direction: str | None, *, instead: str) -> Channel:

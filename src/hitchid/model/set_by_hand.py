@@ -58,10 +58,8 @@ def _checked(
     for name, value in checked.items():
         lower, upper, open_below = _admissible(known[name], channel, current[name], uncertainty)
         if not lower <= value <= upper or (open_below and value == lower):
-            sense = "above" if open_below else "from"
-            raise InputError(
-                f"{direction} {name}: expected {sense} {lower:.4g} to {upper:.4g}, got {value:.4g}"
-            )
+            required = f"more than {lower:g}" if open_below else f"from {lower:.4g} to {upper:.4g}"
+            raise InputError(f"{direction} {name}: expected {required}, got {value:.4g}")
     return checked
 
 

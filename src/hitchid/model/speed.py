@@ -6,7 +6,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 from scipy.special import ndtri
 
@@ -17,7 +16,7 @@ from hitchid.model.bands import Band
 from hitchid.model.channel import Channel
 from hitchid.model.characteristics import Characteristics
 from hitchid.model.estimates import Estimates
-from hitchid.model.operating_point import centre, check_load, linear_channel
+from hitchid.model.operating_point import Numbers, centre, check_load, linear_channel
 from hitchid.structures import NONLINEARITY_PARAMETERS, StaticNonlinearity, steady_speed
 
 if TYPE_CHECKING:
@@ -46,11 +45,11 @@ class SteadySpeed(NamedTuple):
 @double_precision
 def speed_with_band(
     model: "Hitch",
-    command: ArrayLike,
+    command: Numbers,
     direction: str | None = None,
     *,
-    displacement: ArrayLike | None = None,
-    load: ArrayLike | None = None,
+    displacement: Numbers | None = None,
+    load: Numbers | None = None,
 ) -> SteadySpeed:
     """Return the steady speed at constant command; see `Hitch.speed`."""
     channel = linear_channel(model, direction, instead=INSTEAD)
@@ -157,7 +156,8 @@ def _interpolated(
         return np.stack([np.interp(values, knots, row) for row in np.eye(knots.size)], axis=1)
 
     by_knot = weights(command, levels)[:, :, None] * weights(load, loads)[:, None, :]
-    return np.where(by_knot > 0, by_knot * shares, 0.0).sum(axis=(1, 2))
+    products = np.multiply(by_knot, shares, where=by_knot > 0, out=np.zeros_like(by_knot))
+    return products.sum(axis=(1, 2))
 
 
 def _gain_error(
