@@ -116,7 +116,7 @@ def make_inverse_table(
     ascending = slice(None, None, channel.sign)
     return InverseTable(
         channel.direction,
-        channel.sign * sizes[ascending],
+        channel.sign * sizes[ascending] + 0.0,  # no negative zero
         inverse.commands(sizes)[ascending],
         inverse.speed_unit,
         inverse.command_unit,

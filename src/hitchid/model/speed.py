@@ -66,11 +66,10 @@ def speed_with_band(
     band = None
     if uncertainty is not None and uncertainty.characteristics is not None:
         ends = _ends(channel, points, uncertainty.characteristics, uncertainty.benchmark)
-        lower, upper = np.sort(np.sign(channel.sign * points.command) * ends, axis=0)
+        lower, upper = np.sort(_signed(channel, np.sign(points.command) * ends), axis=0)
         band = Band(lower.reshape(commands.shape), upper.reshape(commands.shape))
-    return SteadySpeed(
-        (channel.sign * speeds).reshape(commands.shape), band, f"{model.units[DISPLACEMENT]}/s"
-    )
+    signed = _signed(channel, speeds).reshape(commands.shape)
+    return SteadySpeed(signed, band, f"{model.units[DISPLACEMENT]}/s")
 
 
 class _Points(NamedTuple):
@@ -79,6 +78,11 @@ class _Points(NamedTuple):
     command: Float[np.ndarray, " q"]
     displacement: Float[np.ndarray, " q"]
     load: Float[np.ndarray, " q"]
+
+
+def _signed(channel: Channel, speeds: Float[np.ndarray, "*q"]) -> Float[np.ndarray, "*q"]:
+    """Return speeds of travel as those of the displacement, without negative zeros."""
+    return channel.sign * speeds + 0.0
 
 
 def _speeds(channel: Channel, points: _Points) -> Float[np.ndarray, " q"]:
