@@ -21,6 +21,7 @@ from hitchid.model import (
 )
 from hitchid.model.information import Information
 from hitchid.report.sections.origin import origin
+from hitchid.report.sections.verdict import _parameter_finding
 from hitchid.report.tables import parameter_table
 from hitchid.validation.notices import set_by_hand_notices
 from hitchid.validation.report_data import Origin
@@ -172,9 +173,7 @@ def test_another_interval_stays_where_its_estimate_hardly_depends_on_what_was_se
     row = changed.parameters[LIFTING, "time_constant"]
     assert (row.standard_error is not None) == kept
     assert (row.interval != (None, None)) == kept
-    assert row.verdict == (
-        "determined" if kept else "no interval: it was computed before gain was set by hand"
-    )
+    assert row.verdict == ("determined" if kept else "no interval: fitted with another gain")
     assert changed.parameters[LIFTING, "gain"].verdict == "set by hand"
     assert changed.parameters[LIFTING, "gain"].interval == (None, None)
 
@@ -234,9 +233,15 @@ def test_a_changed_model_is_saved_and_says_so_in_validation_and_report(tmp_path)
     assert again.parameters == changed.parameters
     assert again.provenance.set_by_hand == {LIFTING: {"gain": 25.0, "dead_time": 0.02}}
     (notice,) = set_by_hand_notices(again, LIFTING)
-    assert notice.startswith("lifting: set by hand: gain 25 mm/(s·A), dead time 0.02 s;")
+    assert notice.startswith("lifting: gain 25 mm/(s·A), dead time 0.02 s set by hand;")
     assert set_by_hand_notices(again, LOWERING) == []
     gain_row = parameter_table("lifting", again.uncertainty[LIFTING].benchmark).rows[0]
     assert gain_row == ("K", "mm/(s·A)", "25", "", "", "", "set by hand")
     source = Origin(again.provenance, again.step_s, {})
     assert ("set by hand: lifting", "dead_time: 0.02; gain: 25.0") in origin(source, "").blocks[1].rows
+
+
+def test_the_report_of_a_changed_model_tells_what_has_no_interval():
+    changed = assessed(0.0).with_parameters(lifting={"gain": 25.0})
+    finding = _parameter_finding("lifting", changed.uncertainty[LIFTING].benchmark)
+    assert finding.text == "Lifting: 1 of 2 parameters without an interval: K."

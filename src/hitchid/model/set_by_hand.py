@@ -133,7 +133,7 @@ def _without_intervals(estimates: Estimates, values: Mapping[str, float]) -> Est
         shifts = np.abs(correlation[:, selected] @ np.linalg.pinv(block, hermitian=True) @ steps)
     else:
         shifts = np.full(len(parameters), inf)
-    names = " and ".join(values)
+    names = " and ".join(name.replace("_", " ") for name in values)
     kept, changed = [], []
     for parameter, shift in zip(parameters, shifts, strict=True):
         if parameter.name in values:
@@ -141,7 +141,7 @@ def _without_intervals(estimates: Estimates, values: Mapping[str, float]) -> Est
         elif parameter.method == NOT_ASSESSED:
             changed.append(parameter)
         elif shift > MAX_SHIFT or parameter.error is None:
-            verdict = f"no interval: it was computed before {names} was set by hand"
+            verdict = f"no interval: fitted with another {names}"
             changed.append(_unassessed(parameter, parameter.value, verdict))
         else:
             kept.append(parameter.name)

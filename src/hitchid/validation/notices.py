@@ -36,7 +36,9 @@ def set_by_hand_notices(model: Hitch, direction: str) -> list[str]:
         if row.name in model.provenance.set_by_hand.get(direction, {})
     ]
     values = ", ".join(f"{row.name.replace('_', ' ')} {row.value:.5g} {row.unit}" for row in rows)
-    return [f"{direction}: set by hand: {values}; without compensators, intervals and bands"] if rows else []
+    return (
+        [f"{direction}: {values} set by hand; the direction has no compensators and no bands"] if rows else []
+    )
 
 
 def cycle_notices(model: Hitch, result: CycleResult, factor: float) -> list[str]:
