@@ -8,7 +8,7 @@ import pytest
 
 from hitchid.data.record import LIFTING
 from hitchid.errors import InputError
-from hitchid.structures import BUILT_IN, Batch, ModelSpec, PhysicalModel, structure_named
+from hitchid.structures import BUILT_IN, Batch, ModelSpec, PhysicalModel, linearise, structure_named
 from hitchid.structures.cascaded_tanks import EMPTY, LOWER_BRIM
 from hitchid.structures.inertia_with_friction import SIGN_SMOOTHING
 from hitchid.structures.nonlinear import NonlinearStructure, simulate_nonlinear
@@ -128,12 +128,11 @@ def test_a_nonlinear_structure_takes_no_options(structure, option, named):
 
 
 @every_nonlinear_structure
-def test_it_has_no_transfer_function(structure):
+def test_it_has_no_linear_model(structure):
     model = PhysicalModel(structure, values_of(structure), jnp.asarray(0.0))
-    for asked in (model.to_scipy, model.to_control):
-        for step_s in (None, STEP_S):
-            with pytest.raises(InputError, match=f"'{structure.name}' is not linear; expected a linear"):
-                asked(step_s)
+    for step_s in (None, STEP_S):
+        with pytest.raises(InputError, match=f"'{structure.name}' is not linear; expected a linear"):
+            linearise(model, step_s)
     with pytest.raises(InputError, match="is not linear"):
         model.discretised(STEP_S)
 

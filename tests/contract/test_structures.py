@@ -18,6 +18,7 @@ from hitchid.structures import (
     PhysicalModel,
     Scales,
     discretise,
+    linearise,
     structure_named,
 )
 from hitchid.structures.nonlinear import NonlinearStructure
@@ -144,55 +145,40 @@ def test_fractional_dead_time_agrees_with_a_grid_ten_times_as_fine(structure, co
 
 @every_linear_structure
 @pytest.mark.parametrize("dead_time_s", [0.0, 0.03, 0.037])
-@pytest.mark.filterwarnings("ignore::scipy.signal.BadCoefficients")
-def test_discrete_transfer_function_reproduces_the_response(structure, dead_time_s, command):
+def test_discrete_state_space_reproduces_the_response(structure, dead_time_s, command):
     model = typical(structure, dead_time_s)
-    fraction = model.to_scipy(STEP_S)
-    found = signal.lfilter(*_same_length(fraction.num, fraction.den), command)
+    system = linearise(model, STEP_S).to_scipy()
+    found = signal.dlsim(system, command)[1].ravel()
     expected = response(model, command, command)[0]
-    # A polynomial with three roots near 1 amplifies rounding by up to 1/(1 − |p|)³ ≈ 20³.
-    assert largest(found - expected) <= SAMPLES * 20**3 * EPS * largest(expected)
-    assert fraction.dt == STEP_S
-
-
-def _same_length(numerator, denominator):
-    """Return a fraction in z as one in z⁻¹."""
-    return np.concatenate([np.zeros(len(denominator) - len(numerator)), numerator]), denominator
+    # 200 additions of rounding errors in either.
+    assert largest(found - expected) <= 2 * SAMPLES * EPS * largest(expected)
+    assert system.dt == STEP_S
 
 
 @every_linear_structure
-def test_continuous_transfer_function_is_handed_over_unless_there_is_a_dead_time(structure):
-    fraction = typical(structure).to_scipy()
+def test_continuous_state_space_has_the_transfer_function_unless_there_is_a_dead_time(structure):
+    system = linearise(typical(structure)).to_scipy()
     numerator, denominator = structure.transfer_function(tuple(typical(structure).values.tolist()))
-    # scipy makes the leading coefficient of the denominator one.
-    np.testing.assert_allclose(fraction.num, np.array(numerator) / denominator[0], rtol=4 * EPS)
-    np.testing.assert_allclose(fraction.den, np.array(denominator) / denominator[0], rtol=4 * EPS)
-    with pytest.raises(InputError, match=r"dead time of 0\.037 s.*sampling time"):
-        typical(structure, 0.037).to_scipy()
-    with pytest.raises(InputError, match=r"dead time of 0\.037 s.*sampling time"):
-        typical(structure, 0.037).to_control()
-
-
-@every_linear_structure
-@pytest.mark.parametrize("dead_time_s", [0.0, 0.03, 0.037])
-def test_discrete_transfer_function_is_handed_over_without_a_warning(structure, dead_time_s):
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        typical(structure, dead_time_s).to_scipy(STEP_S)
+    frequencies = np.array([0.3, 2.0, 20.0, 200.0])
+    s = 1j * frequencies
+    expected = np.polyval(numerator, s) / np.polyval(denominator, s)
+    resolvents = np.linalg.inv(s[:, None, None] * np.eye(len(system.A)) - system.A)
+    np.testing.assert_allclose((system.C @ resolvents @ system.B).ravel(), expected, rtol=1e-12)
+    with pytest.raises(InputError, match=r"sampling time, since a dead time of 0\.037 s"):
+        linearise(typical(structure, 0.037))
 
 
 @every_linear_structure
 @pytest.mark.parametrize(("step_s", "dead_time_s"), [(None, 0.0), (STEP_S, 0.0), (STEP_S, 0.037)])
-@pytest.mark.filterwarnings("ignore::scipy.signal.BadCoefficients")
 def test_python_control_gets_what_scipy_gets(structure, step_s, dead_time_s):
-    model = typical(structure, dead_time_s)
-    ours, theirs = model.to_scipy(step_s), model.to_control(step_s)
-    for frequency in (0.3, 2.0, 20.0, 200.0):
-        point = 1j * frequency if step_s is None else np.exp(1j * frequency * step_s)
-        expected = np.polyval(ours.num, point) / np.polyval(ours.den, point)
-        # The same coefficients up to one common factor.
-        np.testing.assert_allclose(theirs(point), expected, rtol=1e-9)
+    linear = linearise(typical(structure, dead_time_s), step_s)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        ours, theirs = linear.to_scipy(), linear.to_control()
+    for name in "ABCD":
+        np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
     assert (theirs.dt or None) == step_s
+    assert (theirs.input_labels, theirs.output_labels) == (["command"], ["displacement"])
 
 
 @every_linear_structure
@@ -255,7 +241,7 @@ def test_searched_values_are_told_apart_from_the_dead_time(structure):
 
 
 @every_linear_structure
-def test_a_benchmark_with_curves_has_no_transfer_function(structure):
+def test_a_benchmark_with_all_options_is_linearised(structure):
     form = ModelSpec(
         structure,
         valve_curve=True,
@@ -267,8 +253,12 @@ def test_a_benchmark_with_curves_has_no_transfer_function(structure):
     assert form.parameters == (*structure.parameters, *NONLINEARITY_PARAMETERS, form.parameters[-1])
     curved = form.physical_model(jnp.linspace(0.1, 0.9, len(form.parameters)), UNIT)
     assert list(curved.named_values().values()) == pytest.approx(np.linspace(0.1, 0.9, len(form.parameters)))
-    with pytest.raises(InputError, match="without them"):
-        curved.to_scipy(STEP_S)
+    opening = curved.named_values()["opening"]
+    linear = linearise(curved, STEP_S, command=opening + 0.1)
+    assert np.all(np.isfinite(linear.a))
+    assert np.any(linear.b > 0)
+    with pytest.raises(InputError, match="the valve is closed"):
+        linearise(curved, STEP_S, command=0.9 * opening)
 
 
 @every_structure

@@ -17,7 +17,7 @@ from hitchid.identification import direction
 from hitchid.identification.dead_zone import DeadZone
 from hitchid.identification.phase1 import Phase1
 from hitchid.model import Characteristics, Estimates, Uncertainty
-from hitchid.model.step_response import speed_lag, steady_speed, step_times
+from hitchid.model.step_response import speed_lag, step_times
 from hitchid.report.characteristics import characteristic_sentences
 from hitchid.structures import (
     NONLINEARITY_PARAMETERS,
@@ -26,6 +26,7 @@ from hitchid.structures import (
     PhysicalModel,
     Scales,
     StaticNonlinearity,
+    steady_speed,
     structure_named,
 )
 from hitchid.structures.static_nonlinearity import NEUTRAL

@@ -50,6 +50,17 @@ def number(value: object, name: str, *, above: float = -math.inf) -> float:
     return float(array)
 
 
+def numbers(value: object, name: str) -> np.ndarray:
+    """Return finite real numbers as an array of any shape; raises `InputError` for anything else."""
+    try:
+        array = np.asarray(value)
+    except (TypeError, ValueError) as error:
+        raise input_error(name, "numbers", value) from error
+    if array.dtype.kind not in "iuf" or not np.all(np.isfinite(array)):
+        raise input_error(name, "finite numbers", value)
+    return array.astype(float)
+
+
 def integer(value: object, name: str, *, minimum: int = 0) -> int:
     """Return an integer of at least `minimum`; raises `InputError` for any other value."""
     if isinstance(value, bool) or not isinstance(value, Integral) or value < minimum:

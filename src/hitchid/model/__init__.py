@@ -22,8 +22,11 @@ from hitchid.model.estimates import make_quantity as make_quantity
 from hitchid.model.free_run import FreeRun as FreeRun
 from hitchid.model.hitch import Hitch as Hitch
 from hitchid.model.information import Information as Information
+from hitchid.model.inverse_table import InverseTable as InverseTable
 from hitchid.model.limits import TravelLimits as TravelLimits
 from hitchid.model.packing import Packed as Packed
+from hitchid.model.parameters import ParameterRow as ParameterRow
+from hitchid.model.parameters import ParameterTable as ParameterTable
 from hitchid.model.provenance import Provenance as Provenance
 from hitchid.model.provenance import TwoModes as TwoModes
 from hitchid.model.responses import FrequencyResponse as FrequencyResponse
@@ -31,5 +34,6 @@ from hitchid.model.responses import StepResponse as StepResponse
 from hitchid.model.responses import frequency_response as frequency_response
 from hitchid.model.responses import step_responses as step_responses
 from hitchid.model.simulation import Simulation as Simulation
+from hitchid.model.speed import SteadySpeed as SteadySpeed
 from hitchid.model.state import HitchState as HitchState
 from hitchid.model.uncertainty import Uncertainty as Uncertainty

@@ -14,7 +14,7 @@ from hitchid.errors import InputError
 
 @short_repr
 class Band(NamedTuple):
-    """Lower and upper limit of the expected displacement, each of its shape and in its unit."""
+    """Lower and upper limit of a displacement or a speed, each of its shape and in its unit."""
 
     lower: np.ndarray
     upper: np.ndarray

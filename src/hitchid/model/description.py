@@ -48,6 +48,7 @@ def describe(hitch: Hitch) -> dict[str, object]:
         "seed": provenance.seed,
         "settings": dict(provenance.settings),
         "versions": dict(provenance.versions),
+        "set_by_hand": {direction: dict(values) for direction, values in provenance.set_by_hand.items()},
     }
 
 
@@ -86,6 +87,7 @@ def read_hitch(content: dict[str, Any], tensors: Tensors) -> Hitch:
         seed=content["seed"],
         settings=content["settings"],
         versions=content["versions"],
+        set_by_hand=content["set_by_hand"],
         digest=content["digest"],
     )
     return Hitch(

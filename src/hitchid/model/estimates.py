@@ -8,6 +8,7 @@ import numpy as np
 from hitchid._support.short_repr import short_repr
 
 Interval = tuple[float | None, float | None]
+NOT_ASSESSED = "none"  # method of an estimate for which no interval was computed
 MAX_INTERVAL_RATIO = 3.0  # largest upper/lower end of the interval of a determined quantity; chosen
 
 
@@ -21,7 +22,7 @@ class Estimate:
         value: the estimate.
         error: standard error for correlated residuals within a test; None for a parameter at a bound.
         interval: 95 % interval; None for an end that the tests do not determine.
-        method: method of the interval, `Gauss-Newton` or `profile`.
+        method: method of the interval, `Gauss-Newton` or `profile`; `none` where it was not computed.
         bootstrap: 95 % interval by resampling of tests; None for a parameter at a bound.
         lower, upper: bounds of the search.
         linear: whether the search scale between the bounds is linear; otherwise logarithmic.

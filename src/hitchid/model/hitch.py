@@ -24,9 +24,12 @@ from hitchid.model.commands import Commands, Numbers
 from hitchid.model.comparison import Comparison
 from hitchid.model.dynamics import MAX_MAGNITUDE, HitchDynamics
 from hitchid.model.free_run import multi_step_predictions
+from hitchid.model.handover import Handover
 from hitchid.model.limits import TravelLimits
 from hitchid.model.packing import Packed
+from hitchid.model.parameters import ParameterTable, parameter_table
 from hitchid.model.provenance import Provenance, TwoModes
+from hitchid.model.set_by_hand import with_parameters
 from hitchid.model.simulation import SimulatedModel, Simulation, simulate
 from hitchid.model.state import HitchState
 from hitchid.model.step import StepFunctions, join_inputs
@@ -34,7 +37,7 @@ from hitchid.model.uncertainty import Uncertainty
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Hitch(Value, Summarised):
+class Hitch(Value, Summarised, Handover):
     """Grey-box model of a hitch with one channel for each direction, or with a single channel.
 
     Attributes:
@@ -273,6 +276,29 @@ class Hitch(Value, Summarised):
             for direction, known in self.uncertainty.items()
             if direction in self.channels and known.bands is not None
         }
+
+    @property
+    def parameters(self) -> ParameterTable:
+        """Parameters of all directions, with unit, standard error, 95 % interval and verdict."""
+        return parameter_table(self)
+
+    def with_parameters(
+        self, *, lifting: Mapping[str, float] | None = None, lowering: Mapping[str, float] | None = None
+    ) -> "Hitch":
+        """Return a model with parameters set by hand, such as `lifting={"gain": 25}`.
+
+        A changed direction loses what was computed for its old values: compensators, which were trained on
+        the errors of the old benchmark, bands, which were calibrated with them, speed map, Fisher information
+        and comparison models. The interval of a parameter that was not set stays only if its estimate hardly
+        depends on the set ones, by at most a tenth of its standard error.
+
+        Args:
+            lifting, lowering: name, as in `parameters`, to value, in the unit there.
+
+        Raises:
+            InputError: the model has no such direction or parameter, or a value is not admissible.
+        """
+        return with_parameters(self, {"lifting": lifting, "lowering": lowering})
 
     def to_model_units(self, record: Record) -> Record:
         """Return a record on the model's clock and in the model's units.

@@ -9,7 +9,7 @@ import numpy as np
 Description = dict[str, Any]
 Tensors = dict[str, np.ndarray]
 Stored = tuple[Description, Tensors]
-SCHEMA = 6  # version of the layout of a model folder
+SCHEMA = 7  # version of the layout of a model folder
 
 
 def _with_hold(content: Description, tensors: Tensors) -> Stored:
@@ -46,6 +46,11 @@ def _with_comparison(content: Description, tensors: Tensors) -> Stored:
         for end, value in (("lowest", -np.inf), ("highest", np.inf))
     }
     return migrated, {**unbounded, **renamed}
+
+
+def _with_set_by_hand(content: Description, tensors: Tensors) -> Stored:
+    """Schema 7 adds the parameters that were set by hand."""
+    return {**content, "set_by_hand": {}}, tensors
 
 
 # Part of a tensor's name in schema 5 to that in schema 6.
@@ -127,7 +132,7 @@ def _renamed(described: Description, **names: str) -> Description:
 
 
 MIGRATIONS: Mapping[int, Callable[[Description, Tensors], Stored]] = MappingProxyType(
-    {3: _with_hold, 4: _with_uncertainty, 5: _with_comparison}
+    {3: _with_hold, 4: _with_uncertainty, 5: _with_comparison, 6: _with_set_by_hand}
 )
 """Schema to the migration to the next one; content that an older schema lacks is marked as missing."""
 

@@ -20,6 +20,7 @@ class Provenance:
         seed: seed of all random draws.
         settings: settings of the identification as content for JSON.
         versions: package to version.
+        set_by_hand: direction to name and value of the parameters that were set by hand since.
         digest: digest of the folder the model was read from; empty before it is saved.
     """
 
@@ -31,6 +32,7 @@ class Provenance:
     seed: int = 0
     settings: Mapping[str, object] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
+    set_by_hand: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     digest: str = field(default="", compare=False)
 
 

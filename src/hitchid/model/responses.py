@@ -12,8 +12,15 @@ from jaxtyping import Array, Float
 from hitchid._support.precision import double_precision
 from hitchid.data.test_kinds import effective_command
 from hitchid.model.channel import Channel
-from hitchid.model.step_response import speed_lag, steady_speed
-from hitchid.structures import NONLINEARITY_PARAMETERS, Batch, PhysicalModel, Scales, StaticNonlinearity
+from hitchid.model.step_response import speed_lag
+from hitchid.structures import (
+    NONLINEARITY_PARAMETERS,
+    Batch,
+    PhysicalModel,
+    Scales,
+    StaticNonlinearity,
+    steady_speed,
+)
 
 STEP_SAMPLES = 512  # of a step response; chosen
 LAGS, MIN_SAMPLES = 6.0, 100  # default length of a step response: lags, and least samples; chosen

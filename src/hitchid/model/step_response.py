@@ -1,10 +1,10 @@
-"""Step response from rest: opening command, steady speed, delay and response time."""
+"""Step response from rest: delay and response time."""
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hitchid.structures import NONLINEARITY_PARAMETERS, PhysicalModel, StaticNonlinearity, discretise
+from hitchid.structures import PhysicalModel, discretise, opening_command
 from hitchid.structures.discretisation import simulate_linear
 from hitchid.structures.structure import LinearStructure
 
@@ -12,37 +12,6 @@ Scalar = Float[Array, ""] | float
 CELLS, TIME_CONSTANTS, SHORTEST_S = 1000, 8.0, 1e-9  # samples; length in lags; shortest length, s; chosen
 DELAY_FRACTION, RESPONSE_FRACTION = 0.05, 1 - float(np.exp(-1))  # of the final speed: 5 % (chosen), 63.2 %
 MAX_OPENING_RATIO = 0.999  # opening over level, limits the time in which the spool opens; chosen
-
-
-def opening_command(physical_model: PhysicalModel, load: Scalar, dead_zone: Scalar) -> Float[Array, ""]:
-    """Return the command at which flow begins, d₀ + U max(d + s c, 0), in the command's unit."""
-    if physical_model.nonlinearity is None:
-        return jnp.asarray(dead_zone)
-    nonlinearity = physical_model.nonlinearity
-    opening, shift = _parameter_value(nonlinearity, "opening"), _parameter_value(nonlinearity, "load_shift")
-    normalised_load = jnp.clip(
-        (load - nonlinearity.scales.load_centre) / nonlinearity.scales.load_spread, -3.0, 3.0
-    )
-    return dead_zone + nonlinearity.scales.command * jnp.maximum(opening + shift * normalised_load, 0.0)
-
-
-def steady_speed(
-    physical_model: PhysicalModel,
-    levels: Float[Array, " q"],
-    loads: Float[Array, " q"],
-    dead_zone: Scalar,
-    displacement: Scalar,
-) -> Float[Array, " q"]:
-    """Return K w(c − d₀) g(x): the speed at constant command after the transients, from rest, shape [Q].
-
-    A structure without an integrator reaches a position instead: the speed is that at its start.
-    """
-    effective_command = jnp.maximum(levels - dead_zone, 0.0)
-    if physical_model.nonlinearity is None:
-        return physical_model.gain * effective_command
-    flow = physical_model.nonlinearity.flow(effective_command, loads)
-    stroke_gain = physical_model.nonlinearity.gain(jnp.full_like(loads, displacement), loads)
-    return physical_model.gain * flow * stroke_gain
 
 
 def speed_lag(structure: LinearStructure, values: np.ndarray) -> float:
@@ -75,7 +44,7 @@ def step_times(
     if nonlinearity is not None:
         # A lagging spool reaches the opening only after a while: c (1 − exp(−t/τ)) = d.
         open_at = jnp.clip(opening_command(physical_model, load, dead_zone) / level, 0.0, MAX_OPENING_RATIO)
-        lag = lag + _parameter_value(nonlinearity, "spool_lag") * (1 - jnp.log1p(-open_at))
+        lag = lag + nonlinearity.named("spool_lag")[0] * (1 - jnp.log1p(-open_at))
     step_s = jnp.maximum(TIME_CONSTANTS * lag, SHORTEST_S) / CELLS
     command, dead_zones = jnp.full((1, CELLS), level), jnp.full(1, dead_zone)
     flow = jnp.maximum(command - dead_zone, 0.0)
@@ -101,7 +70,3 @@ def _crossing(time_s: Float[Array, " n"], curve: Float[Array, " n"], level: floa
     slope = (level - curve[index - 1]) / (curve[index] - curve[index - 1])
     crossing_time = time_s[index - 1] + slope * (time_s[index] - time_s[index - 1])
     return jnp.where(jnp.any(reached), crossing_time, jnp.inf)
-
-
-def _parameter_value(nonlinearity: StaticNonlinearity, name: str) -> Float[Array, ""]:
-    return nonlinearity.values[[parameter.name for parameter in NONLINEARITY_PARAMETERS].index(name)]

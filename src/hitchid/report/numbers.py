@@ -3,6 +3,7 @@
 from math import floor, log10
 
 from hitchid.model import Estimate, Interval, Quantity
+from hitchid.model.estimates import NOT_ASSESSED
 from hitchid.validation import RunFigures
 
 DIVERGED = "diverged"
@@ -67,7 +68,9 @@ def with_unit(text: str, unit: str) -> str:
 
 
 def estimate(parameter: Estimate) -> str:
-    """Return a parameter with its standard error; empty if it is not determined."""
+    """Return a parameter with its standard error; empty if the tests do not determine it."""
+    if parameter.method == NOT_ASSESSED:
+        return digits(parameter.value)
     return with_error(parameter.value, parameter.error) if parameter.determined else ""
 
 

@@ -8,6 +8,8 @@ from hitchid.structures.discrete_physical_model import DiscretePhysicalModel as 
 from hitchid.structures.discrete_physical_model import ValveState as ValveState
 from hitchid.structures.discretisation import discretise as discretise
 from hitchid.structures.discretisation import pulse_response as pulse_response
+from hitchid.structures.linear_model import LinearModel as LinearModel
+from hitchid.structures.linear_model import linearise as linearise
 from hitchid.structures.model_spec import ModelSpec as ModelSpec
 from hitchid.structures.nonlinear import NonlinearStructure as NonlinearStructure
 from hitchid.structures.physical_model import PhysicalModel as PhysicalModel
@@ -18,6 +20,9 @@ from hitchid.structures.registry import structure_named as structure_named
 from hitchid.structures.static_nonlinearity import NONLINEARITY_PARAMETERS as NONLINEARITY_PARAMETERS
 from hitchid.structures.static_nonlinearity import Scales as Scales
 from hitchid.structures.static_nonlinearity import StaticNonlinearity as StaticNonlinearity
+from hitchid.structures.steady_state import command_for_speed as command_for_speed
+from hitchid.structures.steady_state import opening_command as opening_command
+from hitchid.structures.steady_state import steady_speed as steady_speed
 from hitchid.structures.structure import DEAD_TIME as DEAD_TIME
 from hitchid.structures.structure import LinearStructure as LinearStructure
 from hitchid.structures.structure import ModelOption as ModelOption

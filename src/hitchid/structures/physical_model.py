@@ -1,25 +1,16 @@
-"""A structure with values for its parameters: simulation and transfer functions for other libraries."""
-
-from typing import TYPE_CHECKING
+"""A structure with values for its parameters: simulation and discrete model."""
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Int
 
-from hitchid._support.checks import number
 from hitchid._support.precision import double_precision
 from hitchid._support.short_repr import short_repr
-from hitchid.errors import InputError
 from hitchid.structures.batch import Batch
 from hitchid.structures.discretisation import DiscreteStateSpace, Scalar, discretise, simulate_linear
 from hitchid.structures.nonlinear import NonlinearStructure, simulate_nonlinear
 from hitchid.structures.static_nonlinearity import NONLINEARITY_PARAMETERS, StaticNonlinearity
 from hitchid.structures.structure import DEAD_TIME, LinearStructure, Structure
-
-if TYPE_CHECKING:
-    import control
-    from scipy import signal
 
 
 @short_repr
@@ -106,42 +97,6 @@ class PhysicalModel(eqx.Module):
             else eqx.tree_at(lambda b: b.nonlinearity.values, model, vector[count + 1 :])
         )
 
-    @double_precision
-    def to_scipy(self, step_s: float | None = None) -> "signal.TransferFunction":
-        """Return the transfer function as `scipy.signal` has it.
-
-        Args:
-            step_s: sampling time, s; None gives the continuous G(s), a number the exact
-                zero-order-hold G(z) with any dead time in it.
-
-        Raises:
-            InputError: it is continuous and there is a dead time, which is not rational.
-        """
-        from scipy import signal  # not at the top: half a second
-
-        numerator, denominator = self._transfer_function(step_s)
-        if step_s is None:
-            return signal.TransferFunction(numerator, denominator)
-        return signal.TransferFunction(numerator, denominator, dt=step_s)
-
-    @double_precision
-    def to_control(self, step_s: float | None = None) -> "control.TransferFunction":
-        """Return the transfer function as python-control has it; see `to_scipy`.
-
-        Raises:
-            InputError: as `to_scipy`, or python-control is not installed.
-        """
-        try:
-            import control
-        except ImportError as error:
-            raise InputError(
-                "python-control is not installed; required: pip install 'hitchid[control]'"
-            ) from error
-        numerator, denominator = self._transfer_function(step_s)
-        if step_s is None:
-            return control.TransferFunction(numerator, denominator)
-        return control.TransferFunction(numerator, denominator, step_s)
-
     @property
     def gain(self) -> Float[Array, ""]:
         """The parameter to which the speed is proportional; raises InputError where there is none."""
@@ -155,42 +110,6 @@ class PhysicalModel(eqx.Module):
         """
         values = self.values.at[self.structure.gain_index].multiply(factor)
         return eqx.tree_at(lambda model: model.values, self, values)
-
-    def _transfer_function(self, step_s: float | None) -> tuple[np.ndarray, np.ndarray]:
-        structure = self.structure.require_linear()
-        if self.nonlinearity is not None:
-            raise InputError(
-                "a physics model with a valve curve or a gain along the stroke has no transfer function; "
-                "name a linear structure in the settings and identify again"
-            )
-        if step_s is not None:
-            number(step_s, "step_s", above=0.0)
-        if step_s is None:
-            if float(self.dead_time_s):
-                raise InputError(
-                    f"a dead time of {float(self.dead_time_s):.4g} s has no rational G(s); give "
-                    "step_s for the exact G(z)"
-                )
-            numerator, denominator = structure.transfer_function(tuple(map(float, self.values)))
-            return np.asarray(numerator), np.asarray(denominator)
-        from scipy import signal
-
-        model = self.discretised(step_s)
-        n = model.gamma0.shape[0]
-        transition, output_matrix = np.asarray(model.transition), np.eye(1, n)
-        fractions = [
-            signal.ss2tf(transition, np.asarray(gamma)[:, None], output_matrix, np.zeros((1, 1)))
-            for gamma in (model.gamma0, model.gamma1)
-        ]
-        # z⁻ᵐ (N₀ + z⁻¹ N₁)/D as one fraction of polynomials: multiply both by z^(m+1).
-        (numerator0,), denominator = fractions[0]
-        (numerator1,) = fractions[1][0]
-        numerator = np.polyadd(np.append(numerator0, 0.0), numerator1)
-        shift = np.zeros(int(model.delay_samples) + 2)
-        shift[0] = 1.0
-        if not float(self.dead_time_s):
-            return np.trim_zeros(numerator0, "f"), np.asarray(denominator)
-        return np.trim_zeros(numerator, "f"), np.polymul(denominator, shift)
 
 
 @eqx.filter_jit

@@ -13,6 +13,7 @@ from hitchid.structures.structure import Parameter
 # Commands are in shares of U, the largest effective command, displacements in half ranges from their centre.
 SHARPNESS = 4  # power of the saturation curve: the larger, the sharper its corner
 MIN_RELATIVE_COMMAND = 1e-3  # share of U below which the valve is closed; see `StaticNonlinearity`
+RELATIVE_STEP = 1e-12  # beyond that share, so that rounding does not close the valve again
 LINEAR_OPENING = 1e-6  # share of U above the opening within which flow is a straight line
 QUADRATIC_RANGE = 1.5  # half ranges beyond which the quadratic term is held: half as far as was measured
 MAX_EXTRAPOLATION = 0.7  # ln 2: farther out the gain changes by a factor of two at most
@@ -122,7 +123,7 @@ class StaticNonlinearity(eqx.Module):
         step_s: Float[Array, ""] | float,
     ) -> tuple[PlayState, Float[Array, "*b"]]:
         """Advance the spool by one sample; return it, and u in the command's unit."""
-        hysteresis, lag = self._named("hysteresis", "spool_lag")
+        hysteresis, lag = self.named("hysteresis", "spool_lag")
         half_width = 0.5 * hysteresis * dead_zone
         decay = jnp.exp(-step_s / lag)
         mean_lagged = command + lag / step_s * (1 - decay) * (spool.lagged - command)
@@ -137,7 +138,7 @@ class StaticNonlinearity(eqx.Module):
             command: u, what lies beyond the dead zone.
             covariate: second input before motion.
         """
-        opening, exponent, saturation, shift = self._named("opening", "exponent", "saturation", "load_shift")
+        opening, exponent, saturation, shift = self.named("opening", "exponent", "saturation", "load_shift")
         size = jnp.abs(command) / self.scales.command
         above_opening = size - opening - shift * self._scaled_covariate(covariate)
         is_open = (size > MIN_RELATIVE_COMMAND) & (above_opening > 0)
@@ -148,6 +149,29 @@ class StaticNonlinearity(eqx.Module):
         saturated = unsaturated / (1 + (unsaturated / saturation) ** SHARPNESS) ** (1 / SHARPNESS)
         return jnp.sign(command) * self.scales.command * saturated
 
+    def opening_command(self, covariate: Float[Array, "*b"]) -> Float[Array, "*b"]:
+        """Return U max(d + s c, 0), where beyond the dead zone flow begins, in the command's unit."""
+        opening, shift = self.named("opening", "load_shift")
+        return self.scales.command * jnp.maximum(opening + shift * self._scaled_covariate(covariate), 0.0)
+
+    @property
+    def smallest_command(self) -> Float[Array, ""]:
+        """Smallest u at which the valve opens, in the command's unit, where its opening is not larger."""
+        return MIN_RELATIVE_COMMAND * (1 + RELATIVE_STEP) * self.scales.command
+
+    def command_for_flow(self, flow: Float[Array, "*b"], covariate: Float[Array, "*b"]) -> Float[Array, "*b"]:
+        """Return u > 0 of a flow w > 0, the inverse of `flow`, in the command's unit.
+
+        Not finite for a flow that saturation does not let through.
+        """
+        opening, exponent, saturation, shift = self.named("opening", "exponent", "saturation", "load_shift")
+        saturated = flow / self.scales.command
+        unsaturated = saturated / (1 - (saturated / saturation) ** SHARPNESS) ** (1 / SHARPNESS)
+        straight = LINEAR_OPENING ** (1 - exponent) * unsaturated
+        above_opening = jnp.maximum(unsaturated, 0.0) ** (1 / exponent)
+        above_opening = jnp.where(above_opening < LINEAR_OPENING, straight, above_opening)
+        return self.scales.command * (above_opening + opening + shift * self._scaled_covariate(covariate))
+
     def gain(self, displacement: Float[Array, "*b"], covariate: Float[Array, "*b"]) -> Float[Array, "*b"]:
         """Return g, the factor on the linear model's speed.
 
@@ -155,7 +179,7 @@ class StaticNonlinearity(eqx.Module):
             displacement: where the piston is.
             covariate: second input before motion.
         """
-        slope, curve, gain = self._named("position_slope", "position_curve", "load_gain")
+        slope, curve, gain = self.named("position_slope", "position_curve", "load_gain")
         position = (displacement - self.scales.centre) / self.scales.span
         clipped_position = jnp.clip(position, -QUADRATIC_RANGE, QUADRATIC_RANGE)
         extrapolation = jnp.clip(slope * (position - clipped_position), -MAX_EXTRAPOLATION, MAX_EXTRAPOLATION)
@@ -189,7 +213,8 @@ class StaticNonlinearity(eqx.Module):
 
         return jax.lax.scan(advance, jnp.zeros_like(initial), steps.T)[1].T
 
-    def _named(self, *names: str) -> tuple[Array, ...]:
+    def named(self, *names: str) -> tuple[Array, ...]:
+        """Return values by the names of their parameters."""
         order = [parameter.name for parameter in NONLINEARITY_PARAMETERS]
         return tuple(self.values[order.index(name)] for name in names)
 

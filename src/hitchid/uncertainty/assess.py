@@ -7,7 +7,14 @@ import numpy as np
 
 from hitchid._support.progress import ProgressCallback, ProgressUpdate, silent, split_progress
 from hitchid.estimation import Objective
-from hitchid.model.estimates import MAX_INTERVAL_RATIO, Estimate, Estimates, Interval, Quantity
+from hitchid.model.estimates import (
+    MAX_INTERVAL_RATIO,
+    NOT_ASSESSED,
+    Estimate,
+    Estimates,
+    Interval,
+    Quantity,
+)
 from hitchid.structures import Parameter
 from hitchid.uncertainty.dead_zone_error import NO_ERROR, DeadZoneError
 from hitchid.uncertainty.derived import derived, sensitivities
@@ -164,7 +171,7 @@ def unassessed(
             value=float(values[number]),
             error=None,
             interval=(None, None),
-            method="none",
+            method=NOT_ASSESSED,
             bootstrap=None,
             lower=float(objective.bounds.lower[number]),
             upper=float(objective.bounds.upper[number]),

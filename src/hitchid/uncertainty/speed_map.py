@@ -16,8 +16,8 @@ from hitchid.model.characteristics import (
     SpeedPoint,
 )
 from hitchid.model.estimates import Interval, Quantity, make_quantity
-from hitchid.model.step_response import opening_command, speed_lag, steady_speed, step_times
-from hitchid.structures import ModelSpec, Scales
+from hitchid.model.step_response import speed_lag, step_times
+from hitchid.structures import ModelSpec, Scales, opening_command, steady_speed
 from hitchid.uncertainty.dead_zone_error import DeadZoneError, t_quantile, welch_satterthwaite
 from hitchid.uncertainty.influence import Influence
 from hitchid.uncertainty.operating_points import measured_speeds, operating_levels, operating_loads

@@ -13,7 +13,7 @@ from hitchid.errors import InputError
 from hitchid.model import Comparison, Hitch
 from hitchid.validation.channels import channel_result
 from hitchid.validation.cycles import cycle_result
-from hitchid.validation.notices import channel_notices, cycle_notices
+from hitchid.validation.notices import channel_notices, cycle_notices, set_by_hand_notices
 from hitchid.validation.results import ChannelResult
 from hitchid.validation.usable import with_covariates
 from hitchid.validation.validation import Validation
@@ -110,7 +110,8 @@ def _validate_direction(
     tests = [model.to_model_units(record) for record in unseen]
     channel, comparison = model.channels[direction], model.comparison.get(direction, Comparison())
     result = channel_result(channel, tests, factor, model.uncertainty.get(direction), comparison)
-    return result, channel_notices(direction, result.accuracy, channel, tests)
+    notices = channel_notices(direction, result.accuracy, channel, tests)
+    return result, [*set_by_hand_notices(model, direction), *notices]
 
 
 def _unseen(model: Hitch, records: Sequence[Record]) -> list[Record]:

@@ -25,6 +25,10 @@ def origin(source: Origin, command: str) -> ReportSection:
             for name, value in provenance.settings.items()
         ),
         *(
+            (f"set by hand: {direction}", _setting_text(values))
+            for direction, values in provenance.set_by_hand.items()
+        ),
+        *(
             (f"version of {name}", _versions(model_versions.get(name), current_versions.get(name)))
             for name in {**model_versions, **current_versions}
         ),

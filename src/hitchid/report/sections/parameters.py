@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 
 from hitchid.model import Characteristics, Estimates
+from hitchid.model.estimates import NOT_ASSESSED
 from hitchid.report import figures
 from hitchid.report.characteristics import characteristic_sentences
 from hitchid.report.document import Picture, Pictures, ReportSection, Table, Text, sentence
@@ -27,7 +28,7 @@ def parameters(context: DirectionContext) -> ReportSection:
         if estimates is not None and estimates.parameters:
             title = f"parameters of the {model}"
             blocks.append(parameter_table(f"{context.direction}: {title}", estimates))
-            pictures.append(_intervals(context.figure_name(name), title, estimates))
+            pictures += _intervals(context.figure_name(name), title, estimates)
     pictures += _dead_zone(context)
     return ReportSection("Parameters", (*blocks, Pictures(tuple(pictures))))
 
@@ -58,13 +59,16 @@ def _valve_map(context: DirectionContext) -> Picture:
     )
 
 
-def _intervals(name: str, title: str, estimates: Estimates) -> Picture:
-    return Picture(
+def _intervals(name: str, title: str, estimates: Estimates) -> Iterator[Picture]:
+    assessed = [estimate for estimate in estimates.parameters if estimate.method != NOT_ASSESSED]
+    if not assessed:
+        return
+    yield Picture(
         name,
-        figures.intervals(estimates.parameters),
+        figures.intervals(assessed),
         f"{title.capitalize()}: estimate and 95 % interval, each on its own scale; the thin line is the "
         "bootstrap's. Grey: not determined by the tests.",
-        "; ".join(f"{estimate.symbol}: {estimate.verdict}" for estimate in estimates.parameters),
+        "; ".join(f"{estimate.symbol}: {estimate.verdict}" for estimate in assessed),
     )
 
 

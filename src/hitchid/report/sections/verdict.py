@@ -3,6 +3,7 @@
 import numpy as np
 
 from hitchid.model import Estimates
+from hitchid.model.estimates import NOT_ASSESSED
 from hitchid.report import numbers
 from hitchid.report.document import Finding, Rating
 from hitchid.validation import Acceptance, Accuracy, BandFigures, Validation
@@ -96,9 +97,17 @@ def _band_finding(direction: str, bands: BandFigures, count: int, unit: str) -> 
 
 def _parameter_finding(direction: str, estimates: Estimates) -> Finding:
     parameters = estimates.parameters
-    undetermined = [estimate.symbol for estimate in parameters if not estimate.determined]
-    if not undetermined:
+    if all(estimate.determined for estimate in parameters):
         text = f"{direction.capitalize()}: {_all_text(len(parameters), 'parameter')} determined."
         return Finding(Rating.GOOD, text)
-    text = f"{len(undetermined)} of {len(parameters)} parameters not determined by the tests"
-    return Finding(Rating.CAUTION, f"{direction.capitalize()}: {text}: {', '.join(undetermined)}.")
+    undetermined = [e.symbol for e in parameters if not e.determined and e.method != NOT_ASSESSED]
+    unassessed = [e.symbol for e in parameters if e.method == NOT_ASSESSED]
+    phrases = [
+        f"{len(symbols)} of {len(parameters)} parameters {lacking}: {', '.join(symbols)}"
+        for symbols, lacking in (
+            (undetermined, "not determined by the tests"),
+            (unassessed, "without an interval"),
+        )
+        if symbols
+    ]
+    return Finding(Rating.CAUTION, f"{direction.capitalize()}: {'; '.join(phrases)}.")

@@ -1,20 +1,23 @@
 """Tables of parameters with their intervals, and of operating characteristics."""
 
 from hitchid.model import Characteristics, Estimates
+from hitchid.model.estimates import NOT_ASSESSED
 from hitchid.report import numbers
 from hitchid.report.document import Table
 
 
 def parameter_table(title: str, estimates: Estimates) -> Table:
-    """Return parameters and derived quantities; only the interval of one that is not determined."""
+    """Return parameters and derived quantities; only the interval of one that is not determined.
+
+    Where no interval was computed there is only the value."""
     rows = [
         (
             estimate.symbol,
             estimate.unit,
             numbers.estimate(estimate),
-            numbers.interval(estimate.interval),
+            numbers.interval(estimate.interval) if estimate.method != NOT_ASSESSED else "",
             numbers.interval(estimate.bootstrap) if estimate.bootstrap and estimate.determined else "",
-            f"{100 * estimate.sensitivity:.3g}",
+            f"{100 * estimate.sensitivity:.3g}" if estimate.method != NOT_ASSESSED else "",
             estimate.verdict,
         )
         for estimate in estimates.parameters

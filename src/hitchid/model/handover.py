@@ -1,0 +1,109 @@
+"""What a controller takes from a model: steady speeds, their inverse, linear models."""
+
+from typing import TYPE_CHECKING, cast
+
+from hitchid.model.inverse_table import InverseTable, make_inverse_table
+from hitchid.model.linear import linear_model
+from hitchid.model.operating_point import Numbers
+from hitchid.model.speed import SteadySpeed, speed_with_band
+
+if TYPE_CHECKING:
+    import control
+    from scipy import signal
+
+    from hitchid.model.hitch import Hitch
+
+
+class Handover:
+    """The part of `Hitch` that a controller is designed from."""
+
+    def speed(
+        self,
+        command: Numbers,
+        direction: str | None = None,
+        *,
+        displacement: Numbers | None = None,
+        load: Numbers | None = None,
+    ) -> SteadySpeed:
+        """Return the steady speed at constant command, with its 95 % band: K w(c − d₀) g(x).
+
+        That of a structure without an integrator is its speed at the start. Arrays broadcast.
+
+        Args:
+            command: as logged, in the model's unit.
+            direction: of the channel; may be omitted in a model of one channel.
+            displacement: where the piston is, in the model's unit; by default mid stroke.
+            load: second measured input, in the model's unit; by default the mean of the tests.
+
+        Raises:
+            InputError: the structure has no speed map, or an argument does not fit.
+        """
+        return speed_with_band(_hitch(self), command, direction, displacement=displacement, load=load)
+
+    def inverse_table(
+        self,
+        direction: str | None = None,
+        speeds: Numbers | None = None,
+        *,
+        displacement: float | None = None,
+        load: float | None = None,
+    ) -> InverseTable:
+        """Return the command for each steady speed, the inverse of `speed`, as a table for a controller.
+
+        Args:
+            direction, displacement, load: as in `speed`.
+            speeds: positive where the displacement grows; by default 33 from zero to the speed at the largest
+                command of the tests.
+
+        Raises:
+            InputError: as `speed`, a speed cannot be reached, or the speed does not rise with the command.
+        """
+        return make_inverse_table(_hitch(self), direction, speeds, displacement=displacement, load=load)
+
+    def to_scipy(
+        self,
+        direction: str | None = None,
+        step_s: float | None = None,
+        *,
+        command: float | None = None,
+        displacement: float | None = None,
+        load: float | None = None,
+    ) -> "signal.StateSpace":
+        """Return the linear state-space model of a direction as `scipy.signal` has it; see `to_control`."""
+        point = {"command": command, "displacement": displacement, "load": load}
+        return linear_model(_hitch(self), direction, step_s, **point).to_scipy()
+
+    def to_control(
+        self,
+        direction: str | None = None,
+        step_s: float | None = None,
+        *,
+        command: float | None = None,
+        displacement: float | None = None,
+        load: float | None = None,
+    ) -> "control.StateSpace":
+        """Return the linear state-space model of a direction as python-control has it, without compensators.
+
+        From the deviation of the command to that of the displacement, about an operating point. Without
+        nonlinearities of valve and stroke it is exact beyond the dead zone, also from rest, for the command
+        minus the dead zone. Otherwise its gain is that at the operating point; see
+        `hitchid.structures.linearise`.
+
+        Args:
+            direction: of the channel; may be omitted in a model of one channel.
+            step_s: sampling time, s, for the exact model of a held command; None for the continuous model,
+                which a model with a dead time does not have.
+            command, displacement, load: operating point, in the model's units; by default half the largest
+                command beyond the dead zone, middle of the displacement, and mean load of the tests.
+
+        Raises:
+            InputError: the structure is not linear, the valve is closed at the operating point, the model is
+                continuous and has a dead time, or python-control is not installed.
+        """
+        point = {"command": command, "displacement": displacement, "load": load}
+        return linear_model(_hitch(self), direction, step_s, **point).to_control()
+
+
+def _hitch(handover: Handover) -> "Hitch":
+    """Return the model itself: `Hitch` is the only class with this part."""
+    return cast("Hitch", handover)

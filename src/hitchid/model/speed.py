@@ -1,0 +1,203 @@
+"""Steady speed of a model with its 95 % band."""
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy.special import ndtri
+
+from hitchid._support import checks
+from hitchid._support.precision import double_precision
+from hitchid.data.record import DISPLACEMENT
+from hitchid.model.bands import Band
+from hitchid.model.channel import Channel
+from hitchid.model.characteristics import Characteristics
+from hitchid.model.estimates import Estimates
+from hitchid.model.operating_point import Numbers, centre, check_load, linear_channel
+from hitchid.structures import NONLINEARITY_PARAMETERS, StaticNonlinearity, steady_speed
+
+if TYPE_CHECKING:
+    from hitchid.model.hitch import Hitch
+
+NORMAL_QUANTILE = float(ndtri(0.975))  # of a 95 % interval
+STROKE_AND_LOAD = ("position_slope", "position_curve", "load_gain")  # parameters of the gain g(x, c)
+INSTEAD = "`simulate` with a constant command"
+
+
+class SteadySpeed(NamedTuple):
+    """Steady speed at constant command.
+
+    Attributes:
+        speed: positive where the displacement grows, in `unit`.
+        band: 95 % interval of the speed, infinite where the tests do not determine it; None in a model
+            without uncertainty.
+        unit: unit of both.
+    """
+
+    speed: np.ndarray
+    band: Band | None
+    unit: str
+
+
+@double_precision
+def speed_with_band(
+    model: "Hitch",
+    command: Numbers,
+    direction: str | None = None,
+    *,
+    displacement: Numbers | None = None,
+    load: Numbers | None = None,
+) -> SteadySpeed:
+    """Return the steady speed at constant command; see `Hitch.speed`."""
+    channel = linear_channel(model, direction, instead=INSTEAD)
+    check_load(channel, load)
+    middle, mean_load = centre(channel)
+    commands, positions, loads = np.broadcast_arrays(
+        checks.numbers(command, "command"),
+        checks.numbers(middle if displacement is None else displacement, "displacement"),
+        checks.numbers(mean_load if load is None else load, "load"),
+    )
+    points = _Points(commands.ravel(), positions.ravel(), loads.ravel())
+    speeds = _speeds(channel, points)
+    uncertainty = model.uncertainty.get(channel.direction)
+    band = None
+    if uncertainty is not None and uncertainty.characteristics is not None:
+        ends = _ends(channel, points, uncertainty.characteristics, uncertainty.benchmark)
+        lower, upper = np.sort(_signed(channel, np.sign(points.command) * ends), axis=0)
+        band = Band(lower.reshape(commands.shape), upper.reshape(commands.shape))
+    signed = _signed(channel, speeds).reshape(commands.shape)
+    return SteadySpeed(signed, band, f"{model.units[DISPLACEMENT]}/s")
+
+
+class _Points(NamedTuple):
+    """Operating points, each of shape [Q]."""
+
+    command: Float[np.ndarray, " q"]
+    displacement: Float[np.ndarray, " q"]
+    load: Float[np.ndarray, " q"]
+
+
+def _signed(channel: Channel, speeds: Float[np.ndarray, "*q"]) -> Float[np.ndarray, "*q"]:
+    """Return speeds of travel as those of the displacement, without negative zeros."""
+    return channel.sign * speeds + 0.0
+
+
+def _speeds(channel: Channel, points: _Points) -> Float[np.ndarray, " q"]:
+    """Return speeds in the direction of travel, shape [Q]."""
+    command, displacement, load = map(jnp.asarray, points)
+    return np.asarray(steady_speed(channel.benchmark, command, load, channel.dead_zone, displacement))
+
+
+def _ends(
+    channel: Channel, points: _Points, characteristics: Characteristics, estimates: Estimates
+) -> Float[np.ndarray, "2 q"]:
+    """Return the smallest and largest size of the speed, shape [2, Q].
+
+    At the points of the speed map they are the ends of its intervals. Between its levels and loads the half
+    width as a share of the speed is interpolated, beyond them it is held. Below the lowest level the half
+    width falls to zero at the lower end of the interval of the opening, or of the dead zone. Away from mid
+    stroke, and from the loads of the map, the error of the gain along the stroke is added in quadrature.
+    """
+    size = np.abs(points.command)
+    levels, loads, shares = _map_shares(characteristics)
+    held_load = np.clip(points.load, loads[0], loads[-1])
+    extra = _gain_error(channel, points, held_load, estimates)
+    begin = (characteristics.opening or characteristics.dead_zone).interval[0] or 0.0
+    fade = np.clip((size - begin) / max(levels[0] - begin, np.finfo(float).tiny), 0.0, 1.0)
+    speeds, reference = (
+        np.abs(_speeds(channel, points._replace(command=command)))
+        for command in (size, np.maximum(size, levels[0]))
+    )
+    lower, upper = (
+        _half_width(fade, reference, np.hypot(_interpolated(size, held_load, levels, loads, side), extra))
+        for side in shares
+    )
+    return np.stack([np.maximum(speeds - lower, 0.0), speeds + upper])
+
+
+def _half_width(
+    fade: Float[np.ndarray, " q"], reference: Float[np.ndarray, " q"], share: Float[np.ndarray, " q"]
+) -> Float[np.ndarray, " q"]:
+    """Return fade × reference × share; infinite for an infinite share, unless it has faded to zero."""
+    known = np.isfinite(share)
+    width = np.where(known, fade * reference * np.where(known, share, 0.0), np.inf)
+    return np.where(fade > 0, width, 0.0)
+
+
+def _map_shares(
+    characteristics: Characteristics,
+) -> tuple[Float[np.ndarray, " l"], Float[np.ndarray, " k"], Float[np.ndarray, "2 l k"]]:
+    """Return levels, loads, and the distances of the interval's ends as shares of the speed."""
+    points = characteristics.speed_map
+    levels = np.unique([point.command for point in points])
+    loads = np.unique([point.load or 0.0 for point in points])
+    by_place = sorted(points, key=lambda point: (point.command, point.load or 0.0))
+    shares = [
+        [_share(point.speed, point.interval[0] or 0.0), _share(point.speed, point.interval[1])]
+        for point in by_place
+    ]
+    return levels, loads, np.array(shares).T.reshape(2, levels.size, loads.size)
+
+
+def _share(speed: float, end: float | None) -> float:
+    return np.inf if end is None or not speed > 0 else abs(end - speed) / speed
+
+
+def _interpolated(
+    command: Float[np.ndarray, " q"],
+    load: Float[np.ndarray, " q"],
+    levels: Float[np.ndarray, " l"],
+    loads: Float[np.ndarray, " k"],
+    shares: Float[np.ndarray, "l k"],
+) -> Float[np.ndarray, " q"]:
+    """Return shares interpolated in load, then in command, and held beyond; infinite next to an open end."""
+
+    def weights(values: np.ndarray, knots: np.ndarray) -> Float[np.ndarray, "q m"]:
+        """Return the weight of each knot in the linear interpolation at each value."""
+        return np.stack([np.interp(values, knots, row) for row in np.eye(knots.size)], axis=1)
+
+    by_knot = weights(command, levels)[:, :, None] * weights(load, loads)[:, None, :]
+    products = np.multiply(by_knot, shares, where=by_knot > 0, out=np.zeros_like(by_knot))
+    return products.sum(axis=(1, 2))
+
+
+def _gain_error(
+    channel: Channel, points: _Points, held_load: Float[np.ndarray, " q"], estimates: Estimates
+) -> Float[np.ndarray, " q"]:
+    """Return half the 95 % interval of log g(x, c) − log g(mid stroke, nearest load of the map), shape [Q].
+
+    Infinite where it depends on a parameter without a standard error.
+    """
+    nonlinearity = channel.benchmark.nonlinearity
+    names = [estimate.name for estimate in estimates.parameters]
+    numbers = [names.index(name) for name in STROKE_AND_LOAD if name in names]
+    if nonlinearity is None or not numbers:
+        return np.zeros(points.command.size)
+    slots = [parameter.name for parameter in NONLINEARITY_PARAMETERS]
+    columns = [slots.index(names[number]) for number in numbers]
+    middle = np.full(points.load.size, centre(channel)[0])
+    here, there = (
+        np.asarray(_log_gain_gradient(nonlinearity, jnp.asarray(position), jnp.asarray(covariate)))
+        for position, covariate in ((points.displacement, points.load), (middle, held_load))
+    )
+    change = (here - there)[:, columns]
+    errors = [estimates.parameters[number].error for number in numbers]
+    unknown = np.any((change != 0) & np.array([error is None for error in errors]), axis=1)
+    scaled = change * np.array([error or 0.0 for error in errors])
+    correlation = np.array(estimates.correlation)[np.ix_(numbers, numbers)]
+    np.fill_diagonal(correlation, 1.0)
+    variance = np.maximum(np.einsum("qi,ij,qj->q", scaled, correlation, scaled), 0.0)
+    return np.where(unknown, np.inf, NORMAL_QUANTILE * np.sqrt(variance))
+
+
+@eqx.filter_jit
+def _log_gain_gradient(
+    nonlinearity: StaticNonlinearity, displacement: Float[Array, " q"], load: Float[Array, " q"]
+) -> Float[Array, "q p"]:
+    def log_gain(values: Array, position: Array, covariate: Array) -> Array:
+        return jnp.log(StaticNonlinearity(values, nonlinearity.scales).gain(position, covariate))
+
+    return jax.vmap(jax.grad(log_gain), (None, 0, 0))(nonlinearity.values, displacement, load)
