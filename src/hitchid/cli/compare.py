@@ -7,7 +7,18 @@ from typing import Annotated
 import typer
 
 from hitchid.cli.cache import prepare_jax
-from hitchid.cli.options import AsJson, AsPdf, Force, Logs, Quiet, Signals, Strict
+from hitchid.cli.options import (
+    AsJson,
+    AsPdf,
+    AsXlsx,
+    Force,
+    Interactive,
+    Logs,
+    Quiet,
+    Signals,
+    Strict,
+    report_formats,
+)
 from hitchid.cli.program import command_line
 
 
@@ -17,6 +28,8 @@ def compare(
     logs: Logs,
     out: Annotated[Path, typer.Option("--out", help="Folder to write: report.html, comparison.json.")],
     as_pdf: AsPdf = False,
+    as_xlsx: AsXlsx = False,
+    interactive: Interactive = False,
     signals: Signals = None,
     strict: Strict = False,
     force: Force = False,
@@ -33,17 +46,17 @@ def compare(
     from hitchid._support.progress import ProgressUpdate
     from hitchid.model import load
     from hitchid.readers import read
-    from hitchid.report import check_pdf, write_report
+    from hitchid.report import write_report
     from hitchid.validation import compare as run
 
-    check_pdf(requested=as_pdf)
+    formats = report_formats(as_pdf=as_pdf, as_xlsx=as_xlsx, interactive=interactive)
     campaign = read(logs, signals=signals, strict=strict)
     display.show_left_out(campaign, quiet=quiet)
     with display.progress(quiet=quiet) as report:
         comparison = run(load(first), load(second), campaign, progress=report)
         report(ProgressUpdate("report", 0.98))
         document = comparison.report(names=(str(first), str(second)), command=command_line())
-        write_report(out, document, comparison.files(), as_pdf=as_pdf, mark="comparison.json", force=force)
+        write_report(out, document, comparison.files(), formats=formats, mark="comparison.json", force=force)
     if as_json:
         typer.echo(json.dumps(comparison.metrics, indent=1))
     elif not quiet:

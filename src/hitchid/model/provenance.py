@@ -18,6 +18,8 @@ class Provenance:
         settings: settings of the identification as content for JSON.
         versions: package to version.
         digest: digest of the folder the model was read from; empty before it is saved.
+        name: name of that folder; empty before it is saved.
+        date: day on which its `model.json` was last written, UTC, as `2025-03-31`; empty before it is saved.
     """
 
     identification: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -29,6 +31,8 @@ class Provenance:
     settings: Mapping[str, object] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
     digest: str = field(default="", compare=False)
+    name: str = field(default="", compare=False)
+    date: str = field(default="", compare=False)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hitchid.report import figures, numbers, sections, tables
+from hitchid.report import figure_data, figures, numbers, sections, tables
 from hitchid.report.document import (
     Document,
     Finding,
@@ -10,6 +10,7 @@ from hitchid.report.document import (
     Pictures,
     Rating,
     ReportSection,
+    Signals,
     Table,
     sentence,
 )
@@ -40,6 +41,8 @@ def comparison_report(comparison: ModelComparison, *, names: tuple[str, str], co
         ),
         summary=tuple(_summary(comparison, section) for section in comparison.sections),
         data=comparison.metrics,
+        data_tables=comparison.tables(),
+        signals=_signals(comparison),
     )
 
 
@@ -81,6 +84,11 @@ def verdict_text(comparison: ModelComparison, section: str) -> str:
     return f"{verdict.better} errs less in free run, {wins}: {figures_text}"
 
 
+def _signals(comparison: ModelComparison) -> Signals:
+    tests = {section: comparison.free_runs(section) for section in comparison.sections}
+    return Signals(tests, comparison.unit, comparison.first.model.units)
+
+
 def _finding(comparison: ModelComparison, section: str) -> Finding:
     rating = Rating.CAUTION if comparison.verdict(section).better is None else Rating.GOOD
     return Finding(rating, sentence(f"{section}: {verdict_text(comparison, section)}"))
@@ -104,6 +112,7 @@ def _section(comparison: ModelComparison, section: str) -> ReportSection:
             "Free runs of both models and their errors: "
             f"{selection_text} ({', '.join(selected_tests.names)}).",
             f"Displacement and error over time of {', '.join(selected_tests.names)} for both models.",
+            data=figure_data.outputs(selected_tests, unit, ("a", "b")),
         ),
         *_distribution(section, {name: tests.errors(name) for name in "ab"}, unit),
         Picture(
@@ -111,12 +120,14 @@ def _section(comparison: ModelComparison, section: str) -> ReportSection:
             figures.horizons(Horizons(one.steps, rmse), comparison.step_s, unit),
             "Error over how far is looked ahead.",
             f"RMSE in {unit} over the horizon for both models.",
+            data=figure_data.horizons(Horizons(one.steps, rmse), comparison.step_s, unit),
         ),
         Picture(
             f"{section}-tests",
             figures.errors_by_test(tests, unit, ("b", "a")),
             "Error of every test in free run; the bar is the figure over all tests.",
             f"RMSE of each of {len(tests.names)} tests for both models.",
+            data=figure_data.errors_by_test(tests, unit, ("b", "a")),
         ),
     ]
     accuracy = tables.comparison_accuracy(comparison, section)
@@ -133,5 +144,6 @@ def _distribution(section: str, errors: dict[str, np.ndarray], unit: str) -> lis
             figures.error_distribution(errors, unit),
             "Errors in free run on all tests.",
             f"Distribution of errors in {unit} for both models.",
+            data=figure_data.errors(errors, unit),
         )
     ]

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hitchid._support import checks
+from hitchid._support.data_table import DataTable, csv_files, stacked
 from hitchid._support.progress import ProgressCallback, silent, subtask_progress
 from hitchid._support.storage import canonical_json
 from hitchid.data.campaign import Campaign
@@ -77,7 +78,7 @@ class ModelComparison:
         """Return the tests of one of `sections` with the free runs of both models, `a` and `b`."""
         one, other = (accuracy.predictions for accuracy in self.accuracy(section))
         runs = {"a": one.models[FREE_RUN], "b": other.models[FREE_RUN]}
-        return Predictions(one.names, one.time_s, one.actual, runs)
+        return Predictions(one.names, one.time_s, one.actual, runs, commands=one.commands)
 
     def verdict(self, section: str) -> ComparisonVerdict:
         """Return which model has the smaller error in free run, tested at 2.5 % over the tests."""
@@ -112,6 +113,11 @@ class ModelComparison:
             "better": {name: self.verdict(name).better for name in self.sections},
         }
 
+    def tables(self) -> dict[str, DataTable]:
+        """Return every table as data by name, the models below each other; see `Validation.tables`."""
+        validations = zip(MODELS, (self.first, self.second), strict=True)
+        return stacked({name: validation.tables() for name, validation in validations}, "compared_model")
+
     def report(self, *, names: tuple[str, str], command: str = "") -> "Document":
         """Return the report, for `hitchid.report.render`.
 
@@ -124,11 +130,15 @@ class ModelComparison:
         return comparison_report(self, names=names, command=command)
 
     def files(self) -> dict[str, bytes]:
-        """Return `comparison.json` and `tables.md` with their content."""
+        """Return `comparison.json`, `tables.md` and `tables/*.csv` with their content."""
         from hitchid.report import comparison_tables, render
 
         tables = render(comparison_tables(self), "markdown")
-        return {COMPARISON_FILE: canonical_json(self.metrics), TABLES_FILE: tables}
+        return {
+            COMPARISON_FILE: canonical_json(self.metrics),
+            TABLES_FILE: tables,
+            **csv_files(self.tables().values()),
+        }
 
 
 def compare(

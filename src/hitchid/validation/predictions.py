@@ -1,11 +1,12 @@
 """Predictions of models on tests, sample by sample."""
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from hitchid._support.metrics import significantly_better
+from hitchid.data.record import COMMAND, Record
 
 MIN_TESTS = 3  # fewest tests for a significance test; fewer do not determine the variance
 Rows = tuple[np.ndarray, ...]
@@ -22,6 +23,7 @@ class Predictions:
         models: name to predicted displacement: `benchmark` and `free_run` from commands alone, `one_step`
             from the measurements up to the sample before.
         band: lower and upper end of a band around `free_run`; None where there is none.
+        commands: name of a command to its values, in the model's unit; empty where they are not given.
     """
 
     names: tuple[str, ...]
@@ -29,6 +31,7 @@ class Predictions:
     actual: Rows
     models: Mapping[str, Rows]
     band: tuple[Rows, Rows] | None = None
+    commands: Mapping[str, Rows] = field(default_factory=dict)
 
     def take(self, indices: Iterable[int]) -> "Predictions":
         """Return some of the tests."""
@@ -43,6 +46,7 @@ class Predictions:
             actual=select(self.actual),
             models={name: select(rows) for name, rows in self.models.items()},
             band=None if self.band is None else (select(self.band[0]), select(self.band[1])),
+            commands={name: select(rows) for name, rows in self.commands.items()},
         )
 
     def errors(self, model: str) -> np.ndarray:
@@ -60,3 +64,11 @@ class Predictions:
         """Return whether one model's RMSE is significantly below another's; see `significantly_better`."""
         samples = np.array([row.size for row in self.actual])
         return len(samples) >= MIN_TESTS and significantly_better(self.rmse(model), self.rmse(other), samples)
+
+
+def commands_of(records: Sequence[Record]) -> dict[str, Rows]:
+    """Return the commands of records, name to values."""
+    names = dict.fromkeys(role for record in records for role in COMMAND.values() if role in record.signals)
+    return {
+        name: tuple(record.signals.get(name, np.zeros(len(record))) for record in records) for name in names
+    }

@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from hitchid.report import figures
+from hitchid.report import figure_data, figures
 from hitchid.report.document import Picture, Pictures, ReportSection
+from hitchid.report.figures.errors import MAX_SAMPLES
 from hitchid.report.figures.style import LABELS
 from hitchid.report.sections.context import DirectionContext
 from hitchid.report.sections.shown_tests import shown_tests
@@ -24,12 +25,14 @@ def accuracy(context: DirectionContext) -> ReportSection:
             figures.horizons(result.horizons, context.step_s, unit),
             "Error over how far is looked ahead. A model is of use where it lies below persistence.",
             f"RMSE in {unit} over the horizon for each model, from one sample on.",
+            data=figure_data.horizons(result.horizons, context.step_s, unit),
         ),
         Picture(
             context.figure_name("tests"),
             figures.errors_by_test(tests, unit, models),
             "Error of every unseen test in free run; the bar is the figure over all tests.",
             f"RMSE of each of {len(tests.names)} tests in free run, for {len(models)} models.",
+            data=figure_data.errors_by_test(tests, unit, models),
         ),
     )
     tables = (accuracy_table(context.direction, result, unit), horizon_table(context.direction, result, unit))
@@ -44,6 +47,7 @@ def errors(context: DirectionContext) -> ReportSection:
     models_equal = all(map(np.array_equal, tests.models[BENCHMARK], tests.models[FREE_RUN]))
     equal_note = " In free run the grey box is the benchmark alone." if models_equal else ""
     models = (FREE_RUN, ONE_STEP) if models_equal else (BENCHMARK, FREE_RUN, ONE_STEP)
+    model_errors = {name: tests.errors(name) for name in reversed(models)}
     rmse = context.accuracy.free_run().rmse
     error_text = "the free run diverged" if rmse is None else f"the free run errs by {rmse:.3g} {unit} RMSE"
     pictures = [
@@ -52,22 +56,25 @@ def errors(context: DirectionContext) -> ReportSection:
             figures.outputs(selected_tests, unit, models),
             f"Measured and predicted displacement, and the errors: {selection_text} ({names}).{equal_note}",
             f"Displacement and error over time of {names}; {error_text}.",
+            data=figure_data.outputs(selected_tests, unit, models),
         ),
         Picture(
             context.figure_name("distribution"),
-            figures.error_distribution({name: tests.errors(name) for name in reversed(models)}, unit),
+            figures.error_distribution(model_errors, unit),
             "Errors on all unseen tests: histogram with fitted normal, and the share of samples below a "
             "limit. The axes end where 99.5 % of the samples lie.",
             f"Histogram and cumulative distribution of errors in {unit}.",
+            data=figure_data.errors(model_errors, unit),
         ),
     ]
-    if context.data.compensated:
+    if context.data.channel.compensator is not None:
         pictures.append(
             Picture(
                 context.figure_name("predicted-errors"),
                 figures.predicted_errors({"test": tests}, unit),
                 "Error of the benchmark, and the compensator's prediction of it one step ahead.",
                 f"Benchmark's error in {unit} over the sample, actual and predicted.",
+                data=figure_data.predicted_errors({"test": tests}, unit, MAX_SAMPLES),
             )
         )
     table = single_test_table(context.direction, context.accuracy, unit)

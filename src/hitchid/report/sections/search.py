@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from hitchid.report import figures
+from hitchid.report import figure_data, figures
 from hitchid.report.document import Block, Picture, Pictures, ReportSection, Text, sentence
 from hitchid.report.sections.context import DirectionContext
 from hitchid.report.tables import search_table
@@ -25,6 +25,7 @@ def search(context: DirectionContext) -> ReportSection:
                 figures.searches(searches, context.unit),
                 "Searches compared on one budget: the median run, and the final error of each seed.",
                 f"Best RMSE over the budget for {', '.join(summary.name for summary in searches)}.",
+                data=figure_data.searches(searches, context.unit),
             )
         )
     return ReportSection("Search and training", (*blocks, *([Pictures(tuple(pictures))] if pictures else [])))
@@ -38,6 +39,7 @@ def _trace_pictures(context: DirectionContext, trace: ChannelTraceFile) -> Itera
         "Search: best fitness so far, over the tests as the search weighs them, and the parameters "
         "that gave it.",
         "Best RMSE and the parameters that gave it, over the iterations of the search.",
+        data=figure_data.convergence(trace.phase1, unit),
     )
     if trace.phase2 is not None:
         yield Picture(
@@ -45,6 +47,7 @@ def _trace_pictures(context: DirectionContext, trace: ChannelTraceFile) -> Itera
             figures.losses(trace.phase2),
             "Training of the compensator; the epoch with the least validation loss is kept.",
             f"Losses over epochs; that of epoch {trace.phase2.best_epoch} is kept.",
+            data=figure_data.losses(trace.phase2),
         )
     if trace.candidates:
         chosen = next(candidate.name for candidate in trace.candidates if candidate.chosen)
@@ -55,4 +58,5 @@ def _trace_pictures(context: DirectionContext, trace: ChannelTraceFile) -> Itera
             "that grows along the stroke is judged with each test's own speed, so it may be taken "
             "with a larger error here.",
             f"RMSE of {len(trace.candidates)} structures; taken: {chosen}.",
+            data=figure_data.structures(trace.candidates, unit),
         )
