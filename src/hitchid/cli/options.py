@@ -35,6 +35,6 @@ def report_formats(*, as_pdf: bool, as_xlsx: bool, interactive: bool) -> "list[F
     from hitchid.report import check_renderers
 
     requested: dict[Format, bool] = {"pdf": as_pdf, "xlsx": as_xlsx, "interactive": interactive}
-    formats = [name for name, is_requested in requested.items() if is_requested]
+    formats: list[Format] = [name for name, is_requested in requested.items() if is_requested]
     check_renderers(formats)
     return formats

@@ -108,7 +108,9 @@ def _band_data(name: str, bands: BandFigures, unit: str) -> DataTable:
     rows[0]["covered_standard_error"] = bands.covered_error
     if bands.horizons is not None:
         ahead = zip(bands.horizons.steps, bands.horizons.covered, bands.horizons.width, strict=True)
-        rows += [_band_row("horizon", step, bands.coverage, *figures, unit) for step, *figures in ahead]
+        rows += [
+            _band_row("horizon", step, bands.coverage, covered, width, unit) for step, covered, width in ahead
+        ]
     return DataTable.of_rows(name, rows)
 
 

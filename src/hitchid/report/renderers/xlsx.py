@@ -10,12 +10,7 @@ from hitchid.report.renderers.renderer import Renderer
 CREATED = datetime(2000, 1, 1)  # in the properties of every workbook: equal documents give equal bytes
 MAX_WIDTH = 40  # of a column, characters; chosen
 SHEET_NAME_LENGTH = 31  # largest number of characters of the name of a sheet in Excel
-OPTIONS = {
-    "in_memory": True,
-    "strings_to_numbers": False,
-    "strings_to_formulas": False,
-    "strings_to_urls": False,
-}
+CONVERSIONS = ("strings_to_numbers", "strings_to_formulas", "strings_to_urls")  # none: text stays text
 
 
 class Xlsx(Renderer):
@@ -29,7 +24,7 @@ class Xlsx(Renderer):
         from xlsxwriter import Workbook
 
         stream = BytesIO()
-        with Workbook(stream, OPTIONS) as workbook:
+        with Workbook(stream, {"in_memory": True, **dict.fromkeys(CONVERSIONS, False)}) as workbook:
             workbook.set_properties({"title": document.title, "created": CREATED})
             heading = workbook.add_format({"bold": True, "bottom": 1})
             for table in document.data_tables.values():

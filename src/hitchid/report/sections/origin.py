@@ -1,5 +1,6 @@
 """Origin of a result: the information required to reproduce it."""
 
+import ast
 import json
 from collections.abc import Iterator, Mapping
 
@@ -40,7 +41,9 @@ def origin(source: Origin, command: str) -> ReportSection:
 
 def _by_section(settings: Mapping[str, object]) -> Mapping[str, object]:
     """Return settings in the sections of the settings file: those of each direction under its name."""
-    sections = {name: value for name, value in settings.items() if name not in ("structure", "dead_zones")}
+    sections = {
+        name: _arguments(value) for name, value in settings.items() if name not in ("structure", "dead_zones")
+    }
     forms, dead_zones = settings.get("structure"), settings.get("dead_zones")
     for direction, form in forms.items() if isinstance(forms, Mapping) else ():
         known_dead_zones = dead_zones if isinstance(dead_zones, Mapping) else {}
@@ -48,6 +51,22 @@ def _by_section(settings: Mapping[str, object]) -> Mapping[str, object]:
         values = {name: value for name, value in form.items() if name != "automatic"}
         sections[direction] = automatic | values | {"dead_zone": known_dead_zones.get(direction)}
     return sections
+
+
+def _arguments(value: object) -> object:
+    """Return a setting; of a call as text, as in models saved by earlier versions, its keyword arguments."""
+    if not isinstance(value, str):
+        return value
+    try:
+        return _keywords(ast.parse(value, mode="eval").body)
+    except (SyntaxError, ValueError):
+        return value
+
+
+def _keywords(node: ast.expr) -> object:
+    if isinstance(node, ast.Call):
+        return {str(keyword.arg): _keywords(keyword.value) for keyword in node.keywords}
+    return ast.literal_eval(node)
 
 
 def _toml_rows(settings: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, str]]:

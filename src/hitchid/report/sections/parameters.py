@@ -14,8 +14,8 @@ from hitchid.report.trace_file import TracedDeadZone
 
 def parameters(context: DirectionContext) -> ReportSection:
     """Return the section on parameters with their intervals, the valve, and the dead zone."""
-    result = context.result
-    blocks: list[Block] = [*transfer_function(context.data)]
+    result, data = context.result, context.data
+    blocks: list[Block] = [*transfer_function(data.channel.benchmark, data.unit, data.command_unit)]
     pictures = []
     if result.characteristics is not None:
         blocks += _characteristic_blocks(context.direction, result.characteristics)

@@ -37,16 +37,19 @@ function decodeTest(raw) {
 
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
+// Wide and light, so that it is seen below the predictions.
+const MEASURED = () => ({ label: "measured", values: test.measured, colour: "--faint", dash: [], width: 4 });
+
 // Lines and band of each plot; a line is { values, colour, dash, width }.
 function layers(plot) {
-  const drawn = test.models.filter((model) => shown.get(model.key));
+  // Dashed lines last, so that what lies below is seen.
+  const drawn = test.models.filter((m) => shown.get(m.key)).sort((a, b) => a.dash.length - b.dash.length);
   const line = (model, values) => ({ values, colour: model.colour, dash: model.dash, width: 1.4 });
   if (plot === "command") return { band: null, lines: test.commands.map((c) => line(c, c.values)) };
   const runShown = shown.get("free_run");
   if (plot === "error")
     return { band: runShown ? test.errorBand : null, lines: drawn.map((m) => line(m, m.error)) };
-  const measured = { values: test.measured, colour: "--ink", dash: [], width: 1.4 };
-  return { band: runShown ? test.band : null, lines: [...drawn.map((m) => line(m, m.values)), measured] };
+  return { band: runShown ? test.band : null, lines: [MEASURED(), ...drawn.map((m) => line(m, m.values))] };
 }
 
 function indexAt(time) { // of the sample nearest to a time
@@ -332,22 +335,37 @@ function option(text, value) {
   return element;
 }
 
+function svgElement(name, attributes) {
+  const element = document.createElementNS("http://www.w3.org/2000/svg", name);
+  for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
+  return element;
+}
+
+function legendKey({ colour: name, dash, width = 2.5 }) {
+  const key = svgElement("svg", { class: "key", "aria-hidden": "true" });
+  const ends = { x1: 0, x2: "100%", y1: "50%", y2: "50%" };
+  const style = { stroke: `var(${name})`, "stroke-width": width, "stroke-dasharray": dash.join(" ") || "none" };
+  key.append(svgElement("line", { ...ends, ...style }));
+  return key;
+}
+
 function modelToggle(model) {
   const toggle = document.createElement("label");
   const box = document.createElement("input");
   box.type = "checkbox";
   box.checked = shown.get(model.key);
   box.addEventListener("change", () => { shown.set(model.key, box.checked); draw(); });
-  const key = document.createElementNS("http://www.w3.org/2000/svg", "svg");
-  key.setAttribute("class", "key");
-  key.setAttribute("aria-hidden", "true");
-  const line = document.createElementNS("http://www.w3.org/2000/svg", "line");
-  const ends = { x1: 0, x2: "100%", y1: "50%", y2: "50%", stroke: `var(${model.colour})`, "stroke-width": 2.5 };
-  for (const [name, value] of Object.entries({ ...ends, "stroke-dasharray": model.dash.join(" ") || "none" }))
-    line.setAttribute(name, value);
-  key.append(line);
-  toggle.append(box, key, model.label);
+  toggle.append(box, legendKey(model), model.label);
   return toggle;
+}
+
+function caption(id, title, lines) {
+  const keys = lines.map((line) => {
+    const entry = document.createElement("span");
+    entry.append(legendKey(line), line.label);
+    return entry;
+  });
+  byId(id).replaceChildren(title, ...keys);
 }
 
 function openTest() {
@@ -355,9 +373,9 @@ function openTest() {
   test = decodeTest(raw);
   for (const model of test.models) if (!shown.has(model.key)) shown.set(model.key, model.shown);
   byId("models").replaceChildren(byId("models").querySelector("legend"), ...test.models.map(modelToggle));
-  byId("displacement-label").textContent = `Displacement / ${content.unit}, measured in black or white`;
-  byId("error-label").textContent = `Error, measured minus predicted / ${content.unit}`;
-  byId("command-label").textContent = `${test.commands.map((c) => c.label).join(", ") || "No command"}; time / s`;
+  caption("displacement-label", `Displacement / ${content.unit}, time / s`, [MEASURED()]);
+  caption("error-label", `Error, measured minus predicted / ${content.unit}`, []);
+  caption("command-label", "Command", test.commands);
   cursor = Math.floor(test.time.length / 2);
   reset();
 }
