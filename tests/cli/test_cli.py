@@ -1,9 +1,11 @@
 """The command line as a user meets it: exit codes, what goes where, and that bad input leaves no trace."""
 
+import csv
 import json
 import shutil
 import subprocess
 import sys
+import zipfile
 from contextlib import redirect_stderr, redirect_stdout
 from importlib.metadata import version
 from io import StringIO
@@ -623,13 +625,45 @@ def test_validate_shows_a_summary_or_prints_the_metrics_it_writes(validated, met
 
 def test_validate_writes_a_report_with_its_figures(validated):
     out = validated[2]
-    written = {"metrics.json", "tables.md", "report.html", "figures", MANIFEST_FILE}
+    written = {"metrics.json", "tables.md", "tables", "report.html", "figures", MANIFEST_FILE}
     assert {path.name for path in out.iterdir()} == written
     page = (out / "report.html").read_text()
     assert page.startswith("<!doctype html>")
     assert "hitchid validate" in page
     for path in (out / "figures").iterdir():
         assert f'id="figure-{path.stem}"' in page
+
+
+def test_each_table_and_the_data_of_each_figure_are_csv_files(validated, metrics):
+    out = validated[2]
+    figures = {path.stem for path in (out / "figures").glob("*.svg")}
+    assert {path.stem for path in (out / "figures").glob("*.csv")} == figures
+    with (out / "tables" / "lifting-accuracy.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    rmse = {(row["model"], row["run"]): row["rmse_mm"] for row in rows}
+    lifting = metrics["channels"]["lifting"]
+    assert float(rmse["greybox", "free_run"]) == lifting["greybox"]["free_run"]["rmse"]
+
+
+def test_a_workbook_and_an_interactive_page_are_written_where_they_are_asked_for(
+    bench_folder, model, tmp_path
+):
+    pytest.importorskip("xlsxwriter")
+    out = tmp_path / "out"
+    result = hitchid("validate", model, bench_folder, "--out", out, "--xlsx", "--interactive", "--quiet")
+    assert result == (0, "", "")
+    assert zipfile.is_zipfile(out / "tables.xlsx")
+    assert "lifting-01" in (out / "interactive.html").read_text()
+
+
+def test_a_workbook_without_its_package_is_refused_before_any_work(
+    refused, bench_folder, model, tmp_path, monkeypatch
+):
+    monkeypatch.setattr("hitchid.report.renderers.find_spec", lambda name: None)
+    for command in (("validate", model), ("compare", model, model)):
+        refused(
+            *command, bench_folder, "--out", tmp_path / "out", "--xlsx", said=["pip install 'hitchid[xlsx]'"]
+        )
 
 
 LIMITS = 'unit = "mm"\n[lifting]\ntests = 3\nfree_run = {{ rmse = {rmse} }}\n'
@@ -688,6 +722,7 @@ def test_two_models_are_compared_on_tests_neither_has_seen(tests_with_a_cycle, m
     assert {path.name for path in out.iterdir()} == {
         "comparison.json",
         "tables.md",
+        "tables",
         "report.html",
         "figures",
         MANIFEST_FILE,

@@ -18,7 +18,7 @@ from hitchid.validation import validate
 from truth import STEP_S
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "renderer_from_outside"
-BUILT_IN = ["html", "pdf", "markdown", "terminal", "junit", "json"]
+BUILT_IN = ["html", "interactive", "pdf", "markdown", "terminal", "junit", "json", "xlsx"]
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +65,7 @@ def test_it_stands_beside_those_of_the_package(installed):
 
 
 def test_a_renderer_that_is_not_installed_is_refused_by_its_name(result):
-    with pytest.raises(InputError, match="got 'latex', expected one of html, pdf, markdown"):
+    with pytest.raises(InputError, match="got 'latex', expected one of html, interactive, pdf, markdown"):
         render(result.report(), "latex")
 
 

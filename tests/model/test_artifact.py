@@ -1,7 +1,9 @@
 """A model folder comes back exactly, or is refused with one kind of error."""
 
 import json
+import os
 import shutil
+from datetime import UTC, datetime
 from pathlib import Path
 
 import jax
@@ -102,6 +104,19 @@ def test_saving_twice_gives_the_same_bytes(folder, tmp_path):
     assert sorted(path.name for path in folder.iterdir()) == sorted([".hitchid.json", *FILES])
     for name in FILES:
         assert (tmp_path / "again" / name).read_bytes() == (folder / name).read_bytes()
+
+
+def test_a_loaded_model_tells_the_name_of_its_folder_and_the_day_it_was_written(folder, tmp_path):
+    place = tmp_path / "arm-7"
+    shutil.copytree(folder, place)
+    written = datetime(2025, 3, 31, 23, 59, 59, tzinfo=UTC).timestamp()
+    os.utime(place / "model.json", (written, written))
+    provenance = load(place).provenance
+    assert (provenance.name, provenance.date) == ("arm-7", "2025-03-31")
+    # Neither is part of the model: a copy is the same one, byte by byte once saved.
+    assert provenance == load(folder).provenance
+    save(load(place), tmp_path / "again", trace={"lifting": {"fitness": [3.0, 1.5]}})
+    assert (tmp_path / "again" / "model.json").read_bytes() == (folder / "model.json").read_bytes()
 
 
 def test_a_caller_in_single_precision_gets_the_model_in_double(folder):

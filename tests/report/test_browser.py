@@ -1,12 +1,11 @@
 """A report in a browser, from disk: on a screen and a telephone, in light and in dark, by keyboard."""
 
-import shutil
-from importlib.util import find_spec
 from itertools import product
 
 import pytest
 
 import reported
+from browser import chromium
 from hitchid.plots.style import SHADES
 from hitchid.report import (
     Document,
@@ -21,14 +20,6 @@ from hitchid.report import (
 )
 from hitchid.report.document import Findings
 
-PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
-ARGUMENTS = [
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--no-first-run",
-]
 WIDTHS, SCHEMES = (1280, 390), ("light", "dark")
 # What WCAG 2.2 asks of text.
 TEXT_CONTRAST = 4.5
@@ -92,17 +83,8 @@ def everything(timeline):
 @pytest.fixture(scope="module")
 def browser():
     """Return Chromium, or skip what needs it."""
-    program = next(filter(None, map(shutil.which, PROGRAMS)), None)
-    if program is None:
-        pytest.skip(f"none of {', '.join(PROGRAMS)} is installed; a browser reads the report")
-    if find_spec("playwright") is None:
-        pytest.skip("playwright is not installed; it drives the browser")
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=program, args=ARGUMENTS)
-        yield browser
-        browser.close()
+    with chromium() as driven:
+        yield driven
 
 
 @pytest.fixture(scope="module")

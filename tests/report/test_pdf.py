@@ -17,7 +17,7 @@ from hitchid.report import (
     ReportSection,
     Table,
     Text,
-    check_pdf,
+    check_renderers,
     render,
 )
 
@@ -146,9 +146,10 @@ def test_a_long_table_goes_on_with_its_header_on_the_next_page(made, words):
 
 
 def test_a_pdf_that_cannot_be_made_is_refused_early(monkeypatch):
-    monkeypatch.setattr("hitchid.report.renderers.pdf.find_spec", lambda name: None)
-    check_pdf(requested=False)
+    monkeypatch.setattr("hitchid.report.renderers.find_spec", lambda name: None)
+    check_renderers([])
+    check_renderers(["html", "interactive"])
     with pytest.raises(InputError, match=r"hitchid\[pdf\]"):
-        check_pdf(requested=True)
+        check_renderers(["html", "pdf"])
     with pytest.raises(InputError, match=r"hitchid\[pdf\]"):
         render(reported.document(), "pdf")

@@ -3,6 +3,7 @@
 import hashlib
 import re
 import shutil
+import tomllib
 from dataclasses import replace
 from functools import partial
 from html import escape
@@ -510,14 +511,54 @@ def test_how_to_reproduce_names_command_seed_settings_and_versions():
     provenance = Provenance(
         seed=7, settings={"search": {"evaluations": 60}}, versions={**now, "jax": "0.0.1"}, digest="f00d"
     )
-    (table,) = blocks(sections.origin(Origin(provenance, PLAIN.step_s, now), COMMAND), Table)
+    table, settings = blocks(sections.origin(Origin(provenance, PLAIN.step_s, now), COMMAND), Table)
     told = dict(table.rows)
     assert told["command"] == COMMAND
     assert told["model's digest"] == "f00d"
     assert told["seed of the identification"] == "7"
-    assert told["setting: search"] == "evaluations: 60"
+    assert settings.rows == (("search.evaluations", "60"),)
     assert told["version of numpy"] == np.__version__
     assert told["version of jax"] == f"0.0.1 at identification, {now['jax']} now"
+
+
+def test_settings_are_shown_by_the_keys_and_in_the_values_of_the_settings_file():
+    described = {
+        "structure": {
+            LIFTING: {"automatic": True, "load": None},
+            LOWERING: {"structure": "integrator", "spool": False, "bounds": {"gain": [1.0, 50.0]}},
+        },
+        "search": {"method": "whale", "evaluations": 600, "stagnation": None},
+        # As models of the first versions have it.
+        "training": "CompensatorConfig(hidden=8, adam=AdamConfig(epochs=15), rollouts=None, baselines=True)",
+        "dead_zones": {LIFTING: 0.35},
+        "drift": False,
+    }
+    origin = Origin(Provenance(settings=described, name="my-hitch", date="2025-03-31"), PLAIN.step_s, {})
+    table, settings = blocks(sections.origin(origin, COMMAND), Table)
+    assert dict(settings.rows) == {
+        "lifting.structure": '"automatic"',
+        "lifting.dead_zone": "0.35",
+        "lowering.structure": '"integrator"',
+        "lowering.spool": "false",
+        "lowering.bounds.gain": "[1.0, 50.0]",
+        "search.method": '"whale"',
+        "search.evaluations": "600",
+        "training.hidden": "8",
+        "training.adam.epochs": "15",
+        "training.baselines": "true",
+        "drift": "false",
+    }
+    for key, value in settings.rows:
+        tomllib.loads(f"{key} = {value}")
+    assert ("model", "my-hitch") in table.rows
+    assert ("date of the model's files", "2025-03-31") in table.rows
+
+
+@pytest.mark.parametrize("told", ["Whale(", "not a call", "f(x)", "Whale(config=WhaleConfig(population=y))"])
+def test_a_setting_that_is_no_call_of_constants_is_shown_as_text(told):
+    origin = Origin(Provenance(settings={"search": told}), PLAIN.step_s, {})
+    _, settings = blocks(sections.origin(origin, COMMAND), Table)
+    assert settings.rows == (("search", f'"{told}"'),) or told == "f(x)"
 
 
 # --- comparison ---------------------------------------------------------------------------------------------
@@ -641,17 +682,17 @@ def test_what_is_there_is_replaced_by_force_and_only_where_it_is_a_report(write,
 def test_a_report_that_cannot_be_made_leaves_nothing_and_the_older_one(write, tmp_path, monkeypatch):
     write(tmp_path / "out")
     before = (tmp_path / "out" / "report.html").read_bytes()
-    monkeypatch.setattr("hitchid.report.renderers.pdf.find_spec", lambda name: None)
+    monkeypatch.setattr("hitchid.report.renderers.find_spec", lambda name: None)
     for place in (tmp_path / "new", tmp_path / "out"):
         with pytest.raises(InputError, match=r"hitchid\[pdf\]"):
-            write(place, as_pdf=True, force=True)
+            write(place, formats=["pdf"], force=True)
     assert (tmp_path / "out" / "report.html").read_bytes() == before
     assert list(tmp_path.iterdir()) == [tmp_path / "out"]
 
 
 def test_a_pdf_stands_beside_the_page(write, tmp_path):
     pytest.importorskip("typst", reason="typst is not installed; pip install 'hitchid[pdf]'")
-    write(tmp_path / "out", as_pdf=True)
+    write(tmp_path / "out", formats=["pdf"])
     assert (tmp_path / "out" / "report.pdf").read_bytes().startswith(b"%PDF")
 
 

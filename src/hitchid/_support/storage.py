@@ -114,9 +114,11 @@ def fsync(*paths: Path) -> None:
 
 
 def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write files, name to content, into a folder."""
+    """Write files, path in the folder to content; their folders are created."""
     for name, content in files.items():
-        (folder / name).write_bytes(content)
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
 
 
 def digest(data: bytes) -> str:

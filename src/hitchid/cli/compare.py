@@ -7,7 +7,17 @@ from typing import Annotated
 import typer
 
 from hitchid.cli.cache import prepare_jax
-from hitchid.cli.options import AsJson, AsPdf, Force, Quiet, Signals, Strict
+from hitchid.cli.options import (
+    AsJson,
+    AsPdf,
+    AsXlsx,
+    Force,
+    Interactive,
+    Quiet,
+    Signals,
+    Strict,
+    report_formats,
+)
 from hitchid.cli.program import command_line
 from hitchid.errors import InputError
 
@@ -23,6 +33,8 @@ def compare(
     ],
     out: Annotated[Path, typer.Option("--out", help="Folder to write: report.html, comparison.json.")],
     as_pdf: AsPdf = False,
+    as_xlsx: AsXlsx = False,
+    interactive: Interactive = False,
     signals: Signals = None,
     strict: Strict = False,
     force: Force = False,
@@ -39,10 +51,10 @@ def compare(
     from hitchid._support.progress import ProgressUpdate
     from hitchid.model import load
     from hitchid.readers import read
-    from hitchid.report import check_pdf, write_report
+    from hitchid.report import write_report
     from hitchid.validation import compare as run
 
-    check_pdf(requested=as_pdf)
+    formats = report_formats(as_pdf=as_pdf, as_xlsx=as_xlsx, interactive=interactive)
     folders, logs = _split(paths)
     models = [load(folder) for folder in folders]
     campaign = read(logs, signals=signals, strict=strict)
@@ -51,7 +63,7 @@ def compare(
         comparison = run(models, campaign, [str(folder) for folder in folders], progress=report)
         report(ProgressUpdate("report", 0.98))
         document = comparison.report(command=command_line())
-        write_report(out, document, comparison.files(), as_pdf=as_pdf, mark="comparison.json", force=force)
+        write_report(out, document, comparison.files(), formats=formats, mark="comparison.json", force=force)
     if as_json:
         typer.echo(json.dumps(comparison.metrics, indent=1))
     elif not quiet:

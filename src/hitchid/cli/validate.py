@@ -7,7 +7,18 @@ from typing import Annotated
 import typer
 
 from hitchid.cli.cache import prepare_jax
-from hitchid.cli.options import AsJson, AsPdf, Force, Logs, Quiet, Signals, Strict
+from hitchid.cli.options import (
+    AsJson,
+    AsPdf,
+    AsXlsx,
+    Force,
+    Interactive,
+    Logs,
+    Quiet,
+    Signals,
+    Strict,
+    report_formats,
+)
 from hitchid.cli.program import command_line
 from hitchid.errors import InputError
 
@@ -24,6 +35,8 @@ def validate(
         Path | None, typer.Option("--junit", help="JUnit XML file for the results of the limits.")
     ] = None,
     as_pdf: AsPdf = False,
+    as_xlsx: AsXlsx = False,
+    interactive: Interactive = False,
     signals: Signals = None,
     strict: Strict = False,
     force: Force = False,
@@ -46,11 +59,11 @@ def validate(
     from hitchid._support.progress import ProgressUpdate
     from hitchid.model import load, load_trace
     from hitchid.readers import read
-    from hitchid.report import check_pdf, read_trace, render, write_report
+    from hitchid.report import read_trace, render, write_report
     from hitchid.validation import read_limits
     from hitchid.validation import validate as run
 
-    check_pdf(requested=as_pdf)
+    formats = report_formats(as_pdf=as_pdf, as_xlsx=as_xlsx, interactive=interactive)
     limits = None if accept is None else read_limits(accept)
     hitch, trace = load(model), read_trace(load_trace(model))
     campaign = read(logs, signals=signals, strict=strict)
@@ -62,7 +75,8 @@ def validate(
         acceptance = None if limits is None else result.check(limits)
         report(ProgressUpdate("report", 0.98))
         document = result.report(trace=trace, acceptance=acceptance, command=command_line())
-        write_report(out, document, result.files(), as_pdf=as_pdf, mark="metrics.json", force=force)
+        files = result.files() | ({} if acceptance is None else acceptance.files())
+        write_report(out, document, files, formats=formats, mark="metrics.json", force=force)
     if junit is not None and acceptance is not None:
         write_bytes(junit, render(document, "junit"), force=force)
     if as_json:

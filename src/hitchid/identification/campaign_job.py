@@ -2,7 +2,7 @@
 
 import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, is_dataclass, replace
 from pathlib import Path
 
 import jax
@@ -62,8 +62,8 @@ class IdentificationConfig:
         """Return the configuration as JSON values."""
         return {
             "structure": {direction: _describe_spec(spec) for direction, spec in self.specs.items()},
-            "search": repr(self.search),
-            "training": None if self.training is None else repr(self.training),
+            "search": _describe_search(self.search),
+            "training": _describe_training(self.training),
             "dead_zones": dict(self.dead_zones),
             "drift": self.drift,
         }
@@ -74,6 +74,8 @@ class IdentificationConfig:
             return DISABLED
         stamp = {
             "asked": {**self.describe(), "forms": repr(self.specs), "seed": self.seed},
+            "search": repr(self.search),
+            "training": repr(self.training),
             "campaign": campaign.digest,
             "comparison": repr(self.comparison and replace(self.comparison, checkpoints=DISABLED)),
             "machine": f"{platform.machine()} {jax.default_backend()}",
@@ -328,6 +330,36 @@ def _describe_spec(spec: ModelSpec | AutoStructure) -> dict[str, object]:
         "load": spec.covariate,
         "bounds": {name: list(limits) for name, limits in spec.bounds.items()},
     }
+
+
+def _describe_search(search: Search) -> dict[str, object]:
+    """Return the settings of a search by the keys of the settings file, as far as it has them."""
+    values = asdict(search) if is_dataclass(search) else {}
+    return {"method": search.name, **{key: value for key, value in _flat(values).items() if key != "name"}}
+
+
+def _describe_training(training: CompensatorConfig | None) -> dict[str, object]:
+    """Return the settings of the training by the keys of the settings file, as far as it has them."""
+    if training is None:
+        return {"compensator": False}
+    rollouts = training.rollouts
+    return {
+        "compensator": True,
+        "hidden": training.hidden,
+        "window": training.window,
+        **asdict(training.adam),
+        "free_run": rollouts is not None,
+        **({} if rollouts is None else {f"free_run_{key}": value for key, value in asdict(rollouts).items()}),
+        "baselines": training.baselines,
+    }
+
+
+def _flat(values: Mapping[str, object]) -> dict[str, object]:
+    """Return a mapping with the entries of nested mappings in their place."""
+    flat = {}
+    for key, value in values.items():
+        flat |= _flat(value) if isinstance(value, Mapping) else {key: value}
+    return flat
 
 
 def _names(records: tuple[Record, ...]) -> tuple[str, ...]:

@@ -2,6 +2,8 @@
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 
 from safetensors.numpy import load as load_tensors
@@ -72,9 +74,12 @@ def load(folder: str | Path) -> Hitch:
     _read_checked(path / TRACE_FILE, content)
     try:
         tensors = {name: array for data in stored for name, array in load_tensors(data).items()}
-        return read_hitch(*migrate(content, tensors))
+        hitch = read_hitch(*migrate(content, tensors))
+        written = datetime.fromtimestamp((path / MODEL_FILE).stat().st_mtime, UTC)
     except Exception as error:  # an edited description may come with a recomputed digest
         raise ModelFolderError(f"{path}: cannot be parsed: {error!r}") from error
+    provenance = replace(hitch.provenance, name=path.resolve().name, date=f"{written:%Y-%m-%d}")
+    return replace(hitch, provenance=provenance)
 
 
 def is_model_folder(path: Path) -> bool:

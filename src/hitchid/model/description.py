@@ -77,11 +77,14 @@ def read_hitch(content: dict[str, Any], tensors: Tensors) -> Hitch:
         InputError: a structure or a baseline of the model is not installed.
     """
     two_modes = content["two_modes"]
+    identification, validation, held_out = (
+        {direction: tuple(names) for direction, names in content["split"][subset].items()}
+        for subset in SUBSETS
+    )
     provenance = Provenance(
-        **{
-            subset: {direction: tuple(names) for direction, names in content["split"][subset].items()}
-            for subset in SUBSETS
-        },
+        identification=identification,
+        validation=validation,
+        held_out=held_out,
         seen=frozenset(content["seen"]),
         segmentation_dead_zones=content["cut_at"],
         seed=content["seed"],

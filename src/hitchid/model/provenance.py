@@ -22,6 +22,8 @@ class Provenance:
         versions: package to version.
         set_by_hand: direction to name and value of the parameters that were set by hand since.
         digest: digest of the folder the model was read from; empty before it is saved.
+        name: name of that folder; empty before it is saved.
+        date: day on which its `model.json` was last written, UTC, as `2025-03-31`; empty before it is saved.
     """
 
     identification: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -34,6 +36,8 @@ class Provenance:
     versions: Mapping[str, str] = field(default_factory=dict)
     set_by_hand: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     digest: str = field(default="", compare=False)
+    name: str = field(default="", compare=False)
+    date: str = field(default="", compare=False)
 
 
 @short_repr

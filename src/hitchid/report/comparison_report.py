@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from hitchid.plots.style import COMPARED
-from hitchid.report import figures, numbers, tables
+from hitchid.report import figure_data, figures, numbers, tables
 from hitchid.report.document import (
     Document,
     Finding,
@@ -13,6 +13,7 @@ from hitchid.report.document import (
     Pictures,
     Rating,
     ReportSection,
+    Signals,
     Table,
     sentence,
 )
@@ -43,6 +44,8 @@ def comparison_report(comparison: ModelComparison, *, command: str = "") -> Docu
         ),
         summary=tuple(_summary(comparison, section) for section in comparison.sections),
         data=comparison.metrics,
+        data_tables=comparison.tables(),
+        signals=_signals(comparison),
     )
 
 
@@ -100,6 +103,11 @@ def _listed(labels: Sequence[str]) -> str:
     return " and ".join(filter(None, (", ".join(labels[:-1]), *labels[-1:])))
 
 
+def _signals(comparison: ModelComparison) -> Signals:
+    tests = {section: comparison.free_runs(section) for section in comparison.sections}
+    return Signals(tests, comparison.unit, comparison.validations[0].model.units)
+
+
 def _finding(comparison: ModelComparison, section: str) -> Finding:
     rating = Rating.CAUTION if comparison.verdict(section).better is None else Rating.GOOD
     return Finding(rating, sentence(f"{section}: {verdict_text(comparison, section)}"))
@@ -126,6 +134,7 @@ def _pictures(comparison: ModelComparison, section: str) -> list[Picture]:
     unit, tests = comparison.unit, comparison.free_runs(section)
     labels = [label for label in comparison.labels if label in COMPARED]
     selected_tests, selection_text = shown_tests(tests, labels[-1])
+    horizons = _horizons(comparison, section, labels)
     models_text = "all models" if len(labels) == len(comparison) else f"models {labels[0]} to {labels[-1]}"
     return [
         Picture(
@@ -134,19 +143,22 @@ def _pictures(comparison: ModelComparison, section: str) -> list[Picture]:
             f"Free runs of {models_text} and their errors: "
             f"{selection_text} ({', '.join(selected_tests.names)}).",
             f"Displacement and error over time of {', '.join(selected_tests.names)} for {models_text}.",
+            data=figure_data.outputs(selected_tests, unit, labels),
         ),
         *_distribution(section, {label: tests.errors(label) for label in labels}, unit, models_text),
         Picture(
             f"{section}-horizons",
-            figures.horizons(_horizons(comparison, section, labels), comparison.step_s, unit),
+            figures.horizons(horizons, comparison.step_s, unit),
             "Error over the prediction horizon.",
             f"RMSE in {unit} over the horizon for {models_text}.",
+            data=figure_data.horizons(horizons, comparison.step_s, unit),
         ),
         Picture(
             f"{section}-tests",
             figures.errors_by_test(tests, unit, labels[::-1]),
-            "Error of every test in free run; the bar is the error over all tests.",
+            "RMSE of each test in free run; the bar is the RMSE over all tests.",
             f"RMSE of each of {len(tests.names)} tests for {models_text}.",
+            data=figure_data.errors_by_test(tests, unit, labels[::-1]),
         ),
     ]
 
@@ -169,5 +181,6 @@ def _distribution(
             figures.error_distribution(errors, unit),
             "Errors in free run on all tests.",
             f"Distribution of errors in {unit} for {models_text}.",
+            data=figure_data.errors(errors, unit),
         )
     ]

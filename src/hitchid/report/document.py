@@ -1,16 +1,18 @@
 """Document model of a report: findings, text, tables and figures in sections."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import cached_property
 from typing import NamedTuple
 
+import numpy as np
 from matplotlib.figure import Figure
 
+from hitchid._support.data_table import DataTable
 from hitchid._support.short_repr import short_repr
 from hitchid.report.svg import svg
-from hitchid.validation import Check
+from hitchid.validation import Check, Predictions
 
 
 class Rating(Enum):
@@ -55,6 +57,7 @@ class Picture:
         caption: content of the figure and how to read it.
         alt: text for screen readers.
         wide: whether it takes the width of a page.
+        data: the data behind it, column name with unit to values; empty for none.
     """
 
     name: str
@@ -62,6 +65,12 @@ class Picture:
     caption: str
     alt: str
     wide: bool = False
+    data: Mapping[str, Sequence | np.ndarray] = field(default_factory=dict)
+
+    @property
+    def table(self) -> DataTable:
+        """The data behind it as a table."""
+        return DataTable.of_columns(self.name, self.data)
 
     @cached_property
     def svg(self) -> str:
@@ -74,6 +83,14 @@ class Text:
     """A paragraph."""
 
     text: str
+
+
+@dataclass(frozen=True)
+class Equation:
+    """An equation as text and as MathML."""
+
+    text: str
+    mathml: str
 
 
 @dataclass(frozen=True)
@@ -91,7 +108,7 @@ class Pictures:
     items: tuple[Picture, ...]
 
 
-Block = Text | Findings | Pictures | Table
+Block = Text | Equation | Findings | Pictures | Table
 
 
 @short_repr
@@ -112,6 +129,21 @@ class ReportSection:
 
 @short_repr
 @dataclass(frozen=True)
+class Signals:
+    """Unseen tests with commands and predictions, sample by sample.
+
+    Attributes:
+        tests: direction, or `cycles`, to its tests.
+        unit: of the displacement.
+        command_unit: name of a command to its unit.
+    """
+
+    tests: Mapping[str, Predictions]
+    unit: str
+    command_unit: Mapping[str, str]
+
+
+@dataclass(frozen=True)
 class Document:
     """A report.
 
@@ -124,6 +156,8 @@ class Document:
         summary: short tables for a terminal.
         checks: acceptance limits and their figures.
         data: all figures, the content of `metrics.json` or `comparison.json`.
+        data_tables: every table as data, by name.
+        signals: what the interactive page shows.
     """
 
     title: str
@@ -134,6 +168,8 @@ class Document:
     summary: tuple[Table, ...] = ()
     checks: tuple[Check, ...] = ()
     data: Mapping[str, object] = field(default_factory=dict)
+    data_tables: Mapping[str, DataTable] = field(default_factory=dict)
+    signals: Signals | None = None
 
     @property
     def blocks(self) -> Iterator[Block]:

@@ -3,8 +3,9 @@
 from collections.abc import Callable, Mapping, Sequence
 
 from hitchid.data.record import DISPLACEMENT
+from hitchid.model import Provenance
 from hitchid.report import numbers, sections, tables
-from hitchid.report.document import Document, ReportSection, Table, sentence
+from hitchid.report.document import Document, ReportSection, Signals, Table, sentence
 from hitchid.report.sections import DirectionContext
 from hitchid.report.trace_file import ChannelTraceFile
 from hitchid.validation import CYCLES, Acceptance, ReportData, Validation
@@ -39,7 +40,7 @@ def validation_report(
     """
     counts = [_count(direction, len(accuracy.tests)) for direction, accuracy in result.accuracy.items()]
     return Document(
-        title="Validation of a hitch model",
+        title=_title(result.model.provenance),
         subtitle=f"{', '.join(counts)}; {DISPLACEMENT} in {result.unit}",
         verdict=sections.verdict(result, acceptance),
         notices=tuple(map(sentence, result.notices)),
@@ -52,6 +53,8 @@ def validation_report(
         summary=tuple(_summary(result)),
         checks=() if acceptance is None else acceptance.checks,
         data=result.metrics,
+        data_tables=result.tables() | ({} if acceptance is None else {"limits": acceptance.table()}),
+        signals=Signals(result.predictions, result.unit, result.model.units),
     )
 
 
@@ -131,6 +134,12 @@ def _summary(result: Validation) -> list[Table]:
         )
         for direction, accuracy in result.accuracy.items()
     ]
+
+
+def _title(provenance: Provenance) -> str:
+    if not provenance.name:
+        return "Validation of a hitch model"
+    return f"Validation of the hitch model {provenance.name} of {provenance.date}"
 
 
 def _count(direction: str, count: int) -> str:

@@ -1,15 +1,22 @@
-"""A report on disk: HTML page, figures, and optionally a PDF."""
+"""A report on disk: HTML page, figures with their data, and optionally PDF, workbook and interactive page."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Literal
 
+from hitchid._support.data_table import csv_files
 from hitchid._support.storage import write_files, write_folder
 from hitchid.report.document import Document
 from hitchid.report.renderers import render
 
-REPORT_FILE = "report.html"
-PDF_FILE = "report.pdf"
 FIGURES = "figures"
+FILES = {
+    "html": "report.html",
+    "pdf": "report.pdf",
+    "xlsx": "tables.xlsx",
+    "interactive": "interactive.html",
+}
+Format = Literal["pdf", "xlsx", "interactive"]
 
 
 def write_report(
@@ -18,7 +25,7 @@ def write_report(
     files: Mapping[str, bytes],
     *,
     mark: str,
-    as_pdf: bool = False,
+    formats: Iterable[Format] = (),
     force: bool = False,
 ) -> None:
     """Write a report and further files into a folder, all or none.
@@ -28,33 +35,39 @@ def write_report(
         document: the report.
         files: name to content of the further files.
         mark: the file of these that identifies an older result; `force` replaces only such folders.
-        as_pdf: whether to write `report.pdf` too.
+        formats: written too: `pdf` as report.pdf, `xlsx` as tables.xlsx, `interactive` as interactive.html.
         force: replace an older result.
 
     Raises:
         OutputError: the folder exists and `force` is not given, or it cannot be written.
-        InputError: a PDF is requested and typst is not installed.
+        InputError: a package that a format requires is not installed.
     """
 
     def write(target: Path) -> None:
         write_files(target, files)
-        write_report_files(document, target, as_pdf=as_pdf)
+        write_report_files(document, target, formats=formats)
 
     write_folder(folder, write, result_kind=mark, force=force)
 
 
-def write_report_files(document: Document, folder: Path, *, as_pdf: bool = False) -> None:
-    """Write `report.html`, `figures/*.svg` and, if requested, `report.pdf` into an existing folder.
+def write_report_files(
+    document: Document, folder: Path, *, formats: Iterable[Format] = (), data_folder: str = FIGURES
+) -> None:
+    """Write `report.html`, each figure as SVG and its data as CSV, and further formats.
+
+    Args:
+        document: the report.
+        folder: an existing folder.
+        formats: as for `write_report`.
+        data_folder: folder in it of the CSV files.
 
     Raises:
-        InputError: a PDF is requested and typst is not installed.
+        InputError: a package that a format requires is not installed.
     """
-    figures = {f"{picture.name}.svg": _utf8(picture.svg) for picture in document.pictures}
-    (folder / FIGURES).mkdir()
-    write_files(folder / FIGURES, figures)
-    write_files(folder, {REPORT_FILE: render(document, "html")})
-    if as_pdf:
-        (folder / PDF_FILE).write_bytes(render(document, "pdf"))
+    figures = {f"{FIGURES}/{picture.name}.svg": _utf8(picture.svg) for picture in document.pictures}
+    data = csv_files((picture.table for picture in document.pictures if picture.data), data_folder)
+    rendered = {FILES[name]: render(document, name) for name in ("html", *formats)}
+    write_files(folder, {**figures, **data, **rendered})
 
 
 def _utf8(text: str) -> bytes:

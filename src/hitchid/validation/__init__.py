@@ -1,5 +1,6 @@
 """Validation: `validate` compares a model with tests that its identification did not use."""
 
+from hitchid._support.data_table import DataTable as DataTable
 from hitchid.validation.acceptance import Acceptance as Acceptance
 from hitchid.validation.acceptance import Check as Check
 from hitchid.validation.acceptance import check_limits as check_limits

@@ -1,13 +1,14 @@
 """Acceptance: whether the figures of a validation are within limits."""
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from decimal import Context
 from fractions import Fraction
 from itertools import count
 from math import inf, isfinite
 from typing import NamedTuple, TypeGuard
 
+from hitchid._support.data_table import DataTable, csv_files
 from hitchid._support.short_repr import short_repr
 from hitchid.data.units import UNITS
 from hitchid.validation.bands import COVERAGE
@@ -49,6 +50,14 @@ class Acceptance:
     def passed(self) -> bool:
         """Whether every figure is within its limit."""
         return bool(self.checks) and all(check.passed for check in self.checks)
+
+    def table(self) -> DataTable:
+        """Return every check as data."""
+        return DataTable.of_rows("limits", map(asdict, self.checks))
+
+    def files(self) -> dict[str, bytes]:
+        """Return `tables/limits.csv` with its content."""
+        return csv_files([self.table()])
 
     def describe(self) -> dict[str, object]:
         """Return the verdict and every check as JSON content."""

@@ -13,7 +13,7 @@ from hitchid.model import Channel, Comparison, Estimates, Uncertainty, remove_pa
 from hitchid.structures import Batch
 from hitchid.validation.bands import band_figures, free_run_band
 from hitchid.validation.names import BENCHMARK, FREE_RUN, GREYBOX, ONE_STEP, PERSISTENCE
-from hitchid.validation.predictions import Predictions
+from hitchid.validation.predictions import Predictions, commands_of
 from hitchid.validation.residuals import ResidualTests, residual_tests
 from hitchid.validation.results import (
     Accuracy,
@@ -168,6 +168,7 @@ def _predictions(
         band=None
         if half_width is None
         else (of_tests(runs.free_run - half_width), of_tests(runs.free_run + half_width)),
+        commands=commands_of(tests),
     )
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hitchid._support import checks
+from hitchid._support.data_table import DataTable, csv_files, stacked
 from hitchid._support.progress import ProgressCallback, silent, subtask_progress
 from hitchid._support.storage import canonical_json
 from hitchid._support.summary import Summarised, Summary
@@ -99,7 +100,7 @@ class ModelComparison(Value, Summarised):
         predictions = [accuracy.predictions for accuracy in self.accuracy(section)]
         runs = {label: tests.models[FREE_RUN] for label, tests in zip(self.labels, predictions, strict=True)}
         first = predictions[0]
-        return Predictions(first.names, first.time_s, first.actual, runs)
+        return Predictions(first.names, first.time_s, first.actual, runs, commands=first.commands)
 
     def leaderboard(self) -> Leaderboard:
         """Return errors, ranks and significance of the differences, for each section and model."""
@@ -184,6 +185,11 @@ class ModelComparison(Value, Summarised):
             },
         }
 
+    def tables(self) -> dict[str, DataTable]:
+        """Return every table as data by name, the models below each other; see `Validation.tables`."""
+        by_model = zip(self.labels, self.validations, strict=True)
+        return stacked({label: validation.tables() for label, validation in by_model}, "compared_model")
+
     def report(self, *, command: str = "") -> "Document":
         """Return the report, for `hitchid.report.render`.
 
@@ -195,11 +201,15 @@ class ModelComparison(Value, Summarised):
         return comparison_report(self, command=command)
 
     def files(self) -> dict[str, bytes]:
-        """Return `comparison.json` and `tables.md` with their content."""
+        """Return `comparison.json`, `tables.md` and `tables/*.csv` with their content."""
         from hitchid.report import comparison_tables, render
 
         tables = render(comparison_tables(self), "markdown")
-        return {COMPARISON_FILE: canonical_json(self.metrics), TABLES_FILE: tables}
+        return {
+            COMPARISON_FILE: canonical_json(self.metrics),
+            TABLES_FILE: tables,
+            **csv_files(self.tables().values()),
+        }
 
     def _summary(self) -> Summary:
         from hitchid.validation.summary import comparison_summary

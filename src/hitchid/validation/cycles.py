@@ -11,7 +11,7 @@ from hitchid.model import Band, Comparison, FreeRun, Hitch, Simulation
 from hitchid.validation.bands import COVERAGE, cycle_band_figures
 from hitchid.validation.channels import paper_channel
 from hitchid.validation.names import BENCHMARK, FREE_RUN, GREYBOX, PERSISTENCE
-from hitchid.validation.predictions import Predictions
+from hitchid.validation.predictions import Predictions, commands_of
 from hitchid.validation.results import (
     Accuracy,
     CycleResult,
@@ -80,6 +80,7 @@ def _predictions(
         time_s=tuple(record.step_s * np.arange(len(record)) for record in cycles),
         actual=tuple(factor * record.displacement for record in cycles),
         models={name: tuple(factor * row for row in rows) for name, rows in runs.items()},
+        commands=commands_of(cycles),
     )
 
 

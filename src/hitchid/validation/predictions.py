@@ -1,13 +1,14 @@
 """Predictions of models on tests, sample by sample."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from hitchid._support.metrics import SIGNIFICANCE, better_p_value
 from hitchid._support.short_repr import short_repr
 from hitchid._support.values import Value
+from hitchid.data.record import COMMAND, Record
 
 MIN_TESTS = 3  # fewest tests for a significance test; fewer do not determine the variance
 Rows = tuple[np.ndarray, ...]
@@ -25,6 +26,7 @@ class Predictions(Value):
         models: name to predicted displacement: `benchmark` and `free_run` from commands alone, `one_step`
             from the measurements up to the sample before.
         band: lower and upper end of a band around `free_run`; None where there is none.
+        commands: name of a command to its values, in the model's unit; empty where they are not given.
     """
 
     names: tuple[str, ...]
@@ -32,6 +34,7 @@ class Predictions(Value):
     actual: Rows
     models: Mapping[str, Rows]
     band: tuple[Rows, Rows] | None = None
+    commands: Mapping[str, Rows] = field(default_factory=dict)
 
     def take(self, indices: Iterable[int]) -> "Predictions":
         """Return some of the tests."""
@@ -46,6 +49,7 @@ class Predictions(Value):
             actual=select(self.actual),
             models={name: select(rows) for name, rows in self.models.items()},
             band=None if self.band is None else (select(self.band[0]), select(self.band[1])),
+            commands={name: select(rows) for name, rows in self.commands.items()},
         )
 
     def errors(self, model: str) -> np.ndarray:
@@ -91,3 +95,11 @@ def concatenated_time(tests: Predictions) -> np.ndarray:
         shifted_times.append(start + time_s)
         start += float(time_s[-1])
     return np.concatenate(shifted_times)
+
+
+def commands_of(records: Sequence[Record]) -> dict[str, Rows]:
+    """Return the commands of records, name to values."""
+    names = dict.fromkeys(role for record in records for role in COMMAND.values() if role in record.signals)
+    return {
+        name: tuple(record.signals.get(name, np.zeros(len(record))) for record in records) for name in names
+    }

@@ -11,7 +11,7 @@ from hitchid._support.versions import installed_versions
 from hitchid.data.campaign import Campaign
 from hitchid.data.record import COMMAND, CYCLE, DISPLACEMENT, IDLE, RAMP, Record
 from hitchid.inspection.inspect_logs import Inspection, inspect_campaign
-from hitchid.model import Hitch, Provenance
+from hitchid.model import Channel, Hitch, Provenance
 from hitchid.validation.valve_map import ValveMap, valve_map
 
 HASH_DIGITS = 16  # of the 64 hexadecimal digits of a SHA-256
@@ -58,18 +58,18 @@ class LogData:
 @short_repr
 @dataclass(frozen=True)
 class DirectionData:
-    """Speed over command and slow ramps of one direction, in the model's units.
+    """Channel, speed over command and slow ramps of one direction, in the model's units.
 
     Attributes:
         unit, command_unit: of displacement and command.
-        compensated: whether the channel has an error compensator.
+        channel: of the model.
         valve_map: speed over command.
         ramps: slow ramps.
     """
 
     unit: str
     command_unit: str
-    compensated: bool
+    channel: Channel
     valve_map: ValveMap
     ramps: tuple[Record, ...]
 
@@ -118,8 +118,15 @@ def report_data(model: Hitch, campaign: Campaign) -> ReportData:
 
 def log_data(model: Hitch, campaign: Campaign) -> LogData:
     """Return the logs of a campaign, their use by a model, and the findings of their audit."""
+    return LogData(
+        inspect_campaign(campaign, model.command_thresholds), campaign.notices, log_uses(model, campaign)
+    )
+
+
+def log_uses(model: Hitch, campaign: Campaign) -> tuple[LogUse, ...]:
+    """Return the logs of a campaign and their use by a model."""
     digests: dict[Path, str] = {}
-    logs = tuple(
+    return tuple(
         LogUse(
             name=record.name,
             kind=record.kind,
@@ -131,7 +138,6 @@ def log_data(model: Hitch, campaign: Campaign) -> LogData:
         )
         for record in campaign.records
     )
-    return LogData(inspect_campaign(campaign, model.command_thresholds), campaign.notices, logs)
 
 
 def _direction_data(model: Hitch, campaign: Campaign, direction: str) -> DirectionData:
@@ -143,7 +149,7 @@ def _direction_data(model: Hitch, campaign: Campaign, direction: str) -> Directi
     return DirectionData(
         unit=model.units[DISPLACEMENT],
         command_unit=model.units[COMMAND[direction]],
-        compensated=channel.compensator is not None,
+        channel=channel,
         valve_map=valve_map(channel, tests, ramps),
         ramps=tuple(ramps),
     )

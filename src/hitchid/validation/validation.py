@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hitchid._support import checks
+from hitchid._support.data_table import DataTable, csv_files
 from hitchid._support.storage import canonical_json, write_bytes, write_files, write_folder
 from hitchid._support.summary import Summarised, Summary
 from hitchid._support.values import Value
@@ -19,8 +20,9 @@ from hitchid.validation.limits import AcceptanceLimits
 from hitchid.validation.metrics_json import validation_json
 from hitchid.validation.names import BENCHMARK, CYCLES, FREE_RUN, RUNS
 from hitchid.validation.predictions import Predictions
-from hitchid.validation.report_data import ReportData, report_data
+from hitchid.validation.report_data import ReportData, log_uses, report_data
 from hitchid.validation.results import Accuracy, ChannelResult, CycleResult
+from hitchid.validation.tables import log_table, validation_tables
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -67,6 +69,15 @@ class Validation(Value, Summarised):
     def metrics(self) -> dict[str, object]:
         """All figures, the content of `metrics.json`: errors in `unit`, R² a fraction, fit in percent."""
         return validation_json(self.unit, self.channels, self.cycles, self.mode_test)
+
+    def tables(self) -> dict[str, DataTable]:
+        """Return every table as data by name: those of each direction, of mixed cycles, and the logs.
+
+        Numbers have full precision and units are in the names of the columns, such as `rmse_mm`.
+        """
+        results = validation_tables(self.unit, self.channels, self.cycles, self.model.units)
+        all_tables = [*results, log_table(log_uses(self.model, self.campaign))]
+        return {table.name: table for table in all_tables}
 
     def check(self, limits: AcceptanceLimits) -> Acceptance:
         """Compare the figures with limits; see `check_limits`."""
@@ -195,7 +206,7 @@ class Validation(Value, Summarised):
         write_bytes(checks.path(path, "path"), render(self.report(), renderer), force=force)
 
     def write(self, folder: str | Path, *, force: bool = False) -> None:
-        """Write `metrics.json` and `tables.md`, both or neither; `report.write_report` adds a report.
+        """Write the files of `files`, all or none; `report.write_report` adds a report.
 
         Raises:
             OutputError: the folder exists and `force` is not given, or it cannot be written.
@@ -208,9 +219,13 @@ class Validation(Value, Summarised):
         )
 
     def files(self) -> dict[str, bytes]:
-        """Return `metrics.json` and `tables.md` with their content."""
+        """Return `metrics.json`, `tables.md` and `tables/*.csv` with their content."""
         text = self.markdown().encode("utf-8", errors="backslashreplace")
-        return {METRICS_FILE: canonical_json(self.metrics), TABLES_FILE: text}
+        return {
+            METRICS_FILE: canonical_json(self.metrics),
+            TABLES_FILE: text,
+            **csv_files(self.tables().values()),
+        }
 
     def _summary(self) -> Summary:
         from hitchid.validation.summary import validation_summary

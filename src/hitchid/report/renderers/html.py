@@ -4,12 +4,12 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from hitchid.plots.style import SHADES
-from hitchid.report.document import Document, Findings, Picture, Pictures, Rating, Table, Text
+from hitchid.report.document import Document, Equation, Findings, Picture, Pictures, Rating, Table, Text
 from hitchid.report.renderers.renderer import Renderer
 from hitchid.report.svg import inline_svg
 
 SIGNS = {Rating.GOOD: "✓", Rating.CAUTION: "!", Rating.BAD: "✗"}
-_KINDS = {Text: "text", Findings: "findings", Pictures: "pictures", Table: "table"}
+_KINDS = {Text: "text", Equation: "equation", Findings: "findings", Pictures: "pictures", Table: "table"}
 
 
 class Html(Renderer):
@@ -36,6 +36,7 @@ def _page(document: Document) -> str:
         shades=SHADES,
         signs=SIGNS,
         image=image,
+        math=lambda equation: Markup(equation.mathml),  # noqa: S704 - our own
         kind=lambda block: _KINDS[type(block)],
         place=lambda titles: "-".join(titles).lower().replace(" ", "-"),
     )

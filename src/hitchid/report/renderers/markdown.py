@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 
-from hitchid.report.document import Document, Finding, Findings, ReportSection, Table, Text
+from hitchid.report.document import Document, Equation, Finding, Findings, ReportSection, Table, Text
 from hitchid.report.renderers.renderer import Renderer
 
 
@@ -32,7 +32,7 @@ def _section(section: ReportSection, level: int) -> Iterator[str]:
         level += 1
     for block in section.blocks:
         match block:
-            case Text(text):
+            case Text(text) | Equation(text=text):
                 yield from (text, "")
             case Findings(items):
                 yield from (*_items(items), "")

@@ -4,45 +4,38 @@ import json
 import shutil
 import tempfile
 from importlib.resources import as_file, files
-from importlib.util import find_spec
 from pathlib import Path
 
 import matplotlib as mpl
 
-from hitchid.errors import InputError
-from hitchid.report.document import Block, Document, Finding, Findings, Pictures, ReportSection, Text
+from hitchid.report.document import (
+    Block,
+    Document,
+    Equation,
+    Finding,
+    Findings,
+    Pictures,
+    ReportSection,
+    Text,
+)
 from hitchid.report.renderers.html import SIGNS
 from hitchid.report.renderers.renderer import Renderer
 
 TEMPLATE = "report.typ"
 
 
-def check_pdf(*, requested: bool) -> None:
-    """Check that a PDF can be written, before any work.
-
-    Raises:
-        InputError: a PDF is requested and typst is not installed.
-    """
-    if requested and find_spec("typst") is None:
-        raise InputError("typst is not installed; required: pip install 'hitchid[pdf]'")
-
-
 class Pdf(Renderer):
     """PDF, set by typst."""
 
     name, suffix = "pdf", ".pdf"
+    package, extra = "typst", "pdf"
 
     def render(self, document: Document) -> bytes:
-        """Return the document as PDF.
-
-        Raises:
-            InputError: typst is not installed.
-        """
+        """Return the document as PDF."""
         return _pdf(document)
 
 
 def _pdf(document: Document) -> bytes:
-    check_pdf(requested=True)
     import typst
 
     with tempfile.TemporaryDirectory() as temporary_folder:
@@ -82,7 +75,7 @@ def _section(content: ReportSection) -> dict:
 
 def _block(block: Block) -> dict:
     match block:
-        case Text(text):
+        case Text(text) | Equation(text=text):
             return {"kind": "text", "text": text}
         case Findings(items):
             return {"kind": "findings", "items": [_finding(finding) for finding in items]}

@@ -14,10 +14,14 @@ class Renderer(ABC):
     Attributes:
         name: of the renderer, unique among all.
         suffix: file suffix, with the dot.
+        package: package that it requires and hitchid does not; empty for none.
+        extra: the optional dependency of hitchid that installs it.
     """
 
     name: ClassVar[str]
     suffix: ClassVar[str]
+    package: ClassVar[str] = ""
+    extra: ClassVar[str] = ""
 
     @abstractmethod
     def render(self, document: Document) -> bytes:

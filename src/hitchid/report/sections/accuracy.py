@@ -1,7 +1,8 @@
 """Errors of one direction: every model, over horizons, by test, over time, distribution."""
 
-from hitchid.report import figures
+from hitchid.report import figure_data, figures
 from hitchid.report.document import Picture, Pictures, ReportSection
+from hitchid.report.figures.errors import MAX_SAMPLES
 from hitchid.report.sections.context import DirectionContext
 from hitchid.report.tables import accuracy_table, horizon_table, single_test_table
 from hitchid.validation.names import BENCHMARK, FREE_RUN, LABELS, ONE_STEP
@@ -21,12 +22,14 @@ def accuracy(context: DirectionContext) -> ReportSection:
             figures.horizons(result.horizons, context.step_s, unit),
             "Error over the prediction horizon. A useful model is below persistence.",
             f"RMSE in {unit} over the horizon for each model, from one sample on.",
+            data=figure_data.horizons(result.horizons, context.step_s, unit),
         ),
         Picture(
             context.figure_name("tests"),
             figures.errors_by_test(tests, unit, models),
             "RMSE of each unseen test in free run; the bar is the RMSE over all tests.",
             f"RMSE of each of {len(tests.names)} tests in free run, for {len(models)} models.",
+            data=figure_data.errors_by_test(tests, unit, models),
         ),
     )
     tables = (accuracy_table(context.direction, result, unit), horizon_table(context.direction, result, unit))
@@ -40,6 +43,7 @@ def errors(context: DirectionContext) -> ReportSection:
     names = ", ".join(selected_tests.names)
     equal_note = " The LSTM correction is not used in simulation." if tests.uncompensated else ""
     models = (FREE_RUN, ONE_STEP) if tests.uncompensated else (BENCHMARK, FREE_RUN, ONE_STEP)
+    model_errors = {name: tests.errors(name) for name in reversed(models)}
     rmse = context.accuracy.free_run().rmse
     error_text = "the free run diverged" if rmse is None else f"free-run RMSE {rmse:.3g} {unit}"
     pictures = [
@@ -48,22 +52,25 @@ def errors(context: DirectionContext) -> ReportSection:
             figures.outputs(selected_tests, unit, models),
             f"Measured and predicted displacement, and the errors: {selection_text} ({names}).{equal_note}",
             f"Displacement and error over time of {names}; {error_text}.",
+            data=figure_data.outputs(selected_tests, unit, models),
         ),
         Picture(
             context.figure_name("distribution"),
-            figures.error_distribution({name: tests.errors(name) for name in reversed(models)}, unit),
+            figures.error_distribution(model_errors, unit),
             "Errors on all unseen tests: histogram with fitted normal, and the share of samples below a "
             "limit. The axes end where 99.5 % of the samples lie.",
             f"Histogram and cumulative distribution of errors in {unit}.",
+            data=figure_data.errors(model_errors, unit),
         ),
     ]
-    if context.data.compensated:
+    if context.data.channel.compensator is not None:
         pictures.append(
             Picture(
                 context.figure_name("predicted-errors"),
                 figures.predicted_errors({"test": tests}, unit),
                 "Error of the physics model, and the LSTM correction's prediction of it one step ahead.",
                 f"Error of the physics model in {unit} over the samples, actual and predicted.",
+                data=figure_data.predicted_errors({"test": tests}, unit, MAX_SAMPLES),
             )
         )
     table = single_test_table(context.direction, context.accuracy, unit)

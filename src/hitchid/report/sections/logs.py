@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from hitchid.audit import AuditFinding, Severity
-from hitchid.report import numbers
+from hitchid.report import figure_data, numbers
 from hitchid.report.document import (
     Block,
     Finding,
@@ -35,13 +35,15 @@ def logs(data: LogData) -> ReportSection:
     blocks: list[Block] = [summary, _table(data.logs)]
     if inspection.mixed:
         shown_logs = inspection.mixed[:MAX_MIXED_SHOWN]
+        segmented_logs = [(log.record, log.segments) for log in shown_logs]
         names = ", ".join(log.name for log in shown_logs)
         picture = Picture(
             "timeline",
-            timeline([(log.record, log.segments) for log in shown_logs]),
+            timeline(segmented_logs),
             f"Segments of mixed logs: {names} ({len(inspection.mixed)} in total).",
             f"Displacement and commands of {names} over time, coloured by segment.",
             wide=True,
+            data=figure_data.timeline(segmented_logs),
         )
         blocks.append(Pictures((picture,)))
     return ReportSection("Logs", tuple(blocks))

@@ -4,18 +4,19 @@ from collections.abc import Iterator
 
 from hitchid.model import Characteristics, Estimates
 from hitchid.model.estimates import NOT_ASSESSED
-from hitchid.report import figures
+from hitchid.report import figure_data, figures
 from hitchid.report.characteristics import characteristic_sentences
-from hitchid.report.document import Picture, Pictures, ReportSection, Table, Text, sentence
+from hitchid.report.document import Block, Picture, Pictures, ReportSection, Table, Text, sentence
 from hitchid.report.sections.context import DirectionContext
+from hitchid.report.sections.transfer_function import transfer_function
 from hitchid.report.tables import characteristic_tables, parameter_table
 from hitchid.report.trace_file import TracedDeadZone
 
 
 def parameters(context: DirectionContext) -> ReportSection:
     """Return the section on parameters with their intervals, the valve, and the dead zone."""
-    result = context.result
-    blocks: list[Text | Table] = []
+    result, data = context.result, context.data
+    blocks: list[Block] = [*transfer_function(data.channel.benchmark, data.unit, data.command_unit)]
     pictures = []
     if result.characteristics is not None:
         blocks += _characteristic_blocks(context.direction, result.characteristics)
@@ -46,6 +47,7 @@ def _speed_map(context: DirectionContext, characteristics: Characteristics) -> P
         "Speed map: steady speed at mid stroke over the command, as identified, with its "
         f"95 % band; open circles are mean speeds of identification tests while their command stood.{load}",
         " ".join(map(sentence, characteristic_sentences(characteristics, context.direction))),
+        data=figure_data.speed_map(characteristics),
     )
 
 
@@ -56,6 +58,7 @@ def _valve_map(context: DirectionContext) -> Picture:
         figures.valve_map(data.valve_map, data.unit, data.command_unit),
         "Valve map: speed over command. Points below the dead zone are decaying motion.",
         f"Speed in {data.unit}/s over command in {data.command_unit}: benchmark, tests and ramps.",
+        data=figure_data.valve_map(data.valve_map, data.unit, data.command_unit),
     )
 
 
@@ -69,6 +72,7 @@ def _intervals(name: str, title: str, estimates: Estimates) -> Iterator[Picture]
         f"{title.capitalize()}: estimate and 95 % interval, each on its own scale; the thin line is the "
         "bootstrap's. Grey: not determined by the tests.",
         "; ".join(f"{estimate.symbol}: {estimate.verdict}" for estimate in assessed),
+        data=figure_data.intervals(assessed),
     )
 
 
@@ -77,14 +81,14 @@ def _dead_zone(context: DirectionContext) -> Iterator[Picture]:
     if not data.ramps or trace is None or not trace.dead_zone.value > 0:
         return
     zone = trace.dead_zone
+    shown = (data.ramps, context.direction, zone.value, zone.spread, data.unit, data.command_unit)
     yield Picture(
         context.figure_name("dead-zone"),
-        figures.dead_zone(
-            data.ramps, context.direction, zone.value, zone.spread, data.unit, data.command_unit
-        ),
+        figures.dead_zone(*shown),
         _dead_zone_caption(zone),
         f"Travel of the piston over command on {len(data.ramps)} ramps; dead zone {zone.value:.4g} "
         f"{data.command_unit}.",
+        data=figure_data.dead_zone(*shown),
     )
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from hitchid.report import figures
+from hitchid.report import figure_data, figures
 from hitchid.report.document import Block, Picture, Pictures, ReportSection, Text, sentence
 from hitchid.report.sections.context import DirectionContext
 from hitchid.report.tables import search_table
@@ -25,6 +25,7 @@ def search(context: DirectionContext) -> ReportSection:
                 figures.searches(searches, context.unit),
                 "Searches with equal evaluations: the median run, and the final error of each seed.",
                 f"Best RMSE over the evaluations for {', '.join(summary.name for summary in searches)}.",
+                data=figure_data.searches(searches, context.unit),
             )
         )
     return ReportSection("Search and training", (*blocks, *([Pictures(tuple(pictures))] if pictures else [])))
@@ -37,6 +38,7 @@ def _trace_pictures(context: DirectionContext, trace: ChannelTraceFile) -> Itera
         figures.convergence(trace.phase1, unit),
         "Search: best fitness so far (weighted over the tests), and the parameters of the best member.",
         "Best RMSE and the parameters that gave it, over the iterations of the search.",
+        data=figure_data.convergence(trace.phase1, unit),
     )
     if trace.phase2 is not None:
         yield Picture(
@@ -44,6 +46,7 @@ def _trace_pictures(context: DirectionContext, trace: ChannelTraceFile) -> Itera
             figures.losses(trace.phase2),
             "Training of the LSTM correction; the epoch with the smallest validation loss is used.",
             f"Losses over epochs; epoch {trace.phase2.best_epoch} is used.",
+            data=figure_data.losses(trace.phase2),
         )
     if trace.candidates:
         chosen = next(candidate.name for candidate in trace.candidates if candidate.chosen)
@@ -54,4 +57,5 @@ def _trace_pictures(context: DirectionContext, trace: ChannelTraceFile) -> Itera
             "along the stroke is compared with a separate speed factor for each test, so the chosen "
             "structure may have a larger error in this figure.",
             f"RMSE of {len(trace.candidates)} structures; chosen: {chosen}.",
+            data=figure_data.structures(trace.candidates, unit),
         )

@@ -1,19 +1,14 @@
 """Figures 5 to 12 of the paper, each with its data."""
 
-from collections.abc import Mapping
 from typing import NamedTuple
 
-import numpy as np
-
 from hitchid.data.record import LIFTING, LOWERING
-from hitchid.plots.style import finite_or_nan
-from hitchid.report import ChannelTraceFile, Picture, figures
+from hitchid.report import ChannelTraceFile, Picture, figure_data, figures
+from hitchid.report.figures.errors import MAX_SAMPLES
 from hitchid.report.trace_file import TracedSearch
 from hitchid.studies.sun2025.results import DirectionResult
 from hitchid.validation import Predictions
-from hitchid.validation.predictions import concatenate_tests, concatenated_time
 
-MAX_SAMPLES = 2000  # of a subset in the figures of the compensator, as in the paper
 # Numbers of the figures in the paper, by direction.
 CONVERGENCE = {LIFTING: 5, LOWERING: 6}
 TRAINING = {LIFTING: 7, LOWERING: 8}
@@ -23,11 +18,10 @@ MODELS = ("mechanistic", "benchmark", "free_run", "one_step")
 
 
 class PaperFigure(NamedTuple):
-    """A reproduced figure of the paper: its number there, its pictures, and its data by column."""
+    """A reproduced figure of the paper: its number there and its pictures with their data."""
 
     number: int
     pictures: tuple[Picture, ...]
-    data: Mapping[str, np.ndarray]
 
 
 def paper_figures(
@@ -57,11 +51,9 @@ def _convergence(direction: str, search: TracedSearch, unit: str) -> PaperFigure
         figures.convergence(search, unit),
         f"Figure {number} of the paper: convergence of fitness and of each parameter, {direction}.",
         f"Best RMSE and {', '.join(names)} over the iterations of the whale optimisation.",
+        data=figure_data.convergence(search, unit),
     )
-    fitness = finite_or_nan(search.fitness)
-    columns = dict(zip(names, np.array(search.values).T, strict=True))
-    data = {"iteration": np.arange(1, fitness.size + 1), f"rmse_{unit}": fitness, **columns}
-    return PaperFigure(number, (picture,), data)
+    return PaperFigure(number, (picture,))
 
 
 def _predicted_errors(direction: str, result: DirectionResult, unit: str) -> PaperFigure:
@@ -73,16 +65,9 @@ def _predicted_errors(direction: str, result: DirectionResult, unit: str) -> Pap
         f"Figure {number} of the paper: error of the transfer function, actual and predicted one step ahead, "
         f"on training and validation tests, {direction}.",
         f"Actual and predicted error in {unit} over {MAX_SAMPLES} samples.",
+        data=figure_data.predicted_errors(subsets, unit, MAX_SAMPLES),
     )
-    data = {}
-    for subset, tests in subsets.items():
-        measured, benchmark, one_step = (
-            concatenate_tests(rows)[:MAX_SAMPLES]
-            for rows in (tests.actual, tests.models["benchmark"], tests.models["one_step"])
-        )
-        data[f"{subset}_actual_{unit}"] = measured - benchmark
-        data[f"{subset}_predicted_{unit}"] = one_step - benchmark
-    return PaperFigure(number, (picture,), data)
+    return PaperFigure(number, (picture,))
 
 
 def _error_distribution(direction: str, result: DirectionResult, unit: str) -> PaperFigure:
@@ -95,10 +80,9 @@ def _error_distribution(direction: str, result: DirectionResult, unit: str) -> P
         f"Figure {number} of the paper: one-step errors on training and validation tests, histogram with "
         f"fitted normal and cumulative distribution, {direction}.",
         f"Distribution of one-step errors in {unit}.",
+        data=figure_data.errors(rows, unit),
     )
-    return PaperFigure(
-        number, (picture,), {f"{subset}_error_{unit}": errors for subset, errors in rows.items()}
-    )
+    return PaperFigure(number, (picture,))
 
 
 def _test_set(direction: str, test: Predictions, unit: str) -> PaperFigure:
@@ -110,6 +94,7 @@ def _test_set(direction: str, test: Predictions, unit: str) -> PaperFigure:
             figures.outputs(test, unit, MODELS[1:]),
             f"Figure {number} of the paper, upper half: outputs and errors on the test set, {direction}.",
             f"Displacement and error over time on {len(test.names)} unseen tests.",
+            data=figure_data.outputs(test, unit, MODELS),
         ),
         Picture(
             f"{_name(number)}-errors",
@@ -117,15 +102,10 @@ def _test_set(direction: str, test: Predictions, unit: str) -> PaperFigure:
             f"Figure {number} of the paper, lower half: histogram and cumulative distribution of the errors "
             f"on the test set, {direction}.",
             f"Distribution of the errors in {unit} on {len(test.names)} unseen tests.",
+            data=figure_data.errors(errors, unit),
         ),
     )
-    rows = {f"{model}_{unit}": concatenate_tests(test.models[model]) for model in MODELS}
-    data = {
-        "time_s": concatenated_time(test),
-        f"measured_{unit}": concatenate_tests(test.actual),
-        **rows,
-    }
-    return PaperFigure(number, pictures, data)
+    return PaperFigure(number, pictures)
 
 
 def _name(number: int) -> str:

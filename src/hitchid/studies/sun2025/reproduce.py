@@ -4,8 +4,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from hitchid._support.progress import ProgressCallback, ProgressUpdate, silent, subtask_progress
 from hitchid._support.short_repr import short_repr
 from hitchid._support.storage import write_files, write_folder
@@ -14,7 +12,7 @@ from hitchid.estimation.global_search.whale import WhaleConfig
 from hitchid.experiments.virtual_campaign import REPEATS, Protocol, write_campaign
 from hitchid.identification import AdamConfig, CompensatorConfig, Identification, Search, Whale, identify
 from hitchid.identification.identify import COMPARISON, PAPER_SPECS, TRAINING, WHALE
-from hitchid.readers import read, write_table
+from hitchid.readers import read
 from hitchid.report import FIGURES, Table, read_trace, render, write_report_files
 from hitchid.studies.sun2025.document import study_report, study_tables_document
 from hitchid.studies.sun2025.figures import PaperFigure, paper_figures
@@ -85,8 +83,8 @@ def reproduce(
     """Reproduce the study: static and dynamic tests, identification, validation, tables and figures.
 
     Args:
-        out: folder to write: `logs/`, `model/`, `report.html` with its `figures/`, `data/` (CSV of each
-            figure of the paper), `metrics.json`, `tables.md` and `study.md`.
+        out: folder to write: `logs/`, `model/`, `report.html` with its `figures/`, `data/` (the data of
+            each figure as CSV), `metrics.json`, `tables.md`, `tables/` (each table as CSV) and `study.md`.
         rig: parameter set of the virtual test bench.
         plan: extent of the study; by default that of the paper.
         seed: of all random numbers.
@@ -139,7 +137,7 @@ def reproduce(
         summary = tuple(study_tables(identification.channels, results, unit))
         studies.append(Study(identification, results, validation, ordered, summary))
         document = study_report(summary, ordered, validation, trace=trace, command=command)
-        write_report_files(document, folder)
+        write_report_files(document, folder, data_folder=DATA)
         _write(folder, studies[0])
 
     write_folder(Path(out), fill, result_kind=STUDY_FILE, force=force)
@@ -147,9 +145,6 @@ def reproduce(
 
 
 def _write(folder: Path, study: Study) -> None:
-    (folder / DATA).mkdir()
-    for figure in study.figures:
-        write_table(folder / DATA / f"figure-{figure.number:02d}.csv", _equal_lengths(figure.data))
     write_files(folder, study.validation.files())
     text = render(study_tables_document(study.tables, study.validation), "markdown").decode()
     pictures = [
@@ -158,12 +153,3 @@ def _write(folder: Path, study: Study) -> None:
         for picture in figure.pictures
     ]
     (folder / STUDY_FILE).write_text("\n".join([text, *pictures]), encoding="utf-8")
-
-
-def _equal_lengths(data: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return columns padded with NaN to the longest, for one file."""
-    longest = max(column.size for column in data.values())
-    return {
-        name: np.pad(column.astype(float), (0, longest - column.size), constant_values=np.nan)
-        for name, column in data.items()
-    }

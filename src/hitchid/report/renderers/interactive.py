@@ -1,0 +1,120 @@
+"""The unseen tests of a report as one self-contained interactive page."""
+
+import json
+from base64 import b64encode
+from collections.abc import Mapping
+from hashlib import sha256
+from importlib.resources import files
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from hitchid.report.document import Document, Signals
+from hitchid.report.figures.style import COLOURS, DASHES, SHADES, label
+from hitchid.report.renderers.renderer import Renderer
+from hitchid.validation import Predictions
+
+SHOWN_FIRST = ("benchmark", "free_run", "one_step", "a", "b")  # predictions drawn when the page opens; chosen
+# Characters that could end a script element or a line of a script, escaped within JSON's strings.
+_ESCAPES = {ord(character): f"\\u{ord(character):04x}" for character in "<>&\u2028\u2029"}
+
+
+class Interactive(Renderer):
+    """One HTML page with its own script: tests with zoom, synchronised cursors and read-out.
+
+    It requests nothing from outside; its content security policy permits its own script and style alone.
+    """
+
+    name, suffix = "interactive", ".html"
+
+    def render(self, document: Document) -> bytes:
+        """Return the page as UTF-8; a document without signals gives a page without a test."""
+        environment = Environment(
+            loader=PackageLoader("hitchid.report"),
+            autoescape=True,
+            undefined=StrictUndefined,
+            trim_blocks=True,
+        )
+        style, script = _colours() + _template("interactive.css"), _template("interactive.js")
+        signals = document.signals
+        page = environment.get_template("interactive.html").render(
+            title=document.title,
+            subtitle=document.subtitle,
+            style=Markup(style),  # noqa: S704 - our own
+            script=Markup(script),  # noqa: S704 - our own
+            style_hash=_hash(style),
+            script_hash=_hash(script),
+            data=Markup(_json({} if signals is None else _content(signals))),  # noqa: S704 - escaped
+        )
+        return page.encode("utf-8", errors="replace")
+
+
+def _template(name: str) -> str:
+    return (files("hitchid.report") / "templates" / name).read_text(encoding="utf-8")
+
+
+def _hash(text: str) -> str:
+    """Return the source of an inline script or style in a content security policy."""
+    return f"sha256-{b64encode(sha256(text.encode()).digest()).decode()}"
+
+
+def _colours() -> str:
+    """Return the colours of both schemes as CSS variables."""
+
+    def variables(scheme: str) -> str:
+        shades = (f"--{name.replace('_', '-')}: {getattr(shade, scheme)};" for name, shade in SHADES.items())
+        return f":root {{ {' '.join(shades)} }}\n"
+
+    return f"{variables('light')}@media (prefers-color-scheme: dark) {{ {variables('dark')} }}\n"
+
+
+def _json(content: Mapping[str, object]) -> str:
+    return json.dumps(content, ensure_ascii=False, separators=(",", ":")).translate(_ESCAPES)
+
+
+def _content(signals: Signals) -> dict[str, object]:
+    return {
+        "unit": signals.unit,
+        "sections": {
+            name: [_test(tests, index, signals) for index in range(len(tests.names))]
+            for name, tests in signals.tests.items()
+        },
+    }
+
+
+def _test(tests: Predictions, index: int, signals: Signals) -> dict[str, object]:
+    band = tests.band
+    return {
+        "name": tests.names[index],
+        "time": _floats(tests.time_s[index]),
+        "measured": _floats(tests.actual[index]),
+        "band": None if band is None else [_floats(rows[index]) for rows in band],
+        "models": [_series(model, rows[index]) for model, rows in tests.models.items()],
+        "commands": [
+            {
+                "label": f"{name.replace('_', ' ')} / {signals.command_unit[name]}",
+                "values": _floats(rows[index]),
+                "colour": f"--{('one-step', 'benchmark')[number % 2]}",
+            }
+            for number, (name, rows) in enumerate(tests.commands.items())
+        ],
+    }
+
+
+def _series(model: str, values: np.ndarray) -> dict[str, object]:
+    colours = {shade.light: name.replace("_", "-") for name, shade in SHADES.items()}
+    return {
+        "key": model,
+        "label": label(model),
+        "values": _floats(values),
+        "colour": f"--{colours[COLOURS.get(model, COLOURS['ink'])]}",
+        "dash": [2 * length for length in DASHES.get(model, ())],
+        "shown": model in SHOWN_FIRST,
+    }
+
+
+def _floats(values: np.ndarray) -> str:
+    """Return values in single precision, little endian, in base64: a relative error below 6e-8."""
+    with np.errstate(over="ignore"):
+        return b64encode(np.asarray(values, dtype="<f4").tobytes()).decode()

@@ -1,0 +1,67 @@
+"""The settings that a model folder keeps: the keys and values of the settings file."""
+
+import json
+from inspect import signature
+
+import pytest
+
+from hitchid.estimation import DifferentialEvolution, MultiStart
+from hitchid.estimation.global_search.search import Search
+from hitchid.identification import read_settings
+from hitchid.identification.arguments import identification_config
+from hitchid.identification.identify import DEFAULT_STRUCTURES, PAPER_SPECS, identify
+
+NOT_SETTINGS = ("campaign", "progress", "checkpoints")
+SEARCH = {"method": "whale", "evaluations": 600, "population": 20, "stagnation": 7, "per_dimension": False}
+TRAINING = {
+    "compensator": True,
+    "hidden": 8,
+    "window": 30,
+    "epochs": 15,
+    "patience": 9,
+    "batch": 16,
+    "learning_rate": 0.01,
+    "free_run": False,
+    "baselines": False,
+}
+
+
+def toml(values):
+    return "\n".join(f"{key} = {json.dumps(value)}" for key, value in values.items())
+
+
+def described(**settings):
+    """Return what a model folder keeps of the arguments of `identify`."""
+    defaults = {p.name: p.default for p in signature(identify).parameters.values()}
+    arguments = {name: value for name, value in defaults.items() if name not in NOT_SETTINGS}
+    return identification_config(DEFAULT_STRUCTURES, PAPER_SPECS, **arguments | settings).describe()
+
+
+def test_what_a_file_sets_is_kept_by_its_own_keys(tmp_path):
+    (tmp_path / "a.toml").write_text(f"[search]\n{toml(SEARCH)}\n[training]\n{toml(TRAINING)}\n")
+    kept = described(**read_settings(tmp_path / "a.toml"))
+    assert {key: kept["search"][key] for key in SEARCH} == SEARCH
+    assert {key: kept["training"][key] for key in TRAINING} == TRAINING
+
+
+def test_training_that_is_switched_off_is_kept_as_that(tmp_path):
+    (tmp_path / "a.toml").write_text("[training]\ncompensator = false\n")
+    assert described(**read_settings(tmp_path / "a.toml"))["training"] == {"compensator": False}
+
+
+@pytest.mark.parametrize("search", [MultiStart(evaluations=60), DifferentialEvolution(evaluations=90)])
+def test_every_search_is_kept_by_its_method_and_as_json(search):
+    kept = json.loads(json.dumps(described(search=search)))
+    assert kept["search"]["method"] == search.name
+    assert kept["search"]["evaluations"] == search.evaluations
+    assert "name" not in kept["search"]
+
+
+def test_a_search_from_outside_without_settings_is_kept_by_its_method():
+    class Guess(Search):
+        name = "guess"
+
+        def minimise(self, problem, seed, callback=None):
+            raise NotImplementedError
+
+    assert described(search=Guess())["search"] == {"method": "guess"}

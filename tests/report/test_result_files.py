@@ -1,0 +1,114 @@
+"""The tables of a validation as data: the figures of `metrics.json`, unrounded, and files beside it."""
+
+import csv
+import json
+
+import pytest
+
+import validated
+from hitchid.errors import OutputError
+from hitchid.report.validation_report import all_tables
+
+EXPECTED = {
+    "lifting-accuracy",
+    "lifting-horizons",
+    "lifting-tests",
+    "lifting-bands",
+    "lifting-parameters",
+    "lifting-paper-parameters",
+    "lifting-speed-map",
+    "lifting-characteristics",
+    "lifting-residuals",
+    "lifting-residuals-by-quantity",
+    "lifting-searches",
+    "cycles-accuracy",
+    "cycles-horizons",
+    "cycles-tests",
+    "logs",
+}
+
+
+@pytest.fixture(scope="module")
+def tables():
+    return validated.validation().tables()
+
+
+@pytest.fixture(scope="module")
+def metrics():
+    return validated.validation().metrics
+
+
+def rows(table):
+    return [dict(zip(table.columns, row, strict=True)) for row in table.rows]
+
+
+def test_every_table_is_there_by_its_name(tables):
+    assert set(tables) == EXPECTED
+    assert all(table.name == name for name, table in tables.items())
+
+
+def test_no_table_of_the_report_is_without_one_as_data(tables):
+    # Those of residuals have the bins apart; logs are in the report's own section.
+    named = set(tables) - {"logs", "lifting-residuals-by-quantity"}
+    assert len(all_tables(validated.validation())) == len(named)
+
+
+def test_figures_are_those_of_the_json_bit_for_bit(tables, metrics):
+    channel = metrics["channels"]["lifting"]
+    models = {**channel["baselines"], "benchmark": channel["benchmark"], "greybox": channel["greybox"]}
+    found = rows(tables["lifting-accuracy"])
+    assert len(found) == sum(len(runs) for runs in models.values())
+    for row in found:
+        figures = models[row["model"]][row["run"]]
+        assert row["rmse_mm"] == figures["rmse"]
+        assert row["rmse_standard_error_mm"] == figures["rmse_error"]
+        assert row["fit_percent"] == figures["fit"]
+        assert row["share_below_1_mm"] == figures["within_1"]
+    for row in rows(tables["lifting-tests"]):
+        assert row["max_abs_mm"] == channel["per_test"][row["test"]]["free_run"]["max_abs"]
+    horizons = rows(tables["lifting-horizons"])
+    assert [row["horizon_samples"] for row in horizons] == channel["horizons"]["steps"]
+    assert [row["greybox_rmse_mm"] for row in horizons] == channel["horizons"]["greybox"]
+    for row in rows(tables["lifting-parameters"]):
+        estimate = channel["parameters"]["estimates"][row["name"]]
+        assert [row["interval_95_lower"], row["interval_95_upper"]] == estimate["interval_95"]
+        assert (row["value"], row["standard_error"]) == (estimate["value"], estimate["standard_error"])
+
+
+def test_what_diverged_has_no_number(tables):
+    (row,) = (r for r in rows(tables["lifting-accuracy"]) if (r["model"], r["run"]) == ("narx", "free_run"))
+    assert all(value is None for name, value in row.items() if name not in ("model", "run"))
+
+
+def test_the_load_of_a_speed_map_has_its_unit(tables):
+    table = tables["lifting-speed-map"]
+    assert {"command_A", "head_pressure_bar", "speed_mm/s"} <= set(table.columns)
+    origins = [row["origin"] for row in rows(table)]
+    assert origins == ["model"] * 9 + ["measured"] * 2
+
+
+def test_files_lie_beside_the_json_and_read_back_as_the_table(tables, tmp_path):
+    place = tmp_path / "out"
+    validated.validation().write(place)
+    assert {path.stem for path in (place / "tables").glob("*.csv")} == EXPECTED
+    with (place / "tables" / "lifting-accuracy.csv").open() as file:
+        header, *cells = csv.reader(file)
+    table = tables["lifting-accuracy"]
+    assert tuple(header) == table.columns
+    at = header.index("rmse_mm")
+    assert [float(row[at]) if row[at] else None for row in cells] == [row[at] for row in table.rows]
+    assert json.loads((place / "metrics.json").read_text())["unit"] == "mm"
+
+
+def test_a_folder_is_replaced_by_force_alone_and_only_if_no_table_was_changed(tmp_path):
+    place = tmp_path / "out"
+    result = validated.validation()
+    result.write(place)
+    before = {path.name: path.read_bytes() for path in place.rglob("*.csv")}
+    with pytest.raises(OutputError, match="--force"):
+        result.write(place)
+    result.write(place, force=True)
+    assert {path.name: path.read_bytes() for path in place.rglob("*.csv")} == before
+    (place / "tables" / "logs.csv").write_text("mine")
+    with pytest.raises(OutputError, match=r"tables/logs\.csv"):
+        result.write(place, force=True)
