@@ -177,3 +177,13 @@ def tanks():
     structure = structure_named("cascaded-tanks")
     benchmark = PhysicalModel(structure, jnp.ones(len(structure.parameters)), jnp.zeros(()))
     return handmade.hitch_of(replace(channel, benchmark=benchmark))
+
+
+def test_the_default_operating_point_is_open_for_any_opening():
+    channel = handmade.channel(LIFTING, shape=True)
+    curves = channel.benchmark.nonlinearity
+    late = replace(curves, values=curves.values.at[0].set(0.9))
+    model = handmade.hitch_of(replace(channel, benchmark=replace(channel.benchmark, nonlinearity=late)))
+    command = handmade.DEAD_ZONES[LIFTING] + 1.2 * (0.9 + 1) / 2
+    at = {"command": command, "displacement": 100.0, "load": 120.0}
+    np.testing.assert_allclose(model.to_scipy(step_s=0.01).C, model.to_scipy(step_s=0.01, **at).C, rtol=1e-14)

@@ -244,4 +244,4 @@ def test_a_changed_model_is_saved_and_says_so_in_validation_and_report(tmp_path)
 def test_the_report_of_a_changed_model_tells_what_has_no_interval():
     changed = assessed(0.0).with_parameters(lifting={"gain": 25.0})
     finding = _parameter_finding("lifting", changed.uncertainty[LIFTING].benchmark)
-    assert finding.text == "Lifting: 1 of 2 parameters without an interval: K."
+    assert finding.sentence == "Lifting: 1 of 2 parameters without an interval: K."

@@ -93,8 +93,8 @@ class Handover:
             direction: of the channel; may be omitted in a model of one channel.
             step_s: sampling time, s, for the exact model of a held command; None for the continuous model,
                 which a model with a dead time does not have.
-            command, displacement, load: operating point, in the model's units; by default half the largest
-                command beyond the dead zone, middle of the displacement, and mean load of the tests.
+            command, displacement, load: operating point, in the model's units; by default half way from
+                the opening of the valve to the largest command, mid stroke, and mean load of the tests.
 
         Raises:
             InputError: the structure is not linear, the valve is closed at the operating point, the model is

@@ -77,8 +77,8 @@ def linearise(
         physical_model: of a linear structure.
         step_s: sampling time, s, for the exact model of a command held between samples, the dead time in
             delay states; None for the continuous model.
-        command: u₀, what lies beyond the dead zone, in the command's unit; by default half of the largest one
-            of the identification tests.
+        command: u₀, what lies beyond the dead zone, in the command's unit; by default half way from the
+            opening of the valve to the largest one of the identification tests.
         displacement: x₀; by default the middle of its range in the tests.
         load: second measured input before motion; by default the mean of the tests.
 
@@ -112,18 +112,16 @@ def _slope(
 ) -> float:
     """Return w'(u₀) g(x₀)."""
     scales = nonlinearity.scales
-    effective_command, position, covariate = (
-        jnp.asarray(float(default) if value is None else value)
-        for value, default in (
-            (command, 0.5 * scales.command),
-            (displacement, scales.centre),
-            (load, scales.load_centre),
-        )
+    position, covariate = (
+        jnp.asarray(default if value is None else float(value))
+        for value, default in ((displacement, scales.centre), (load, scales.load_centre))
     )
+    opening = nonlinearity.opening_command(covariate)
+    effective_command = 0.5 * (opening + scales.command) if command is None else jnp.asarray(float(command))
     if not float(nonlinearity.flow(effective_command, covariate)):
         raise InputError(
             f"command: the valve is closed {float(effective_command):.4g} beyond the dead zone; expected "
-            f"more than {float(nonlinearity.opening_command(covariate)):.4g}"
+            f"more than {float(opening):.4g}"
         )
     slope = jax.grad(nonlinearity.flow)(effective_command, covariate)
     return float(slope * nonlinearity.gain(position, covariate))

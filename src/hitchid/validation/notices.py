@@ -30,15 +30,13 @@ def channel_notices(
 
 def set_by_hand_notices(model: Hitch, direction: str) -> list[str]:
     """Return the notice of the parameters of a direction that were set by hand, if any were."""
-    rows = [
-        row
+    names = model.provenance.set_by_hand.get(direction, {})
+    values = ", ".join(
+        f"{row.name.replace('_', ' ')} {row.value:.5g} {row.unit}"
         for row in model.parameters[direction]
-        if row.name in model.provenance.set_by_hand.get(direction, {})
-    ]
-    values = ", ".join(f"{row.name.replace('_', ' ')} {row.value:.5g} {row.unit}" for row in rows)
-    return (
-        [f"{direction}: {values} set by hand; the direction has no compensators and no bands"] if rows else []
+        if row.name in names
     )
+    return [f"{direction}: {values} set by hand; it has no compensators and no bands"] if names else []
 
 
 def cycle_notices(model: Hitch, result: CycleResult, factor: float) -> list[str]:
