@@ -15,7 +15,8 @@ from hitchid.report.figures.style import COLOURS, DASHES, SHADES, label
 from hitchid.report.renderers.renderer import Renderer
 from hitchid.validation import Predictions
 
-SHOWN_FIRST = ("benchmark", "free_run", "one_step", "a", "b")  # predictions drawn when the page opens; chosen
+SCRIPTS = ("interactive-plots.js", "interactive-controls.js")
+SHOWN_FIRST = ("benchmark", "free_run", "one_step")  # drawn at first of a model; of several, all are; chosen
 # Characters that could end a script element or a line of a script, escaped within JSON's strings.
 _ESCAPES = {ord(character): f"\\u{ord(character):04x}" for character in "<>&\u2028\u2029"}
 
@@ -36,7 +37,7 @@ class Interactive(Renderer):
             undefined=StrictUndefined,
             trim_blocks=True,
         )
-        style, script = _colours() + _template("interactive.css"), _template("interactive.js")
+        style, script = _colours() + _template("interactive.css"), "".join(map(_template, SCRIPTS))
         signals = document.signals
         page = environment.get_template("interactive.html").render(
             title=document.title,
@@ -90,7 +91,10 @@ def _test(tests: Predictions, index: int, signals: Signals) -> dict[str, object]
         "time": _floats(tests.time_s[index]),
         "measured": _floats(tests.actual[index]),
         "band": None if band is None else [_floats(rows[index]) for rows in band],
-        "models": [_series(model, rows[index]) for model, rows in tests.models.items()],
+        "models": [
+            _series(model, rows[index], shown="free_run" not in tests.models or model in SHOWN_FIRST)
+            for model, rows in tests.models.items()
+        ],
         "commands": [
             {
                 "label": f"{name.replace('_', ' ')} / {signals.command_unit[name]}",
@@ -102,7 +106,7 @@ def _test(tests: Predictions, index: int, signals: Signals) -> dict[str, object]
     }
 
 
-def _series(model: str, values: np.ndarray) -> dict[str, object]:
+def _series(model: str, values: np.ndarray, *, shown: bool) -> dict[str, object]:
     colours = {shade.light: name.replace("_", "-") for name, shade in SHADES.items()}
     return {
         "key": model,
@@ -110,7 +114,7 @@ def _series(model: str, values: np.ndarray) -> dict[str, object]:
         "values": _floats(values),
         "colour": f"--{colours[COLOURS.get(model, COLOURS['ink'])]}",
         "dash": [2 * length for length in DASHES.get(model, ())],
-        "shown": model in SHOWN_FIRST,
+        "shown": shown,
     }
 
 
