@@ -27,7 +27,9 @@ def _repr(self: object) -> str:
     if len(line) <= MAX_WIDTH:
         return line
     width = max(map(len, content))
-    return screen([kind, *(shortened(f"{name.ljust(width)}{GAP}{text}") for name, text in content.items())])
+    starts = [f"{GAP}{name.ljust(width)}{GAP}" for name in content]
+    room = MAX_WIDTH - len(starts[0])
+    return screen([kind, *map(str.__add__, starts, (shortened(text, room) for text in content.values()))])
 
 
 def _names(record: object) -> Sequence[str]:

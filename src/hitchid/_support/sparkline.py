@@ -10,17 +10,17 @@ COLUMNS = 55  # of the picture, one for four pixels: each shows the least and th
 OPACITIES = (1.0, 0.45, 0.25)  # of the first curve and those below it; chosen
 
 
-def sparkline(curves: Sequence[np.ndarray], label: str, *, one_scale: bool = False) -> str:
-    """Return curves over their sample number, each drawn between its least and its largest value.
+def sparkline(curves: Sequence[np.ndarray], label: str, scales: Sequence[np.ndarray] | None = None) -> str:
+    """Return curves over their sample number.
 
     Args:
         curves: the first is drawn strongest; each of shape [N].
         label: text for screen readers.
-        one_scale: draw all curves between the ends of the first.
+        scales: for each curve the values between whose least and largest it is drawn; by default its own.
     """
     lines = [
-        _polyline(curve, curves[0] if one_scale else curve, opacity)
-        for curve, opacity in zip(curves, OPACITIES, strict=False)
+        _polyline(curve, scale, opacity)
+        for curve, scale, opacity in zip(curves, scales or curves, OPACITIES, strict=False)
     ]
     return _picture("".join(reversed(lines)), label)
 

@@ -107,7 +107,7 @@ def _table_lines(rows: Sequence[Sequence[str]]) -> list[str]:
 
 
 def _wrapped(start: str, text: str) -> list[str]:
-    lines = textwrap.wrap(text, max(MAX_WIDTH - len(start), MAX_WIDTH // 4)) or [""]
+    lines = textwrap.wrap(" ".join(text.split()), max(MAX_WIDTH - len(start), MAX_WIDTH // 4)) or [""]
     return [(start + lines[0]).rstrip(), *(" " * len(start) + line for line in lines[1:])]
 
 

@@ -1,11 +1,13 @@
 """What records and campaigns show of themselves."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from hitchid._support.sparkline import sparkline
 from hitchid._support.summary import Summary, count, first_notes, first_to_last
 from hitchid.data.campaign import Campaign
-from hitchid.data.record import COMMAND, CYCLE, DIRECTIONS, KINDS, Record
+from hitchid.data.record import COMMAND, CYCLE, DIRECTIONS, DISPLACEMENT, KINDS, Record
 
 MAX_LEFT_OUT = 3  # logs left out that are named; chosen
 
@@ -26,7 +28,7 @@ def record_summary(record: Record) -> Summary:
         ("signal", "unit", "lowest", "highest"),
         tuple(rows),
         (*source, *notices),
-        tuple(sparkline([samples], f"{role} over time") for role, samples in record.signals.items()),
+        tuple(_picture(record, [role], f"{role} over time") for role in record.signals),
     )
 
 
@@ -43,7 +45,7 @@ def campaign_summary(campaign: Campaign) -> Summary:
         ("kind", "tests", "held out", "duration", "names"),
         tuple(_kind_row(campaign, kind) for kind in kinds),
         first_notes(left_out, MAX_LEFT_OUT, "left_out"),
-        tuple(_picture(campaign.of_kind(kind)[0]) for kind in kinds),
+        tuple(_test_picture(campaign.of_kind(kind)[0]) for kind in kinds),
     )
 
 
@@ -54,10 +56,18 @@ def _kind_row(campaign: Campaign, kind: str) -> tuple[str, ...]:
     return kind, str(len(tests)), held_out, duration, first_to_last([record.name for record in tests])
 
 
-def _picture(record: Record) -> str:
-    """Return displacement and commands of a record as a small picture."""
+def _test_picture(record: Record) -> str:
+    """Return displacement and commands of a test as a small picture."""
+    roles = [role for role in (DISPLACEMENT, *COMMAND.values()) if role in record.signals]
+    return _picture(record, roles, f"displacement and commands of {record.name}")
+
+
+def _picture(record: Record, roles: Sequence[str], label: str) -> str:
+    """Return signals as a small picture; commands share a scale that begins at zero."""
     commands = [record.signals[role] for role in COMMAND.values() if role in record.signals]
-    return sparkline([record.displacement, *commands], f"displacement and commands of {record.name}")
+    shared = np.concatenate([np.zeros(1), *commands])
+    scales = [shared if role in COMMAND.values() else record.signals[role] for role in roles]
+    return sparkline([record.signals[role] for role in roles], label, scales)
 
 
 def _duration_s(record: Record) -> float:

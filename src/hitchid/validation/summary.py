@@ -82,5 +82,6 @@ def _tests(sections: Iterable[tuple[str, Accuracy]]) -> str:
 def _picture(section: str, accuracy: Accuracy) -> str:
     """Return measured displacement and free run of the first test as a small picture."""
     tests = accuracy.predictions
-    curves = [tests.actual[0], tests.models[FREE_RUN][0]]
-    return sparkline(curves, f"{section}: {tests.names[0]}, measured and in free run", one_scale=True)
+    measured, predicted = tests.actual[0], tests.models[FREE_RUN][0]
+    label = f"{section}: {tests.names[0]}, measured and in free run"
+    return sparkline([measured, predicted], label, [measured, measured])
