@@ -98,6 +98,12 @@ def test_the_folds_are_a_dataframe_with_a_pooled_row(result):
     assert pooled["tests"] == 6
 
 
+def test_the_result_shows_pooled_figures_on_one_screen(result):
+    rmse = result.figures(LIFTING).free_run.rmse
+    assert f"{rmse:.4g}" in repr(result)
+    assert len(repr(result).splitlines()) <= 25
+
+
 def test_a_fold_that_fails_gives_its_error_and_leaves_the_others(campaign, settings, monkeypatch):
     def failing_first(campaigns, **options):
         error = FitError("lifting: nothing moves")

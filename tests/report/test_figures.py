@@ -18,7 +18,7 @@ from scipy.integrate import trapezoid
 import handmade
 import reported
 from hitchid.data.record import LIFTING
-from hitchid.plots.style import COLOURS, DECIMATION_BINS, SHADES, decimate
+from hitchid.plots.style import COLOURS, COMPARED, DECIMATION_BINS, SHADES, decimate
 from hitchid.report import figures
 from hitchid.report.figures.valve import ONSET_FACTOR
 from hitchid.report.svg import svg
@@ -757,3 +757,12 @@ def test_a_short_curve_is_left_as_it_is():
     values = np.random.default_rng(0).standard_normal(2 * DECIMATION_BINS)
     place = np.arange(values.size)
     assert decimate(place, values) == (place, values) or decimate(place, values)[1] is values
+
+
+def test_no_two_compared_models_look_alike_even_without_colours():
+    rmse = dict.fromkeys(COMPARED, (1.0, 2.0))
+    axes = figures.horizons(Horizons((1, 2), {"persistence": (1.0, 2.0), **rmse}), 0.01, "mm").axes[0]
+    lines = axes.get_lines()
+    assert len({line.get_marker() for line in lines}) == len(lines) == 9
+    assert len({str(line._dash_pattern) for line in lines}) == len(COMPARED)  # persistence is solid, as A
+    assert len({line.get_color() for line in lines}) == len(lines)

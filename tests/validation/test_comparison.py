@@ -166,6 +166,19 @@ def test_equal_models_share_the_first_rank_and_are_not_distinguishable(campaign)
     )
 
 
+def test_a_comparison_shows_its_leaderboard_on_one_screen(campaign):
+    compared = compare(MODELS, campaign, ["fast", "right", "near"])
+    for shown in (repr(compared), repr(compared.leaderboard())):
+        lines = shown.splitlines()
+        assert len(lines) <= 25
+        assert max(map(len, lines)) <= 110
+        assert [line.split()[2] for line in lines if line.split()[:1] == [LIFTING]] == [
+            "right",
+            "near",
+            "fast",
+        ]
+
+
 def test_the_leaderboard_is_a_dataframe_with_units_in_its_columns(campaign):
     pytest.importorskip("pandas")
     leaderboard = compare(MODELS, campaign, ["fast", "right", "near"]).leaderboard()

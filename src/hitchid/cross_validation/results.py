@@ -5,9 +5,11 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from hitchid._support.dataframes import dataframe
+from hitchid._support.summary import Summarised, Summary, first_notes
 from hitchid.errors import HitchError
 from hitchid.model import Hitch
 from hitchid.validation import ModelFigures, Predictions, RunFigures, Validation
+from hitchid.validation.leaderboard import value_text
 from hitchid.validation.names import FREE_RUN, GREYBOX, ONE_STEP
 
 if TYPE_CHECKING:
@@ -43,13 +45,12 @@ class FoldResult:
         return accuracy[section].models[GREYBOX] if section in accuracy else None
 
 
-@dataclass(frozen=True)
-class CrossValidation:
+@dataclass(frozen=True, repr=False)
+class CrossValidation(Summarised):
     """Models identified without each fold of tests in turn, validated on it; iterates over the folds.
 
     Attributes:
         folds: each fold.
-        notices: a sentence for each fold that failed.
     """
 
     folds: tuple[FoldResult, ...]
@@ -129,6 +130,17 @@ class CrossValidation:
                 {"section": section, "fold": POOLED, **tests, **self.figures(section).columns(self.unit)}
             )
         return dataframe(rows)
+
+    def _summary(self) -> Summary:
+        rows = []
+        for section in self.sections:
+            figures = self.figures(section)
+            runs = (figures.free_run, figures.one_step)
+            cells = ["" if run is None else value_text(run.rmse, run.rmse_error) for run in runs]
+            rows.append((section, str(len(self.predictions(section).names)), *cells))
+        header = ("section", "tests", f"free run, RMSE / {self.unit}", f"one step, RMSE / {self.unit}")
+        title = f"Cross-validation of {len(self)} folds, every test with the model identified without it"
+        return Summary(title, header, tuple(rows), first_notes(self.notices, 3, "notices"))
 
     def _row(self, section: str, fold: FoldResult) -> dict[str, object]:
         row: dict[str, object] = {"section": section, "fold": str(fold.number)}

@@ -76,7 +76,8 @@ def run_pipeline(
     phase1_results = _phase(run_phase1, keys, parts["phase 1"])
     calibrated_results = {number: _result_or_error(calibrate_gains, number) for number in jobs}
     phase2_results = _phase(run_phase2, keys, parts["phase 2"])
-    parts["model"](ProgressUpdate("model", 0.0))
+    if jobs:
+        parts["model"](ProgressUpdate("model", 0.0))
     models = parallel(lambda number: _result_or_error(build_model, number), jobs)
     return tuple(
         job if isinstance(job, HitchError) else models[number] for number, job in enumerate(jobs_or_errors)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from hitchid._support.dataframes import dataframe
 from hitchid._support.metrics import SIGNIFICANCE, holm
+from hitchid._support.summary import Summarised, Summary, count
 from hitchid.validation.names import FREE_RUN, GREYBOX, ONE_STEP
 from hitchid.validation.predictions import Predictions
 from hitchid.validation.results import Accuracy, ModelFigures, RunFigures
@@ -93,8 +94,8 @@ class LeaderboardRow:
         return {**columns, "standing": self.standing.value, "p_value": self.p_value}
 
 
-@dataclass(frozen=True)
-class Leaderboard:
+@dataclass(frozen=True, repr=False)
+class Leaderboard(Summarised):
     """Models on the same tests, the best of each section first.
 
     Attributes:
@@ -122,6 +123,22 @@ class Leaderboard:
             InputError: pandas is not installed.
         """
         return dataframe([row.columns(self.unit) for row in self.rows])
+
+    def _summary(self) -> Summary:
+        names = dict.fromkeys(row.name for row in self.rows)
+        header = ("section", "rank", "model", f"free run, RMSE / {self.unit}", "fit / %", "difference")
+        rows = (
+            (
+                row.section,
+                str(row.rank),
+                row.name,
+                value_text(row.free_run.rmse, row.free_run.rmse_error),
+                value_text(row.free_run.fit, row.free_run.fit_error),
+                row.standing.value if row.p_value is None else f"{row.standing.value}, p = {row.p_value:.2g}",
+            )
+            for row in self.rows
+        )
+        return Summary(f"Leaderboard of {count(len(names), 'model')}", header, tuple(rows))
 
 
 def section_rows(
@@ -167,6 +184,13 @@ def section_rows(
         )
 
     return tuple(row(label, accuracy) for label, accuracy in ordered)
+
+
+def value_text(value: float | None, error: float | None) -> str:
+    """Return a value with its standard error, as on a screen; None is a run that diverged."""
+    if value is None:
+        return "diverged"
+    return f"{value:.4g}" if error is None else f"{value:.4g} ± {error:.2g}"
 
 
 def _sort_key(accuracy: Accuracy) -> float:

@@ -20,8 +20,8 @@ def leaderboard_table(comparison: ModelComparison, section: str) -> Table:
     """Return the models of one section by their error in free run, and their difference from the best."""
     rows = comparison.leaderboard().section(section)
     header = (
-        "rank",
         "model",
+        "rank",
         f"free run: RMSE / {comparison.unit}",
         "free run: fit / %",
         f"one step: RMSE / {comparison.unit}",
@@ -29,8 +29,8 @@ def leaderboard_table(comparison: ModelComparison, section: str) -> Table:
     )
     cells = tuple(
         (
-            str(row.rank),
             f"model {row.label}",
+            str(row.rank),
             numbers.with_error(row.free_run.rmse, row.free_run.rmse_error),
             numbers.with_error(row.free_run.fit, row.free_run.fit_error),
             "" if row.one_step is None else numbers.with_error(row.one_step.rmse, row.one_step.rmse_error),
