@@ -212,7 +212,7 @@ wrong = {
         lambda: campaign.plot(3),
         lambda: model.plot(3),
         lambda: model.plot_bode(axes=[record]),
-        lambda: model.plot_step_response(axes=(1, 2, 3, 4)),
+        lambda: model.plot_step_response(commands=[0.5], axes=(1, 2, 3, 4)),
     ],
     "commands: expected": [
         lambda: model.plot_step_response(),

@@ -71,7 +71,7 @@ class FrequencyResponse(NamedTuple):
 
     Attributes:
         frequency_hz: Hz, shape [F].
-        magnitude: |G|, in the displacement's per command's unit.
+        magnitude: of G, in the displacement's unit per the command's.
         phase_rad: continuous phase, dead time included, rad.
     """
 

@@ -44,11 +44,12 @@ def plot_fit(
         raise InputError("models: expected at least one, got none")
     for model in models:
         checks.one_of(model, predictions.models, "models")
-    if test is None:
-        shown, selection = shown_tests(predictions, models[-1])
-    else:
+    if test is not None:
         number = predictions.names.index(checks.one_of(test, predictions.names, "test"))
-        shown, selection = predictions.take([number]), test
+        predictions = predictions.take([number])
+    shown, selection = shown_tests(predictions, models[-1])
+    if len(shown.names) == 1:
+        (selection,) = shown.names
     with canvas(axes, 2, height_in=FIT_IN, sharex=True, height_ratios=[3, 2]) as drawn:
         displacement_axes, error_axes = drawn
         draw_fit(displacement_axes, error_axes, shown, unit, models)
