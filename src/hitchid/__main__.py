@@ -117,7 +117,7 @@ def _flush_outputs() -> bool:
 
 def _exit_interrupted() -> NoReturn:
     """End at once, without waiting for computations in other threads; unfinished files have been removed."""
-    hint = "; the same command with --resume goes on" if sys.argv[1:2] == ["identify"] else ""
+    hint = "; --resume continues this run" if sys.argv[1:2] == ["identify"] else ""
     os.write(2, f"hitchid: stopped{hint}\n".encode())
     os._exit(EXIT_INTERRUPTED)
 

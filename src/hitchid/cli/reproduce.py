@@ -20,7 +20,7 @@ def reproduce(
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
-    """Redo the published study on the virtual bench: every table and figure, ours beside theirs."""
+    """Repeat the published study on the virtual bench: every table and figure, next to the paper's values."""
     from hitchid._support.storage import check_folder, check_inputs
     from hitchid.cli import terminal as display
 

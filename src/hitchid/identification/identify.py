@@ -70,7 +70,7 @@ def identify(
         seed: every random draw comes from it.
         progress: called with what is being done and the fraction of all work that is done.
         checkpoints: folder where finished searches and trainings are kept; with those of a run that was
-            stopped, it goes on from there to the same model. None keeps none.
+            stopped, it continues from there to the same model. None keeps none.
 
     Raises:
         InputError: there is no test of one direction, all are held out or cannot be used, or an

@@ -1,4 +1,4 @@
-"""Dynamics of a hitch, one sample at a time: the channel in charge, and the motion of the piston.
+"""Dynamics of a hitch, one sample at a time: the active channel, and the motion of the piston.
 
 Simulation, prediction and online use of a hitch run this step. The state machine is documented in
 :doc:`/switching`.
@@ -22,7 +22,7 @@ from hitchid.networks.error_compensator import FeatureState, Sample
 from hitchid.networks.lstm import SINGLE
 from hitchid.structures import DiscretePhysicalModel, ValveState
 
-STANDING = -1  # `HitchState.mode` before the first effective command: no channel in charge
+STANDING = -1  # `HitchState.mode` before the first effective command: no channel is active
 MAX_MAGNITUDE = 1e9  # a command or displacement beyond it, in its unit, is taken as missing; chosen
 
 
@@ -161,7 +161,7 @@ class HitchDynamics(eqx.Module):
     def advance_network(
         self, hidden: Float32[Array, "2 2 h"], network_input: NetworkInput
     ) -> tuple[Float32[Array, "2 2 h"], Float[Array, ""], Float[Array, ""]]:
-        """Predict the error by the network of the channel in charge.
+        """Predict the error by the network of the active channel.
 
         Returns:
             State of the network, predicted error and displacement, all at the next sample.
@@ -262,7 +262,7 @@ class HitchDynamics(eqx.Module):
         )
 
     def _advance_channel(self, number: int, state: HitchState) -> HitchState:
-        """Advance a channel. Only the channel in charge moves the piston; before the first motion all run."""
+        """Advance a channel. Only the active channel moves the piston; before the first motion all run."""
         discrete_model, channel_state = self.discrete_models[number], state.channels[number]
         in_charge = state.mode == number
         plant, increment = discrete_model.advance(

@@ -20,7 +20,7 @@ MAX_COASTING_SAMPLES = 100
 def compute_features(
     channels: Sequence[Channel], state: HitchState, reset: Bool[Array, ""], step_s: float
 ) -> tuple[HitchState, Float32[Array, "10"], Float[Array, ""]]:
-    """Return the state with new features of the channel in charge, the scaled features, and their trust.
+    """Return the state with new features of the active channel, the scaled features, and their trust.
 
     The trust is zero without a measured displacement in the last `MAX_COASTING_SAMPLES`.
     """

@@ -20,7 +20,7 @@ class Packed(NamedTuple):
 
     Attributes:
         numbers: all arrays but `hidden`, concatenated; displacement and predicted error first, shape [n].
-        hidden: LSTM states of the network in charge, shape [2, 2, H].
+        hidden: LSTM states of the network of the active channel, shape [2, 2, H].
     """
 
     numbers: Float[Array, " n"]

@@ -32,7 +32,7 @@ class ChannelState(NamedTuple):
     """State of one channel.
 
     Attributes:
-        valve: state of the valve; it follows the command also while another channel is in charge.
+        valve: state of the valve; it follows the command also while another channel is active.
         plant: state of the benchmark, shape [n].
         samples_in_charge: samples since the channel took charge.
         correction: state of the compensator for free run; None where there is none.
@@ -54,16 +54,16 @@ class HitchState(NamedTuple):
         error: predicted error of the benchmark.
         benchmark: output of the benchmark, clipped to the limits of the plant but not to end stops.
         free_run: output of the compensated free run, clipped likewise.
-        start: displacement at which the channel in charge took over.
-        mode: index of the channel in charge; −1 before the first effective command.
+        start: displacement at which the active channel took over.
+        mode: index of the active channel; −1 before the first effective command.
         samples_since_measurement: samples since the last measured displacement; −1 before the first.
         commands: last valid lifting and lowering command, shape [2].
         command_missing: whether a command was missing and its last value was used.
         both_valves_active: whether both valves were open; then lowering takes precedence.
         load: covariate before motion.
-        feature_state: features of the compensator in charge.
+        feature_state: features of the active compensator.
         channels: state of each channel.
-        hidden: h and c of the network in charge, for the current and the next window, shape [2, 2, H].
+        hidden: h and c of the active network, for the current and the next window, shape [2, 2, H].
     """
 
     displacement: Float[Array, ""]
@@ -83,7 +83,7 @@ class HitchState(NamedTuple):
 
 
 class NetworkInput(NamedTuple):
-    """Inputs of the network of the channel in charge.
+    """Inputs of the network of the active channel.
 
     Attributes:
         channel_index: index of the channel.

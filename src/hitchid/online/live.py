@@ -18,7 +18,7 @@ FIELDS = (TIME, *COMMAND.values(), DISPLACEMENT)
 MAX_GAP_SAMPLES = 1000  # longest gap that is simulated, 10 s at 100 Hz; a longer one restarts; chosen
 CLOCK_SET_BACK_SAMPLES = 10_000  # a time stamp earlier by more means that the clock was set back; chosen
 HISTORY_LENGTH = 100  # states kept, in samples: the latest steps that a late sample may replace; chosen
-STANDING = "standing"  # `Output.mode` before any channel was in charge
+STANDING = "standing"  # `Output.mode` before any channel was active
 DIGITS = 9  # decimals of `Output.time_s`: 1 ns, removes rounding errors
 MAX_MAGNITUDE = 1e9  # a command or displacement beyond it, in its unit, is taken as missing; chosen
 
@@ -32,7 +32,7 @@ class Output(NamedTuple):
     Attributes:
         time_s: time of the displacement: one sampling time after the sample, on the model's clock, s.
         displacement: predicted displacement, in the model's unit; None before the first measured one.
-        mode: channel in charge: lifting or lowering; standing before any was.
+        mode: active channel: lifting or lowering; standing before any was active.
         flags: sentences about missing or implausible inputs.
     """
 

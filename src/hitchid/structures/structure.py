@@ -53,7 +53,7 @@ DEAD_TIME = Parameter("dead_time", "s", 1e-4, 1.0, symbol="dead time")
 
 
 class ModelOption(Enum):
-    """What a model may have beside its structure."""
+    """Options of a model of a structure."""
 
     DEAD_TIME = "dead time"
     VALVE_CURVE = "valve curve"
@@ -72,7 +72,7 @@ class Structure(eqx.Module):
         name, formula: as in settings and reports.
         parameters: what is identified.
         gain: name of the parameter to which the speed is proportional; empty for none.
-        options: what a model of it may have beside it.
+        options: options that a model of it may have.
         uses_raw_command: whether it takes the whole command, from which no dead zone is removed.
         local_starts: further random starts of the least squares, where a fit has several minima.
         fallback_quantity: parameter to the parameter or derived quantity that is reported as determined where

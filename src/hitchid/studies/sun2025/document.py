@@ -19,7 +19,7 @@ from hitchid.validation import Validation
 
 PREFACE = (
     "Sun et al. 2025 (Processes 13, 3608) measured on a bench of their own; these tests ran on the virtual "
-    "bench. The figures stand beside each other, not against each other."
+    "bench. The values are shown next to each other; they do not compare the methods."
 )
 
 
