@@ -47,7 +47,7 @@ class FreeRun(NamedTuple):
 
     Attributes:
         displacement: at every sample, shape [N], or [M, N] for M initial conditions.
-        active_channel: index of the channel in charge from each sample to the next, −1 before the first
+        active_channel: index of the active channel from each sample to the next, −1 before the first
             effective command, same shape.
         is_held: whether no command demands motion from each sample to the next, same shape.
     """
