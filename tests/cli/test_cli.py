@@ -528,8 +528,8 @@ def test_simulate_writes_what_the_model_predicts(bench_folder, tmp_path, horizon
     save(hitch, tmp_path / "model")
     log, out = bench_folder / "lowering-02.csv", tmp_path / "out.csv"
     result = hitchid("simulate", tmp_path / "model", log, "--out", out, "--horizon", horizon)
-    assert result == (0, "", "")
     (record,) = read(log).records
+    assert result == (0, "", f"{out}: {len(record)} samples, displacement predicted in mm\n")
     predicted = hitch.simulate(record).displacement if horizon == "free" else hitch.predict(record, horizon=3)
     header, *rows = (line.split(",") for line in out.read_text().splitlines())
     assert header == [*log.read_text().splitlines()[0].split(","), "displacement_predicted_mm"]
@@ -544,7 +544,7 @@ def test_simulate_writes_the_ends_of_a_band_beside_the_prediction(bench_folder, 
     save(hitch, tmp_path / "model")
     log, out = bench_folder / "lowering-02.csv", tmp_path / "out.csv"
     arguments = ("simulate", tmp_path / "model", log, "--out", out, "--bands", "--coverage", "80")
-    assert hitchid(*arguments) == (0, "", "")
+    assert hitchid(*arguments).code == 0
     (record,) = read(log).records
     header, *rows = (line.split(",") for line in out.read_text().splitlines())
     assert header[-3:] == ["displacement_predicted_mm", "displacement_lower_mm", "displacement_upper_mm"]
@@ -588,9 +588,53 @@ def test_simulate_says_on_stderr_where_it_leaves_what_the_tests_covered(bench_fo
     assert result.err == (
         "notice: lifting: the command is outside the identified range, 0 to 0.05 A beyond the dead zone, "
         f"in {samples} of {len(record)} samples\n"
+        f"{tmp_path / 'out.csv'}: {len(record)} samples, displacement predicted in mm\n"
     )
     ahead = hitchid(*arguments, "--force", "--horizon", "3")
-    assert (ahead.code, ahead.err) == (0, "")
+    assert ahead.code == 0
+    assert "notice" not in ahead.err
+
+
+@pytest.mark.parametrize("bands", [False, True])
+def test_simulate_takes_commands_alone_with_an_initial_displacement(tmp_path, bands):
+    hitch = handmade.with_bands(handmade.hitch("integrator"), "lifting", "lowering")
+    save(hitch, tmp_path / "model")
+    commands = np.zeros((60, 2))
+    commands[10:40, 0] = 0.8
+    rows = [f"{0.01 * number:.2f},{up},{down}" for number, (up, down) in enumerate(commands.tolist())]
+    text = "\n".join(["time_s,current_up_A,current_down_A", *rows, ""])
+    (tmp_path / "commands.csv").write_text(text)
+    out = tmp_path / "out.csv"
+    arguments = ("simulate", tmp_path / "model", tmp_path / "commands.csv", "--initial", "120", "--out", out)
+    result = hitchid(*arguments, *(("--bands",) if bands else ()))
+    assert result == (0, "", f"{out}: 60 samples, displacement predicted in mm\n")
+    header, *written = (line.split(",") for line in out.read_text().splitlines())
+    added = [f"displacement_{kind}_mm" for kind in ("predicted", "lower", "upper")[: 3 if bands else 1]]
+    assert header == ["time_s", "current_up_A", "current_down_A", *added]
+    run = hitch.simulate(commands, step_s=0.01, initial=120.0)
+    expected = [run.displacement, *(run.band(0.9) if bands else ())]
+    np.testing.assert_allclose(np.array(written, float)[:, 3:].T, expected, rtol=5e-9)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ((), ["column 'displacement_mm'", "--initial"]),
+        (("--initial", "120", "--horizon", "3"), ["3 samples ahead", "--initial", "--horizon free"]),
+        (("--load", "80", "--horizon", "3"), ["3 samples ahead", "--load"]),
+        (("--initial", "120", "--load", "80"), ["load: the model has no covariate"]),
+        (("--initial", "nan"), ["initial: expected one or several numbers", "nan"]),
+        (("--initial", "120", "--coverage", "80"), ["--coverage", "--bands"]),
+        (("--initial", "120", "--bands"), ["no bands"]),
+    ],
+)
+def test_simulate_refuses_options_that_do_not_fit_commands_alone(refused, model, tmp_path, options, said):
+    rows = [f"{0.01 * number:.2f},0.8,0" for number in range(30)]
+    text = "\n".join(["time_s,current_up_A,current_down_A", *rows, ""])
+    (tmp_path / "commands.csv").write_text(text)
+    out = tmp_path / "out.csv"
+    refused("simulate", model, tmp_path / "commands.csv", "--out", out, *options, said=said)
+    assert not out.exists()
 
 
 @pytest.fixture(scope="module")

@@ -260,6 +260,10 @@ def test_a_command_that_is_there_is_replaced_by_force_alone(model, advice, tmp_p
 
 
 def test_columns_of_other_units_are_named_after_them(model, advice, tmp_path):
-    units = {**UNITS, "lifting_command": "%", "lowering_command": "%"}
+    units = {**UNITS, "lifting_command": "percent", "lowering_command": "percent"}
     write_command(Hitch(model.channels, STEP_S, units), advice, tmp_path / "test.csv")
-    assert list(read_back(tmp_path / "test.csv")) == ["time_s", "lifting_command_%", "lowering_command_%"]
+    assert list(read_back(tmp_path / "test.csv")) == [
+        "time_s",
+        "lifting_command_percent",
+        "lowering_command_percent",
+    ]

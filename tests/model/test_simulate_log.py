@@ -11,8 +11,10 @@ from hypothesis import strategies as st
 from scipy.io import savemat
 
 import handmade
+from hitchid.design.next_test import Advice, Proposal, command_of, write_command
 from hitchid.errors import HitchError, InputError, OutputError
-from hitchid.model.simulate_log import added_name, simulate_log
+from hitchid.model import Hitch
+from hitchid.model.simulate_log import InitialValues, added_name, simulate_log
 from hitchid.readers import read
 
 STEP_S, SAMPLES = 0.01, 120
@@ -213,3 +215,117 @@ def test_the_predicted_column_of_a_displacement_keeps_its_unit_last():
     assert added_name("displacement_mm", "predicted") == "displacement_predicted_mm"
     assert added_name("my_displacement_mm", "predicted") == "my_displacement_mm_predicted"
     assert added_name("displacement", "predicted") == "displacement_predicted"
+
+
+def alone(*names, **changed):
+    """Return the commands of the log without its displacement, its columns renamed where told."""
+    columns = {**table(), **changed}
+    return {name: columns[name] for name in names or NAMES[:3]}
+
+
+@pytest.mark.parametrize("measured", [False, True])
+def test_commands_and_an_initial_displacement_are_enough(lifter, tmp_path, measured):
+    text = PLAIN if measured else lines(alone())
+    (tmp_path / "log.csv").write_text(text)
+    written = simulate_log(lifter, tmp_path / "log.csv", tmp_path / "out.csv", initial=InitialValues(120.0))
+    header, *rows = csv.reader(io.StringIO((tmp_path / "out.csv").read_text()))
+    assert header == [*NAMES[: 4 if measured else 3], "displacement_predicted_mm"]
+    np.testing.assert_allclose(last(rows), travelled(command(), start=120.0), rtol=NINE_DIGITS)
+    assert (written.samples, written.unit) == (SAMPLES, "mm")
+    not_used = "'displacement_mm' is not used: the simulation starts from 120 mm"
+    assert written.notices == ((not_used,) if measured else ())
+
+
+def test_a_measured_displacement_that_is_broken_does_no_harm_where_an_initial_one_is_given(lifter, tmp_path):
+    columns = table()
+    columns["displacement_mm"][3:] = np.nan
+    _, rows = simulated(lifter, tmp_path, lines(columns), initial=InitialValues(120.0))
+    np.testing.assert_allclose(last(rows), travelled(command(), start=120.0), rtol=NINE_DIGITS)
+
+
+def test_a_sensor_that_is_stuck_does_no_harm_where_an_initial_displacement_is_given(lifter, tmp_path):
+    columns = {**table(), "displacement_mm": np.full(SAMPLES, 7.0)}
+    _, rows = simulated(lifter, tmp_path, lines(columns), initial=InitialValues(120.0))
+    np.testing.assert_allclose(last(rows), travelled(command(), start=120.0), rtol=NINE_DIGITS)
+
+
+def test_without_displacement_and_initial_value_the_refusal_names_the_option(lifter, tmp_path):
+    with pytest.raises(InputError, match=r"column 'displacement_mm': there is no such column.*--initial"):
+        simulated(lifter, tmp_path, lines(alone()))
+    with pytest.raises(InputError, match="column 'displacement_mm': there is no such column") as ahead:
+        simulated(lifter, tmp_path, lines(alone()), horizon=3)
+    assert "--initial" not in str(ahead.value)
+    with pytest.raises(InputError, match="3 samples ahead requires the measured displacement; --initial"):
+        simulated(lifter, tmp_path, lines(alone()), horizon=3, initial=InitialValues(120.0))
+    with pytest.raises(InputError, match="column 'current_up_A': there is no such column"):
+        simulated(lifter, tmp_path, lines(alone("time_s")), initial=InitialValues(120.0))
+    assert not (tmp_path / "out.csv").exists()
+
+
+def test_commands_with_a_gap_are_refused_where_they_start_from_one_displacement(lifter, tmp_path):
+    time_s = STEP_S * np.arange(SAMPLES)
+    time_s[60:] += 10
+    text = lines(alone(time_s=time_s))
+    with pytest.raises(InputError, match="gaps divide the commands into 2 parts"):
+        simulated(lifter, tmp_path, text, initial=InitialValues(120.0))
+
+
+def test_commands_alone_are_read_by_the_signal_map_and_in_any_format(lifter, tmp_path):
+    (tmp_path / "campaign.toml").write_text(
+        '[signals]\ntime = { column = "t", unit = "ms" }\n'
+        'command = { column = "valve", unit = "mA" }\ndisplacement = "angle_deg"\n'
+    )
+    columns = {"t": 10.0 * np.arange(SAMPLES), "valve": 1000.0 * command()}
+    savemat(tmp_path / "m.mat", columns)
+    written = [simulated(lifter, tmp_path, lines(columns), initial=InitialValues(120.0))]
+    simulate_log(lifter, tmp_path / "m.mat", tmp_path / "out.csv", initial=InitialValues(120.0), force=True)
+    header, *rows = csv.reader(io.StringIO((tmp_path / "out.csv").read_text()))
+    for names, values in (*written, (header, rows)):
+        assert names == ["t", "valve", "displacement_predicted_mm"]
+        np.testing.assert_allclose(last(values), travelled(command(), start=120.0), rtol=NINE_DIGITS)
+
+
+def test_a_load_that_is_given_replaces_the_covariate_of_the_log(tmp_path):
+    channels = [handmade.channel(mode, shape=True) for mode in ("lifting", "lowering")]
+    model = handmade.hitch_of(*channels)
+    (tmp_path / "campaign.toml").write_text(
+        '[signals]\nlifting_command = "current_up_A"\nlowering_command = "current_down_A"\n'
+        'covariates = [{ column = "pressure", unit = "bar" }]\n'
+    )
+    _, rows = simulated(model, tmp_path, lines(alone()), initial=InitialValues(120.0, 80.0))
+    run = model.simulate(command(), step_s=STEP_S, initial=120.0, load=80.0)
+    np.testing.assert_allclose(last(rows), run.displacement, rtol=NINE_DIGITS)
+    with pytest.raises(InputError, match="column 'pressure': there is no such column"):
+        simulated(model, tmp_path, lines(alone()), initial=InitialValues(120.0), force=True)
+    logged = lines({**table(), "pressure": np.full(SAMPLES, 30.0)})
+    _, rows = simulated(model, tmp_path, logged, initial=InitialValues(load=80.0), force=True)
+    shifted = model.simulate(command(), step_s=STEP_S, initial=5.0, load=80.0)
+    np.testing.assert_allclose(last(rows), shifted.displacement, rtol=NINE_DIGITS)
+    (tmp_path / "campaign.toml").unlink()
+    with pytest.raises(InputError, match=r"has no 'pressure', which the model requires.*load"):
+        simulated(model, tmp_path, lines(alone()), initial=InitialValues(120.0), force=True)
+    with pytest.raises(InputError, match="load: the model has no covariate"):
+        simulated(handmade.hitch(), tmp_path, PLAIN, initial=InitialValues(120.0, 80.0), force=True)
+
+
+@pytest.mark.parametrize("unit", ["A", "mA", "percent", "l/min", "1"])
+@pytest.mark.parametrize("modes", [("lifting", "lowering"), ("lowering",)])
+@pytest.mark.parametrize("mapped", [False, True])
+def test_the_file_of_a_designed_test_is_simulated_as_it_is(tmp_path, unit, modes, mapped):
+    hitch = handmade.hitch(modes=modes)
+    model = Hitch(hitch.channels, STEP_S, {**hitch.units, **{f"{mode}_command": unit for mode in modes}})
+    proposal = Proposal(0.1, 0.4, 0.2, 3.0, 0, 10.0, {})
+    advice = Advice("lowering", "gain", (proposal,), {}, ramps=False)
+    write_command(model, advice, tmp_path / "next.csv")
+    if mapped:
+        (tmp_path / "campaign.toml").write_text(
+            '[signals]\ntime = "t_ms"\ncommand = { column = "valve", unit = "V" }\n'
+            'displacement = "angle_deg"\ncovariates = ["oil"]\n'
+        )
+    simulate_log(model, tmp_path / "next.csv", tmp_path / "out.csv", initial=InitialValues(120.0))
+    header, *rows = csv.reader(io.StringIO((tmp_path / "out.csv").read_text()))
+    lowering = command_of(model, "lowering", proposal)
+    assert header[-1] == "displacement_predicted_mm"
+    run = model.simulate(np.stack([0 * lowering, lowering], axis=1), step_s=STEP_S, initial=120.0)
+    np.testing.assert_allclose(last(rows), run.displacement, rtol=NINE_DIGITS)
+    assert np.ptp(last(rows)) > 1.0

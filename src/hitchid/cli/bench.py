@@ -58,6 +58,7 @@ def bench(
 ) -> None:
     """Run tests on the virtual test bench; write one log a test and campaign.toml."""
     from hitchid._support.storage import check_folder, check_inputs
+    from hitchid.cli import terminal as display
 
     check_folder(out, result_kind="campaign.toml", force=force)
     check_inputs(out, [Path(rig)] if rig.endswith(".toml") else [])
@@ -67,7 +68,7 @@ def bench(
 
     default_count = REPEATS if protocol is Protocol.RAMP else TESTS["prbs"]
 
-    write_campaign(
+    logs = write_campaign(
         out,
         rig,
         tests={protocol.value: default_count if tests is None else tests},
@@ -76,3 +77,4 @@ def bench(
         seed=seed,
         force=force,
     )
+    display.write_result(out, f"{logs} logs and campaign.toml")

@@ -1,4 +1,4 @@
-"""`hitchid simulate`: simulation of a log; the prediction is added to its columns."""
+"""`hitchid simulate`: simulation of a log or of commands alone; the prediction is added to its columns."""
 
 from pathlib import Path
 from typing import Annotated
@@ -9,11 +9,21 @@ from hitchid.cli.cache import prepare_jax
 from hitchid.cli.options import Force, Signals
 from hitchid.errors import InputError
 
+DEFAULT_COVERAGE = 90  # percent of the samples
+
 
 def simulate(
     model: Annotated[Path, typer.Argument(help="Model folder.", show_default=False)],
-    log: Annotated[Path, typer.Argument(help="One log.", show_default=False)],
+    log: Annotated[Path, typer.Argument(help="One log, or commands alone.", show_default=False)],
     out: Annotated[Path, typer.Option("--out", help="CSV file to write: the log and the prediction.")],
+    initial: Annotated[
+        float | None,
+        typer.Option("--initial", help="Initial displacement, in the model's unit [as measured in the log]."),
+    ] = None,
+    load: Annotated[
+        float | None,
+        typer.Option("--load", help="Covariate before motion, in the model's unit [as measured in the log]."),
+    ] = None,
     horizon: Annotated[
         str,
         typer.Option(
@@ -24,33 +34,37 @@ def simulate(
         bool, typer.Option("--bands", help="Also write the lower and upper limit of the prediction band.")
     ] = False,
     coverage: Annotated[
-        float,
-        typer.Option("--coverage", min=50, max=95, help="Coverage of the band, percent of the samples."),
-    ] = 90,
+        float | None,
+        typer.Option("--coverage", min=50, max=95, help="Coverage of the band, percent of the samples [90]."),
+    ] = None,
     signals: Signals = None,
     force: Force = False,
 ) -> None:
-    """Write the predicted displacement beside a log's columns."""
+    """Write the predicted displacement beside a log's columns; with --initial commands alone are enough."""
     from hitchid._support.storage import check_file, check_inputs
     from hitchid.cli import terminal as display
 
     check_file(out, force=force)
     check_inputs(out, [model, log, signals])
     steps = _horizon(horizon)
+    if coverage is not None and not bands:
+        raise InputError(f"--coverage: expected together with --bands, got --coverage {coverage:g} alone")
     prepare_jax()
-    from hitchid.model import load
-    from hitchid.model.simulate_log import simulate_log
+    from hitchid.model import load as load_model
+    from hitchid.model.simulate_log import InitialValues, simulate_log
 
-    notices = simulate_log(
-        load(model),
+    written = simulate_log(
+        load_model(model),
         log,
         out,
+        initial=InitialValues(initial, load),
         horizon=steps,
-        coverage=coverage / 100 if bands else None,
+        coverage=(DEFAULT_COVERAGE if coverage is None else coverage) / 100 if bands else None,
         signals=signals,
         force=force,
     )
-    display.write_messages("notice", notices)
+    display.write_messages("notice", written.notices)
+    display.write_result(out, f"{written.samples} samples, displacement predicted in {written.unit}")
 
 
 def _horizon(text: str) -> int | None:

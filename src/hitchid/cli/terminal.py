@@ -226,6 +226,11 @@ def _print_wrapped(text: str, indent: int = 0) -> None:
     sys.stdout.write(fill(text, COLUMNS, subsequent_indent=" " * indent, break_on_hyphens=False) + "\n")
 
 
+def write_result(out: Path, sentence: str) -> None:
+    """Write what a command wrote to a file or folder, to stderr."""
+    sys.stderr.write(f"{out}: {sentence}\n")
+
+
 def write_messages(kind: str, sentences: Iterable[object]) -> None:
     """Write sentences to stderr, each with its kind as prefix."""
     for sentence in sentences:

@@ -177,7 +177,7 @@ def _check_finite(content: Content, name: str) -> None:
 
 def _split_signed_command(samples: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Return role to samples with a signed command split: positive is lifting, negative lowering."""
-    displacement = {DISPLACEMENT: samples[DISPLACEMENT]}
+    displacement = {DISPLACEMENT: samples[DISPLACEMENT]} if DISPLACEMENT in samples else {}
     split = displacement | {role: values for role, values in samples.items() if role != SIGNED_COMMAND}
     if SIGNED_COMMAND in samples:
         signed = samples[SIGNED_COMMAND]

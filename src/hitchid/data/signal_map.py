@@ -2,7 +2,7 @@
 
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Literal, TypeVar
@@ -10,6 +10,7 @@ from typing import Literal, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from hitchid._support import checks
+from hitchid.data.record import COMMAND
 from hitchid.data.settings_errors import describe
 from hitchid.data.units import UNITS, check_unit, unit_of_column
 from hitchid.errors import InputError, SettingsError
@@ -80,10 +81,11 @@ class SignalMap(Strict):
 
     Either one signed `command`, positive for lifting and negative for lowering, or `lifting_command` and
     `lowering_command`; one of these alone is a plant with one channel, whose command may have both signs.
+    Commands alone, for a simulation, have no displacement.
     """
 
     time: Column = Column(column="time_s", unit="s")
-    displacement: Column = Column(column="displacement_mm", unit="mm")
+    displacement: Column | None = Column(column="displacement_mm", unit="mm")
     command: Column | None = None
     lifting_command: Column | None = None
     lowering_command: Column | None = None
@@ -125,6 +127,22 @@ DEFAULT_SIGNALS = SignalMap(
     lifting_command=Column(column="current_up_A", unit="A"),
     lowering_command=Column(column="current_down_A", unit="A"),
 )
+
+
+def command_columns(directions: Iterable[str], units: Mapping[str, str]) -> dict[str, Column]:
+    """Return role to the column of a command in logs that this package writes.
+
+    The default column where it has the unit, otherwise the role and the unit: `lifting_command_percent`.
+
+    Args:
+        directions: directions that have a command.
+        units: role to unit.
+    """
+    columns = {}
+    for role in (COMMAND[direction] for direction in directions):
+        default, unit = getattr(DEFAULT_SIGNALS, role), units[role]
+        columns[role] = default if unit == default.unit else Column(column=f"{role}_{unit}", unit=unit)
+    return columns
 
 
 class Split(Strict):

@@ -4,7 +4,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from math import floor
 from pathlib import Path
-from types import MappingProxyType
 
 import equinox as eqx
 import jax
@@ -17,7 +16,8 @@ from hitchid._support import checks
 from hitchid._support.precision import double_precision
 from hitchid._support.short_repr import short_repr
 from hitchid._support.storage import write_file
-from hitchid.data.record import COMMAND, LIFTING, LOWERING
+from hitchid.data.record import COMMAND
+from hitchid.data.signal_map import command_columns
 from hitchid.errors import InputError
 from hitchid.experiments.excitation import prbs, precompensated
 from hitchid.model import Channel, Hitch
@@ -40,7 +40,6 @@ TRAVEL_MARGIN = 1.02  # travel over that of the identification tests: 2 % for th
 MAX_PROPOSALS = 5  # largest number returned
 DEAD_ZONE_SHARE = 0.5  # of a parameter's variance, above which the dead zone dominates its error; chosen
 ROUNDING = 1e-9  # in samples, so that a whole number is not rounded down
-COLUMNS = MappingProxyType({LIFTING: "current_up_A", LOWERING: "current_down_A"})
 
 
 @dataclass(frozen=True)
@@ -183,10 +182,10 @@ def write_command(model: Hitch, advice: Advice, path: Path, *, force: bool = Fal
         OutputError: the file exists and `force` is not given, or it cannot be written.
     """
     command = command_of(model, advice.direction, advice.proposals[0])
+    names = command_columns(model.channels, model.units)
     columns = {"time_s": model.step_s * np.arange(command.size)}
     for direction in model.channels:
-        unit = model.units[COMMAND[direction]]
-        name = COLUMNS[direction] if unit == "A" else f"{COMMAND[direction]}_{unit}"
+        name = names[COMMAND[direction]].column
         columns[name] = command if direction == advice.direction else np.zeros_like(command)
     write_file(path, lambda temporary_path: write_table(temporary_path, columns), force=force)
 

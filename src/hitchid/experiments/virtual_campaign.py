@@ -124,7 +124,7 @@ def write_campaign(
     suffix: Literal["csv", "csv.gz", "mf4", "parquet", "tdms"] = "csv",
     seed: int = 0,
     force: bool = False,
-) -> None:
+) -> int:
     """Run tests and write one log each, the true displacements, and `campaign.toml`.
 
     Args:
@@ -133,6 +133,9 @@ def write_campaign(
         tests, directions, seed: see `run`.
         suffix: format of the logs.
         force: replace an older campaign.
+
+    Returns:
+        Number of logs.
 
     Raises:
         OutputError: the folder exists and `force` is not given, or it cannot be written.
@@ -153,6 +156,7 @@ def write_campaign(
         (folder / "campaign.toml").write_text(COLUMNS, encoding="utf-8")
 
     write_folder(folder, fill, result_kind="campaign.toml", force=force)
+    return len(logs)
 
 
 def _ramps(rig: Rig, direction: str, repeats: int, seed: int) -> list[Log]:

@@ -1,6 +1,9 @@
 """Simulation of a log: a CSV file with the columns of the log and the predicted displacement."""
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -8,12 +11,44 @@ from hitchid._support import checks
 from hitchid._support.storage import check_inputs, write_file
 from hitchid.data.log_records import records_of
 from hitchid.data.log_table import LogTable
-from hitchid.data.signal_map import SignalMap
+from hitchid.data.record import DISPLACEMENT, Record
+from hitchid.data.signal_map import CampaignFile, SignalMap, command_columns
 from hitchid.data.units import UNITS
+from hitchid.errors import InputError, LogError
 from hitchid.model import Hitch
+from hitchid.model.conversion import covariate_of
 from hitchid.readers import ReaderProcess, assemble, read_table, settings_of
 from hitchid.readers.formats import record_name
 from hitchid.readers.formats.csv import SUFFIXES, read_rows, write_rows
+
+
+class InitialValues(NamedTuple):
+    """Initial values of a free run that replace those of the log, in the model's units.
+
+    Attributes:
+        displacement: initial displacement; None for the one measured in the log.
+        load: covariate before motion; None for that of the log.
+    """
+
+    displacement: float | None = None
+    load: float | None = None
+
+
+class SimulatedLog(NamedTuple):
+    """What was written.
+
+    Attributes:
+        samples: number of samples with a prediction.
+        unit: unit of the prediction.
+        notices: sentences on what of the log was not used, and on signals outside the identified range.
+    """
+
+    samples: int
+    unit: str
+    notices: tuple[str, ...]
+
+
+FROM_LOG = InitialValues()
 
 
 def simulate_log(
@@ -21,27 +56,27 @@ def simulate_log(
     log: Path,
     out: Path,
     *,
+    initial: InitialValues = FROM_LOG,
     horizon: int | None = None,
     coverage: float | None = None,
     signals: Path | None = None,
     force: bool = False,
-) -> tuple[str, ...]:
+) -> SimulatedLog:
     """Write a log's columns and the displacement a model predicts for each of its rows.
 
     All columns of a text log are copied unchanged; of other formats, time and signals are written.
     A log with gaps is predicted section by section; rows outside the usable sections get an empty cell.
+    With an initial displacement the log may hold commands alone, such as the file of `hitchid design`.
 
     Args:
         model: an identified hitch.
         log: one log of any known format.
         out: CSV file to write.
+        initial: initial values of a free run that are not taken from the log.
         horizon: samples to look ahead, None for free run.
         coverage: share of samples within the band around the prediction; None for no band.
         signals: settings file with the signal map, as `campaign.toml`; None for that of the log's folder.
         force: replace an existing file.
-
-    Returns:
-        Warnings where a free run leaves the operating range of the identification tests.
 
     Raises:
         InputError: an argument or the log cannot be used; its subclasses name log, settings or output.
@@ -50,42 +85,126 @@ def simulate_log(
     log, out = checks.path(log, "log"), checks.path(out, "out")
     signals = None if signals is None else checks.path(signals, "signals")
     check_inputs(out, [log, signals])
-    settings = settings_of([log], signals)
-    signal_map = settings[log.parent].signals
+    if horizon is not None and initial != FROM_LOG:
+        raise InputError(
+            f"a prediction {horizon} samples ahead requires the measured displacement; --initial and --load "
+            "apply to --horizon free"
+        )
+    all_settings = settings_of([log], signals)
+    text = read_rows(log) if log.name.lower().endswith(SUFFIXES) else None
+    names = () if text is None else text[0]
+    settings = _with_signals(
+        all_settings[log.parent], _required_signals(all_settings[log.parent].signals, model, names, initial)
+    )
+    table = _read(log, settings, initial, free_run=horizon is None)
+    measured = settings.signals.displacement if DISPLACEMENT in table.signals else None
+    if initial.displacement is None:
+        records = assemble(
+            records_of(record_name(log), table, settings.signals), all_settings, strict=True
+        ).records
+    else:
+        records = [_commands(record_name(log), table, model, settings.signals)]
+    unit = records[0].unit
+    columns, notices = _predictions(model, table.time_s, records, initial, horizon, coverage)
+    if measured is not None and initial.displacement is not None:
+        notices = [
+            f"'{measured.column}' is not used: the simulation starts from {initial.displacement:g} "
+            f"{model.units[DISPLACEMENT]}",
+            *notices,
+        ]
+    header, rows = text or _as_text(table, settings.signals)
+    base = f"displacement_{unit}" if measured is None else measured.column
+    added = [added_name(base, kind) for kind in ("predicted", "lower", "upper")[: len(columns)]]
+    cells = [["" if np.isnan(value) else f"{value:.9g}" for value in row] for row in columns.T.tolist()]
+    all_rows = [[*row, *row_cells] for row, row_cells in zip(rows, cells, strict=True)]
+    write_file(out, lambda path: write_rows(path, [*header, *added], all_rows), force=force)
+    return SimulatedLog(int(np.count_nonzero(~np.isnan(columns[0]))), unit, tuple(notices))
+
+
+def _required_signals(
+    signals: SignalMap, model: Hitch, names: Sequence[str], initial: InitialValues
+) -> SignalMap:
+    """Return the signal map with what a simulation requires.
+
+    The commands are those of a file of `hitchid design` if the log has its columns, not the mapped ones.
+    """
+    mapped = [signals.command, signals.lifting_command, signals.lowering_command]
+    designed = command_columns(model.channels, model.units)
+    if any(column is not None and column.column not in names for column in mapped) and all(
+        column.column in names for column in designed.values()
+    ):
+        signals = SignalMap(displacement=signals.displacement, covariates=signals.covariates, **designed)
+    if initial == FROM_LOG:
+        return signals
+    required = covariate_of(model.channels) if initial.load is None else None
+    covariates = tuple(column for column in signals.covariates if column.column == required)
+    return signals.model_copy(update={"covariates": covariates})
+
+
+def _with_signals(settings: CampaignFile, signals: SignalMap) -> CampaignFile:
+    return settings.model_copy(update={"signals": signals})
+
+
+def _read(log: Path, settings: CampaignFile, initial: InitialValues, *, free_run: bool) -> LogTable:
+    """Read a log, without its displacement where there is none and an initial one is given."""
+    displacement = settings.signals.displacement
     with ReaderProcess() as process:
-        table = read_table(log, settings[log.parent], process)
-    campaign = assemble(records_of(record_name(log), table, signal_map), settings, strict=True)
-    header, rows = _as_text(log, table, signal_map)
-    time_s = table.time_s
-    kinds = ("predicted",) if coverage is None else ("predicted", "lower", "upper")
-    columns, warnings = np.full((len(kinds), time_s.size), np.nan), []
-    for record in campaign.records:
+        try:
+            return read_table(log, settings, process)
+        except LogError as error:
+            if displacement is None or error.column != displacement.column:
+                raise
+            if initial.displacement is None:
+                hint = "; without it, give the initial displacement: --initial" if free_run else ""
+                raise LogError(log, f"{error.problem}{hint}", line=error.line, column=error.column) from error
+        commands = settings.signals.model_copy(update={"displacement": None})
+        return read_table(log, _with_signals(settings, commands), process)
+
+
+def _commands(name: str, table: LogTable, model: Hitch, signals: SignalMap) -> Record:
+    """Return a log as one record; the displacement is zero where the log has none, and says nothing."""
+    if DISPLACEMENT not in table.signals:
+        table = replace(
+            table,
+            signals={**table.signals, DISPLACEMENT: np.zeros(table.time_s.size)},
+            units={**table.units, DISPLACEMENT: model.units[DISPLACEMENT]},
+        )
+    record, *others = records_of(name, table, signals)
+    if others:
+        raise LogError(
+            table.source,
+            f"gaps divide the commands into {1 + len(others)} parts; expected none, to simulate from one "
+            "initial displacement",
+        )
+    return record
+
+
+def _predictions(
+    model: Hitch,
+    time_s: np.ndarray,
+    records: Sequence[Record],
+    initial: InitialValues,
+    horizon: int | None,
+    coverage: float | None,
+) -> tuple[np.ndarray, list[str]]:
+    """Return prediction and band at each row of a log, NaN outside its records; and notices."""
+    columns, notices = np.full((1 if coverage is None else 3, time_s.size), np.nan), []
+    for record in records:
         if horizon is None:
-            simulation = model.simulate(record)
+            simulation = model.simulate(record, initial=initial.displacement, load=initial.load)
             values = [simulation.displacement, *(() if coverage is None else simulation.band(coverage))]
-            warnings += simulation.flags
+            notices += simulation.flags
         else:
             band = () if coverage is None else model.band(record, horizon=horizon, coverage=coverage)
             values = [model.predict(record, horizon=horizon), *band]
         edge = record.step_s / 2
         inside = (time_s > record.time_s[0] - edge) & (time_s < record.time_s[-1] + edge)
         columns[:, inside] = [np.interp(time_s[inside], record.time_s, series) for series in values]
-    names = [added_name(signal_map.displacement.column, kind) for kind in kinds]
-    cells = [["" if np.isnan(value) else f"{value:.9g}" for value in row] for row in columns.T.tolist()]
-    write_file(
-        out,
-        lambda path: write_rows(
-            path, [*header, *names], [[*row, *added] for row, added in zip(rows, cells, strict=True)]
-        ),
-        force=force,
-    )
-    return tuple(warnings)
+    return columns, notices
 
 
-def _as_text(log: Path, table: LogTable, signals: SignalMap) -> tuple[list[str], list[list[str]]]:
-    """Return header and rows of a log as text cells."""
-    if log.name.lower().endswith(SUFFIXES):
-        return read_rows(log)
+def _as_text(table: LogTable, signals: SignalMap) -> tuple[list[str], list[list[str]]]:
+    """Return time and signals of a log as text cells."""
     time = table.time_s / UNITS[signals.time.unit or "s"].factor
     columns = {signals.time.column: time, **table.columns}
     rows = zip(*(values.tolist() for values in columns.values()), strict=True)

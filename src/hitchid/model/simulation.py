@@ -180,6 +180,11 @@ def simulate(
         raise InputError(f"step_s: a record has its own sampling time; expected None, got {step_s}")
     else:
         record = commands
+        if covariate is not None and load is None and covariate not in record.signals:
+            raise InputError(
+                f"record '{record.name}' has no '{covariate}', which the model requires; expected it, or "
+                f"load: its value before motion, in {model.units[covariate]}"
+            )
     model_record = conversion.to_model_units(record, tuple(channels), model.units, model.dynamics.step_s)
     initial_condition = conversion.initial_condition(
         model_record, channels, displacement=_checked(initial, "initial"), load=_checked(load, "load")
