@@ -68,7 +68,7 @@ def _arguments(value: object) -> object:
 
 
 def _keywords(node: ast.expr) -> object:
-    if isinstance(node, ast.Call):
+    if isinstance(node, ast.Call) and not node.args:
         return {str(keyword.arg): _keywords(keyword.value) for keyword in node.keywords}
     return ast.literal_eval(node)
 
