@@ -35,17 +35,14 @@ for record in campaign.records:
 # %% [markdown]
 # ## Identify
 #
-# A transfer function with a valve curve, and the load. A short search without networks takes seconds.
+# A transfer function with a valve curve, and the load, without networks.
 
 # %%
-from hitchid.estimation import Whale
-from hitchid.estimation.global_search.whale import WhaleConfig
 from hitchid.identification import ModelSpec
 from hitchid.structures import structure_named
 
 spec = ModelSpec(structure_named("integrator-first-order"), valve_curve=True, covariate="head_pressure")
-search = Whale(WhaleConfig(evaluations=300))
-found = hitchid.identify(campaign, structure={"lifting": spec}, search=search, training=None, comparison=None)
+found = hitchid.identify(campaign, structure={"lifting": spec}, training=None, comparison=None)
 
 # %% [markdown]
 # ## Free run on the held-out tests
