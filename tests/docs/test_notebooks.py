@@ -24,3 +24,10 @@ def test_there_are_notebooks_in_the_percent_format():
         text = path.read_text(encoding="utf-8")
         assert "format_name: percent" in text
         assert text.count("# %% [markdown]") >= 2
+
+
+def test_from_dataframe_to_controller_takes_at_most_twelve_lines():
+    path = next(path for path in NOTEBOOKS if path.stem == "from_dataframe_to_controller")
+    _, _, story = path.read_text(encoding="utf-8").partition("# ## Model")
+    lines = [line for line in story.splitlines() if line.strip() and not line.startswith("#")]
+    assert len(lines) <= 12

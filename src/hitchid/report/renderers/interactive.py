@@ -10,10 +10,11 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from hitchid.plots.style import COLOURS, DASHES, SHADES
 from hitchid.report.document import Document, Signals
-from hitchid.report.figures.style import COLOURS, DASHES, SHADES, label
 from hitchid.report.renderers.renderer import Renderer
 from hitchid.validation import Predictions
+from hitchid.validation.names import label
 
 SCRIPTS = ("interactive-plots.js", "interactive-controls.js")
 SHOWN_FIRST = ("benchmark", "free_run", "one_step")  # drawn at first of a model; of several, all are; chosen
