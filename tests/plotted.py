@@ -77,7 +77,7 @@ def validation(tests=None, *, diverged=False):
 
 def comparison():
     """Return two validations of the same tests."""
-    return ModelComparison(validation(), validation(), 0, STEP_S)
+    return ModelComparison(("A", "B"), (validation(), validation()), 0, STEP_S)
 
 
 def characteristics(load=None):

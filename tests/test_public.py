@@ -58,7 +58,7 @@ calls = {
     "to_control": lambda: model.to_control("lifting", 0.001).A,
     "speed": lambda: model.speed([0.3, 0.5], "lifting"),
     "inverse_table": lambda: model.inverse_table("lifting", [1.0, 2.0]).command,
-    "with_parameters": lambda: model.with_parameters(lifting={"gain": 25}).simulate(record),
+    "with_parameters": lambda: model.with_parameters(lifting={"gain": 25}).simulate(record).displacement,
     "validate": lambda: hitchid.validate(model, campaign).metrics,
     "bands": lambda: model.uncertainty["lifting"].bands.half_width(0.9, 3),
 }

@@ -59,6 +59,8 @@ PUBLIC = [
     "HitchError",
     "Record",
     "__version__",
+    "compare",
+    "cross_validate",
     "identify",
     "identify_many",
     "load",

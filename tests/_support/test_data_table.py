@@ -70,7 +70,7 @@ def test_a_table_is_a_dataframe_with_the_same_columns_even_without_a_row():
 
 def test_without_pandas_it_is_said_what_to_install(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "pandas", None)
-    with pytest.raises(InputError, match="pip install pandas"):
+    with pytest.raises(InputError, match=r"pip install 'hitchid\[pandas\]'"):
         DataTable("t", ("a",), ((1,),)).to_dataframe()
 
 

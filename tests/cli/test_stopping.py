@@ -207,11 +207,14 @@ def test_an_identification_is_stopped_begun_anew_killed_and_gone_on_with(identif
 def test_a_folder_that_is_no_run_is_never_taken_for_one(identify, tmp_path):
     (tmp_path / "model.unfinished").mkdir()
     (tmp_path / "model.unfinished" / "precious").write_text("mine")
-    for options in (("--resume",), ("--force",)):
+    for options, said in (
+        (("--resume",), "holds no unfinished run"),
+        (("--force",), "is not an unfinished run"),
+    ):
         code, _, err = identify(*options).end()
         assert code == 2
         (line,) = err.splitlines()
-        assert "model.unfinished: holds no unfinished run" in line
+        assert f"model.unfinished: {said}" in line
     assert (tmp_path / "model.unfinished" / "precious").read_text() == "mine"
     assert left_in(tmp_path) == ["model.unfinished"]
 

@@ -393,5 +393,5 @@ def test_metrics_and_the_tests_of_a_model_are_the_same_in_another_format(judged,
     assert_same(validate(model, again).metrics, metrics)
     assert {record.fingerprint for record in again.records} >= model.provenance.seen
     seen = tuple(record for record in again.records if record.fingerprint in model.provenance.seen)
-    with pytest.raises(InputError, match="identification used"):
+    with pytest.raises(InputError, match="used for identification"):
         validate(model, replace(again, records=seen))

@@ -22,7 +22,7 @@ from hitchid.data.record import KINDS, Record
 from hitchid.errors import HitchError, LogError
 from hitchid.identification import ChannelTrace, Identification
 from hitchid.identification.phase1 import Phase1
-from hitchid.model import TwoModes
+from hitchid.model import Simulation, TwoModes
 from hitchid.structures import Structure
 from hitchid.validation import Validation
 from hitchid.validation.comparison import ModelComparison
@@ -89,8 +89,8 @@ def example_of_class(kind: Any, depth: int) -> Any:
         return simple[kind]
     if inspect.isclass(kind) and issubclass(kind, Enum):
         return next(iter(kind))
-    if kind in WHOLE:
-        return WHOLE[kind]()
+    if kind in WHOLE | SIMULATED:
+        return (WHOLE | SIMULATED)[kind]()
     is_record = is_dataclass(kind) or hasattr(kind, "_fields")
     if not is_record or inspect.isabstract(kind) or depth < 0:
         return None
@@ -164,7 +164,7 @@ def validation() -> Validation:
 
 def comparison() -> ModelComparison:
     """Return a comparison of two models."""
-    return ModelComparison(validation(), validation(), 3, 0.01)
+    return ModelComparison(("A", "B"), (validation(), validation()), 3, 0.01)
 
 
 WHOLE: dict[type, Callable[[], object]] = {
@@ -175,6 +175,7 @@ WHOLE: dict[type, Callable[[], object]] = {
     Validation: validation,
     ModelComparison: comparison,
 }
+SIMULATED = {Simulation: lambda: hitch().simulate([0.5] * SAMPLES, step_s=0.01, initial=100.0)}
 
 
 @pytest.mark.parametrize("kind", public_classes(), ids=lambda kind: kind.__name__)

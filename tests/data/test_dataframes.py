@@ -252,7 +252,7 @@ FRAME = pd.DataFrame(columns())
         (lambda: Record.from_dataframe(FRAME, units={"i": "mA"}), "'i': `units` names it, but there is no"),
         (lambda: Record.from_dataframe(FRAME.drop(columns="time_s")), "'time_s': there is no such column"),
         (lambda: Record.from_dataframe(FRAME[["time_s"]]), "no column is named as a command"),
-        (lambda: Record.from_dataframe(FRAME.iloc[:0]), "0 samples in a row, expected at least 20"),
+        (lambda: Record.from_dataframe(FRAME.iloc[:0]), "has 0 samples, expected at least 20"),
         (lambda: Record.from_dataframe(FRAME.assign(displacement_mm="x")), "expected numbers, got"),
         (lambda: Record.from_dataframe(FRAME.assign(command_A=0.0)), "either command or lifting_command"),
         (

@@ -80,7 +80,7 @@ SIGNED = '[signals]\ncommand = "valve_V"\n'
         ("signals = 3", ["'signals'", "got 3"]),
         ('[split]\ntest = "x"', ["'split.test'", "got 'x'"]),
         ("[split]\ntest = []", ["'split.test'", "at least 1"]),
-        ("[split]", ["'split.test'", "required"]),
+        ("[split]", ["'split.test'", "expected a value"]),
         ('[tests]\nx = "liftng"', ["'tests.x'", "'lifting'", "got 'liftng'"]),
         ("[signals]\ntime =\n", ["not valid TOML", "line 2"]),
         ('x = "a"\nx = "b"', ["not valid TOML"]),

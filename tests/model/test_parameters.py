@@ -238,7 +238,7 @@ def test_a_changed_model_is_saved_and_says_so_in_validation_and_report(tmp_path)
     gain_row = parameter_table("lifting", again.uncertainty[LIFTING].benchmark).rows[0]
     assert gain_row == ("K", "mm/(s·A)", "25", "", "", "", "set by hand")
     source = Origin(again.provenance, again.step_s, {})
-    assert ("set by hand: lifting", "dead_time: 0.02; gain: 25.0") in origin(source, "").blocks[1].rows
+    assert ("set by hand: lifting", "dead_time = 0.02, gain = 25") in origin(source, "").blocks[1].rows
 
 
 def test_the_report_of_a_changed_model_tells_what_has_no_interval():

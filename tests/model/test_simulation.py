@@ -213,7 +213,7 @@ def test_the_table_has_a_row_for_each_sample_and_its_unit_in_the_name():
 def test_without_pandas_the_table_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
     run = INTEGRATORS.simulate(commands_of(), step_s=STEP_S, initial=START)
-    with pytest.raises(InputError, match="pip install pandas"):
+    with pytest.raises(InputError, match=r"pip install 'hitchid\[pandas\]'"):
         run.to_dataframe()
 
 

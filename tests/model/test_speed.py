@@ -5,7 +5,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given, reject, settings
 from hypothesis import strategies as st
 
 import handmade
@@ -182,7 +182,12 @@ def test_the_speed_at_the_command_for_a_speed_is_that_speed(
     at = {"displacement": displacement, "load": load}
     slowest, fastest = (float(model.speed(command, **at).speed) for command in (0.3513, 1.55))
     speeds = np.unique([slowest + share * (fastest - slowest) for share in shares])
-    table = model.inverse_table(speeds=speeds[speeds > 0], **at)
+    try:
+        table = model.inverse_table(speeds=speeds[speeds > 0], **at)
+    except InputError as error:
+        if "too flat" not in str(error):
+            raise
+        reject()
     np.testing.assert_allclose(model.speed(table.command, **at).speed, table.speed, rtol=1e-9)
     assert np.all(np.diff(table.command) > 0)
 

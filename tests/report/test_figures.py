@@ -251,7 +251,7 @@ def test_a_model_has_one_colour_in_all_figures():
         colours(figures.outputs(tests, "mm", ("benchmark", "one_step", "free_run")).axes[0]),
         colours(DRAWN["error_distribution"]("mm").axes[0]),
     ]
-    assert {"grey box", "benchmark", "grey box, one step", "ARX"} <= set().union(*found)
+    assert {"grey box", "physics model", "grey box, one step", "ARX"} <= set().union(*found)
     for name in set().union(*found):
         assert len(set().union(*(each.get(name, set()) for each in found))) == 1, name
 
@@ -512,7 +512,7 @@ def test_structures_show_both_errors_in_the_order_that_was_given():
     candidates = reported.trace(candidates=4).candidates
     axes = figures.structures(candidates, "mm").axes[0]
     by_place = sorted(zip(axes.get_yticks(), (t.get_text() for t in axes.get_yticklabels()), strict=True))
-    names = [f"{each.name}{' (taken)' if each.chosen else ''}" for each in candidates]
+    names = [f"{each.name}{' (chosen)' if each.chosen else ''}" for each in candidates]
     assert [text for _, text in by_place[::-1]] == [fill(name, 24) for name in names]
     everywhere, held_out = axes.get_lines()
     np.testing.assert_array_equal(everywhere.get_xdata(), [each.rmse for each in candidates])

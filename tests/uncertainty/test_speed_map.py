@@ -309,4 +309,4 @@ def test_characteristics_are_told_in_plain_words(batch_of):
     assert zone == "dead zone 0 A"
     assert f"{point.speed:.3g} mm/s ({point.interval[0]:.4g} … {point.interval[1]:.4g}) at 1 A" in speeds
     assert speeds.startswith("the piston lifts at mid stroke")
-    assert times.startswith("after a step to 0.7 A motion begins")
+    assert times.startswith("after a step to 0.7 A motion starts")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hitchid._support.dataframes import dataframe
+from hitchid._support.summary import shortened
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -49,7 +50,7 @@ class DataTable:
         return len(self.rows)
 
     def __repr__(self) -> str:
-        return f"DataTable({self.name!r}: {len(self.rows)} rows of {', '.join(self.columns)})"
+        return shortened(f"DataTable({self.name!r}: {len(self.rows)} rows of {', '.join(self.columns)})")
 
     def csv(self) -> bytes:
         """Return the table as CSV in UTF-8: numbers as read back exactly, empty cells for no value."""

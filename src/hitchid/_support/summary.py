@@ -65,12 +65,16 @@ class Summarised(abc.ABC):
 
 
 def screen(lines: Sequence[str], last: Sequence[str] = ()) -> str:
-    """Return lines and last lines as text; lines that do not fit on the screen are counted instead."""
+    """Return lines and last lines as text; lines too many are counted instead, long ones are cut."""
     last = last[: MAX_LINES // 2]
     room = MAX_LINES - len(last)
     if len(lines) > room:
         lines = [*lines[: room - 1], f"{GAP}… {len(lines) - room + 1} more lines"]
-    return "\n".join([*lines, *last])
+    return "\n".join(_cut(line) for line in [*lines, *last])
+
+
+def _cut(line: str) -> str:
+    return line if len(line) <= MAX_WIDTH else f"{line[: MAX_WIDTH - 1]}…"
 
 
 def shortened(text: str, width: int = MAX_WIDTH) -> str:

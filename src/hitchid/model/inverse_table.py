@@ -12,6 +12,7 @@ from hitchid._support import checks
 from hitchid._support.dataframes import dataframe
 from hitchid._support.precision import double_precision
 from hitchid._support.storage import write_bytes
+from hitchid._support.summary import GAP, screen
 from hitchid.data.record import COMMAND, DISPLACEMENT
 from hitchid.errors import InputError
 from hitchid.model.channel import Channel
@@ -58,7 +59,7 @@ class InverseTable:
         left_out = [f"… {len(self) - 2 * SHOWN_ROWS} more"] if len(rows) > 2 * SHOWN_ROWS else []
         if left_out:
             rows = [*rows[:SHOWN_ROWS], *left_out, *rows[-SHOWN_ROWS:]]
-        return "\n  ".join([f"InverseTable: {self.direction}, {len(self)} rows", *rows])
+        return screen([f"InverseTable: {self.direction}, {len(self)} rows", *(f"{GAP}{row}" for row in rows)])
 
     def __iter__(self):
         """Return an iterator over pairs of speed and command."""

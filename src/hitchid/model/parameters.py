@@ -7,6 +7,8 @@ from math import isclose
 from typing import TYPE_CHECKING, overload
 
 from hitchid._support.dataframes import dataframe
+from hitchid._support.short_repr import short_repr
+from hitchid._support.summary import screen
 from hitchid.data.record import COMMAND, DISPLACEMENT
 from hitchid.errors import InputError
 from hitchid.model.channel import Channel
@@ -26,6 +28,7 @@ MAX_LINES, MAX_VERDICT = 25, 44  # of a table as text: lines, and characters of 
 HEADER = ("direction", "name", "symbol", "value", "unit", "standard error", "95 %", "verdict")
 
 
+@short_repr
 @dataclass(frozen=True)
 class ParameterRow:
     """One parameter of a model.
@@ -110,10 +113,7 @@ class ParameterTable(Sequence[ParameterRow]):
             "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
             for row in cells
         ]
-        if len(lines) > MAX_LINES:
-            left_out = len(lines) - MAX_LINES + 1
-            lines = [*lines[: MAX_LINES - 1], f"… {left_out} more, see `to_dataframe()`"]
-        return "\n".join(lines)
+        return screen(["ParameterTable", *lines])
 
     def _repr_html_(self) -> str:
         head = "".join(f"<th>{escape(cell)}</th>" for cell in HEADER)

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hitchid._support.precision import double_precision
+from hitchid._support.short_repr import short_repr
 from hitchid.data.test_kinds import effective_command
 from hitchid.model.channel import Channel
 from hitchid.model.step_response import speed_lag
@@ -48,6 +49,7 @@ class Banded(NamedTuple):
         return Banded(function(self.value), function(self.lower), function(self.upper))
 
 
+@short_repr
 class StepResponse(NamedTuple):
     """Response from rest to one command step at time zero.
 
@@ -66,6 +68,7 @@ class StepResponse(NamedTuple):
     speed: Banded
 
 
+@short_repr
 class FrequencyResponse(NamedTuple):
     """Response from command to travel over frequency.
 

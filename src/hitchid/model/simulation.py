@@ -11,6 +11,7 @@ from numpy.typing import DTypeLike
 from hitchid._support import checks
 from hitchid._support.dataframes import dataframe
 from hitchid._support.precision import double_precision
+from hitchid._support.summary import GAP, screen
 from hitchid.data.record import DISPLACEMENT, Record, held_rows
 from hitchid.data.units import conversion_factor
 from hitchid.errors import InputError
@@ -141,7 +142,7 @@ class Simulation:
             f"{self.time_s[0]:.4g} to {self.time_s[-1]:.4g} s, "
             f"displacement {lowest:.4g} to {highest:.4g} {self.unit}"
         )
-        return "\n  ".join([sentence, *self.flags])
+        return screen([sentence, *(f"{GAP}{flag}" for flag in self.flags)])
 
     @cached_property
     @double_precision

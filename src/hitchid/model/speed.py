@@ -11,6 +11,7 @@ from scipy.special import ndtri
 
 from hitchid._support import checks
 from hitchid._support.precision import double_precision
+from hitchid._support.short_repr import short_repr
 from hitchid.data.record import DISPLACEMENT
 from hitchid.model.bands import Band
 from hitchid.model.channel import Channel
@@ -27,6 +28,7 @@ STROKE_AND_LOAD = ("position_slope", "position_curve", "load_gain")  # parameter
 INSTEAD = "`simulate` with a constant command"
 
 
+@short_repr
 class SteadySpeed(NamedTuple):
     """Steady speed at constant command.
 

@@ -143,6 +143,7 @@ class Signals:
     command_unit: Mapping[str, str]
 
 
+@short_repr
 @dataclass(frozen=True)
 class Document:
     """A report.

@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from hitchid._support.checks import number
 from hitchid._support.precision import double_precision
+from hitchid._support.short_repr import short_repr
 from hitchid.errors import InputError
 from hitchid.structures.physical_model import PhysicalModel
 from hitchid.structures.static_nonlinearity import NEUTRAL, StaticNonlinearity
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from scipy import signal
 
 
+@short_repr
 @dataclass(frozen=True)
 class LinearModel:
     """x[k+1] = A x[k] + B u[k], y[k] = C x[k]; without a sampling time ẋ = A x + B u, y = C x.

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from hitchid._support.dataframes import dataframe
 from hitchid._support.metrics import SIGNIFICANCE, holm
+from hitchid._support.short_repr import short_repr
 from hitchid._support.summary import Summarised, Summary, count
 from hitchid.validation.names import FREE_RUN, GREYBOX, ONE_STEP
 from hitchid.validation.predictions import Predictions
@@ -25,6 +26,7 @@ class Standing(Enum):
     SIMILAR = "not distinguishable"
 
 
+@short_repr
 @dataclass(frozen=True)
 class LeaderboardRow:
     """One model on the tests of one section.

@@ -1,7 +1,6 @@
 """What validations and comparisons show of themselves: the main figures of every model."""
 
 from collections.abc import Iterable
-from string import ascii_uppercase
 
 from hitchid._support.sparkline import sparkline
 from hitchid._support.summary import Summary, count, first_notes
@@ -31,17 +30,17 @@ def validation_summary(validation: Validation) -> Summary:
 
 
 def comparison_summary(comparison: ModelComparison) -> Summary:
-    """Return the errors of the models that are compared, and which of them is better."""
+    """Return the errors of the models that are compared, by rank, and which of them is better."""
     rows, pictures, notes = [], [], []
-    sections = [(section, comparison.accuracy(section)) for section in comparison.sections]
-    for section, by_model in sections:
-        for label, accuracy in zip(ascii_uppercase, by_model, strict=False):
-            rows.append((section, label, *_cells(accuracy.models[GREYBOX])))
-            pictures.append(_picture(section, accuracy))
+    for section in comparison.sections:
+        by_label = dict(zip(comparison.labels, comparison.accuracy(section), strict=True))
+        for row in comparison.leaderboard().section(section):
+            rows.append((section, row.name, *_cells(by_label[row.label].models[GREYBOX])))
+            pictures.append(_picture(section, by_label[row.label]))
         better = comparison.verdict(section).better
         verdict = "no significant difference" if better is None else f"{better} is better"
         notes.append(f"{section}: {verdict}")
-    tests = _tests((section, by_model[0]) for section, by_model in sections)
+    tests = _tests((section, comparison.accuracy(section)[0]) for section in comparison.sections)
     return Summary(
         f"Comparison of models on {tests}",
         ("direction", "model", *_header(comparison.unit)),
