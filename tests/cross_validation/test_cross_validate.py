@@ -121,7 +121,7 @@ def test_a_fold_that_fails_gives_its_error_and_leaves_the_others(campaign, setti
 
 
 def test_where_every_fold_fails_the_error_is_that_of_the_first(campaign, settings):
-    with pytest.raises(SettingsError, match="lifting: dead_zone: .*got 5"):
+    with pytest.raises(SettingsError, match=r"lifting: dead_zone: .*got 5"):
         hitchid.cross_validate(campaign, 2, **settings, dead_zones={LIFTING: 5.0})
 
 
