@@ -39,6 +39,7 @@ INTERNAL = (
     "_support.checkpoints",
     "estimation.search_problem",
     "identification.phase1.Fit",
+    "model.commands",
     "model.free_run.FreeRunInputs",
     "model.responses.Banded",
     "model.simulation.SimulatedModel",

@@ -798,9 +798,9 @@ def test_models_come_first_and_logs_follow(refused, tests_with_a_cycle, model, t
     out, logs = tmp_path / "out", tests_with_a_cycle
     for arguments, said in (
         ((model,), ["two or more model folders", str(model)]),
-        ((model, logs), [str(logs), "expected a model folder"]),
-        ((logs, model, model), [str(logs), "expected a model folder"]),
-        ((model, tmp_path / "nope", logs), [str(tmp_path / "nope"), "expected a model folder"]),
+        ((model, logs), [str(logs), "is not a model folder"]),
+        ((logs, model, model), [str(logs), "is not a model folder"]),
+        ((model, tmp_path / "nope", logs), [str(tmp_path / "nope"), "is not a model folder"]),
         ((model, model), ["expected logs after the 2 model folders, got none"]),
         ((model, model, logs), [f"two models are called '{model}'"]),
     ):

@@ -219,13 +219,13 @@ def test_slices_and_names_select_a_campaign(numbered):
 @pytest.mark.parametrize(
     ("key", "message"),
     [
-        ("up1", "there is no test 'up1' among its 4; is it 'up-1'"),
-        ("zzz", "there is no test 'zzz' among its 4"),
-        (4, "number of one of its 4 tests, got 4"),
-        (-5, "number of one of its 4 tests, got -5"),
+        ("up1", "none of the 4 tests is named 'up1'; did you mean 'up-1'"),
+        ("zzz", "none of the 4 tests is named 'zzz'"),
+        (4, "test index from -4 to 3, got 4"),
+        (-5, "test index from -4 to 3, got -5"),
         (slice(7, 9), "no test is selected"),
         ([], "no test is selected"),
-        (["up-1", "up-5"], "there is no test 'up-5'"),
+        (["up-1", "up-5"], "named 'up-5'"),
     ],
 )
 def test_a_test_that_is_not_there_is_refused_by_name(numbered, key, message):

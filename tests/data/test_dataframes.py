@@ -257,9 +257,9 @@ FRAME = pd.DataFrame(columns())
         (lambda: Record.from_dataframe(FRAME.assign(command_A=0.0)), "either command or lifting_command"),
         (
             lambda: Record.from_dataframe(FRAME.assign(lifting_command_A=0.0)),
-            "are both named lifting_command",
+            "both match lifting_command",
         ),
-        (lambda: Record.from_dataframe(pd.concat([FRAME, FRAME], axis=1)), "are both named time"),
+        (lambda: Record.from_dataframe(pd.concat([FRAME, FRAME], axis=1)), "both match time"),
         (lambda: Record.from_dataframe(FRAME, signals={**TWO, "time": "time_s"}), "'x_mm': there is no such"),
         (lambda: Campaign.from_dataframes(FRAME), "frames: expected a list of tables, or name to table"),
         (lambda: Campaign.from_dataframes([FRAME, 3]), "frames: 'test-2': expected a table"),

@@ -158,7 +158,7 @@ def test_the_gain_at_the_operating_point_is_the_slope_of_the_speed():
 
 def test_nonlinear_structures_and_closed_valves_are_refused():
     model = handmade.hitch(shape=True)
-    with pytest.raises(InputError, match=r"the valve is closed 0\.05 beyond the dead zone; expected more"):
+    with pytest.raises(InputError, match=r"beyond the dead zone, where the valve opens; got 0\.05"):
         model.to_control(LIFTING, 0.01, command=handmade.DEAD_ZONES[LIFTING] + 0.05)
     with pytest.raises(InputError, match=r"beyond the dead zone of 0.35, got 0.3"):
         model.to_control(LIFTING, 0.01, command=0.3)

@@ -105,15 +105,15 @@ def test_a_table_is_a_sequence_of_rows():
 
 def test_a_table_shows_on_one_screen_and_in_a_notebook():
     table = assessed().parameters
-    assert len(repr(table).splitlines()) == 9
+    assert len(repr(table).splitlines()) == 10
     html = table._repr_html_()
     assert html.count("<tr>") == 9
     assert "29 … 31" in html
     row = replace(table.rows[0], verdict="not determined: " + 30 * "wide ")
     long = ParameterTable((row,) * 40)
     assert len(repr(long).splitlines()) == 25
-    assert repr(long).splitlines()[-1] == "… 17 more, see `to_dataframe()`"
-    assert max(map(len, repr(long).splitlines())) < 160
+    assert repr(long).splitlines()[-1] == "  … 18 more lines"
+    assert max(map(len, repr(long).splitlines())) <= 110
 
 
 def test_a_table_is_a_dataframe_where_pandas_is_installed(monkeypatch):
@@ -173,7 +173,7 @@ def test_another_interval_stays_where_its_estimate_hardly_depends_on_what_was_se
     row = changed.parameters[LIFTING, "time_constant"]
     assert (row.standard_error is not None) == kept
     assert (row.interval != (None, None)) == kept
-    assert row.verdict == ("determined" if kept else "no interval: fitted with another gain")
+    assert row.verdict == ("determined" if kept else "no interval: estimated with a different value of gain")
     assert changed.parameters[LIFTING, "gain"].verdict == "set by hand"
     assert changed.parameters[LIFTING, "gain"].interval == (None, None)
 

@@ -266,7 +266,7 @@ def test_commands_with_a_gap_are_refused_where_they_start_from_one_displacement(
     time_s = STEP_S * np.arange(SAMPLES)
     time_s[60:] += 10
     text = lines(alone(time_s=time_s))
-    with pytest.raises(InputError, match="gaps divide the commands into 2 parts"):
+    with pytest.raises(InputError, match="split into 2 parts"):
         simulated(lifter, tmp_path, text, initial=InitialValues(120.0))
 
 

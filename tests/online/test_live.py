@@ -137,7 +137,7 @@ def test_of_two_samples_for_one_time_the_later_counts():
         each.process(full(0.0))
     live.process(sample(0.006, LIFT, 0.0, 102.0))
     answer = live.process(sample(0.014, 0.0, LIFT))
-    assert said(answer, "early: the sample at 0.014 s replaces that at 0.006 s")
+    assert said(answer, "early: the samples at 0.006 s and 0.014 s are in the same sampling step")
     expected = told.process(sample(0.01, 0.0, LIFT, 102.0))
     assert (answer.displacement, answer.mode) == (expected.displacement, expected.mode)
 

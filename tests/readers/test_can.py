@@ -317,7 +317,8 @@ def test_ids_of_29_bits_are_met_exactly_where_nothing_says_j1939(tmp_path, sourc
     np.testing.assert_array_equal(read.channels["x"].values, [0xF0, 0xF2, 0xF4])
     with pytest.raises(
         LogError,
-        match=r"'x': its message 'Own', id 0x18ff1000, .*PGN 65296 is, from source address 0x01.*J1939PG",
+        match=r"'x': the message 'Own' of this signal, id 0x18ff1000, .*PGN 65296 are in the log, from source "
+        r"address 0x01.*J1939PG",
     ):
         read_bus(frames[1::2], source, wanted("x", databases=[database]))
 
@@ -476,7 +477,9 @@ def test_a_log_without_frames_or_without_known_ones_is_refused(plain, source):
         read_bus([Frame(0.0, 1, 0, False, None)], source, wanted(databases=[plain]))
     with pytest.raises(LogError, match="1 frames"):
         read_bus([frame(0, 0x7FF, bytes(8))], source, wanted(databases=[plain]))
-    with pytest.raises(LogError, match=r"'Count': its message 'Hitch', id 0x123, is not in the log$"):
+    with pytest.raises(
+        LogError, match=r"'Count': the message 'Hitch' of this signal, id 0x123, is not in the log$"
+    ):
         read_bus([frame(0, 0x7FF, bytes(8))], source, wanted("Count", databases=[plain]))
     with pytest.raises(LogError, match=r"'Nothing': .*Other/Speed"):
         read_bus([frame(0, 0x200, bytes(8))], source, wanted("Nothing", databases=[plain]))

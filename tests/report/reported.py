@@ -61,7 +61,7 @@ def horizons(
     errors = {
         name: tuple(0.01 * (1 + place) * step**0.7 for step in STEPS) for place, name in enumerate(names)
     }
-    return Horizons(STEPS, errors)
+    return Horizons(STEPS, errors, {name: tuple(0.1 * rmse for rmse in row) for name, row in errors.items()})
 
 
 def residuals(*, seed=0, level=None):

@@ -65,9 +65,9 @@ def test_parameters_are_double_whatever_the_caller_is_set_to(rig):
             ["got 0.1 A", "more than the dead zone"],
         ),
         ("friction", "static", {"value": 1, "unit": "N"}, ["got 1 N", "at least friction.coulomb"]),
-        ("linkage", "lift_rod", {"value": 1.4, "unit": "m"}, ["four-bar closes", "(-1, 1)"]),
-        ("linkage", "retracted_length", {"value": 0.6, "unit": "m"}, ["triangle closes", "(-1, 1)"]),
-        ("linkage", "sensor_offset", {"value": 80, "unit": "deg"}, ["angle sensor reads", "0 to 1.57"]),
+        ("linkage", "lift_rod", {"value": 1.4, "unit": "m"}, ["lift-rod angle", "(-1, 1)"]),
+        ("linkage", "retracted_length", {"value": 0.6, "unit": "m"}, ["cylinder angle", "(-1, 1)"]),
+        ("linkage", "sensor_offset", {"value": 80, "unit": "deg"}, ["angle at the sensor", "0 to 1.57"]),
     ],
 )
 def test_bad_values_are_refused_by_name(tables, table, key, entry, said):

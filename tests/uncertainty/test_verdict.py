@@ -63,14 +63,26 @@ def test_units_are_those_of_the_log():
     ("parameter", "interval", "words"),
     [
         # The fastest that samples every 10 ms show is π/0.01 = 314 rad/s, a time of 3.18 ms.
-        (FREQUENCY, (320.0, None), "ωh > 320 rad/s at 95 %; too fast for a sampling time of 0.01 s"),
+        (
+            FREQUENCY,
+            (320.0, None),
+            "ωh > 320 rad/s at 95 %; faster than can be identified at a sampling time of 0.01 s",
+        ),
         (
             FREQUENCY,
             (320.0, 900.0),
-            "ωh from 320 to 900 rad/s at 95 %; too fast for a sampling time of 0.01 s",
+            "ωh from 320 to 900 rad/s at 95 %; faster than can be identified at a sampling time of 0.01 s",
         ),
-        (TIME, (None, 0.003), "τ < 0.003 s at 95 %; too fast for a sampling time of 0.01 s"),
-        (TIME, (0.001, 0.003), "τ from 0.001 to 0.003 s at 95 %; too fast for a sampling time of 0.01 s"),
+        (
+            TIME,
+            (None, 0.003),
+            "τ < 0.003 s at 95 %; faster than can be identified at a sampling time of 0.01 s",
+        ),
+        (
+            TIME,
+            (0.001, 0.003),
+            "τ from 0.001 to 0.003 s at 95 %; faster than can be identified at a sampling time of 0.01 s",
+        ),
     ],
 )
 def test_no_excitation_is_advised_that_the_sampling_cannot_show(parameter, interval, words):

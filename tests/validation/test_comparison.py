@@ -224,7 +224,7 @@ def test_what_is_said_of_one_model_alone_is_said_with_its_name(campaign):
 
 
 def test_where_every_test_was_used_there_is_nothing_to_compare(campaign):
-    with pytest.raises(InputError, match="expected tests that none of them has seen"):
+    with pytest.raises(InputError, match="expected at least one test that none of them used"):
         compare([having_seen(RIGHT, *campaign.records), SLOW], campaign)
 
 

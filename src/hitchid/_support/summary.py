@@ -30,7 +30,7 @@ class Summary:
 
     def text(self) -> str:
         """Return at most 25 lines of at most 110 characters."""
-        notes = [line for note in self.notes for line in _wrapped(GAP, note)[:NOTE_LINES]]
+        notes = [line for note in self.notes for line in wrapped(GAP, note)[:NOTE_LINES]]
         table = _table_lines([self.header, *self.rows])
         return screen([shortened(self.title), *table], notes)
 
@@ -106,11 +106,12 @@ def _table_lines(rows: Sequence[Sequence[str]]) -> list[str]:
     lines = []
     for *cells, last in rows:
         padded = [shortened(cell, width).ljust(width) for cell, width in zip(cells, widths, strict=True)]
-        lines += _wrapped(GAP + "".join(cell + GAP for cell in padded), last)
+        lines += wrapped(GAP + "".join(cell + GAP for cell in padded), last)
     return lines
 
 
-def _wrapped(start: str, text: str) -> list[str]:
+def wrapped(start: str, text: str) -> list[str]:
+    """Return a text in lines that fit on the screen, the first after `start`, the others indented as far."""
     lines = textwrap.wrap(" ".join(text.split()), max(MAX_WIDTH - len(start), MAX_WIDTH // 4)) or [""]
     return [(start + lines[0]).rstrip(), *(" " * len(start) + line for line in lines[1:])]
 

@@ -159,8 +159,10 @@ def motion_before_command(context: CampaignContext) -> list[AuditFinding]:
             test.finding(
                 "motion before command",
                 Severity.FAULT if clocks_disagree and not creeping else Severity.WARNING,
-                f"the displacement {verb} by {travelled:.3g} {test.quality.unit} "
-                f"before any command changes; the motion starts {lead_s:.3g} s earlier",
+                (
+                    f"the displacement {verb} by {travelled:.3g} {test.quality.unit} before any "
+                    f"command changes; the motion starts {lead_s:.3g} s before the command"
+                ),
                 "let the piston come to rest before a test"
                 if creeping
                 else "check that command and displacement are logged on one clock, or start tests at rest",

@@ -60,7 +60,10 @@ def idle_commands(context: CampaignContext) -> list[AuditFinding]:
                 f"the {direction} command is never below {smallest:.3g} {unit} in any log, "
                 f"{smallest / scale:.0%} of the largest"
             )
-            advice = "subtract the offset, or log one test from rest: the offset adds to the dead zone"
+            advice = (
+                "subtract the offset from the command, or log one test that starts at command "
+                "zero: the offset makes the dead zone too large"
+            )
             findings.append(
                 AuditFinding("idle command", Severity.WARNING, "", COMMAND[direction], (), what, advice)
             )

@@ -102,7 +102,10 @@ def update_rate(context: RecordContext) -> list[AuditFinding]:
     middle, long = np.percentile(spacing, [50, 90])
     if middle > REPEATS and long <= MAX_SPACING_RATIO * middle:
         what = f"the displacement is updated every {middle * step_s:.3g} s but logged every {step_s:g} s"
-        advice = "log at the update rate of the sensor; shorter dead times cannot be identified"
+        advice = (
+            "log at the update rate of the sensor; a dead time shorter than the update "
+            "interval cannot be identified"
+        )
         return [context.finding("sampling", Severity.WARNING, what, advice)]
     share = np.count_nonzero(steps) / steps.size
     what = (

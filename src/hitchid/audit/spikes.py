@@ -40,7 +40,10 @@ def spikes(context: RecordContext) -> list[AuditFinding]:
             Severity.WARNING,
             f"{len(pairs)} spike{'s' * (len(pairs) > 1)} of up to {max(heights):.3g} {unit} in the "
             f"displacement, first at {first_s:.6g} s",
-            "check the sensor's cable, shield and slider; spikes are fitted as motion",
+            (
+                "check the sensor's cable, shield and slider; remove the spikes from the log: "
+                "the identification treats them as real motion"
+            ),
             intervals=pairs,
         )
     ]

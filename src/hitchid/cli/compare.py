@@ -83,7 +83,8 @@ def _split(paths: list[Path]) -> tuple[list[Path], list[Path]]:
         raise InputError(f"expected two or more model folders, then logs; got {paths[0]} alone")
     if count < 2:
         raise InputError(
-            f"{paths[count]}: expected a model folder (with model.json), for two or more come before the logs"
+            f"{paths[count]}: is not a model folder (no model.json); expected two or more "
+            "model folders before the logs"
         )
     if count == len(paths):
         raise InputError(f"expected logs after the {count} model folders, got none")

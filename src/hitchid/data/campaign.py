@@ -158,7 +158,9 @@ class Campaign(Value, Summarised):
             return self.records[self._index(key)]
         if isinstance(key, int | np.integer):
             if not -len(self) <= key < len(self):
-                raise InputError(f"campaign: expected the number of one of its {len(self)} tests, got {key}")
+                raise InputError(
+                    f"campaign: expected a test index from {-len(self)} to {len(self) - 1}, got {key}"
+                )
             return self.records[key]
         if isinstance(key, slice):
             chosen = self.records[key]
@@ -174,7 +176,9 @@ class Campaign(Value, Summarised):
         if name in names:
             return names.index(name)
         nearest = get_close_matches(name, names, n=1) or names[:1]
-        raise InputError(f"campaign: there is no test '{name}' among its {len(self)}; is it '{nearest[0]}'?")
+        raise InputError(
+            f"campaign: none of the {len(self)} tests is named '{name}'; did you mean '{nearest[0]}'?"
+        )
 
     @property
     def notices(self) -> tuple[Notice, ...]:

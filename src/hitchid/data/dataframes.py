@@ -155,7 +155,11 @@ def _map_by_name(name: str, columns: Iterable[str]) -> SignalMap:
         signal = STEMS.get(column.removesuffix(f"_{unit}"))
         if signal in found:
             raise LogError(
-                name, f"'{found[signal]}' and '{column}' are both named {signal}; expected `signals`"
+                name,
+                (
+                    f"the columns '{found[signal]}' and '{column}' both match {signal}; expected "
+                    "`signals` to name one of them"
+                ),
             )
         if signal is not None:
             found[signal] = column
@@ -181,7 +185,8 @@ def _content(
     for column in [column.column for column in (*mapped, *signals.covariates) if column is not None]:
         if column not in columns:
             problem = (
-                f"there is no such column; expected it, or another in `signals`; found {', '.join(columns)}"
+                "there is no such column; expected this column in the table, or another name "
+                f"in `signals`; found {', '.join(columns)}"
             )
             raise LogError(name, problem, column=column)
         values, unit = _numbers(frame[column], name, column)
@@ -203,8 +208,9 @@ def _time(name: str, frame: Frame, columns: list[str], time: Column, units: Mapp
             values, unit = _numbers(index, name, label)
             return LogChannel(values, unit or units.get(label) or unit_of_column(label))
     problem = (
-        "there is no such column, and the index is no time; expected one of them, or the name of the time's "
-        f"column in `signals`; found {', '.join(columns)}"
+        "there is no such column, and the index is not a time; expected this column, a "
+        "time index, or the name of the time column in `signals`; found "
+        f"{', '.join(columns)}"
     )
     raise LogError(name, problem, column=time.column)
 

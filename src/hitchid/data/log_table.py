@@ -54,8 +54,9 @@ def table_of(content: Content, signals: SignalMap) -> LogTable:
     columns = _columns_by_role(signals, content)
     if TIME not in columns and signals.time.column != DEFAULT_SIGNALS.time.column:
         problem = (
-            "there is no such channel; every channel has its own clock: name an existing channel as time in "
-            "campaign.toml, or remove this line"
+            "there is no such channel, and none is needed, because every channel has its "
+            "own clock: remove this line from campaign.toml, or name an existing channel "
+            "as time"
         )
         raise LogError(content.source, problem, column=signals.time.column)
     converted, notices = {}, list(content.notices)

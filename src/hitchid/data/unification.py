@@ -119,8 +119,11 @@ def _to_common_clock(record: Record, step_s: float) -> Record:
     if not 1 / MAX_RATE_RATIO <= record.step_s / step_s <= MAX_RATE_RATIO:
         raise LogError(
             record.source or record.name,
-            f"has a sampling time of {record.step_s:.4g} s, the median of the logs is {step_s:.4g} s; "
-            f"expected a ratio of at most {MAX_RATE_RATIO}",
+            (
+                f"has a sampling time of {record.step_s:.4g} s, the median of the logs is "
+                f"{step_s:.4g} s; expected at most {MAX_RATE_RATIO} times longer or shorter "
+                "than the median"
+            ),
         )
     return replace(record, step_s=step_s) if drift <= 0.05 * step_s else record.resample(step_s)
 

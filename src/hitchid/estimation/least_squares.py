@@ -24,7 +24,10 @@ class StopReason(Enum):
 
     CONVERGED = "converged: the sum of squares no longer decreases"
     LIMIT = "the maximum number of steps was reached; more may improve the fit"
-    NOT_FINITE = "every step led to a simulation or derivative that is not finite; narrow the bounds"
+    NOT_FINITE = (
+        "after every step the simulation or its derivatives contained infinite or NaN "
+        "values; set narrower bounds"
+    )
 
 
 class Minimum(NamedTuple):
@@ -137,7 +140,10 @@ def refine(
     """
     minimum = minimise(problem.normal_equations, start, limit=limit, tolerance=tolerance)
     if minimum is None:
-        raise FitError("the simulation is not finite at the start of least squares; narrow the bounds")
+        raise FitError(
+            "at the start values of least squares the simulation contains infinite or NaN "
+            "values; set narrower bounds"
+        )
     return LeastSquaresResult(
         position=minimum.position,
         fitness=float(np.sqrt(minimum.equations.cost / problem.samples)),

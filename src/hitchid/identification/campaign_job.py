@@ -140,8 +140,9 @@ class CampaignJob:
             fingerprints |= _fingerprints(campaign, campaign.directions)
         if not campaign.directions:
             raise InputError(
-                "no test moves the piston in one direction, and no cycle contains a stroke; measure "
-                "tests with commands well above the dead zone, and check the units of the signals"
+                "no log contains lifting or lowering motion that can be identified; measure "
+                "tests with commands well above the dead zone, and check the units of the "
+                "signals"
             )
         channel_data = {
             m: prepare(campaign, m, dead_zones.get(m), covariate=specs[m].covariate)

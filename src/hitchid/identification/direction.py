@@ -75,7 +75,7 @@ def with_calibrated_gain(
     channel = with_gain(channel, factor)
     assessment = trace.phase1.assessment.scaled(channel.benchmark.structure.gain, factor)
     phase1 = replace(trace.phase1, benchmark=channel.benchmark, assessment=assessment)
-    notice = f"gain multiplied by {factor:.4f} for the smallest free-run error on mixed logs"
+    notice = f"the gain was multiplied by {factor:.4f} to make the free-run error on the mixed logs smallest"
     scaled_characteristics = trace.characteristics and trace.characteristics.scaled(factor)
     return channel, replace(
         trace, phase1=phase1, notices=(*trace.notices, notice), characteristics=scaled_characteristics

@@ -38,7 +38,10 @@ class HoldoutTest:
             float(np.sqrt(np.mean(errors**2))) for errors in (self.benchmark, self.compensated)
         )
         better = int(np.sum(self.compensated < self.benchmark))
-        figures = f"RMSE {benchmark_rmse:.4g} without, {compensated_rmse:.4g} with it in cross-validation"
+        figures = (
+            f"cross-validation RMSE {benchmark_rmse:.4g} without the LSTM correction, "
+            f"{compensated_rmse:.4g} with it"
+        )
         outcome = "LSTM correction" if self.accepted else "no LSTM correction"
         return f"{outcome} in free run: {figures}, smaller in {better} of {self.benchmark.size} tests"
 

@@ -152,8 +152,8 @@ def _spec(direction: str, section: ChannelSection) -> ModelSpec | AutoStructure:
         decided = section.model_fields_set - {"structure", "load", "dead_zone"}
         if decided:
             raise InputError(
-                f"{direction}: structure '{AUTOMATIC}' determines {' and '.join(sorted(decided))} itself; "
-                "name a structure to set this"
+                f"{direction}: structure '{AUTOMATIC}' determines "
+                f"{' and '.join(sorted(decided))} itself; remove these keys, or name a structure"
             )
         return replace(DEFAULT_STRUCTURES[direction], covariate=section.load)
     return ModelSpec(

@@ -234,7 +234,10 @@ def _reason(role: str, best: _Guess) -> str:
         return f"one signed column that moves {best.displacement} in both directions"
     direction = "up" if role == "lifting_command" else "down"
     other = "with the other command" if len(best.commands) == 2 else "alone"
-    return f"one-sided, {other} it moves {best.displacement}; {direction} by its name or the motion"
+    return (
+        f"one-sided; {other}, it moves {best.displacement}; direction {direction} from "
+        "its name or from the motion"
+    )
 
 
 def _rest_reading(best: _Guess, timed: Sequence[tuple[Content, Mapping[str, np.ndarray]]]) -> float | None:

@@ -138,12 +138,16 @@ class _Inverse:
         """Return speeds from zero to that at the largest command of the tests."""
         highest = self.channel.dead_zone + float(self.channel.operating_range.command.highest)
         if not np.isfinite(highest):
-            raise InputError("speeds: the model has no range of commands; expected speeds, got None")
+            raise InputError(
+                "speeds: the range of the test commands is not stored in this model, so there "
+                "are no default speeds; give `speeds`"
+            )
         fastest = self._speeds(np.array([highest]))[0]
         if not fastest > 0:
             raise InputError(
-                f"direction: nothing moves at the largest command of the tests, {highest:.4g} "
-                f"{self.command_unit}, at this displacement and load; expected an open valve"
+                "direction: the piston does not move at the largest command of the tests, "
+                f"{highest:.4g} {self.command_unit}, at this displacement and load: the valve "
+                "is closed there; choose another displacement or load, or give the speeds"
             )
         self._check_rising(highest)
         return np.unique(np.append(0.0, np.linspace(self._slowest(), fastest, ROWS)))
@@ -163,8 +167,9 @@ class _Inverse:
         jumped = sizes[(sizes > 0) & (sizes < slowest * (1 - ROUND_TRIP))]
         if jumped.size:
             raise InputError(
-                f"speeds: no command gives {jumped[0]:.4g} {self.speed_unit}, since flow begins with "
-                f"{slowest:.4g} {self.speed_unit}; expected zero or at least that"
+                f"speeds: no command gives {jumped[0]:.4g} {self.speed_unit}: when the valve "
+                f"opens, the speed is already {slowest:.4g} {self.speed_unit}; expected zero or "
+                "at least this speed"
             )
         commands = np.asarray(
             command_for_speed(
@@ -186,8 +191,9 @@ class _Inverse:
         if np.any(errors > ROUND_TRIP * sizes) or np.any(np.diff(commands) <= 0):
             worst = sizes[int(np.argmax(errors - ROUND_TRIP * sizes))]
             raise InputError(
-                f"speeds: the command for {worst:.4g} {self.speed_unit} is not determined to {ROUND_TRIP:g} "
-                "of the speed, since the speed map is too flat there; expected other speeds"
+                f"speeds: the speed map is too flat at {worst:.4g} {self.speed_unit}: several "
+                "commands give almost the same speed, so no command can be found within "
+                f"{ROUND_TRIP:g} of this speed; choose other speeds"
             )
         return commands
 
@@ -197,9 +203,10 @@ class _Inverse:
         flat = np.flatnonzero(np.diff(self._speeds(grid)) <= 0)
         if highest > grid[0] and flat.size:
             raise InputError(
-                f"direction: the {self.channel.direction} speed does not rise with the command between "
-                f"{grid[flat[0]]:.4g} and {grid[flat[-1] + 1]:.4g} {self.command_unit}: the valve is "
-                "saturated there, or closed; expected speeds below"
+                f"direction: the {self.channel.direction} speed does not increase with the "
+                f"command between {grid[flat[0]]:.4g} and {grid[flat[-1] + 1]:.4g} "
+                f"{self.command_unit}: the valve is closed or saturated there; choose lower "
+                "speeds"
             )
 
     def _slowest(self) -> float:

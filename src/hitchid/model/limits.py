@@ -68,7 +68,7 @@ class TravelLimits(NamedTuple):
     def sentence(self, unit: str) -> str:
         """Return a sentence that states the limits."""
         ends = [
-            f"{value:.4g} {unit} ({'a mechanical stop' if stop else '10 % of the range beyond the logs'})"
+            (f"{value:.4g} {unit} ({('a mechanical stop' if stop else 'the logged range extended by 10 %')})")
             for value, stop in ((self.lower, self.lower_stop), (self.upper, self.upper_stop))
         ]
         return f"free runs are limited to {ends[0]} … {ends[1]}"

@@ -42,9 +42,7 @@ def linear_channel(model: "Hitch", direction: str | None, *, instead: str) -> Ch
 def check_load(channel: Channel, load: object) -> None:
     """Raise InputError for a load of a channel that has no second measured input."""
     if load is not None and channel.benchmark.covariate is None:
-        raise InputError(
-            f"load: the {channel.direction} channel has no second measured input; expected None, got {load}"
-        )
+        raise InputError(f"load: the {channel.direction} channel has no covariate; expected None, got {load}")
 
 
 def centre(channel: Channel) -> tuple[float, float]:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 DEAD_ZONE = Parameter("dead_zone", "{u}", 0.0, 1.0, linear=True, symbol="dead zone")
 SET_BY_HAND, NO_INTERVAL, NO_DEAD_TIME = "set by hand", "no interval", "not part of the model"
-MAX_LINES, MAX_VERDICT = 25, 44  # of a table as text: lines, and characters of a verdict; chosen
+MAX_VERDICT = 44  # characters of a verdict in a table as text; chosen
 HEADER = ("direction", "name", "symbol", "value", "unit", "standard error", "95 %", "verdict")
 
 

@@ -240,7 +240,7 @@ def _step_responses(
         levels = [checks.number(level, "commands", above=0.0) for level in np.ravel(commands)]
     if not levels:
         raise InputError(
-            f"commands: expected levels of the {direction} command, for the model has none, got None"
+            f"commands: the model contains no command levels for {direction}; give `commands`, got None"
         )
     if duration_s is None:
         duration_s = responses.default_duration_s(channel, model.step_s)

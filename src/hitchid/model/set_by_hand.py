@@ -141,7 +141,7 @@ def _without_intervals(estimates: Estimates, values: Mapping[str, float]) -> Est
         elif parameter.method == NOT_ASSESSED:
             changed.append(parameter)
         elif shift > MAX_SHIFT or parameter.error is None:
-            verdict = f"no interval: fitted with another {names}"
+            verdict = f"no interval: estimated with a different value of {names}"
             changed.append(_unassessed(parameter, parameter.value, verdict))
         else:
             kept.append(parameter.name)

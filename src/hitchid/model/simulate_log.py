@@ -173,8 +173,11 @@ def _commands(name: str, table: LogTable, model: Hitch, signals: SignalMap) -> R
     if others:
         raise LogError(
             table.source,
-            f"gaps divide the commands into {1 + len(others)} parts; expected none, to simulate from one "
-            "initial displacement",
+            (
+                f"the commands have gaps and were split into {1 + len(others)} parts; with one "
+                "initial displacement only one part can be simulated: simulate each part as "
+                "its own log"
+            ),
         )
     return record
 

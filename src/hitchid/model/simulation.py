@@ -11,7 +11,7 @@ from numpy.typing import DTypeLike
 from hitchid._support import checks
 from hitchid._support.dataframes import dataframe
 from hitchid._support.precision import double_precision
-from hitchid._support.summary import GAP, screen
+from hitchid._support.summary import GAP, screen, wrapped
 from hitchid.data.record import DISPLACEMENT, Record, held_rows
 from hitchid.data.units import conversion_factor
 from hitchid.errors import InputError
@@ -142,7 +142,7 @@ class Simulation:
             f"{self.time_s[0]:.4g} to {self.time_s[-1]:.4g} s, "
             f"displacement {lowest:.4g} to {highest:.4g} {self.unit}"
         )
-        return screen([sentence, *(f"{GAP}{flag}" for flag in self.flags)])
+        return screen([sentence, *(line for flag in self.flags for line in wrapped(GAP, flag))])
 
     @cached_property
     @double_precision
@@ -183,8 +183,9 @@ def simulate(
         record = commands
         if covariate is not None and load is None and covariate not in record.signals:
             raise InputError(
-                f"record '{record.name}' has no '{covariate}', which the model requires; expected it, or "
-                f"load: its value before motion, in {model.units[covariate]}"
+                f"record '{record.name}' has no '{covariate}', which the model requires; "
+                "expected this signal in the record, or `load`, its value before motion, in "
+                f"{model.units[covariate]}"
             )
     model_record = conversion.to_model_units(record, tuple(channels), model.units, model.dynamics.step_s)
     initial_condition = conversion.initial_condition(

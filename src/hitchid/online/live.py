@@ -97,7 +97,10 @@ class Live:
             self._fill_gap(offset, time_s)
         replaced = self._undo_steps(-offset) if offset < 0 else {}
         if TIME in replaced:
-            flags.append(f"early: the sample at {time_s:g} s replaces that at {replaced[TIME]:g} s")
+            flags.append(
+                f"early: the samples at {replaced[TIME]:g} s and {time_s:g} s are in the same "
+                f"sampling step; the sample at {time_s:g} s is used"
+            )
         if stamped:
             self._latest_s = stamp
         merged = {**replaced, **sample}

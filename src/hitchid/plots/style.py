@@ -83,7 +83,7 @@ MARKERS = {
     "lstm": "*",
     **{label: marker for label, (_, _, marker) in COMPARED.items()},
 }
-"""Whose colours are alike to some eyes differ in dashes and markers; a model that is not here has neither."""
+"""Models with similar colours differ in dashes and markers; a model that is not listed has neither."""
 _RC_PARAMS: dict[Any, Any] = {
     "figure.constrained_layout.use": True,
     "font.family": ["DejaVu Sans", "sans-serif"],

@@ -170,18 +170,30 @@ def _check_linkage(rig: Rig) -> None:
     positions = jnp.linspace(0.0, stroke, CHECKED_POSITIONS)
     cosine = np.asarray(linkage.cylinder_cosine(positions))
     _require(
-        np.abs(cosine) < 1, positions, "retracted_length", "the cylinder triangle closes", cosine, "(-1, 1)"
+        np.abs(cosine) < 1,
+        positions,
+        "retracted_length",
+        "the cosine of the cylinder angle",
+        cosine,
+        "(-1, 1)",
     )
     rod = np.asarray(linkage.rod_cosine(linkage.arm_angle(positions)))
-    _require(np.abs(rod) < 1, positions, "lift_rod", "the four-bar closes", rod, "(-1, 1)")
+    _require(np.abs(rod) < 1, positions, "lift_rod", "the cosine of the lift-rod angle", rod, "(-1, 1)")
     lever = np.asarray(linkage.rates(positions)[2])
-    _require(lever > 0, positions, "lift_rod", "the implement rises with the piston", lever, "above 0")
+    _require(
+        lever > 0,
+        positions,
+        "lift_rod",
+        "the derivative dh/dx of implement height over piston displacement",
+        lever,
+        "(0, inf)",
+    )
     angle, full = np.asarray(linkage.sensor_angle(positions)), float(rig.sensors.angle_range)
     _require(
         (angle >= 0) & (angle <= full),
         positions,
         "sensor_offset",
-        "the angle sensor reads",
+        "the angle at the sensor",
         angle,
         f"0 to {full:g} rad",
     )
@@ -194,6 +206,6 @@ def _require(
         row = int(np.flatnonzero(~satisfied)[0])
         position = float(np.asarray(positions)[row])
         raise SettingsError(
-            f"key 'linkage.{key}': {condition} only if its measure lies in {required}; "
-            f"got {values[row]:g} at {position:g} m of the stroke"
+            f"key 'linkage.{key}': expected {condition} in {required} over the whole "
+            f"stroke, got {values[row]:g} at {position:g} m of the stroke"
         )

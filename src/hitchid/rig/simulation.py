@@ -127,7 +127,9 @@ def _broadcast(name: str, value: object, shape: tuple[int, ...]) -> Array:
     try:
         return jnp.broadcast_to(array, shape)
     except ValueError as error:
-        raise InputError(f"{name}: got shape {array.shape}, expected one that spreads to {shape}") from error
+        raise InputError(
+            f"{name}: got shape {array.shape}, expected a shape that broadcasts to {shape}"
+        ) from error
 
 
 def _check(name: str, array: Array, low: float, high: object) -> None:

@@ -122,8 +122,8 @@ def _slope(
     effective_command = 0.5 * (opening + scales.command) if command is None else jnp.asarray(float(command))
     if not float(nonlinearity.flow(effective_command, covariate)):
         raise InputError(
-            f"command: the valve is closed {float(effective_command):.4g} beyond the dead zone; expected "
-            f"more than {float(opening):.4g}"
+            f"command: expected more than {float(opening):.4g} beyond the dead zone, where "
+            f"the valve opens; got {float(effective_command):.4g}"
         )
     slope = jax.grad(nonlinearity.flow)(effective_command, covariate)
     return float(slope * nonlinearity.gain(position, covariate))

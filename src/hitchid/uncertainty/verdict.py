@@ -61,7 +61,7 @@ def _excitation_hint(parameter: Parameter, interval: Interval, step_s: float) ->
     frequency_too_high = parameter.unit == "rad/s" and lower is not None and lower > nyquist_rad_s
     time_too_short = parameter.unit == "s" and upper is not None and upper < 1 / nyquist_rad_s
     if frequency_too_high or time_too_short:
-        return f"too fast for a sampling time of {step_s:.3g} s"
+        return f"faster than can be identified at a sampling time of {step_s:.3g} s"
     if parameter.unit == "rad/s" and lower is not None and upper is None:
         return f"excite above {lower / (2 * pi):.2g} Hz"
     if parameter.unit == "rad/s" and upper is not None and lower is None:

@@ -232,7 +232,7 @@ def _horizon_figure(section: _DirectionFigures, steps: int) -> float | str | Non
     if steps in section.horizon:
         return section.horizon[steps]
     longest = max(section.horizon, default=0)
-    return f"missing: tests reach {longest} ahead"
+    return f"missing: the tests are too short; the longest horizon they allow is {longest}"
 
 
 def _baseline_checks(section: _DirectionFigures, baseline: str, error: _FigureKind) -> Iterator[Check]:
@@ -241,7 +241,11 @@ def _baseline_checks(section: _DirectionFigures, baseline: str, error: _FigureKi
     common = {run: (figures, other) for run, (figures, other) in pairs.items() if figures and other}
     requirement = "below the baseline's"
     if not common:
-        absent = "no run of both" if baseline in section.models else "no such baseline"
+        absent = (
+            ("no run (one step or free run) that the grey box and the baseline have in common")
+            if baseline in section.models
+            else "no such baseline"
+        )
         result = f"missing: {absent}" if section.tests else NO_TEST
         yield Check(section.direction, f"{section.direction}: RMSE vs {baseline}", requirement, result, False)
     for run, (figures, other) in common.items():

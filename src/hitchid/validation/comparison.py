@@ -256,7 +256,8 @@ def compare(
     unseen = campaign.without(frozenset().union(*(model.provenance.seen for model in models)))
     if not unseen.records:
         raise InputError(
-            "the models were identified from every test together; expected tests that none of them has seen"
+            "every test was used to identify at least one of the models; expected at least "
+            "one test that none of them used"
         )
     usable, lacking = with_covariates(unseen, *models)
     report, width = progress or silent, 1.0 / len(models)
@@ -273,7 +274,9 @@ def compare(
     left_out = len(campaign.records) - len(unseen.records)
     comparison = ModelComparison(model_names, validations, left_out, models[0].step_s, lacking)
     if not comparison.sections:
-        raise InputError("the models have no test in common; expected tests of a direction that all have")
+        raise InputError(
+            "no unseen test is in a direction that all models have; expected at least one such test"
+        )
     return comparison
 
 
@@ -295,7 +298,9 @@ def _check_comparable(models: dict[str, Hitch]) -> None:
     (first_label, first), *others = models.items()
     if not any(all(name in other.channels for _, other in others) for name in first.channels):
         listed = ", ".join(f"model {label} for {' and '.join(m.channels)}" for label, m in models.items())
-        raise InputError(f"the models have channels: {listed}; expected a direction that all have")
+        raise InputError(
+            f"the models have no direction in common: {listed}; expected at least one common direction"
+        )
     for label, other in others:
         if not isclose(first.step_s, other.step_s, rel_tol=SAME_CLOCK):
             raise InputError(

@@ -36,7 +36,11 @@ def set_by_hand_notices(model: Hitch, direction: str) -> list[str]:
         for row in model.parameters[direction]
         if row.name in names
     )
-    return [f"{direction}: {values} set by hand; it has no compensators and no bands"] if names else []
+    return (
+        [(f"{direction}: {values} set by hand; this direction has no compensators and no bands")]
+        if names
+        else []
+    )
 
 
 def cycle_notices(model: Hitch, result: CycleResult, factor: float) -> list[str]:

@@ -137,7 +137,7 @@ def draw_residual_correlations(
         cross_correlation_axes, lags_s, residuals.cross_correlation, np.array(residuals.cross_bounds)
     )
     cross_correlation_axes.set_ylabel("correlation of errors\nwith command")
-    cross_correlation_axes.set_xlabel("errors after command / s")
+    cross_correlation_axes.set_xlabel("lag of the errors behind the command / s")
 
 
 def draw_residuals_by_variable(

@@ -88,8 +88,8 @@ def validate(
             notices += cycle_notices(model, cycles, factor)
     if not channels and cycles is None:
         raise InputError(
-            "every test of these logs was used for identification, or the model has no channel for it; "
-            "expected tests that the identification has not used"
+            "every test of these logs was used for identification, or is in a direction "
+            "that the model does not have; expected at least one other test"
         )
     mode_test = model.two_modes
     if mode_test is not None:

@@ -47,8 +47,8 @@ class WhaleConfig:
             )
         if self.evaluations is not None and self.evaluations < self.population:
             raise InputError(
-                f"whale: expected evaluations for one generation of {self.population} whales, "
-                f"got {self.evaluations}"
+                f"whale: expected at least {self.population} evaluations (one generation), got "
+                f"{self.evaluations}"
             )
 
     @property

@@ -44,8 +44,11 @@ def _speed_map(context: DirectionContext, characteristics: Characteristics) -> P
     return Picture(
         context.figure_name("speed-map"),
         figures.speed_map(characteristics),
-        "Speed map: steady speed at mid stroke over the command, as identified, with its "
-        f"95 % band; open circles are mean speeds of identification tests while their command stood.{load}",
+        (
+            "Speed map: steady speed at mid stroke over the command, as identified, with "
+            "its 95 % band; open circles are mean speeds of identification tests during "
+            f"constant command.{load}"
+        ),
         " ".join(map(sentence, characteristic_sentences(characteristics, context.direction))),
         data=figure_data.speed_map(characteristics),
     )
@@ -69,8 +72,10 @@ def _intervals(name: str, title: str, estimates: Estimates) -> Iterator[Picture]
     yield Picture(
         name,
         figures.intervals(assessed),
-        f"{title.capitalize()}: estimate and 95 % interval, each on its own scale; the thin line is the "
-        "bootstrap's. Grey: not determined by the tests.",
+        (
+            f"{title.capitalize()}: estimate and 95 % interval, each on its own scale; thin "
+            "line: bootstrap interval. Grey: not determined by the tests."
+        ),
         "; ".join(f"{estimate.symbol}: {estimate.verdict}" for estimate in assessed),
         data=figure_data.intervals(assessed),
     )

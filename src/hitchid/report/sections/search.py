@@ -53,9 +53,12 @@ def _trace_pictures(context: DirectionContext, trace: ChannelTraceFile) -> Itera
         yield Picture(
             context.figure_name("structures"),
             figures.structures(trace.candidates, unit),
-            "Free-run RMSE of each structure, on all tests and in cross-validation over levels. A gain "
-            "along the stroke is compared with a separate speed factor for each test, so the chosen "
-            "structure may have a larger error in this figure.",
+            (
+                "Free-run RMSE of each structure, on all tests and in cross-validation over "
+                "levels. Structures with a gain along the stroke are selected with a separate "
+                "speed factor for each test, which this figure does not include; the chosen "
+                "structure may therefore have a larger error here."
+            ),
             f"RMSE of {len(trace.candidates)} structures; chosen: {chosen}.",
             data=figure_data.structures(trace.candidates, unit),
         )

@@ -89,7 +89,13 @@ def _band_finding(direction: str, bands: BandFigures, count: int, unit: str) -> 
     if covered < nominal - tolerance:
         return Finding(Rating.BAD, f"{text}: the band is too narrow for these tests.")
     if covered < nominal - COVERAGE_TOLERANCE:
-        return Finding(Rating.CAUTION, f"{text}: below its level, but not significantly with {count} tests.")
+        return Finding(
+            Rating.CAUTION,
+            (
+                f"{text}: below the nominal coverage of the band, but with {count} tests the "
+                "difference is not significant."
+            ),
+        )
     if covered > nominal + tolerance:
         return Finding(Rating.CAUTION, f"{text}: the band is wider than necessary for these tests.")
     return Finding(Rating.GOOD, f"{text}.")

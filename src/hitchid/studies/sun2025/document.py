@@ -18,8 +18,9 @@ from hitchid.studies.sun2025.figures import PaperFigure
 from hitchid.validation import Validation
 
 PREFACE = (
-    "Sun et al. 2025 (Processes 13, 3608) measured on a bench of their own; these tests ran on the virtual "
-    "bench. The values are shown next to each other; they do not compare the methods."
+    "Sun et al. 2025 (Processes 13, 3608) measured on their own test bench; these "
+    "tests were simulated on the virtual bench. The tables show both values; a "
+    "difference does not rank the methods."
 )
 
 

@@ -31,7 +31,7 @@ PAPER_COMPENSATOR = {
     LOWERING: {"training": (0.147, 0.117), "validation": (0.160, 0.125), "p95": 0.35},
 }
 TABLE_OF = {LIFTING: 3, LOWERING: 4}
-PAPER_MECHANISTIC = {LIFTING: "", LOWERING: "12.5, of what is not said"}
+PAPER_MECHANISTIC = {LIFTING: "", LOWERING: "12.5 (the paper does not say of which quantity)"}
 MODELS = {
     "mechanistic": "mechanistic, free run",
     "benchmark": "transfer function, free run",
@@ -213,7 +213,7 @@ def _mechanistic(
         end_errors = [f"{100 * end_deviation(test, model):.1f}" for model in ("mechanistic", "benchmark")]
         rows.append(
             (
-                f"{direction}: error at the end of a test / % of the way",
+                f"{direction}: error at the end of a test / % of the travel",
                 *end_errors,
                 PAPER_MECHANISTIC[direction],
             )

@@ -146,7 +146,9 @@ def _check_not_in_log(
             name for signal in message.signals for name in (signal.name, f"{message.name}/{signal.name}")
         }:
             continue
-        problem = f"its message '{message.name}', id {message.identifier:#x}, is not in the log"
+        problem = (
+            f"the message '{message.name}' of this signal, id {message.identifier:#x}, is not in the log"
+        )
         group = parameter_group(message.identifier)
         nodes = [
             f"{node(identifier):#04x}"
@@ -154,7 +156,9 @@ def _check_not_in_log(
             if parameter_group(identifier) == group
         ]
         if message.extended and nodes:
-            problem += f"; its PGN {group} is, from source address {format_names(nodes)}"
+            problem += (
+                f"; frames with its PGN {group} are in the log, from source address {format_names(nodes)}"
+            )
         if message.extended and nodes and not message.is_j1939:
             problem += ": if the bus is J1939, set VFrameFormat 'J1939PG' in the DBC file"
         raise LogError(source, problem, column=requested)
