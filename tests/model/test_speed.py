@@ -219,13 +219,13 @@ def test_what_has_no_inverse_is_refused():
     with pytest.raises(InputError, match="no command gives 3 mm/s, since the valve saturates; expected less"):
         saturated.inverse_table(speeds=[1.0, 3.0])
     flat = replace(saturated, channels={LIFTING: wide(saturated.channels[LIFTING])})
-    with pytest.raises(InputError, match=r"speed does not rise with the command between .* saturated"):
+    with pytest.raises(InputError, match=r"speed does not increase with the command between .* saturated"):
         flat.inverse_table()
     with pytest.raises(InputError, match="range of the test commands is not stored"):
         handmade.hitch().inverse_table(LIFTING)
     with pytest.raises(InputError, match="speeds: expected speeds ≤ 0 of lowering"):
         COVERED.inverse_table(LOWERING, [1.0])
-    with pytest.raises(InputError, match="load: the lifting channel has no second measured input"):
+    with pytest.raises(InputError, match="load: the lifting channel has no covariate"):
         COVERED.inverse_table(LIFTING, load=100.0)
     with pytest.raises(InputError, match="does not move at the largest command"):
         curved(opening=0.9, load_shift=0.3).inverse_table(load=180.0)

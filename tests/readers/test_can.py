@@ -317,8 +317,8 @@ def test_ids_of_29_bits_are_met_exactly_where_nothing_says_j1939(tmp_path, sourc
     np.testing.assert_array_equal(read.channels["x"].values, [0xF0, 0xF2, 0xF4])
     with pytest.raises(
         LogError,
-        match=r"'x': the message 'Own' of this signal, id 0x18ff1000, .*PGN 65296 are in the log, from source "
-        r"address 0x01.*J1939PG",
+        match=r"'x': the message 'Own' of this signal, id 0x18ff1000, .*PGN 65296 are in the log, from "
+        r"source address 0x01.*J1939PG",
     ):
         read_bus(frames[1::2], source, wanted("x", databases=[database]))
 

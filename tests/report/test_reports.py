@@ -363,7 +363,7 @@ def test_a_band_is_judged_by_what_it_holds(judged, covered, level):
 def test_a_band_is_not_judged_by_tests_that_tell_little(judged):
     told = {"covered": 0.8, "covered_error": 0.06}
     band = finding(judged(partial(with_bands, **told)), "Lifting", "band")
-    assert (band.level, "not significantly" in band.sentence) == (Rating.CAUTION, True)
+    assert (band.level, "not significant" in band.sentence) == (Rating.CAUTION, True)
     alone = {"covered": 0.8, "covered_error": None}
     band = finding(judged(partial(with_bands, **alone)), "Lifting", "band")
     assert (band.level, "too few" in band.sentence) == (Rating.CAUTION, True)

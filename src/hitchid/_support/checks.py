@@ -87,6 +87,8 @@ def tuple_of(
     """Return the items of an iterable of one type; raises `InputError` for strings and mappings."""
     if isinstance(values, str | bytes | Mapping) or not isinstance(values, Iterable):
         raise input_error(name, required, values)
+    if getattr(values, "ndim", 1) == 0:  # an array without axes, which no loop can take
+        raise input_error(name, required, values)
     return tuple(instance(value, kind, name, required) for value in values)
 
 

@@ -163,7 +163,11 @@ class Campaign(Value, Summarised):
                 )
             return self.records[key]
         if isinstance(key, slice):
-            chosen = self.records[key]
+            try:
+                rows = range(len(self))[key]
+            except (TypeError, ValueError) as error:
+                raise InputError(f"campaign: expected a slice of whole numbers, got {key}") from error
+            chosen = tuple(self.records[row] for row in sorted(rows))
         else:
             names = checks.tuple_of(key, str, "campaign: key", "a number, a name, a slice or names")
             chosen = tuple(self.records[row] for row in sorted({self._index(name) for name in names}))

@@ -203,8 +203,9 @@ def _time(name: str, frame: Frame, columns: list[str], time: Column, units: Mapp
     is_default = time == DEFAULT_SIGNALS.time
     if index is not None and (is_default or index.name == time.column):
         label = index.name if isinstance(index.name, str) else "index"
-        # Whole numbers without a name are most often those of the rows.
-        if index.name is not None or np.asarray(index.to_numpy()).dtype.kind not in "iu":
+        # Whole numbers are most often those of the rows, unless the name of the index is one of a time.
+        is_time = index.name == time.column or (unit_of_column(label) or units.get(label)) is not None
+        if is_time or np.asarray(index.to_numpy()).dtype.kind not in "iu":
             values, unit = _numbers(index, name, label)
             return LogChannel(values, unit or units.get(label) or unit_of_column(label))
     problem = (
@@ -220,14 +221,18 @@ def _numbers(column: Any, name: str, label: str) -> tuple[np.ndarray, str | None
     values = np.asarray(column.to_numpy())
     if values.ndim != 1:
         raise LogError(name, "several columns have this name", column=label)
+    if values.dtype.kind == "c":
+        raise LogError(name, "expected real numbers, got complex ones", column=label)
     if values.dtype.kind in "Mm":
         valid = np.flatnonzero(~np.isnat(values))
         zero = values[valid[0]] if values.dtype.kind == "M" and valid.size else np.timedelta64(0, "ns")
         return (values - zero) / np.timedelta64(1, "s"), "s"
     if values.dtype.kind == "O" and values.size and all(isinstance(item, datetime) for item in values):
-        return np.array(
-            [(item - values[0]).total_seconds() for item in values]
-        ), "s"  # dates with a time zone
+        try:
+            seconds = [(item - values[0]).total_seconds() for item in values]
+        except TypeError as error:
+            raise LogError(name, "some dates have a time zone, others have none", column=label) from error
+        return np.array(seconds), "s"  # dates with a time zone
     try:
         return np.array(values, dtype=np.float64), None
     except (TypeError, ValueError) as error:

@@ -36,6 +36,8 @@ def trim(record: Record, start_s: float | None, stop_s: float | None) -> Record:
 
 def detrend(record: Record, signals: Sequence[str]) -> Record:
     """Return the record without the linear trend of measured signals; see `Record.detrend`."""
+    if len(record) < 2:
+        raise InputError(f"record '{record.name}': expected at least 2 samples, got {len(record)}")
     time_s = record.time_s - record.time_s.mean()
     for role in _measured(record, signals):
         samples = record.signals[role]
@@ -54,6 +56,11 @@ def low_pass(record: Record, cutoff_hz: float, signals: Sequence[str]) -> Record
             f"cutoff_hz: expected a frequency below half the sampling rate, {highest_hz:g} Hz, got "
             f"{cutoff_hz:g}"
         )
+    lowest_hz = 1 / (len(record) * record.step_s)
+    if cutoff_hz < lowest_hz:
+        raise InputError(
+            f"cutoff_hz: expected at least {lowest_hz:.4g} Hz, one period in the record, got {cutoff_hz:g}"
+        )
     roles = _measured(record, signals)
     filtered = _mapped(record, roles, lambda y: _zero_phase(y, cutoff_hz / highest_hz, DISPLAY_ORDER))
     sentence = (
@@ -66,8 +73,12 @@ def low_pass(record: Record, cutoff_hz: float, signals: Sequence[str]) -> Record
 def decimate(record: Record, factor: int) -> Record:
     """Return every `factor`-th sample, measured signals filtered before; see `Record.decimate`."""
     checks.integer(factor, "factor", minimum=2)
-    if len(record) <= factor:
-        raise InputError(f"factor: expected one below the {len(record)} samples of the record, got {factor}")
+    largest = int(len(record) * DECIMATION_CUTOFF / 2)
+    if factor > largest:
+        raise InputError(
+            f"factor: expected at most {largest}, a period of the filter in the {len(record)} samples of the "
+            f"record, got {factor}"
+        )
     filtered = _mapped(
         record, _measured(record, ()), lambda y: _zero_phase(y, DECIMATION_CUTOFF / factor, DECIMATION_ORDER)
     )

@@ -30,6 +30,7 @@ COMMAND = MappingProxyType({LIFTING: "lifting_command", LOWERING: "lowering_comm
 RAMP = "ramp"
 CYCLE = "cycle"
 IDLE = "idle"
+MAX_SAMPLES = 1e8  # of a resampled record, a day at 1 kHz; more are a wrong unit of time (chosen)
 KINDS = (LIFTING, LOWERING, RAMP, CYCLE, IDLE)
 
 
@@ -189,7 +190,13 @@ class Record(Value, Summarised):
     def resample(self, step_s: float) -> "Record":
         """Return the record at sampling time `step_s`; raises `InputError` unless it is above 0."""
         checks.number(step_s, "step_s", above=0.0)
-        count = int(np.floor((len(self) - 1) * self.step_s / step_s * (1 + 1e-12))) + 1
+        samples = np.floor((len(self) - 1) * self.step_s / step_s * (1 + 1e-12)) + 1
+        if not samples <= MAX_SAMPLES:
+            raise InputError(
+                f"step_s: expected a sampling time that gives at most {MAX_SAMPLES:g} samples of "
+                f"{len(self) * self.step_s:g} s, got {step_s:g} s"
+            )
+        count = int(samples)
         new_times_s = step_s * np.arange(count)
         old_times_s = self.step_s * np.arange(len(self))
         sentence = f"resampled from {self.step_s:.4g} s to {step_s:.4g} s"

@@ -9,6 +9,7 @@ from statistics import median_low
 
 import numpy as np
 
+from hitchid._support import checks
 from hitchid.data.left_out import LeftOut, refuse, split_usable
 from hitchid.data.record import COMMAND, CYCLE, DIRECTIONS, DISPLACEMENT, IDLE, KINDS, Record
 from hitchid.data.test_kinds import detect_kind, full_scales
@@ -130,6 +131,7 @@ def _to_common_clock(record: Record, step_s: float) -> Record:
 
 def _kind(record: Record, scales: Mapping[str, float], kinds: Mapping[str, str]) -> str:
     for pattern, kind in kinds.items():
+        checks.instance(pattern, str, "kinds: pattern", "text")
         if fnmatchcase(record.name, pattern):
             if kind not in KINDS:
                 raise InputError(f"tests: '{kind}' is not a kind of test; expected one of {', '.join(KINDS)}")

@@ -81,6 +81,8 @@ def _by_role(commands: Commands, directions: Sequence[str]) -> dict[str, np.ndar
 
 def _numbers(values: Numbers, *dimensions: int) -> np.ndarray:
     """Return an array of real numbers of one of the given numbers of dimensions."""
+    if np.ma.is_masked(values):
+        raise InputError("commands: expected numbers without a mask, got a masked array")
     try:
         array = np.asarray(values)
     except (TypeError, ValueError) as error:

@@ -165,6 +165,8 @@ def plot_bode(
     """
     from hitchid.plots import DIRECTION_COLOURS, BandedCurve, canvas, draw_bode
 
+    if command is not None:
+        checks.number(command, "command", above=0.0)
     directions = _directions(model, direction)
     frequencies = _frequencies(model, frequency_hz)
     units = dict.fromkeys(f"{model.units[DISPLACEMENT]}/{model.units[COMMAND[name]]}" for name in directions)

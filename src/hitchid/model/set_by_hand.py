@@ -28,7 +28,12 @@ MAX_SHIFT = 0.1  # standard errors by which an estimate may depend on the set va
 @double_precision
 def with_parameters(model: "Hitch", changes: Mapping[str, Mapping[str, float] | None]) -> "Hitch":
     """Return a model with parameters set by hand; see `Hitch.with_parameters`."""
-    given = {direction: values for direction, values in changes.items() if values not in (None, {})}
+    given = {
+        direction: checks.instance(values, Mapping, direction, "parameter to value")
+        for direction, values in changes.items()
+        if values is not None
+    }
+    given = {direction: values for direction, values in given.items() if values}
     channels, uncertainty, comparison = dict(model.channels), dict(model.uncertainty), dict(model.comparison)
     set_by_hand = {direction: dict(values) for direction, values in model.provenance.set_by_hand.items()}
     for direction, values in given.items():

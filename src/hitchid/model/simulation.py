@@ -188,6 +188,7 @@ def simulate(
                 f"{model.units[covariate]}"
             )
     model_record = conversion.to_model_units(record, tuple(channels), model.units, model.dynamics.step_s)
+    _check_magnitude(model_record)
     initial_condition = conversion.initial_condition(
         model_record, channels, displacement=_checked(initial, "initial"), load=_checked(load, "load")
     )
@@ -195,6 +196,18 @@ def simulate(
     run = free_run(model.dynamics, inputs)
     displacement = conversion.to_record_units(run.displacement, model.units, model_record, record)
     return Simulation(record.time_s, displacement, record.unit, run, inputs, model_record.time_s, model)
+
+
+def _check_magnitude(record: Record) -> None:
+    """Raise InputError for a command so large that the dynamics take it as missing."""
+    for direction in record.directions:
+        command = np.abs(record.command(direction))
+        if not np.all(command < MAX_MAGNITUDE):
+            sample = int(np.argmax(command))
+            raise InputError(
+                f"commands: expected values within ±{MAX_MAGNITUDE:g}, got {command[sample]:g} for {direction} at "
+                f"sample {sample}"
+            )
 
 
 def _checked(values: Numbers | None, name: str) -> np.ndarray | None:

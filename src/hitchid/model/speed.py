@@ -13,6 +13,7 @@ from hitchid._support import checks
 from hitchid._support.precision import double_precision
 from hitchid._support.short_repr import short_repr
 from hitchid.data.record import DISPLACEMENT
+from hitchid.errors import InputError
 from hitchid.model.bands import Band
 from hitchid.model.channel import Channel
 from hitchid.model.characteristics import Characteristics
@@ -57,11 +58,18 @@ def speed_with_band(
     channel = linear_channel(model, direction, instead=INSTEAD)
     check_load(channel, load)
     middle, mean_load = centre(channel)
-    commands, positions, loads = np.broadcast_arrays(
+    arrays = (
         checks.numbers(command, "command"),
         checks.numbers(middle if displacement is None else displacement, "displacement"),
         checks.numbers(mean_load if load is None else load, "load"),
     )
+    try:
+        commands, positions, loads = np.broadcast_arrays(*arrays)
+    except ValueError as error:
+        shapes = ", ".join(str(array.shape) for array in arrays)
+        raise InputError(
+            f"command, displacement and load: expected shapes that broadcast, got {shapes}"
+        ) from error
     points = _Points(commands.ravel(), positions.ravel(), loads.ravel())
     speeds = _speeds(channel, points)
     uncertainty = model.uncertainty.get(channel.direction)

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     import control
     from scipy import signal
 
+MAX_DELAY_STATES = 5000  # states of the dead time; the matrix of as many takes 200 MB; chosen
+
 
 @short_repr
 @dataclass(frozen=True)
@@ -137,6 +139,11 @@ def _discrete(physical_model: PhysicalModel, step_s: float, gain: float, lag_s: 
     """
     discrete = physical_model.discretised(step_s)
     order, delay = discrete.gamma0.size, int(discrete.delay_samples)
+    if delay > MAX_DELAY_STATES:
+        raise InputError(
+            f"step_s: the dead time has {delay} samples of {step_s:g} s, a delay state each; expected at most "
+            f"{MAX_DELAY_STATES}; choose a longer sampling time"
+        )
     flows = np.stack([np.asarray(discrete.gamma0), np.asarray(discrete.gamma1)], axis=1)
     delays = delay + bool(
         np.any(flows[:, 1])

@@ -232,7 +232,7 @@ def _horizon_figure(section: _DirectionFigures, steps: int) -> float | str | Non
     if steps in section.horizon:
         return section.horizon[steps]
     longest = max(section.horizon, default=0)
-    return f"missing: the tests are too short; the longest horizon they allow is {longest}"
+    return f"missing: the tests are too short; the longest horizon they allow is {longest} samples"
 
 
 def _baseline_checks(section: _DirectionFigures, baseline: str, error: _FigureKind) -> Iterator[Check]:
@@ -242,7 +242,7 @@ def _baseline_checks(section: _DirectionFigures, baseline: str, error: _FigureKi
     requirement = "below the baseline's"
     if not common:
         absent = (
-            ("no run (one step or free run) that the grey box and the baseline have in common")
+            "no run (one step or free run) that the grey box and the baseline have in common"
             if baseline in section.models
             else "no such baseline"
         )
