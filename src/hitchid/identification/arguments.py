@@ -7,7 +7,7 @@ from hitchid.data.campaign import Campaign
 from hitchid.data.record import DIRECTIONS
 from hitchid.errors import InputError
 from hitchid.estimation import Search, SearchComparison
-from hitchid.identification.campaign_job import IdentificationConfig
+from hitchid.identification.config import IdentificationConfig
 from hitchid.identification.phase2 import CompensatorConfig
 from hitchid.identification.selection import AutoStructure
 from hitchid.structures import ModelSpec, structure_named

@@ -1,20 +1,17 @@
-"""Identification of one campaign: configuration, prepared tests, and assembly of the model."""
+"""Identification of one campaign: prepared tests, and assembly of the model."""
 
-import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, is_dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass, replace
 
-import jax
 import numpy as np
 
-from hitchid._support.checkpoints import DISABLED, Checkpoints
+from hitchid._support.checkpoints import Checkpoints
 from hitchid._support.versions import installed_versions
 from hitchid.data.campaign import Campaign
 from hitchid.data.record import COMMAND, CYCLE, DISPLACEMENT, Record
 from hitchid.errors import InputError, SettingsError
-from hitchid.estimation import Search, SearchComparison
 from hitchid.identification.channel_trace import ChannelConfig, ChannelTrace
+from hitchid.identification.config import IdentificationConfig
 from hitchid.identification.dead_zone import DeadZone
 from hitchid.identification.direction import with_calibrated_gain
 from hitchid.identification.gain_calibration import calibrate_gains, calibration_improves
@@ -29,59 +26,6 @@ from hitchid.model import Channel, Hitch, Provenance, TravelLimits
 from hitchid.structures import ModelSpec
 
 ChannelResults = Mapping[str, tuple[Channel, ChannelTrace]]
-
-
-@dataclass(frozen=True)
-class IdentificationConfig:
-    """Configuration of an identification; see `identify`.
-
-    Attributes:
-        specs: direction to the model specification of its benchmark, or its automatic choice.
-        paper_specs: direction to the paper's model specification.
-        search, training, dead_zones, drift, comparison, seed: see `identify`.
-    """
-
-    specs: Mapping[str, ModelSpec | AutoStructure]
-    paper_specs: Mapping[str, ModelSpec]
-    search: Search
-    training: CompensatorConfig | None
-    dead_zones: Mapping[str, float]
-    drift: bool
-    comparison: SearchComparison | None
-    seed: int
-
-    def with_default_covariate(self, campaign: Campaign) -> "IdentificationConfig":
-        """Return the configuration with the campaign's first covariate where an automatic choice has none."""
-        covariates = campaign.covariates[:1]
-        return replace(
-            self,
-            specs={direction: _with_covariate(spec, *covariates) for direction, spec in self.specs.items()},
-        )
-
-    def describe(self) -> dict[str, object]:
-        """Return the configuration as JSON values."""
-        return {
-            "structure": {direction: _describe_spec(spec) for direction, spec in self.specs.items()},
-            "search": _describe_search(self.search),
-            "training": _describe_training(self.training),
-            "dead_zones": dict(self.dead_zones),
-            "drift": self.drift,
-        }
-
-    def checkpoints(self, folder: Path | None, campaign: Campaign) -> Checkpoints:
-        """Return the checkpoints of runs with the same logs, settings, versions and kind of machine."""
-        if folder is None:
-            return DISABLED
-        stamp = {
-            "asked": {**self.describe(), "forms": repr(self.specs), "seed": self.seed},
-            "search": repr(self.search),
-            "training": repr(self.training),
-            "campaign": campaign.digest,
-            "comparison": repr(self.comparison and replace(self.comparison, checkpoints=DISABLED)),
-            "machine": f"{platform.machine()} {jax.default_backend()}",
-            "versions": installed_versions(),
-        }
-        return Checkpoints.of_run(folder, stamp)
 
 
 @dataclass(frozen=True)
@@ -310,57 +254,6 @@ def _fingerprints(campaign: Campaign, kinds: tuple[str, ...]) -> set[str]:
 def _uses_raw_command(spec: ModelSpec | AutoStructure) -> bool:
     """Return whether a structure takes the raw command, from which no dead zone is removed."""
     return isinstance(spec, ModelSpec) and spec.structure.uses_raw_command
-
-
-def _with_covariate(spec: ModelSpec | AutoStructure, *covariates: str) -> ModelSpec | AutoStructure:
-    if covariates and isinstance(spec, AutoStructure) and spec.covariate is None:
-        return replace(spec, covariate=covariates[0])
-    return spec
-
-
-def _describe_spec(spec: ModelSpec | AutoStructure) -> dict[str, object]:
-    if isinstance(spec, AutoStructure):
-        return {"automatic": True, "load": spec.covariate}
-    return {
-        "structure": spec.structure.name,
-        "dead_time": spec.dead_time,
-        "curve": spec.valve_curve,
-        "spool": spec.spool_dynamics,
-        "slope": spec.stroke_gain_linear,
-        "position": spec.stroke_gain_quadratic,
-        "load": spec.covariate,
-        "bounds": {name: list(limits) for name, limits in spec.bounds.items()},
-    }
-
-
-def _describe_search(search: Search) -> dict[str, object]:
-    """Return the settings of a search by the keys of the settings file, as far as it has them."""
-    values = asdict(search) if is_dataclass(search) else {}
-    return {"method": search.name, **{key: value for key, value in _flat(values).items() if key != "name"}}
-
-
-def _describe_training(training: CompensatorConfig | None) -> dict[str, object]:
-    """Return the settings of the training by the keys of the settings file, as far as it has them."""
-    if training is None:
-        return {"compensator": False}
-    rollouts = training.rollouts
-    return {
-        "compensator": True,
-        "hidden": training.hidden,
-        "window": training.window,
-        **asdict(training.adam),
-        "free_run": rollouts is not None,
-        **({} if rollouts is None else {f"free_run_{key}": value for key, value in asdict(rollouts).items()}),
-        "baselines": training.baselines,
-    }
-
-
-def _flat(values: Mapping[str, object]) -> dict[str, object]:
-    """Return a mapping with the entries of nested mappings in their place."""
-    flat = {}
-    for key, value in values.items():
-        flat |= _flat(value) if isinstance(value, Mapping) else {key: value}
-    return flat
 
 
 def _names(records: tuple[Record, ...]) -> tuple[str, ...]:

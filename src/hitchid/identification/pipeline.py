@@ -11,9 +11,9 @@ from hitchid.errors import HitchError
 from hitchid.identification.campaign_job import (
     CampaignJob,
     ChannelResults,
-    IdentificationConfig,
 )
 from hitchid.identification.channel_trace import ChannelTrace
+from hitchid.identification.config import IdentificationConfig
 from hitchid.identification.direction import find_benchmark, find_compensators
 from hitchid.identification.result import Identification
 from hitchid.model import Channel

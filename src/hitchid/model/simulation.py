@@ -205,8 +205,8 @@ def _check_magnitude(record: Record) -> None:
         if not np.all(command < MAX_MAGNITUDE):
             sample = int(np.argmax(command))
             raise InputError(
-                f"commands: expected values within ±{MAX_MAGNITUDE:g}, got {command[sample]:g} for {direction} at "
-                f"sample {sample}"
+                f"commands: expected values within ±{MAX_MAGNITUDE:g}, got {command[sample]:g} at sample "
+                f"{sample} ({direction})"
             )
 
 

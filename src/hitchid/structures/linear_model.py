@@ -141,8 +141,8 @@ def _discrete(physical_model: PhysicalModel, step_s: float, gain: float, lag_s: 
     order, delay = discrete.gamma0.size, int(discrete.delay_samples)
     if delay > MAX_DELAY_STATES:
         raise InputError(
-            f"step_s: the dead time has {delay} samples of {step_s:g} s, a delay state each; expected at most "
-            f"{MAX_DELAY_STATES}; choose a longer sampling time"
+            f"step_s: the dead time has {delay} samples of {step_s:g} s, one delay state each; expected at "
+            f"most {MAX_DELAY_STATES}; choose a longer sampling time"
         )
     flows = np.stack([np.asarray(discrete.gamma0), np.asarray(discrete.gamma1)], axis=1)
     delays = delay + bool(
