@@ -242,7 +242,7 @@ def _step_responses(
         levels = [checks.number(level, "commands", above=0.0) for level in np.ravel(commands)]
     if not levels:
         raise InputError(
-            f"commands: expected levels of the {direction} command, as the model has none by default; got none"
+            f"commands: expected levels of the {direction} command, which the model lacks; got none"
         )
     if duration_s is None:
         duration_s = responses.default_duration_s(channel, model.step_s)
