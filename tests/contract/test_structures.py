@@ -257,7 +257,7 @@ def test_a_benchmark_with_all_options_is_linearised(structure):
     linear = linearise(curved, STEP_S, command=opening + 0.1)
     assert np.all(np.isfinite(linear.a))
     assert np.any(linear.b > 0)
-    with pytest.raises(InputError, match="the valve is closed"):
+    with pytest.raises(InputError, match="where the valve opens; got"):
         linearise(curved, STEP_S, command=0.9 * opening)
 
 

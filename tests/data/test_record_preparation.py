@@ -112,8 +112,8 @@ def test_decimation_folds_no_fast_signal_onto_slow_ones(frequency_hz):
 @given(samples=st.integers(4, 300), factor=st.integers(2, 40))
 def test_decimation_of_any_length(samples, factor):
     whole = record(np.full(samples, 7.0))
-    if samples <= factor:
-        with pytest.raises(InputError, match="factor: expected one below"):
+    if factor > int(0.3 * samples):  # two samples of the filter's period, factor / 0.6, fit
+        with pytest.raises(InputError, match="factor: expected at most"):
             whole.decimate(factor)
         return
     decimated = whole.decimate(factor)
@@ -129,6 +129,8 @@ def test_decimation_of_any_length(samples, factor):
         (lambda r: r.detrend("lifting_command"), "signals: expected one of displacement, pressure"),
         (lambda r: r.detrend("load"), "signals: expected one of displacement, pressure"),
         (lambda r: r.low_pass(0.0), "cutoff_hz: expected a finite number above 0"),
+        (lambda r: r.low_pass(0.5), "cutoff_hz: expected at least 1 Hz, one period in the record, got 0.5"),
+        (lambda r: r.slice(0, 1).detrend(), "expected at least 2 samples, got 1"),
         (lambda r: r.low_pass(50.0), "below half the sampling rate, 50 Hz, got 50"),
         (lambda r: r.low_pass(5.0, "lifting_command"), "signals: expected one of"),
         (lambda r: r.decimate(1), "factor: expected a whole number of at least 2"),
