@@ -34,6 +34,7 @@ WITHOUT_UNIT = {"autocorrelation\nof errors", "correlation of errors\nwith comma
 
 @pytest.fixture(autouse=True)
 def _no_figure_is_left_and_no_warning_is_given():
+    pyplot.close("all")  # those of other tests in this process
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         yield
