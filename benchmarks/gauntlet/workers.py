@@ -16,7 +16,7 @@ from .outcome import HUNG, TRACEBACK, Outcome
 
 Report = Callable[[Outcome], None]
 CACHE = Path("build/gauntlet/compiled")
-TIMEOUT_S = 2400.0
+TIMEOUT_S = 1500.0
 
 
 @dataclass(frozen=True)
