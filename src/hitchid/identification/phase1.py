@@ -179,7 +179,7 @@ def _refine_from_starts(
     best = refine(problem, rough_result.position, limit=STEPS)
     # The first descents are over fewer samples: over all of them the end of the search may be better.
     search_error = objective.error(starts[0])
-    return _with_calibrated_gain(objective, best.position if best.fitness <= search_error else starts[0])
+    return with_calibrated_gain(objective, best.position if best.fitness <= search_error else starts[0])
 
 
 def assess_fit(
@@ -215,7 +215,7 @@ def assess_fit(
     )
 
 
-def _with_calibrated_gain(objective: Objective, position: np.ndarray) -> np.ndarray:
+def with_calibrated_gain(objective: Objective, position: np.ndarray) -> np.ndarray:
     """Return a position with the gain that fits all tests together, where each had a factor on its speed."""
     if not objective.per_test_gain:
         return position
