@@ -129,8 +129,9 @@ def search_problem(objective: Objective) -> SearchProblem:
     """Return the problem of a global search: by correlations where these are defined, else by simulation."""
     problem = objective.problem()
     spec, batch = objective.spec, objective.batch
-    linear = spec.structure.linear is not None and not spec.nonlinearity_parameters
-    if not (linear and correlations_applicable(batch)):
+    structure = spec.structure.linear
+    is_linear = structure is not None and not structure.has_dry_friction and not spec.nonlinearity_parameters
+    if not (is_linear and correlations_applicable(batch)):
         return problem
     correlations = Correlations.of(batch)
     fitness = CorrelationObjective(correlations, spec, objective.scales, objective.bounds, batch.step_s)

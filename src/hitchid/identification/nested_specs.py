@@ -32,6 +32,12 @@ CURVE_STARTS = (
     {"opening": 0.25, "exponent": 0.75, "saturation": 0.3},
     {"opening": 0.5, "exponent": 0.6, "saturation": 0.3},
 )
+# Friction that compresses the oil by a thousandth of the range of displacement; the load came to rest against
+# the direction of travel, or along it.
+FRICTION_STARTS = (
+    {"friction_travel": 0.6, "friction_at_rest": 0.15},
+    {"friction_travel": 0.6, "friction_at_rest": 0.85},
+)
 HYSTERESIS_STARTS = (0.05, 0.1, 0.2)
 SPOOL_LAG_START = 0.5
 

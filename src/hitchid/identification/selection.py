@@ -22,6 +22,7 @@ from hitchid.identification.candidates import (
 )
 from hitchid.identification.nested_specs import (
     CURVE_STARTS,
+    FRICTION_STARTS,
     MIDDLE,
     NEUTRAL_POSITIONS,
     largest_spec,
@@ -29,7 +30,14 @@ from hitchid.identification.nested_specs import (
     starts,
 )
 from hitchid.identification.phase1 import Fit, Phase1, assess_fit, find_parameters
-from hitchid.structures import Batch, ModelOption, ModelSpec, Structure, external_structures
+from hitchid.structures import (
+    Batch,
+    ModelOption,
+    ModelSpec,
+    Structure,
+    external_structures,
+    structure_named,
+)
 from hitchid.uncertainty import NO_ERROR, DeadZoneError
 
 SAMPLES = 2048  # largest number of samples of a test while candidates are compared; chosen
@@ -71,7 +79,8 @@ def choose_spec(
     Tests are grouped by the level of their command and groups held out in turn, never samples; the lowest and
     the highest stay in, for a model does not extrapolate. Forms nest: each starts its least squares from the
     optimum of the one before, its new curves from a few shapes. A larger form takes the place of a smaller
-    one where held-out tests prove it better; see `best_candidate`. Structures of other packages follow, alone
+    one where held-out tests prove it better; see `best_candidate`. Dry friction follows, then structures of
+    other packages, alone
     and with the options of the best form so far. The one taken is identified as any other, by global search
     and least squares.
 
@@ -102,6 +111,8 @@ def choose_spec(
         return assessed(baseline), ()
     largest = largest_spec(baseline_spec, covariate, opening_known=opening_known)
     candidates = choice.nested_candidates(baseline, largest, revised=revised)
+    chosen = best_candidate(candidates, choice.coarse)
+    candidates += choice.with_dry_friction(candidates[chosen])
     chosen = best_candidate(candidates, choice.coarse)
     for structure in external_structures():
         candidates += choice.candidates_of(structure, candidates[chosen])
@@ -223,6 +234,24 @@ class _Choice:
             candidates.append(evaluation.candidate(name, spec, objective, range(len(names))))
             self._report("external", candidates[-1], 1.0)
         return candidates
+
+    def with_dry_friction(self, incumbent: Candidate) -> list[Candidate]:
+        """Return the best form so far with dry friction of the load, for a second-order lag only."""
+        if incumbent.spec.structure != structure_named("integrator-second-order"):
+            return []
+        spec = incumbent.spec.with_structure(structure_named("integrator-second-order-friction"))
+        objective = Objective.of(self.coarse.with_dead_zone(incumbent.dead_zone), spec)
+        names = [parameter.name for parameter in spec.parameters]
+        start = _positions_of(objective, names, incumbent.named_values)
+        all_starts = [with_positions(start, names, friction) for friction in FRICTION_STARTS]
+        name = f"{incumbent.name} and dry friction"
+        try:
+            evaluation = self._fitted(f"form {name}", objective, range(len(names)), all_starts)
+        except FitError:
+            return []
+        candidate = evaluation.candidate(name, spec, objective, range(len(names)))
+        self._report("candidates", candidate, 1.0)
+        return [candidate]
 
     def _fitted(
         self, name: str, objective: Objective, free: Sequence[int], starts: Sequence[np.ndarray]

@@ -119,7 +119,9 @@ class _LinearModel(DiscretePhysicalModel):
         current_flow, previous_flow = valve.flows[self.delay_samples], valve.flows[self.delay_samples + 1]
         # A sum, not a product of matrices: so small, the call would cost more than the work.
         free_response = jnp.sum(model.transition * plant_state, axis=1)
-        next_state = free_response + current_flow * model.gamma0 + previous_flow * model.gamma1
+        next_state = model.with_dry_friction(
+            free_response + current_flow * model.gamma0 + previous_flow * model.gamma1
+        )
         return next_state, self._scale(displacement, covariate) * (next_state[0] - plant_state[0])
 
     def speed(self, plant_state: State, valve: ValveState, displacement: Scalar, covariate: Scalar) -> Scalar:

@@ -14,19 +14,47 @@ SERIES_TERMS = 18  # leaves less than 2e-23 of the exponential; see `matrix_expo
 MAX_HALVINGS = 32  # of a matrix of norm up to 2³¹
 
 
+class DiscreteFriction(NamedTuple):
+    """Dry friction of a discrete model.
+
+    Attributes:
+        gains: ∫₀ʰ exp(A s) ds E, shape [n].
+        start: state at rest, shape [n].
+    """
+
+    gains: Float[Array, " n"]
+    start: Float[Array, " n"]
+
+
 class DiscreteStateSpace(NamedTuple):
     """x[k+1] = Φ x[k] + Γ₀ u[k−m] + Γ₁ u[k−m−1], y[k] = x₁[k].
+
+    With dry friction Γ_f φ[k] is added; see `with_dry_friction`.
 
     Attributes:
         transition: Φ, shape [n, n].
         gamma0, gamma1: Γ₀ and Γ₁, shape [n].
         delay_samples: m, the whole samples of the dead time.
+        friction: dry friction; None without.
     """
 
     transition: Float[Array, "n n"]
     gamma0: Float[Array, " n"]
     gamma1: Float[Array, " n"]
     delay_samples: Int[Array, ""]
+    friction: DiscreteFriction | None = None
+
+    def with_dry_friction(self, state: Float[Array, "n *t"]) -> Float[Array, "n *t"]:
+        """Return the next state with dry friction from that without.
+
+        φ is constant over a sample and such that the speed at its end is zero where −1 ≤ φ ≤ 1 suffices for
+        that, else ±1 against the motion (implicit time stepping, Moreau 1988): stable at any step.
+        """
+        if self.friction is None:
+            return state
+        gains = self.friction.gains
+        share = jnp.clip(-state[1] / gains[1], -1.0, 1.0)
+        return state + gains.reshape(-1, *[1] * (state.ndim - 1)) * share
 
 
 def zero_order_hold(
@@ -103,7 +131,18 @@ def discretise(
         gamma0,
         current_transition @ delayed_gamma,
         delay_samples.astype(jnp.int32),
+        _discrete_friction(structure, values, step_s),
     )
+
+
+def _discrete_friction(
+    structure: LinearStructure, values: Float[Array, " p"], step_s: Scalar
+) -> DiscreteFriction | None:
+    friction = structure.dry_friction(values)
+    if friction is None:
+        return None
+    _, gains = zero_order_hold(structure.state_space(values)[0], friction.gains, step_s)
+    return DiscreteFriction(gains, structure.state_at_speed(values, jnp.zeros_like(values[0])))
 
 
 @jax.jit
@@ -124,11 +163,15 @@ def simulate_linear(model: DiscreteStateSpace, command: Float[Array, "t n"]) -> 
         current, previous = commands
         # Sums over few states, not a matrix product: the whole step is one loop over the tests.
         next_state = jnp.sum(model.transition[:, :, None] * state[None, :, :], axis=1)
-        return next_state + model.gamma0[:, None] * current + model.gamma1[:, None] * previous, state[0]
+        next_state = next_state + model.gamma0[:, None] * current + model.gamma1[:, None] * previous
+        return model.with_dry_friction(next_state), state[0]
 
-    zero_state = jnp.zeros((model.gamma0.shape[0], tests), command.dtype)
+    start = jnp.zeros_like(model.gamma0) if model.friction is None else model.friction.start
+    start_states = jnp.broadcast_to(start[:, None], (start.size, tests)).astype(command.dtype)
     return jax.lax.scan(
-        advance, zero_state, (delayed_command(model.delay_samples), delayed_command(model.delay_samples + 1))
+        advance,
+        start_states,
+        (delayed_command(model.delay_samples), delayed_command(model.delay_samples + 1)),
     )[1].T
 
 

@@ -10,10 +10,12 @@ from hitchid.structures.inertia_with_friction import InertiaWithFriction
 from hitchid.structures.integrator import Integrator
 from hitchid.structures.integrator_first_order import IntegratorFirstOrder
 from hitchid.structures.integrator_second_order import IntegratorSecondOrder
+from hitchid.structures.integrator_second_order_friction import IntegratorSecondOrderFriction
 from hitchid.structures.structure import Structure
 
 BUILT_IN = (
     IntegratorSecondOrder(),
+    IntegratorSecondOrderFriction(),
     FirstOrderLag(),
     IntegratorFirstOrder(),
     Integrator(),

@@ -116,14 +116,31 @@ class Structure(eqx.Module):
         return {}
 
 
+@short_repr
+class DryFriction(NamedTuple):
+    """Dry friction as an input φ of a linear model, between −1 and 1: ẋ = A x + B u + E φ.
+
+    Attributes:
+        gains: E, shape [n].
+        at_rest: φ before motion.
+    """
+
+    gains: Float[Array, " n"]
+    at_rest: Float[Array, ""]
+
+
 class LinearStructure(Structure):
     """A linear model from effective command to displacement away from its start.
 
-    Every parameter is positive. The output is the first state; the second, where there is one, is its rate.
+    The output is the first state; the second, where there is one, is its rate.
+
+    Attributes:
+        has_dry_friction: whether dry friction acts on the speed, beside the linear model.
     """
 
     gain: ClassVar[str] = "gain"
     options: ClassVar[frozenset[ModelOption]] = frozenset(ModelOption)
+    has_dry_friction: ClassVar[bool] = False
 
     @property
     def linear(self) -> "LinearStructure":
@@ -134,6 +151,11 @@ class LinearStructure(Structure):
         """Return the state at travel zero and a given speed; with one state the speed is not part of it."""
         count = self.state_space(values)[1].shape[0]
         return jnp.zeros(count, values.dtype).at[1:2].set(speed)
+
+    def dry_friction(self, values: Float[Array, " p"]) -> DryFriction | None:
+        """Return the dry friction that acts on the speed, the second state; None where there is none."""
+        del values
+        return None
 
     @abc.abstractmethod
     def state_space(self, values: Float[Array, " p"]) -> tuple[Float[Array, "n n"], Float[Array, " n"]]:
