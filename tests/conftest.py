@@ -98,7 +98,7 @@ def make_record():
 @pytest.fixture(scope="session")
 def quick_settings():
     """Return arguments of an identification that takes seconds."""
-    from hitchid.identification import AdamConfig, CompensatorConfig, MultiStart, Rollouts
+    from hitchid.identification import AdamConfig, CompensatorConfig, MultiStart, SpeedCompensatorConfig
     from hitchid.identification.identify import PAPER_SPECS
 
     return {
@@ -106,6 +106,9 @@ def quick_settings():
         "comparison": None,
         "search": MultiStart(evaluations=60),
         "training": CompensatorConfig(
-            hidden=6, window=20, adam=AdamConfig(epochs=8, patience=8), rollouts=Rollouts(hidden=4, epochs=10)
+            hidden=6,
+            window=20,
+            adam=AdamConfig(epochs=8, patience=8),
+            free_run=SpeedCompensatorConfig(units=2),
         ),
     }

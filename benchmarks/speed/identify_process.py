@@ -17,7 +17,7 @@ def main(folders: list[Path]) -> None:
 
     options = {
         "structure": PAPER_SPECS,
-        "training": CompensatorConfig(rollouts=None, baselines=False),
+        "training": CompensatorConfig(free_run=None, baselines=False),
         "comparison": None,
     }
     campaigns = [read(folder) for folder in folders]

@@ -49,7 +49,7 @@ def saved(tmp_path_factory):
     folder = tmp_path_factory.mktemp("outside") / "model"
     with pytest.MonkeyPatch.context() as patch:
         install(tmp_path_factory.mktemp("installed"), patch)
-        training = CompensatorConfig(hidden=2, window=10, adam=AdamConfig(epochs=1), rollouts=None)
+        training = CompensatorConfig(hidden=2, window=10, adam=AdamConfig(epochs=1), free_run=None)
         found = hitchid.identify(
             campaign(),
             structure={LIFTING: "integrator"},

@@ -529,7 +529,7 @@ def test_settings_are_shown_by_the_keys_and_in_the_values_of_the_settings_file()
         },
         "search": {"method": "whale", "evaluations": 600, "stagnation": None},
         # As models of the first versions have it.
-        "training": "CompensatorConfig(hidden=8, adam=AdamConfig(epochs=15), rollouts=None, baselines=True)",
+        "training": "CompensatorConfig(hidden=8, adam=AdamConfig(epochs=15), free_run=None, baselines=True)",
         "dead_zones": {LIFTING: 0.35},
         "drift": False,
     }

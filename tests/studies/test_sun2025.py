@@ -8,7 +8,7 @@ import pytest
 
 from hitchid.data.record import DIRECTIONS, LIFTING
 from hitchid.experiments.virtual_campaign import DYNAMIC_S, HIGH, LOW, STROKE_FRACTION
-from hitchid.identification import AdamConfig, CompensatorConfig, MultiStart, Rollouts
+from hitchid.identification import AdamConfig, CompensatorConfig, MultiStart, SpeedCompensatorConfig
 from hitchid.rig import load_rig, simulate
 from hitchid.studies.sun2025 import Plan, reproduce
 from hitchid.studies.sun2025.mechanistic import mechanistic
@@ -25,7 +25,7 @@ def test_a_small_study_writes_every_table_and_figure(tmp_path):
             hidden=6,
             window=20,
             adam=AdamConfig(epochs=6, patience=6),
-            rollouts=Rollouts(hidden=4, epochs=10),
+            free_run=SpeedCompensatorConfig(units=2),
             baselines=False,
         ),
     )

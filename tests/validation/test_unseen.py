@@ -11,7 +11,13 @@ from hitchid import identify, validate
 from hitchid.data.campaign import Campaign
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError
-from hitchid.identification import AdamConfig, CompensatorConfig, ModelSpec, MultiStart, Rollouts
+from hitchid.identification import (
+    AdamConfig,
+    CompensatorConfig,
+    ModelSpec,
+    MultiStart,
+    SpeedCompensatorConfig,
+)
 from hitchid.structures import structure_named
 from truth import held, levels
 
@@ -21,7 +27,7 @@ QUICK = {
     "search": MultiStart(evaluations=30),
     "comparison": None,
     "training": CompensatorConfig(
-        hidden=4, window=10, adam=AdamConfig(epochs=5, patience=5), rollouts=Rollouts(hidden=4, epochs=10)
+        hidden=4, window=10, adam=AdamConfig(epochs=5, patience=5), free_run=SpeedCompensatorConfig(units=2)
     ),
 }
 

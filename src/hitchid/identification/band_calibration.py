@@ -82,7 +82,7 @@ def _ensemble(channel: Channel, phase1: Phase1) -> list[EnsembleMember]:
         shifted = position + step if np.all(np.abs(position + step - 0.5) <= 0.5) else position - step
         ensemble.append(EnsembleMember(_parameter_vector(channel, phase1, np.clip(shifted, 0.0, 1.0))))
     if channel.speed_compensator is not None:
-        members = channel.speed_compensator.networks.head.weight.shape[0]
+        members = channel.speed_compensator.members
         parameter_vector = tuple(map(float, channel.benchmark.parameter_vector))
         ensemble += [
             EnsembleMember(parameter_vector, member, 1 / np.sqrt(max(members - 1, 1)))
@@ -108,7 +108,7 @@ def _held_out(channel: Channel, phase1: Phase1, batch: Batch) -> np.ndarray:
     """Return each test's free run by the model fitted without it, shape [T, N]."""
     tests = batch.command.shape[0]
     influence_by_test, position = phase1.influence.by_test, phase1.fit.position
-    members = 1 if channel.speed_compensator is None else len(channel.speed_compensator.networks.head.weight)
+    members = 1 if channel.speed_compensator is None else channel.speed_compensator.members
     rows = []
     for test in range(tests):
         position_without_test = (

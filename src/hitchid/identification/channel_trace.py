@@ -10,9 +10,9 @@ from hitchid._support.short_repr import short_repr
 from hitchid.estimation import Search, SearchComparison
 from hitchid.estimation.training import TrainingHistory
 from hitchid.identification.dead_zone import DeadZone
+from hitchid.identification.holdout_test import HoldoutTest
 from hitchid.identification.phase1 import Phase1
 from hitchid.identification.phase2 import CompensatorConfig
-from hitchid.identification.rollouts import HoldoutTest
 from hitchid.identification.selection import AutoStructure, Candidate
 from hitchid.model import Characteristics, Comparison, Uncertainty
 from hitchid.structures import ModelSpec

@@ -100,14 +100,14 @@ def _describe_training(training: CompensatorConfig | None) -> dict[str, object]:
     """Return the settings of the training by the keys of the settings file, as far as it has them."""
     if training is None:
         return {"compensator": False}
-    rollouts = training.rollouts
+    free_run = training.free_run
     return {
         "compensator": True,
         "hidden": training.hidden,
         "window": training.window,
         **asdict(training.adam),
-        "free_run": rollouts is not None,
-        **({} if rollouts is None else {f"free_run_{key}": value for key, value in asdict(rollouts).items()}),
+        "free_run": free_run is not None,
+        **({} if free_run is None else {f"free_run_{key}": value for key, value in asdict(free_run).items()}),
         "baselines": training.baselines,
     }
 

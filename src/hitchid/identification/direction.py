@@ -25,8 +25,8 @@ from hitchid.identification.gain_calibration import with_gain
 from hitchid.identification.optional import attempt
 from hitchid.identification.phase1 import Phase1
 from hitchid.identification.preparation import ChannelData
-from hitchid.identification.rollouts import train_on_rollouts
 from hitchid.identification.selection import AutoStructure, Candidate, choose_spec
+from hitchid.identification.speed_training import train_speed_compensator
 from hitchid.model import Channel, Characteristics, Comparison, Uncertainty
 from hitchid.networks.operating_range import OperatingRange, SignalRange
 from hitchid.structures import Batch
@@ -113,20 +113,20 @@ def find_compensators(
             config.checkpoints.child("compensator"),
         )
     trace = replace(trace, phase2=training_history)
-    if config.training.rollouts is not None:
+    if config.training.free_run is not None:
         parts["free runs"](ProgressUpdate("phase 2, free runs", 0.0))
         with timed(seconds, "compensator for free run"):
-            travel = channel.benchmark.travel(data.all_tests)
-            speed_compensator, holdout_test = train_on_rollouts(
+            judged = train_speed_compensator(
+                channel,
+                trace.phase1,
                 data.all_tests,
-                travel,
-                channel.operating_range,
-                config.training.rollouts,
-                keys[1],
+                config.training.free_run,
+                config.seed,
                 config.checkpoints,
             )
-        channel = replace(channel, speed_compensator=speed_compensator)
-        trace = replace(trace, holdout_test=holdout_test, notices=(*trace.notices, holdout_test.sentence))
+        channel = replace(channel, speed_compensator=judged.compensator)
+        notices = (*trace.notices, judged.holdout_test.sentence)
+        trace = replace(trace, holdout_test=judged.holdout_test, notices=notices)
     comparison = Comparison()
     if config.training.baselines:
         comparison, notices = fit_comparison(
@@ -141,7 +141,7 @@ def _phase2_shares(config: ChannelConfig) -> dict[str, float]:
     training = config.training
     parts = {
         "compensator": 0.15 if training else 0.0,
-        "free runs": 0.2 if training and training.rollouts else 0.0,
+        "free runs": 0.2 if training and training.free_run else 0.0,
         "baselines": 0.4 if training and training.baselines else 0.0,
         "searches": 0.1 if config.comparison else 0.0,
         "bands": 0.1,

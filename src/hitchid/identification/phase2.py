@@ -17,7 +17,7 @@ from hitchid.estimation.training import (
     pad_to_batches,
     train,
 )
-from hitchid.identification.rollouts import Rollouts
+from hitchid.identification.speed_training import SpeedCompensatorConfig
 from hitchid.networks.error_compensator import FEATURES, Compensator, Sample, measured_features
 from hitchid.networks.lstm import Lstm
 from hitchid.structures import Batch
@@ -33,14 +33,14 @@ class CompensatorConfig:
         hidden: cells of the LSTM.
         window: features read before a prediction.
         adam: Adam and early stopping.
-        rollouts: of the compensator for free run; None for none.
+        free_run: of the compensator for free run; None for none.
         baselines: whether the baselines are fitted beside it.
     """
 
     hidden: int = 32
     window: int = 50
     adam: AdamConfig = field(default_factory=AdamConfig)
-    rollouts: Rollouts | None = field(default_factory=Rollouts)
+    free_run: SpeedCompensatorConfig | None = field(default_factory=SpeedCompensatorConfig)
     baselines: bool = True
 
 

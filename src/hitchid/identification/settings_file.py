@@ -16,8 +16,8 @@ from hitchid.estimation.training import AdamConfig
 from hitchid.identification.arguments import LARGEST_SEED
 from hitchid.identification.identify import DEFAULT_STRUCTURES
 from hitchid.identification.phase2 import CompensatorConfig
-from hitchid.identification.rollouts import Rollouts
 from hitchid.identification.selection import AutoStructure
+from hitchid.identification.speed_training import SpeedCompensatorConfig
 from hitchid.structures import ModelSpec, structure_named
 
 AUTOMATIC = "automatic"
@@ -97,8 +97,8 @@ class TrainingSection(Strict):
         if not self.compensator:
             return None
         adam = AdamConfig(self.epochs, self.patience, self.batch, self.learning_rate)
-        rollouts = Rollouts() if self.free_run else None
-        return CompensatorConfig(self.hidden, self.window, adam, rollouts, self.baselines)
+        free_run = SpeedCompensatorConfig() if self.free_run else None
+        return CompensatorConfig(self.hidden, self.window, adam, free_run, self.baselines)
 
 
 class IdentifyFile(Strict):

@@ -54,9 +54,6 @@ def describe_channel(trace: ChannelTrace) -> dict:
             "open": holdout_test.accepted,
             "benchmark": holdout_test.benchmark.tolist(),
             "compensated": holdout_test.compensated.tolist(),
-            "best_epochs": list(holdout_test.best_epochs),
-            "training_loss": [[_finite(value) for value in row] for row in holdout_test.training],
-            "validation_loss": [[_finite(value) for value in row] for row in holdout_test.validation],
         },
         "candidates": [
             {

@@ -75,6 +75,7 @@ class Channel(eqx.Module):
             batch.command,
             batch.initial,
             batch.covariate,
+            batch.step_s,
         )
         return self._to_displacement(batch, travel)
 

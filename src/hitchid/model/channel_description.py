@@ -13,7 +13,7 @@ from hitchid.model.tensors import Tensors, check_size, fill, tensors_of
 from hitchid.networks.error_compensator import FEATURES, Compensator
 from hitchid.networks.lstm import Lstm
 from hitchid.networks.operating_range import OperatingRange
-from hitchid.networks.speed_compensator import INPUTS, SpeedCompensator
+from hitchid.networks.speed_compensator import INPUTS, SpeedCompensator, SpeedNetworks
 from hitchid.structures import (
     NONLINEARITY_PARAMETERS,
     PhysicalModel,
@@ -60,9 +60,8 @@ def describe_channel(channel: Channel) -> dict[str, object]:
         "speed_compensator": None
         if speed is None
         else {
-            "members": speed.networks.cell.weight_hh.shape[0],
-            "hidden": speed.networks.cell.hidden_size,
-            "block_size": speed.block_size,
+            "members": speed.members,
+            "units": speed.networks.biases.shape[1],
         },
     }
 
@@ -113,7 +112,7 @@ def _read_speed_compensator(
 ) -> SpeedCompensator | None:
     if described is None:
         return None
-    check_size(tensors, described["members"] * described["hidden"] ** 2)
+    check_size(tensors, described["members"] * described["units"])
     return fill(_empty_speed_compensator(sign=sign, **described), tensors, prefix)
 
 
@@ -137,9 +136,9 @@ def _empty_compensator(hidden: int, window: int) -> Compensator:
     )
 
 
-def _empty_speed_compensator(*, members: int, hidden: int, block_size: int, sign: int) -> SpeedCompensator:
-    network = Lstm.init(jax.random.key(0), INPUTS, hidden)
-    networks = jax.tree.map(lambda leaf: jnp.zeros((members, *leaf.shape), leaf.dtype), network)
-    return SpeedCompensator(
-        networks, jnp.ones(()), jnp.ones(()), OperatingRange.unbounded(), sign, block_size
+def _empty_speed_compensator(*, members: int, units: int, sign: int) -> SpeedCompensator:
+    networks = SpeedNetworks(
+        jnp.zeros((members, units, INPUTS)), jnp.zeros((members, units)), jnp.zeros((members, units))
     )
+    scales = (jnp.ones(()), jnp.ones(()), jnp.ones(()))
+    return SpeedCompensator(networks, *scales, OperatingRange.unbounded(), sign)

@@ -219,9 +219,7 @@ class HitchDynamics(eqx.Module):
         channel = self.channels[number]
         correction = None
         if channel.speed_compensator is not None:
-            networks = channel.speed_compensator.networks
-            lstm_state = networks.zero_state((networks.head.weight.shape[0], 1))
-            correction = SpeedCompensatorState(lstm_state, jnp.ones(()), jnp.zeros(()), jnp.zeros(()))
+            correction = SpeedCompensatorState(jnp.zeros(()), jnp.zeros(()))
         plant = self.discrete_models[number].init_state(displacement, speed, load)
         return ChannelState(valve, plant, jnp.asarray(0), correction)
 
@@ -291,30 +289,21 @@ class HitchDynamics(eqx.Module):
         increment: Float[Array, ""],
         state: HitchState,
     ) -> tuple[SpeedCompensatorState | None, Float[Array, ""]]:
-        """Return compensator state and speed factor; at the start of a block the networks advance."""
+        """Return the compensator's next state and the speed factor until the next sample."""
         channel, correction = self.channels[number], channel_state.correction
         compensator = channel.speed_compensator
         if compensator is None or correction is None:
             return None, jnp.ones(())
-
-        def start_block(_: None) -> SpeedCompensatorState:
-            hidden, factor = compensator.step(
-                compensator.networks,
-                correction.hidden,
-                correction.command[None] / compensator.block_size,
-                correction.travel_increment[None],
-                state.free_run[None],
-                state.load[None],
-            )
-            return SpeedCompensatorState(hidden, factor[0], jnp.zeros(()), jnp.zeros(()))
-
-        block_starts = is_active & (channel_state.samples_in_charge % compensator.block_size == 0)
-        current = jax.lax.cond(block_starts, start_block, lambda _: correction, None)
-        accumulated = current._replace(
-            command=current.command + jnp.where(is_active, channel_state.valve.effective, 0.0),
-            travel_increment=current.travel_increment + channel.sign * increment,
+        factor = compensator.factor(
+            channel_state.valve.effective,
+            correction.speed,
+            correction.acceleration,
+            state.free_run,
+            state.load,
         )
-        return accumulated, current.factor
+        speed = channel.sign * increment / self.step_s
+        advanced = SpeedCompensatorState(speed, (speed - correction.speed) / self.step_s)
+        return select(is_active, advanced, correction), factor
 
 
 def _replace_item(items: tuple, index: int, item: object) -> tuple:

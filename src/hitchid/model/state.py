@@ -6,25 +6,19 @@ from jaxtyping import Array, Bool, Float, Float32, Int
 
 from hitchid._support.short_repr import short_repr
 from hitchid.networks.error_compensator import FeatureState
-from hitchid.networks.lstm import LstmState
 from hitchid.structures import ValveState
 
 
 @short_repr
 class SpeedCompensatorState(NamedTuple):
-    """State of the compensator for free run.
+    """Inputs of the compensator for free run from the past.
 
     Attributes:
-        hidden: LSTM states of its networks, shape [M, 1, H].
-        factor: factor on the benchmark's speed in this block.
-        command, travel_increment: sums of effective command and of the benchmark's travel over this block
-            so far.
+        speed, acceleration: of the benchmark's travel up to now, in the displacement's unit, 1/s, 1/s².
     """
 
-    hidden: LstmState
-    factor: Float[Array, ""]
-    command: Float[Array, ""]
-    travel_increment: Float[Array, ""]
+    speed: Float[Array, ""]
+    acceleration: Float[Array, ""]
 
 
 @short_repr

@@ -45,7 +45,7 @@ class Plan:
 def quick_plan() -> Plan:
     """Return a short plan: fewer tests, a smaller search, shorter training, no baselines."""
     optimizer = AdamConfig(epochs=40, patience=20)
-    training = CompensatorConfig(hidden=16, adam=optimizer, rollouts=None, baselines=False)
+    training = CompensatorConfig(hidden=16, adam=optimizer, free_run=None, baselines=False)
     search = Whale(WhaleConfig(iterations=40, evaluations=1200))
     return Plan(tests=8, cycles=1, search=search, training=training, comparison=None)
 

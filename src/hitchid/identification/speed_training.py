@@ -1,0 +1,243 @@
+"""Training of the compensator for free run by least squares on whole free runs, and its judgement."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from hitchid._support.checkpoints import DISABLED, Arrays, Checkpoints
+from hitchid._support.metrics import proven_better
+from hitchid.estimation.least_squares import minimise
+from hitchid.estimation.search_problem import NormalEquations
+from hitchid.identification.cross_fitting import folds_of, positions_without_folds, with_position
+from hitchid.identification.holdout_test import FEWEST_TESTS, HoldoutTest
+from hitchid.identification.phase1 import Phase1
+from hitchid.model import Channel
+from hitchid.networks.speed_compensator import (
+    INPUTS,
+    SpeedCompensator,
+    SpeedNetworks,
+    simulate_compensated,
+)
+from hitchid.structures import Batch
+
+SAMPLES = 512  # largest number of samples of a test in training; chosen for speed
+LARGEST_WEIGHT = 8.0  # bound of a weight: a unit then switches within an eighth of its input's range; chosen
+STEPS, TOLERANCE = 40, 1e-4  # least-squares positions, relative change of the cost at which to stop; chosen
+SMALL_OUTPUT = 0.05  # spread of the initial output weights: the start is nearly the benchmark; chosen
+
+
+@dataclass(frozen=True)
+class SpeedCompensatorConfig:
+    """Settings of the compensator for free run.
+
+    Attributes:
+        units: of each network.
+        members: networks whose outputs are averaged.
+        ridge: weight of the squared weights, as a share of the benchmark's squared error.
+    """
+
+    units: int = 4
+    members: int = 2
+    ridge: float = 0.1
+
+
+class JudgedCompensator(NamedTuple):
+    """A compensator for free run and its test on tests held out.
+
+    Attributes:
+        compensator: trained on all tests; None where it was not accepted.
+        holdout_test: result of the test.
+        without_folds: the compensator trained without each fold; None each where it was not accepted.
+    """
+
+    compensator: SpeedCompensator | None
+    holdout_test: HoldoutTest
+    without_folds: tuple[SpeedCompensator | None, ...]
+
+
+def train_speed_compensator(
+    channel: Channel,
+    phase1: Phase1,
+    batch: Batch,
+    settings: SpeedCompensatorConfig,
+    seed: int,
+    checkpoints: Checkpoints = DISABLED,
+) -> JudgedCompensator:
+    """Train networks on free runs, and accept them if they improve the free runs of tests held out.
+
+    For each fold, benchmark and all networks are fitted to the other tests; the mean of these networks, which
+    is what ships, gives the free runs of the fold. It is accepted where these are better than those of the
+    benchmark fitted to the same tests; see `proven_better`.
+
+    Args:
+        channel: with the benchmark of all tests.
+        phase1: its fit.
+        batch: identification tests.
+        settings: size and ridge.
+        seed: of the initial weights.
+        checkpoints: where the weights are kept and read back.
+    """
+    tests = batch.command.shape[0]
+    folds = folds_of(tests)
+    if tests < FEWEST_TESTS:
+        return JudgedCompensator(None, HoldoutTest(False, np.zeros(0), np.zeros(0)), (None,) * len(folds))
+    channels = [
+        replace(with_position(channel, phase1, position), speed_compensator=None)
+        for position in positions_without_folds(phase1, folds)
+    ]
+    trained = [
+        _trained(fold_channel, batch, ~held_out, settings, seed, checkpoints.child(f"free run {number}"))
+        for number, (fold_channel, held_out) in enumerate(zip(channels, folds, strict=True))
+    ]
+    benchmark, compensated = np.zeros(tests), np.zeros(tests)
+    for held_out, fold_channel, compensator in zip(folds, channels, trained, strict=True):
+        corrected = replace(fold_channel, speed_compensator=compensator)
+        benchmark[held_out] = _rmse_by_test(fold_channel, batch)[held_out]
+        compensated[held_out] = _rmse_by_test(corrected, batch)[held_out]
+    holdout_test = HoldoutTest(proven_better(compensated, benchmark), benchmark, compensated)
+    if not holdout_test.accepted:
+        return JudgedCompensator(None, holdout_test, (None,) * len(folds))
+    everything = np.ones(tests, bool)
+    compensator = _trained(channel, batch, everything, settings, seed, checkpoints.child("free run"))
+    return JudgedCompensator(compensator, holdout_test, tuple(trained))
+
+
+class _FreeRuns(NamedTuple):
+    """Free runs of the benchmark and what was measured, on a coarser clock; arrays of shape [T, N] or [T]."""
+
+    benchmark: Float[Array, "t n"]
+    command: Float[Array, "t n"]
+    initial: Float[Array, " t"]
+    load: Float[Array, " t"]
+    measured: Float[Array, "t n"]
+    weight: Float[Array, "t n"]
+    step_s: Float[Array, ""]
+
+    @classmethod
+    def of(cls, channel: Channel, batch: Batch, tests: Bool[np.ndarray, " t"]) -> "_FreeRuns":
+        """Return the free runs of some tests, each of the same weight."""
+        coarse = batch.decimate(SAMPLES)
+        travel = channel.benchmark.travel(batch)[:, :: round(coarse.step_s / batch.step_s)]
+        loss_mask = np.asarray(coarse.loss_mask) & tests[:, None]
+        weight = loss_mask / np.maximum(loss_mask.sum(axis=1, keepdims=True), 1) / max(tests.sum(), 1)
+        return cls(
+            travel,
+            coarse.command,
+            coarse.initial,
+            coarse.covariate,
+            coarse.travel,
+            jnp.asarray(weight),
+            jnp.asarray(coarse.step_s),
+        )
+
+
+def _trained(
+    channel: Channel,
+    batch: Batch,
+    tests: Bool[np.ndarray, " t"],
+    settings: SpeedCompensatorConfig,
+    seed: int,
+    checkpoints: Checkpoints,
+) -> SpeedCompensator:
+    """Return the networks fitted to some tests; one whose least squares fails stays as it starts."""
+    runs = _FreeRuns.of(channel, batch, tests)
+    compensator = _untrained(channel, runs, settings)
+    rng = np.random.default_rng(seed)
+    initial_cost = float(jnp.sum(runs.weight * (runs.benchmark - runs.measured) ** 2))
+    ridge = settings.ridge * max(initial_cost, np.finfo(float).tiny)
+
+    def work() -> Arrays:
+        starts = [_initial_weights(rng, settings.units) for _ in range(settings.members)]
+        return {"weights": np.stack([_fitted(compensator, runs, start, ridge) for start in starts])}
+
+    weights = checkpoints.cached_arrays("weights", work)["weights"]
+    return replace(compensator, networks=_networks(jnp.asarray(weights)))
+
+
+def _fitted(
+    compensator: SpeedCompensator, runs: _FreeRuns, start: np.ndarray, ridge: float
+) -> Float[np.ndarray, " w"]:
+    """Return the weights of one network that minimise its mean square error plus ρ ‖w‖²."""
+    slope = 2 * LARGEST_WEIGHT
+
+    def normal_equations(position: np.ndarray) -> NormalEquations:
+        weights = slope * (position - 0.5)
+        cost, gradient, curvature = map(np.asarray, _equations(compensator, runs, jnp.asarray(weights)))
+        return NormalEquations(
+            float(cost) + ridge * float(weights @ weights),
+            slope * (gradient + ridge * weights),
+            slope**2 * (curvature + ridge * np.eye(weights.size)),
+        )
+
+    minimum = minimise(normal_equations, start / slope + 0.5, limit=STEPS, tolerance=TOLERANCE)
+    return start if minimum is None else slope * (minimum.position - 0.5)
+
+
+@jax.jit
+def _equations(
+    compensator: SpeedCompensator, runs: _FreeRuns, weights: Float[Array, " w"]
+) -> tuple[Float[Array, ""], Float[Array, " w"], Float[Array, "w w"]]:
+    """Return the weighted squared error of a free run, to second order."""
+
+    def errors(weights: Float[Array, " w"]) -> Float[Array, "t n"]:
+        single = replace(compensator, networks=_networks(weights[None]))
+        travel = simulate_compensated(
+            single, runs.benchmark, runs.command, runs.initial, runs.load, runs.step_s
+        )
+        return jnp.sqrt(runs.weight) * (travel - runs.measured)
+
+    residuals, columns = jax.vmap(
+        lambda tangent: jax.jvp(errors, (weights,), (tangent,)), out_axes=(None, 0)
+    )(jnp.eye(weights.size))
+    rows = columns.reshape(weights.size, -1)
+    return jnp.sum(residuals**2), rows @ residuals.ravel(), rows @ rows.T
+
+
+def _networks(weights: Float[Array, "m w"]) -> SpeedNetworks:
+    """Return networks from their weights in rows: W, b, v."""
+    members, units = weights.shape[0], weights.shape[1] // (INPUTS + 2)
+    return SpeedNetworks(
+        weights[:, : INPUTS * units].reshape(members, units, INPUTS),
+        weights[:, INPUTS * units : (INPUTS + 1) * units],
+        weights[:, (INPUTS + 1) * units :],
+    )
+
+
+def _initial_weights(rng: np.random.Generator, units: int) -> Float[np.ndarray, " w"]:
+    """Return random weights and biases of spread one, and small output weights."""
+    weights = rng.standard_normal((INPUTS + 2) * units)
+    weights[-units:] *= SMALL_OUTPUT
+    return np.clip(weights, -LARGEST_WEIGHT, LARGEST_WEIGHT)
+
+
+def _untrained(channel: Channel, runs: _FreeRuns, settings: SpeedCompensatorConfig) -> SpeedCompensator:
+    """Return a compensator with the scales of the tests, its networks zero."""
+    counts = np.asarray(runs.weight) > 0
+    speed = np.gradient(np.asarray(runs.benchmark), float(runs.step_s), axis=1)
+    acceleration = np.gradient(speed, float(runs.step_s), axis=1)
+
+    def rms(rows: np.ndarray) -> Array:
+        return jnp.asarray(float(np.sqrt(np.mean(rows[counts] ** 2))) or 1.0)
+
+    return SpeedCompensator(
+        networks=_networks(jnp.zeros((settings.members, (INPUTS + 2) * settings.units))),
+        command_scale=jnp.asarray(float(np.abs(np.asarray(runs.command)[counts]).max()) or 1.0),
+        speed_scale=rms(speed),
+        acceleration_scale=rms(acceleration),
+        operating_range=channel.operating_range,
+        sign=channel.sign,
+    )
+
+
+def _rmse_by_test(channel: Channel, batch: Batch) -> Float[np.ndarray, " t"]:
+    """Return the free-run error of each test over the samples that count."""
+    errors = np.asarray(channel.simulate(batch)) - np.asarray(batch.displacement)
+    rows: Sequence[np.ndarray] = [
+        row[mask] for row, mask in zip(errors, np.asarray(batch.loss_mask), strict=True)
+    ]
+    return np.array([float(np.sqrt(np.mean(row**2))) if row.size else 0.0 for row in rows])
