@@ -11,7 +11,7 @@ import optax
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from hitchid._support.checkpoints import DISABLED, Arrays, Checkpoints
-from hitchid._support.metrics import proven_better
+from hitchid._support.metrics import better_on_held_out_tests
 from hitchid.estimation.training import optimiser, weights_of, with_weights
 from hitchid.identification.holdout_test import FEWEST_TESTS, HoldoutTest, deal_roles
 from hitchid.networks.lstm import Lstm
@@ -126,7 +126,7 @@ def train_on_rollouts(
     compensated_rmse = np.array([float(arrays["errors"][fold[test], test]) for test in range(tests)])
     benchmark_rmse = np.sqrt(np.asarray(runs.benchmark))
     holdout_test = HoldoutTest(
-        accepted=proven_better(compensated_rmse, benchmark_rmse),
+        accepted=better_on_held_out_tests(compensated_rmse, benchmark_rmse),
         benchmark=benchmark_rmse,
         compensated=compensated_rmse,
         best_epochs=tuple(int(epoch) for epoch in arrays["best_epochs"]),
