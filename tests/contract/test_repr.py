@@ -129,7 +129,7 @@ def model() -> hitchid.Hitch:
         direction: replace(entry, benchmark=known_estimates(), characteristics=characteristics())
         for direction, entry in whole.uncertainty.items()
     }
-    return replace(whole, uncertainty=known, two_modes=TwoModes(True, 1.0, 0.5, 10.0, 1e-9, 12))
+    return replace(whole, uncertainty=known, two_modes=TwoModes(True, 1.0, 0.5, 12))
 
 
 def identification() -> Identification:

@@ -133,11 +133,10 @@ def _show_candidates(trace: "ChannelTrace", unit: str) -> None:
         name = f"{candidate.name} (chosen)" if candidate.chosen else candidate.name
         table.add_row(name, *(f"{error:.4g}" for error in errors))
     _narrow_console().print(table)
-    if any(candidate.per_test_gain for candidate in trace.candidates):
-        _print_wrapped(
-            "A structure with a gain along the stroke is judged with a gain for each test; without it, the "
-            "structure must not be significantly worse."
-        )
+    _print_wrapped(
+        "A larger structure is taken where it is significantly better on levels held out, as it is or with a "
+        "gain for each test, and not significantly worse in the other."
+    )
     _print_wrapped(
         f"RMSE {trace.choice_held_out_rmse:.4g} {unit} in free run on levels that neither fitted nor chose "
         "the structure"

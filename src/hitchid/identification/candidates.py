@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import jax.numpy as jnp
 import numpy as np
 
-from hitchid._support.metrics import HELD_OUT_LEVEL, better_on_held_out_tests, log_ratio_p_value
+from hitchid._support.metrics import better_on_held_out_tests, log_ratio_p_value
 from hitchid._support.short_repr import short_repr
 from hitchid.estimation import Objective, refine_subset
 from hitchid.structures import Batch, ModelSpec
@@ -15,6 +15,8 @@ FOLDS = 4  # chosen: every fourth operating point is held out together
 LEVEL_TOLERANCE = 0.01  # share of the range of levels within which tests are at one operating point
 STEPS = 40  # largest number of least-squares iterations from each start; chosen
 REFIT_STEPS = 4  # iterations of the refit without a fold: the start and three damped steps
+FIGURES = 2  # compared of each candidate: free run as it is, and with a gain for each test
+WORSE_LEVEL = 0.05  # level of the one-sided test that a candidate is worse in the other figure; chosen
 MIN_GAIN_TESTS = 6  # fewest held-out tests for comparing structures with a gain per test; chosen
 
 
@@ -32,7 +34,6 @@ class Candidate:
         held_out: free-run RMSE of each test whose operating point was held out in turn, shape [H].
         held_out_per_test_gain: the same with a gain fitted to each test, shape [H].
         fold: index of the fold that each of these tests was held out with, shape [H].
-        per_test_gain: whether its tests have a gain each, in the fit and in the comparison; see `is_better`.
         chosen: whether it was chosen.
     """
 
@@ -44,7 +45,6 @@ class Candidate:
     held_out: np.ndarray
     held_out_per_test_gain: np.ndarray
     fold: np.ndarray
-    per_test_gain: bool = False
     chosen: bool = False
 
     @property
@@ -66,26 +66,28 @@ class Candidate:
     def is_better(self, other: "Candidate", comparisons: int, tests: np.ndarray) -> bool:
         """Return whether it predicts held-out tests significantly better than another candidate.
 
-        Judged by the free run of the tests as it is, except for a form with a gain along the stroke. There
-        the unmeasured load of each test, which changes its speed from the first sample to the last, hides
-        what the form adds; it is judged by the free run with a gain fitted to each test, over six tests or
-        more, and the free run as it is must not be significantly worse (5 %).
+        In free run as it is, or, over six tests or more, with a gain fitted to each test: the unmeasured load
+        of a test changes its speed from the first sample to the last and may hide what a form adds. In the
+        figure that does not decide it must not be significantly worse (5 %).
 
         Args:
             other: the candidate it is compared with.
-            comparisons: number of candidates compared in the choice; see `better_on_held_out_tests`.
+            comparisons: number of comparisons in the choice; see `better_on_held_out_tests`.
             tests: which of the held-out tests count, shape [H].
         """
-        errors, other_errors = self.held_out[tests], other.held_out[tests]
-        if not self.per_test_gain:
-            return better_on_held_out_tests(errors, other_errors, comparisons)
+        free_run = self.held_out[tests], other.held_out[tests]
+        per_test_gain = self.held_out_per_test_gain[tests], other.held_out_per_test_gain[tests]
+        if better_on_held_out_tests(*free_run, comparisons=comparisons):
+            return not _significantly_worse(*per_test_gain)
         return (
-            errors.size >= MIN_GAIN_TESTS
-            and log_ratio_p_value(other_errors, errors) >= HELD_OUT_LEVEL
-            and better_on_held_out_tests(
-                self.held_out_per_test_gain[tests], other.held_out_per_test_gain[tests], comparisons
-            )
+            int(np.count_nonzero(tests)) >= MIN_GAIN_TESTS
+            and better_on_held_out_tests(*per_test_gain, comparisons=comparisons)
+            and not _significantly_worse(*free_run)
         )
+
+
+def _significantly_worse(errors: np.ndarray, other_errors: np.ndarray) -> bool:
+    return log_ratio_p_value(other_errors, errors) < WORSE_LEVEL
 
 
 @dataclass(frozen=True)
@@ -114,15 +116,15 @@ class Evaluation:
             held_out=self.held_out,
             held_out_per_test_gain=self.held_out_per_test_gain,
             fold=self.fold,
-            per_test_gain=objective.per_test_gain,
         )
 
 
 def best_candidate(candidates: Sequence[Candidate], tests: np.ndarray | None = None) -> int:
     """Return the index of the best candidate: a later one replaces an earlier one where it is better.
 
-    Better is significant at 5 % divided by the number of comparisons, one less than the candidates: where
-    none is better than the first, the probability that the choice leaves it is 5 % at most.
+    Each later candidate is compared with the best one before it in two figures; see `Candidate.is_better`.
+    Significance is judged for all of these comparisons together: where none of the later candidates is better
+    than the first, the probability that the choice leaves it is 10 % at most.
 
     Args:
         candidates: the smallest first, over the same held-out tests.
@@ -131,7 +133,7 @@ def best_candidate(candidates: Sequence[Candidate], tests: np.ndarray | None = N
     counted = np.ones(candidates[0].fold.size, bool) if tests is None else tests
     best = 0
     for number, candidate in enumerate(candidates):
-        if number and candidate.is_better(candidates[best], len(candidates) - 1, counted):
+        if number and candidate.is_better(candidates[best], FIGURES * (len(candidates) - 1), counted):
             best = number
     return best
 

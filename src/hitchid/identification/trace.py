@@ -66,7 +66,6 @@ def describe_channel(trace: ChannelTrace) -> dict:
                 "held_out_rmse": candidate.held_out_rmse,
                 "held_out_tests": candidate.held_out.tolist(),
                 "held_out_rmse_per_test_gain": candidate.held_out_rmse_per_test_gain,
-                "per_test_gain": candidate.per_test_gain,
                 "chosen": candidate.chosen,
             }
             for candidate in trace.candidates

@@ -193,7 +193,6 @@ def structures(candidates: Sequence[TracedCandidate], unit: str) -> Columns:
         f"held_out_rmse_per_test_gain_{unit}": [
             candidate.held_out_rmse_per_test_gain for candidate in candidates
         ],
-        "judged_with_per_test_gain": [candidate.per_test_gain for candidate in candidates],
         "chosen": [candidate.chosen for candidate in candidates],
     }
 

@@ -64,7 +64,6 @@ class TracedCandidate:
         rmse, held_out_rmse: in free run on all tests and on held-out levels.
         chosen: whether it was chosen.
         held_out_rmse_per_test_gain: on held-out levels with a gain fitted to each test; None in older traces.
-        per_test_gain: whether it was judged by that figure.
     """
 
     name: str
@@ -72,7 +71,6 @@ class TracedCandidate:
     held_out_rmse: float | None
     chosen: bool
     held_out_rmse_per_test_gain: float | None = None
-    per_test_gain: bool = False
 
 
 @short_repr

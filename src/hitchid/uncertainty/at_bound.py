@@ -41,12 +41,12 @@ def over_parameters_at_bound(
     for result in results:
         if not result.bound and result.is_narrow(result.interval):
             for other, step in zip(held, steps, strict=True):
-                result = _over_values_of(other, result, float(step[result.number]))
+                result = over_values_of(other, result, float(step[result.number]))
         updated.append(result)
     return updated
 
 
-def _over_values_of(other: ParameterResult, result: ParameterResult, step: float) -> ParameterResult:
+def over_values_of(other: ParameterResult, result: ParameterResult, step: float) -> ParameterResult:
     """Return a parameter with its interval over the values of one at its bound, or conditional on it."""
     curve, (lower, upper) = other.profile, result.interval
     if curve is None or lower is None or upper is None:

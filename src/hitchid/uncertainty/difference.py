@@ -19,9 +19,9 @@ def difference_test(
     """Test the difference of the estimates of two groups of tests by Hotelling's statistic.
 
     W = dᵀ C⁻¹ d with C = C₁ + C₂, the cluster-robust covariances of the two groups (`Scores.influence`):
-    tests are independent, the samples of one test need not be. (ν − p + 1)/(ν p) W is compared with F at p and
-    ν − p + 1 degrees of freedom. The covariances differ, so that (Krishnamoorthy & Yu 2004, Statist. Probab.
-    Lett. 66, 161)
+    tests are independent, the samples of one test need not be. (ν − p + 1)/(ν p) W is compared with F at p
+    and ν − p + 1 degrees of freedom. The covariances differ, so that (Krishnamoorthy & Yu 2004, Statist.
+    Probab. Lett. 66, 161)
 
         ν = (p + p²) / Σᵢ (tr((Cᵢ C⁻¹)²) + (tr(Cᵢ C⁻¹))²)/νᵢ
 

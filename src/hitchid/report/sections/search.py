@@ -62,14 +62,10 @@ def _trace_pictures(context: DirectionContext, trace: ChannelTraceFile) -> Itera
 def _structures_caption(trace: ChannelTraceFile, unit: str) -> str:
     caption = (
         "Free-run RMSE of each structure, on all tests and in cross-validation over levels. A larger "
-        "structure is taken where it is significantly better in cross-validation."
+        "structure is taken where it is significantly better in cross-validation, as shown or with a gain "
+        "fitted to each test, which this figure does not include; in the other of the two it must not be "
+        "significantly worse."
     )
-    if any(candidate.per_test_gain for candidate in trace.candidates):
-        caption += (
-            " A structure with a gain along the stroke is judged with a gain fitted to each test, which this "
-            "figure does not include; the chosen structure may have a larger error here, but not a "
-            "significantly larger one."
-        )
     if trace.choice_held_out_rmse is not None:
         error = f"{trace.choice_held_out_rmse:.4g} {unit}"
         caption += f" On levels that neither fitted nor chose the structure: {error}."
