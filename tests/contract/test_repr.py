@@ -200,7 +200,7 @@ def test_what_a_person_wants_to_know_is_there():
         hitchid.Hitch: (
             "G(s) = K / (s (s²/ωh² + 2 ξh s/ωh + 1))",
             "K = 30 ± 1 mm/(s·A)",
-            "two separate models are justified",
+            "the two directions differ significantly",
         ),
         Identification: ("lifting and lowering", "0.4261 mm", "identified in 3 s", "77 more: see .channels"),
         Validation: ("3 unseen lifting tests", "3 unseen cycles", "grey box", "0.4261", "diverged"),

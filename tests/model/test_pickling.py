@@ -14,7 +14,8 @@ from handmade import hitch, with_bands
 from hitchid.data.campaign import Campaign
 from hitchid.data.left_out import LeftOut
 from hitchid.errors import LogError
-from hitchid.model import DifferenceTest, Provenance, TwoModes
+from hitchid.model import Provenance, TwoModes
+from hitchid.model.provenance import DifferenceTest
 from hitchid.validation import Validation
 from hitchid.validation.results import Accuracy, ChannelResult, ModelFigures, RunFigures
 from report.reported import characteristics, horizons, known_estimates, predictions

@@ -8,9 +8,12 @@ from jaxtyping import Bool, Int
 
 from hitchid.estimation import Objective, refine_subset
 from hitchid.identification.preparation import ChannelData
-from hitchid.model import DifferenceTest, TwoModes
+from hitchid.model import TwoModes
+from hitchid.model.provenance import DifferenceTest
 from hitchid.structures import Batch, ModelSpec, structure_named
-from hitchid.uncertainty import AT_BOUND, Scores, difference_test
+from hitchid.uncertainty import difference_test
+from hitchid.uncertainty.parameter_result import AT_BOUND
+from hitchid.uncertainty.scores import Scores
 
 SPEC = ModelSpec(structure_named("integrator-first-order"), dead_time=True)
 # Positions of gain, time constant and dead time between their bounds; time constants of 0.1, 0.01 and 3 s.

@@ -27,7 +27,6 @@ from hitchid.model.limits import TravelLimits as TravelLimits
 from hitchid.model.packing import Packed as Packed
 from hitchid.model.parameters import ParameterRow as ParameterRow
 from hitchid.model.parameters import ParameterTable as ParameterTable
-from hitchid.model.provenance import DifferenceTest as DifferenceTest
 from hitchid.model.provenance import Provenance as Provenance
 from hitchid.model.provenance import TwoModes as TwoModes
 from hitchid.model.responses import FrequencyResponse as FrequencyResponse

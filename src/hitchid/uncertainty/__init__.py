@@ -7,6 +7,4 @@ from hitchid.uncertainty.dead_zone_error import DeadZoneError as DeadZoneError
 from hitchid.uncertainty.difference import difference_test as difference_test
 from hitchid.uncertainty.influence import Influence as Influence
 from hitchid.uncertainty.information import information_of as information_of
-from hitchid.uncertainty.parameter_result import AT_BOUND as AT_BOUND
-from hitchid.uncertainty.scores import Scores as Scores
 from hitchid.uncertainty.speed_map import characteristics as characteristics
