@@ -7,7 +7,7 @@ from benches import binary_command, lagged_integrator
 from hitchid.data.campaign import Campaign
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.identification.dead_zone import DeadZone
-from hitchid.identification.mode_test import FOLDS, compare_modes
+from hitchid.identification.mode_test import compare_modes
 from hitchid.identification.preparation import prepare
 
 ZONE, SAMPLES, NOISE = 0.35, 200, 0.02
@@ -37,21 +37,22 @@ def prepared(make_record):
 def test_for_directions_that_mirror_each_other_one_mode_would_do(prepared):
     found = compare_modes(prepared(lifting=30.0, lowering=30.0))
     assert not found.needed
-    assert found.p_value > 0.01
+    assert found.difference.p_value > 0.05
     assert found.tests == 10
     # The truth leaves the noise, of which a test's start takes a share of its own.
     for rmse in (found.shared_rmse, found.two_rmse):
         assert NOISE / 2 < rmse < 2 * NOISE
-    assert found.sentence.startswith("one shared model is sufficient")
+    assert found.sentence.startswith("the two directions do not differ significantly")
 
 
 def test_a_plant_with_half_the_gain_one_way_needs_two_modes(prepared):
     found = compare_modes(prepared(lifting=30.0, lowering=15.0))
     assert found.needed
-    assert found.p_value < 0.01
+    assert found.difference.p_value < 1e-3
+    assert "gain" in found.difference.parameters
     assert NOISE / 2 < found.two_rmse < 2 * NOISE
     assert found.shared_rmse > 10 * found.two_rmse
-    assert found.sentence.startswith("two separate models are justified")
+    assert found.sentence.startswith("the two directions differ significantly")
 
 
 def test_one_direction_cannot_be_compared(prepared):
@@ -60,4 +61,5 @@ def test_one_direction_cannot_be_compared(prepared):
 
 
 def test_too_few_tests_cannot_be_compared(prepared):
-    assert compare_modes(prepared(tests=FOLDS, lifting=30.0, lowering=15.0)) is None
+    # One test more than identified from is held out: three for as many parameters.
+    assert compare_modes(prepared(tests=4, lifting=30.0, lowering=15.0)) is None

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hitchid._support.metrics import proven_better
+from hitchid._support.metrics import better_on_held_out_tests
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import SettingsError
 from hitchid.identification import AutoStructure, MultiStart, read_settings
@@ -104,7 +104,7 @@ def test_a_hysteresis_is_found_where_there_is_one_and_its_width_told(make_record
     found, tried = choose_spec(batch, AutoStructure(PLAIN), SEARCH, 0, units=UNITS)
     named = {each.name: each for each in tried}
     with_play, without = (named[name] for name in ("with spool lag and hysteresis", "with valve curve"))
-    assert proven_better(with_play.held_out, without.held_out)
+    assert better_on_held_out_tests(with_play.held_out, without.held_out)
     assert with_play.held_out_rmse == pytest.approx(np.sqrt(np.mean(with_play.held_out**2)), rel=1e-15)
     assert with_play.held_out_rmse < 0.5 * without.held_out_rmse
     assert found.rmse == pytest.approx(0.02, rel=0.1)

@@ -122,6 +122,13 @@ def test_the_uncertainty_of_schema_5_keeps_its_numbers():
     assert model.provenance.segmentation_dead_zones == {LIFTING: 0.3}
 
 
+def test_two_modes_of_schema_7_keep_their_errors_without_the_ratio_that_had_no_f_distribution():
+    modes = load(written(7)[0]).two_modes
+    assert (modes.needed, modes.shared_rmse, modes.two_rmse, modes.tests) == (True, 2.0, 1.0, 8)
+    assert modes.difference is None
+    assert modes.sentence.endswith("not tested for significance")
+
+
 def test_a_description_of_this_version_stays_as_it_is():
     content = {"schema": SCHEMA, "drift": 0.3}
     assert migrate(content, {}) == (content, {})

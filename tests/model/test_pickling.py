@@ -15,6 +15,7 @@ from hitchid.data.campaign import Campaign
 from hitchid.data.left_out import LeftOut
 from hitchid.errors import LogError
 from hitchid.model import Provenance, TwoModes
+from hitchid.model.provenance import DifferenceTest
 from hitchid.validation import Validation
 from hitchid.validation.results import Accuracy, ChannelResult, ModelFigures, RunFigures
 from report.reported import characteristics, horizons, known_estimates, predictions
@@ -57,7 +58,7 @@ def model():
         for direction, entry in whole.uncertainty.items()
     }
     units = {**whole.units, "pressure": "bar"}
-    modes = TwoModes(True, 1.0, 0.5, 10.0, 1e-9, 12)
+    modes = TwoModes(True, 1.0, 0.5, 12, DifferenceTest(10.0, ("gain",), 9.0, 1e-3))
     return replace(whole, units=units, uncertainty=known, two_modes=modes, drift=-0.1)
 
 

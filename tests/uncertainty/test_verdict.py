@@ -117,3 +117,17 @@ def test_an_estimate_at_a_bound_is_said_to_be(bound):
 def test_what_is_determined_instead_comes_first_and_nothing_is_advised(bound):
     expected = "only K/τ is determined: τ > 7.5 s at 95 %"
     assert told(TIME, (7.5, None), bound=bound, instead="K/τ") == expected
+
+
+def test_what_is_determined_only_with_another_at_its_bound_says_so():
+    told_text = verdict(
+        FREQUENCY,
+        "rad/s",
+        (10.0, 12.0),
+        determined=False,
+        bound="",
+        conditional_on=("ξh",),
+        fallback_quantity="",
+        step_s=STEP_S,
+    )
+    assert told_text == "determined only for ξh at its bound"

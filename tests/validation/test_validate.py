@@ -283,7 +283,7 @@ def test_the_largest_jump_is_a_step_at_a_change_unlike_both_its_neighbours(
 
 
 def test_the_comparison_of_two_modes_is_told_with_its_sentence(tests_of):
-    compared = TwoModes(needed=True, shared_rmse=2.0, two_rmse=1.0, f_statistic=9.0, p_value=0.001, tests=20)
+    compared = TwoModes(needed=True, shared_rmse=2.0, two_rmse=1.0, tests=20)
     result = validate(replace(MODELS, two_modes=compared), Campaign.of(tests_of()))
     assert result.metrics["two_modes"] == asdict(compared)
     assert compared.sentence in result.notices

@@ -111,11 +111,9 @@ def show_identification(identification: "Identification", out: Path) -> None:
             _parameters(direction, identification.model.units[f"{direction}_command"], trace)
         )
         displacement = identification.model.units["displacement"]
-        chosen = [candidate.name for candidate in trace.candidates if candidate.chosen]
-        form = f"structure chosen from {len(trace.candidates)}: {chosen[0]}; " if chosen else ""
-        _print_wrapped(
-            f"{form}RMSE {trace.phase1.rmse:.4g} {displacement} in free run on the identification tests"
-        )
+        if trace.candidates:
+            _show_candidates(trace, displacement)
+        _print_wrapped(f"RMSE {trace.phase1.rmse:.4g} {displacement} in free run on the identification tests")
         for text in (
             characteristic_sentences(trace.characteristics, direction) if trace.characteristics else ()
         ):
@@ -125,6 +123,24 @@ def show_identification(identification: "Identification", out: Path) -> None:
             _print_wrapped(f"time: {times}")
         write_messages(f"{direction}, notice", trace.notices)
     _print_wrapped(f"model: {out}")
+
+
+def _show_candidates(trace: "ChannelTrace", unit: str) -> None:
+    """Print the compared structures with their errors, and the error of the choice itself."""
+    table = _table("structure", f"RMSE / {unit}", "held out", "held out, gain per test", kind=box.SIMPLE_HEAD)
+    for candidate in trace.candidates:
+        errors = candidate.rmse, candidate.held_out_rmse, candidate.held_out_rmse_per_test_gain
+        name = f"{candidate.name} (chosen)" if candidate.chosen else candidate.name
+        table.add_row(name, *(f"{error:.4g}" for error in errors))
+    _narrow_console().print(table)
+    _print_wrapped(
+        "A larger structure is taken where it is significantly better on levels held out, as it is or with a "
+        "gain for each test, and not significantly worse in the other."
+    )
+    _print_wrapped(
+        f"RMSE {trace.choice_held_out_rmse:.4g} {unit} in free run on levels that neither fitted nor chose "
+        "the structure"
+    )
 
 
 def _parameters(direction: str, unit: str, trace: "ChannelTrace") -> RichTable:

@@ -5,15 +5,18 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from hitchid._support.checkpoints import DISABLED, Checkpoints
 from hitchid._support.short_repr import short_repr
 from hitchid.estimation import Search, SearchComparison
 from hitchid.estimation.training import TrainingHistory
+from hitchid.identification.candidates import Candidate, held_out_errors_of_choice
 from hitchid.identification.dead_zone import DeadZone
 from hitchid.identification.holdout_test import HoldoutTest
 from hitchid.identification.phase1 import Phase1
 from hitchid.identification.phase2 import CompensatorConfig
-from hitchid.identification.selection import AutoStructure, Candidate
+from hitchid.identification.selection import AutoStructure
 from hitchid.model import Characteristics, Comparison, Uncertainty
 from hitchid.structures import ModelSpec
 
@@ -46,6 +49,16 @@ class ChannelTrace:
     uncertainty: Uncertainty | None = None
     comparison: Comparison | None = None
     characteristics: Characteristics | None = None
+
+    @property
+    def choice_held_out_rmse(self) -> float | None:
+        """Free-run RMSE on operating points that neither fitted nor chose the structure.
+
+        See `held_out_errors_of_choice`; None where no structure was chosen.
+        """
+        if not self.candidates:
+            return None
+        return float(np.sqrt(np.mean(held_out_errors_of_choice(self.candidates) ** 2)))
 
 
 @dataclass(frozen=True)

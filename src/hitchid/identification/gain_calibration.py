@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import least_squares
 
-from hitchid._support.metrics import proven_better
+from hitchid._support.metrics import better_on_held_out_tests
 from hitchid.data.record import Record
 from hitchid.model import Channel, Hitch
 
@@ -47,7 +47,7 @@ def calibrate_gains(hitch: Hitch, records: Sequence[Record]) -> dict[str, float]
 def calibration_improves(hitch: Hitch, records: Sequence[Record]) -> bool:
     """Return whether factors fitted to the other records improve records held out in turn.
 
-    To first order in the logarithms of the factors; see `proven_better`. False for one record alone.
+    To first order in the logarithms of the factors; see `better_on_held_out_tests`. False for one record.
 
     Args:
         hitch, records: as for `calibrate_gains`.
@@ -75,7 +75,8 @@ def calibration_improves(hitch: Hitch, records: Sequence[Record]) -> bool:
             rcond=None,
         )[0]
         held_out.append(residuals + jacobians[number] @ np.clip(log_factors, -MAX_LOG_FACTOR, MAX_LOG_FACTOR))
-    return proven_better(*(np.array([np.linalg.norm(row) for row in rows]) for rows in (held_out, nominal)))
+    errors, nominal_errors = (np.array([np.linalg.norm(row) for row in rows]) for rows in (held_out, nominal))
+    return better_on_held_out_tests(errors, nominal_errors)
 
 
 def _with_gains(hitch: Hitch) -> list[str]:

@@ -4,83 +4,121 @@ from collections.abc import Mapping
 
 import jax.numpy as jnp
 import numpy as np
-from scipy.special import fdtrc
+from jaxtyping import Bool, Int
 
-from hitchid._support.metrics import proven_better
-from hitchid.estimation import Objective, refine
+from hitchid.estimation import Objective, refine_subset
 from hitchid.identification.preparation import ChannelData
 from hitchid.model import TwoModes
+from hitchid.model.provenance import DifferenceTest
 from hitchid.structures import Batch, ModelSpec, structure_named
+from hitchid.uncertainty import difference_test
+from hitchid.uncertainty.parameter_result import AT_BOUND
+from hitchid.uncertainty.scores import Scores
 
 SPEC = ModelSpec(structure_named("integrator-first-order"), dead_time=True)
 # Positions of gain, time constant and dead time between their bounds; time constants of 0.1, 0.01 and 3 s.
 STARTS = ((0.5, 0.4, 0.5), (0.5, 0.2, 0.5), (0.5, 0.7, 0.2))
 FOLDS = 4  # every fourth test of a direction is held out together
 STEPS, REFIT_STEPS = 40, 10  # positions of least squares, over all tests and without a fold
+TOLERANCE = 1e-12  # relative change of the sum of squares at which least squares stops; chosen
 SAMPLES = 1024  # largest number of samples of a test
-SIGNIFICANT = 0.01  # largest p-value of the F statistic
+SIGNIFICANT = 0.05  # largest p-value of a significant difference
 
 
 def compare_modes(channel_data: Mapping[str, ChannelData]) -> TwoModes | None:
-    """Compare one linear model for both directions with one for each, in free run.
+    """Compare one linear model for both directions with one for each.
 
-    K/(s (τ s + 1)) with a dead time, from effective command to travel. Every fourth test of each direction is
-    held out in turn. The statistic is that of nested models, with tests in place of samples, for samples of
-    one test err alike:
-
-        F = ((S₁ − S₂)/p) / (S₂/(T − 2 p)),  S = Σ over tests of the mean square error
-
-    with S₁ shared and S₂ of two models, p parameters a model, and T tests. Two modes are needed where
-    held-out tests prove two models better and F is significant at 1 %.
+    K/(s (τ s + 1)) with a dead time, from effective command to travel, fitted in free run to all tests and to
+    those of each direction. Two modes are needed where the parameters of the two directions differ
+    significantly at 5 %; see `difference_test`. A parameter that lies at a bound of its search in one of the
+    three fits has no standard error: it stays at its value in the shared model and is not compared.
 
     Args:
         channel_data: direction to its tests.
 
     Returns:
-        The comparison; None where there is one direction only, or too few tests.
+        The comparison, with the free-run errors of both on every fourth test held out in turn; None where
+        there is one direction only, or fewer tests than parameters and one.
     """
     if len(channel_data) < 2:
         return None
     batch, direction_index = _pool_directions(
         [data.all_tests.decimate(SAMPLES) for data in channel_data.values()]
     )
-    parameters = len(SPEC.parameters)
-    degrees_of_freedom = direction_index.size - 2 * parameters
-    if degrees_of_freedom < 1 or min(np.bincount(direction_index)) < FOLDS:
+    if min(np.bincount(direction_index)) <= len(SPEC.parameters):
         return None
     objective = Objective.of(batch, SPEC)
-    groups = {
-        "shared": [np.ones(direction_index.size, bool)],
-        "two": [direction_index == index for index in np.unique(direction_index)],
-    }
-    fold_index = np.concatenate(
-        [np.arange(np.sum(direction_index == index)) % FOLDS for index in np.unique(direction_index)]
-    )
-    errors: dict[str, np.ndarray] = {}
-    held_out: dict[str, np.ndarray] = {}
-    for name, members in groups.items():
-        errors[name], held_out[name] = np.zeros(direction_index.size), np.zeros(direction_index.size)
-        for tests in members:
-            best = min(
-                (_fit(objective, tests, np.array(start), STEPS) for start in STARTS),
-                key=lambda position: float(np.sum(objective.rmse_by_test(position)[tests] ** 2)),
-            )
-            errors[name][tests] = objective.rmse_by_test(best)[tests]
-            for number in range(FOLDS):
-                held_tests = tests & (fold_index == number)
-                refitted = _fit(objective, tests & ~held_tests, best, REFIT_STEPS)
-                held_out[name][held_tests] = objective.rmse_by_test(refitted)[held_tests]
-    shared, two = (float(np.sum(errors[name] ** 2)) for name in ("shared", "two"))
-    statistic = max(shared - two, 0.0) / parameters / (two / degrees_of_freedom)
-    p_value = float(fdtrc(parameters, degrees_of_freedom, statistic))
+    every_test = np.ones(direction_index.size, bool)
+    directions = [direction_index == index for index in np.unique(direction_index)]
+    shared, *separate = [_best_fit(objective, tests) for tests in (every_test, *directions)]
+    two_errors = [
+        _held_out_errors(objective, tests, best) for tests, best in zip(directions, separate, strict=True)
+    ]
+    difference = _difference(objective, directions, shared, separate)
     return TwoModes(
-        needed=proven_better(held_out["two"], held_out["shared"]) and p_value < SIGNIFICANT,
-        shared_rmse=float(np.sqrt(np.mean(held_out["shared"] ** 2))),
-        two_rmse=float(np.sqrt(np.mean(held_out["two"] ** 2))),
-        f_statistic=statistic,
-        p_value=p_value,
+        needed=difference is not None and difference.p_value < SIGNIFICANT,
+        shared_rmse=_rms(_held_out_errors(objective, every_test, shared, direction_index)),
+        two_rmse=_rms(np.concatenate(two_errors)),
         tests=int(direction_index.size),
+        difference=difference,
     )
+
+
+def _difference(
+    objective: Objective,
+    directions: list[Bool[np.ndarray, " t"]],
+    shared: np.ndarray,
+    separate: list[np.ndarray],
+) -> DifferenceTest | None:
+    """Test the difference of the two directions' estimates; None where each parameter is at a bound."""
+    fits = np.stack([shared, *separate])
+    free = np.all((fits > AT_BOUND) & (fits < 1 - AT_BOUND), axis=0)
+    if not free.any():
+        return None
+    held = [np.where(free, position, shared) for position in separate]
+    if not free.all():
+        held = [
+            _fit(objective, tests, position, STEPS, free)
+            for tests, position in zip(directions, held, strict=True)
+        ]
+    scores = [
+        Scores.by_test(_over(objective, tests), position).select_parameters(free)
+        for tests, position in zip(directions, held, strict=True)
+    ]
+    names = [parameter.name for parameter, is_free in zip(SPEC.parameters, free, strict=True) if is_free]
+    return difference_test(held[0][free] - held[1][free], scores[0], scores[1], names)
+
+
+def _best_fit(objective: Objective, tests: Bool[np.ndarray, " t"]) -> np.ndarray:
+    """Return the best least-squares position over some tests, from several starts."""
+    return min(
+        (_fit(objective, tests, np.array(start), STEPS) for start in STARTS),
+        key=lambda position: float(np.sum(objective.rmse_by_test(position)[tests] ** 2)),
+    )
+
+
+def _held_out_errors(
+    objective: Objective,
+    tests: Bool[np.ndarray, " t"],
+    best: np.ndarray,
+    direction_index: Int[np.ndarray, " t"] | None = None,
+) -> np.ndarray:
+    """Return the RMSE of each of some tests, every fourth of a direction held out in turn."""
+    groups = np.zeros(tests.size, int) if direction_index is None else direction_index
+    fold_index = np.zeros(tests.size, int)
+    for group in np.unique(groups):
+        members = np.flatnonzero(tests & (groups == group))
+        fold_index[members] = np.arange(members.size) % FOLDS
+    errors = np.zeros(tests.size)
+    for number in range(FOLDS):
+        held_tests = tests & (fold_index == number)
+        refitted = _fit(objective, tests & ~held_tests, best, REFIT_STEPS)
+        errors[held_tests] = objective.rmse_by_test(refitted)[held_tests]
+    return errors[tests]
+
+
+def _rms(errors: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(errors**2)))
 
 
 def _pool_directions(batches: list[Batch]) -> tuple[Batch, np.ndarray]:
@@ -107,8 +145,23 @@ def _pool_directions(batches: list[Batch]) -> tuple[Batch, np.ndarray]:
     ), direction_index
 
 
-def _fit(objective: Objective, tests: np.ndarray, start: np.ndarray, limit: int) -> np.ndarray:
-    """Return the least-squares position over some tests; shapes stay the same, so nothing recompiles."""
+def _fit(
+    objective: Objective,
+    tests: Bool[np.ndarray, " t"],
+    start: np.ndarray,
+    limit: int,
+    free: Bool[np.ndarray, " d"] | None = None,
+) -> np.ndarray:
+    """Return the least-squares position over some tests; the parameters that are not free stay."""
+    columns = np.arange(start.size) if free is None else np.flatnonzero(free)
+    position = start.copy()
+    position[columns] = refine_subset(
+        _over(objective, tests), columns.tolist(), [start], limit, TOLERANCE
+    ).position
+    return position
+
+
+def _over(objective: Objective, tests: Bool[np.ndarray, " t"]) -> Objective:
+    """Return the objective over some tests; shapes stay the same, so nothing recompiles."""
     loss_mask = jnp.asarray(np.broadcast_to(tests[:, None], objective.batch.loss_mask.shape))
-    problem = objective.with_data(objective.batch.masked(loss_mask)).problem()
-    return refine(problem, start, limit=limit).position
+    return objective.with_data(objective.batch.masked(loss_mask))

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from hitchid._support.checkpoints import DISABLED, Checkpoints
-from hitchid._support.metrics import proven_better
+from hitchid._support.metrics import better_on_held_out_tests
 from hitchid._support.progress import ProgressCallback, ProgressUpdate, silent, split_progress
 from hitchid.errors import FitError
 from hitchid.estimation import Objective, Search, allows_per_test_gain
@@ -79,10 +79,9 @@ def choose_spec(
     Tests are grouped by the level of their command and groups held out in turn, never samples; the lowest and
     the highest stay in, for a model does not extrapolate. Forms nest: each starts its least squares from the
     optimum of the one before, its new curves from a few shapes. A larger form takes the place of a smaller
-    one where held-out tests prove it better; see `best_candidate`. Dry friction follows, then structures of
-    other packages, alone
-    and with the options of the best form so far. The one taken is identified as any other, by global search
-    and least squares.
+    one where it is significantly better on held-out tests; see `best_candidate`. Dry friction follows, then
+    structures of other packages, alone and with the options of the best form so far. The one taken is
+    identified as any other, by global search and least squares.
 
     Args:
         batch: identification tests.
@@ -111,12 +110,12 @@ def choose_spec(
         return assessed(baseline), ()
     largest = largest_spec(baseline_spec, covariate, opening_known=opening_known)
     candidates = choice.nested_candidates(baseline, largest, revised=revised)
-    chosen = best_candidate(candidates, choice.coarse)
+    chosen = best_candidate(candidates)
     candidates += choice.with_dry_friction(candidates[chosen])
-    chosen = best_candidate(candidates, choice.coarse)
+    chosen = best_candidate(candidates)
     for structure in external_structures():
         candidates += choice.candidates_of(structure, candidates[chosen])
-        chosen = best_candidate(candidates, choice.coarse)
+        chosen = best_candidate(candidates)
     candidates[chosen] = replace(candidates[chosen], chosen=True)
     fit = choice.final_fit(candidates[chosen], candidates[0].dead_zone) if chosen else baseline
     return assessed(fit), tuple(candidates)
@@ -268,7 +267,7 @@ class _Choice:
     def _with_smaller_dead_zone(
         self, objective: Objective, evaluation: Evaluation, free: Sequence[int]
     ) -> tuple[Objective, Evaluation]:
-        """Return a form with a valve curve behind a smaller dead zone where held-out tests prove that better.
+        """Return a form with a valve curve behind a smaller dead zone where that is better on held-out tests.
 
         A dead zone found from tests assumes a valve that is linear beyond it: one that opens slowly seems to
         open late. Its curve compensates a dead zone that is too small, not one that is too large: where half
@@ -285,7 +284,7 @@ class _Choice:
                 other = self._fitted(f"form behind {share:g}", other_objective, free, all_starts)
             except FitError:
                 continue
-            if proven_better(other.held_out, best[1].held_out):
+            if better_on_held_out_tests(other.held_out, best[1].held_out, len(DEAD_ZONE_SHARES)):
                 best = other_objective, other
             elif best[0] is objective:
                 break

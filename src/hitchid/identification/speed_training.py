@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from hitchid._support.checkpoints import DISABLED, Arrays, Checkpoints
-from hitchid._support.metrics import proven_better
+from hitchid._support.metrics import better_on_held_out_tests
 from hitchid.estimation.least_squares import minimise
 from hitchid.estimation.search_problem import NormalEquations
 from hitchid.identification.cross_fitting import folds_of, positions_without_folds, with_position
@@ -72,7 +72,7 @@ def train_speed_compensator(
 
     For each fold, benchmark and all networks are fitted to the other tests; the mean of these networks, which
     is what ships, gives the free runs of the fold. It is accepted where these are better than those of the
-    benchmark fitted to the same tests; see `proven_better`.
+    benchmark fitted to the same tests; see `better_on_held_out_tests`.
 
     Args:
         channel: with the benchmark of all tests.
@@ -99,7 +99,7 @@ def train_speed_compensator(
         corrected = replace(fold_channel, speed_compensator=compensator)
         benchmark[held_out] = _rmse_by_test(fold_channel, batch)[held_out]
         compensated[held_out] = _rmse_by_test(corrected, batch)[held_out]
-    holdout_test = HoldoutTest(proven_better(compensated, benchmark), benchmark, compensated)
+    holdout_test = HoldoutTest(better_on_held_out_tests(compensated, benchmark), benchmark, compensated)
     if not holdout_test.accepted:
         return JudgedCompensator(None, holdout_test, (None,) * len(folds))
     everything = np.ones(tests, bool)

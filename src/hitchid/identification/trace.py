@@ -62,10 +62,12 @@ def describe_channel(trace: ChannelTrace) -> dict:
                 "rmse": candidate.rmse,
                 "held_out_rmse": candidate.held_out_rmse,
                 "held_out_tests": candidate.held_out.tolist(),
+                "held_out_rmse_per_test_gain": candidate.held_out_rmse_per_test_gain,
                 "chosen": candidate.chosen,
             }
             for candidate in trace.candidates
         ],
+        "choice_held_out_rmse": trace.choice_held_out_rmse,
         "notices": list(trace.notices),
     }
 

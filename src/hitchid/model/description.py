@@ -19,6 +19,7 @@ KIND = "hitchid model"
 SUBSETS = ("identification", "validation", "held_out")
 _UNCERTAINTY = TypeAdapter(Uncertainty)
 _ESTIMATES = TypeAdapter(Estimates | None)
+_TWO_MODES = TypeAdapter(TwoModes | None)
 _SEARCHES = TypeAdapter(tuple[SearchSummary, ...])
 
 
@@ -76,7 +77,6 @@ def read_hitch(content: dict[str, Any], tensors: Tensors) -> Hitch:
         ValueError, KeyError, TypeError: the description or the tensors are not those of a model.
         InputError: a structure or a baseline of the model is not installed.
     """
-    two_modes = content["two_modes"]
     identification, validation, held_out = (
         {direction: tuple(names) for direction, names in content["split"][subset].items()}
         for subset in SUBSETS
@@ -102,7 +102,7 @@ def read_hitch(content: dict[str, Any], tensors: Tensors) -> Hitch:
         content["units"],
         provenance,
         content["drift"],
-        None if two_modes is None else TwoModes(**two_modes),
+        _TWO_MODES.validate_python(content["two_modes"]),
         {
             direction: _UNCERTAINTY.validate_python(described)
             for direction, described in content["uncertainty"].items()

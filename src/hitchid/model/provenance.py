@@ -40,33 +40,62 @@ class Provenance:
     date: str = field(default="", compare=False)
 
 
+@dataclass(frozen=True)
+class DifferenceTest:
+    """Hotelling's test that two directions have the same parameters.
+
+    Attributes:
+        statistic: (ν − p + 1)/(ν p) dᵀ C⁻¹ d, d being the differences of the estimates, C their covariance.
+        parameters: names of the p parameters compared.
+        degrees_of_freedom: ν − p + 1, of the denominator of F.
+        p_value: probability of a statistic as large if the directions have the same parameters.
+    """
+
+    statistic: float
+    parameters: tuple[str, ...]
+    degrees_of_freedom: float
+    p_value: float
+
+    @property
+    def sentence(self) -> str:
+        """Sentence that states the result."""
+        names = ", ".join(name.replace("_", " ") for name in self.parameters)
+        return (
+            f"Hotelling's test of {names}: F({len(self.parameters)}, {self.degrees_of_freedom:.3g}) = "
+            f"{self.statistic:.3g}, p = {self.p_value:.2g}"
+        )
+
+
 @short_repr
 @dataclass(frozen=True)
 class TwoModes:
     """Test for two modes: one shared linear model compared with one for each direction.
 
     Attributes:
-        needed: whether two models are better on held-out tests and the statistic is significant at 1 %.
+        needed: whether the parameters of the two directions differ significantly at 5 %.
         shared_rmse, two_rmse: free-run RMSE of one and of two models in cross-validation, all tests with
             equal weight, in the displacement's unit.
-        f_statistic: F statistic of the nested models, over the identification tests.
-        p_value: probability of a statistic as large if one model is sufficient.
         tests: number of tests.
+        difference: test of the difference; None in models of schema 7 and before, which were judged by the
+            ratio of the mean square errors.
     """
 
     needed: bool
     shared_rmse: float
     two_rmse: float
-    f_statistic: float
-    p_value: float
     tests: int
+    difference: DifferenceTest | None = None
 
     @property
     def sentence(self) -> str:
         """Sentence that states the result."""
-        verdict = "two separate models are justified" if self.needed else "one shared model is sufficient"
+        verdict = (
+            "the two directions differ significantly"
+            if self.needed
+            else "the two directions do not differ significantly"
+        )
+        tested = "not tested for significance" if self.difference is None else self.difference.sentence
         return (
             f"{verdict}: free-run RMSE in cross-validation {self.shared_rmse:.4g} with one shared model, "
-            f"{self.two_rmse:.4g} with two; F = {self.f_statistic:.3g}, p = {self.p_value:.2g}, "
-            f"{self.tests} tests"
+            f"{self.two_rmse:.4g} with two, {self.tests} tests; {tested}"
         )

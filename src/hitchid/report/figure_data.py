@@ -190,6 +190,9 @@ def structures(candidates: Sequence[TracedCandidate], unit: str) -> Columns:
         "structure": [candidate.name for candidate in candidates],
         f"rmse_{unit}": [candidate.rmse for candidate in candidates],
         f"held_out_rmse_{unit}": [candidate.held_out_rmse for candidate in candidates],
+        f"held_out_rmse_per_test_gain_{unit}": [
+            candidate.held_out_rmse_per_test_gain for candidate in candidates
+        ],
         "chosen": [candidate.chosen for candidate in candidates],
     }
 

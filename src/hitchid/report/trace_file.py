@@ -57,12 +57,20 @@ class TracedTraining:
 
 @dataclass(frozen=True)
 class TracedCandidate:
-    """A compared model specification: RMSE in free run on all tests and on held-out levels."""
+    """A compared model specification.
+
+    Attributes:
+        name: of the specification.
+        rmse, held_out_rmse: in free run on all tests and on held-out levels.
+        chosen: whether it was chosen.
+        held_out_rmse_per_test_gain: on held-out levels with a gain fitted to each test; None in older traces.
+    """
 
     name: str
     rmse: float | None
     held_out_rmse: float | None
     chosen: bool
+    held_out_rmse_per_test_gain: float | None = None
 
 
 @short_repr
@@ -76,6 +84,8 @@ class ChannelTraceFile:
         phase2: training of the compensator; None where there was none.
         candidates: model specifications that were compared.
         notices: of the identification.
+        choice_held_out_rmse: RMSE on levels that neither fitted nor chose the specification; None where
+            nothing was chosen, and in older traces.
     """
 
     dead_zone: TracedDeadZone
@@ -83,6 +93,7 @@ class ChannelTraceFile:
     phase2: TracedTraining | None
     candidates: tuple[TracedCandidate, ...]
     notices: tuple[str, ...]
+    choice_held_out_rmse: float | None = None
 
 
 def read_trace(content: Mapping[str, object]) -> dict[str, ChannelTraceFile]:

@@ -1,99 +1,33 @@
 """Uncertainty of the estimates: standard errors, intervals, profiles, verdicts."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from hitchid._support.progress import ProgressCallback, ProgressUpdate, silent, split_progress
 from hitchid.estimation import Objective
 from hitchid.model.estimates import (
-    MAX_INTERVAL_RATIO,
     NOT_ASSESSED,
     Estimate,
     Estimates,
     Interval,
     Quantity,
 )
-from hitchid.structures import Parameter
+from hitchid.uncertainty.at_bound import over_parameters_at_bound
 from hitchid.uncertainty.dead_zone_error import NO_ERROR, DeadZoneError
 from hitchid.uncertainty.derived import derived, sensitivities
 from hitchid.uncertainty.influence import Influence, compute_influence
+from hitchid.uncertainty.parameter_result import ParameterResult
 from hitchid.uncertainty.profile import Profile, open_ends, profile
 from hitchid.uncertainty.verdict import verdict
 
-AT_BOUND = 1e-3  # distance from a bound, in the unit cube, below which an estimate lies at it; chosen
-MAX_LINEAR_SHARE = 0.5  # width of a determined interval over the search range, linear parameters; chosen
 TIGHT_RATIO, TIGHT_SHARE = 1.4, 0.2  # widest interval without a profile: ratio, share of range; chosen
 PERCENTILES = (2.5, 97.5)  # ends of a 95 % interval
 PROFILE_SAMPLES = 2048  # samples of a test in a profile's fits; chosen for speed
 ASSESSMENT_SHARES = {"standard errors": 0.3, "intervals": 0.5, "derived": 0.2}  # of the work (measured)
 # Share of the largest derivative: below it an error of 0.1 % of the travel is wider than the bounds.
 MIN_RELATIVE_DERIVATIVE = 1e-5
-
-
-@dataclass(frozen=True)
-class _ParameterResult:
-    """Uncertainty of one parameter.
-
-    Attributes:
-        number, parameter: index and definition of the parameter.
-        lower, upper, linear: search bounds; whether the search scale is linear (else logarithmic).
-        bound: `lower` or `upper` where the estimate lies at one, else empty.
-        insensitive: whether the simulation depends on it too little for a standard error.
-        interval: 95 % confidence interval.
-        profile: the profile that gives the interval; None for a Gauss-Newton interval.
-    """
-
-    number: int
-    parameter: Parameter
-    lower: float
-    upper: float
-    linear: bool
-    bound: str
-    insensitive: bool = False
-    interval: Interval = (None, None)
-    profile: Profile | None = None
-
-    @classmethod
-    def of(cls, objective: Objective, position: np.ndarray, number: int) -> "_ParameterResult":
-        """Return the bounds of one parameter, and whether its estimate lies at one."""
-        coordinate = float(position[number])
-        return cls(
-            number=number,
-            parameter=objective.spec.parameters[number],
-            lower=float(objective.bounds.lower[number]),
-            upper=float(objective.bounds.upper[number]),
-            linear=bool(objective.bounds.linear[number]),
-            bound="lower" if coordinate < AT_BOUND else "upper" if coordinate > 1 - AT_BOUND else "",
-        )
-
-    def value(self, coordinate: float) -> float:
-        """Return the parameter value at a coordinate of the unit interval."""
-        if self.linear:
-            return self.lower + coordinate * (self.upper - self.lower)
-        return self.lower * (self.upper / self.lower) ** coordinate
-
-    def to_interval(self, lower: float | None, upper: float | None) -> Interval:
-        """Return the parameter values at two coordinates; an end outside the bounds is open (None)."""
-        return (
-            None if lower is None or not lower >= 0 else self.value(lower),
-            None if upper is None or not upper <= 1 else self.value(upper),
-        )
-
-    def is_narrow(
-        self, interval: Interval, factor: float = MAX_INTERVAL_RATIO, share: float = MAX_LINEAR_SHARE
-    ) -> bool:
-        """Return whether upper/lower is at most `factor`; on a linear scale, the width at most `share`."""
-        lower, upper = interval
-        if lower is None or upper is None:
-            return False
-        return upper - lower <= share * (self.upper - self.lower) if self.linear else upper <= factor * lower
-
-    @property
-    def determined(self) -> bool:
-        """Whether the interval is closed and narrow, and the estimate not at a bound."""
-        return not self.bound and self.is_narrow(self.interval)
 
 
 def assess(
@@ -110,7 +44,8 @@ def assess(
     Intervals are Gauss-Newton intervals in the coordinates of the search (logarithmic for positive
     parameters), with a cluster-robust covariance: tests are independent, the samples of one test are not.
     A profile replaces an interval that is wide or reaches a bound. A parameter is determined if its interval
-    is closed with upper/lower at most 3, or, on a linear scale, no wider than half its search range.
+    is closed with upper/lower at most 3, or, on a linear scale, no wider than half its search range, and not
+    conditional on another parameter at a bound; see `over_parameters_at_bound`.
 
     Args:
         objective: identification tests and model specification.
@@ -123,7 +58,7 @@ def assess(
     Returns:
         The estimates, and the influence of each test on them.
     """
-    results = [_ParameterResult.of(objective, position, number) for number in range(position.size)]
+    results = [ParameterResult.of(objective, position, number) for number in range(position.size)]
     inside = np.array([not result.bound for result in results])
     position = np.where(inside, position, np.round(position))
     derivative_norms = np.sqrt(np.einsum("tdd->d", objective.equations_by_test(position).curvatures))
@@ -141,6 +76,7 @@ def assess(
         results[number] = _with_interval(result, objective, position, influence, dead_zone)
     profiles = [result.profile for result in results if result.profile is not None]
     results = [replace(result, interval=_with_open_ends(result, profiles)) for result in results]
+    results = over_parameters_at_bound(results, objective, position)
     parts["derived"](ProgressUpdate("phase 1, derived quantities", 0.0))
     quantities = derived(objective, position, influence, profiles, units)
     estimates = Estimates(
@@ -188,12 +124,12 @@ def unassessed(
 
 
 def _with_interval(
-    result: _ParameterResult,
+    result: ParameterResult,
     objective: Objective,
     position: np.ndarray,
     influence: Influence,
     dead_zone: DeadZoneError,
-) -> _ParameterResult:
+) -> ParameterResult:
     """Return the parameter with its Gauss-Newton interval, or a profile's if that is wide or reaches a bound.
 
     With few tests the rows are segments, which are not independent: the union with the bootstrap interval.
@@ -229,7 +165,7 @@ def _interval_union(interval: Interval, other: Interval | None) -> Interval:
     )
 
 
-def _bootstrap_interval(result: _ParameterResult, position: np.ndarray, influence: Influence) -> Interval:
+def _bootstrap_interval(result: ParameterResult, position: np.ndarray, influence: Influence) -> Interval:
     """Return the 95 % bootstrap interval (percentiles)."""
     tails = position[result.number] + np.percentile(influence.bootstrap[:, result.number], PERCENTILES)
     return result.to_interval(*map(float, np.clip(tails, 0.0, 1.0)))
@@ -239,7 +175,7 @@ def _count_tests(objective: Objective) -> int:
     return int(np.sum(np.asarray(objective.batch.loss_mask).any(axis=1)))
 
 
-def _with_open_ends(result: _ParameterResult, profiles: Sequence[Profile]) -> Interval:
+def _with_open_ends(result: ParameterResult, profiles: Sequence[Profile]) -> Interval:
     """Return the interval, open where the parameter follows another one along an open end of its profile."""
 
     search_range = (
@@ -257,7 +193,7 @@ def _with_open_ends(result: _ParameterResult, profiles: Sequence[Profile]) -> In
 
 
 def _estimates(
-    results: Sequence[_ParameterResult],
+    results: Sequence[ParameterResult],
     objective: Objective,
     position: np.ndarray,
     influence: Influence,
@@ -284,7 +220,7 @@ def _estimates(
         estimates.append(
             Estimate(
                 name=parameter.name,
-                symbol=parameter.symbol or parameter.name.replace("_", " "),
+                symbol=result.symbol,
                 unit=unit,
                 value=float(values[number]),
                 error=None
@@ -305,6 +241,7 @@ def _estimates(
                     result.interval,
                     determined=result.determined,
                     bound=result.bound,
+                    conditional_on=result.conditional_on,
                     fallback_quantity=fallback_quantity,
                     step_s=objective.batch.step_s,
                 ),
@@ -315,7 +252,7 @@ def _estimates(
     return tuple(estimates)
 
 
-def _profile_points(result: _ParameterResult) -> tuple[tuple[float, float], ...]:
+def _profile_points(result: ParameterResult) -> tuple[tuple[float, float], ...]:
     """Return the profile as pairs of value and RMSE."""
     if result.profile is None:
         return ()

@@ -27,12 +27,18 @@ class Scores(NamedTuple):
     @classmethod
     def of(cls, objective: Objective, position: np.ndarray) -> "Scores":
         """Return the scores of an objective at a position in the unit cube."""
-        has_data = np.asarray(objective.batch.loss_mask).any(axis=1)
-        if np.count_nonzero(has_data) >= position.size + MIN_SURPLUS_TESTS:
-            equations = objective.equations_by_test(position).take(np.flatnonzero(has_data))
-            return cls(equations.gradients, equations.curvatures)
-        stretches_per_test = -(-(position.size + MIN_SURPLUS_TESTS) // int(np.count_nonzero(has_data)))
+        tests = int(np.count_nonzero(np.asarray(objective.batch.loss_mask).any(axis=1)))
+        if tests >= position.size + MIN_SURPLUS_TESTS:
+            return cls.by_test(objective, position)
+        stretches_per_test = -(-(position.size + MIN_SURPLUS_TESTS) // tests)
         equations = objective.equations_by_segment(position, stretches_per_test)
+        return cls(equations.gradients, equations.curvatures)
+
+    @classmethod
+    def by_test(cls, objective: Objective, position: np.ndarray) -> "Scores":
+        """Return the scores with one row per test, however few tests have samples that count."""
+        has_data = np.asarray(objective.batch.loss_mask).any(axis=1)
+        equations = objective.equations_by_test(position).take(np.flatnonzero(has_data))
         return cls(equations.gradients, equations.curvatures)
 
     def select_parameters(self, free: np.ndarray) -> "Scores":

@@ -1,5 +1,6 @@
 """Verdict on a parameter: determined or not, its interval, and the excitation that would determine it."""
 
+from collections.abc import Sequence
 from math import pi
 
 from hitchid.model.estimates import Interval
@@ -13,6 +14,7 @@ def verdict(
     *,
     determined: bool,
     bound: str,
+    conditional_on: Sequence[str] = (),
     fallback_quantity: str,
     step_s: float,
 ) -> str:
@@ -24,11 +26,14 @@ def verdict(
         interval: 95 % interval, None for an open end.
         determined: whether the interval is closed and narrow.
         bound: `lower` or `upper` where the estimate lies at one, else empty.
+        conditional_on: symbols of the parameters at a bound for which alone the interval holds.
         fallback_quantity: the combination that is determined instead; empty where none is.
         step_s: sampling time of the tests, s.
     """
     if determined:
         return "determined"
+    if conditional_on:
+        return f"determined only for {' and '.join(conditional_on)} at its bound"
     phrases = [_range_text(parameter, unit, interval)]
     hint = _excitation_hint(parameter, interval, step_s)
     if hint and not fallback_quantity:

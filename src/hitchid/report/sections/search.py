@@ -53,12 +53,20 @@ def _trace_pictures(context: DirectionContext, trace: ChannelTraceFile) -> Itera
         yield Picture(
             context.figure_name("structures"),
             figures.structures(trace.candidates, unit),
-            (
-                "Free-run RMSE of each structure, on all tests and in cross-validation over "
-                "levels. Structures with a gain along the stroke are selected with a separate "
-                "speed factor for each test, which this figure does not include; the chosen "
-                "structure may therefore have a larger error here."
-            ),
+            _structures_caption(trace, unit),
             f"RMSE of {len(trace.candidates)} structures; chosen: {chosen}.",
             data=figure_data.structures(trace.candidates, unit),
         )
+
+
+def _structures_caption(trace: ChannelTraceFile, unit: str) -> str:
+    caption = (
+        "Free-run RMSE of each structure, on all tests and in cross-validation over levels. A larger "
+        "structure is taken where it is significantly better in cross-validation, as shown or with a gain "
+        "fitted to each test, which this figure does not include; in the other of the two it must not be "
+        "significantly worse."
+    )
+    if trace.choice_held_out_rmse is not None:
+        error = f"{trace.choice_held_out_rmse:.4g} {unit}"
+        caption += f" On levels that neither fitted nor chose the structure: {error}."
+    return caption
