@@ -10,7 +10,7 @@ import numpy as np
 from hitchid._support.progress import ProgressCallback, ProgressUpdate, split_progress
 from hitchid.data.record import DIRECTIONS
 from hitchid.estimation import Objective
-from hitchid.identification.band_calibration import calibrate_bands
+from hitchid.identification.band_calibration import FEWEST_TESTS, band_notices, calibrate_bands
 from hitchid.identification.channel_trace import ChannelConfig, ChannelTrace, timed
 from hitchid.identification.comparison import (
     benchmark_channel,
@@ -22,12 +22,13 @@ from hitchid.identification.comparison import (
 )
 from hitchid.identification.dead_zone import DeadZone
 from hitchid.identification.gain_calibration import with_gain
+from hitchid.identification.held_out_channels import CompensatorTraining, held_out_channels
 from hitchid.identification.optional import attempt
 from hitchid.identification.phase1 import Phase1
 from hitchid.identification.preparation import ChannelData
 from hitchid.identification.rollouts import train_on_rollouts
 from hitchid.identification.selection import AutoStructure, Candidate, choose_spec
-from hitchid.model import Channel, Characteristics, Comparison, Uncertainty
+from hitchid.model import Bands, Channel, Characteristics, Comparison, Uncertainty
 from hitchid.networks.operating_range import OperatingRange, SignalRange
 from hitchid.structures import Batch
 from hitchid.uncertainty import characteristics, information_of
@@ -98,7 +99,7 @@ def find_compensators(
     seconds, initial_data, data = dict(trace.seconds), data, data.with_dead_zone(trace.dead_zone)
     parts = split_progress(progress, _phase2_shares(config))
     if config.training is None:
-        return channel, _finished(channel, trace, Comparison(), data, config, seconds, parts)
+        return channel, _finished(channel, trace, Comparison(), data, config, None, seconds, parts)
     keys = jax.random.split(
         jax.random.fold_in(jax.random.key(config.seed), DIRECTIONS.index(data.direction)), 4
     )
@@ -133,7 +134,9 @@ def find_compensators(
             channel, data, initial_data, config, config.training, keys[2:], parts["baselines"], seconds
         )
         trace = replace(trace, notices=(*trace.notices, *notices))
-    return channel, _finished(channel, trace, comparison, data, config, seconds, parts)
+    compensator_training = CompensatorTraining(config.training, training_history.best_epoch, keys[0])
+    finished = _finished(channel, trace, comparison, data, config, compensator_training, seconds, parts)
+    return channel, finished
 
 
 def _phase2_shares(config: ChannelConfig) -> dict[str, float]:
@@ -156,6 +159,7 @@ def _finished(
     comparison: Comparison,
     data: ChannelData,
     config: ChannelConfig,
+    compensator_training: CompensatorTraining | None,
     seconds: dict[str, float],
     parts: Mapping[str, ProgressCallback],
 ) -> ChannelTrace:
@@ -174,9 +178,10 @@ def _finished(
     with timed(seconds, "bands"):
         bands = attempt(
             "bands around predictions",
-            lambda: calibrate_bands(channel, trace.phase1, data.all_tests, data.validation),
+            lambda: _bands(channel, trace.phase1, data.all_tests, compensator_training),
             notices,
         )
+    notices += band_notices(data.all_tests.command.shape[0])
     parts["information"](ProgressUpdate("information for the design of tests", 0.0))
     fit = trace.phase1.fit
     information = attempt(
@@ -192,6 +197,15 @@ def _finished(
         seconds=seconds,
         notices=(*trace.notices, *notices),
     )
+
+
+def _bands(
+    channel: Channel, phase1: Phase1, batch: Batch, training: CompensatorTraining | None
+) -> Bands | None:
+    """Return the bands of a channel; None where there are too few tests."""
+    if batch.command.shape[0] < FEWEST_TESTS:
+        return None
+    return calibrate_bands(channel, phase1, batch, held_out_channels(channel, phase1, batch, training))
 
 
 def operating_range_of(batch: Batch) -> OperatingRange:

@@ -9,7 +9,7 @@ import numpy as np
 Description = dict[str, Any]
 Tensors = dict[str, np.ndarray]
 Stored = tuple[Description, Tensors]
-SCHEMA = 7  # version of the layout of a model folder
+SCHEMA = 8  # version of the layout of a model folder
 
 
 def _with_hold(content: Description, tensors: Tensors) -> Stored:
@@ -51,6 +51,25 @@ def _with_comparison(content: Description, tensors: Tensors) -> Stored:
 def _with_set_by_hand(content: Description, tensors: Tensors) -> Stored:
     """Schema 7 adds the parameters that were set by hand."""
     return {**content, "set_by_hand": {}}, tensors
+
+
+def _with_prediction_spread(content: Description, tensors: Tensors) -> Stored:
+    """Schema 8 lets the band of a prediction widen with the movement; older ones stay constant."""
+    uncertainty = {
+        direction: {**described, "bands": _bands_with_spread(described["bands"])}
+        for direction, described in content["uncertainty"].items()
+    }
+    return {**content, "uncertainty": uncertainty}, tensors
+
+
+def _bands_with_spread(bands: Description | None) -> Description | None:
+    if bands is None:
+        return None
+    ones = [1.0 for _ in bands["horizons"]]
+    spread = {"horizons": bands["horizons"], "multipliers": bands["half_widths"]}
+    constant = {"noise": 0.0, "exponent": 0.0, "movements": ones, "growths": ones}
+    kept = {key: value for key, value in bands.items() if key not in ("horizons", "half_widths")}
+    return {**kept, "predictions": {**spread, **constant}}
 
 
 # Part of a tensor's name in schema 5 to that in schema 6.
@@ -132,7 +151,13 @@ def _renamed(described: Description, **names: str) -> Description:
 
 
 MIGRATIONS: Mapping[int, Callable[[Description, Tensors], Stored]] = MappingProxyType(
-    {3: _with_hold, 4: _with_uncertainty, 5: _with_comparison, 6: _with_set_by_hand}
+    {
+        3: _with_hold,
+        4: _with_uncertainty,
+        5: _with_comparison,
+        6: _with_set_by_hand,
+        7: _with_prediction_spread,
+    }
 )
 """Schema to the migration to the next one; content that an older schema lacks is marked as missing."""
 
