@@ -122,6 +122,14 @@ def test_the_uncertainty_of_schema_5_keeps_its_numbers():
     assert model.provenance.segmentation_dead_zones == {LIFTING: 0.3}
 
 
+def test_the_half_widths_of_older_bands_stay_constant():
+    bands = load(written(7)[0]).uncertainty[LIFTING].bands
+    movement = np.array([0.0, -3.0, 1e3])
+    for horizon, row in zip((1, 10), ((0.1, 0.2, 0.3, 0.4), (1.0, 2.0, 3.0, 4.0)), strict=True):
+        for level, half_width in zip(bands.levels, row, strict=True):
+            np.testing.assert_allclose(bands.half_width(level, horizon, movement), half_width, rtol=1e-12)
+
+
 def test_a_description_of_this_version_stays_as_it_is():
     content = {"schema": SCHEMA, "drift": 0.3}
     assert migrate(content, {}) == (content, {})
