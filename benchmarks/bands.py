@@ -1,8 +1,8 @@
-"""Do 90 % bands hold 90 % of the samples? Unseen tests of the virtual bench, in free run and at every horizon.
+"""Do 90 % bands hold 90 % of the samples of unseen tests, in free run and at every horizon?
 
-Identifies each rig from twenty tests a direction, sixteen of them for identification, and predicts a hundred
-tests of another seed of the nominal rig, forty of the others, in free run and 1 to 100 samples ahead. Prints a
-Markdown table of what the bands cover and how wide they are, with the horizons that are covered least and most.
+Identifies each rig of the virtual bench from twenty tests a direction, sixteen of them for identification,
+and predicts a hundred tests of another seed, forty of the rigs other than nominal. Prints a Markdown table of
+what the bands cover and how wide they are, with the horizons that are covered least and most.
 
     python benchmarks/bands.py [RIG ...]
 """
