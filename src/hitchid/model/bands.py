@@ -69,7 +69,7 @@ class PredictionSpread:
             movement: m, in the displacement's unit, any shape.
         """
         growth, typical = (self._at(horizon, values) for values in (self.growths, self.movements))
-        return np.hypot(self.noise, growth * (np.abs(movement) / typical) ** self.exponent)
+        return np.asarray(np.hypot(self.noise, growth * (np.abs(movement) / typical) ** self.exponent))
 
     def multiplier(self, horizon: int, coverage: float, levels: Sequence[float]) -> float:
         """Return q_h for a coverage, interpolated between the horizons and the levels."""
@@ -127,7 +127,7 @@ class Bands:
         """
         multiplier = self.predictions.multiplier(horizon, self._checked_coverage(coverage), self.levels)
         floor = float(ndtri(0.5 + coverage / 2)) * self.predictions.noise
-        return np.hypot(floor, multiplier * self.predictions.spread(horizon, movement))
+        return np.asarray(np.hypot(floor, multiplier * self.predictions.spread(horizon, movement)))
 
     def _checked_coverage(self, coverage: float) -> float:
         if not self.levels[0] <= coverage <= self.levels[-1]:
