@@ -18,6 +18,7 @@ from hitchid.model import (
     EnsembleMember,
     Estimates,
     Hitch,
+    PredictionSpread,
     Provenance,
     Uncertainty,
 )
@@ -149,7 +150,11 @@ def hitch_of(*channels, step_s=STEP_S, drift=0.0):
     return Hitch({each.direction: each for each in channels}, step_s, units, drift=drift)
 
 
-NOISE, FASTER, Q, AHEAD = 0.05, 1.1, (0.5, 1.0, 1.5, 2.0), ((0.1, 0.2, 0.3, 0.4), (1.0, 2.0, 3.0, 4.0))
+NOISE, FASTER, Q = 0.05, 1.1, (0.5, 1.0, 1.5, 2.0)
+# Errors of 0.1 mm over a movement of 0.5 mm in one sample, of 0.4 mm over 5 mm in ten.
+SPREAD = PredictionSpread(
+    NOISE, 0.5, (1, 10), (0.5, 5.0), (0.1, 0.4), ((0.5, 1.0, 2.0, 3.0), (1.0, 2.0, 3.0, 4.0))
+)
 
 
 def with_bands(model, *modes):
@@ -158,6 +163,6 @@ def with_bands(model, *modes):
     for mode in modes:
         gain, *rest = map(float, model.channels[mode].benchmark.parameter_vector)
         faster = EnsembleMember((FASTER * gain, *rest))
-        bands = Bands((faster,), NOISE, (0.5, 0.8, 0.9, 0.95), Q, (1, 10), AHEAD, (4, 1))
+        bands = Bands((faster,), NOISE, (0.5, 0.8, 0.9, 0.95), Q, SPREAD, (4, 4))
         known[mode] = Uncertainty(Estimates((), (), (), 0, 0), bands=bands)
     return replace(model, uncertainty=known)

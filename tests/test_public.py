@@ -60,7 +60,7 @@ calls = {
     "inverse_table": lambda: model.inverse_table("lifting", [1.0, 2.0]).command,
     "with_parameters": lambda: model.with_parameters(lifting={"gain": 25}).simulate(record).displacement,
     "validate": lambda: hitchid.validate(model, campaign).metrics,
-    "bands": lambda: model.uncertainty["lifting"].bands.half_width(0.9, 3),
+    "bands": lambda: model.uncertainty["lifting"].bands.half_width(0.9, 3, np.ones(2)),
 }
 
 

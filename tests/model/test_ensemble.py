@@ -38,12 +38,24 @@ def test_in_free_run_noise_and_both_channels_alternatives_add_in_squares(cycle, 
     np.testing.assert_allclose(0.5 * (lower + upper), MODEL.simulate(record).displacement, rtol=1e-12)
 
 
-@pytest.mark.parametrize(("horizon", "half"), [(1, 0.3), (10, 3.0), (3, 0.3 + 2.7 * np.log(3) / np.log(10))])
-def test_ahead_the_half_width_is_that_of_the_horizon(cycle, horizon, half):
+@pytest.mark.parametrize(
+    ("horizon", "typical", "growth", "q"), [(1, 0.5, 0.1, 2.0), (10, 5.0, 0.4, 3.0), (200, 5.0, 0.4, 3.0)]
+)
+def test_ahead_the_half_width_grows_with_the_movement_since_the_measurement(
+    cycle, horizon, typical, growth, q
+):
     record, _ = cycle
     lower, upper = MODEL.band(record, horizon=horizon)
-    np.testing.assert_allclose(upper - lower, 2 * half, rtol=1e-9)
-    np.testing.assert_allclose(0.5 * (lower + upper), MODEL.predict(record, horizon=horizon), rtol=1e-12)
+    predicted = MODEL.predict(record, horizon=horizon)
+    # The first samples are predicted from the rest before motion, at 100 mm.
+    origins = np.concatenate([np.full(horizon, 100.0), record.displacement])[: len(record)]
+    movement = np.abs(predicted - origins)
+    floor = stats.norm.ppf(0.95) * NOISE
+    half = np.sqrt(floor**2 + q**2 * (NOISE**2 + growth**2 * movement / typical))
+    # Movements of 1e-12 mm are rounding, of which the root is 1e-6.
+    np.testing.assert_allclose(upper - lower, 2 * half, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(0.5 * (lower + upper), predicted, rtol=1e-12)
+    assert movement.min() < 1e-9 < 1.0 < movement.max() or horizon == 1
 
 
 def test_a_band_is_in_the_unit_of_the_record(cycle):

@@ -129,6 +129,14 @@ def test_two_modes_of_schema_7_keep_their_errors_without_the_ratio_that_had_no_f
     assert modes.sentence.endswith("not tested for significance")
 
 
+def test_the_half_widths_of_older_bands_stay_constant():
+    bands = load(written(7)[0]).uncertainty[LIFTING].bands
+    movement = np.array([0.0, -3.0, 1e3])
+    for horizon, row in zip((1, 10), ((0.1, 0.2, 0.3, 0.4), (1.0, 2.0, 3.0, 4.0)), strict=True):
+        for level, half_width in zip(bands.levels, row, strict=True):
+            np.testing.assert_allclose(bands.half_width(level, horizon, movement), half_width, rtol=1e-12)
+
+
 def test_a_description_of_this_version_stays_as_it_is():
     content = {"schema": SCHEMA, "drift": 0.3}
     assert migrate(content, {}) == (content, {})

@@ -9,13 +9,15 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from hitchid.errors import InputError
-from hitchid.model import Bands
+from hitchid.model import Bands, PredictionSpread
 from hitchid.model.bands import free_run_half_width
 from hitchid.uncertainty.conformal import (
     BISECTION_STEPS,
     GRID,
     LEVELS,
     conformal_quantile,
+    fewest_tests,
+    growing_quantiles,
     nonconformity_scores,
     sensor_noise,
 )
@@ -25,8 +27,14 @@ BANDS = Bands(
     noise=0.1,
     levels=LEVELS,
     free_run=(0.5, 1.1, 1.4, 2.0),
-    horizons=(1, 10, 100),
-    half_widths=((0.1, 0.2, 0.3, 0.4), (0.3, 0.5, 0.9, 1.2), (1.0, 2.0, 4.0, 8.0)),
+    predictions=PredictionSpread(
+        noise=0.1,
+        exponent=0.5,
+        horizons=(1, 10, 100),
+        movements=(0.2, 2.0, 20.0),
+        growths=(0.05, 0.2, 1.0),
+        multipliers=((0.5, 1.0, 1.3, 1.6), (0.6, 1.2, 1.6, 2.4), (0.7, 1.4, 1.8, 3.0)),
+    ),
     tests=(12, 12),
 )
 SETS = 150
@@ -75,7 +83,7 @@ def test_more_is_asked_than_few_tests_can_tell_and_their_largest_is_returned():
 
 @pytest.mark.parametrize("level", LEVELS)
 def test_the_level_needs_no_raising_where_samples_are_independent(level):
-    tests, samples = 10, 2000
+    tests, samples = 20, 1000
     rng = np.random.default_rng(1)
     drawn = rng.random((20, tests, samples))
     found = np.array([conformal_quantile(list(each), level) for each in drawn])
@@ -90,7 +98,9 @@ def test_tests_of_which_each_is_partly_its_own_ask_for_the_largest_score():
     rows = [np.concatenate([rng.random(100), np.full(100, 10 + own)]) for own in rng.random(9)]
     # The others cover eight of nine tests whole and half of the last: 17/18 = 0.944.
     assert conformal_quantile(rows, 0.95) == max(row.max() for row in rows)
-    assert conformal_quantile(rows, 0.94) < max(row.max() for row in rows)
+    rows = [np.concatenate([rng.random(100), np.full(100, 10 + own)]) for own in rng.random(20)]
+    # Of twenty tests they cover 39/40 = 0.975.
+    assert conformal_quantile(rows, 0.95) < max(row.max() for row in rows)
 
 
 def test_the_level_is_raised_where_some_tests_err_more_than_others():
@@ -194,23 +204,61 @@ def test_the_half_width_in_free_run_joins_noise_and_spread():
 def test_between_levels_and_horizons_bands_are_interpolated():
     assert [BANDS.multiplier(level) for level in LEVELS] == list(BANDS.free_run)
     assert BANDS.multiplier(0.85) == pytest.approx(1.25)
-    for horizon, row in zip(BANDS.horizons, BANDS.half_widths, strict=True):
-        assert [BANDS.half_width(level, horizon) for level in LEVELS] == pytest.approx(row)
-    # √(1 · 10) lies halfway on a logarithmic axis; 3 of it are 0.477.
-    assert BANDS.half_width(0.9, 3) == pytest.approx(0.3 + np.log10(3) * 0.6)
-    assert BANDS.half_width(0.85, 10) == pytest.approx(0.7)
+    spread, z = BANDS.predictions, stats.norm.ppf(0.95)
+    for number, horizon in enumerate(spread.horizons):
+        typical, growth, q = spread.movements[number], spread.growths[number], spread.multipliers[number][2]
+        expected = np.sqrt(z**2 * 0.01 + q**2 * (0.01 + growth**2 * np.array([0.0, 1.0, 4.0])))
+        movement = typical * np.array([0.0, -1.0, 4**2 / 4])
+        np.testing.assert_allclose(BANDS.half_width(0.9, horizon, movement), expected, rtol=1e-12)
+    # On a logarithmic axis 3 lies at 0.477 between 1 and 10; of a piston at rest only the noise is uncertain.
+    q = 1.3 + np.log10(3) * 0.3
+    assert BANDS.half_width(0.9, 3, np.zeros(())) == pytest.approx(0.1 * np.hypot(z, q))
     # Beyond the horizons the last one stands.
-    assert BANDS.half_width(0.9, 1000) == pytest.approx(4.0)
+    assert BANDS.half_width(0.9, 1000, np.ones(())) == BANDS.half_width(0.9, 100, np.ones(()))
 
 
 @settings(max_examples=50)
-@given(levels=st.tuples(st.floats(0.5, 0.95), st.floats(0.5, 0.95)).map(sorted), horizon=st.integers(1, 200))
-def test_a_wider_band_covers_more(levels, horizon):
-    less, more = levels
+@given(
+    levels=st.tuples(st.floats(0.5, 0.95), st.floats(0.5, 0.95)).map(sorted),
+    horizon=st.integers(1, 10**6),
+    movement=st.floats(-1e9, 1e9),
+)
+def test_bands_are_nested_finite_and_never_narrower_than_the_noise(levels, horizon, movement):
+    less, more = (float(BANDS.half_width(level, horizon, np.array(movement))) for level in levels)
     # Interpolation rounds.
-    assert BANDS.half_width(less, horizon) <= BANDS.half_width(more, horizon) * (1 + 1e-12)
-    narrow, wide = (free_run_half_width([BANDS], [np.ones(1)], level) for level in (less, more))
+    assert stats.norm.ppf(0.5 + levels[0] / 2) * 0.1 * (1 - 1e-12) <= less <= more * (1 + 1e-12) < np.inf
+    narrow, wide = (free_run_half_width([BANDS], [np.ones(1)], level) for level in levels)
     assert narrow <= wide + 1e-12
+
+
+@given(rows=scores, noise=st.floats(0, 100))
+def test_factors_grow_with_the_level(rows, noise):
+    factors = growing_quantiles(rows, [np.ones(row.size) for row in rows], noise)
+    assert np.all(np.diff(factors) >= 0)
+    assert np.all(np.isfinite(factors))
+
+
+@pytest.mark.parametrize(("level", "fewest"), [(0.5, 1), (0.8, 4), (0.9, 9), (0.95, 19)])
+def test_the_rank_of_a_level_requires_so_many_tests(level, fewest):
+    assert fewest_tests(level) == fewest
+
+
+@given(rows=scores)
+def test_with_too_few_tests_every_test_has_its_share_inside(rows):
+    # Quantiles of a test are taken on a grid and interpolated: one sample of each may be missed.
+    quantile = conformal_quantile(rows, 0.9)
+    assert len(rows) < fewest_tests(0.9)
+    for row in rows:
+        assert np.count_nonzero(row > quantile * (1 + 1e-9)) <= 0.1 * row.size + 1
+
+
+def test_too_few_tests_widen_the_band_where_more_would_not():
+    rng = np.random.default_rng(5)
+    sizes = np.array([1.0, 1.5, 2.0, 3.0])
+    few = [size * rng.random(200) for size in sizes]
+    # The same four kinds of tests, many times over.
+    many = [size * rng.random(200) for size in np.repeat(sizes, 5)]
+    assert conformal_quantile(few, 0.9) > conformal_quantile(many, 0.9)
 
 
 @pytest.mark.parametrize("coverage", [0.0, 0.49, 0.96, 0.99, 1.0, 95.0, float("nan")])
@@ -218,7 +266,7 @@ def test_coverage_beyond_the_levels_is_refused(coverage):
     complaint = f"coverage: expected between 0.5 and 0.95, got {coverage:g}"
     for ask in (
         lambda: BANDS.multiplier(coverage),
-        lambda: BANDS.half_width(coverage, 1),
+        lambda: BANDS.half_width(coverage, 1, np.zeros(1)),
         lambda: free_run_half_width([BANDS], [np.ones(3)], coverage),
     ):
         with pytest.raises(InputError, match=complaint):

@@ -13,7 +13,7 @@ from hitchid._support.storage import canonical_json
 from hitchid.data.record import LIFTING
 from hitchid.estimation import MultiStart
 from hitchid.identification.phase1 import identify_benchmark
-from hitchid.model import Bands, EnsembleMember, Information, Uncertainty
+from hitchid.model import Bands, EnsembleMember, Information, PredictionSpread, Uncertainty
 from hitchid.structures import Batch, ModelSpec, structure_named
 from hitchid.uncertainty import NO_ERROR, DeadZoneError
 from hitchid.uncertainty.information import (
@@ -185,8 +185,7 @@ def test_what_is_known_comes_back_from_json(found):
         0.1,
         (0.5,),
         (1.0,),
-        (1,),
-        ((1.0,),),
+        PredictionSpread(0.1, 0.5, (1,), (2.0,), (0.3,), ((1.0,),)),
         (8, 3),
     )
     whole = Uncertainty(phase1.assessment, bands=bands, information=gathered(phase1))

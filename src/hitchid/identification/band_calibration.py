@@ -1,71 +1,125 @@
-"""Prediction bands of a channel, calibrated by cross-conformal prediction on tests held out in turn."""
+"""Prediction bands of a channel, calibrated by cross-fitting on all identification tests."""
+
+from collections.abc import Sequence
 
 import jax.numpy as jnp
 import numpy as np
 
-from hitchid._support.metrics import HORIZONS
+from hitchid.baselines.persistence import delayed
+from hitchid.identification.cross_fitting import HeldOut
 from hitchid.identification.phase1 import Phase1
 from hitchid.model import Channel
 from hitchid.model.bands import Bands, EnsembleMember
-from hitchid.model.ensemble import ensemble_deviations, perturbed_channel
+from hitchid.model.ensemble import ensemble_deviations
 from hitchid.structures import Batch
-from hitchid.uncertainty.conformal import (
-    LEVELS,
-    conformal_quantile,
-    nonconformity_scores,
-    sensor_noise,
-)
+from hitchid.uncertainty.conformal import LEVELS, fewest_tests, growing_quantiles, sensor_noise
+from hitchid.uncertainty.prediction_spread import CALIBRATED_HORIZONS, HeldOutErrors, prediction_spread
 
 FEWEST_TESTS = 3  # chosen: fewer held-out errors give no usable quantile
 MAX_STEP = 0.25  # largest deviation of an ensemble member, share of the range between bounds; chosen
 VARIANCE_SHARE = 0.99  # share of the ensemble's variance that the selected members explain; chosen
 
 
-def calibrate_bands(channel: Channel, phase1: Phase1, all_tests: Batch, validation: Batch) -> Bands | None:
+def calibrate_bands(channel: Channel, phase1: Phase1, batch: Batch, held_out: Sequence[HeldOut]) -> Bands:
     """Return the prediction bands of a channel.
 
-    Each test is predicted in free run by a model that was fitted without it: parameters to first order, and
-    the one network that was not trained on it. Horizons are evaluated on the validation tests.
+    Each test is predicted by the channel that was fitted without it, in free run and over all horizons
+    (cross-fitting; with the tests as groups that of CV+, Barber et al. 2021, around the channel's own
+    prediction). The errors, divided by the spread, give the factors of the bands.
 
     Args:
         channel: benchmark and compensators.
-        phase1: its benchmark, and the influence of each test on it.
-        all_tests: all identification tests.
-        validation: tests that stopped the training.
-
-    Returns:
-        The bands; None where there are fewer than three tests.
+        phase1: its benchmark.
+        batch: all identification tests.
+        held_out: channels fitted without each fold of them; every test is held out once.
     """
-    tests = all_tests.command.shape[0]
+    tests = batch.command.shape[0]
+    ensemble, spreads = _selected_ensemble(channel, phase1, batch)
+    errors = np.asarray(batch.displacement) - held_out_free_runs(held_out, batch)
+    loss_mask = np.asarray(batch.loss_mask)
+    residuals, spread_by_test = _rows(errors, loss_mask), _rows(spreads, loss_mask)
+    noise = sensor_noise(residuals)
+    return Bands(
+        ensemble=ensemble,
+        noise=noise,
+        levels=LEVELS,
+        free_run=growing_quantiles(residuals, spread_by_test, noise),
+        predictions=prediction_spread(held_out_errors(held_out, batch), noise),
+        tests=(tests, tests),
+    )
+
+
+def band_notices(tests: int) -> list[str]:
+    """Return sentences on the levels for which there are too few tests.
+
+    Args:
+        tests: number of identification tests.
+    """
     if tests < FEWEST_TESTS:
-        return None
-    loss_mask = np.asarray(all_tests.loss_mask)
+        return [f"no bands around predictions: they require {FEWEST_TESTS} tests, there are {tests}"]
+    wanting = [level for level in LEVELS if tests < fewest_tests(level)]
+    if not wanting:
+        return []
+    levels = " and ".join(f"{100 * level:g} % ({fewest_tests(level)} tests)" for level in wanting)
+    return [
+        f"{tests} tests are too few to calibrate bands for {levels}: they are at least so wide that they "
+        "contain that share of each held-out test"
+    ]
+
+
+def held_out_free_runs(held_out: Sequence[HeldOut], batch: Batch) -> np.ndarray:
+    """Return each test's free run by the channel fitted without it, shape [T, N]."""
+    runs = np.empty(batch.displacement.shape)
+    for tests, channel in held_out:
+        runs[tests] = _of_tests(channel.simulate(batch.take(_filled(held_out, tests))), tests)
+    return runs
+
+
+def held_out_errors(held_out: Sequence[HeldOut], batch: Batch) -> dict[int, HeldOutErrors]:
+    """Return for each horizon the errors of predictions of each test by the channel fitted without it."""
+    loss_mask, measured = np.asarray(batch.loss_mask), np.asarray(batch.displacement)
+    shortest = loss_mask.sum(axis=1).min()
+    horizons = tuple(horizon for horizon in CALIBRATED_HORIZONS if horizon < shortest)
+    predicted = np.empty((len(horizons), *measured.shape))
+    for tests, channel in held_out:
+        rows = channel.predict(batch.take(_filled(held_out, tests)), horizons)
+        predicted[:, tests] = _of_tests(rows, tests)
+    errors = {}
+    for horizon, rows in zip(horizons, predicted, strict=True):
+        mask = loss_mask & (np.arange(loss_mask.shape[1]) >= horizon)
+        movement = rows - delayed(measured, horizon)
+        errors[horizon] = HeldOutErrors(_rows(measured - rows, mask), _rows(movement, mask))
+    return errors
+
+
+def _filled(held_out: Sequence[HeldOut], tests: np.ndarray) -> list[int]:
+    """Return the tests of a fold, repeated to the size of the largest, so that all share a program."""
+    return np.resize(np.flatnonzero(tests), max(int(fold.sum()) for fold, _ in held_out)).tolist()
+
+
+def _of_tests(rows: object, tests: np.ndarray) -> np.ndarray:
+    """Return rows of shape [..., T', N] without the repeated tests."""
+    return np.asarray(rows)[..., : int(tests.sum()), :]
+
+
+def _rows(values: np.ndarray, mask: np.ndarray) -> list[np.ndarray]:
+    return [row[row_mask] for row, row_mask in zip(values, mask, strict=True)]
+
+
+def _selected_ensemble(
+    channel: Channel, phase1: Phase1, batch: Batch
+) -> tuple[tuple[EnsembleMember, ...], np.ndarray]:
+    """Return the members that explain nearly all of the ensemble's variance, and their spread, [T, N]."""
     ensemble = _ensemble(channel, phase1)
-    _, deviations = ensemble_deviations(channel, ensemble, all_tests)
-    mean_squares = np.mean(deviations[:, loss_mask] ** 2, axis=1)
+    _, deviations = ensemble_deviations(channel, ensemble, batch)
+    mean_squares = np.mean(deviations[:, np.asarray(batch.loss_mask)] ** 2, axis=1)
     # A member whose free run diverges gives no width to a band.
     mean_squares = np.where(np.isfinite(mean_squares), mean_squares, 0.0)
     order = np.argsort(mean_squares)[::-1]
-    n_selected = 1 + int(np.searchsorted(np.cumsum(mean_squares[order]), VARIANCE_SHARE * mean_squares.sum()))
-    selected = np.sort(order[:n_selected])
-    spreads = np.sqrt(np.sum(deviations[selected] ** 2, axis=0))
-    errors = np.asarray(all_tests.displacement) - _held_out(channel, phase1, all_tests)
-    residuals = [row[mask] for row, mask in zip(errors, loss_mask, strict=True)]
-    spread_by_test = [row[mask] for row, mask in zip(spreads, loss_mask, strict=True)]
-    noise = sensor_noise(residuals)
-    horizons, half_widths = _horizon_half_widths(channel, validation)
-    return Bands(
-        ensemble=tuple(ensemble[number] for number in selected),
-        noise=noise,
-        levels=LEVELS,
-        free_run=tuple(
-            conformal_quantile(nonconformity_scores(residuals, spread_by_test, noise, level), level)
-            for level in LEVELS
-        ),
-        horizons=horizons,
-        half_widths=half_widths,
-        tests=(tests, validation.command.shape[0]),
-    )
+    count = 1 + int(np.searchsorted(np.cumsum(mean_squares[order]), VARIANCE_SHARE * mean_squares.sum()))
+    selected = np.sort(order[:count])
+    spread = np.sqrt(np.sum(deviations[selected] ** 2, axis=0))
+    return tuple(ensemble[number] for number in selected), spread
 
 
 def _ensemble(channel: Channel, phase1: Phase1) -> list[EnsembleMember]:
@@ -102,39 +156,3 @@ def _parameter_vector(channel: Channel, phase1: Phase1, position: np.ndarray) ->
     if objective.spec.structure.gain:
         vector[objective.spec.structure.gain_index] *= float(channel.benchmark.gain) / phase1.fit.gain
     return tuple(map(float, vector))
-
-
-def _held_out(channel: Channel, phase1: Phase1, batch: Batch) -> np.ndarray:
-    """Return each test's free run by the model fitted without it, shape [T, N]."""
-    tests = batch.command.shape[0]
-    influence_by_test, position = phase1.influence.by_test, phase1.fit.position
-    members = 1 if channel.speed_compensator is None else channel.speed_compensator.members
-    rows = []
-    for test in range(tests):
-        position_without_test = (
-            np.clip(position - influence_by_test[test], 0.0, 1.0)
-            if len(influence_by_test) == tests
-            else position
-        )
-        ensemble_member = EnsembleMember(
-            _parameter_vector(channel, phase1, position_without_test), test % members
-        )
-        rows.append(np.asarray(perturbed_channel(channel, ensemble_member).simulate(batch.take([test])))[0])
-    return np.stack(rows)
-
-
-def _horizon_half_widths(
-    channel: Channel, batch: Batch
-) -> tuple[tuple[int, ...], tuple[tuple[float, ...], ...]]:
-    """Return the horizons, and the half width of each horizon at each level."""
-    loss_mask, measured = np.asarray(batch.loss_mask), np.asarray(batch.displacement)
-    horizons = tuple(horizon for horizon in HORIZONS if horizon < loss_mask.sum(axis=1).min())
-    predicted = np.asarray(channel.predict(batch, horizons))
-    predictable = [loss_mask & (np.arange(loss_mask.shape[1]) >= horizon) for horizon in horizons]
-    absolute_errors = [
-        [np.abs(y - p)[mask] for y, p, mask in zip(measured, rows, masks, strict=True)]
-        for rows, masks in zip(predicted, predictable, strict=True)
-    ]
-    return horizons, tuple(
-        tuple(conformal_quantile(rows, level) for level in LEVELS) for rows in absolute_errors
-    )

@@ -1,7 +1,7 @@
 """Cross-fitting: the benchmark fitted to the tests of all folds but one, for each fold in turn."""
 
-from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -22,22 +22,35 @@ def folds_of(tests: int) -> list[Bool[np.ndarray, " t"]]:
     return [fold == number for number in np.unique(fold)]
 
 
-def positions_without_folds(
-    phase1: Phase1, folds: Sequence[Bool[np.ndarray, " t"]]
-) -> list[Float[np.ndarray, " d"]]:
-    """Return the parameters of the benchmark refitted without each fold, in the unit cube.
+class HeldOut(NamedTuple):
+    """Tests, and the channel that was fitted without them.
 
-    A fold without which the refit fails keeps the parameters of all tests.
+    Attributes:
+        tests: which tests are held out, shape [T].
+        channel: fitted to the other tests.
+    """
+
+    tests: Bool[np.ndarray, " t"]
+    channel: Channel
+
+
+def cross_fitted(channel: Channel, phase1: Phase1) -> tuple[HeldOut, ...]:
+    """Return for each fold of tests the channel with the benchmark refitted without it, uncompensated.
+
+    A fold without which the refit fails keeps the parameters of all tests. A gain calibration stays.
 
     Args:
-        phase1: the benchmark's fit to all tests.
-        folds: tests of each fold.
+        channel: with the benchmark of all tests.
+        phase1: its fit.
     """
-    return [_refitted(phase1, held_out) for held_out in folds]
+    uncompensated = replace(channel, compensator=None, speed_compensator=None)
+    folds = folds_of(phase1.fit.objective.batch.command.shape[0])
+    return tuple(
+        HeldOut(tests, _with_position(uncompensated, phase1, _refitted(phase1, tests))) for tests in folds
+    )
 
 
-def with_position(channel: Channel, phase1: Phase1, position: np.ndarray) -> Channel:
-    """Return a channel with other parameters of the benchmark; its gain calibration stays."""
+def _with_position(channel: Channel, phase1: Phase1, position: np.ndarray) -> Channel:
     objective = phase1.fit.objective
     benchmark = objective.spec.physical_model(jnp.asarray(objective.values(position)), objective.scales)
     if objective.spec.structure.gain:
@@ -45,7 +58,7 @@ def with_position(channel: Channel, phase1: Phase1, position: np.ndarray) -> Cha
     return replace(channel, benchmark=benchmark)
 
 
-def _refitted(phase1: Phase1, held_out: np.ndarray) -> np.ndarray:
+def _refitted(phase1: Phase1, held_out: Bool[np.ndarray, " t"]) -> Float[np.ndarray, " d"]:
     objective, position = phase1.fit.objective, phase1.fit.position
     loss_mask = jnp.asarray(np.broadcast_to(~held_out[:, None], objective.batch.loss_mask.shape))
     training = objective.with_data(objective.batch.masked(loss_mask))

@@ -1,7 +1,8 @@
 """One direction from its tests to a channel: benchmark and compensators, with their uncertainty."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +11,7 @@ import numpy as np
 from hitchid._support.progress import ProgressCallback, ProgressUpdate, split_progress
 from hitchid.data.record import DIRECTIONS
 from hitchid.estimation import Objective
-from hitchid.identification.band_calibration import calibrate_bands
+from hitchid.identification.band_calibration import FEWEST_TESTS, band_notices, calibrate_bands
 from hitchid.identification.channel_trace import ChannelConfig, ChannelTrace, timed
 from hitchid.identification.comparison import (
     benchmark_channel,
@@ -20,14 +21,16 @@ from hitchid.identification.comparison import (
     search_summaries,
     with_compensator,
 )
+from hitchid.identification.cross_fitting import HeldOut, cross_fitted
 from hitchid.identification.dead_zone import DeadZone
 from hitchid.identification.gain_calibration import with_gain
+from hitchid.identification.held_out_compensators import CompensatorTraining, with_compensators
 from hitchid.identification.optional import attempt
 from hitchid.identification.phase1 import Phase1
 from hitchid.identification.preparation import ChannelData
 from hitchid.identification.selection import AutoStructure, Candidate, choose_spec
 from hitchid.identification.speed_training import train_speed_compensator
-from hitchid.model import Channel, Characteristics, Comparison, Uncertainty
+from hitchid.model import Bands, Channel, Characteristics, Comparison, Uncertainty
 from hitchid.networks.operating_range import OperatingRange, SignalRange
 from hitchid.structures import Batch
 from hitchid.uncertainty import characteristics, information_of
@@ -98,7 +101,9 @@ def find_compensators(
     seconds, initial_data, data = dict(trace.seconds), data, data.with_dead_zone(trace.dead_zone)
     parts = split_progress(progress, _phase2_shares(config))
     if config.training is None:
-        return channel, _finished(channel, trace, Comparison(), data, config, seconds, parts)
+        held_out = cross_fitted(channel, trace.phase1)
+        calibrate = partial(_bands, channel, trace.phase1, data.all_tests, held_out)
+        return channel, _finished(channel, trace, Comparison(), data, config, calibrate, seconds, parts)
     keys = jax.random.split(
         jax.random.fold_in(jax.random.key(config.seed), DIRECTIONS.index(data.direction)), 4
     )
@@ -112,19 +117,19 @@ def find_compensators(
             epoch_callback(parts["compensator"], "phase 2"),
             config.checkpoints.child("compensator"),
         )
-    trace = replace(trace, phase2=training_history)
+    trace, held_out = replace(trace, phase2=training_history), cross_fitted(channel, trace.phase1)
     if config.training.free_run is not None:
         parts["free runs"](ProgressUpdate("phase 2, free runs", 0.0))
         with timed(seconds, "compensator for free run"):
             judged = train_speed_compensator(
                 channel,
-                trace.phase1,
+                held_out,
                 data.all_tests,
                 config.training.free_run,
                 config.seed,
                 config.checkpoints,
             )
-        channel = replace(channel, speed_compensator=judged.compensator)
+        channel, held_out = replace(channel, speed_compensator=judged.compensator), judged.held_out
         notices = (*trace.notices, judged.holdout_test.sentence)
         trace = replace(trace, holdout_test=judged.holdout_test, notices=notices)
     comparison = Comparison()
@@ -133,7 +138,9 @@ def find_compensators(
             channel, data, initial_data, config, config.training, keys[2:], parts["baselines"], seconds
         )
         trace = replace(trace, notices=(*trace.notices, *notices))
-    return channel, _finished(channel, trace, comparison, data, config, seconds, parts)
+    compensator_training = CompensatorTraining(config.training, training_history.best_epoch, keys[0])
+    calibrate = partial(_bands, channel, trace.phase1, data.all_tests, held_out, compensator_training)
+    return channel, _finished(channel, trace, comparison, data, config, calibrate, seconds, parts)
 
 
 def _phase2_shares(config: ChannelConfig) -> dict[str, float]:
@@ -141,10 +148,10 @@ def _phase2_shares(config: ChannelConfig) -> dict[str, float]:
     training = config.training
     parts = {
         "compensator": 0.15 if training else 0.0,
-        "free runs": 0.2 if training and training.free_run else 0.0,
+        "free runs": 0.1 if training and training.free_run else 0.0,
         "baselines": 0.4 if training and training.baselines else 0.0,
         "searches": 0.1 if config.comparison else 0.0,
-        "bands": 0.1,
+        "bands": 0.2,
         "information": 0.05,
     }
     return {name: share for name, share in parts.items() if share}
@@ -156,6 +163,7 @@ def _finished(
     comparison: Comparison,
     data: ChannelData,
     config: ChannelConfig,
+    calibrate: Callable[[], Bands | None],
     seconds: dict[str, float],
     parts: Mapping[str, ProgressCallback],
 ) -> ChannelTrace:
@@ -172,11 +180,8 @@ def _finished(
         comparison = replace(comparison, searches=searches or ())
     parts["bands"](ProgressUpdate("bands around predictions", 0.0))
     with timed(seconds, "bands"):
-        bands = attempt(
-            "bands around predictions",
-            lambda: calibrate_bands(channel, trace.phase1, data.all_tests, data.validation),
-            notices,
-        )
+        bands = attempt("bands around predictions", calibrate, notices)
+    notices += band_notices(data.all_tests.command.shape[0])
     parts["information"](ProgressUpdate("information for the design of tests", 0.0))
     fit = trace.phase1.fit
     information = attempt(
@@ -192,6 +197,21 @@ def _finished(
         seconds=seconds,
         notices=(*trace.notices, *notices),
     )
+
+
+def _bands(
+    channel: Channel,
+    phase1: Phase1,
+    batch: Batch,
+    held_out: Sequence[HeldOut],
+    training: CompensatorTraining | None = None,
+) -> Bands | None:
+    """Return the bands of a channel; None where there are too few tests."""
+    if batch.command.shape[0] < FEWEST_TESTS:
+        return None
+    if training is not None:
+        held_out = with_compensators(held_out, batch, training)
+    return calibrate_bands(channel, phase1, batch, held_out)
 
 
 def operating_range_of(batch: Batch) -> OperatingRange:

@@ -87,27 +87,17 @@ def train_compensator(
         The compensator of the epoch with the smallest validation loss, and both losses.
     """
     init_key, key = jax.random.split(key)
-    features, errors = _features(*training)
-    batch = training[0]
-    loss_mask = np.asarray(batch.loss_mask)
-    rows = features[loss_mask]
-    error_increments = np.diff(errors, axis=1)[loss_mask[:, 1:]]
-    compensator = Compensator(
-        network=Lstm.init(init_key, len(FEATURES), settings.hidden),
-        centre=jnp.asarray(rows.mean(axis=0)),
-        spread=jnp.asarray(_spread(rows)),
-        error_step=jnp.asarray(max(float(error_increments.std()), np.finfo(np.float32).tiny)),
-        window=settings.window,
+    compensator, sequences = untrained_compensator(*training, settings, init_key, training[0].loss_mask)
+    validation_sequences = _sequences(
+        compensator, *_features(*validation), np.asarray(validation[0].loss_mask)
     )
-    sequences = _sequences(compensator, features, errors, batch)
-    validation_sequences = _sequences(compensator, *_features(*validation), validation[0])
     sequences, validation_sequences = (
         pad_to_batches(every_nth(stretches, MAX_STRETCHES), settings.adam.batch)
         for stretches in (sequences, validation_sequences)
     )
     network, trace = train(
         compensator.network,
-        _squared_error,
+        squared_error,
         sequences,
         validation_sequences,
         settings.adam,
@@ -119,6 +109,36 @@ def train_compensator(
         network, compensator.centre, compensator.spread, compensator.error_step, settings.window
     )
     return trained, trace
+
+
+def untrained_compensator(
+    batch: Batch,
+    benchmark: Float[Array, "t n"],
+    settings: CompensatorConfig,
+    key: PRNGKeyArray,
+    loss_mask: Bool[Array, "t n"],
+) -> tuple[Compensator, Sequences]:
+    """Return an untrained compensator scaled to tests, and the stretches of these to train it on.
+
+    Args:
+        batch: tests.
+        benchmark: displacement the benchmark gives for them, shape [T, N].
+        settings: size and window.
+        key: initial weights.
+        loss_mask: samples to scale and to train on; the others give stretches without targets.
+    """
+    features, errors = _features(batch, benchmark)
+    mask = np.asarray(loss_mask)
+    rows = features[mask]
+    error_increments = np.diff(errors, axis=1)[mask[:, 1:]]
+    compensator = Compensator(
+        network=Lstm.init(key, len(FEATURES), settings.hidden),
+        centre=jnp.asarray(rows.mean(axis=0)),
+        spread=jnp.asarray(_spread(rows)),
+        error_step=jnp.asarray(max(float(error_increments.std()), np.finfo(np.float32).tiny)),
+        window=settings.window,
+    )
+    return compensator, _sequences(compensator, features, errors, np.asarray(batch.loss_mask), mask)
 
 
 def _features(batch: Batch, benchmark: Float[Array, "t n"]) -> tuple[np.ndarray, np.ndarray]:
@@ -137,14 +157,24 @@ def _spread(rows: np.ndarray) -> np.ndarray:
     return np.where(spread > 1e-12 * np.maximum(1.0, np.abs(rows).max(axis=0)), spread, 1.0)
 
 
-def _sequences(compensator: Compensator, features: np.ndarray, errors: np.ndarray, batch: Batch) -> Sequences:
-    """Cut tests into stretches of 2 L samples, L apart, the first beginning L before the test."""
-    window, loss_mask = compensator.window, np.asarray(batch.loss_mask)
+def _sequences(
+    compensator: Compensator,
+    features: np.ndarray,
+    errors: np.ndarray,
+    loss_mask: np.ndarray,
+    predicted_mask: np.ndarray | None = None,
+) -> Sequences:
+    """Cut tests into stretches of 2 L samples, L apart, the first beginning L before the test.
+
+    Samples outside `predicted_mask`, by default outside `loss_mask`, are no targets.
+    """
+    window = compensator.window
     count = features.shape[1]
     stretches = -(-count // window)
     padding = ((0, 0), (window, stretches * window - count))
     scaled = np.pad(np.asarray(compensator.scale(jnp.asarray(features))), (*padding, (0, 0)))
     valid = np.pad(loss_mask, padding)
+    is_target = valid if predicted_mask is None else valid & np.pad(predicted_mask, padding)
     steps = np.diff(errors, axis=1, prepend=errors[:, :1]) / float(compensator.error_step)
     targets = np.pad(steps, padding).astype(np.float32)
 
@@ -162,11 +192,11 @@ def _sequences(compensator: Compensator, features: np.ndarray, errors: np.ndarra
         features=select(scaled[:, np.maximum(reading, 0)]),
         valid=select(valid[:, np.maximum(reading, 0)] & (reading >= 0)),
         target=select(targets[:, predicted]),
-        loss_mask=select(target_mask),
+        loss_mask=select(target_mask & is_target[:, predicted]),
     )
 
 
-def _squared_error(network: Lstm, sequences: Sequences) -> tuple[Array, Array]:
+def squared_error(network: Lstm, sequences: Sequences) -> tuple[Array, Array]:
     window = sequences.target.shape[1]
     outputs = network.unroll(jnp.swapaxes(sequences.features, 0, 1), sequences.valid.T)
     residuals = (outputs[window:].T - sequences.target) * sequences.loss_mask

@@ -13,9 +13,8 @@ from hitchid._support.checkpoints import DISABLED, Arrays, Checkpoints
 from hitchid._support.metrics import better_on_held_out_tests
 from hitchid.estimation.least_squares import minimise
 from hitchid.estimation.search_problem import NormalEquations
-from hitchid.identification.cross_fitting import folds_of, positions_without_folds, with_position
+from hitchid.identification.cross_fitting import HeldOut
 from hitchid.identification.holdout_test import FEWEST_TESTS, HoldoutTest
-from hitchid.identification.phase1 import Phase1
 from hitchid.model import Channel
 from hitchid.networks.speed_compensator import (
     INPUTS,
@@ -52,17 +51,17 @@ class JudgedCompensator(NamedTuple):
     Attributes:
         compensator: trained on all tests; None where it was not accepted.
         holdout_test: result of the test.
-        without_folds: the compensator trained without each fold; None each where it was not accepted.
+        held_out: channels fitted without each fold, with their compensator if it was accepted.
     """
 
     compensator: SpeedCompensator | None
     holdout_test: HoldoutTest
-    without_folds: tuple[SpeedCompensator | None, ...]
+    held_out: tuple[HeldOut, ...]
 
 
 def train_speed_compensator(
     channel: Channel,
-    phase1: Phase1,
+    held_out: tuple[HeldOut, ...],
     batch: Batch,
     settings: SpeedCompensatorConfig,
     seed: int,
@@ -76,35 +75,39 @@ def train_speed_compensator(
 
     Args:
         channel: with the benchmark of all tests.
-        phase1: its fit.
+        held_out: channels with the benchmark fitted without each fold.
         batch: identification tests.
         settings: size and ridge.
         seed: of the initial weights.
         checkpoints: where the weights are kept and read back.
     """
     tests = batch.command.shape[0]
-    folds = folds_of(tests)
     if tests < FEWEST_TESTS:
-        return JudgedCompensator(None, HoldoutTest(False, np.zeros(0), np.zeros(0)), (None,) * len(folds))
-    channels = [
-        replace(with_position(channel, phase1, position), speed_compensator=None)
-        for position in positions_without_folds(phase1, folds)
-    ]
-    trained = [
-        _trained(fold_channel, batch, ~held_out, settings, seed, checkpoints.child(f"free run {number}"))
-        for number, (fold_channel, held_out) in enumerate(zip(channels, folds, strict=True))
-    ]
-    benchmark, compensated = np.zeros(tests), np.zeros(tests)
-    for held_out, fold_channel, compensator in zip(folds, channels, trained, strict=True):
-        corrected = replace(fold_channel, speed_compensator=compensator)
-        benchmark[held_out] = _rmse_by_test(fold_channel, batch)[held_out]
-        compensated[held_out] = _rmse_by_test(corrected, batch)[held_out]
-    holdout_test = HoldoutTest(better_on_held_out_tests(compensated, benchmark), benchmark, compensated)
+        return JudgedCompensator(None, HoldoutTest(False, np.zeros(0), np.zeros(0)), held_out)
+
+    def train(channel: Channel, tests: Bool[np.ndarray, " t"], name: str) -> Channel:
+        trained = _trained(channel, batch, tests, settings, seed, checkpoints.child(name))
+        return replace(channel, speed_compensator=trained)
+
+    compensated = tuple(
+        HeldOut(fold, train(fold_channel, ~fold, f"free run {number}"))
+        for number, (fold, fold_channel) in enumerate(held_out)
+    )
+    benchmark_errors, errors = (_held_out_errors(channels, batch) for channels in (held_out, compensated))
+    accepted = better_on_held_out_tests(errors, benchmark_errors)
+    holdout_test = HoldoutTest(accepted, benchmark_errors, errors)
     if not holdout_test.accepted:
-        return JudgedCompensator(None, holdout_test, (None,) * len(folds))
-    everything = np.ones(tests, bool)
-    compensator = _trained(channel, batch, everything, settings, seed, checkpoints.child("free run"))
-    return JudgedCompensator(compensator, holdout_test, tuple(trained))
+        return JudgedCompensator(None, holdout_test, held_out)
+    shipped = train(channel, np.ones(tests, bool), "free run").speed_compensator
+    return JudgedCompensator(shipped, holdout_test, compensated)
+
+
+def _held_out_errors(held_out: Sequence[HeldOut], batch: Batch) -> Float[np.ndarray, " t"]:
+    """Return the free-run error of each test by the channel fitted without it."""
+    errors = np.zeros(batch.command.shape[0])
+    for tests, channel in held_out:
+        errors[tests] = _rmse_by_test(channel, batch)[tests]
+    return errors
 
 
 class _FreeRuns(NamedTuple):

@@ -7,6 +7,7 @@ from hitchid.model.artifact import save as save
 from hitchid.model.bands import Band as Band
 from hitchid.model.bands import Bands as Bands
 from hitchid.model.bands import EnsembleMember as EnsembleMember
+from hitchid.model.bands import PredictionSpread as PredictionSpread
 from hitchid.model.channel import Channel as Channel
 from hitchid.model.channel import remove_padding as remove_padding
 from hitchid.model.characteristics import Characteristics as Characteristics

@@ -38,6 +38,49 @@ class EnsembleMember:
 
 @short_repr
 @dataclass(frozen=True)
+class PredictionSpread:
+    """How uncertain predictions are, by horizon and by the movement that is predicted.
+
+    Over h samples in which the predicted displacement moves by m the half width of a band is
+    √(z² n² + q_h² (n² + g_h² (m/m_h)^(2p))): n is the noise of the sensor, z its normal quantile, and q_h a
+    factor from held-out tests. Of a piston that does not move only the noise is uncertain.
+
+    Attributes:
+        noise: n, in the displacement's unit.
+        exponent: p.
+        horizons: h, in samples, ascending.
+        movements: m_h, root mean square of the movement over each horizon, in the displacement's unit.
+        growths: g_h, error of the model over each horizon at the movement m_h, in the displacement's unit.
+        multipliers: q_h for each horizon and level.
+    """
+
+    noise: float
+    exponent: float
+    horizons: tuple[int, ...]
+    movements: tuple[float, ...]
+    growths: tuple[float, ...]
+    multipliers: tuple[tuple[float, ...], ...]
+
+    def spread(self, horizon: int, movement: np.ndarray) -> np.ndarray:
+        """Return √(n² + g_h² (m/m_h)^(2p)), in the displacement's unit.
+
+        Args:
+            horizon: h, in samples; interpolated between the horizons.
+            movement: m, in the displacement's unit, any shape.
+        """
+        growth, typical = (self._at(horizon, values) for values in (self.growths, self.movements))
+        return np.asarray(np.hypot(self.noise, growth * (np.abs(movement) / typical) ** self.exponent))
+
+    def multiplier(self, horizon: int, coverage: float, levels: Sequence[float]) -> float:
+        """Return q_h for a coverage, interpolated between the horizons and the levels."""
+        return self._at(horizon, [np.interp(coverage, levels, row) for row in self.multipliers])
+
+    def _at(self, horizon: int, values: Sequence[float]) -> float:
+        return float(np.interp(np.log(horizon), np.log(self.horizons), values))
+
+
+@short_repr
+@dataclass(frozen=True)
 class Bands:
     """Bands around a channel's predictions.
 
@@ -49,8 +92,7 @@ class Bands:
         noise: standard deviation of the sensor's noise, in the displacement's unit.
         levels: coverages for which there are bands, shares of samples, ascending.
         free_run: q for each level.
-        horizons: prediction horizons, in samples, ascending.
-        half_widths: half width for each horizon and level, in the displacement's unit.
+        predictions: of predictions from a measured displacement.
         tests: number of held-out tests for the bands in free run, and for those of predictions.
     """
 
@@ -58,8 +100,7 @@ class Bands:
     noise: float
     levels: tuple[float, ...]
     free_run: tuple[float, ...]
-    horizons: tuple[int, ...]
-    half_widths: tuple[tuple[float, ...], ...]
+    predictions: PredictionSpread
     tests: tuple[int, int]
 
     def multiplier(self, coverage: float) -> float:
@@ -70,14 +111,23 @@ class Bands:
         """
         return float(np.interp(self._checked_coverage(coverage), self.levels, self.free_run))
 
-    def half_width(self, coverage: float, horizon: int) -> float:
-        """Return the half width at a prediction horizon, interpolated between horizons and levels.
+    def half_width(self, coverage: float, horizon: int, movement: np.ndarray) -> np.ndarray:
+        """Return the half width of the band around predictions, see `PredictionSpread`.
+
+        Args:
+            coverage: share of samples within the band.
+            horizon: samples since the last measured displacement.
+            movement: predicted displacement minus the last measured one, in the displacement's unit.
+
+        Returns:
+            Half width, in the displacement's unit, of the shape of `movement`.
 
         Raises:
             InputError: the coverage is outside the levels.
         """
-        by_level = [np.interp(self._checked_coverage(coverage), self.levels, row) for row in self.half_widths]
-        return float(np.interp(np.log(horizon), np.log(self.horizons), by_level))
+        multiplier = self.predictions.multiplier(horizon, self._checked_coverage(coverage), self.levels)
+        floor = float(ndtri(0.5 + coverage / 2)) * self.predictions.noise
+        return np.asarray(np.hypot(floor, multiplier * self.predictions.spread(horizon, movement)))
 
     def _checked_coverage(self, coverage: float) -> float:
         if not self.levels[0] <= coverage <= self.levels[-1]:

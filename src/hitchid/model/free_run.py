@@ -210,3 +210,15 @@ def align_predictions(
     later = np.full(count - first.size, np.nan)
     later[::stride] = predictions_ahead[horizon - 1, : later[::stride].size]
     return np.concatenate([first, later])
+
+
+def last_measured(measured: np.ndarray, initial: float, horizon: int) -> Float[np.ndarray, " n"]:
+    """Return the displacement from which `align_predictions` predicts each sample.
+
+    Args:
+        measured: displacement at every sample, shape [N].
+        initial: displacement from which the first `horizon` samples are predicted.
+        horizon: prediction horizon, in samples.
+    """
+    first = np.full(min(horizon, measured.size), initial)
+    return np.concatenate([first, measured[: measured.size - first.size]])

@@ -23,7 +23,7 @@ from hitchid.model.channel import Channel
 from hitchid.model.commands import Commands, Numbers
 from hitchid.model.comparison import Comparison
 from hitchid.model.dynamics import MAX_MAGNITUDE, HitchDynamics
-from hitchid.model.free_run import multi_step_predictions
+from hitchid.model.free_run import last_measured, multi_step_predictions
 from hitchid.model.handover import Handover
 from hitchid.model.limits import TravelLimits
 from hitchid.model.packing import Packed
@@ -242,10 +242,12 @@ class Hitch(Value, Summarised, Handover):
         rows = multi_step_predictions(self._dynamics, model_record, initial, horizons, stride)
         return np.stack([self._to_record_units(row, model_record, record) for row in rows])
 
+    @double_precision
     def band(self, record: Record, *, horizon: int, coverage: float = 0.9) -> Band:
         """Return the band around `predict` that contains the measured displacement for a share of samples.
 
-        Its half width is that of the channel in charge; `Simulation.band` is the band of a free run.
+        Its half width is that of the channel in charge and grows with the predicted movement since the last
+        measured displacement; `Simulation.band` is the band of a free run.
 
         Args:
             record, horizon: as in `predict`.
@@ -257,11 +259,17 @@ class Hitch(Value, Summarised, Handover):
         checks.number(coverage, "coverage")
         checks.integer(horizon, "horizon", minimum=1)
         bands = bands_by_channel(self._bands, tuple(self.channels))
-        half_widths = np.array([channel_bands.half_width(coverage, horizon) for channel_bands in bands])
+        model_record = self.to_model_units(record)
+        initial = conversion.initial_condition(model_record, self.channels)
+        (predicted,) = multi_step_predictions(self._dynamics, model_record, initial, (horizon,), 1)
+        movement = predicted - last_measured(model_record.displacement, float(initial.displacement), horizon)
+        half_widths = np.stack([each.half_width(coverage, horizon, movement) for each in bands])
         active_channel = self.simulate(record).run.active_channel
-        half_width = np.where(active_channel < 0, half_widths.max(), half_widths[active_channel])
-        half_width = self._to_record_units(half_width, self.to_model_units(record), record)
-        centre = self.predict(record, horizon=horizon)
+        by_channel = np.take_along_axis(half_widths, np.maximum(active_channel, 0)[None], axis=0)[0]
+        half_width = np.where(active_channel < 0, half_widths.max(axis=0), by_channel)
+        centre, half_width = (
+            self._to_record_units(row, model_record, record) for row in (predicted, half_width)
+        )
         return Band(centre - half_width, centre + half_width)
 
     @property

@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from hitchid.model.migration_to_8 import to_schema_8
+
 Description = dict[str, Any]
 Tensors = dict[str, np.ndarray]
 Stored = tuple[Description, Tensors]
@@ -51,18 +53,6 @@ def _with_comparison(content: Description, tensors: Tensors) -> Stored:
 def _with_set_by_hand(content: Description, tensors: Tensors) -> Stored:
     """Schema 7 adds the parameters that were set by hand."""
     return {**content, "set_by_hand": {}}, tensors
-
-
-def _with_difference_test(content: Description, tensors: Tensors) -> Stored:
-    """Schema 8 tests two modes by the difference of the estimates.
-
-    The ratio of mean square errors of earlier schemas has no F distribution: it and its p-value are left out.
-    """
-    two_modes = content["two_modes"]
-    if two_modes is not None:
-        kept = ("needed", "shared_rmse", "two_rmse", "tests")
-        two_modes = {**{name: two_modes[name] for name in kept}, "difference": None}
-    return {**content, "two_modes": two_modes}, tensors
 
 
 # Part of a tensor's name in schema 5 to that in schema 6.
@@ -144,7 +134,13 @@ def _renamed(described: Description, **names: str) -> Description:
 
 
 MIGRATIONS: Mapping[int, Callable[[Description, Tensors], Stored]] = MappingProxyType(
-    {3: _with_hold, 4: _with_uncertainty, 5: _with_comparison, 6: _with_set_by_hand, 7: _with_difference_test}
+    {
+        3: _with_hold,
+        4: _with_uncertainty,
+        5: _with_comparison,
+        6: _with_set_by_hand,
+        7: to_schema_8,
+    }
 )
 """Schema to the migration to the next one; content that an older schema lacks is marked as missing."""
 

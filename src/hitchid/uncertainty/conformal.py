@@ -8,6 +8,7 @@ from scipy.special import ndtri
 LEVELS = (0.5, 0.8, 0.9, 0.95)  # coverages at which bands are calibrated, shares of samples
 GRID = np.linspace(0.0, 1.0, 401)  # probabilities at which the quantiles of one test are taken
 BISECTION_STEPS = 12  # of the probability: to (1 − level)/4096
+ROUNDING = 1e-9  # of level/(1 − level), which is a whole number for levels such as 0.9
 SMALLEST = 1e-12  # smallest spread divided by, in the displacement's unit
 
 
@@ -29,14 +30,23 @@ def nonconformity_scores(
     ]
 
 
+def fewest_tests(level: float) -> int:
+    """Return the number of tests T from which ⌈(T + 1) level⌉ ≤ T, as conformal prediction requires."""
+    return int(np.ceil(level / (1.0 - level) - ROUNDING))
+
+
 def conformal_quantile(scores: Sequence[np.ndarray], level: float) -> float:
     """Return the score that bounds a share of the samples of an unseen test, on average over tests.
 
     Samples of one test are correlated, so the quantile over all samples covers less than its probability.
     The probability p is therefore raised until the mean coverage of each test by the quantile p of the other
-    tests reaches the level; the mean of these quantiles is returned. Every test has the same weight.
-    This is conformal prediction (Vovk et al. 2005, Algorithmic Learning in a Random World, ch. 2) with tests
-    as the exchangeable units.
+    tests reaches the level; the mean of these quantiles is returned. Every test has the same weight. With
+    fewer tests than `fewest_tests` the score is at least the largest of the tests' own quantiles, so that it
+    bounds that share of every held-out test.
+
+    Tests are the exchangeable units of conformal prediction (Vovk et al. 2005, Algorithmic Learning in a
+    Random World, ch. 2; Dunn, Wasserman & Ramdas 2022, Distribution-free prediction sets for two-layer
+    hierarchical models).
 
     Args:
         scores: nonconformity scores of held-out tests, one array of shape [N_i] each.
@@ -61,7 +71,10 @@ def conformal_quantile(scores: Sequence[np.ndarray], level: float) -> float:
     for _ in range(BISECTION_STEPS):
         middle = 0.5 * (low + high)
         low, high = (low, middle) if mean_coverage(middle) >= level else (middle, high)
-    return float(np.mean(limits(low if mean_coverage(low) >= level else high)))
+    quantile = float(np.mean(limits(low if mean_coverage(low) >= level else high)))
+    if len(rows) >= fewest_tests(level):
+        return quantile
+    return max(quantile, *(float(np.interp(level, GRID, row)) for row in rows))
 
 
 def sensor_noise(errors: Sequence[np.ndarray]) -> float:
@@ -75,3 +88,17 @@ def sensor_noise(errors: Sequence[np.ndarray]) -> float:
     """
     deviations = [np.sqrt(np.mean(np.diff(error, 3) ** 2) / 20) for error in errors if error.size > 3]
     return float(np.median(deviations)) if deviations else 0.0
+
+
+def growing_quantiles(
+    errors: Sequence[np.ndarray], spreads: Sequence[np.ndarray], noise: float
+) -> tuple[float, ...]:
+    """Return q for each of `LEVELS`, so that a band of a larger coverage contains that of a smaller one.
+
+    Args:
+        errors, spreads, noise: as for `nonconformity_scores`.
+    """
+    quantiles = [
+        conformal_quantile(nonconformity_scores(errors, spreads, noise, level), level) for level in LEVELS
+    ]
+    return tuple(map(float, np.maximum.accumulate(quantiles)))

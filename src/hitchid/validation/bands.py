@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hitchid.baselines.persistence import delayed
 from hitchid.model import Band, Bands, Channel
 from hitchid.model.bands import free_run_half_width
 from hitchid.model.ensemble import ensemble_deviations
@@ -45,7 +46,10 @@ def band_figures(
     """
     loss_mask, measured = np.asarray(batch.loss_mask), np.asarray(batch.displacement)
     horizon_masks = [loss_mask & (np.arange(loss_mask.shape[1]) >= step) for step in steps]
-    widths = [bands.half_width(COVERAGE, step) for step in steps]
+    half_widths = [
+        bands.half_width(COVERAGE, step, rows - delayed(measured, step))
+        for rows, step in zip(multi_step, steps, strict=True)
+    ]
     covered, error = _mean_share(_shares(np.abs(measured - simulated) <= half_width, loss_mask))
     return BandFigures(
         coverage=COVERAGE,
@@ -58,9 +62,12 @@ def band_figures(
             steps=tuple(steps),
             covered=tuple(
                 float(np.mean(_shares(np.abs(measured - rows) <= width, mask)))
-                for rows, width, mask in zip(multi_step, widths, horizon_masks, strict=True)
+                for rows, width, mask in zip(multi_step, half_widths, horizon_masks, strict=True)
             ),
-            width=tuple(2 * factor * width for width in widths),
+            width=tuple(
+                2 * factor * float(np.mean(width[mask]))
+                for width, mask in zip(half_widths, horizon_masks, strict=True)
+            ),
         ),
     )
 
