@@ -12,6 +12,7 @@ from hitchid.data.record import DIRECTIONS
 from hitchid.model import Hitch
 
 from .outcome import MODEL, REFUSED, Outcome, run_guarded
+from .rivals import WORSE, best_rival, difference
 from .zoo import Truth, draw
 
 PHYSICS = {"training": None, "comparison": None}
@@ -78,7 +79,14 @@ def exercise_model(
         identification.save(folder / "model")
         model = hitchid.load(folder / "model")
     with outcome.timed("validate"):
-        metrics = hitchid.validate(model, unseen).metrics
+        result = hitchid.validate(model, unseen)
+    metrics = result.metrics
+    for name, accuracy in result.accuracy.items():
+        rival = best_rival(accuracy)
+        if rival is not None:
+            verdict = difference(accuracy, rival)
+            outcome.verdicts.append(f"{name}: free run beside the best rival, {rival}: {verdict}")
+            outcome.figures[f"{name}: significantly worse than the best rival"] = float(verdict == WORSE)
     for name, channel in {**metrics["channels"], "cycles": metrics["cycles"]}.items():
         if "greybox" in channel:
             run = channel["greybox"]["free_run"]

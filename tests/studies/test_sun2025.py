@@ -2,6 +2,7 @@
 
 import csv
 import json
+from html import unescape
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from hitchid.data.record import DIRECTIONS, LIFTING
 from hitchid.experiments.virtual_campaign import DYNAMIC_S, HIGH, LOW, STROKE_FRACTION
 from hitchid.identification import AdamConfig, CompensatorConfig, MultiStart, SpeedCompensatorConfig
+from hitchid.identification.identify import PAPER_SPECS
 from hitchid.rig import load_rig, simulate
 from hitchid.studies.sun2025 import Plan, reproduce
 from hitchid.studies.sun2025.mechanistic import mechanistic
@@ -18,6 +20,7 @@ def test_a_small_study_writes_every_table_and_figure(tmp_path):
     plan = Plan(
         tests=5,
         cycles=1,
+        structure=PAPER_SPECS,  # which form hitchid chooses plays no part here
         search=MultiStart(evaluations=60),
         comparison=None,
         # Which compensator ships and what stands beside it play no part: the layout is the same.
@@ -31,7 +34,7 @@ def test_a_small_study_writes_every_table_and_figure(tmp_path):
     )
     study = reproduce(tmp_path / "study", plan=plan)
     assert [each.number for each in study.figures] == list(range(5, 13))
-    page = (tmp_path / "study" / "report.html").read_text()
+    page = unescape((tmp_path / "study" / "report.html").read_text())
     for number in range(5, 13):
         assert (tmp_path / "study" / "figures" / f"figure-{number:02d}.svg").stat().st_size > 1000
         with (tmp_path / "study" / "data" / f"figure-{number:02d}.csv").open() as file:
@@ -40,17 +43,24 @@ def test_a_small_study_writes_every_table_and_figure(tmp_path):
         assert len(header) >= 2
         assert len(rows) >= 1
     text = (tmp_path / "study" / "study.md").read_text()
-    for title in ("Table 2.", "Table 3.", "Table 4.", "mechanistic, free run", "Mechanistic model"):
+    titles = ("Table 2.", "Table 3.", "Table 4.", "mechanistic, free run", "Mechanistic model")
+    for title in (*titles, "hitchid's default, free run", "paper's method on its own predictions"):
         assert title in text
         assert title in page
     metrics = json.loads((tmp_path / "study" / "metrics.json").read_text())
     # The study's own figures and the validation's are computed apart and must agree.
     for mode, result in study.results.items():
         errors = np.concatenate(
-            [a - p for a, p in zip(result.test.actual, result.test.models["benchmark"], strict=True)]
+            [a - p for a, p in zip(result.test.actual, result.test.models["free_run"], strict=True)]
         )
-        free_run = metrics["channels"][mode]["benchmark"]["free_run"]["rmse"]
+        free_run = metrics["channels"][mode]["greybox"]["free_run"]["rmse"]
         np.testing.assert_allclose(np.sqrt(np.mean(errors**2)), free_run, rtol=1e-9)
+        # The paper's method is published with a transfer function and no compensator for free run.
+        paper = study.paper.model.channels[mode]
+        assert paper.speed_compensator is None
+        assert paper.benchmark.structure == PAPER_SPECS[mode].structure
+    # The verdict begins with the default.
+    assert page.index("Lifting, hitchid's default, free run: RMSE") < page.index("Lifting, free run: RMSE")
 
 
 @pytest.mark.parametrize("mode", DIRECTIONS)

@@ -2,6 +2,8 @@
 
 from hitchid._support.notices import Severity as Severity
 from hitchid.audit.audit import audit as audit
+from hitchid.audit.feedback import Feedback as Feedback
+from hitchid.audit.feedback import feedback_of as feedback_of
 from hitchid.audit.finding import AuditFinding as AuditFinding
 from hitchid.audit.neutral import CommandResponse as CommandResponse
 from hitchid.audit.neutral import rest_level as rest_level

@@ -10,6 +10,7 @@ from hitchid.audit.commands import both_valves, idle_commands
 from hitchid.audit.context import CampaignContext, RecordContext, campaign_context, join_names
 from hitchid.audit.end_stops import end_stops
 from hitchid.audit.excitation import changes, little_motion, short_or_idle, too_few_tests
+from hitchid.audit.feedback import feedback
 from hitchid.audit.finding import AuditFinding
 from hitchid.audit.neutral import neutral
 from hitchid.audit.polarity import signs
@@ -47,6 +48,7 @@ CAMPAIGN_CHECKS: tuple[Callable[[CampaignContext], list[AuditFinding]], ...] = (
     drift,
     start_positions,
     ramp_onsets,
+    feedback,
     changes,
     too_few_tests,
 )

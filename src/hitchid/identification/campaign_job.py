@@ -7,6 +7,7 @@ import numpy as np
 
 from hitchid._support.checkpoints import Checkpoints
 from hitchid._support.versions import installed_versions
+from hitchid.audit import feedback_of
 from hitchid.data.campaign import Campaign
 from hitchid.data.record import COMMAND, CYCLE, DISPLACEMENT, Record
 from hitchid.errors import InputError, SettingsError
@@ -144,7 +145,8 @@ class CampaignJob:
             versions=installed_versions(),
         )
         same_unit = len({campaign.units[COMMAND[direction]] for direction in results}) == 1
-        notices: list[str] = []
+        evidence = feedback_of(self._records())
+        notices = [] if evidence is None else [evidence.sentence]
         mode_test = None
         if same_unit:
             mode_test = attempt("test of one shared model", lambda: compare_modes(self.channel_data), notices)
@@ -170,13 +172,18 @@ class CampaignJob:
         left_out = {test.name for test in self.channel_data[direction].left_out}
         return tuple(name for name in _names(self.campaign.identification(direction)) if name not in left_out)
 
+    def _records(self) -> tuple[Record, ...]:
+        """Return the tests that are identified from, before strokes are cut."""
+        directions = self.campaign.directions
+        return self.cycles or tuple(
+            record for direction in directions for record in self.campaign.identification(direction)
+        )
+
     def _hitch(self, results: ChannelResults) -> Hitch:
         specs, campaign = self.config.specs.values(), self.campaign
         roles = (DISPLACEMENT, *COMMAND.values(), *(spec.covariate for spec in specs if spec.covariate))
         units = {role: campaign.units[role] for role in roles if role in campaign.units}
-        records = self.cycles or tuple(
-            record for direction in results for record in campaign.identification(direction)
-        )
+        records = self._records()
         stops = {c.sign: c.end_stop for c, _ in results.values() if c.end_stop is not None}
         limits = TravelLimits.of(records, stops)
         channels = {direction: replace(channel, limits=limits) for direction, (channel, _) in results.items()}

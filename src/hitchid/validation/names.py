@@ -22,6 +22,7 @@ LABELS = NAMES | {
     "one_step": "grey box, one step",
     "free_run": "grey box, free run",
     "mechanistic": "mechanistic, free run",
+    "paper_one_step": "paper's grey box, one step",
     **{letter: f"model {letter}" for letter in ascii_uppercase[:8]},  # as many as a figure shows
 }
 

@@ -1,7 +1,7 @@
 """The complete study of Sun et al. 2025 on the virtual test bench, in one call."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from hitchid._support.progress import ProgressCallback, ProgressUpdate, silent, subtask_progress
@@ -10,10 +10,19 @@ from hitchid._support.storage import write_files, write_folder
 from hitchid.estimation import SearchComparison
 from hitchid.estimation.global_search.whale import WhaleConfig
 from hitchid.experiments.virtual_campaign import REPEATS, Protocol, write_campaign
-from hitchid.identification import AdamConfig, CompensatorConfig, Identification, Search, Whale, identify
-from hitchid.identification.identify import COMPARISON, PAPER_SPECS, TRAINING, WHALE
+from hitchid.identification import (
+    AdamConfig,
+    AutoStructure,
+    CompensatorConfig,
+    Identification,
+    Search,
+    Whale,
+    identify,
+)
+from hitchid.identification.identify import COMPARISON, DEFAULT_STRUCTURES, PAPER_SPECS, TRAINING, WHALE
 from hitchid.readers import read
 from hitchid.report import FIGURES, Table, read_trace, render, write_report_files
+from hitchid.structures import ModelSpec
 from hitchid.studies.sun2025.document import study_report, study_tables_document
 from hitchid.studies.sun2025.figures import PaperFigure, paper_figures
 from hitchid.studies.sun2025.mechanistic import mechanistic
@@ -21,7 +30,7 @@ from hitchid.studies.sun2025.results import DirectionResult, direction_result
 from hitchid.studies.sun2025.tables import study_tables
 from hitchid.validation import Validation, validate
 
-LOGS, MODEL, DATA = "logs", "model", "data"
+LOGS, MODEL, PAPER_MODEL, DATA = "logs", "model", "paper-model", "data"
 STUDY_FILE = "study.md"
 
 
@@ -32,11 +41,13 @@ class Plan:
     Attributes:
         tests: number of dynamic tests per direction.
         cycles: number of mixed cycles.
-        search, training, comparison: settings of the identification.
+        structure: direction to the form of hitchid's model, by default chosen automatically.
+        search, training, comparison: settings of both identifications.
     """
 
     tests: int = 20
     cycles: int = 4
+    structure: Mapping[str, ModelSpec | AutoStructure] = field(default_factory=lambda: DEFAULT_STRUCTURES)
     search: Search = WHALE
     training: CompensatorConfig = TRAINING
     comparison: SearchComparison | None = COMPARISON
@@ -56,14 +67,16 @@ class Study:
     """Results of the study.
 
     Attributes:
-        identification: the identified model and its traces.
-        results: direction to predictions.
-        validation: figures of the model and its baselines.
+        identification: the model identified by default and its traces.
+        paper: the model identified by the paper's method and its traces.
+        results: direction to predictions of both.
+        validation: figures of the default model and its baselines, the paper's method among them.
         figures: the figures of the paper.
         tables: Tables 2 to 4 of the paper and the figures in its text.
     """
 
     identification: Identification
+    paper: Identification
     results: Mapping[str, DirectionResult]
     validation: Validation
     figures: tuple[PaperFigure, ...]
@@ -80,11 +93,12 @@ def reproduce(
     progress: ProgressCallback | None = None,
     command: str = "",
 ) -> Study:
-    """Reproduce the study: static and dynamic tests, identification, validation, tables and figures.
+    """Reproduce the study: tests, identification by the paper's method and by default, validation, figures.
 
     Args:
-        out: folder to write: `logs/`, `model/`, `report.html` with its `figures/`, `data/` (the data of
-            each figure as CSV), `metrics.json`, `tables.md`, `tables/` (each table as CSV) and `study.md`.
+        out: folder to write: `logs/`, `model/`, `paper-model/`, `report.html` with its `figures/`, `data/`
+            (the data of each figure as CSV), `metrics.json`, `tables.md`, `tables/` (each table as CSV) and
+            `study.md`.
         rig: parameter set of the virtual test bench.
         plan: extent of the study; by default that of the paper.
         seed: of all random numbers.
@@ -111,32 +125,45 @@ def reproduce(
         campaign = read([folder / LOGS])
         identification = identify(
             campaign,
-            structure=PAPER_SPECS,
+            structure=chosen_plan.structure,
             search=chosen_plan.search,
             training=chosen_plan.training,
             comparison=chosen_plan.comparison,
             seed=seed,
-            progress=subtask_progress(report, 0.15, 0.6),
+            progress=subtask_progress(report, 0.1, 0.5),
+        )
+        paper = identify(
+            campaign,
+            structure=PAPER_SPECS,
+            search=chosen_plan.search,
+            # As published: no compensator for free run; the baselines are in the default identification.
+            training=replace(chosen_plan.training, rollouts=None, baselines=False),
+            comparison=None,
+            seed=seed,
+            progress=subtask_progress(report, 0.6, 0.15),
         )
         identification.save(folder / MODEL)
+        paper.save(folder / PAPER_MODEL)
         report(ProgressUpdate("validation", 0.75))
         validation = validate(identification.model, campaign)
         report(ProgressUpdate("figures and tables", 0.9))
         results = {
-            direction: direction_result(identification, campaign, direction, mechanistic(rig, direction))
+            direction: direction_result(
+                identification, paper, campaign, direction, mechanistic(rig, direction)
+            )
             for direction in identification.channels
         }
         unit = campaign.records[0].unit
-        trace = read_trace(identification.describe())
+        trace, paper_trace = read_trace(identification.describe()), read_trace(paper.describe())
         figures = [
             figure
-            for direction in results
-            for figure in paper_figures(direction, trace[direction], results[direction], unit)
+            for direction, result in results.items()
+            for figure in paper_figures(direction, trace[direction], paper_trace[direction], result, unit)
         ]
         ordered = tuple(sorted(figures, key=lambda figure: figure.number))
-        summary = tuple(study_tables(identification.channels, results, unit))
-        studies.append(Study(identification, results, validation, ordered, summary))
-        document = study_report(summary, ordered, validation, trace=trace, command=command)
+        summary = tuple(study_tables(identification.channels, paper.channels, results, unit))
+        studies.append(Study(identification, paper, results, validation, ordered, summary))
+        document = study_report(summary, ordered, results, validation, trace=trace, command=command)
         write_report_files(document, folder, data_folder=DATA)
         _write(folder, studies[0])
 

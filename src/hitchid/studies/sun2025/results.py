@@ -14,45 +14,86 @@ from hitchid.model import Channel, remove_padding
 from hitchid.studies.sun2025.mechanistic import Mechanistic
 from hitchid.validation import Predictions
 
+ONE_STEP = ("one_step", "paper_one_step")
+
+
+@dataclass(frozen=True)
+class Subsets:
+    """Predictions of one method on the three subsets of the data."""
+
+    training: Predictions
+    validation: Predictions
+    test: Predictions
+
 
 @dataclass(frozen=True)
 class DirectionResult:
     """One direction of the study.
 
     Attributes:
-        training, validation, test: predictions on the three subsets of the data.
+        default: `benchmark`, `one_step` and `free_run` of the model that `identify` finds by default.
+        paper: the same of the paper's method: transfer function, and its compensator one step ahead and, in
+            free run, on its own predictions.
+        test: all models on the test data: `one_step`, `free_run` of the default; `transfer_function`,
+            `paper_one_step` and `paper` of the paper's method; `mechanistic`.
         mechanistic: model from the rig's parameters.
     """
 
-    training: Predictions
-    validation: Predictions
+    default: Subsets
+    paper: Subsets
     test: Predictions
     mechanistic: Mechanistic
 
 
 @double_precision
 def direction_result(
-    identified: Identification, campaign: Campaign, direction: str, mechanistic: Mechanistic
+    default: Identification,
+    paper: Identification,
+    campaign: Campaign,
+    direction: str,
+    mechanistic: Mechanistic,
 ) -> DirectionResult:
-    """Simulate one channel of an identified model on the training, validation and test data.
+    """Simulate one channel of both identified models on the training, validation and test data.
 
     Args:
-        identified: the identified model.
+        default: the model identified by default.
+        paper: the model identified by the paper's method.
         campaign: the tests.
         direction: lifting or lowering.
         mechanistic: model from the rig's parameters, simulated on the same tests.
     """
+    ours = _subsets(default, campaign, direction, closed_loop=False)
+    theirs = _subsets(paper, campaign, direction, closed_loop=True)
+    channel = paper.model.channels[direction]
+    unfitted = replace(channel, benchmark=mechanistic.physical_model, dead_zone=mechanistic.dead_zone)
+    held_out = campaign.held_out(direction)
+    test = replace(
+        ours.test,
+        models={
+            "mechanistic": _rows(unfitted.simulate_benchmark(unfitted.batch(held_out)), held_out),
+            "transfer_function": theirs.test.models["benchmark"],
+            "paper_one_step": theirs.test.models["one_step"],
+            "paper": theirs.test.models["free_run"],
+            "one_step": ours.test.models["one_step"],
+            "free_run": ours.test.models["free_run"],
+        },
+    )
+    return DirectionResult(ours, theirs, test, mechanistic)
+
+
+def _subsets(identified: Identification, campaign: Campaign, direction: str, *, closed_loop: bool) -> Subsets:
     channel = identified.model.channels[direction]
     validation_names = set(identified.model.provenance.validation[direction])
-    identification, held_out = campaign.identification(direction), campaign.held_out(direction)
-    all_tests = _predictions(channel, mechanistic, [*identification, *held_out])
-    count = len(identification)
-    validation_indices = [i for i, record in enumerate(identification) if record.name in validation_names]
-    return DirectionResult(
-        training=all_tests.take([i for i in range(count) if i not in validation_indices]),
-        validation=all_tests.take(validation_indices),
-        test=all_tests.take(range(count, count + len(held_out))),
-        mechanistic=mechanistic,
+    identification = campaign.identification(direction)
+    return Subsets(
+        *(
+            _predictions(channel, records, closed_loop=closed_loop)
+            for records in (
+                [record for record in identification if record.name not in validation_names],
+                [record for record in identification if record.name in validation_names],
+                campaign.held_out(direction),
+            )
+        )
     )
 
 
@@ -80,7 +121,7 @@ def summary(predictions: Predictions, model: str) -> ErrorSummary:
 
     One step ahead, the first sample of a test is left out: it is the initial value.
     """
-    first = 1 if model == "one_step" else 0
+    first = 1 if model in ONE_STEP else 0
     actual = [row[first:] for row in predictions.actual]
     predicted = [row[first:] for row in predictions.models[model]]
     figures = error_figures(actual, predicted)
@@ -102,21 +143,20 @@ def end_deviation(predictions: Predictions, model: str) -> float:
     return float(np.mean([abs(a[-1] - p[-1]) / abs(a[-1] - a[0]) for a, p in pairs]))
 
 
-def _predictions(channel: Channel, mechanistic: Mechanistic, records: Sequence[Record]) -> Predictions:
+def _predictions(channel: Channel, records: Sequence[Record], *, closed_loop: bool) -> Predictions:
     batch = channel.batch(records)
-    unfitted = replace(channel, benchmark=mechanistic.physical_model, dead_zone=mechanistic.dead_zone)
-
-    def rows(padded: object) -> tuple[np.ndarray, ...]:
-        return tuple(remove_padding(np.asarray(padded), records))
-
+    free_run = channel.simulate_closed_loop(batch) if closed_loop else channel.simulate(batch)
     return Predictions(
         names=tuple(record.name for record in records),
         time_s=tuple(record.step_s * np.arange(len(record)) for record in records),
         actual=tuple(record.displacement for record in records),
         models={
-            "benchmark": rows(channel.simulate_benchmark(batch)),
-            "one_step": rows(channel.predict(batch, (1,))[0]),
-            "free_run": rows(channel.simulate(batch)),
-            "mechanistic": rows(unfitted.simulate_benchmark(unfitted.batch(records))),
+            "benchmark": _rows(channel.simulate_benchmark(batch), records),
+            "one_step": _rows(channel.predict(batch, (1,))[0], records),
+            "free_run": _rows(free_run, records),
         },
     )
+
+
+def _rows(padded: object, records: Sequence[Record]) -> tuple[np.ndarray, ...]:
+    return tuple(remove_padding(np.asarray(padded), records))

@@ -17,12 +17,12 @@ PAPER_COEFFICIENTS = {
 }
 PAPER_TEST = {
     LIFTING: {
-        "benchmark": ErrorSummary(rmse=0.79, mae=0.59, r2=0.9881, within_1=0.79, mean=0.42, std=0.66),
-        "one_step": ErrorSummary(rmse=0.33, mae=0.24, r2=0.9986, within_1=0.98, mean=0.21, std=0.24),
+        "transfer_function": ErrorSummary(rmse=0.79, mae=0.59, r2=0.9881, within_1=0.79, mean=0.42, std=0.66),
+        "paper_one_step": ErrorSummary(rmse=0.33, mae=0.24, r2=0.9986, within_1=0.98, mean=0.21, std=0.24),
     },
     LOWERING: {
-        "benchmark": ErrorSummary(rmse=3.79, mae=3.33, r2=0.9606, within_1=0.15, mean=3.06, std=2.24),
-        "one_step": ErrorSummary(rmse=0.48, mae=0.40, r2=0.9963, within_1=0.97, mean=0.30, std=0.38),
+        "transfer_function": ErrorSummary(rmse=3.79, mae=3.33, r2=0.9606, within_1=0.15, mean=3.06, std=2.24),
+        "paper_one_step": ErrorSummary(rmse=0.48, mae=0.40, r2=0.9963, within_1=0.97, mean=0.30, std=0.38),
     },
 }
 PAPER_FITNESS = {LIFTING: 1.142, LOWERING: 1.611}
@@ -34,26 +34,53 @@ TABLE_OF = {LIFTING: 3, LOWERING: 4}
 PAPER_MECHANISTIC = {LIFTING: "", LOWERING: "12.5 (the paper does not say of which quantity)"}
 MODELS = {
     "mechanistic": "mechanistic, free run",
-    "benchmark": "transfer function, free run",
-    "one_step": "grey box, one step",
-    "free_run": "grey box, free run",
+    "transfer_function": "paper's transfer function, free run",
+    "paper": "paper's method on its own predictions, free run",
+    "free_run": "hitchid's default, free run",
+    "paper_one_step": "paper's method, one step",
+    "one_step": "hitchid's default, one step",
 }
+Traces = Mapping[str, ChannelTrace]
 
 
 def study_tables(
-    traces: Mapping[str, ChannelTrace], results: Mapping[str, DirectionResult], unit: str
+    default: Traces, paper: Traces, results: Mapping[str, DirectionResult], unit: str
 ) -> list[Table]:
-    """Return Table 2, Tables 3 and 4, and tables of fitness, compensator, mechanics and sensitivity."""
+    """Return Tables 3, 4 and 2 of the paper, and tables of fitness, compensator, mechanics and sensitivity.
+
+    Args:
+        default, paper: direction to the trace of the default identification and of the paper's method.
+        results: direction to predictions of both.
+        unit: of the displacement.
+    """
     return [
-        _parameters(traces),
         *(_test_set(direction, result, unit) for direction, result in results.items()),
-        _identification(traces, results, unit),
-        _mechanistic(traces, results, unit),
-        _sensitivity(traces),
+        _parameters(paper),
+        _default_parameters(default),
+        _identification(default, paper, results, unit),
+        _mechanistic(paper, results, unit),
+        _sensitivity(paper, "the paper's transfer functions"),
+        _sensitivity(default, "hitchid's default models"),
     ]
 
 
-def _parameters(traces: Mapping[str, ChannelTrace]) -> Table:
+def _default_parameters(traces: Traces) -> Table:
+    """Return the parameters of the models identified by default, whose form the paper does not have."""
+    rows = tuple(
+        (
+            f"{direction}: {estimate.name.replace('_', ' ')}",
+            numbers.with_unit(_value_or_interval(estimate), estimate.unit),
+            numbers.interval(estimate.interval),
+            estimate.verdict,
+        )
+        for direction, trace in traces.items()
+        for estimate in trace.phase1.parameter_estimates
+    )
+    header = ("parameter", "estimate", "95 % interval", "verdict")
+    return Table("Parameters of hitchid's default models", header, rows)
+
+
+def _parameters(traces: Traces) -> Table:
     """Return the parameters of both transfer functions (paper, Table 2)."""
     rows = []
     for direction, trace in traces.items():
@@ -154,32 +181,35 @@ def _row(figures: ErrorSummary) -> tuple[str, ...]:
 
 
 def _identification(
-    traces: Mapping[str, ChannelTrace], results: Mapping[str, DirectionResult], unit: str
+    default: Traces, paper: Traces, results: Mapping[str, DirectionResult], unit: str
 ) -> Table:
+    """Return the errors of phases 1 and 2 of both methods beside the paper's."""
     rows = []
-    for direction, trace in traces.items():
-        rows.append(
-            (f"{direction}: phase 1, RMSE", f"{trace.phase1.rmse:.3f}", f"{PAPER_FITNESS[direction]:.3f}")
-        )
+    for direction, result in results.items():
+        traces, methods = (default[direction], paper[direction]), (result.default, result.paper)
+        published = PAPER_COMPENSATOR[direction]
+        phase1 = [f"{trace.phase1.rmse:.3f}" for trace in traces]
+        iterations = [str(_iterations_to_converge(trace)) for trace in traces]
+        rows += [
+            (f"{direction}: phase 1, RMSE", *phase1, f"{PAPER_FITNESS[direction]:.3f}"),
+            (f"{direction}: iterations to within 1 % of the end", *iterations, _paper_iterations(direction)),
+        ]
+        for subset in ("training", "validation"):
+            figures = [summary(getattr(method, subset), "one_step") for method in methods]
+            rmse, mae = published[subset]
+            name = f"{direction}: compensator one step ahead, {subset}"
+            rows.append((f"{name}, RMSE", *(f"{figure.rmse:.3f}" for figure in figures), f"{rmse:.3f}"))
+            rows.append((f"{name}, MAE", *(f"{figure.mae:.3f}" for figure in figures), f"{mae:.3f}"))
+        quantiles = [np.quantile(np.abs(method.validation.errors("one_step")), 0.95) for method in methods]
         rows.append(
             (
-                f"{direction}: iterations to within 1 % of the end",
-                str(_iterations_to_converge(trace)),
-                _paper_iterations(direction),
+                f"{direction}: 95 % of errors below",
+                *(f"{quantile:.3f}" for quantile in quantiles),
+                f"{published['p95']:.2f}",
             )
         )
-        paper = PAPER_COMPENSATOR[direction]
-        subsets = {"training": results[direction].training, "validation": results[direction].validation}
-        for subset, predictions in subsets.items():
-            figures = summary(predictions, "one_step")
-            rmse, mae = paper[subset]
-            rows.append((f"{direction}: compensator, {subset}, RMSE", f"{figures.rmse:.3f}", f"{rmse:.3f}"))
-            rows.append((f"{direction}: compensator, {subset}, MAE", f"{figures.mae:.3f}", f"{mae:.3f}"))
-        errors = np.abs(results[direction].validation.errors("one_step"))
-        rows.append(
-            (f"{direction}: 95 % of errors below", f"{np.quantile(errors, 0.95):.3f}", f"{paper['p95']:.2f}")
-        )
-    return Table(f"Identification, errors in {unit}", ("figure", "here", "paper"), tuple(rows))
+    header = ("figure", "hitchid's default", "paper's method, here", "paper")
+    return Table(f"Identification, errors in {unit}", header, tuple(rows))
 
 
 def _iterations_to_converge(trace: ChannelTrace) -> int:
@@ -191,26 +221,30 @@ def _paper_iterations(direction: str) -> str:
     return "at most 15" if direction == LIFTING else "at most 10"
 
 
-def _mechanistic(
-    traces: Mapping[str, ChannelTrace], results: Mapping[str, DirectionResult], unit: str
-) -> Table:
+def _mechanistic(traces: Traces, results: Mapping[str, DirectionResult], unit: str) -> Table:
     """Return parameters from data sheets and from tests, and the deviation in the paper's discussion."""
     rows = []
     for direction, trace in traces.items():
         (physical_model, dead_zone), test = results[direction].mechanistic, results[direction].test
         units = {p.name: p.unit.format(x=unit, u="A") for p in physical_model.structure.parameters}
         fitted = {estimate.name: estimate.value for estimate in trace.phase1.parameter_estimates}
-        rows.append((f"{direction}: dead zone / A", f"{dead_zone:.4g}", f"{trace.dead_zone.value:.4g}", ""))
+        rows.append(
+            (f"{direction}: dead zone / A", f"{dead_zone:.4g}", f"{trace.dead_zone.value:.4g}", "", "")
+        )
         rows += [
             (
                 f"{direction}: {name.replace('_', ' ')} / {units[name]}",
                 f"{value:.4g}",
                 f"{fitted[name]:.4g}" if name in fitted else "",
                 "",
+                "",
             )
             for name, value in physical_model.named_values().items()
         ]
-        end_errors = [f"{100 * end_deviation(test, model):.1f}" for model in ("mechanistic", "benchmark")]
+        end_errors = [
+            f"{100 * end_deviation(test, model):.1f}"
+            for model in ("mechanistic", "transfer_function", "free_run")
+        ]
         rows.append(
             (
                 f"{direction}: error at the end of a test / % of the travel",
@@ -220,15 +254,15 @@ def _mechanistic(
         )
     return Table(
         "Mechanistic model from data sheets, nothing fitted",
-        ("figure", "data sheets", "transfer function", "paper's ref. 9"),
+        ("figure", "data sheets", "paper's transfer function", "hitchid's default", "paper's ref. 9"),
         tuple(rows),
     )
 
 
-def _sensitivity(traces: Mapping[str, ChannelTrace]) -> Table:
+def _sensitivity(traces: Traces, models: str) -> Table:
     rows = tuple(
         (f"{direction}: {estimate.name.replace('_', ' ')}", f"{100 * estimate.sensitivity:.2f}")
         for direction, trace in traces.items()
         for estimate in trace.phase1.parameter_estimates
     )
-    return Table("Sensitivity: change of RMSE for ±1 % of a parameter", ("parameter", "%"), rows)
+    return Table(f"Sensitivity of {models}: change of RMSE for ±1 % of a parameter", ("parameter", "%"), rows)
