@@ -9,7 +9,7 @@ import numpy as np
 Description = dict[str, Any]
 Tensors = dict[str, np.ndarray]
 Stored = tuple[Description, Tensors]
-SCHEMA = 7  # version of the layout of a model folder
+SCHEMA = 8  # version of the layout of a model folder
 
 
 def _with_hold(content: Description, tensors: Tensors) -> Stored:
@@ -51,6 +51,24 @@ def _with_comparison(content: Description, tensors: Tensors) -> Stored:
 def _with_set_by_hand(content: Description, tensors: Tensors) -> Stored:
     """Schema 7 adds the parameters that were set by hand."""
     return {**content, "set_by_hand": {}}, tensors
+
+
+# Baselines of this package whose stored form schema 8 replaced.
+_REPLACED = ("arx", "narx", "lstm")
+
+
+def _without_replaced_baselines(content: Description, tensors: Tensors) -> Stored:
+    """Schema 8 replaces the baselines of this package and adds the covariate that they hear."""
+    comparison = {
+        direction: {
+            **described,
+            "baselines": [name for name in described["baselines"] if name not in _REPLACED],
+            "covariate": None,
+            "dropped": [name for name in described["baselines"] if name in _REPLACED],
+        }
+        for direction, described in content["comparison"].items()
+    }
+    return {**content, "comparison": comparison}, tensors
 
 
 # Part of a tensor's name in schema 5 to that in schema 6.
@@ -132,7 +150,13 @@ def _renamed(described: Description, **names: str) -> Description:
 
 
 MIGRATIONS: Mapping[int, Callable[[Description, Tensors], Stored]] = MappingProxyType(
-    {3: _with_hold, 4: _with_uncertainty, 5: _with_comparison, 6: _with_set_by_hand}
+    {
+        3: _with_hold,
+        4: _with_uncertainty,
+        5: _with_comparison,
+        6: _with_set_by_hand,
+        7: _without_replaced_baselines,
+    }
 )
 """Schema to the migration to the next one; content that an older schema lacks is marked as missing."""
 
