@@ -295,7 +295,7 @@ def test_the_tables_name_every_model_and_every_test_of_one_direction(tests_of, c
     text = validate(MODELS, Campaign.of([*records, cycle("cycle-1")])).markdown()
     for name in [*NAMES.values(), *(record.name for record in records)]:
         assert f"| {name} |" in text
-    baselines = {"persistence", "arx", "narx", "lstm", "transfer_function", "paper"}
+    baselines = {"persistence", "arx", "oe", "narx", "lstm", "transfer_function", "paper"}
     assert set(NAMES) == baselines | {"benchmark", "greybox"}
 
 
@@ -308,6 +308,7 @@ def test_over_a_horizon_every_model_has_as_many_figures_as_there_are_horizons(te
         assert set(baseline) == {
             "persistence": {"one_step"},
             "lstm": {"free_run"},
+            "oe": {"free_run"},
             "transfer_function": {"free_run"},
         }.get(name, {"one_step", "free_run"})
         if "one_step" in baseline:

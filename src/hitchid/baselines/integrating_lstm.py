@@ -14,6 +14,8 @@ class IntegratingLstm(eqx.Module):
 
     At each block k: (h, c) = LSTM(inputs(k), x, h, c), then M increments σ (W h + b), added to x one by one.
 
+    An ensemble has a leading axis over its members in each array.
+
     Attributes:
         weight_ih: from inputs to gates i, f, g, o, shape [I, 4 H].
         weight_hh: from the last output h and the position x to gates, shape [H + 1, 4 H].
@@ -22,11 +24,11 @@ class IntegratingLstm(eqx.Module):
         head_bias: of the increments, shape [M].
     """
 
-    weight_ih: Float32[Array, "i g"]
-    weight_hh: Float32[Array, "h1 g"]
-    bias: Float32[Array, " g"]
-    head: Float32[Array, "h m"]
-    head_bias: Float32[Array, " m"]
+    weight_ih: Float32[Array, "*e i g"]
+    weight_hh: Float32[Array, "*e h1 g"]
+    bias: Float32[Array, "*e g"]
+    head: Float32[Array, "*e h m"]
+    head_bias: Float32[Array, "*e m"]
 
     @classmethod
     def init(cls, rng: np.random.Generator, inputs: int, hidden: int, increments: int) -> "IntegratingLstm":

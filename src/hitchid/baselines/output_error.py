@@ -1,6 +1,6 @@
 """Linear output-error model (OE), fitted to free runs."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import product
 
 import numpy as np
@@ -22,7 +22,8 @@ from hitchid.structures import Batch, split_validation
 
 ORDERS, DELAYS = (1, 2, 3, 4), (0, 2, 5)  # orders n, further delays d in samples, that are compared; chosen
 FILTERED_FITS = 3  # of Steiglitz and McBride; most of their gain comes from the first; chosen
-MAX_SAMPLES = 4096  # of a test; a longer one is computed on a coarser clock; chosen
+REFINED = 3  # choices that are refined before the last choice; chosen, it bounds the time
+MAX_SAMPLES = 2048  # of a test; a longer one is computed on a coarser clock; chosen
 
 
 class OutputError(FittedBaseline):
@@ -67,9 +68,9 @@ class OutputErrorBaseline(Baseline):
     def fit(self, tests: Batch, context: FitContext) -> OutputError:
         """Return the model that minimises the error of free runs.
 
-        It starts from ARX, refitted to filtered signals (Steiglitz and McBride 1965), and is refined by least
-        squares on errors of free runs (Ljung, System Identification (1999), section 4.2); a refinement that
-        diverges leaves the start.
+        It starts from ARX, refitted to filtered signals (Steiglitz and McBride 1965). The three choices with
+        the smallest error in free run are refined by least squares on errors of free runs (Ljung, System
+        Identification (1999), section 4.2); a refinement that diverges leaves the start.
         """
         step = -(-tests.command.shape[1] // MAX_SAMPLES)
         coarse = tests.decimate(MAX_SAMPLES)
@@ -79,16 +80,17 @@ class OutputErrorBaseline(Baseline):
         def prepared(batch: Batch, delay: int, count: int) -> list[Test]:
             return unpadded_tests(batch, _delayed(scaling.rows(batch, count), delay))
 
-        def error(choice: tuple[int, int, int]) -> float:
+        def error(fit: Fit, choice: tuple[int, int, int]) -> float:
             order, delay, count = choice
-            model = _fit(scaling, prepared(training, delay, count), order)
+            model = fit(scaling, prepared(training, delay, count), order)
             validation_tests = prepared(validation, delay, count)
             return free_run_error(
                 [model.simulate(test.inputs) for test in validation_tests], validation_tests
             )
 
-        order, delay, count = min(product(ORDERS, DELAYS, INPUT_COUNTS), key=error)
-        model = _fit(scaling, prepared(coarse, delay, count), order)
+        choices = sorted(product(ORDERS, DELAYS, INPUT_COUNTS), key=partial(error, _filtered_fit))
+        order, delay, count = min(choices[:REFINED], key=partial(error, _refined_fit))
+        model = _refined_fit(scaling, prepared(coarse, delay, count), order)
         return OutputError(scaling, model.past, model.gains, np.asarray(delay), np.asarray(step))
 
     def skeleton(self, shapes: Sizes) -> OutputError:
@@ -97,8 +99,11 @@ class OutputErrorBaseline(Baseline):
         return OutputError(scaling, np.zeros(shapes["past"]), np.zeros(shapes["gains"]), *steps)
 
 
-def _fit(scaling: LinearInputs, tests: Sequence[Test], order: int) -> Arx:
-    """Return the model of an order with the smallest error in free run that was found."""
+Fit = Callable[[LinearInputs, Sequence[Test], int], Arx]
+
+
+def _filtered_fit(scaling: LinearInputs, tests: Sequence[Test], order: int) -> Arx:
+    """Return the best in free run of ARX and its refits to filtered signals."""
     models = [Arx.fit(scaling, tests, order)]
     with np.errstate(all="ignore"):
         for _ in range(FILTERED_FITS):
@@ -106,8 +111,13 @@ def _fit(scaling: LinearInputs, tests: Sequence[Test], order: int) -> Arx:
             if not all(np.all(np.isfinite(test.travel)) for test in filtered):
                 break
             models.append(Arx.fit(scaling, filtered, order))
-    best = min(models, key=lambda model: free_run_error([model.simulate(t.inputs) for t in tests], tests))
-    shape = best.gains.shape
+    return min(models, key=lambda model: free_run_error([model.simulate(t.inputs) for t in tests], tests))
+
+
+def _refined_fit(scaling: LinearInputs, tests: Sequence[Test], order: int) -> Arx:
+    """Return the model with the smallest error in free run that least squares finds."""
+    start = _filtered_fit(scaling, tests, order)
+    shape = start.gains.shape
 
     def model_of(parameters: np.ndarray) -> Arx:
         return Arx(scaling, parameters[:order], parameters[order:].reshape(shape))
@@ -116,7 +126,7 @@ def _fit(scaling: LinearInputs, tests: Sequence[Test], order: int) -> Arx:
         parts = [_errors(model_of(parameters), test) for test in tests]
         return np.concatenate([errors for errors, _ in parts]), np.concatenate([rows for _, rows in parts])
 
-    return model_of(refine(np.concatenate([best.past, best.gains.ravel()]), residuals))
+    return model_of(refine(np.concatenate([start.past, start.gains.ravel()]), residuals))
 
 
 def _filtered(test: Test, past: np.ndarray) -> Test:
