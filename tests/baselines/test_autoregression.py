@@ -5,7 +5,7 @@ import pytest
 
 from hitchid.baselines.arx import Arx
 from hitchid.baselines.autoregression import predict_ahead
-from hitchid.baselines.linear_inputs import LinearInputs, Test
+from hitchid.baselines.linear_inputs import LinearInputs, UnpaddedTest
 from hitchid.baselines.narx import Narx
 
 PAST, COMMAND = np.array([1.5, -0.3, -0.25]), np.array([0.2, -0.1, 0.4])
@@ -28,7 +28,8 @@ def tests():
     rng = np.random.default_rng(0)
     commands = [rng.normal(size=size) for size in (SAMPLES, SAMPLES // 2)]
     return [
-        Test(command[None], recursion(command), np.ones(command.size, dtype=bool)) for command in commands
+        UnpaddedTest(command[None], recursion(command), np.ones(command.size, dtype=bool))
+        for command in commands
     ]
 
 
@@ -42,7 +43,7 @@ def test_arx_is_not_fitted_to_samples_that_do_not_count(tests):
     spoilt = []
     for inputs, travel, counted in tests:
         late = np.arange(travel.size) >= 40
-        spoilt.append(Test(inputs, np.where(late, 1e3, travel), counted & ~late))
+        spoilt.append(UnpaddedTest(inputs, np.where(late, 1e3, travel), counted & ~late))
     found = Arx.fit(SCALING, spoilt, 3)
     np.testing.assert_allclose(found.past, PAST, rtol=1e-10)
     np.testing.assert_allclose(found.gains[0], COMMAND, rtol=1e-10)

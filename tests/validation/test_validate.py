@@ -321,12 +321,13 @@ def test_an_autoregression_is_iterated_over_a_horizon_from_what_was_measured(tes
     channel = validate(MODELS, Campaign.of(records)).metrics["channels"][LIFTING]
     measured = [record.displacement for record in records]
     travels = [y - y[:6].mean() for y in measured]
-    commands = [np.maximum(record.command(LIFTING) - DEAD_ZONES[LIFTING], 0) for record in records]
     model = MODELS.comparison[LIFTING].baselines[name]
-    free = [y[:6].mean() + model.simulate(u) for y, u in zip(measured, commands, strict=True)]
+    batch = MODELS.channels[LIFTING].batch(records)
+    inputs = [row[:, : len(y)] for row, y in zip(model.inputs(batch), measured, strict=True)]
+    free = [y[:6].mean() + model.simulate(u) for y, u in zip(measured, inputs, strict=True)]
     assert channel["baselines"][name]["free_run"] == pytest.approx(by_hand(measured, free), rel=1e-9)
     steps = [1, 5, 100]
-    rows = [predict_ahead(model, u, w, steps) for u, w in zip(commands, travels, strict=True)]
+    rows = [predict_ahead(model, u, w, steps) for u, w in zip(inputs, travels, strict=True)]
     for number, step in enumerate(steps):
         predicted = [y[:6].mean() + row[number] for y, row in zip(measured, rows, strict=True)]
         rmse = by_hand([y[step:] for y in measured], [p[step:] for p in predicted])["rmse"]

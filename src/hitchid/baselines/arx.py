@@ -10,7 +10,7 @@ from hitchid.baselines.baseline import Baseline, FitContext, Sizes
 from hitchid.baselines.linear_inputs import (
     INPUT_COUNTS,
     LinearInputs,
-    Test,
+    UnpaddedTest,
     free_run_error,
     unpadded_tests,
 )
@@ -35,7 +35,7 @@ class Arx(Autoregression):
     gains: np.ndarray
 
     @classmethod
-    def fit(cls, scaling: LinearInputs, tests: Sequence[Test], order: int) -> "Arx":
+    def fit(cls, scaling: LinearInputs, tests: Sequence[UnpaddedTest], order: int) -> "Arx":
         """Fit by least squares one step ahead to tests that start from rest."""
         rows = np.concatenate([_lagged(test, order)[test.loss_mask] for test in tests])
         target = np.concatenate([test.travel[test.loss_mask] for test in tests])
@@ -92,7 +92,7 @@ class ArxBaseline(Baseline):
         return Arx(LinearInputs.unfilled(), np.zeros(shapes["past"]), np.zeros(shapes["gains"]))
 
 
-def _lagged(test: Test, order: int) -> np.ndarray:
+def _lagged(test: UnpaddedTest, order: int) -> np.ndarray:
     """Return rows [w(k−1) … w(k−n), u₁(k−1) … u₁(k−n), …], zero before the test, shape [N, (m + 1) n]."""
 
     def lags(samples: np.ndarray) -> np.ndarray:

@@ -55,7 +55,7 @@ class LinearInputs(eqx.Module):
         return np.stack(inputs[:count], axis=1)
 
 
-class Test(NamedTuple):
+class UnpaddedTest(NamedTuple):
     """One test from rest, without padding.
 
     Attributes:
@@ -69,13 +69,15 @@ class Test(NamedTuple):
     loss_mask: np.ndarray
 
 
-def unpadded_tests(batch: Batch, inputs: np.ndarray) -> list[Test]:
+def unpadded_tests(batch: Batch, inputs: np.ndarray) -> list[UnpaddedTest]:
     """Return each test without padding; inputs of shape [T, m, N]."""
     rows = zip(inputs, batch.travel, batch.loss_mask, np.asarray(batch.valid), strict=True)
-    return [Test(u[:, valid], np.asarray(w)[valid], np.asarray(mask)[valid]) for u, w, mask, valid in rows]
+    return [
+        UnpaddedTest(u[:, valid], np.asarray(w)[valid], np.asarray(mask)[valid]) for u, w, mask, valid in rows
+    ]
 
 
-def free_run_error(simulated: Sequence[np.ndarray], tests: Sequence[Test]) -> float:
+def free_run_error(simulated: Sequence[np.ndarray], tests: Sequence[UnpaddedTest]) -> float:
     """Return the sum of squared errors of simulated travel, infinite where one diverged."""
     with np.errstate(all="ignore"):
         errors = [travel - test.travel for travel, test in zip(simulated, tests, strict=True)]

@@ -13,7 +13,7 @@ from hitchid.baselines.fitted import FittedBaseline
 from hitchid.baselines.linear_inputs import (
     INPUT_COUNTS,
     LinearInputs,
-    Test,
+    UnpaddedTest,
     free_run_error,
     unpadded_tests,
 )
@@ -77,7 +77,7 @@ class OutputErrorBaseline(Baseline):
         scaling = LinearInputs.of(tests)
         training, validation, _ = split_validation(coarse)
 
-        def prepared(batch: Batch, delay: int, count: int) -> list[Test]:
+        def prepared(batch: Batch, delay: int, count: int) -> list[UnpaddedTest]:
             return unpadded_tests(batch, _delayed(scaling.rows(batch, count), delay))
 
         def error(fit: Fit, choice: tuple[int, int, int]) -> float:
@@ -99,10 +99,10 @@ class OutputErrorBaseline(Baseline):
         return OutputError(scaling, np.zeros(shapes["past"]), np.zeros(shapes["gains"]), *steps)
 
 
-Fit = Callable[[LinearInputs, Sequence[Test], int], Arx]
+Fit = Callable[[LinearInputs, Sequence[UnpaddedTest], int], Arx]
 
 
-def _filtered_fit(scaling: LinearInputs, tests: Sequence[Test], order: int) -> Arx:
+def _filtered_fit(scaling: LinearInputs, tests: Sequence[UnpaddedTest], order: int) -> Arx:
     """Return the best in free run of ARX and its refits to filtered signals."""
     models = [Arx.fit(scaling, tests, order)]
     with np.errstate(all="ignore"):
@@ -114,7 +114,7 @@ def _filtered_fit(scaling: LinearInputs, tests: Sequence[Test], order: int) -> A
     return min(models, key=lambda model: free_run_error([model.simulate(t.inputs) for t in tests], tests))
 
 
-def _refined_fit(scaling: LinearInputs, tests: Sequence[Test], order: int) -> Arx:
+def _refined_fit(scaling: LinearInputs, tests: Sequence[UnpaddedTest], order: int) -> Arx:
     """Return the model with the smallest error in free run that least squares finds."""
     start = _filtered_fit(scaling, tests, order)
     shape = start.gains.shape
@@ -129,16 +129,16 @@ def _refined_fit(scaling: LinearInputs, tests: Sequence[Test], order: int) -> Ar
     return model_of(refine(np.concatenate([start.past, start.gains.ravel()]), residuals))
 
 
-def _filtered(test: Test, past: np.ndarray) -> Test:
+def _filtered(test: UnpaddedTest, past: np.ndarray) -> UnpaddedTest:
     """Return a test with all signals through 1/A, which turns ARX errors into output errors."""
     from scipy.signal import lfilter
 
     denominator = np.append(1.0, -past)
     inputs = np.asarray(lfilter([1.0], denominator, test.inputs, axis=1))
-    return Test(inputs, np.asarray(lfilter([1.0], denominator, test.travel)), test.loss_mask)
+    return UnpaddedTest(inputs, np.asarray(lfilter([1.0], denominator, test.travel)), test.loss_mask)
 
 
-def _errors(model: Arx, test: Test) -> tuple[np.ndarray, np.ndarray]:
+def _errors(model: Arx, test: UnpaddedTest) -> tuple[np.ndarray, np.ndarray]:
     """Return the errors of a free run and their derivative by the coefficients, over the loss mask."""
     from scipy.signal import lfilter
 
