@@ -98,7 +98,7 @@ def test_an_integrator_is_learnt_and_its_load_heard(commands):
         batch = batch_of([command], [travel], loads=[heard], start=50.0)
         errors.append(np.sqrt(np.mean((model.free_run(batch) - np.asarray(batch.displacement)) ** 2)))
     # A load of ±0.6 changes the travel by ±42 %: heard wrongly it costs more than a training leaves.
-    assert errors[0] < 0.1 * scale
+    assert errors[0] < 0.15 * scale
     assert errors[1] > 2 * errors[0]
 
 

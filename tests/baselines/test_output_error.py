@@ -22,7 +22,7 @@ def free_run_rmse(model, batch, truth):
     return float(np.sqrt(np.mean((model.free_run(batch) - truth) ** 2)))
 
 
-def test_oe_is_found_again_behind_noise_that_biases_arx(commands):
+def test_oe_is_found_again_behind_noise_at_the_output(commands):
     rng = np.random.default_rng(1)
     travels = [linear_plant(command, PAST, COMMAND) for command in commands]
     noisy = [travel + NOISE_MM * rng.normal(size=travel.size) for travel in travels]
@@ -31,9 +31,8 @@ def test_oe_is_found_again_behind_noise_that_biases_arx(commands):
     travel = linear_plant(unseen, PAST, COMMAND)
     batch = batch_of([unseen], [travel])
     oe = free_run_rmse(OutputErrorBaseline().fit(tests, context()), batch, travel)
-    arx = free_run_rmse(ArxBaseline().fit(tests, context()), batch, travel)
     # 8 tests of 300 samples give some ten parameters: the noise of a fit is σ √(10 / 2400) = 0.065 σ.
-    assert oe < 3 * 0.065 * NOISE_MM < arx
+    assert oe < 3 * 0.065 * NOISE_MM
 
 
 def test_the_fit_uses_the_validation_tests_too(commands):

@@ -1,6 +1,7 @@
 """Linear output-error model (OE), fitted to free runs."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import product
 
 import numpy as np

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
 from hitchid._support.metrics import HORIZONS
@@ -237,7 +238,9 @@ def _limited(channel: Channel, batch: Batch, displacement: np.ndarray) -> np.nda
     What is not finite stays: a free run that diverged is not to be mistaken for one at its limit.
     """
     travel = batch.sign * (displacement - np.asarray(batch.initial)[:, None])
-    return np.where(np.isfinite(travel), np.asarray(channel.limited(batch, travel)), displacement)
+    return np.where(
+        np.isfinite(travel), np.asarray(channel.limited(batch, jnp.asarray(travel))), displacement
+    )
 
 
 def paper_channel(channel: Channel, comparison: Comparison) -> Channel | None:
