@@ -182,7 +182,11 @@ def main() -> None:
     if arguments.rivals:
         steps = [f"{step} ahead" for step in SHOWN]
         header = ["data", "mode", "model", *steps, "free run", "R²", "trained / s"]
-        rows = [header, ["---"] * len(header), *(row for name in names for row in baseline_rows(name))]
+        rows = [
+            header,
+            ["---"] * len(header),
+            *(row for name in names for row in baseline_rows(name, arguments.seeds)),
+        ]
         sys.stdout.write("".join(f"| {' | '.join(row)} |\n" for row in rows))
         return
     for name in names:

@@ -59,10 +59,11 @@ class Arx(Autoregression):
         """Return travel simulated from inputs of shape [m, N] alone, from rest, shape [N]."""
         from scipy.signal import lfilter  # imported here: the import takes half a second
 
-        driven = sum(
-            lfilter(np.append(0.0, gains), [1.0], row) for gains, row in zip(self.gains, inputs, strict=True)
-        )
-        return np.asarray(lfilter([1.0], np.append(1.0, -self.past), driven))
+        driven = [
+            np.asarray(lfilter(np.append(0.0, gains), [1.0], row))
+            for gains, row in zip(self.gains, inputs, strict=True)
+        ]
+        return np.asarray(lfilter([1.0], np.append(1.0, -self.past), np.sum(driven, axis=0)))
 
 
 class ArxBaseline(Baseline):

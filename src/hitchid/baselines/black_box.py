@@ -133,9 +133,14 @@ class BlackBoxBaseline(Baseline):
         )
 
         def trained() -> dict[str, np.ndarray]:
-            masks = [jnp.asarray(part.mask, SINGLE) for part in (training, validation, signals)]
             networks, best_step = train_ensemble(
-                untrained.networks, sections, *masks, context.gradient_steps, context.progress
+                untrained.networks,
+                sections,
+                jnp.asarray(training.mask, SINGLE),
+                jnp.asarray(validation.mask, SINGLE),
+                jnp.asarray(signals.mask, SINGLE),
+                context.gradient_steps,
+                context.progress,
             )
             return {**weights_of(networks), "best_step": np.asarray(best_step)}
 
