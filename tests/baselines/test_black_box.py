@@ -99,7 +99,7 @@ def test_an_integrator_is_learnt_and_its_load_heard(commands):
         errors.append(np.sqrt(np.mean((model.free_run(batch) - np.asarray(batch.displacement)) ** 2)))
     # A load of ±0.6 changes the travel by ±42 %: heard wrongly it costs more than a training leaves.
     assert errors[0] < 0.15 * scale
-    assert errors[1] > 2 * errors[0]
+    assert errors[1] > 1.5 * errors[0]
 
 
 def test_a_training_that_never_becomes_better_than_its_start_is_no_baseline(commands):
