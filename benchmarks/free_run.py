@@ -3,8 +3,9 @@
     python benchmarks/free_run.py [SET ...] [--seeds 5]
     python benchmarks/free_run.py [SET ...] --rivals
 
-The second form prints every baseline, fitted to the same tests with one seed, beside the grey box. Sets are
-folders of HITCHID_DATA: rig-a, excavator-boom, hanging-load, emps, cascaded-tanks.
+The second form prints every baseline, fitted to the same tests, beside the grey box: medians over the seeds,
+and least and greatest of the free run. Sets are folders of HITCHID_DATA: rig-a, excavator-boom,
+hanging-load, emps, cascaded-tanks.
 """
 
 import argparse
@@ -31,6 +32,7 @@ SHOWN = (1, 10, 100)
 STAGES = {
     "greybox": ("benchmark", "compensator", "compensator for free run"),
     "arx": ("ARX",),
+    "oe": ("OE",),
     "narx": ("NARX",),
     "lstm": ("black-box LSTM",),
     "paper": ("paper's method",),
@@ -131,28 +133,41 @@ def figures(name: str, seed: int) -> dict[str, float]:
     return measured
 
 
-def baseline_rows(name: str) -> list[list[str]]:
-    """Identify with every baseline; return a row of errors a model, on whole tests, and its training time."""
+def baseline_figures(name: str, seed: int) -> dict[tuple[str, str], list[float]]:
+    """Identify with every baseline and one seed; return errors of each direction and model, and its time.
+
+    The errors are those 1, 10 and 100 samples ahead and of the free run, then R², then seconds of training.
+    """
     chosen = SETS[name]
     campaign = chosen.campaign()
     options = {} if chosen.forms is None else {"structure": chosen.forms}
-    identification = hitchid.identify(campaign, **options)
+    identification = hitchid.identify(campaign, seed=seed, **options)
     metrics = hitchid.validate(identification.model, campaign).metrics
-    rows = []
+    measured = {}
     for direction, channel in metrics["channels"].items():
         horizons = channel["horizons"]
         indices = [horizons["steps"].index(step) for step in SHOWN]
-        models = {"greybox": channel["greybox"], **channel["baselines"]}
-        for model, runs in models.items():
+        seconds = identification.channels[direction].seconds
+        for model, runs in {"greybox": channel["greybox"], **channel["baselines"]}.items():
             free = runs.get("free_run", {"rmse": None, "r2": None})
-            errors = [
-                *(horizons[model][index] if model in horizons else None for index in indices),
-                free["rmse"],
-            ]
-            numbers = ["-" if value is None else f"{value:.3g}" for value in (*errors, free["r2"])]
-            seconds = identification.channels[direction].seconds
-            stage_seconds = [seconds[stage] for stage in STAGES.get(model, ()) if stage in seconds]
-            rows.append([name, direction, model, *numbers, f"{sum(stage_seconds):.1f}"])
+            ahead = [horizons[model][index] if model in horizons else None for index in indices]
+            trained = sum(seconds.get(stage, 0.0) for stage in STAGES.get(model, ()))
+            values = (*ahead, free["rmse"], free["r2"], trained)
+            measured[direction, model] = [np.nan if value is None else value for value in values]
+    return measured
+
+
+def baseline_rows(name: str, seeds: int) -> list[list[str]]:
+    """Return a row a model: medians over seeds, and the range of the free run where it depends on them."""
+    trials = [baseline_figures(name, seed) for seed in range(seeds)]
+    rows = []
+    for direction, model in trials[0]:
+        values = np.array([trial[direction, model] for trial in trials if (direction, model) in trial])
+        cells = ["-" if np.isnan(value) else f"{value:.3g}" for value in np.median(values, axis=0)]
+        least, greatest = (f"{limit:.3g}" for limit in (values[:, 3].min(), values[:, 3].max()))
+        if least != greatest:
+            cells[3] += f" ({least} to {greatest})"
+        rows.append([name, direction, model, *cells])
     return rows
 
 
@@ -167,7 +182,11 @@ def main() -> None:
     if arguments.rivals:
         steps = [f"{step} ahead" for step in SHOWN]
         header = ["data", "mode", "model", *steps, "free run", "R²", "trained / s"]
-        rows = [header, ["---"] * len(header), *(row for name in names for row in baseline_rows(name))]
+        rows = [
+            header,
+            ["---"] * len(header),
+            *(row for name in names for row in baseline_rows(name, arguments.seeds)),
+        ]
         sys.stdout.write("".join(f"| {' | '.join(row)} |\n" for row in rows))
         return
     for name in names:

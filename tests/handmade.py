@@ -9,7 +9,11 @@ import numpy as np
 
 from hitchid.baselines.arx import Arx
 from hitchid.baselines.black_box import BlackBox
+from hitchid.baselines.block_signals import STEPS
+from hitchid.baselines.integrating_lstm import IntegratingLstm
+from hitchid.baselines.linear_inputs import LinearInputs
 from hitchid.baselines.narx import Narx
+from hitchid.baselines.output_error import OutputError
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.model import (
     Bands,
@@ -126,13 +130,26 @@ def channel(
     )
 
 
+def black_box(hidden=5, members=2):
+    """Return a black box that moves, of steps of two samples."""
+    rng = np.random.default_rng(7)
+    networks = [IntegratingLstm.init(rng, 2 * STEPS + 1, hidden, STEPS) for _ in range(members)]
+    stacked = jax.tree.map(lambda *arrays: jnp.stack(arrays), *networks)
+    head = jnp.asarray(rng.normal(size=stacked.head.shape), jnp.float32)
+    stacked = eqx.tree_at(lambda network: network.head, stacked, head)
+    return BlackBox(stacked, *map(np.asarray, (1.0, 0.0, 1.0, 100.0, 20.0, 0.005, 2)))
+
+
 def comparison(mode):
     """Return the baselines and the paper's method beside a channel."""
     terms, coefficients = np.array([[1, 0], [-1, 0], [-1, 1]]), np.array([1.0, 0.2, -0.05])
+    scaling = LinearInputs(*map(np.asarray, (0.0, 1.0, 100.0, 20.0)))
+    past, gains = np.array([1.5, -0.5]), np.array([[0.1, 0.05], [0.02, 0.0]])
     baselines = {
-        "arx": Arx(np.array([1.5, -0.5]), np.array([0.1, 0.05])),
-        "narx": Narx(terms, coefficients, np.array(20.0), np.array(0.5)),
-        "lstm": BlackBox(network(2, 5), *map(jnp.asarray, np.array([1.0, 100.0, 20.0, 0.1]))),
+        "arx": Arx(scaling, past, gains),
+        "oe": OutputError(scaling, past, gains, np.array(2), np.array(1)),
+        "narx": Narx(scaling, terms, coefficients, np.array(20.0), np.array(0.5)),
+        "lstm": black_box(),
     }
     return Comparison(baselines, channel(mode, "first-order-lag", compensated=True))
 

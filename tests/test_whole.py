@@ -31,6 +31,7 @@ def test_five_lines_take_a_user_from_a_folder_to_a_validated_model(identified):
         assert set(channel["baselines"]) == {
             "persistence",
             "arx",
+            "oe",
             "narx",
             "lstm",
             "transfer_function",

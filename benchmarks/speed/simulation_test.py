@@ -11,7 +11,7 @@ from lfilter_whale import single_threaded
 from scipy.signal import cont2discrete, lfilter, lsim
 from timings import OURS
 
-from hitchid.baselines.narx import Narx
+from hitchid.baselines.polynomial_run import Sections, polynomial_run
 from hitchid.rig import load_rig, simulate
 from hitchid.structures import PhysicalModel, structure_named
 
@@ -107,18 +107,18 @@ def black_box():
     return model, command, travel
 
 
-def to_hitchid_narx(model) -> Narx:
-    """Return sysidentpy's model as ours: 1000 + i stands for w(k−i), 2000 + i for u(k−i)."""
+def to_terms(model) -> np.ndarray:
+    """Return sysidentpy's terms as ours: 1000 + i stands for w(k−i), 2000 + i for u(k−i)."""
     codes = np.asarray(model.final_model)
-    terms = np.where(codes > 2000, 2000 - codes, np.where(codes > 1000, codes - 1000, 0))
-    return Narx(terms, np.asarray(model.theta)[:, 0], np.array(1.0), np.array(1.0))
+    return np.where(codes > 2000, 2000 - codes, np.where(codes > 1000, codes - 1000, 0))
 
 
 def test_our_narx(timed, black_box):
     """The free run of a black box, the same model in both programs."""
     model, command, travel = black_box
-    narx = to_hitchid_narx(model)
-    simulated = timed(lambda: narx.simulate_from(command, travel[:LAG]), NARX)
+    terms, coefficients = to_terms(model), np.asarray(model.theta)[:, 0]
+    start = Sections(command[None], travel[None, :LAG], np.zeros((1, 2)))
+    simulated = timed(lambda: polynomial_run(terms, coefficients, start, LAG)[0][0], NARX)
     expected = model.predict(X=command[:, None], y=travel[:LAG, None])[LAG:, 0]
     np.testing.assert_allclose(simulated, expected, rtol=1e-6)
 

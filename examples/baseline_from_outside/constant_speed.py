@@ -31,10 +31,10 @@ class ConstantSpeedBaseline(Baseline):
 
     name, title = "constant_speed", "constant speed"
 
-    def fit(self, training: Batch, validation: Batch, context: FitContext) -> ConstantSpeed:
-        """Return the baseline whose free run is nearest to the training tests."""
-        loss_mask = np.asarray(training.loss_mask)
-        time_s, travel = moving_time_s(training)[loss_mask], np.asarray(training.travel)[loss_mask]
+    def fit(self, tests: Batch, context: FitContext) -> ConstantSpeed:
+        """Return the baseline whose free run is nearest to the tests."""
+        loss_mask = np.asarray(tests.loss_mask)
+        time_s, travel = moving_time_s(tests)[loss_mask], np.asarray(tests.travel)[loss_mask]
         return ConstantSpeed(np.array(time_s @ travel / (time_s @ time_s)))
 
     def skeleton(self, shapes: Sizes) -> ConstantSpeed:

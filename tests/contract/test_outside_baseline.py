@@ -63,7 +63,7 @@ def saved(tmp_path_factory):
 
 
 def test_without_the_package_there_are_the_own_baselines():
-    assert list(all_baselines()) == ["arx", "narx", "lstm"]
+    assert list(all_baselines()) == ["arx", "oe", "narx", "lstm"]
 
 
 def test_it_is_fitted_saved_loaded_and_validated(saved, tmp_path, monkeypatch):

@@ -34,7 +34,17 @@ from hitchid.validation.residuals import residual_tests
 from hitchid.validation.results import BandHorizons
 
 STEP_S = 0.01
-MODELS = ("benchmark", "one_step", "free_run", "persistence", "lstm", "narx", "arx", "transfer_function")
+MODELS = (
+    "benchmark",
+    "one_step",
+    "free_run",
+    "persistence",
+    "lstm",
+    "narx",
+    "oe",
+    "arx",
+    "transfer_function",
+)
 STEPS = (1, 2, 5, 10, 20, 50, 100)
 
 

@@ -295,7 +295,7 @@ def test_the_tables_name_every_model_and_every_test_of_one_direction(tests_of, c
     text = validate(MODELS, Campaign.of([*records, cycle("cycle-1")])).markdown()
     for name in [*NAMES.values(), *(record.name for record in records)]:
         assert f"| {name} |" in text
-    baselines = {"persistence", "arx", "narx", "lstm", "transfer_function", "paper"}
+    baselines = {"persistence", "arx", "oe", "narx", "lstm", "transfer_function", "paper"}
     assert set(NAMES) == baselines | {"benchmark", "greybox"}
 
 
@@ -308,6 +308,7 @@ def test_over_a_horizon_every_model_has_as_many_figures_as_there_are_horizons(te
         assert set(baseline) == {
             "persistence": {"one_step"},
             "lstm": {"free_run"},
+            "oe": {"free_run"},
             "transfer_function": {"free_run"},
         }.get(name, {"one_step", "free_run"})
         if "one_step" in baseline:
@@ -320,12 +321,13 @@ def test_an_autoregression_is_iterated_over_a_horizon_from_what_was_measured(tes
     channel = validate(MODELS, Campaign.of(records)).metrics["channels"][LIFTING]
     measured = [record.displacement for record in records]
     travels = [y - y[:6].mean() for y in measured]
-    commands = [np.maximum(record.command(LIFTING) - DEAD_ZONES[LIFTING], 0) for record in records]
     model = MODELS.comparison[LIFTING].baselines[name]
-    free = [y[:6].mean() + model.simulate(u) for y, u in zip(measured, commands, strict=True)]
+    batch = MODELS.channels[LIFTING].batch(records)
+    inputs = [row[:, : len(y)] for row, y in zip(model.inputs(batch), measured, strict=True)]
+    free = [y[:6].mean() + model.simulate(u) for y, u in zip(measured, inputs, strict=True)]
     assert channel["baselines"][name]["free_run"] == pytest.approx(by_hand(measured, free), rel=1e-9)
     steps = [1, 5, 100]
-    rows = [predict_ahead(model, u, w, steps) for u, w in zip(commands, travels, strict=True)]
+    rows = [predict_ahead(model, u, w, steps) for u, w in zip(inputs, travels, strict=True)]
     for number, step in enumerate(steps):
         predicted = [y[:6].mean() + row[number] for y, row in zip(measured, rows, strict=True)]
         rmse = by_hand([y[step:] for y in measured], [p[step:] for p in predicted])["rmse"]

@@ -1,12 +1,20 @@
-"""Linear autoregression with input (ARX)."""
+"""Linear autoregression with inputs (ARX)."""
 
 from collections.abc import Sequence
+from itertools import product
 
 import numpy as np
 
-from hitchid.baselines.autoregression import Autoregression, Test, unpadded_tests
+from hitchid.baselines.autoregression import Autoregression
 from hitchid.baselines.baseline import Baseline, FitContext, Sizes
-from hitchid.structures import Batch
+from hitchid.baselines.linear_inputs import (
+    INPUT_COUNTS,
+    LinearInputs,
+    UnpaddedTest,
+    free_run_error,
+    unpadded_tests,
+)
+from hitchid.structures import Batch, split_validation
 
 ORDERS = (1, 2, 3, 5, 8, 12, 20)  # orders n that are compared, in samples; 20 are 0.2 s at 100 Hz; chosen
 
@@ -14,73 +22,82 @@ ORDERS = (1, 2, 3, 5, 8, 12, 20)  # orders n that are compared, in samples; 20 a
 class Arx(Autoregression):
     """ARX model of travel w (displacement relative to the start).
 
-    w(k) = Σ aᵢ w(k−i) + Σ bᵢ u(k−i), i = 1 … n.
+    w(k) = Σ aᵢ w(k−i) + Σⱼ Σ bⱼᵢ uⱼ(k−i), i = 1 … n.
 
     Attributes:
+        scaling: the inputs u.
         past: coefficients a of past travel, shape [n].
-        command: coefficients b of the past command, shape [n].
+        gains: coefficients b of past inputs, shape [m, n].
     """
 
+    scaling: LinearInputs
     past: np.ndarray
-    command: np.ndarray
+    gains: np.ndarray
 
     @classmethod
-    def fit(cls, tests: Sequence[Test], order: int) -> "Arx":
-        """Fit by least squares to tests that start from rest; see `Test`."""
-        rows = np.concatenate(
-            [_lagged(travel, command, order)[loss_mask] for command, travel, loss_mask in tests]
-        )
-        target = np.concatenate([travel[loss_mask] for _, travel, loss_mask in tests])
+    def fit(cls, scaling: LinearInputs, tests: Sequence[UnpaddedTest], order: int) -> "Arx":
+        """Fit by least squares one step ahead to tests that start from rest."""
+        rows = np.concatenate([_lagged(test, order)[test.loss_mask] for test in tests])
+        target = np.concatenate([test.travel[test.loss_mask] for test in tests])
         solution = np.linalg.lstsq(rows, target, rcond=None)[0]
-        return cls(solution[:order], solution[order:])
+        return cls(scaling, solution[:order], solution[order:].reshape(-1, order))
 
     @property
     def lag(self) -> int:
         """Largest lag n, in samples."""
         return self.past.size
 
-    def predict_next(self, command: np.ndarray, travel: np.ndarray) -> np.ndarray:
-        """Return w(k) from u(k−1) … u(k−n) and w(k−1) … w(k−n), shape [n, N] each."""
-        return self.command @ command + self.past @ travel
+    def inputs(self, batch: Batch) -> np.ndarray:
+        """Return the inputs of tests, shape [T, m, N]."""
+        return self.scaling.rows(batch, len(self.gains))
 
-    def one_step(self, command: np.ndarray, travel: np.ndarray) -> np.ndarray:
-        """Return the one-step-ahead prediction of travel from measured travel, shape [N]."""
-        return _lagged(travel, command, self.past.size) @ np.concatenate([self.past, self.command])
+    def predict_next(self, inputs: np.ndarray, travel: np.ndarray) -> np.ndarray:
+        """Return w(k) from u(k−1) … u(k−n), shape [m, n, N], and w(k−1) … w(k−n), shape [n, N]."""
+        return np.einsum("mn,mnk->k", self.gains, inputs) + self.past @ travel
 
-    def simulate(self, command: np.ndarray) -> np.ndarray:
-        """Return travel simulated from the command alone, shape [N]."""
+    def simulate(self, inputs: np.ndarray) -> np.ndarray:
+        """Return travel simulated from inputs of shape [m, N] alone, from rest, shape [N]."""
         from scipy.signal import lfilter  # imported here: the import takes half a second
 
-        return np.asarray(lfilter(np.append(0.0, self.command), np.append(1.0, -self.past), command))
+        driven = [
+            np.asarray(lfilter(np.append(0.0, gains), [1.0], row))
+            for gains, row in zip(self.gains, inputs, strict=True)
+        ]
+        return np.asarray(lfilter([1.0], np.append(1.0, -self.past), np.sum(driven, axis=0)))
 
 
 class ArxBaseline(Baseline):
-    """ARX with the order of the smallest one-step-ahead error on the validation tests."""
+    """ARX with the order and inputs of the smallest error in free run on the validation tests."""
 
     name, title = "arx", "ARX"
 
-    def fit(self, training: Batch, validation: Batch, context: FitContext) -> Arx:
-        """Return the ARX model with the smallest one-step-ahead error on the validation tests."""
-        tests, validation_tests = unpadded_tests(training), unpadded_tests(validation)
+    def fit(self, tests: Batch, context: FitContext) -> Arx:
+        """Return the ARX model: order and inputs by free run, coefficients one step ahead on all tests."""
+        scaling = LinearInputs.of(tests)
+        training, validation, _ = split_validation(tests)
 
-        def squared_error(model: Arx) -> float:
-            return sum(
-                float(np.sum((model.one_step(command, travel) - travel)[loss_mask] ** 2))
-                for command, travel, loss_mask in validation_tests
+        def fit(batch: Batch, order: int, count: int) -> Arx:
+            return Arx.fit(scaling, unpadded_tests(batch, scaling.rows(batch, count)), order)
+
+        def error(choice: tuple[int, int]) -> float:
+            model = fit(training, *choice)
+            validation_tests = unpadded_tests(validation, model.inputs(validation))
+            return free_run_error(
+                [model.simulate(test.inputs) for test in validation_tests], validation_tests
             )
 
-        return min((Arx.fit(tests, order) for order in ORDERS), key=squared_error)
+        return fit(tests, *min(product(ORDERS, INPUT_COUNTS), key=error))
 
     def skeleton(self, shapes: Sizes) -> Arx:
         """Return a model of the stored order, all coefficients zero."""
-        return Arx(np.zeros(shapes["past"]), np.zeros(shapes["command"]))
+        return Arx(LinearInputs.unfilled(), np.zeros(shapes["past"]), np.zeros(shapes["gains"]))
 
 
-def _lagged(travel: np.ndarray, command: np.ndarray, order: int) -> np.ndarray:
-    """Return rows [w(k−1) … w(k−n), u(k−1) … u(k−n)], zero before the test, shape [N, 2 n]."""
+def _lagged(test: UnpaddedTest, order: int) -> np.ndarray:
+    """Return rows [w(k−1) … w(k−n), u₁(k−1) … u₁(k−n), …], zero before the test, shape [N, (m + 1) n]."""
 
     def lags(samples: np.ndarray) -> np.ndarray:
         padded = np.concatenate([np.zeros(order), samples[:-1]])
         return np.lib.stride_tricks.sliding_window_view(padded, order)[:, ::-1]
 
-    return np.hstack([lags(travel), lags(command)])
+    return np.hstack([lags(row) for row in (test.travel, *test.inputs)])

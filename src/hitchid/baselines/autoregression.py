@@ -9,12 +9,9 @@ from jaxtyping import Float
 from hitchid.baselines.fitted import FittedBaseline
 from hitchid.structures import Batch
 
-# One test from rest: command, travel and loss mask, each of shape [N].
-Test = tuple[np.ndarray, np.ndarray, np.ndarray]
-
 
 class Autoregression(FittedBaseline):
-    """A model of travel w (displacement relative to the start) from past samples of w and of the command."""
+    """A model of travel w (displacement relative to the start) from past samples of w and of inputs."""
 
     @property
     @abstractmethod
@@ -22,66 +19,61 @@ class Autoregression(FittedBaseline):
         """Largest lag n, in samples."""
 
     @abstractmethod
-    def predict_next(self, command: np.ndarray, travel: np.ndarray) -> np.ndarray:
-        """Return w(k) from u(k−1) … u(k−n) and w(k−1) … w(k−n), shape [n, N] each."""
+    def inputs(self, batch: Batch) -> np.ndarray:
+        """Return the inputs of tests, shape [T, m, N]."""
 
     @abstractmethod
-    def simulate(self, command: np.ndarray) -> np.ndarray:
-        """Return travel simulated from the command alone, from rest, shape [N]."""
+    def predict_next(self, inputs: np.ndarray, travel: np.ndarray) -> np.ndarray:
+        """Return w(k) from u(k−1) … u(k−n), shape [m, n, N], and w(k−1) … w(k−n), shape [n, N]."""
+
+    @abstractmethod
+    def simulate(self, inputs: np.ndarray) -> np.ndarray:
+        """Return travel simulated from inputs of shape [m, N] alone, from rest, shape [N]."""
 
     def free_run(self, batch: Batch) -> Float[np.ndarray, "t n"]:
         """Return displacement simulated from commands and initial displacement, shape [T, N]."""
-        return _displacement(
-            batch, np.array([self.simulate(command) for command in np.asarray(batch.command)])
-        )
+        return to_displacement(batch, np.array([self.simulate(inputs) for inputs in self.inputs(batch)]))
 
     def predict(self, batch: Batch, horizons: Sequence[int]) -> list[Float[np.ndarray, "t n"]]:
         """Return the h-step-ahead predictions of displacement, for each h, shape [T, N] each."""
         travels = batch.sign * (np.asarray(batch.displacement) - np.asarray(batch.initial)[:, None])
         rows = [
-            predict_ahead(self, command, travel, horizons)
-            for command, travel in zip(np.asarray(batch.command), travels, strict=True)
+            predict_ahead(self, inputs, travel, horizons)
+            for inputs, travel in zip(self.inputs(batch), travels, strict=True)
         ]
-        return [_displacement(batch, travel) for travel in np.swapaxes(rows, 0, 1)]
-
-
-def unpadded_tests(batch: Batch) -> list[Test]:
-    """Return command, travel and loss mask of each test, without padding."""
-    return [
-        (np.asarray(command)[valid], np.asarray(travel)[valid], np.asarray(loss_mask)[valid])
-        for command, travel, loss_mask, valid in zip(
-            batch.command, batch.travel, batch.loss_mask, np.asarray(batch.valid), strict=True
-        )
-    ]
+        return [to_displacement(batch, travel) for travel in np.swapaxes(rows, 0, 1)]
 
 
 def predict_ahead(
-    model: Autoregression, command: np.ndarray, travel: np.ndarray, horizons: Sequence[int]
+    model: Autoregression, inputs: np.ndarray, travel: np.ndarray, horizons: Sequence[int]
 ) -> np.ndarray:
     """Return h-step-ahead predictions of travel, zero for the first h samples.
 
     Args:
         model: an autoregressive model; it is iterated from all samples at once.
-        command, travel: signals of one test that starts from rest, shape [N].
+        inputs: of one test that starts from rest, shape [m, N].
+        travel: its measured travel, shape [N].
         horizons: prediction horizons h, in samples.
 
     Returns:
         Predictions, shape [len(horizons), N].
     """
-    lag, count, farthest = model.lag, command.size, max(horizons)
+    lag, count, farthest = model.lag, travel.size, max(horizons)
     past = np.concatenate([np.zeros(lag), travel])
-    padded_command = np.concatenate([np.zeros(lag), command, np.zeros(farthest)])
+    padded = np.pad(inputs, ((0, 0), (lag, farthest)))
     history = [past[lag - i : lag - i + count] for i in range(lag)]
     predictions = {}
     with np.errstate(over="ignore", invalid="ignore"):
         for step in range(1, farthest + 1):
-            commands = np.stack(
-                [padded_command[lag + step - i : lag + step - i + count] for i in range(1, lag + 1)]
-            )
-            history = [model.predict_next(commands, np.stack(history)), *history[: lag - 1]]
+            lagged = [padded[:, lag + step - i : lag + step - i + count] for i in range(1, lag + 1)]
+            history = [
+                model.predict_next(np.stack(lagged, axis=1), np.stack(history)),
+                *history[: lag - 1],
+            ]
             predictions[step] = history[0]
     return np.stack([np.concatenate([np.zeros(h), predictions[h][: count - h]]) for h in horizons])
 
 
-def _displacement(batch: Batch, travel: np.ndarray) -> np.ndarray:
+def to_displacement(batch: Batch, travel: np.ndarray) -> np.ndarray:
+    """Return the displacement that belongs to a travel, shape [T, N]."""
     return np.asarray(batch.initial)[:, None] + batch.sign * travel

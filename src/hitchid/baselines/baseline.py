@@ -8,7 +8,7 @@ from jaxtyping import PRNGKeyArray
 
 from hitchid._support.checkpoints import DISABLED, Checkpoints
 from hitchid.baselines.fitted import FittedBaseline
-from hitchid.estimation.training import AdamConfig, EpochCallback
+from hitchid.estimation.training import EpochCallback
 from hitchid.structures import Batch
 
 Sizes = Mapping[str, Sequence[int]]
@@ -19,15 +19,13 @@ class FitContext:
     """Settings of a fit.
 
     Attributes:
-        hidden: number of cells of an LSTM.
-        adam: settings of Adam and of early stopping.
-        key: random key for initial weights and shuffling.
-        progress: called after each epoch of a training with its number, training and validation loss.
+        gradient_steps: largest number of gradient steps of a training.
+        key: random key for initial weights.
+        progress: called during a training with the steps done, training and validation error.
         checkpoints: store for finished parts of a fit, read again when a fit is resumed.
     """
 
-    hidden: int
-    adam: AdamConfig
+    gradient_steps: int
     key: PRNGKeyArray
     progress: EpochCallback | None = None
     checkpoints: Checkpoints = DISABLED
@@ -45,12 +43,19 @@ class Baseline(ABC):
     title: str
 
     @abstractmethod
-    def fit(self, training: Batch, validation: Batch, context: FitContext) -> FittedBaseline | None:
-        """Fit to the tests that the compensator is trained on; None where the fit is not possible.
+    def fit(self, tests: Batch, context: FitContext) -> FittedBaseline | None:
+        """Fit to all identification tests of a direction; None where the fit is not possible.
+
+        What is chosen, such as an order or the end of a training, is chosen by `split_validation` of the
+        tests; the model is then fitted to all of them. The tests have the load that the physics model may
+        use, and so has every batch that the fitted baseline is given.
 
         Args:
-            training, validation: tests for the fit, and for model selection or early stopping.
+            tests: all identification tests.
             context: settings of the fit.
+
+        Raises:
+            FitError: the fit failed; a notice says so, and the baseline is left out.
         """
 
     @abstractmethod

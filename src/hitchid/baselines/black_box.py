@@ -1,4 +1,4 @@
-"""Black-box LSTM from command to speed."""
+"""Black-box LSTM from command, load and its own displacement to speed, an ensemble trained on free runs."""
 
 from collections.abc import Sequence
 
@@ -6,150 +6,167 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Float32
 
 from hitchid.baselines.baseline import Baseline, FitContext, Sizes
+from hitchid.baselines.block_signals import (
+    STEPS,
+    BlockSignals,
+    block_signals,
+    step_samples,
+    travel_at_samples,
+)
+from hitchid.baselines.ensemble_training import Sections, train_ensemble
 from hitchid.baselines.fitted import FittedBaseline
-from hitchid.estimation.training import every_nth, train
-from hitchid.networks.lstm import SINGLE, Lstm
-from hitchid.structures import Batch
+from hitchid.baselines.integrating_lstm import SINGLE, IntegratingLstm
+from hitchid.errors import FitError
+from hitchid.estimation.training import weights_of, with_weights
+from hitchid.structures import Batch, validation_mask
 
-SECTION_SAMPLES, MAX_SECTIONS = 2048, 40  # samples, sections; chosen: they bound the training time
+HIDDEN, MEMBERS = 16, 5  # cells of an LSTM, LSTMs of an ensemble; chosen
 
 
 class BlackBox(FittedBaseline):
-    """LSTM from command to speed, followed by an integrator; no other physics.
+    """Ensemble of LSTMs, each in a loop with an integrator; no other physics.
 
-    w(k) = σ Σ_{i<k} f(u(0) … u(i), x(0)), simulated from the start of a test.
+    The mean of the positions that the members simulate from the start of a test; a member hears the command,
+    the load before motion and its own position, see `IntegratingLstm`.
 
     Attributes:
-        network: LSTM with command and initial displacement as inputs.
-        command_scale: largest command of the training tests, shape [].
-        initial_centre, initial_scale: scaling of the initial displacement, shape [].
-        change: σ, mean absolute change of travel in one sample, shape [].
+        networks: the members, a leading axis over them in each array.
+        command_scale: largest command of the tests, shape [].
+        load_centre, load_scale: scaling of the load before motion, shape [].
+        position_centre, position_scale: scaling of the position, shape [].
+        increment_scale: σ, mean change of the scaled position in a step, shape [].
+        samples: samples of a step, shape [].
     """
 
-    network: Lstm
-    command_scale: Float[Array, ""]
-    initial_centre: Float[Array, ""]
-    initial_scale: Float[Array, ""]
-    change: Float[Array, ""]
+    networks: IntegratingLstm
+    command_scale: np.ndarray
+    load_centre: np.ndarray
+    load_scale: np.ndarray
+    position_centre: np.ndarray
+    position_scale: np.ndarray
+    increment_scale: np.ndarray
+    samples: np.ndarray
 
-    def inputs(self, command: Float[Array, "t n"], initial: Float[Array, " t"]) -> Float[Array, "t n 2"]:
-        """Return the scaled inputs, shape [T, N, 2]."""
-        scaled_initial = (initial - self.initial_centre) / self.initial_scale
-        broadcast_initial = jnp.broadcast_to(scaled_initial[:, None], command.shape)
-        return jnp.stack([command / self.command_scale, broadcast_initial], axis=-1).astype(SINGLE)
+    @classmethod
+    def untrained(cls, batch: Batch, signals: BlockSignals, samples: int, seed: int) -> "BlackBox":
+        """Return an ensemble that stands still, scaled to tests."""
+        rng = np.random.default_rng(seed)
+        members = [IntegratingLstm.init(rng, 2 * STEPS + 1, HIDDEN, STEPS) for _ in range(MEMBERS)]
+        position, load = batch.sign * np.asarray(batch.initial), np.asarray(batch.covariate)
+        scale = np.abs(signals.travel[signals.mask]).max(initial=0.0) or 1.0
+        changes = np.diff(signals.travel, axis=2)[signals.mask[:, :, 1:]]
+        return cls(
+            jax.tree.map(lambda *arrays: jnp.stack(arrays), *members),
+            *map(
+                np.asarray,
+                (
+                    np.abs(batch.raw_command).max() or 1.0,
+                    load.mean(),
+                    load.std() or 1.0,
+                    position.mean(),
+                    scale,
+                    (np.abs(changes).mean() if changes.size else 0.0) / scale or 1.0,
+                    samples,
+                ),
+            ),
+        )
 
-    def travel(self, command: Float[Array, "t n"], initial: Float[Array, " t"]) -> Float[Array, "t n"]:
-        """Return travel simulated from commands and initial displacement, shape [T, N]."""
-        return self.change * accumulated(speeds(self.network, self.inputs(command, initial)))
+    def inputs(self, batch: Batch, signals: BlockSignals) -> Float32[Array, "k t i"]:
+        """Return the scaled inputs of each block, shape [K, T, 17]."""
+        blocks, tests = signals.travel.shape[:2]
+        load = (np.asarray(batch.covariate) - self.load_centre) / self.load_scale
+        commands = (signals.commands / self.command_scale).reshape(blocks, tests, -1)
+        load_rows = np.broadcast_to(load[None, :, None], (blocks, tests, 1))
+        return jnp.asarray(np.concatenate([commands, load_rows], axis=2), SINGLE)
+
+    def start(self, batch: Batch) -> Float32[Array, " t"]:
+        """Return the scaled position before motion, shape [T]."""
+        position = batch.sign * np.asarray(batch.initial)
+        return jnp.asarray((position - self.position_centre) / self.position_scale, SINGLE)
 
     def free_run(self, batch: Batch) -> Float[np.ndarray, "t n"]:
         """Return displacement simulated from commands and initial displacement, shape [T, N]."""
-        travel = eqx.filter_jit(BlackBox.travel)(self, batch.command, batch.initial)
-        return np.asarray(batch.initial)[:, None] + batch.sign * np.asarray(travel)
+        samples = int(self.samples)
+        signals = block_signals(batch, samples, np.asarray(batch.loss_mask))
+        start = self.start(batch)
+        scale = jnp.asarray(self.increment_scale, SINGLE)
+        positions = mean_positions(self.networks, self.inputs(batch, signals), start, scale)
+        travel = self.position_scale * np.asarray(positions - start[None, :, None], np.float64)
+        rows = travel_at_samples(travel, samples, batch.command.shape[1])
+        return np.asarray(batch.initial)[:, None] + batch.sign * rows
 
     def predict(self, batch: Batch, horizons: Sequence[int]) -> None:
         """Return None: the model only simulates; it takes no measured displacement after the start."""
 
 
 class BlackBoxBaseline(Baseline):
-    """Black-box LSTM trained on free runs."""
+    """Ensemble of five black-box LSTMs trained on whole free runs."""
 
     name, title = "lstm", "black-box LSTM"
 
-    def fit(self, training: Batch, validation: Batch, context: FitContext) -> BlackBox:
-        """Return a black-box LSTM trained on free runs from the start of each test.
+    def fit(self, tests: Batch, context: FitContext) -> BlackBox:
+        """Return the ensemble; validation tests choose the number of gradient steps, all tests train it.
 
-        Tests longer than 2048 samples are cut into sections, each starting from its own measured
-        displacement; of more than 40 sections every m-th is used.
+        A test is computed in at most 64 blocks of eight steps.
 
-        Args:
-            training, validation: the tests of the compensator.
-            context: settings of the fit.
+        Raises:
+            FitError: no training was better than the untrained ensemble on the validation tests.
         """
-        init_key, key = jax.random.split(context.key)
-        training_sections, validation_sections = (
-            every_nth(_sections(batch), MAX_SECTIONS) for batch in (training, validation)
+        samples = step_samples(tests)
+        loss_mask, is_validation = np.asarray(tests.loss_mask), np.asarray(validation_mask(tests))
+        signals, training, validation = (
+            block_signals(tests, samples, mask)
+            for mask in (loss_mask, loss_mask & ~is_validation, is_validation)
         )
-        commands, initial, travel, loss_mask = training_sections
-        changes = np.diff(travel, axis=1)[loss_mask[:, 1:]]
-        untrained = BlackBox(
-            network=Lstm.init(init_key, 2, context.hidden),
-            command_scale=jnp.asarray(np.abs(commands).max()),
-            initial_centre=jnp.asarray(initial.mean()),
-            initial_scale=jnp.asarray(initial.std() or 1.0),
-            change=jnp.asarray(float(np.abs(changes).mean()) or 1.0),
+        seed = int(jax.random.randint(context.key, (), 0, np.iinfo(np.int32).max))
+        untrained = BlackBox.untrained(tests, signals, samples, seed)
+        start = untrained.start(tests)
+        travel = signals.travel / untrained.position_scale
+        sections = Sections(
+            inputs=untrained.inputs(tests, signals),
+            start=start,
+            position=jnp.asarray(travel, SINGLE) + start[None, :, None],
+            increment_scale=jnp.asarray(untrained.increment_scale, SINGLE),
         )
-        travel_scale = float(travel[loss_mask].std()) / float(untrained.change)
 
-        def data(sections: tuple) -> tuple:
-            commands, initial, travel, loss_mask = sections
-            return (
-                untrained.inputs(jnp.asarray(commands), jnp.asarray(initial)),
-                jnp.asarray(travel / float(untrained.change), SINGLE),
-                jnp.asarray(loss_mask / travel_scale, SINGLE),
+        def trained() -> dict[str, np.ndarray]:
+            networks, best_step = train_ensemble(
+                untrained.networks,
+                sections,
+                jnp.asarray(training.mask, SINGLE),
+                jnp.asarray(validation.mask, SINGLE),
+                jnp.asarray(signals.mask, SINGLE),
+                context.gradient_steps,
+                context.progress,
             )
+            return {**weights_of(networks), "best_step": np.asarray(best_step)}
 
-        network, _ = train(
-            untrained.network,
-            _squared_error,
-            data(training_sections),
-            data(validation_sections),
-            context.adam,
-            key,
-            context.progress,
-            context.checkpoints,
-        )
-        return BlackBox(
-            network,
-            untrained.command_scale,
-            untrained.initial_centre,
-            untrained.initial_scale,
-            untrained.change,
-        )
+        arrays = context.checkpoints.cached_arrays("training", trained)
+        if not arrays["best_step"]:
+            raise FitError(
+                "the training never became better on the validation tests than displacement that stays; "
+                "the baseline is left out of the comparison"
+            )
+        return eqx.tree_at(lambda model: model.networks, untrained, with_weights(untrained.networks, arrays))
 
     def skeleton(self, shapes: Sizes) -> BlackBox:
-        """Return an untrained model with an LSTM of the stored size."""
-        hidden = shapes["network/cell/weight_hh"][1]
-        return BlackBox(Lstm.init(jax.random.key(0), 2, hidden), *(jnp.ones(()) for _ in range(4)))
+        """Return a model of the stored sizes, all arrays zero."""
+        networks = IntegratingLstm(
+            *(
+                jnp.zeros(shapes[f"networks/{name}"], SINGLE)
+                for name in ("weight_ih", "weight_hh", "bias", "head", "head_bias")
+            )
+        )
+        return BlackBox(networks, *(np.zeros(()) for _ in range(6)), samples=np.zeros((), np.int64))
 
 
-def speeds(network: Lstm, inputs: Float[Array, "t n i"]) -> Float[Array, "t n"]:
-    """Return the network's output at every sample of every test, shape [T, N]."""
-    rows = jnp.swapaxes(inputs, 0, 1)
-    return network.unroll(rows, jnp.ones(rows.shape[:2], bool)).T
-
-
-def accumulated(changes: Float[Array, "t n"]) -> Float[Array, "t n"]:
-    """Return the sum of the changes before each sample, shape [T, N]."""
-    return jnp.cumsum(changes, axis=1) - changes
-
-
-def _squared_error(network: Lstm, sections: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-    """Return the weighted sum of squared errors, and the number of samples with a weight."""
-    inputs, travel, weight = sections
-    residuals = (accumulated(speeds(network, inputs)) - travel) * weight
-    return jnp.sum(residuals**2), jnp.sum(weight > 0)
-
-
-def _sections(batch: Batch) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return commands, initial displacements, travel and loss masks of sections of at most 2048 samples."""
-    command, displacement = np.asarray(batch.command), np.asarray(batch.displacement)
-    loss_mask, initial = np.asarray(batch.loss_mask), np.asarray(batch.initial)
-    width = min(command.shape[1], SECTION_SAMPLES)
-    sections = []
-    for first in range(0, command.shape[1], width):
-        span = slice(first, first + width)
-        padding = width - command[:, span].shape[1]
-
-        def cut(array: np.ndarray, *, span: slice = span, padding: int = padding) -> np.ndarray:
-            return np.pad(array[:, span], ((0, 0), (0, padding)))
-
-        start = initial if first == 0 else displacement[:, first]
-        travel = batch.sign * (cut(displacement) - start[:, None])
-        sections.append((cut(command), start, travel, cut(loss_mask)))
-    commands, starts, travel, counts = (np.concatenate(arrays) for arrays in zip(*sections, strict=True))
-    used = counts.any(axis=1)
-    return commands[used], starts[used], travel[used], counts[used]
+@eqx.filter_jit
+def mean_positions(
+    networks: IntegratingLstm, inputs: Array, start: Array, increment_scale: Array
+) -> Float32[Array, "k t m"]:
+    """Return the mean of the positions of all members, shape [K, T, M]."""
+    members = eqx.filter_vmap(IntegratingLstm.simulate, in_axes=(eqx.if_array(0), None, None, None))
+    return members(networks, inputs, start, increment_scale).mean(axis=0)

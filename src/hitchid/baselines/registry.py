@@ -7,9 +7,10 @@ from hitchid.baselines.arx import ArxBaseline
 from hitchid.baselines.baseline import Baseline
 from hitchid.baselines.black_box import BlackBoxBaseline
 from hitchid.baselines.narx import NarxBaseline
+from hitchid.baselines.output_error import OutputErrorBaseline
 from hitchid.errors import InputError
 
-BASELINES = (ArxBaseline(), NarxBaseline(), BlackBoxBaseline())
+BASELINES = (ArxBaseline(), OutputErrorBaseline(), NarxBaseline(), BlackBoxBaseline())
 
 
 def all_baselines() -> Mapping[str, Baseline]:

@@ -29,6 +29,10 @@ from hitchid.model import Channel, Comparison, Estimates, SearchSummary
 from hitchid.networks.operating_range import OperatingRange
 from hitchid.structures import ModelSpec
 
+# Gradient steps of a baseline's training for an epoch of the compensator's: 3000 by default, and a short
+# training shortens both; chosen.
+STEPS_PER_EPOCH = 10
+
 
 def fit_comparison(
     channel: Channel,
@@ -58,7 +62,8 @@ def fit_comparison(
     notices: list[str] = []
     parts = split_progress(progress, {"baselines": 0.6, "paper": 0.4})
     comparison = Comparison(
-        _fit_baselines(data, config, training, keys[0], parts["baselines"], seconds, notices)
+        _fit_baselines(data, config, training, keys[0], parts["baselines"], seconds, notices),
+        covariate=config.spec.covariate,
     )
     if config.spec == config.paper_spec:
         return comparison, notices
@@ -109,8 +114,7 @@ def _fit_baselines(
         stage = f"{baseline.title} baseline"
         parts[name](ProgressUpdate(stage, 0.0))
         context = FitContext(
-            training.hidden,
-            training.adam,
+            STEPS_PER_EPOCH * training.adam.epochs,
             key,
             epoch_callback(parts[name], stage),
             config.checkpoints.child(f"baseline {name}"),
@@ -118,9 +122,7 @@ def _fit_baselines(
         with timed(seconds, baseline.title):
             fitted = attempt(
                 baseline.title,
-                lambda baseline=baseline, context=context: baseline.fit(
-                    data.training, data.validation, context
-                ),
+                lambda baseline=baseline, context=context: baseline.fit(data.all_tests, context),
                 notices,
             )
         if fitted is not None:

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import jax.numpy as jnp
 import numpy as np
 
 from hitchid.data.campaign import STROKE_SEPARATOR, Campaign
@@ -19,10 +18,8 @@ from hitchid.identification.dead_zone import (
     ramp_rate,
     response_delay,
 )
-from hitchid.structures import Batch, before_end_stop
+from hitchid.structures import Batch, before_end_stop, split_validation
 
-VALIDATION_EVERY = 4  # chosen: every fourth test stops the training
-VALIDATION_FRACTION = 0.25  # share of one test alone that stops the training
 STOP_AGREEMENT = 0.02  # share of the range of displacements within which tests meet one end stop
 MAX_LENGTH_RATIO, SETTLING_S = 2.0, 2.0  # of the median stroke; s of rest that are kept: lags have died away
 TestSignals = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -130,7 +127,7 @@ def prepare(
     all_tests = Batch.of(
         records, direction, dead_zone=dead_zone.value, sign=sign, end_stop=end_stop, covariate=covariate
     )
-    training, validation, validation_rows = _split_validation(all_tests, len(records))
+    training, validation, validation_rows = split_validation(all_tests)
     if len(records) == 1:
         notices.append("only one test: its last quarter is used for early stopping")
     return ChannelData(
@@ -281,14 +278,3 @@ def _end_stop(records: Sequence[Record], direction: str, sign: int) -> tuple[flo
     agreeing = int(np.sum(np.abs(levels - level) <= tolerance))
     is_farthest = farthest - sign * level <= tolerance
     return (level, agreeing) if agreeing >= 2 and is_farthest else (None, 0)
-
-
-def _split_validation(batch: Batch, tests: int) -> tuple[Batch, Batch, list[int]]:
-    """Return training and validation tests: every fourth, of few the last, of one its last quarter."""
-    if tests == 1:
-        cumulative_count = jnp.cumsum(batch.loss_mask, axis=1)
-        is_training = cumulative_count <= (1 - VALIDATION_FRACTION) * cumulative_count[:, -1:]
-        return batch.masked(is_training), batch.masked(~is_training), [0]
-    validation_rows = list(range(VALIDATION_EVERY - 1, tests, VALIDATION_EVERY)) or [tests - 1]
-    training_rows = [row for row in range(tests) if row not in validation_rows]
-    return batch.take(training_rows), batch.take(validation_rows), validation_rows

@@ -47,8 +47,17 @@ class Channel(eqx.Module):
     limits: TravelLimits | None = eqx.field(static=True, default=None)
 
     @double_precision
-    def batch(self, records: Sequence[Record], initial: Sequence[float] | None = None) -> Batch:
-        """Return records as a batch with this channel's dead zone, sign and end stop; see `Batch.of`."""
+    def batch(
+        self,
+        records: Sequence[Record],
+        initial: Sequence[float] | None = None,
+        *,
+        covariate: str | None = None,
+    ) -> Batch:
+        """Return records as a batch with this channel's dead zone, sign and end stop; see `Batch.of`.
+
+        `covariate` names another second input than the benchmark's.
+        """
         return Batch.of(
             checks.tuple_of(records, Record, "records", RECORDS),
             self.direction,
@@ -56,13 +65,13 @@ class Channel(eqx.Module):
             sign=self.sign,
             end_stop=self.end_stop,
             initial=initial,
-            covariate=self.benchmark.covariate,
+            covariate=covariate or self.benchmark.covariate,
         )
 
     @double_precision
     def simulate_benchmark(self, batch: Batch) -> Float[Array, "t n"]:
         """Return the benchmark's free run from commands and initial displacement, shape [T, N]."""
-        return self._to_displacement(batch, self.benchmark.travel(batch))
+        return self.limited(batch, self.benchmark.travel(batch))
 
     @double_precision
     def simulate(self, batch: Batch) -> Float[Array, "t n"]:
@@ -77,7 +86,7 @@ class Channel(eqx.Module):
             batch.covariate,
             batch.step_s,
         )
-        return self._to_displacement(batch, travel)
+        return self.limited(batch, travel)
 
     @double_precision
     def simulate_closed_loop(self, batch: Batch) -> Float[Array, "t n"]:
@@ -113,8 +122,8 @@ class Channel(eqx.Module):
             for name, values in signals.items()
         }
 
-    def _to_displacement(self, batch: Batch, travel: Float[Array, "t n"]) -> Float[Array, "t n"]:
-        """Return the displacement of a travel, clipped to the end stop and the limits."""
+    def limited(self, batch: Batch, travel: Float[Array, "t n"]) -> Float[Array, "t n"]:
+        """Return the displacement of a travel, within the end stop and the limits, shape [T, N]."""
         if self.end_stop is not None:
             max_travel = jnp.maximum(self.sign * (self.end_stop - batch.initial), 0.0)
             travel = jnp.minimum(travel, max_travel[:, None])

@@ -46,12 +46,16 @@ class Comparison:
             predictions in free run; None where not fitted, or where the channel itself is this model.
         paper_estimates: estimates of the parameters of its transfer function; None likewise.
         searches: summaries of the global searches that were compared; empty where none were.
+        covariate: name of the covariate that the baselines hear; None for none.
+        dropped: names of baselines of an older version, which are not compared any more.
     """
 
     baselines: Mapping[str, FittedBaseline] = field(default_factory=dict)
     paper: Channel | None = None
     paper_estimates: Estimates | None = None
     searches: tuple[SearchSummary, ...] = ()
+    covariate: str | None = None
+    dropped: tuple[str, ...] = ()
 
     def with_limits(self, limits: TravelLimits | None) -> "Comparison":
         """Return the comparison with the paper's model limited to the limits of the plant."""

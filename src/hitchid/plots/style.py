@@ -27,7 +27,7 @@ class Shade(NamedTuple):
     dark: str
 
 
-# Okabe and Ito's colours, two more for the black boxes, and lighter ones of similar hue for dark screens.
+# Okabe and Ito's colours, three more for the baselines, and lighter ones of similar hue for dark screens.
 # Dashes and markers distinguish curves for readers with colour vision deficiency.
 SHADES = {
     "ink": Shade("#1b1b1f", "#e4e4ea"),
@@ -38,6 +38,7 @@ SHADES = {
     "benchmark": Shade("#d55e00", "#ff8f47"),
     "transfer_function": Shade("#cc79a7", "#e59bc6"),
     "arx": Shade("#8c6d1f", "#c9a54e"),
+    "oe": Shade("#5b7f95", "#92b8cf"),
     "narx": Shade("#e69f00", "#f2b632"),
     "lstm": Shade("#7a5ba6", "#b79be0"),
     "crimson": Shade("#9b1c3a", "#f0708a"),
@@ -71,6 +72,7 @@ DASHES = {
     "mechanistic": (6, 1.5, 1, 1.5),
     "arx": (2.5, 1.5),
     "lstm": (1, 2),
+    "oe": (8, 2),
     **{label: dashes for label, (_, dashes, _) in COMPARED.items()},
 }
 MARKERS = {
@@ -79,6 +81,7 @@ MARKERS = {
     "transfer_function": "v",
     "paper": "^",
     "arx": "D",
+    "oe": "<",
     "narx": "P",
     "lstm": "*",
     **{label: marker for label, (_, _, marker) in COMPARED.items()},

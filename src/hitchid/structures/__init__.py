@@ -29,3 +29,5 @@ from hitchid.structures.structure import ModelOption as ModelOption
 from hitchid.structures.structure import Parameter as Parameter
 from hitchid.structures.structure import Scale as Scale
 from hitchid.structures.structure import Structure as Structure
+from hitchid.structures.validation_split import split_validation as split_validation
+from hitchid.structures.validation_split import validation_mask as validation_mask

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
 from hitchid._support.metrics import HORIZONS
@@ -96,7 +97,7 @@ def _run(channel: Channel, comparison: Comparison, tests: Sequence[Record]) -> _
     def restarted(simulated: np.ndarray) -> list[np.ndarray]:
         return [delayed(measured, h) + simulated - delayed(simulated, h) for h in steps]
 
-    baselines = _baseline_runs(channel, comparison, batch, steps)
+    baselines = _baseline_runs(channel, comparison, tests, steps)
     multi_step = {
         PERSISTENCE: Persistence().predict(batch, steps),
         BENCHMARK: restarted(benchmark),
@@ -211,21 +212,35 @@ class _BaselineRun(NamedTuple):
 
 
 def _baseline_runs(
-    channel: Channel, comparison: Comparison, batch: Batch, steps: Sequence[int]
+    channel: Channel, comparison: Comparison, tests: Sequence[Record], steps: Sequence[int]
 ) -> dict[str, _BaselineRun]:
-    """Return the runs of the baselines, by name."""
-    runs = {
-        name: _BaselineRun(fitted.free_run(batch), fitted.predict(batch, steps))
-        for name, fitted in comparison.baselines.items()
-    }
+    """Return the runs of the baselines, by name; none of those whose covariate a test lacks."""
+    runs, covariate = {}, comparison.covariate
+    if covariate is None or all(covariate in record.signals for record in tests):
+        batch = channel.batch(tests, covariate=covariate)
+        runs = {
+            name: _BaselineRun(_limited(channel, batch, fitted.free_run(batch)), fitted.predict(batch, steps))
+            for name, fitted in comparison.baselines.items()
+        }
     paper = paper_channel(channel, comparison)
     if paper is not None:
-        batch = batch.with_dead_zone(paper.dead_zone)
+        batch = channel.batch(tests).with_dead_zone(paper.dead_zone)
         runs["transfer_function"] = _BaselineRun(np.asarray(paper.simulate_benchmark(batch)))
         if paper.compensator is not None:
             rows = list(np.asarray(paper.predict(batch, tuple(steps))))
             runs["paper"] = _BaselineRun(np.asarray(paper.simulate_closed_loop(batch)), rows)
     return runs
+
+
+def _limited(channel: Channel, batch: Batch, displacement: np.ndarray) -> np.ndarray:
+    """Return the free run of a baseline within the end stop and the limits, as that of the grey box is.
+
+    What is not finite stays: a free run that diverged is not to be mistaken for one at its limit.
+    """
+    travel = batch.sign * (displacement - np.asarray(batch.initial)[:, None])
+    return np.where(
+        np.isfinite(travel), np.asarray(channel.limited(batch, jnp.asarray(travel))), displacement
+    )
 
 
 def paper_channel(channel: Channel, comparison: Comparison) -> Channel | None:

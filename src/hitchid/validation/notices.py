@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hitchid.data.record import DISPLACEMENT, Record
-from hitchid.model import Channel, Hitch
+from hitchid.model import Channel, Comparison, Hitch
 from hitchid.validation.names import BENCHMARK, GREYBOX, RUNS, model_name
 from hitchid.validation.results import Accuracy, CycleResult
 
@@ -25,6 +25,29 @@ def channel_notices(
     covariate = channel.benchmark.covariate
     if covariate is not None:
         notices.append(f"{direction}: the free run uses the mean of '{covariate}' before motion")
+    return notices
+
+
+def baseline_notices(direction: str, comparison: Comparison, tests: Sequence[Record]) -> list[str]:
+    """Return the notices of baselines that are not compared.
+
+    Args:
+        direction: lifting or lowering.
+        comparison: models fitted to the same tests as the channel.
+        tests: on the model's clock and in its units.
+    """
+    notices, covariate = [], comparison.covariate
+    if comparison.dropped:
+        names = ", ".join(comparison.dropped)
+        notices.append(
+            f"{direction}: the baselines {names} were fitted by an older version and are not compared; "
+            "identify again to compare them"
+        )
+    lacking = [test.name for test in tests if covariate and covariate not in test.signals]
+    if comparison.baselines and lacking:
+        notices.append(
+            f"{direction}: the baselines are not compared: they use '{covariate}', which {lacking[0]} lacks"
+        )
     return notices
 
 

@@ -13,7 +13,12 @@ from hitchid.errors import InputError
 from hitchid.model import Comparison, Hitch
 from hitchid.validation.channels import channel_result
 from hitchid.validation.cycles import cycle_result
-from hitchid.validation.notices import channel_notices, cycle_notices, set_by_hand_notices
+from hitchid.validation.notices import (
+    baseline_notices,
+    channel_notices,
+    cycle_notices,
+    set_by_hand_notices,
+)
 from hitchid.validation.results import ChannelResult
 from hitchid.validation.usable import with_covariates
 from hitchid.validation.validation import Validation
@@ -33,9 +38,10 @@ def validate(
 
     Free run: commands and initial displacement only, for the whole test. One step and horizon h: measured
     displacement up to 1 and h samples before; the first h samples of a test are left out. The baselines are
-    the benchmark alone, persistence (the last measured displacement), ARX, NARX, a black-box LSTM, and
-    the transfer function and the grey box of Sun et al. 2025. Models that only run freely (benchmark, LSTM,
-    transfer function) are simulated over a horizon from the last measured displacement.
+    the benchmark alone, persistence (the last measured displacement), ARX, OE, NARX, a black-box LSTM, and
+    the transfer function and the grey box of Sun et al. 2025. Models that only run freely (benchmark, OE,
+    LSTM, transfer function) are simulated over a horizon from the last measured displacement. Baselines hear
+    the same covariate that the grey box may use, and keep to the same end stop and limits.
 
     Args:
         model: an identified hitch.
@@ -111,6 +117,7 @@ def _validate_direction(
     channel, comparison = model.channels[direction], model.comparison.get(direction, Comparison())
     result = channel_result(channel, tests, factor, model.uncertainty.get(direction), comparison)
     notices = channel_notices(direction, result.accuracy, channel, tests)
+    notices = [*notices, *baseline_notices(direction, comparison, tests)]
     return result, [*set_by_hand_notices(model, direction), *notices]
 
 

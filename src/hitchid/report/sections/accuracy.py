@@ -8,7 +8,7 @@ from hitchid.report.tables import accuracy_table, horizon_table, single_test_tab
 from hitchid.validation.names import BENCHMARK, FREE_RUN, LABELS, ONE_STEP
 from hitchid.validation.shown_tests import shown_tests
 
-COMPARED_MODELS = ("lstm", "narx", "arx", "transfer_function", BENCHMARK, FREE_RUN)
+COMPARED_MODELS = ("lstm", "narx", "oe", "arx", "transfer_function", BENCHMARK, FREE_RUN)
 
 
 def accuracy(context: DirectionContext) -> ReportSection:

@@ -137,7 +137,7 @@ def reproduce(
             structure=PAPER_SPECS,
             search=chosen_plan.search,
             # As published: no compensator for free run; the baselines are in the default identification.
-            training=replace(chosen_plan.training, rollouts=None, baselines=False),
+            training=replace(chosen_plan.training, free_run=None, baselines=False),
             comparison=None,
             seed=seed,
             progress=subtask_progress(report, 0.6, 0.15),

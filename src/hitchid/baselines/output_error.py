@@ -1,0 +1,159 @@
+"""Linear output-error model (OE), fitted to free runs."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from itertools import product
+
+import numpy as np
+from jaxtyping import Float
+
+from hitchid.baselines.arx import Arx
+from hitchid.baselines.autoregression import to_displacement
+from hitchid.baselines.baseline import Baseline, FitContext, Sizes
+from hitchid.baselines.fitted import FittedBaseline
+from hitchid.baselines.linear_inputs import (
+    INPUT_COUNTS,
+    LinearInputs,
+    UnpaddedTest,
+    free_run_error,
+    unpadded_tests,
+)
+from hitchid.baselines.simulation_error import refine
+from hitchid.structures import Batch, split_validation
+
+ORDERS, DELAYS = (1, 2, 3, 4), (0, 2, 5)  # orders n, further delays d in samples, that are compared; chosen
+FILTERED_FITS = 3  # of Steiglitz and McBride; most of their gain comes from the first; chosen
+REFINED = 3  # choices that are refined before the last choice; chosen, it bounds the time
+MAX_SAMPLES = 2048  # of a test; a longer one is computed on a coarser clock; chosen
+
+
+class OutputError(FittedBaseline):
+    """Linear model of travel w (displacement relative to the start), with errors at its output only.
+
+    w(k) = Σ aᵢ w(k−i) + Σⱼ Σ bⱼᵢ uⱼ(k−d−i), i = 1 … n; w is simulated, never measured.
+
+    Attributes:
+        scaling: the inputs u.
+        past: coefficients a of past simulated travel, shape [n].
+        gains: coefficients b of past inputs, shape [m, n].
+        delay: d, in steps, shape [].
+        samples: samples in a step, over which inputs are averaged, shape [].
+    """
+
+    scaling: LinearInputs
+    past: np.ndarray
+    gains: np.ndarray
+    delay: np.ndarray
+    samples: np.ndarray
+
+    def free_run(self, batch: Batch) -> Float[np.ndarray, "t n"]:
+        """Return displacement simulated from commands and initial displacement, shape [T, N]."""
+        count, step = batch.command.shape[1], int(self.samples)
+        coarse = batch.decimate(-(-count // step))
+        times, ends = np.arange(count), step * np.arange(coarse.command.shape[1])
+        model = Arx(self.scaling, self.past, self.gains)
+        inputs = _delayed(self.scaling.rows(coarse, len(self.gains)), int(self.delay))
+        return to_displacement(
+            batch, np.array([np.interp(times, ends, model.simulate(row)) for row in inputs])
+        )
+
+    def predict(self, batch: Batch, horizons: Sequence[int]) -> None:
+        """Return None: the model only simulates; it takes no measured displacement after the start."""
+
+
+class OutputErrorBaseline(Baseline):
+    """OE model with order, delay and inputs of the smallest error in free run on the validation tests."""
+
+    name, title = "oe", "OE"
+
+    def fit(self, tests: Batch, context: FitContext) -> OutputError:
+        """Return the model that minimises the error of free runs.
+
+        It starts from ARX, refitted to filtered signals (Steiglitz and McBride 1965). The three choices with
+        the smallest error in free run are refined by least squares on errors of free runs (Ljung, System
+        Identification (1999), section 4.2); a refinement that diverges leaves the start.
+        """
+        step = -(-tests.command.shape[1] // MAX_SAMPLES)
+        coarse = tests.decimate(MAX_SAMPLES)
+        scaling = LinearInputs.of(tests)
+        training, validation, _ = split_validation(coarse)
+
+        def prepared(batch: Batch, delay: int, count: int) -> list[UnpaddedTest]:
+            return unpadded_tests(batch, _delayed(scaling.rows(batch, count), delay))
+
+        def error(fit: Fit, choice: tuple[int, int, int]) -> float:
+            order, delay, count = choice
+            model = fit(scaling, prepared(training, delay, count), order)
+            validation_tests = prepared(validation, delay, count)
+            return free_run_error(
+                [model.simulate(test.inputs) for test in validation_tests], validation_tests
+            )
+
+        choices = sorted(product(ORDERS, DELAYS, INPUT_COUNTS), key=partial(error, _filtered_fit))
+        order, delay, count = min(choices[:REFINED], key=partial(error, _refined_fit))
+        model = _refined_fit(scaling, prepared(coarse, delay, count), order)
+        return OutputError(scaling, model.past, model.gains, np.asarray(delay), np.asarray(step))
+
+    def skeleton(self, shapes: Sizes) -> OutputError:
+        """Return a model of the stored order, all coefficients zero."""
+        scaling, steps = LinearInputs.unfilled(), (np.zeros((), np.int64), np.ones((), np.int64))
+        return OutputError(scaling, np.zeros(shapes["past"]), np.zeros(shapes["gains"]), *steps)
+
+
+Fit = Callable[[LinearInputs, Sequence[UnpaddedTest], int], Arx]
+
+
+def _filtered_fit(scaling: LinearInputs, tests: Sequence[UnpaddedTest], order: int) -> Arx:
+    """Return the best in free run of ARX and its refits to filtered signals."""
+    models = [Arx.fit(scaling, tests, order)]
+    with np.errstate(all="ignore"):
+        for _ in range(FILTERED_FITS):
+            filtered = [_filtered(test, models[-1].past) for test in tests]
+            if not all(np.all(np.isfinite(test.travel)) for test in filtered):
+                break
+            models.append(Arx.fit(scaling, filtered, order))
+    return min(models, key=lambda model: free_run_error([model.simulate(t.inputs) for t in tests], tests))
+
+
+def _refined_fit(scaling: LinearInputs, tests: Sequence[UnpaddedTest], order: int) -> Arx:
+    """Return the model with the smallest error in free run that least squares finds."""
+    start = _filtered_fit(scaling, tests, order)
+    shape = start.gains.shape
+
+    def model_of(parameters: np.ndarray) -> Arx:
+        return Arx(scaling, parameters[:order], parameters[order:].reshape(shape))
+
+    def residuals(parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        parts = [_errors(model_of(parameters), test) for test in tests]
+        return np.concatenate([errors for errors, _ in parts]), np.concatenate([rows for _, rows in parts])
+
+    return model_of(refine(np.concatenate([start.past, start.gains.ravel()]), residuals))
+
+
+def _filtered(test: UnpaddedTest, past: np.ndarray) -> UnpaddedTest:
+    """Return a test with all signals through 1/A, which turns ARX errors into output errors."""
+    from scipy.signal import lfilter
+
+    denominator = np.append(1.0, -past)
+    inputs = np.asarray(lfilter([1.0], denominator, test.inputs, axis=1))
+    return UnpaddedTest(inputs, np.asarray(lfilter([1.0], denominator, test.travel)), test.loss_mask)
+
+
+def _errors(model: Arx, test: UnpaddedTest) -> tuple[np.ndarray, np.ndarray]:
+    """Return the errors of a free run and their derivative by the coefficients, over the loss mask."""
+    from scipy.signal import lfilter
+
+    simulated = model.simulate(test.inputs)
+    signals = np.stack([simulated, *test.inputs])
+    # ∂w(k)/∂aᵢ = w(k−i)/A and ∂w(k)/∂bⱼᵢ = uⱼ(k−i)/A: each a delay of one filtered signal.
+    filtered = np.asarray(lfilter([1.0], np.append(1.0, -model.past), signals, axis=1))
+    derivative = np.concatenate(
+        [_delayed(filtered[:, None, :], i)[:, 0, :, None] for i in range(1, model.lag + 1)], axis=2
+    )
+    rows = np.moveaxis(derivative, 1, 0).reshape(simulated.size, -1)
+    return (simulated - test.travel)[test.loss_mask], rows[test.loss_mask]
+
+
+def _delayed(rows: np.ndarray, steps: int) -> np.ndarray:
+    """Return signals of shape [T, m, N] delayed, zero before."""
+    return np.pad(rows, ((0, 0), (0, 0), (steps, 0)))[:, :, : rows.shape[2]]
