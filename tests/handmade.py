@@ -29,7 +29,7 @@ from hitchid.model import (
 from hitchid.networks.error_compensator import FEATURES, Compensator
 from hitchid.networks.lstm import Lstm
 from hitchid.networks.operating_range import OperatingRange, SignalRange
-from hitchid.networks.speed_compensator import INPUTS, SpeedCompensator
+from hitchid.networks.speed_compensator import INPUTS, SpeedCompensator, SpeedNetworks
 from hitchid.structures import PhysicalModel, Scales, StaticNonlinearity, structure_named
 
 UNITS = {"displacement": "mm", "lifting_command": "A", "lowering_command": "A"}
@@ -45,7 +45,7 @@ VALUES = {
 }
 HIDDEN, WINDOW, ERROR_STEP = 4, 10, 0.02
 COVERED = {"command": (0.0, 0.5), "displacement": (50.0, 150.0), "load": (0.0, 0.0)}
-MEMBERS, EVERY = 2, 3
+MEMBERS, UNITS = 2, 3
 
 
 def network(inputs, seed, *, trained=True):
@@ -76,18 +76,18 @@ def envelope(**covered):
     return OperatingRange(**{name: SignalRange(*map(jnp.asarray, ends)) for name, ends in ranges.items()})
 
 
-def speed_compensator(seed=7, *, trained=True, size=1.0, direction=1, every=EVERY, covered=None):
-    """Return a compensator for free run; untrained it says nothing, `size` is that of what it has learnt."""
-    members = [network(INPUTS, seed + member, trained=trained) for member in range(MEMBERS)]
-    networks = jax.tree.map(lambda *leaves: jnp.stack(leaves), *members)
-    networks = eqx.tree_at(lambda n: n.head.weight, networks, size * networks.head.weight)
+def speed_compensator(seed=7, *, trained=True, size=1.0, direction=1, covered=None):
+    """Return a compensator for free run; untrained it changes nothing, `size` scales its outputs."""
+    rng = np.random.default_rng(seed)
+    shapes = ((MEMBERS, UNITS, INPUTS), (MEMBERS, UNITS), (MEMBERS, UNITS))
+    weights = [jnp.asarray(rng.standard_normal(shape)) for shape in shapes]
     return SpeedCompensator(
-        networks=networks,
+        networks=SpeedNetworks(*weights[:2], size * trained * weights[2]),
         command_scale=jnp.asarray(0.5),
-        increment_scale=jnp.asarray(0.15),
+        speed_scale=jnp.asarray(15.0),
+        acceleration_scale=jnp.asarray(500.0),
         operating_range=covered or envelope(),
         sign=direction,
-        block_size=every,
     )
 
 

@@ -253,7 +253,7 @@ def test_the_weights_hold_only_what_is_deployed(folder):
     ("part", "key", "size"),
     [
         ("compensator", "hidden", 5),
-        ("speed_compensator", "hidden", 5),
+        ("speed_compensator", "units", 5),
         ("speed_compensator", "members", 3),
     ],
 )
