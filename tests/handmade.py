@@ -45,7 +45,7 @@ VALUES = {
 }
 HIDDEN, WINDOW, ERROR_STEP = 4, 10, 0.02
 COVERED = {"command": (0.0, 0.5), "displacement": (50.0, 150.0), "load": (0.0, 0.0)}
-MEMBERS, UNITS = 2, 3
+MEMBERS, TANH_UNITS = 2, 3
 
 
 def network(inputs, seed, *, trained=True):
@@ -79,7 +79,7 @@ def envelope(**covered):
 def speed_compensator(seed=7, *, trained=True, size=1.0, direction=1, covered=None):
     """Return a compensator for free run; untrained it changes nothing, `size` scales its outputs."""
     rng = np.random.default_rng(seed)
-    shapes = ((MEMBERS, UNITS, INPUTS), (MEMBERS, UNITS), (MEMBERS, UNITS))
+    shapes = ((MEMBERS, TANH_UNITS, INPUTS), (MEMBERS, TANH_UNITS), (MEMBERS, TANH_UNITS))
     weights = [jnp.asarray(rng.standard_normal(shape)) for shape in shapes]
     return SpeedCompensator(
         networks=SpeedNetworks(*weights[:2], size * trained * weights[2]),

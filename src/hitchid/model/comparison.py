@@ -47,7 +47,7 @@ class Comparison:
         paper_estimates: estimates of the parameters of its transfer function; None likewise.
         searches: summaries of the global searches that were compared; empty where none were.
         covariate: name of the covariate that the baselines hear; None for none.
-        dropped: names of baselines of an older version, which are not compared any more.
+        dropped: parts of a model of an older version that this version does not read.
     """
 
     baselines: Mapping[str, FittedBaseline] = field(default_factory=dict)

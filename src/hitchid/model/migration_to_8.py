@@ -1,5 +1,7 @@
 """Migration of a model folder from schema 7 to schema 8."""
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -8,6 +10,7 @@ Description = dict[str, Any]
 Tensors = dict[str, np.ndarray]
 # Baselines of this package whose stored form schema 8 replaced.
 _REPLACED = ("arx", "narx", "lstm")
+_NO_COMPARISON = MappingProxyType({"baselines": (), "paper": None, "paper_parameters": None, "searches": ()})
 
 
 def to_schema_8(content: Description, tensors: Tensors) -> tuple[Description, Tensors]:
@@ -16,7 +19,11 @@ def to_schema_8(content: Description, tensors: Tensors) -> tuple[Description, Te
         direction: {**described, "bands": _bands(described["bands"])}
         for direction, described in content["uncertainty"].items()
     }
-    comparison = {direction: _comparison(described) for direction, described in content["comparison"].items()}
+    comparison = {
+        direction: _comparison(content["comparison"].get(direction, _NO_COMPARISON), described)
+        for direction, described in content["channels"].items()
+        if direction in content["comparison"] or described["speed_compensator"] is not None
+    }
     channels = {direction: _channel(described) for direction, described in content["channels"].items()}
     migrated = {
         **content,
@@ -51,14 +58,17 @@ def _bands(described: Description | None) -> Description | None:
     return {**kept, "predictions": {**spread, **constant}}
 
 
-def _comparison(described: Description) -> Description:
+def _comparison(described: Mapping[str, Any], channel: Description) -> Description:
     """Schema 8 replaces the baselines of this package and adds the covariate that they hear."""
     paper = described["paper"]
+    dropped = [f"baseline {name}" for name in described["baselines"] if name in _REPLACED]
+    if channel["speed_compensator"] is not None:
+        dropped.append("network correction of the free run")
     return {
         **described,
         "baselines": [name for name in described["baselines"] if name not in _REPLACED],
         "covariate": None,
-        "dropped": [name for name in described["baselines"] if name in _REPLACED],
+        "dropped": dropped,
         "paper": None if paper is None else _channel(paper),
     }
 

@@ -40,8 +40,7 @@ def baseline_notices(direction: str, comparison: Comparison, tests: Sequence[Rec
     if comparison.dropped:
         names = ", ".join(comparison.dropped)
         notices.append(
-            f"{direction}: the baselines {names} were fitted by an older version and are not compared; "
-            "identify again to compare them"
+            f"{direction}: made by an older version and not used: {names}; identify again to have them"
         )
     lacking = [test.name for test in tests if covariate and covariate not in test.signals]
     if comparison.baselines and lacking:
