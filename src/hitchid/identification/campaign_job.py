@@ -13,6 +13,7 @@ from hitchid.data.record import COMMAND, CYCLE, DISPLACEMENT, Record
 from hitchid.errors import InputError, SettingsError
 from hitchid.identification.channel_trace import ChannelConfig, ChannelTrace
 from hitchid.identification.config import IdentificationConfig
+from hitchid.identification.cycle_test import cycle_errors
 from hitchid.identification.dead_zone import DeadZone
 from hitchid.identification.direction import with_calibrated_gain
 from hitchid.identification.gain_calibration import calibrate_gains, calibration_improves
@@ -131,8 +132,29 @@ class CampaignJob:
             },
         }
 
+    def judge_on_cycles(self, results: ChannelResults) -> ChannelResults:
+        """Return the channels without the compensators for free run where these make whole cycles worse."""
+        cycles = self.cycles or self.campaign.identification(CYCLE)
+        compensated = any(channel.speed_compensator is not None for channel, _ in results.values())
+        if not compensated or not cycles:
+            return results
+        rmse, plain_rmse = cycle_errors(self._hitch(results), cycles)
+        if rmse <= plain_rmse:
+            return results
+        unit = self.campaign.units[DISPLACEMENT]
+        plain = {
+            direction: (replace(channel, speed_compensator=None), trace)
+            for direction, (channel, trace) in results.items()
+        }
+        sentence = (
+            "no network correction in free run: over whole cycles the error is "
+            f"{rmse:.4g} {unit} with it, {plain_rmse:.4g} {unit} without it"
+        )
+        return _with_notices(plain, [sentence])
+
     def build_model(self, results: ChannelResults) -> Identification:
         """Assemble the model from its channels, with provenance, uncertainty and comparison."""
+        results = self.judge_on_cycles(results)
         campaign, traces = self.campaign, {direction: trace for direction, (_, trace) in results.items()}
         provenance = Provenance(
             identification={direction: self._used(direction) for direction in results},
