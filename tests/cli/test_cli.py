@@ -385,8 +385,8 @@ BAD_MODELS = {
     "description of something else": (lambda f: (f / "model.json").write_text("{}") and None, ["model.json"]),
     "trace edited": (edited("trace.json", "{", "{ "), ["trace.json", "edited"]),
     "a newer schema": (
-        edited("model.json", '"schema": 7', '"schema": 8'),
-        ["model.json", "schema 8", "expected 3 to 7"],
+        edited("model.json", '"schema": 8', '"schema": 9'),
+        ["model.json", "schema 9", "expected 3 to 8"],
     ),
 }
 
@@ -827,6 +827,7 @@ def test_the_metrics_have_the_keys_of_the_contract(metrics):
         assert {name: shape(runs) for name, runs in channel["baselines"].items()} == {
             "persistence": {"one_step": FIGURES},
             "arx": {"one_step": FIGURES, "free_run": FIGURES},
+            "oe": {"free_run": FIGURES},
             "narx": {"one_step": FIGURES, "free_run": FIGURES},
             "lstm": {"free_run": FIGURES},
             "transfer_function": {"free_run": FIGURES},

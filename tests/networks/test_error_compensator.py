@@ -176,7 +176,7 @@ def test_training_reads_what_a_prediction_reads(compensator, made_up, make_recor
     wide[0, :SAMPLES] = features
     errors = np.zeros(wide.shape[:2])
     errors[0, :SAMPLES] = made_up.displacement - made_up.benchmark
-    sequences = _sequences(compensator, wide, errors, batch)
+    sequences = _sequences(compensator, wide, errors, np.asarray(batch.loss_mask))
     scaled = np.asarray(compensator.scale(jnp.asarray(features)))
     for stretch in range(SAMPLES // WINDOW):
         for place in np.flatnonzero(sequences.loss_mask[stretch]):

@@ -313,7 +313,7 @@ def finding(verdict, *words):
     return found
 
 
-BASELINES = ("transfer_function", "paper", "arx", "narx", "lstm")
+BASELINES = ("transfer_function", "paper", "arx", "oe", "narx", "lstm")
 
 
 @pytest.mark.parametrize(

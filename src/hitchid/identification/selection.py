@@ -284,7 +284,8 @@ class _Choice:
                 other = self._fitted(f"form behind {share:g}", other_objective, free, all_starts)
             except FitError:
                 continue
-            if better_on_held_out_tests(other.held_out, best[1].held_out, len(DEAD_ZONE_SHARES)):
+            # No division by the number of shares: the others are tried only if the first is better.
+            if better_on_held_out_tests(other.held_out, best[1].held_out):
                 best = other_objective, other
             elif best[0] is objective:
                 break

@@ -49,6 +49,7 @@ COLOURS = {name: shade.light for name, shade in SHADES.items()} | {
     "persistence": SHADES["faint"].light,
     "mechanistic": SHADES["faint"].light,
     "paper": SHADES["transfer_function"].light,
+    "paper_one_step": SHADES["transfer_function"].light,
 }
 COMPARED = {
     "A": ("one_step", (None, None), "o"),
