@@ -7,6 +7,7 @@ import numpy as np
 from scipy.special import stdtr
 
 from hitchid._support.notices import Severity
+from hitchid._support.short_repr import short_repr
 from hitchid.audit.context import CampaignContext
 from hitchid.audit.finding import AuditFinding
 from hitchid.data.record import COMMAND, IDLE, LIFTING, LOWERING, RAMP, Record
@@ -30,6 +31,7 @@ ADVICE = (
 )
 
 
+@short_repr
 class Feedback(NamedTuple):
     """Evidence that the command follows from the displacement.
 

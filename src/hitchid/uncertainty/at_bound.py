@@ -18,13 +18,14 @@ def over_parameters_at_bound(
 ) -> list[ParameterResult]:
     """Return the parameters with intervals that do not depend on another one being held at its bound.
 
-    Standard errors are computed with a parameter at a bound held there. Two conditions for each other one:
+    Standard errors are computed with a parameter at a bound held there. The interval of each other one is
+    widened, so that it contains
 
-    1. For all values of the held parameter that the tests do not reject the interval stays narrow: its ends
-       move by as much as the estimate moves along the profile, and it is widened to contain all.
-    2. The estimate that least squares would take without the bound, to first order, lies in the interval.
+    1. its ends moved by as much as the estimate moves along the profile of the held parameter, over all
+       values that the tests do not reject, and
+    2. the estimate that least squares would take without the bound, to first order.
 
-    A parameter that does not meet both is determined only for the other one at its bound.
+    A parameter whose interval is then no longer narrow is determined only for the other one at its bound.
 
     Args:
         results: all parameters with their intervals.
@@ -54,9 +55,13 @@ def over_values_of(other: ParameterResult, result: ParameterResult, step: float)
     coordinates = curve.positions[:, result.number]
     at_bound = 0 if other.bound == "lower" else -1
     shifts = np.append(coordinates[curve.allowed] - coordinates[at_bound], 0.0)
-    ends = result.to_coordinate(lower) + shifts.min(), result.to_coordinate(upper) + shifts.max()
+    unbounded = coordinates[at_bound] + step
+    ends = (
+        min(result.to_coordinate(lower) + shifts.min(), unbounded),
+        max(result.to_coordinate(upper) + shifts.max(), unbounded),
+    )
     wider = result.to_interval(*map(float, ends))
-    if result.is_narrow(wider) and ends[0] <= coordinates[at_bound] + step <= ends[1]:
+    if result.is_narrow(wider):
         return replace(result, interval=wider)
     return replace(result, conditional_on=(*result.conditional_on, other.symbol))
 
