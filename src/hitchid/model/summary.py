@@ -49,7 +49,7 @@ def _facts(hitch: Hitch, channel: Channel) -> Iterator[str]:
         yield f"{name}{symbol} = {value:.4g}{error}{unit}"
     yield f"dead zone = {channel.dead_zone:.4g} {command_unit}".rstrip()
     parts = (("one step", channel.compensator), ("free run", channel.speed_compensator))
-    yield "LSTM correction: " + (" and ".join(name for name, part in parts if part is not None) or "none")
+    yield "network corrections: " + (" and ".join(name for name, part in parts if part is not None) or "none")
 
 
 def _speed_map(hitch: Hitch, direction: str) -> str:

@@ -83,7 +83,7 @@ def cycle_notices(model: Hitch, result: CycleResult, factor: float) -> list[str]
 def _accuracy_notices(direction: str, accuracy: Accuracy) -> list[str]:
     uncompensated = accuracy.uncompensated
     left_out = (GREYBOX, BENCHMARK) if uncompensated else (GREYBOX,)
-    notices = [f"{direction}: the LSTM correction is not used in simulation"] if uncompensated else []
+    notices = [f"{direction}: the network correction is not used in simulation"] if uncompensated else []
     for run, label in RUNS.items():
         greybox = accuracy.models[GREYBOX].run(run)
         others = {name: models.run(run) for name, models in accuracy.models.items() if name not in left_out}

@@ -41,7 +41,7 @@ def errors(context: DirectionContext) -> ReportSection:
     tests, unit = context.accuracy.predictions, context.unit
     selected_tests, selection_text = shown_tests(tests)
     names = ", ".join(selected_tests.names)
-    equal_note = " The LSTM correction is not used in simulation." if tests.uncompensated else ""
+    equal_note = " The network correction is not used in simulation." if tests.uncompensated else ""
     models = (FREE_RUN, ONE_STEP) if tests.uncompensated else (BENCHMARK, FREE_RUN, ONE_STEP)
     model_errors = {name: tests.errors(name) for name in reversed(models)}
     rmse = context.accuracy.free_run().rmse
