@@ -24,6 +24,7 @@ from hitchid.estimation.training import weights_of, with_weights
 from hitchid.structures import Batch, validation_mask
 
 HIDDEN, MEMBERS = 16, 5  # cells of an LSTM, LSTMs of an ensemble; chosen
+MAX_TESTS = 48  # tests of a training, which bound its time; chosen
 
 
 class BlackBox(FittedBaseline):
@@ -110,11 +111,13 @@ class BlackBoxBaseline(Baseline):
     def fit(self, tests: Batch, context: FitContext) -> BlackBox:
         """Return the ensemble; validation tests choose the number of gradient steps, all tests train it.
 
-        A test is computed in at most 64 blocks of eight steps.
+        A test is computed in at most 64 blocks of eight steps; of more than 48 tests every m-th is used.
 
         Raises:
             FitError: no training was better than the untrained ensemble on the validation tests.
         """
+        count = tests.command.shape[0]
+        tests = tests.take(range(0, count, -(-count // MAX_TESTS)))
         samples = step_samples(tests)
         loss_mask, is_validation = np.asarray(tests.loss_mask), np.asarray(validation_mask(tests))
         signals, training, validation = (
