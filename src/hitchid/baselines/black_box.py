@@ -30,8 +30,8 @@ MAX_TESTS = 48  # tests of a training, which bound its time; chosen
 class BlackBox(FittedBaseline):
     """Ensemble of LSTMs, each in a loop with an integrator; no other physics.
 
-    The mean of the positions that the members simulate from the start of a test; a member hears the command,
-    the load before motion and its own position, see `IntegratingLstm`.
+    The mean of the positions that the members simulate from the start of a test. The inputs of a member are
+    the command, the load before motion and its own position, see `IntegratingLstm`.
 
     Attributes:
         networks: the members, a leading axis over them in each array.

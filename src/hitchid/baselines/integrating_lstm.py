@@ -1,4 +1,4 @@
-"""LSTM that hears its own position and gives increments of it, in single precision."""
+"""LSTM with its own position as an input, whose output are increments of it, in single precision."""
 
 import equinox as eqx
 import jax

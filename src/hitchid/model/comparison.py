@@ -46,7 +46,7 @@ class Comparison:
             predictions in free run; None where not fitted, or where the channel itself is this model.
         paper_estimates: estimates of the parameters of its transfer function; None likewise.
         searches: summaries of the global searches that were compared; empty where none were.
-        covariate: name of the covariate that the baselines hear; None for none.
+        covariate: name of the covariate that the baselines use; None for none.
         dropped: parts of a model of an older version that this version does not read.
     """
 

@@ -59,7 +59,7 @@ def _bands(described: Description | None) -> Description | None:
 
 
 def _comparison(described: Mapping[str, Any], channel: Description) -> Description:
-    """Schema 8 replaces the baselines of this package and adds the covariate that they hear."""
+    """Schema 8 replaces the baselines of this package and adds the covariate that they use."""
     paper = described["paper"]
     dropped = [f"baseline {name}" for name in described["baselines"] if name in _REPLACED]
     if channel["speed_compensator"] is not None:

@@ -1,4 +1,4 @@
-"""LSTM with one linear output, in single precision: the only recurrent network of the package."""
+"""LSTM with one linear output, in single precision: the recurrent network of the compensator."""
 
 from typing import NamedTuple, cast
 

@@ -40,7 +40,7 @@ def validate(
     displacement up to 1 and h samples before; the first h samples of a test are left out. The baselines are
     the benchmark alone, persistence (the last measured displacement), ARX, OE, NARX, a black-box LSTM, and
     the transfer function and the grey box of Sun et al. 2025. Models that only run freely (benchmark, OE,
-    LSTM, transfer function) are simulated over a horizon from the last measured displacement. Baselines hear
+    LSTM, transfer function) are simulated over a horizon from the last measured displacement. Baselines use
     the same covariate that the grey box may use, and keep to the same end stop and limits.
 
     Args:
