@@ -5,15 +5,18 @@
 
 The second form prints every baseline, fitted to the same tests, beside the grey box: medians over the seeds,
 and least and greatest of the free run. Sets are folders of HITCHID_DATA: rig-a, excavator-boom,
-hanging-load, emps, cascaded-tanks.
+hanging-load, emps, cascaded-tanks, electro-hydraulic-actuator, and rigs of the virtual bench: nominal,
+heavy-cold, light-warm-worn.
 """
 
 import argparse
 import os
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from glob import escape
 from pathlib import Path
 
@@ -22,6 +25,7 @@ from scipy.io import loadmat
 
 import hitchid
 from hitchid.data.record import COMMAND, DISPLACEMENT, LIFTING, Record
+from hitchid.experiments.virtual_campaign import write_campaign
 from hitchid.identification import CompensatorConfig
 from hitchid.identification.preparation import mixed_dead_zones
 from hitchid.structures import ModelSpec, structure_named
@@ -29,6 +33,7 @@ from hitchid.structures import ModelSpec, structure_named
 DATA = Path(os.environ.get("HITCHID_DATA", Path(__file__).parents[2] / "shared" / "data"))
 TRAINING = CompensatorConfig(baselines=False)
 SHOWN = (1, 10, 100)
+KNOWN_TESTS, UNSEEN_TESTS = 20, 40  # of a rig of the virtual bench, a direction
 STAGES = {
     "greybox": ("benchmark", "compensator", "compensator for free run"),
     "arx": ("ARX",),
@@ -96,12 +101,29 @@ def hanging_load() -> hitchid.Campaign:
     return hitchid.Campaign(segmented.records, tuple(escape(name) for name in test_names))
 
 
+def virtual_bench(rig: str) -> hitchid.Campaign:
+    """Return a campaign of a rig of the virtual bench, tests of another seed held out."""
+    with tempfile.TemporaryDirectory() as folder:
+        known, unseen = Path(folder) / "known", Path(folder) / "unseen"
+        write_campaign(known, rig, tests={"ramp": 3, "prbs": KNOWN_TESTS}, seed=0)
+        write_campaign(unseen, rig, tests={"prbs": UNSEEN_TESTS}, seed=7)
+        identification, held_out = hitchid.read(known), hitchid.read(unseen)
+    left_out = {
+        test.name for direction in identification.directions for test in identification.held_out(direction)
+    }
+    records = [record for record in identification if record.name not in left_out]
+    records += [replace(record, name=f"unseen-{record.name}") for record in held_out]
+    return hitchid.Campaign(tuple(records), ("unseen-*",))
+
+
 SETS = {
     "rig-a": DataSet(lambda: hitchid.read(DATA / "rig-a")),
     "excavator-boom": DataSet(lambda: hitchid.read(DATA / "excavator-boom")),
     "hanging-load": DataSet(hanging_load),
     "emps": DataSet(emps, {LIFTING: ModelSpec(structure_named("inertia-with-friction"))}, 20),
     "cascaded-tanks": DataSet(tanks, {LIFTING: ModelSpec(structure_named("cascaded-tanks"))}, 50),
+    "electro-hydraulic-actuator": DataSet(lambda: hitchid.read(DATA / "electro-hydraulic-actuator")),
+    **{rig: DataSet(partial(virtual_bench, rig)) for rig in ("nominal", "heavy-cold", "light-warm-worn")},
 }
 
 
