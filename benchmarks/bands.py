@@ -4,9 +4,10 @@ Identifies each rig of the virtual bench from twenty tests a direction, sixteen 
 and predicts a hundred tests of another seed, forty of the rigs other than nominal. Prints a Markdown table of
 what the bands cover and how wide they are, with the horizons that are covered least and most.
 
-    python benchmarks/bands.py [RIG ...]
+    python benchmarks/bands.py [RIG ...] [--seed 0]
 """
 
+import argparse
 import sys
 import tempfile
 from pathlib import Path
@@ -17,6 +18,7 @@ import numpy as np
 import hitchid
 from hitchid.baselines.persistence import delayed
 from hitchid.experiments.virtual_campaign import write_campaign
+from hitchid.identification import CompensatorConfig
 from hitchid.model import Bands, Channel
 from hitchid.structures import Batch
 from hitchid.validation.bands import COVERAGE, free_run_band
@@ -28,16 +30,20 @@ SHOWN = (1, 10, 50, 100)
 
 def main() -> None:
     """Identify and predict."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("rigs", nargs="*", default=[], choices=[*UNSEEN, []])
+    parser.add_argument("--seed", type=int, default=0, help="of the identification tests")
+    arguments = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
     say = sys.stdout.write
     header = ("rig", "direction", "prediction", "covered / %", "mean width / mm")
     say(f"| {' | '.join(header)} |\n|{' --- |' * len(header)}\n")
-    for rig in sys.argv[1:] or UNSEEN:
+    for rig in arguments.rigs or UNSEEN:
         with tempfile.TemporaryDirectory() as folder:
             known, unseen = Path(folder) / "known", Path(folder) / "unseen"
-            write_campaign(known, rig, tests={"ramp": 3, "prbs": TESTS}, seed=0)
+            write_campaign(known, rig, tests={"ramp": 3, "prbs": TESTS}, seed=arguments.seed)
             write_campaign(unseen, rig, tests={"prbs": UNSEEN[rig]}, seed=7)
-            model = hitchid.identify(hitchid.read(known), comparison=None).model
+            model = hitchid.identify(hitchid.read(known), training=CompensatorConfig(baselines=False)).model
             tests = hitchid.read(unseen)
         for direction, channel in model.channels.items():
             bands = model.uncertainty[direction].bands
