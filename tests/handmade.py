@@ -26,6 +26,7 @@ from hitchid.model import (
     Provenance,
     Uncertainty,
 )
+from hitchid.model.load_filter import LoadFilter
 from hitchid.networks.error_compensator import FEATURES, Compensator
 from hitchid.networks.lstm import Lstm
 from hitchid.networks.operating_range import OperatingRange, SignalRange
@@ -100,6 +101,13 @@ SHAPED = (
 )
 
 
+# Noise, load and its length, transient and its time, drift: in mm and s.
+LOAD_FILTERS = {
+    LIFTING: LoadFilter(*map(jnp.asarray, (0.05, 0.02, 500.0, 0.1, 0.2, 0.02))),
+    LOWERING: LoadFilter(*map(jnp.asarray, (0.08, 0.05, 90.0, 0.3, 0.1, 0.01))),
+}
+
+
 def channel(
     mode,
     structure="integrator",
@@ -110,6 +118,7 @@ def channel(
     shape=False,
     free_run=None,
     covered=None,
+    filtered=False,
 ):
     """Return a channel; `compensated` and `free_run`: None for no compensator, False for an untrained one."""
     curves = SHAPED if shape else (None, None)
@@ -126,6 +135,7 @@ def channel(
         dead_zone=DEAD_ZONES[mode],
         end_stop=end_stop,
         benchmark=PhysicalModel(structure_named(structure), values, jnp.asarray(dead_time_s), *curves),
+        load_filter=LOAD_FILTERS[mode] if filtered else LoadFilter.none(),
         **parts,
     )
 

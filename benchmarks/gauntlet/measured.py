@@ -85,8 +85,11 @@ def rig(outcome: Outcome, name: str) -> None:
     model, metrics = _identified(outcome, campaign)
     for direction, channel in metrics["channels"].items():
         covered = channel["bands"]["free_run"]["covered"], channel["bands"]["horizons"]["covered"][0]
+        ahead = dict(zip(channel["horizons"]["steps"], channel["horizons"]["greybox"], strict=True))
         outcome.figures |= {
             f"{direction}: one step rmse": channel["greybox"]["one_step"]["rmse"],
+            f"{direction}: 10 steps rmse": ahead[10],
+            f"{direction}: 100 steps rmse": ahead[100],
             f"{direction}: free run in its band": covered[0],
             f"{direction}: one step in its band": covered[1],
             f"{direction}: moved in a pause": _pause_drift(model, campaign.held_out(direction)[0]),

@@ -17,7 +17,9 @@ from hitchid.identification.identify import PAPER_SPECS
 from hitchid.identification.phase1 import find_parameters
 from hitchid.identification.phase2 import train_compensator
 from hitchid.identification.preparation import prepare
-from hitchid.networks.error_compensator import Compensator, Sample, measured_features, predict_errors
+from hitchid.model.load_filter import LoadFilter
+from hitchid.model.multi_step import ErrorPredictor, predict_errors
+from hitchid.networks.error_compensator import Compensator, Sample, measured_features
 from hitchid.readers import read
 from hitchid.structures import Batch
 
@@ -64,7 +66,9 @@ def our_loss_history(
     def on_epoch(epoch: int, training_loss: float, validation_loss: float) -> None:
         losses.append((time.perf_counter() - started, validation_loss))
 
-    compensator, _ = train_compensator(training, validation, settings, jax.random.key(seed), on_epoch)
+    compensator, _ = train_compensator(
+        training, validation, LoadFilter.none(), settings, jax.random.key(seed), on_epoch
+    )
     course = [
         (elapsed_s, validation_loss * float(compensator.error_step)) for elapsed_s, validation_loss in losses
     ]
@@ -78,7 +82,8 @@ def predicted_mm(compensator: Compensator, validation: ModelledTests) -> float:
     batch, benchmark = validation
     time_s = jnp.broadcast_to(batch.step_s * jnp.arange(benchmark.shape[1]), benchmark.shape)
     sample = Sample(time_s, batch.command, benchmark, batch.displacement)
-    errors = predict_errors(compensator, sample, jnp.ones_like(benchmark), (1,), batch.step_s)[0]
+    predictor = ErrorPredictor(LoadFilter.none(), compensator)
+    errors = predict_errors(predictor, sample, jnp.ones_like(benchmark), (1,), batch.step_s)[0]
     peer = as_peer(validation)
     return rmse_mm(np.asarray(errors)[:, 1 : peer.command.shape[1]], peer)
 

@@ -21,6 +21,7 @@ from hitchid.identification.phase2 import CompensatorConfig, train_compensator
 from hitchid.model import Channel, EnsembleMember
 from hitchid.model.bands import free_run_half_width
 from hitchid.model.ensemble import ensemble_deviations
+from hitchid.model.load_filter import LoadFilter
 from hitchid.networks.operating_range import OperatingRange
 from hitchid.structures import Batch, structure_named
 from hitchid.uncertainty.conformal import LEVELS
@@ -152,7 +153,9 @@ def test_a_compensator_is_trained_without_the_fold_and_not_on_it(make_record):
     channel, phase1, _ = calibrated(batch)
     settings = CompensatorConfig(hidden=2, window=20, adam=AdamConfig(epochs=4, batch=8))
     travel = channel.simulate_benchmark(batch)
-    compensator, _ = train_compensator((batch, travel), (batch, travel), settings, jax.random.key(0))
+    compensator, _ = train_compensator(
+        (batch, travel), (batch, travel), LoadFilter.none(), settings, jax.random.key(0)
+    )
     channel = replace(channel, compensator=compensator)
     training = CompensatorTraining(settings, 3, jax.random.key(1))
 

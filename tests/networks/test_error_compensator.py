@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from hitchid.identification.phase2 import _sequences
+from hitchid.model.load_filter import LoadFilter
+from hitchid.model.multi_step import ErrorPredictor, multi_step_errors
 from hitchid.networks.error_compensator import (
     FEATURES,
     Compensator,
     Sample,
     free_run,
     measured_features,
-    multi_step_errors,
 )
 from hitchid.networks.lstm import Lstm
 from hitchid.structures import Batch
@@ -86,7 +87,12 @@ def compensator(untrained):
     )
 
 
-roll = eqx.filter_jit(multi_step_errors)
+@eqx.filter_jit
+def roll(compensator, test, trust, horizon, step_s):
+    predictor = ErrorPredictor(LoadFilter.none(), compensator)
+    return multi_step_errors(predictor, test, trust, horizon, step_s)
+
+
 run_free = eqx.filter_jit(free_run)
 features_of = eqx.filter_jit(measured_features)
 TRUSTED = jnp.ones(SAMPLES)
@@ -174,9 +180,8 @@ def test_training_reads_what_a_prediction_reads(compensator, made_up, make_recor
     batch = Batch.of([record], "lifting", dead_zone=0.0, sign=1)
     wide = np.zeros((1, batch.command.shape[1], len(FEATURES)))
     wide[0, :SAMPLES] = features
-    errors = np.zeros(wide.shape[:2])
-    errors[0, :SAMPLES] = made_up.displacement - made_up.benchmark
-    sequences = _sequences(compensator, wide, errors, np.asarray(batch.loss_mask))
+    innovations = np.random.default_rng(2).normal(size=wide.shape[:2])
+    sequences = _sequences(compensator, wide, innovations, np.asarray(batch.loss_mask))
     scaled = np.asarray(compensator.scale(jnp.asarray(features)))
     for stretch in range(SAMPLES // WINDOW):
         for place in np.flatnonzero(sequences.loss_mask[stretch]):
@@ -185,8 +190,8 @@ def test_training_reads_what_a_prediction_reads(compensator, made_up, make_recor
             valid = np.asarray(sequences.valid[stretch])[read]
             rows = np.asarray(sequences.features[stretch])[read][valid]
             np.testing.assert_array_equal(rows, scaled[heard_from(position) : position])
-            moved = (errors[0, position] - errors[0, position - 1]) / ERROR_STEP
-            assert float(sequences.target[stretch, place]) == pytest.approx(moved, rel=1e-6)
+            expected = innovations[0, position] / ERROR_STEP
+            assert float(sequences.target[stretch, place]) == pytest.approx(expected, rel=1e-6)
     assert int(sequences.loss_mask.sum()) == SAMPLES - 1
 
 

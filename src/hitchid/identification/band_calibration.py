@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hitchid.baselines.persistence import delayed
-from hitchid.identification.cross_fitting import HeldOut
+from hitchid.identification.cross_fitting import HeldOut, filled, held_out_free_runs, of_tests
 from hitchid.identification.phase1 import Phase1
 from hitchid.model import Channel
 from hitchid.model.bands import Bands, EnsembleMember
@@ -67,14 +67,6 @@ def band_notices(tests: int) -> list[str]:
     ]
 
 
-def held_out_free_runs(held_out: Sequence[HeldOut], batch: Batch) -> np.ndarray:
-    """Return each test's free run by the channel fitted without it, shape [T, N]."""
-    runs = np.empty(batch.displacement.shape)
-    for tests, channel in held_out:
-        runs[tests] = _of_tests(channel.simulate(batch.take(_filled(held_out, tests))), tests)
-    return runs
-
-
 def held_out_errors(held_out: Sequence[HeldOut], batch: Batch) -> dict[int, HeldOutErrors]:
     """Return for each horizon the errors of predictions of each test by the channel fitted without it."""
     loss_mask, measured = np.asarray(batch.loss_mask), np.asarray(batch.displacement)
@@ -82,24 +74,14 @@ def held_out_errors(held_out: Sequence[HeldOut], batch: Batch) -> dict[int, Held
     horizons = tuple(horizon for horizon in CALIBRATED_HORIZONS if horizon < shortest)
     predicted = np.empty((len(horizons), *measured.shape))
     for tests, channel in held_out:
-        rows = channel.predict(batch.take(_filled(held_out, tests)), horizons)
-        predicted[:, tests] = _of_tests(rows, tests)
+        rows = channel.predict(batch.take(filled(held_out, tests)), horizons)
+        predicted[:, tests] = of_tests(rows, tests)
     errors = {}
     for horizon, rows in zip(horizons, predicted, strict=True):
         mask = loss_mask & (np.arange(loss_mask.shape[1]) >= horizon)
         movement = rows - delayed(measured, horizon)
         errors[horizon] = HeldOutErrors(_rows(measured - rows, mask), _rows(movement, mask))
     return errors
-
-
-def _filled(held_out: Sequence[HeldOut], tests: np.ndarray) -> list[int]:
-    """Return the tests of a fold, repeated to the size of the largest, so that all share a program."""
-    return np.resize(np.flatnonzero(tests), max(int(fold.sum()) for fold, _ in held_out)).tolist()
-
-
-def _of_tests(rows: object, tests: np.ndarray) -> np.ndarray:
-    """Return rows of shape [..., T', N] without the repeated tests."""
-    return np.asarray(rows)[..., : int(tests.sum()), :]
 
 
 def _rows(values: np.ndarray, mask: np.ndarray) -> list[np.ndarray]:

@@ -197,6 +197,7 @@ def with_compensator(
     compensator, training_history = train_compensator(
         (data.training, channel.simulate_benchmark(data.training)),
         (data.validation, channel.simulate_benchmark(data.validation)),
+        channel.load_filter,
         training,
         key,
         progress,

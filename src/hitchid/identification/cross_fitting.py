@@ -1,5 +1,6 @@
 """Cross-fitting: the benchmark fitted to the tests of all folds but one, for each fold in turn."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -11,6 +12,7 @@ from hitchid.errors import FitError
 from hitchid.estimation import refine_subset
 from hitchid.identification.phase1 import Phase1, with_calibrated_gain
 from hitchid.model import Channel
+from hitchid.structures import Batch
 
 FOLDS = 4  # every fourth test is held out together; chosen
 STEPS = 10  # least-squares positions of a refit, which starts at the optimum over all tests; chosen
@@ -48,6 +50,24 @@ def cross_fitted(channel: Channel, phase1: Phase1) -> tuple[HeldOut, ...]:
     return tuple(
         HeldOut(tests, _with_position(uncompensated, phase1, _refitted(phase1, tests))) for tests in folds
     )
+
+
+def held_out_free_runs(held_out: Sequence[HeldOut], batch: Batch) -> np.ndarray:
+    """Return each test's free run by the channel fitted without it, shape [T, N]."""
+    runs = np.empty(batch.displacement.shape)
+    for tests, channel in held_out:
+        runs[tests] = of_tests(channel.simulate(batch.take(filled(held_out, tests))), tests)
+    return runs
+
+
+def filled(held_out: Sequence[HeldOut], tests: np.ndarray) -> list[int]:
+    """Return the tests of a fold, repeated to the size of the largest, so that all share a program."""
+    return np.resize(np.flatnonzero(tests), max(int(fold.sum()) for fold, _ in held_out)).tolist()
+
+
+def of_tests(rows: object, tests: np.ndarray) -> np.ndarray:
+    """Return rows of shape [..., T', N] without the repeated tests."""
+    return np.asarray(rows)[..., : int(tests.sum()), :]
 
 
 def _with_position(channel: Channel, phase1: Phase1, position: np.ndarray) -> Channel:

@@ -25,6 +25,7 @@ from hitchid.identification.cross_fitting import HeldOut, cross_fitted
 from hitchid.identification.dead_zone import DeadZone
 from hitchid.identification.gain_calibration import with_gain
 from hitchid.identification.held_out_compensators import CompensatorTraining, with_compensators
+from hitchid.identification.load_filter_fit import with_load_filters
 from hitchid.identification.optional import attempt
 from hitchid.identification.phase1 import Phase1
 from hitchid.identification.preparation import ChannelData
@@ -100,8 +101,14 @@ def find_compensators(
     """
     seconds, initial_data, data = dict(trace.seconds), data, data.with_dead_zone(trace.dead_zone)
     parts = split_progress(progress, _phase2_shares(config))
+    held_out, filter_notices = cross_fitted(channel, trace.phase1), []
+    with timed(seconds, "load filter"):
+        filtered = attempt(
+            "load filter", lambda: with_load_filters(channel, held_out, data.all_tests), filter_notices
+        )
+    channel, held_out = filtered or (channel, held_out)
+    trace = replace(trace, notices=(*trace.notices, *filter_notices))
     if config.training is None:
-        held_out = cross_fitted(channel, trace.phase1)
         calibrate = partial(_bands, channel, trace.phase1, data.all_tests, held_out)
         return channel, _finished(channel, trace, Comparison(), data, config, calibrate, seconds, parts)
     keys = jax.random.split(
@@ -117,7 +124,7 @@ def find_compensators(
             epoch_callback(parts["compensator"], "phase 2"),
             config.checkpoints.child("compensator"),
         )
-    trace, held_out = replace(trace, phase2=training_history), cross_fitted(channel, trace.phase1)
+    trace = replace(trace, phase2=training_history)
     if config.training.free_run is not None:
         parts["free runs"](ProgressUpdate("phase 2, free runs", 0.0))
         with timed(seconds, "compensator for free run"):

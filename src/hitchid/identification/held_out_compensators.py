@@ -55,7 +55,12 @@ def with_compensators(
     for number, (tests, channel) in enumerate(held_out):
         training_mask = batch.loss_mask & jnp.asarray(~tests)[:, None]
         compensator, fold_sequences = untrained_compensator(
-            batch, channel.simulate_benchmark(batch), settings, jax.random.fold_in(key, number), training_mask
+            batch,
+            channel.simulate_benchmark(batch),
+            channel.load_filter,
+            settings,
+            jax.random.fold_in(key, number),
+            training_mask,
         )
         compensators.append(compensator)
         sequences.append(pad_to_batches(every_nth(fold_sequences, MAX_STRETCHES), settings.adam.batch))

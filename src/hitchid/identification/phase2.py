@@ -18,6 +18,7 @@ from hitchid.estimation.training import (
     train,
 )
 from hitchid.identification.speed_training import SpeedCompensatorConfig
+from hitchid.model.load_filter import LoadFilter
 from hitchid.networks.error_compensator import FEATURES, Compensator, Sample, measured_features
 from hitchid.networks.lstm import Lstm
 from hitchid.structures import Batch
@@ -45,6 +46,7 @@ class CompensatorConfig:
 
 
 _measured_features = jax.jit(measured_features, static_argnums=1)
+_estimates = jax.jit(LoadFilter.estimates)
 
 
 class Sequences(NamedTuple):
@@ -53,7 +55,7 @@ class Sequences(NamedTuple):
     Attributes:
         features: scaled features, shape [C, 2 L, 10].
         valid: which samples exist, shape [C, 2 L].
-        target: (e(k) − e(k−1)) / σ for the sample after each of the last L positions, shape [C, L].
+        target: innovation / σ for the sample after each of the last L positions, shape [C, L].
         loss_mask: which targets exist, shape [C, L].
     """
 
@@ -66,6 +68,7 @@ class Sequences(NamedTuple):
 def train_compensator(
     training: tuple[Batch, Float[Array, "t n"]],
     validation: tuple[Batch, Float[Array, "v n"]],
+    load_filter: LoadFilter,
     settings: CompensatorConfig,
     key: PRNGKeyArray,
     progress: EpochCallback | None = None,
@@ -79,6 +82,7 @@ def train_compensator(
 
     Args:
         training, validation: tests and the displacement the benchmark gives for them, shape [T, N].
+        load_filter: whose innovations the compensator predicts.
         settings: size, window, optimiser.
         key: initial weights and shuffling.
         progress, checkpoints: see `train`.
@@ -87,9 +91,11 @@ def train_compensator(
         The compensator of the epoch with the smallest validation loss, and both losses.
     """
     init_key, key = jax.random.split(key)
-    compensator, sequences = untrained_compensator(*training, settings, init_key, training[0].loss_mask)
+    compensator, sequences = untrained_compensator(
+        *training, load_filter, settings, init_key, training[0].loss_mask
+    )
     validation_sequences = _sequences(
-        compensator, *_features(*validation), np.asarray(validation[0].loss_mask)
+        compensator, *_features(*validation, load_filter), np.asarray(validation[0].loss_mask)
     )
     sequences, validation_sequences = (
         pad_to_batches(every_nth(stretches, MAX_STRETCHES), settings.adam.batch)
@@ -114,6 +120,7 @@ def train_compensator(
 def untrained_compensator(
     batch: Batch,
     benchmark: Float[Array, "t n"],
+    load_filter: LoadFilter,
     settings: CompensatorConfig,
     key: PRNGKeyArray,
     loss_mask: Bool[Array, "t n"],
@@ -123,32 +130,36 @@ def untrained_compensator(
     Args:
         batch: tests.
         benchmark: displacement the benchmark gives for them, shape [T, N].
+        load_filter: whose innovations the compensator predicts.
         settings: size and window.
         key: initial weights.
         loss_mask: samples to scale and to train on; the others give stretches without targets.
     """
-    features, errors = _features(batch, benchmark)
+    features, innovations = _features(batch, benchmark, load_filter)
     mask = np.asarray(loss_mask)
     rows = features[mask]
-    error_increments = np.diff(errors, axis=1)[mask[:, 1:]]
     compensator = Compensator(
         network=Lstm.init(key, len(FEATURES), settings.hidden),
         centre=jnp.asarray(rows.mean(axis=0)),
         spread=jnp.asarray(_spread(rows)),
-        error_step=jnp.asarray(max(float(error_increments.std()), np.finfo(np.float32).tiny)),
+        error_step=jnp.asarray(max(float(innovations[:, 1:][mask[:, 1:]].std()), np.finfo(np.float32).tiny)),
         window=settings.window,
     )
-    return compensator, _sequences(compensator, features, errors, np.asarray(batch.loss_mask), mask)
+    return compensator, _sequences(compensator, features, innovations, np.asarray(batch.loss_mask), mask)
 
 
-def _features(batch: Batch, benchmark: Float[Array, "t n"]) -> tuple[np.ndarray, np.ndarray]:
-    """Return features, shape [T, N, 10], and errors, shape [T, N]."""
+def _features(
+    batch: Batch, benchmark: Float[Array, "t n"], load_filter: LoadFilter
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return features, shape [T, N, 10], and innovations of the filter, shape [T, N]."""
     command, displacement = np.asarray(batch.command), np.asarray(batch.displacement)
     modelled = np.asarray(benchmark)
     time_s = np.broadcast_to(batch.step_s * np.arange(command.shape[1]), command.shape)
     samples = Sample(*(jnp.asarray(signal.T) for signal in (time_s, command, modelled, displacement)))
     _, features = _measured_features(samples, batch.step_s)
-    return np.swapaxes(np.asarray(features), 0, 1), displacement - modelled
+    before, _ = _estimates(load_filter, samples.benchmark, samples.displacement, batch.step_s)
+    innovations = displacement - modelled - np.asarray(before.error).T
+    return np.swapaxes(np.asarray(features), 0, 1), innovations
 
 
 def _spread(rows: np.ndarray) -> np.ndarray:
@@ -160,7 +171,7 @@ def _spread(rows: np.ndarray) -> np.ndarray:
 def _sequences(
     compensator: Compensator,
     features: np.ndarray,
-    errors: np.ndarray,
+    innovations: np.ndarray,
     loss_mask: np.ndarray,
     predicted_mask: np.ndarray | None = None,
 ) -> Sequences:
@@ -175,8 +186,7 @@ def _sequences(
     scaled = np.pad(np.asarray(compensator.scale(jnp.asarray(features))), (*padding, (0, 0)))
     valid = np.pad(loss_mask, padding)
     is_target = valid if predicted_mask is None else valid & np.pad(predicted_mask, padding)
-    steps = np.diff(errors, axis=1, prepend=errors[:, :1]) / float(compensator.error_step)
-    targets = np.pad(steps, padding).astype(np.float32)
+    targets = np.pad(innovations / float(compensator.error_step), padding).astype(np.float32)
 
     starts = window * np.arange(stretches)
     positions = starts[:, None] + np.arange(2 * window)

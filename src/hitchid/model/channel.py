@@ -12,7 +12,9 @@ from hitchid._support.precision import double_precision
 from hitchid._support.short_repr import short_repr
 from hitchid.data.record import Record
 from hitchid.model.limits import TravelLimits
-from hitchid.networks.error_compensator import Compensator, Sample, free_run, predict_errors
+from hitchid.model.load_filter import LoadFilter
+from hitchid.model.multi_step import ErrorPredictor, predict_errors
+from hitchid.networks.error_compensator import Compensator, Sample, free_run
 from hitchid.networks.operating_range import OperatingRange
 from hitchid.networks.speed_compensator import SpeedCompensator, simulate_compensated
 from hitchid.structures import Batch, PhysicalModel
@@ -34,6 +36,7 @@ class Channel(eqx.Module):
         compensator: predicts the benchmark's error from measured displacement; None for no correction.
         speed_compensator: corrects the benchmark in free run; None where it was not accepted.
         limits: limits of the displacement in free run; None in models of older versions.
+        load_filter: estimates offset and load from measured displacement.
     """
 
     direction: str = eqx.field(static=True)
@@ -45,6 +48,7 @@ class Channel(eqx.Module):
     compensator: Compensator | None = None
     speed_compensator: SpeedCompensator | None = None
     limits: TravelLimits | None = eqx.field(static=True, default=None)
+    load_filter: LoadFilter = eqx.field(default_factory=LoadFilter.none)
 
     @double_precision
     def batch(
@@ -147,7 +151,9 @@ class Channel(eqx.Module):
         time_s = jnp.broadcast_to(_clock(batch), benchmark.shape)
         tests = Sample(time_s, batch.command, benchmark, batch.displacement)
         trust = self.operating_range.trust(jnp.abs(batch.command), benchmark, batch.covariate[:, None])
-        return benchmark + predict_errors(self.compensator, tests, trust, horizons, batch.step_s)
+        return benchmark + predict_errors(
+            ErrorPredictor(self.load_filter, self.compensator), tests, trust, horizons, batch.step_s
+        )
 
 
 def _clock(batch: Batch) -> Float[Array, " n"]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from hitchid.model.channel import Channel
 from hitchid.model.limits import TravelLimits
+from hitchid.model.load_filter import LoadFilter
 from hitchid.model.tensors import Tensors, check_size, fill, tensors_of
 from hitchid.networks.error_compensator import FEATURES, Compensator
 from hitchid.networks.lstm import Lstm
@@ -22,7 +23,7 @@ from hitchid.structures import (
     structure_named,
 )
 
-_TRAINED = ("compensator", "speed_compensator", "operating_range")
+_TRAINED = ("compensator", "speed_compensator", "operating_range", "load_filter")
 
 
 def channel_tensors(channel: Channel, prefix: str) -> dict[str, np.ndarray]:
@@ -95,6 +96,7 @@ def read_channel(direction: str, described: dict[str, Any], tensors: Tensors, pr
             described["speed_compensator"], sign, tensors, f"{prefix}/speed_compensator"
         ),
         limits=None if limits is None else TravelLimits(**limits),
+        load_filter=fill(LoadFilter.none(), tensors, f"{prefix}/load_filter"),
     )
 
 

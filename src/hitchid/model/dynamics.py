@@ -16,8 +16,15 @@ from jaxtyping import Array, Bool, Float, Float32, Int
 from hitchid.data.record import DIRECTIONS
 from hitchid.data.test_kinds import ACTIVE_FRACTION
 from hitchid.model.channel import Channel
-from hitchid.model.error_prediction import clip_at_end_stops, compute_features, predict_increment, select
-from hitchid.model.state import ChannelState, HitchState, NetworkInput, SpeedCompensatorState
+from hitchid.model.error_prediction import clip_at_end_stops, compute_features, predict_innovation, select
+from hitchid.model.load_filter import OFFSET, LoadFilter
+from hitchid.model.state import (
+    ChannelState,
+    HitchState,
+    NetworkInput,
+    NetworkOutput,
+    SpeedCompensatorState,
+)
 from hitchid.networks.error_compensator import FeatureState, Sample
 from hitchid.networks.lstm import SINGLE
 from hitchid.structures import DiscretePhysicalModel, ValveState
@@ -62,12 +69,14 @@ class HitchDynamics(eqx.Module):
             free_run=displacement,
             start=displacement,
             error=zero,
+            innovation=zero,
             mode=jnp.asarray(0 if len(self.channels) == 1 else STANDING),
             samples_since_measurement=jnp.asarray(-1),
             commands=jnp.zeros(2),
             command_missing=false,
             both_valves_active=false,
             load=load,
+            estimates=self._load_filters.init_estimate(jnp.zeros(len(self.channels)), self.step_s),
             feature_state=FeatureState.at_rest(Sample(zero, zero, displacement, displacement)),
             channels=tuple(
                 self._init_channel(number, discrete_model.closed_valve(), displacement, zero, load)
@@ -88,8 +97,8 @@ class HitchDynamics(eqx.Module):
             measured: displacement at this sample; not finite where it was not measured.
         """
         next_state, network_input = self.advance_physics(state, commands, measured)
-        hidden, error, displacement = self.advance_network(next_state.hidden, network_input)
-        return next_state._replace(hidden=hidden, error=error, displacement=displacement), displacement
+        hidden, output = self.advance_network(next_state.hidden, network_input)
+        return next_state._replace(hidden=hidden, **output._asdict()), output.displacement
 
     def advance_physics(
         self, state: HitchState, commands: Float[Array, "2"], measured: Float[Array, ""]
@@ -123,57 +132,98 @@ class HitchDynamics(eqx.Module):
                 for channel_state, valve in zip(state.channels, valves, strict=True)
             ),
         )
-        displacement = jnp.where(is_measured, measured, state.displacement)
+        estimated = next_state.estimates.error[jnp.maximum(state.mode, 0)]
+        displacement = jnp.where(
+            is_measured,
+            clip_at_end_stops(self.channels, state, state.benchmark) + estimated,
+            state.displacement,
+        )
         entering = (mode != state.mode) & (state.mode != STANDING)
         speed = self._speed(state.mode, next_state)
         for number in range(len(self.channels)):
             next_state = self._enter_channel(
                 number, next_state, entering & (mode == number), displacement, speed
             )
+        next_state = self._start_filter(next_state, state.mode)
         reset = (mode != state.mode) | (is_measured & (state.samples_since_measurement < 0))
         next_state, scaled_features, trust = compute_features(self.channels, next_state, reset, self.step_s)
+        modelled = clip_at_end_stops(self.channels, next_state, next_state.benchmark)
         for number in range(len(self.channels)):
             next_state = self._advance_channel(number, next_state)
         next_state = self._clip_at_limits(self._apply_drift(next_state, ~jnp.any(jnp.stack(demands))))
+        benchmark = clip_at_end_stops(self.channels, next_state, next_state.benchmark)
+        next_state = next_state._replace(
+            estimates=self._load_filters.advance(
+                next_state.estimates, jnp.broadcast_to(benchmark - modelled, len(self.channels)), self.step_s
+            )
+        )
         return next_state, NetworkInput(
             channel_index=jnp.maximum(mode, 0),
             scaled_features=scaled_features,
             index_in_window=next_state.feature_state.index_in_window,
             trust=trust,
             reset=reset,
-            error=next_state.error,
-            benchmark=clip_at_end_stops(self.channels, next_state, next_state.benchmark),
+            error=next_state.estimates.error[jnp.maximum(mode, 0)],
+            benchmark=benchmark,
             free_run=clip_at_end_stops(self.channels, next_state, next_state.free_run),
             has_measurement=next_state.samples_since_measurement >= 0,
         )
 
+    @property
+    def _load_filters(self) -> LoadFilter:
+        """The load filters of all channels, parameters of shape [C]."""
+        return jax.tree.map(lambda *values: jnp.stack(values), *(each.load_filter for each in self.channels))
+
     def _with_measurement(
         self, state: HitchState, measured: Float[Array, ""], is_measured: Bool[Array, ""]
     ) -> HitchState:
-        """Return the state with error and samples since measurement updated by a measured displacement."""
+        """Return the state with the filters corrected by a measured displacement.
+
+        Without one they take the innovation that the compensator predicted.
+        """
         count = state.samples_since_measurement
         error = measured - clip_at_end_stops(self.channels, state, state.benchmark)
+        corrected = self._load_filters.correct(
+            state.estimates, jnp.broadcast_to(jnp.where(is_measured, error, 0.0), len(self.channels))
+        )
         return state._replace(
             error=jnp.where(is_measured, error, state.error),
+            estimates=select(is_measured, corrected, state.estimates.with_innovation(state.innovation)),
             samples_since_measurement=jnp.where(is_measured, 0, jnp.where(count >= 0, count + 1, count)),
         )
 
+    def _start_filter(self, state: HitchState, last_mode: Int[Array, ""]) -> HitchState:
+        """Start the filter of a channel that takes charge: its load is unknown.
+
+        A channel that takes over from another starts at the estimated displacement, which leaves no offset,
+        with the variance of that estimate.
+        """
+        known, from_rest = state.estimates, last_mode == STANDING
+        offset = jnp.where(from_rest, known.mean[OFFSET], 0.0)
+        variance = jnp.where(from_rest, known.variance, known.variance[last_mode])
+        fresh = self._load_filters.init_estimate(offset, self.step_s)
+        started = fresh._replace(
+            mean=fresh.mean.at[OFFSET].set(offset),
+            covariance=fresh.covariance.at[OFFSET, OFFSET].set(variance),
+        )
+        return state._replace(estimates=select(state.mode != last_mode, started, known))
+
     def advance_network(
         self, hidden: Float32[Array, "2 2 h"], network_input: NetworkInput
-    ) -> tuple[Float32[Array, "2 2 h"], Float[Array, ""], Float[Array, ""]]:
-        """Predict the error by the network of the active channel.
+    ) -> tuple[Float32[Array, "2 2 h"], NetworkOutput]:
+        """Predict the innovation by the network of the active channel.
 
         Returns:
-            State of the network, predicted error and displacement, all at the next sample.
+            State of the network, and displacement, error and innovation at the next sample.
         """
-        predictors = [partial(predict_increment, channel.compensator) for channel in self.channels]
-        hidden, increment = jax.lax.switch(network_input.channel_index, predictors, hidden, network_input)
-        error = network_input.error + network_input.trust * increment
-        return (
-            hidden,
-            error,
-            jnp.where(network_input.has_measurement, network_input.benchmark + error, network_input.free_run),
+        predictors = [partial(predict_innovation, channel.compensator) for channel in self.channels]
+        hidden, predicted = jax.lax.switch(network_input.channel_index, predictors, hidden, network_input)
+        innovation = network_input.trust * predicted
+        error = network_input.error + innovation
+        displacement = jnp.where(
+            network_input.has_measurement, network_input.benchmark + error, network_input.free_run
         )
+        return hidden, NetworkOutput(displacement, error, innovation)
 
     def zero_lstm_state(self) -> Float32[Array, "2 2 h"]:
         """Return the zero state of a network, of the largest size of all channels."""

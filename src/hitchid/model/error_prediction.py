@@ -1,4 +1,4 @@
-"""Error compensator in a hitch: features, and the increment of the predicted error."""
+"""Error compensator in a hitch: features, and the predicted innovation of the filter."""
 
 from collections.abc import Sequence
 from typing import TypeVar
@@ -43,10 +43,10 @@ def compute_features(
     return state._replace(feature_state=selected[0]), *selected[1:]
 
 
-def predict_increment(
+def predict_innovation(
     compensator: Compensator | None, hidden: Float32[Array, "2 2 h"], network_input: NetworkInput
 ) -> tuple[Float32[Array, "2 2 h"], Float[Array, ""]]:
-    """Return the next state of a network, and the increment of the error to the next sample."""
+    """Return the next state of a network, and the innovation of the filter at the next sample."""
     if compensator is None:
         return hidden, jnp.zeros(())
     size = compensator.network.cell.hidden_size

@@ -6,12 +6,14 @@ from typing import Any
 
 import numpy as np
 
+from hitchid.model.load_filter import LoadFilter
 from hitchid.model.migration_to_8 import to_schema_8
+from hitchid.model.tensors import tensors_of
 
 Description = dict[str, Any]
 Tensors = dict[str, np.ndarray]
 Stored = tuple[Description, Tensors]
-SCHEMA = 8  # version of the layout of a model folder
+SCHEMA = 9  # version of the layout of a model folder
 
 
 def _with_hold(content: Description, tensors: Tensors) -> Stored:
@@ -53,6 +55,16 @@ def _with_comparison(content: Description, tensors: Tensors) -> Stored:
 def _with_set_by_hand(content: Description, tensors: Tensors) -> Stored:
     """Schema 7 adds the parameters that were set by hand."""
     return {**content, "set_by_hand": {}}, tensors
+
+
+def _with_load_filter(content: Description, tensors: Tensors) -> Stored:
+    """Schema 9 adds a load filter to each channel; without one the last measured error stays."""
+    papers = [f"{name}/paper" for name, known in content["comparison"].items() if known["paper"] is not None]
+    none = tensors_of(LoadFilter.none(), "load_filter")
+    added = {
+        f"{owner}/{name}": array for owner in (*content["channels"], *papers) for name, array in none.items()
+    }
+    return content, {**tensors, **added}
 
 
 # Part of a tensor's name in schema 5 to that in schema 6.
@@ -140,6 +152,7 @@ MIGRATIONS: Mapping[int, Callable[[Description, Tensors], Stored]] = MappingProx
         5: _with_comparison,
         6: _with_set_by_hand,
         7: to_schema_8,
+        8: _with_load_filter,
     }
 )
 """Schema to the migration to the next one; content that an older schema lacks is marked as missing."""

@@ -19,7 +19,7 @@ class Packed(NamedTuple):
     """State of a hitch in two arrays.
 
     Attributes:
-        numbers: all arrays but `hidden`, concatenated; displacement and predicted error first, shape [n].
+        numbers: all arrays but `hidden`, concatenated; what the network completes first, shape [n].
         hidden: LSTM states of the network of the active channel, shape [2, 2, H].
     """
 
@@ -66,8 +66,8 @@ class Packing:
 
         @jax.jit
         def run_network(numbers: Array, hidden: Array, network_input: Array) -> tuple[Array, Array, Array]:
-            hidden, error, displacement = dynamics.advance_network(hidden, unravel_input(network_input))
-            return numbers.at[:2].set(jnp.stack([displacement, error])), hidden, displacement
+            hidden, output = dynamics.advance_network(hidden, unravel_input(network_input))
+            return numbers.at[: len(output)].set(jnp.stack(output)), hidden, output.displacement
 
         def step(state: Packed, inputs: ArrayLike) -> tuple[Packed, Array]:
             numbers, network_input = run_physics(state.numbers, inputs)

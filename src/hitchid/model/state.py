@@ -5,6 +5,7 @@ from typing import NamedTuple
 from jaxtyping import Array, Bool, Float, Float32, Int
 
 from hitchid._support.short_repr import short_repr
+from hitchid.model.load_filter import ErrorEstimate
 from hitchid.networks.error_compensator import FeatureState
 from hitchid.structures import ValveState
 
@@ -46,6 +47,7 @@ class HitchState(NamedTuple):
         displacement: output of the model: benchmark plus predicted error once a displacement was measured,
             the free run before.
         error: predicted error of the benchmark.
+        innovation: that of the load filter at this sample, as the active compensator predicts it.
         benchmark: output of the benchmark, clipped to the limits of the plant but not to end stops.
         free_run: output of the compensated free run, clipped likewise.
         start: displacement at which the active channel took over.
@@ -55,6 +57,8 @@ class HitchState(NamedTuple):
         command_missing: whether a command was missing and its last value was used.
         both_valves_active: whether both valves were open; then lowering takes precedence.
         load: covariate before motion.
+        estimates: of the load filter of each channel, before the measurement at this sample, shape [C, ...];
+            that of the active channel counts.
         feature_state: features of the active compensator.
         channels: state of each channel.
         hidden: h and c of the active network, for the current and the next window, shape [2, 2, H].
@@ -62,6 +66,7 @@ class HitchState(NamedTuple):
 
     displacement: Float[Array, ""]
     error: Float[Array, ""]
+    innovation: Float[Array, ""]
     benchmark: Float[Array, ""]
     free_run: Float[Array, ""]
     start: Float[Array, ""]
@@ -71,6 +76,7 @@ class HitchState(NamedTuple):
     command_missing: Bool[Array, ""]
     both_valves_active: Bool[Array, ""]
     load: Float[Array, ""]
+    estimates: ErrorEstimate
     feature_state: FeatureState
     channels: tuple[ChannelState, ...]
     hidden: Float32[Array, "2 2 h"]
@@ -83,9 +89,9 @@ class NetworkInput(NamedTuple):
         channel_index: index of the channel.
         scaled_features: scaled features, shape [10].
         index_in_window: number of samples processed, modulo L.
-        trust: factor on the predicted increment; zero where none is predicted.
+        trust: factor on the predicted innovation; zero where none is predicted.
         reset: whether the state of the network is reset.
-        error: predicted error at this sample.
+        error: error of the benchmark at the next sample, estimated by the filter.
         benchmark, free_run: output of the benchmark and of the free run, clipped to the end stops.
         has_measurement: whether a displacement was measured since the start.
     """
@@ -99,3 +105,11 @@ class NetworkInput(NamedTuple):
     benchmark: Float[Array, ""]
     free_run: Float[Array, ""]
     has_measurement: Bool[Array, ""]
+
+
+class NetworkOutput(NamedTuple):
+    """What the network of the active channel completes, at the next sample; see `HitchState`."""
+
+    displacement: Float[Array, ""]
+    error: Float[Array, ""]
+    innovation: Float[Array, ""]

@@ -48,6 +48,10 @@ def _facts(hitch: Hitch, channel: Channel) -> Iterator[str]:
         unit = "" if units[name] == "1" else f" {units[name]}"
         yield f"{name}{symbol} = {value:.4g}{error}{unit}"
     yield f"dead zone = {channel.dead_zone:.4g} {command_unit}".rstrip()
+    scatter, length = float(channel.load_filter.load_scatter), float(channel.load_filter.load_length)
+    if scatter:
+        unit = hitch.units[DISPLACEMENT]
+        yield f"load: speed differs by ± {100 * scatter:.2g} %, alike over {length:.3g} {unit}"
     parts = (("one step", channel.compensator), ("free run", channel.speed_compensator))
     yield "network corrections: " + (" and ".join(name for name, part in parts if part is not None) or "none")
 
