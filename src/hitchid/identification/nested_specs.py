@@ -38,6 +38,17 @@ FRICTION_STARTS = (
     {"friction_travel": 0.6, "friction_at_rest": 0.15},
     {"friction_travel": 0.6, "friction_at_rest": 0.85},
 )
+# Half and one and a half times the frequency at an end of the range, in either sense.
+FREQUENCY_STARTS = ({"frequency_slope": 0.3}, {"frequency_slope": 0.7})
+# What follows the best form of a structure: name of the next structure, what it adds, and its starts.
+NEXT_STRUCTURES = {
+    "integrator-second-order": ("integrator-second-order-friction", "dry friction", FRICTION_STARTS),
+    "integrator-second-order-friction": (
+        "integrator-second-order-stroke",
+        "a natural frequency that varies along the stroke",
+        FREQUENCY_STARTS,
+    ),
+}
 HYSTERESIS_STARTS = (0.05, 0.1, 0.2)
 SPOOL_LAG_START = 0.5
 

@@ -22,9 +22,9 @@ from hitchid.identification.candidates import (
 )
 from hitchid.identification.nested_specs import (
     CURVE_STARTS,
-    FRICTION_STARTS,
     MIDDLE,
     NEUTRAL_POSITIONS,
+    NEXT_STRUCTURES,
     largest_spec,
     nested_specs,
     starts,
@@ -79,9 +79,10 @@ def choose_spec(
     Tests are grouped by the level of their command and groups held out in turn, never samples; the lowest and
     the highest stay in, for a model does not extrapolate. Forms nest: each starts its least squares from the
     optimum of the one before, its new curves from a few shapes. A larger form takes the place of a smaller
-    one where it is significantly better on held-out tests; see `best_candidate`. Dry friction follows, then
-    structures of other packages, alone and with the options of the best form so far. The one taken is
-    identified as any other, by global search and least squares.
+    one where it is significantly better on held-out tests; see `best_candidate`. Dry friction follows, and
+    where that is better a natural frequency that varies along the stroke; then structures of other packages,
+    alone and with the options of the best form so far. The one taken is identified as any other, by global
+    search and least squares.
 
     Args:
         batch: identification tests.
@@ -111,8 +112,11 @@ def choose_spec(
     largest = largest_spec(baseline_spec, covariate, opening_known=opening_known)
     candidates = choice.nested_candidates(baseline, largest, revised=revised)
     chosen = best_candidate(candidates)
-    candidates += choice.with_dry_friction(candidates[chosen])
-    chosen = best_candidate(candidates)
+    while following := choice.next_structure(candidates[chosen]):
+        candidates += following
+        chosen = best_candidate(candidates)
+        if chosen != len(candidates) - 1:
+            break
     for structure in external_structures():
         candidates += choice.candidates_of(structure, candidates[chosen])
         chosen = best_candidate(candidates)
@@ -234,16 +238,18 @@ class _Choice:
             self._report("external", candidates[-1], 1.0)
         return candidates
 
-    def with_dry_friction(self, incumbent: Candidate) -> list[Candidate]:
-        """Return the best form so far with dry friction of the load, for a second-order lag only."""
-        if incumbent.spec.structure != structure_named("integrator-second-order"):
+    def next_structure(self, incumbent: Candidate) -> list[Candidate]:
+        """Return the best form so far with the structure that follows its own; none where there is none."""
+        following = NEXT_STRUCTURES.get(incumbent.spec.structure.name)
+        if following is None:
             return []
-        spec = incumbent.spec.with_structure(structure_named("integrator-second-order-friction"))
+        structure_name, addition, addition_starts = following
+        spec = incumbent.spec.with_structure(structure_named(structure_name))
         objective = Objective.of(self.coarse.with_dead_zone(incumbent.dead_zone), spec)
         names = [parameter.name for parameter in spec.parameters]
         start = _positions_of(objective, names, incumbent.named_values)
-        all_starts = [with_positions(start, names, friction) for friction in FRICTION_STARTS]
-        name = f"{incumbent.name} and dry friction"
+        all_starts = [with_positions(start, names, added) for added in addition_starts]
+        name = f"{incumbent.name} and {addition}"
         try:
             evaluation = self._fitted(f"form {name}", objective, range(len(names)), all_starts)
         except FitError:

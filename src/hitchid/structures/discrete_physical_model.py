@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from hitchid._support.short_repr import short_repr
-from hitchid.structures.discretisation import DiscreteStateSpace
+from hitchid.structures.discretisation import DiscreteStateSpace, StrokeModel
 from hitchid.structures.nonlinear import NonlinearStructure, rk4_step
 from hitchid.structures.physical_model import PhysicalModel
 from hitchid.structures.static_nonlinearity import PlayState
@@ -64,6 +64,8 @@ class DiscretePhysicalModel(eqx.Module):
             return _NonlinearModel(benchmark, dead_zone, min_command, sign, 0, step_s, structure)
         discrete = benchmark.discretised(step_s)
         delay_samples = int(discrete.delay_samples)
+        if structure.require_linear().varies_along_stroke:
+            discrete = benchmark.discretised_along_stroke(step_s)
         return _LinearModel(benchmark, dead_zone, min_command, sign, delay_samples, step_s, discrete)
 
     def closed_valve(self) -> ValveState:
@@ -106,7 +108,7 @@ class DiscretePhysicalModel(eqx.Module):
 class _LinearModel(DiscretePhysicalModel):
     """A linear structure with its nonlinearities; `discrete` is its linear part at the sampling time."""
 
-    discrete: DiscreteStateSpace
+    discrete: DiscreteStateSpace | StrokeModel
 
     def init_state(self, displacement: Scalar, speed: Scalar, load: Scalar) -> State:
         structure, travel_speed = self.benchmark.structure, speed / self._scale(displacement, load)
@@ -115,19 +117,20 @@ class _LinearModel(DiscretePhysicalModel):
     def advance(
         self, plant_state: State, valve: ValveState, displacement: Scalar, covariate: Scalar
     ) -> tuple[State, Scalar]:
-        model = self.discrete
-        current_flow, previous_flow = valve.flows[self.delay_samples], valve.flows[self.delay_samples + 1]
-        # A sum, not a product of matrices: so small, the call would cost more than the work.
-        free_response = jnp.sum(model.transition * plant_state, axis=1)
-        next_state = model.with_dry_friction(
-            free_response + current_flow * model.gamma0 + previous_flow * model.gamma1
-        )
+        flows = valve.flows[self.delay_samples], valve.flows[self.delay_samples + 1]
+        next_state = self._model_at(displacement).advance(plant_state, *flows)
         return next_state, self._scale(displacement, covariate) * (next_state[0] - plant_state[0])
 
     def speed(self, plant_state: State, valve: ValveState, displacement: Scalar, covariate: Scalar) -> Scalar:
         a, b = self.benchmark.structure.require_linear().state_space(self.benchmark.values)
         travel_speed = jnp.sum(a[0] * plant_state) + b[0] * valve.flows[self.delay_samples + 1]
         return self._scale(displacement, covariate) * travel_speed
+
+    def _model_at(self, displacement: Scalar) -> DiscreteStateSpace:
+        """Return the discrete linear part at a displacement."""
+        if not isinstance(self.discrete, StrokeModel):
+            return self.discrete
+        return self.discrete.at(self.benchmark.nonlinearity.position(displacement))
 
     def _scale(self, displacement: Scalar, covariate: Scalar) -> Scalar:
         """Return the change of displacement per travel of the linear part."""

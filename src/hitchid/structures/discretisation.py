@@ -12,6 +12,8 @@ from hitchid.structures.structure import LinearStructure
 Scalar = Float[Array, ""] | float
 SERIES_TERMS = 18  # leaves less than 2e-23 of the exponential; see `matrix_exponential`
 MAX_HALVINGS = 32  # of a matrix of norm up to 2³¹
+STROKE_NODES = 33  # places on the stroke at which dynamics are discretised; chosen: see tests/structures
+STROKE_RANGE = 1.5  # half ranges of displacement from its middle: half as far as was measured
 
 
 class DiscreteFriction(NamedTuple):
@@ -29,7 +31,7 @@ class DiscreteFriction(NamedTuple):
 class DiscreteStateSpace(NamedTuple):
     """x[k+1] = Φ x[k] + Γ₀ u[k−m] + Γ₁ u[k−m−1], y[k] = x₁[k].
 
-    With dry friction Γ_f φ[k] is added; see `with_dry_friction`.
+    With dry friction Γ_f φ[k] is added; see `advance`.
 
     Attributes:
         transition: Φ, shape [n, n].
@@ -44,17 +46,61 @@ class DiscreteStateSpace(NamedTuple):
     delay_samples: Int[Array, ""]
     friction: DiscreteFriction | None = None
 
-    def with_dry_friction(self, state: Float[Array, "n *t"]) -> Float[Array, "n *t"]:
-        """Return the next state with dry friction from that without.
+    @property
+    def start(self) -> Float[Array, "n *t"]:
+        """State at rest."""
+        return jnp.zeros_like(self.gamma0) if self.friction is None else self.friction.start
 
-        φ is constant over a sample and such that the speed at its end is zero where −1 ≤ φ ≤ 1 suffices for
-        that, else ±1 against the motion (implicit time stepping, Moreau 1988): stable at any step.
+    def advance(
+        self, state: Float[Array, "n *t"], current: Float[Array, "*t"], previous: Float[Array, "*t"]
+    ) -> Float[Array, "n *t"]:
+        """Return the next state.
+
+        Friction φ is constant over a sample and such that the speed at its end is zero where −1 ≤ φ ≤ 1
+        suffices for that, else ±1 against the motion (implicit time stepping, Moreau 1988): that is stable
+        at any step.
+
+        Args:
+            state: x[k]; its further axes are those of the model's numbers, or the model is one for all.
+            current, previous: u[k−m] and u[k−m−1].
         """
+        further = (1,) * (state.ndim - self.gamma0.ndim)
+        transition, gamma0, gamma1 = (
+            array.reshape(array.shape + further) for array in (self.transition, self.gamma0, self.gamma1)
+        )
+        # Sums over few states, not a matrix product: the whole step is one loop over the tests.
+        next_state = jnp.sum(transition * state[None], axis=1) + gamma0 * current + gamma1 * previous
         if self.friction is None:
-            return state
-        gains = self.friction.gains
-        share = jnp.clip(-state[1] / gains[1], -1.0, 1.0)
-        return state + gains.reshape(-1, *[1] * (state.ndim - 1)) * share
+            return next_state
+        gains = self.friction.gains.reshape(gamma0.shape)
+        return next_state + gains * jnp.clip(-next_state[1] / gains[1], -1.0, 1.0)
+
+
+class StrokeModel(NamedTuple):
+    """Discrete models at places along the stroke; between these their numbers are interpolated linearly.
+
+    Attributes:
+        models: at `STROKE_NODES` places from −`STROKE_RANGE` to `STROKE_RANGE`, the first axis of all arrays.
+    """
+
+    models: DiscreteStateSpace
+
+    def at(self, position: Float[Array, "*t"]) -> DiscreteStateSpace:
+        """Return the models at places on the stroke, each array with the axes of `position` behind its own.
+
+        Args:
+            position: half ranges of displacement from the middle; beyond `STROKE_RANGE` the model stays.
+        """
+        node = jnp.clip((position / STROKE_RANGE + 1) * 0.5 * (STROKE_NODES - 1), 0.0, STROKE_NODES - 1.0)
+        lower = jnp.minimum(jnp.floor(jax.lax.stop_gradient(node)), STROKE_NODES - 2.0)
+        index, share = lower.astype(jnp.int32), node - lower
+
+        def interpolated(array: Array) -> Array:
+            rows = jnp.moveaxis(array, 0, -1)
+            return rows[..., index] * (1 - share) + rows[..., index + 1] * share
+
+        parts = self.models._replace(delay_samples=jnp.zeros(STROKE_NODES))
+        return jax.tree.map(interpolated, parts)._replace(delay_samples=self.models.delay_samples[0])
 
 
 def zero_order_hold(
@@ -135,6 +181,18 @@ def discretise(
     )
 
 
+def discretise_along_stroke(
+    structure: LinearStructure, values: Float[Array, " p"], dead_time_s: Scalar, step_s: Scalar
+) -> StrokeModel:
+    """Discretise a structure at places along the stroke; see `discretise` for the arguments."""
+    positions = jnp.linspace(-STROKE_RANGE, STROKE_RANGE, STROKE_NODES)
+    return StrokeModel(
+        jax.vmap(
+            lambda position: discretise(structure, structure.values_at(values, position), dead_time_s, step_s)
+        )(positions)
+    )
+
+
 def _discrete_friction(
     structure: LinearStructure, values: Float[Array, " p"], step_s: Scalar
 ) -> DiscreteFriction | None:
@@ -153,26 +211,27 @@ def simulate_linear(model: DiscreteStateSpace, command: Float[Array, "t n"]) -> 
         model: the discrete model.
         command: u, shape [T, N].
     """
-    tests, count = command.shape
-    padded = jnp.pad(command, ((0, 0), (count, 0)))
-
-    def delayed_command(samples: Array) -> Float[Array, "n t"]:
-        return jax.lax.dynamic_slice_in_dim(padded, count - samples, count, axis=1).T
 
     def advance(state: Float[Array, "m t"], commands: tuple[Array, Array]) -> tuple[Array, Array]:
-        current, previous = commands
-        # Sums over few states, not a matrix product: the whole step is one loop over the tests.
-        next_state = jnp.sum(model.transition[:, :, None] * state[None, :, :], axis=1)
-        next_state = next_state + model.gamma0[:, None] * current + model.gamma1[:, None] * previous
-        return model.with_dry_friction(next_state), state[0]
+        return model.advance(state, *commands), state[0]
 
-    start = jnp.zeros_like(model.gamma0) if model.friction is None else model.friction.start
-    start_states = jnp.broadcast_to(start[:, None], (start.size, tests)).astype(command.dtype)
-    return jax.lax.scan(
-        advance,
-        start_states,
-        (delayed_command(model.delay_samples), delayed_command(model.delay_samples + 1)),
-    )[1].T
+    start = jnp.broadcast_to(model.start[:, None], (model.start.size, command.shape[0]))
+    return jax.lax.scan(advance, start.astype(command.dtype), delayed_commands(command, model.delay_samples))[
+        1
+    ].T
+
+
+def delayed_commands(
+    command: Float[Array, "t n"], delay_samples: Int[Array, ""]
+) -> tuple[Float[Array, "n t"], Float[Array, "n t"]]:
+    """Return u[k−m] and u[k−m−1] of commands that are zero before their first sample; time runs first."""
+    count = command.shape[1]
+    padded = jnp.pad(command, ((0, 0), (count, 0)))
+
+    def delayed(samples: Array) -> Float[Array, "n t"]:
+        return jax.lax.dynamic_slice_in_dim(padded, count - samples, count, axis=1).T
+
+    return delayed(delay_samples), delayed(delay_samples + 1)
 
 
 def pulse_response(model: DiscreteStateSpace, samples: int) -> Float[Array, " n"]:

@@ -125,7 +125,8 @@ class ModelSpec:
         """
         count, nonlinearity_parameters = len(self.structure.parameters), self.nonlinearity_parameters
         dead_time = values[-1] if self.dead_time else jnp.zeros((), values.dtype)
-        if not nonlinearity_parameters:
+        linear = self.structure.linear
+        if not (nonlinearity_parameters or (linear and linear.varies_along_stroke)):
             return PhysicalModel(self.structure, values[:count], dead_time)
         searched = {
             parameter: values[count + index] for index, parameter in enumerate(nonlinearity_parameters)

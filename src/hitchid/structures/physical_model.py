@@ -1,13 +1,22 @@
 """A structure with values for its parameters: simulation and discrete model."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from hitchid._support.precision import double_precision
 from hitchid._support.short_repr import short_repr
 from hitchid.structures.batch import Batch
-from hitchid.structures.discretisation import DiscreteStateSpace, Scalar, discretise, simulate_linear
+from hitchid.structures.discretisation import (
+    DiscreteStateSpace,
+    Scalar,
+    StrokeModel,
+    delayed_commands,
+    discretise,
+    discretise_along_stroke,
+    simulate_linear,
+)
 from hitchid.structures.nonlinear import NonlinearStructure, simulate_nonlinear
 from hitchid.structures.static_nonlinearity import NONLINEARITY_PARAMETERS, StaticNonlinearity
 from hitchid.structures.structure import DEAD_TIME, LinearStructure, Structure
@@ -42,6 +51,11 @@ class PhysicalModel(eqx.Module):
         if self.nonlinearity is None:
             return self.response(batch.command, batch.step_s)
         flow = _flow(self.nonlinearity, batch.raw_command, batch.dead_zone, batch.covariate, batch.step_s)
+        if self.structure.require_linear().varies_along_stroke:
+            model = self.discretised_along_stroke(batch.step_s)
+            return _travel_along_stroke(
+                model, self.nonlinearity, flow, batch.covariate, batch.initial, batch.sign
+            )
         linear = self.response(flow, batch.step_s)
         return _apply_nonlinearity(self.nonlinearity, linear, batch.covariate, batch.initial, batch.sign)
 
@@ -68,6 +82,13 @@ class PhysicalModel(eqx.Module):
             InputError: the structure is not linear.
         """
         return _discretised(self.structure.require_linear(), self.values, self.dead_time_s, step_s)
+
+    @double_precision
+    def discretised_along_stroke(self, step_s: Scalar) -> StrokeModel:
+        """Return the discrete models of places on the stroke; see `discretised`."""
+        return _discretised_along_stroke(
+            self.structure.require_linear(), self.values, self.dead_time_s, step_s
+        )
 
     def named_values(self) -> dict[str, float]:
         """Return parameter name to value, with `dead_time` where there is one."""
@@ -139,3 +160,33 @@ def _discretised(
     structure: LinearStructure, values: Float[Array, " p"], dead_time_s: Float[Array, ""], step_s: Scalar
 ) -> DiscreteStateSpace:
     return discretise(structure, values, dead_time_s, step_s)
+
+
+@eqx.filter_jit
+def _discretised_along_stroke(
+    structure: LinearStructure, values: Float[Array, " p"], dead_time_s: Float[Array, ""], step_s: Scalar
+) -> StrokeModel:
+    return discretise_along_stroke(structure, values, dead_time_s, step_s)
+
+
+@eqx.filter_jit
+def _travel_along_stroke(
+    model: StrokeModel,
+    nonlinearity: StaticNonlinearity,
+    flow: Float[Array, "t n"],
+    covariate: Float[Array, " t"],
+    initial: Float[Array, " t"],
+    sign: int | Int[Array, ""],
+) -> Float[Array, "t n"]:
+    """Return travel where the dynamics vary along the stroke; see `StaticNonlinearity.travel`."""
+
+    def advance(state: tuple[Array, Array], flows: tuple[Array, Array]) -> tuple[tuple[Array, Array], Array]:
+        plant, travel = state
+        displacement = initial + sign * travel
+        next_plant = model.at(nonlinearity.position(displacement)).advance(plant, *flows)
+        step = nonlinearity.gain(displacement, covariate) * (next_plant[0] - plant[0])
+        return (next_plant, travel + step), travel
+
+    start = model.at(jnp.zeros_like(initial)).start
+    flows = delayed_commands(flow, model.models.delay_samples[0])
+    return jax.lax.scan(advance, (start, jnp.zeros_like(initial)), flows)[1].T

@@ -11,11 +11,13 @@ from hitchid.structures.integrator import Integrator
 from hitchid.structures.integrator_first_order import IntegratorFirstOrder
 from hitchid.structures.integrator_second_order import IntegratorSecondOrder
 from hitchid.structures.integrator_second_order_friction import IntegratorSecondOrderFriction
+from hitchid.structures.integrator_second_order_stroke import IntegratorSecondOrderStroke
 from hitchid.structures.structure import Structure
 
 BUILT_IN = (
     IntegratorSecondOrder(),
     IntegratorSecondOrderFriction(),
+    IntegratorSecondOrderStroke(),
     FirstOrderLag(),
     IntegratorFirstOrder(),
     Integrator(),

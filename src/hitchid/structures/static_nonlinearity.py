@@ -180,7 +180,7 @@ class StaticNonlinearity(eqx.Module):
             covariate: second input before motion.
         """
         slope, curve, gain = self.named("position_slope", "position_curve", "load_gain")
-        position = (displacement - self.scales.centre) / self.scales.span
+        position = self.position(displacement)
         clipped_position = jnp.clip(position, -QUADRATIC_RANGE, QUADRATIC_RANGE)
         extrapolation = jnp.clip(slope * (position - clipped_position), -MAX_EXTRAPOLATION, MAX_EXTRAPOLATION)
         return jnp.exp(
@@ -189,6 +189,10 @@ class StaticNonlinearity(eqx.Module):
             + curve * (clipped_position**2 - 1 / 3)
             + gain * self._scaled_covariate(covariate)
         )
+
+    def position(self, displacement: Float[Array, "*b"]) -> Float[Array, "*b"]:
+        """Return ξ, half ranges of displacement from the middle of its range."""
+        return (displacement - self.scales.centre) / self.scales.span
 
     def travel(
         self,

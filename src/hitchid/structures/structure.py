@@ -136,11 +136,13 @@ class LinearStructure(Structure):
 
     Attributes:
         has_dry_friction: whether dry friction acts on the speed, beside the linear model.
+        varies_along_stroke: whether its dynamics differ from place to place; see `values_at`.
     """
 
     gain: ClassVar[str] = "gain"
     options: ClassVar[frozenset[ModelOption]] = frozenset(ModelOption)
     has_dry_friction: ClassVar[bool] = False
+    varies_along_stroke: ClassVar[bool] = False
 
     @property
     def linear(self) -> "LinearStructure":
@@ -156,6 +158,16 @@ class LinearStructure(Structure):
         """Return the dry friction that acts on the speed, the second state; None where there is none."""
         del values
         return None
+
+    def values_at(self, values: Float[Array, " p"], position: Float[Array, ""]) -> Float[Array, " p"]:
+        """Return the parameters at a place on the stroke, for `state_space` and `dry_friction` there.
+
+        Args:
+            values: the parameters, those that vary in the middle of the stroke.
+            position: half ranges of displacement from the middle.
+        """
+        del position
+        return values
 
     @abc.abstractmethod
     def state_space(self, values: Float[Array, " p"]) -> tuple[Float[Array, "n n"], Float[Array, " n"]]:
