@@ -64,7 +64,7 @@ class DiscretePhysicalModel(eqx.Module):
             return _NonlinearModel(benchmark, dead_zone, min_command, sign, 0, step_s, structure)
         discrete = benchmark.discretised(step_s)
         delay_samples = int(discrete.delay_samples)
-        if structure.require_linear().varies_along_stroke:
+        if benchmark.varies_along_stroke:
             discrete = benchmark.discretised_along_stroke(step_s)
         return _LinearModel(benchmark, dead_zone, min_command, sign, delay_samples, step_s, discrete)
 
@@ -111,8 +111,7 @@ class _LinearModel(DiscretePhysicalModel):
     discrete: DiscreteStateSpace | StrokeModel
 
     def init_state(self, displacement: Scalar, speed: Scalar, load: Scalar) -> State:
-        structure, travel_speed = self.benchmark.structure, speed / self._scale(displacement, load)
-        return structure.require_linear().state_at_speed(self.benchmark.values, travel_speed)
+        return self.benchmark.state_at_speed(speed / self._scale(displacement, load), displacement)
 
     def advance(
         self, plant_state: State, valve: ValveState, displacement: Scalar, covariate: Scalar
@@ -122,15 +121,16 @@ class _LinearModel(DiscretePhysicalModel):
         return next_state, self._scale(displacement, covariate) * (next_state[0] - plant_state[0])
 
     def speed(self, plant_state: State, valve: ValveState, displacement: Scalar, covariate: Scalar) -> Scalar:
-        a, b = self.benchmark.structure.require_linear().state_space(self.benchmark.values)
+        a, b = self.benchmark.structure.require_linear().state_space(self.benchmark.values_at(displacement))
         travel_speed = jnp.sum(a[0] * plant_state) + b[0] * valve.flows[self.delay_samples + 1]
         return self._scale(displacement, covariate) * travel_speed
 
     def _model_at(self, displacement: Scalar) -> DiscreteStateSpace:
         """Return the discrete linear part at a displacement."""
-        if not isinstance(self.discrete, StrokeModel):
-            return self.discrete
-        return self.discrete.at(self.benchmark.nonlinearity.position(displacement))
+        discrete, nonlinearity = self.discrete, self.benchmark.nonlinearity
+        if isinstance(discrete, DiscreteStateSpace):
+            return discrete
+        return discrete.at(jnp.zeros(()) if nonlinearity is None else nonlinearity.position(displacement))
 
     def _scale(self, displacement: Scalar, covariate: Scalar) -> Scalar:
         """Return the change of displacement per travel of the linear part."""

@@ -10,9 +10,10 @@ from hitchid.structures.structure import DryFriction, Parameter
 
 
 class IntegratorSecondOrderStroke(IntegratorSecondOrderFriction):
-    """Integrator with second-order lag and dry friction, with the natural frequency ωh exp(c ξ).
+    """Integrator with second-order lag and dry friction, its natural frequency ω = ωh exp(c ξ).
 
-    ξ is the displacement in half ranges from the middle of its range. The volume of oil under the piston and
+    v̇ = ω q − δ ω² φ, q̇ = ω (K u − v) − 2 ξh v̇: as in `IntegratorSecondOrderFriction`, with a = ω q. ξ is the
+    displacement in half ranges from the middle of its range. The volume of oil under the piston and
     the lever between load and piston change along the stroke, and with them the stiffness of the oil column
     and the mass that it carries (Merritt 1967, Hydraulic Control Systems, sec. 6-2). The damping ratio and
     the displacement by which the friction force compresses the oil are taken to stay.

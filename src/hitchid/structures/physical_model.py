@@ -51,17 +51,22 @@ class PhysicalModel(eqx.Module):
         if self.nonlinearity is None:
             return self.response(batch.command, batch.step_s)
         flow = _flow(self.nonlinearity, batch.raw_command, batch.dead_zone, batch.covariate, batch.step_s)
-        if self.structure.require_linear().varies_along_stroke:
-            model = self.discretised_along_stroke(batch.step_s)
+        if self.varies_along_stroke:
             return _travel_along_stroke(
-                model, self.nonlinearity, flow, batch.covariate, batch.initial, batch.sign
+                self, self.nonlinearity, flow, batch.covariate, batch.initial, batch.sign, batch.step_s
             )
         linear = self.response(flow, batch.step_s)
         return _apply_nonlinearity(self.nonlinearity, linear, batch.covariate, batch.initial, batch.sign)
 
+    @property
+    def varies_along_stroke(self) -> bool:
+        """Whether the dynamics differ along a stroke, whose range the scales of the nonlinearity give."""
+        linear = self.structure.linear
+        return linear is not None and linear.varies_along_stroke and self.nonlinearity is not None
+
     @double_precision
     def response(self, command: Float[Array, "t n"], step_s: Scalar) -> Float[Array, "t n"]:
-        """Simulate from rest: y[0] = 0, then y of the command held between samples.
+        """Simulate from rest: y[0] = 0, then y of the command held between samples; mid-stroke dynamics.
 
         Before its first sample a test's command is taken as zero.
 
@@ -82,6 +87,17 @@ class PhysicalModel(eqx.Module):
             InputError: the structure is not linear.
         """
         return _discretised(self.structure.require_linear(), self.values, self.dead_time_s, step_s)
+
+    def values_at(self, displacement: Float[Array, ""]) -> Float[Array, " p"]:
+        """Return the structure's values at a displacement; raises InputError where it is not linear."""
+        structure = self.structure.require_linear()
+        if self.nonlinearity is None:
+            return self.values
+        return structure.values_at(self.values, self.nonlinearity.position(displacement))
+
+    def state_at_speed(self, speed: Float[Array, ""], displacement: Float[Array, ""]) -> Float[Array, " n"]:
+        """Return the linear state at travel zero, a speed of the linear part and a displacement."""
+        return self.structure.require_linear().state_at_speed(self.values_at(displacement), speed)
 
     @double_precision
     def discretised_along_stroke(self, step_s: Scalar) -> StrokeModel:
@@ -171,14 +187,16 @@ def _discretised_along_stroke(
 
 @eqx.filter_jit
 def _travel_along_stroke(
-    model: StrokeModel,
+    physical_model: PhysicalModel,
     nonlinearity: StaticNonlinearity,
     flow: Float[Array, "t n"],
     covariate: Float[Array, " t"],
     initial: Float[Array, " t"],
     sign: int | Int[Array, ""],
+    step_s: Scalar,
 ) -> Float[Array, "t n"]:
     """Return travel where the dynamics vary along the stroke; see `StaticNonlinearity.travel`."""
+    model = physical_model.discretised_along_stroke(step_s)
 
     def advance(state: tuple[Array, Array], flows: tuple[Array, Array]) -> tuple[tuple[Array, Array], Array]:
         plant, travel = state
@@ -187,6 +205,6 @@ def _travel_along_stroke(
         step = nonlinearity.gain(displacement, covariate) * (next_plant[0] - plant[0])
         return (next_plant, travel + step), travel
 
-    start = model.at(jnp.zeros_like(initial)).start
+    at_rest = jax.vmap(physical_model.state_at_speed, in_axes=(None, 0), out_axes=1)(jnp.zeros(()), initial)
     flows = delayed_commands(flow, model.models.delay_samples[0])
-    return jax.lax.scan(advance, (start, jnp.zeros_like(initial)), flows)[1].T
+    return jax.lax.scan(advance, (at_rest, jnp.zeros_like(initial)), flows)[1].T
