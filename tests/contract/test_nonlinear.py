@@ -24,7 +24,7 @@ AXIS = {
     "offset": 0.05,
     "asymmetry": 0.3,
     "static_friction": 0.04,
-    "drift": 0.02,
+    "offset_per_travel": 0.002,
     "initial_speed": 40.0,
 }
 TANKS = {
@@ -150,7 +150,7 @@ VISCOUS = {
     "offset": 0.0,
     "asymmetry": 0.0,
     "static_friction": 0.0,
-    "drift": 0.0,
+    "offset_per_travel": 0.0,
     "initial_speed": 0.0,
 }
 
@@ -169,17 +169,24 @@ def test_with_viscous_friction_alone_an_inertia_is_an_integrator_with_a_lag():
     np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance)
 
 
-def test_an_offset_that_drifts_is_a_command_of_its_own():
-    """With o + d t the exact answer to −o − d t, for a command of zero, by the same closed form."""
+def test_an_offset_that_changes_with_the_distance_travelled_is_a_spring_while_it_moves_on():
+    """With o + d x: ẍ + B ẋ + K d x = −K o, in closed form up to a reversal, for a command of zero."""
     gain, viscous, duration = AXIS["gain"], AXIS["viscous_friction"], SAMPLES * STEP_S
-    still = {**VISCOUS, "offset": -0.5, "drift": -0.25, "coulomb_friction": 1e-12}
+    still = {**VISCOUS, "offset": -0.5, "offset_per_travel": 0.01, "coulomb_friction": 1e-12}
     found = displacement(INERTIA, np.zeros(SAMPLES), initial=0.0, **still)
-    t = STEP_S * np.arange(SAMPLES)
-    decayed = 1 - np.exp(-viscous * t)
-    speed_up = t - decayed / viscous
-    expected = gain / viscous * (0.5 * speed_up + 0.25 * (t**2 / 2 - speed_up / viscous))
-    tolerance = SAMPLES * (viscous * STEP_S) ** 5 / 120 * gain / viscous * duration
+    t, far = STEP_S * np.arange(SAMPLES), 0.5 / 0.01
+    root = np.sqrt(viscous**2 - 4 * gain * 0.01)
+    slow, fast = (viscous - root) / 2, (viscous + root) / 2  # overdamped: it never reverses
+    expected = far * (1 - (fast * np.exp(-slow * t) - slow * np.exp(-fast * t)) / root)
+    tolerance = SAMPLES * (fast * STEP_S) ** 5 / 120 * gain / viscous * duration
     np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance + 1e-12 * gain * duration**2)
+
+
+def test_an_inertia_at_rest_keeps_its_offset():
+    held_back = displacement(
+        INERTIA, np.zeros(SAMPLES), initial=5.0, **{**VISCOUS, "offset_per_travel": 0.5, "offset": 0.0}
+    )
+    np.testing.assert_array_equal(held_back, 5.0)
 
 
 @pytest.mark.parametrize("share", [-0.9, 0.5, 0.9])

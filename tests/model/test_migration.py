@@ -133,6 +133,19 @@ def test_two_modes_of_schema_7_keep_their_errors_without_the_ratio_that_had_no_f
     assert modes.sentence.endswith("not tested for significance")
 
 
+def test_an_offset_that_drifts_with_time_in_schema_9_is_refused():
+    values = [30.0, 2.0, 0.4, 0.05, 0.3, 0.04, 0.02, 0.0]
+
+    def content(drift):
+        values[6] = drift
+        channel = {"structure": "inertia-with-friction", "values": list(values)}
+        return {"schema": 9, "channels": {LIFTING: channel}}
+
+    with pytest.raises(ValueError, match="lifting: the offset of 'inertia-with-friction' drifts with time"):
+        migrate(content(0.02), {})
+    assert migrate(content(0.0), {})[0]["schema"] == SCHEMA
+
+
 def test_the_half_widths_of_older_bands_stay_constant():
     bands = load(written(7)[0]).uncertainty[LIFTING].bands
     movement = np.array([0.0, -3.0, 1e3])

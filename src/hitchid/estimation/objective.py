@@ -289,11 +289,14 @@ def scales_of(batch: Batch) -> Scales:
 def _bounds(spec: ModelSpec, batch: Batch) -> Bounds:
     loss_mask = np.asarray(batch.loss_mask)
     displacement = np.asarray(batch.displacement)[loss_mask]
+    largest_command = float(np.abs(np.asarray(batch.raw_command)[loss_mask]).max())
+    travel = float(np.ptp(displacement))
     sizes = {
         Scale.NONE: 1.0,
         Scale.SPEED: _speed_per_command(batch),
-        Scale.COMMAND: float(np.abs(np.asarray(batch.raw_command)[loss_mask]).max()),
-        Scale.TRAVEL: float(np.ptp(displacement)),
+        Scale.COMMAND: largest_command,
+        Scale.TRAVEL: travel,
+        Scale.COMMAND_PER_TRAVEL: largest_command / travel,
         Scale.HIGHEST: float(displacement.max()),
     }
     limits = [

@@ -13,7 +13,8 @@ from hitchid.model.tensors import tensors_of
 Description = dict[str, Any]
 Tensors = dict[str, np.ndarray]
 Stored = tuple[Description, Tensors]
-SCHEMA = 9  # version of the layout of a model folder
+DRIFT_IN_TIME = 6  # index, in schema 9, among the values of an inertia with friction
+SCHEMA = 10  # version of the layout of a model folder
 
 
 def _with_hold(content: Description, tensors: Tensors) -> Stored:
@@ -65,6 +66,17 @@ def _with_load_filter(content: Description, tensors: Tensors) -> Stored:
         f"{owner}/{name}": array for owner in (*content["channels"], *papers) for name, array in none.items()
     }
     return content, {**tensors, **added}
+
+
+def _without_clock(content: Description, tensors: Tensors) -> Stored:
+    """Schema 10: the offset of an inertia with friction drifts with the distance travelled, not with time."""
+    for direction, channel in content["channels"].items():
+        if channel["structure"] == "inertia-with-friction" and channel["values"][DRIFT_IN_TIME]:
+            raise ValueError(
+                f"{direction}: the offset of 'inertia-with-friction' drifts with time, expected with the "
+                "distance travelled; identify again"
+            )
+    return content, tensors
 
 
 # Part of a tensor's name in schema 5 to that in schema 6.
@@ -153,6 +165,7 @@ MIGRATIONS: Mapping[int, Callable[[Description, Tensors], Stored]] = MappingProx
         6: _with_set_by_hand,
         7: to_schema_8,
         8: _with_load_filter,
+        9: _without_clock,
     }
 )
 """Schema to the migration to the next one; content that an older schema lacks is marked as missing."""

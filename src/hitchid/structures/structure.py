@@ -21,6 +21,7 @@ class Scale(Enum):
     SPEED = "mean speed per command"
     COMMAND = "largest command"
     TRAVEL = "range of the displacement"
+    COMMAND_PER_TRAVEL = "largest command over range of displacement"
     HIGHEST = "highest displacement"
 
 
