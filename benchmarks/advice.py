@@ -12,7 +12,7 @@ import sys
 
 import jax
 import numpy as np
-from coverage import PLANTS, UNITS, Plant, campaign, record_of, test
+from coverage import PLANTS, UNITS, Plant, campaign, make_test, record_of
 
 from hitchid.data.record import COMMAND, DISPLACEMENT, LIFTING
 from hitchid.design import ExcitationLimits, command_of, design
@@ -68,7 +68,7 @@ def _interval_reductions(plant: Plant, rng: np.random.Generator) -> tuple[str, t
     advice = design(hitch, LIFTING, parameter=target, limits=ExcitationLimits(longest_s=longest))
     command = command_of(hitch, LIFTING, advice.proposals[0])
     advised = run_phase1([*records, record_of(plant, command, rng, "advised")])
-    baseline = run_phase1([*records, test(plant, rng, len(records))])
+    baseline = run_phase1([*records, make_test(plant, rng, len(records))])
 
     def width(phase1: Phase1) -> float:
         return next(

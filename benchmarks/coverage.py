@@ -129,13 +129,13 @@ OUTSIDE_PLANTS = {
 
 def campaign(plant: Plant, rng: np.random.Generator) -> tuple[list[Record], float, DeadZoneError]:
     """Return the tests of one campaign, the dead zone that ramps gave, and how well it is known."""
-    records = [test(plant, rng, number) for number in range(TESTS)]
+    records = [make_test(plant, rng, number) for number in range(TESTS)]
     ramps = DEAD_ZONE_A + DEAD_ZONE_SPREAD_A * rng.standard_normal(3)
     return records, float(ramps.mean()), DeadZoneError(float(ramps.std(ddof=1) / np.sqrt(3)), 3)
 
 
-def test(plant: Plant, rng: np.random.Generator, number: int) -> Record:
-    """Return one test of a campaign; the first goes to the highest command."""
+def make_test(plant: Plant, rng: np.random.Generator, number: int, speed: float = 1.0) -> Record:
+    """Return one test of a campaign, with a factor on its speed; the first goes to the highest command."""
     signal = prbs(
         low=rng.uniform(0.03, 0.2),
         high=rng.uniform(0.4, 1.0) * HIGHEST_A if number else HIGHEST_A,
@@ -143,11 +143,13 @@ def test(plant: Plant, rng: np.random.Generator, number: int) -> Record:
         duration_s=DURATION_S,
         seed=int(rng.integers(2**31)),
     )
-    return record_of(plant, precompensated(signal.command, DEAD_ZONE_A), rng, f"{number}")
+    return record_of(plant, precompensated(signal.command, DEAD_ZONE_A), rng, f"{number}", speed)
 
 
-def record_of(plant: Plant, command: np.ndarray, rng: np.random.Generator, name: str) -> Record:
-    """Return what a plant answers to a command as logged, with its errors."""
+def record_of(
+    plant: Plant, command: np.ndarray, rng: np.random.Generator, name: str, speed: float = 1.0
+) -> Record:
+    """Return what a plant answers to a command as logged, with its errors and a factor on its speed."""
     signals = {"displacement": np.zeros(command.size), "lifting_command": command}
     units = {"displacement": UNITS["x"], "lifting_command": UNITS["u"]}
     rest_batch = Batch.of([Record(name, STEP_S, signals, units)], LIFTING, dead_zone=DEAD_ZONE_A, sign=1)
@@ -156,7 +158,7 @@ def record_of(plant: Plant, command: np.ndarray, rng: np.random.Generator, name:
     innovations = COLOURED_MM * np.sqrt(1 - decay**2) * rng.standard_normal(command.size)
     innovations[0] = COLOURED_MM * rng.standard_normal()
     noise = lfilter([1.0], [1.0, -decay], innovations) + WHITE_MM * rng.standard_normal(command.size)
-    return Record(name, STEP_S, {**signals, "displacement": travel + noise}, units)
+    return Record(name, STEP_S, {**signals, "displacement": speed * travel + noise}, units)
 
 
 def identify_given(plant: Plant, seed: int) -> Phase1:
@@ -183,7 +185,7 @@ def best_fitting(plant: Plant) -> dict[str, float]:
     They minimise the expectation of the objective over campaigns; here over one campaign of many tests.
     """
     rng = np.random.default_rng(0)
-    records = [test(plant, rng, number % TESTS) for number in range(MANY_TESTS)]
+    records = [make_test(plant, rng, number % TESTS) for number in range(MANY_TESTS)]
     batch = Batch.of(records, LIFTING, dead_zone=DEAD_ZONE_A, sign=1)
     values = find_parameters(batch, plant.form, SEARCH, 0).values
     names = [parameter.name for parameter in plant.form.parameters]

@@ -11,6 +11,8 @@ from hitchid.model import (
     Characteristics,
     Estimate,
     Estimates,
+    LoadOfTest,
+    LoadScatter,
     MeasuredSpeed,
     Quantity,
     SearchSummary,
@@ -158,6 +160,13 @@ def characteristics(unit="mm"):
         speed_map=points,
         measured=(MeasuredSpeed(0.4, 92.0, 4.5), MeasuredSpeed(0.8, 148.0, 20.5)),
     )
+
+
+def load_scatter():
+    """Return speeds of three tests, one 4 % fast."""
+    speeds = {"up-01": -0.02, "up-02": -0.02, "up-03": 0.04}
+    tests = tuple(LoadOfTest(name, speed, (speed - 0.01, speed + 0.01)) for name, speed in speeds.items())
+    return LoadScatter(0.035, (0.018, 0.22), 0.01, tests)
 
 
 def trace(*parameters, **options):

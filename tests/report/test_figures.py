@@ -79,6 +79,7 @@ DRAWN = {
     "errors_by_test": lambda unit: figures.errors_by_test(reported.predictions(), unit, RIVALS),
     "horizons": lambda unit: figures.horizons(reported.horizons(), reported.STEP_S, unit),
     "intervals": lambda unit: figures.intervals(reported.ESTIMATES),
+    "loads": lambda unit: figures.loads(reported.load_scatter()),
     "losses": lambda unit: figures.losses(reported.trace().phase2),
     "outputs": lambda unit: figures.outputs(reported.predictions(), unit),
     "predicted_errors": lambda unit: figures.predicted_errors(
@@ -182,7 +183,7 @@ def test_every_axis_of_numbers_says_what_it_is_and_in_which_unit(draw, name):
 UNITED = [
     name
     for name in EVERY
-    if name not in ("intervals", "losses", "residual_correlations", "coverage", "timeline")
+    if name not in ("intervals", "loads", "losses", "residual_correlations", "coverage", "timeline")
 ]
 
 

@@ -18,6 +18,7 @@ EXPECTED = {
     "lifting-paper-parameters",
     "lifting-speed-map",
     "lifting-characteristics",
+    "lifting-load-scatter",
     "lifting-residuals",
     "lifting-residuals-by-quantity",
     "lifting-searches",

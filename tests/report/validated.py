@@ -46,6 +46,7 @@ def validation():
         parameters=reported.known_estimates(),
         paper_parameters=reported.known_estimates(*reported.ESTIMATES[:2]),
         characteristics=reported.characteristics(),
+        load_scatter=reported.load_scatter(),
         searches=tuple(reported.searches()),
     )
     cycles = CycleResult(Accuracy(found.models, found.horizons, found.per_test, found.predictions), None)

@@ -163,6 +163,14 @@ class Objective(eqx.Module):
         residuals = self._compiled().residuals(position)[: len(loss_mask)]
         return residuals[loss_mask], np.repeat(np.arange(len(loss_mask)), loss_mask.sum(axis=1))
 
+    def travel(self, position: np.ndarray) -> Float[np.ndarray, "t n"]:
+        """Return the simulated travel at a position where samples count, without a factor on each test."""
+        loss_mask = np.asarray(self.batch.loss_mask)
+        residuals = self.pooled()._compiled().residuals(position)[: len(loss_mask)]
+        return np.where(
+            loss_mask, residuals / np.sqrt(self._weights())[:, None] + np.asarray(self.batch.travel), 0.0
+        )
+
     def _weights(self) -> Float[np.ndarray, " t"]:
         """Return the factors on the squares of each test; see `residuals_of_values`."""
         counts = np.asarray(self.batch.loss_mask).sum(axis=1)

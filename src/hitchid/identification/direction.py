@@ -34,7 +34,7 @@ from hitchid.identification.speed_training import train_speed_compensator
 from hitchid.model import Bands, Channel, Characteristics, Comparison, Uncertainty
 from hitchid.networks.operating_range import OperatingRange, SignalRange
 from hitchid.structures import Batch
-from hitchid.uncertainty import characteristics, information_of
+from hitchid.uncertainty import characteristics, information_of, load_scatter
 
 
 def find_benchmark(
@@ -196,7 +196,12 @@ def _finished(
         lambda: information_of(fit.objective, fit.position, trace.phase1.influence),
         notices,
     )
-    uncertainty = Uncertainty(trace.phase1.assessment, bands, information, trace.characteristics)
+    scatter = attempt(
+        "scatter of the load between tests",
+        lambda: load_scatter(fit.objective, fit.position, trace.phase1.influence.free, data.names),
+        notices,
+    )
+    uncertainty = Uncertainty(trace.phase1.assessment, bands, information, trace.characteristics, scatter)
     return replace(
         trace,
         uncertainty=uncertainty,

@@ -36,6 +36,7 @@ class ChannelData:
         end_stop: displacement the piston did not pass, None where no test met an end stop.
         dead_zone: dead zone of the command.
         all_tests: all identification tests, for phase 1.
+        names: their names.
         training, validation: those that train and those that stop the training, for phase 2.
         validation_names: names of the latter.
         notices: sentences for the user.
@@ -47,6 +48,7 @@ class ChannelData:
     end_stop: float | None
     dead_zone: DeadZone
     all_tests: Batch
+    names: tuple[str, ...]
     training: Batch
     validation: Batch
     validation_names: tuple[str, ...]
@@ -136,6 +138,7 @@ def prepare(
         end_stop=end_stop,
         dead_zone=dead_zone,
         all_tests=all_tests,
+        names=tuple(record.name for record in records),
         training=training,
         validation=validation,
         validation_names=tuple(records[row].name for row in validation_rows),

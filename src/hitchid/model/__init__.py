@@ -25,6 +25,8 @@ from hitchid.model.hitch import Hitch as Hitch
 from hitchid.model.information import Information as Information
 from hitchid.model.inverse_table import InverseTable as InverseTable
 from hitchid.model.limits import TravelLimits as TravelLimits
+from hitchid.model.load_scatter import LoadOfTest as LoadOfTest
+from hitchid.model.load_scatter import LoadScatter as LoadScatter
 from hitchid.model.packing import Packed as Packed
 from hitchid.model.parameters import ParameterRow as ParameterRow
 from hitchid.model.parameters import ParameterTable as ParameterTable

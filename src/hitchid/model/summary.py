@@ -51,7 +51,9 @@ def _facts(hitch: Hitch, channel: Channel) -> Iterator[str]:
     scatter, length = float(channel.load_filter.load_scatter), float(channel.load_filter.load_length)
     if scatter:
         unit = hitch.units[DISPLACEMENT]
-        yield f"load: speed differs by ± {100 * scatter:.2g} %, alike over {length:.3g} {unit}"
+        yield f"load filter: speed differs by ± {100 * scatter:.2g} %, alike over {length:.3g} {unit}"
+    if uncertainty is not None and uncertainty.load_scatter is not None:
+        yield f"load: {uncertainty.load_scatter.sentence}"
     parts = (("one step", channel.compensator), ("free run", channel.speed_compensator))
     yield "network corrections: " + (" and ".join(name for name, part in parts if part is not None) or "none")
 

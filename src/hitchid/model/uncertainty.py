@@ -7,6 +7,7 @@ from hitchid.model.bands import Bands
 from hitchid.model.characteristics import Characteristics
 from hitchid.model.estimates import Estimates
 from hitchid.model.information import Information
+from hitchid.model.load_scatter import LoadScatter
 
 
 @short_repr
@@ -20,9 +21,12 @@ class Uncertainty:
         information: Fisher information of the tests, for the design of the next one.
         characteristics: speed map, dead zone, delay and response time; None where the structure has no steady
             speed, where they could not be computed, or in a model of an older version.
+        load_scatter: scatter of the speed between tests; None where it could not be computed, or in a model
+            of an older version.
     """
 
     benchmark: Estimates
     bands: Bands | None = None
     information: Information | None = None
     characteristics: Characteristics | None = None
+    load_scatter: LoadScatter | None = None

@@ -9,7 +9,7 @@ import numpy as np
 
 from hitchid.data.record import COMMAND, DISPLACEMENT, Record
 from hitchid.data.segmentation import Segment
-from hitchid.model import Characteristics, Estimate, SearchSummary
+from hitchid.model import Characteristics, Estimate, LoadScatter, SearchSummary
 from hitchid.report.trace_file import TracedCandidate, TracedSearch, TracedTraining
 from hitchid.validation import BandFigures, Horizons, Predictions
 from hitchid.validation.predictions import concatenate_tests
@@ -146,6 +146,17 @@ def intervals(estimates: Sequence[Estimate]) -> Columns:
         "interval_95_upper": [estimate.interval[1] for estimate in estimates],
         "bootstrap_95_lower": [estimate.bootstrap and estimate.bootstrap[0] for estimate in estimates],
         "bootstrap_95_upper": [estimate.bootstrap and estimate.bootstrap[1] for estimate in estimates],
+    }
+
+
+def loads(load_scatter: LoadScatter) -> Columns:
+    """Return the speed of each test above the model's with its 95 % interval, and the scatter, in percent."""
+    return {
+        "test": [test.test for test in load_scatter.tests],
+        "speed_percent": [100 * test.speed for test in load_scatter.tests],
+        "interval_95_lower_percent": [100 * test.interval[0] for test in load_scatter.tests],
+        "interval_95_upper_percent": [100 * test.interval[1] for test in load_scatter.tests],
+        "scatter_percent": (100 * load_scatter.scatter,),
     }
 
 

@@ -110,6 +110,8 @@ def all_tables(result: Validation) -> list[Table]:
             table_list.append(tables.parameter_table(title, channel.parameters))
         if channel.characteristics is not None:
             table_list += tables.characteristic_tables(direction, channel.characteristics)
+        if channel.load_scatter is not None:
+            table_list.append(tables.load_table(direction, channel.load_scatter))
         if channel.paper_parameters is not None:
             title = f"{direction}: parameters of the paper's transfer function"
             table_list.append(tables.parameter_table(title, channel.paper_parameters))

@@ -84,6 +84,7 @@ def channel_result(
         parameters=_with_profiles_scaled(uncertainty.benchmark, factor),
         paper_parameters=paper and _with_profiles_scaled(paper, factor),
         characteristics=uncertainty.characteristics,
+        load_scatter=uncertainty.load_scatter,
         searches=tuple(search.scaled(factor) for search in comparison.searches),
     )
 

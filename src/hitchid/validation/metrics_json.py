@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import asdict
 
-from hitchid.model import Characteristics, Estimate, Estimates, Quantity, SearchSummary, TwoModes
+from hitchid.model import Characteristics, Estimate, Estimates, LoadScatter, Quantity, SearchSummary, TwoModes
 from hitchid.validation.names import BENCHMARK, CYCLES, FREE_RUN, GREYBOX, RUNS
 from hitchid.validation.results import (
     Accuracy,
@@ -43,6 +43,8 @@ def _channel(result: ChannelResult) -> JsonObject:
         content["parameters"] = _estimates(result.parameters)
     if result.characteristics is not None:
         content["characteristics"] = _characteristics(result.characteristics)
+    if result.load_scatter is not None:
+        content["load_scatter"] = _load_scatter(result.load_scatter)
     if result.paper_parameters is not None:
         content["paper_parameters"] = _estimates(result.paper_parameters)
     if result.searches:
@@ -149,6 +151,19 @@ def _characteristics(characteristics: Characteristics) -> JsonObject:
             for point in characteristics.speed_map
         ],
         "measured_speeds": [asdict(measured) for measured in characteristics.measured],
+    }
+
+
+def _load_scatter(load_scatter: LoadScatter) -> JsonObject:
+    return {
+        "value": load_scatter.scatter,
+        "interval_95": list(load_scatter.interval),
+        "shrinkage": load_scatter.shrinkage,
+        "determined": load_scatter.determined,
+        "tests": {
+            test.test: {"value": test.speed, "interval_95": list(test.interval)}
+            for test in load_scatter.tests
+        },
     }
 
 

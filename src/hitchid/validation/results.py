@@ -7,7 +7,7 @@ import numpy as np
 
 from hitchid._support.metrics import error_figures, rmse_error
 from hitchid._support.short_repr import short_repr
-from hitchid.model import Characteristics, Estimates, SearchSummary
+from hitchid.model import Characteristics, Estimates, LoadScatter, SearchSummary
 from hitchid.validation.names import BENCHMARK, FREE_RUN, GREYBOX, ONE_STEP
 from hitchid.validation.predictions import Predictions
 from hitchid.validation.residuals import ResidualTests
@@ -205,6 +205,7 @@ class ChannelResult:
         parameters, paper_parameters: estimates of the benchmark's parameters and of the paper's transfer
             function, in the model's units; None if the model has none.
         characteristics: speed map, dead zone, delay and response time; None if the model has none.
+        load_scatter: scatter of the speed between identification tests; None if the model has none.
         searches: compared search algorithms; empty if they were not compared.
     """
 
@@ -213,6 +214,7 @@ class ChannelResult:
     parameters: Estimates | None = None
     paper_parameters: Estimates | None = None
     characteristics: Characteristics | None = None
+    load_scatter: LoadScatter | None = None
     searches: tuple[SearchSummary, ...] = ()
 
 

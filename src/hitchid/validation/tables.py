@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 
 from hitchid._support.data_table import Cell, DataTable
-from hitchid.model import Characteristics, Estimates, Interval, SearchSummary
+from hitchid.model import Characteristics, Estimates, Interval, LoadScatter, SearchSummary
 from hitchid.validation.names import CYCLES, RUNS, in_table_order
 from hitchid.validation.report_data import LogUse
 from hitchid.validation.residuals import ResidualTests
@@ -37,6 +37,8 @@ def validation_tables(
         if channel.characteristics is not None:
             yield _speed_map_data(f"{direction}-speed-map", channel.characteristics, model_units)
             yield _characteristic_data(f"{direction}-characteristics", channel.characteristics)
+        if channel.load_scatter is not None:
+            yield _load_scatter_data(f"{direction}-load-scatter", channel.load_scatter)
         yield _residual_data(f"{direction}-residuals", channel.residuals, unit)
         yield _residual_bin_data(f"{direction}-residuals-by-quantity", channel.residuals, unit)
         if channel.searches:
@@ -208,6 +210,22 @@ def _characteristic_data(name: str, characteristics: Characteristics) -> DataTab
             if quantity is not None
         ),
     )
+
+
+def _load_scatter_data(name: str, load_scatter: LoadScatter) -> DataTable:
+    """Return the scatter of the speed between tests, then each test's own speed, all relative."""
+    scatter: Row = {
+        "test": "scatter",
+        "speed": load_scatter.scatter,
+        **_interval(load_scatter.interval, "interval_95"),
+        "shrinkage": load_scatter.shrinkage,
+        "determined": load_scatter.determined,
+    }
+    tests: list[Row] = [
+        {"test": test.test, "speed": test.speed, **_interval(test.interval, "interval_95")}
+        for test in load_scatter.tests
+    ]
+    return DataTable.of_rows(name, [scatter, *tests])
 
 
 def _residual_data(name: str, residuals: Mapping[str, ResidualTests | None], unit: str) -> DataTable:

@@ -13,6 +13,7 @@ from hitchid.report.figures.speed_map import speed_map as speed_map
 from hitchid.report.figures.timeline import timeline as timeline
 from hitchid.report.figures.trust import coverage as coverage
 from hitchid.report.figures.trust import intervals as intervals
+from hitchid.report.figures.trust import loads as loads
 from hitchid.report.figures.trust import residual_correlations as residual_correlations
 from hitchid.report.figures.trust import residuals_by_variable as residuals_by_variable
 from hitchid.report.figures.valve import dead_zone as dead_zone

@@ -14,13 +14,14 @@ from matplotlib.ticker import (
     StrMethodFormatter,
 )
 
-from hitchid.model import Estimate
+from hitchid.model import Estimate, LoadScatter
 from hitchid.plots.style import COLOURS, COLUMN_IN, FAINT, INK, legend_above, logarithmic, styled
 from hitchid.validation import BandFigures
 from hitchid.validation.plotting import VARIABLES, draw_residual_correlations, draw_residuals_by_variable
 from hitchid.validation.residuals import ResidualTests
 
 MARGIN = 0.6  # margin of an interval, share of its width; all values chosen
+ROW_IN, NAMED_ROWS = 0.16, 48  # height of a test, in; tests whose names fit on a page; chosen
 WIDE_RATIO = 5  # ratio of the ends of a logarithmic axis above which its ticks are logarithmic
 
 
@@ -74,6 +75,31 @@ def _interval(axis: Axes, estimate: Estimate) -> None:
     axis.xaxis.set_minor_formatter(NullFormatter())
     unit = "" if estimate.unit == "1" else f" / {estimate.unit}"
     axis.set_ylabel(f"{estimate.symbol}{unit}", rotation=0, ha="right", va="center")
+
+
+@styled
+def loads(load_scatter: LoadScatter) -> Figure:
+    """Return each test's speed above the model's with its 95 % interval, slowest below, in percent.
+
+    The band is ± the scatter between tests. Of very many tests the names are left out.
+
+    Args:
+        load_scatter: of one direction.
+    """
+    tests = sorted(load_scatter.tests, key=lambda test: test.speed)
+    figure = Figure(figsize=(COLUMN_IN, 0.6 + ROW_IN * min(len(tests), NAMED_ROWS)))
+    axes = figure.subplots()
+    speed, lower, upper = 100 * np.array([(test.speed, *test.interval) for test in tests]).T
+    rows = np.arange(len(tests))
+    axes.axvspan(-100 * load_scatter.scatter, 100 * load_scatter.scatter, color=FAINT, alpha=0.3, linewidth=0)
+    axes.axvline(0, color=FAINT, linewidth=0.8)
+    axes.hlines(rows, lower, upper, color=COLOURS["benchmark"], linewidth=1.2)
+    axes.plot(speed, rows, "o", color=INK, markersize=3)
+    named = len(tests) <= NAMED_ROWS
+    axes.set_yticks(rows if named else [], [test.test for test in tests] if named else [])
+    axes.set_ylim(-0.7, len(tests) - 0.3)
+    axes.set_xlabel("speed above the model's / %")
+    return figure
 
 
 @styled

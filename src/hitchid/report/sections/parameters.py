@@ -2,14 +2,14 @@
 
 from collections.abc import Iterator
 
-from hitchid.model import Characteristics, Estimates
+from hitchid.model import Characteristics, Estimates, LoadScatter
 from hitchid.model.estimates import NOT_ASSESSED
 from hitchid.report import figure_data, figures
 from hitchid.report.characteristics import characteristic_sentences
 from hitchid.report.document import Block, Picture, Pictures, ReportSection, Table, Text, sentence
 from hitchid.report.sections.context import DirectionContext
 from hitchid.report.sections.transfer_function import transfer_function
-from hitchid.report.tables import characteristic_tables, parameter_table
+from hitchid.report.tables import characteristic_tables, load_table, parameter_table
 from hitchid.report.trace_file import TracedDeadZone
 
 
@@ -30,6 +30,9 @@ def parameters(context: DirectionContext) -> ReportSection:
             title = f"parameters of the {model}"
             blocks.append(parameter_table(f"{context.direction}: {title}", estimates))
             pictures += _intervals(context.figure_name(name), title, estimates)
+    if result.load_scatter is not None:
+        blocks.append(load_table(context.direction, result.load_scatter))
+        pictures.append(_loads(context, result.load_scatter))
     pictures += _dead_zone(context)
     return ReportSection("Parameters", (*blocks, Pictures(tuple(pictures))))
 
@@ -78,6 +81,19 @@ def _intervals(name: str, title: str, estimates: Estimates) -> Iterator[Picture]
         ),
         "; ".join(f"{estimate.symbol}: {estimate.verdict}" for estimate in assessed),
         data=figure_data.intervals(assessed),
+    )
+
+
+def _loads(context: DirectionContext, load_scatter: LoadScatter) -> Picture:
+    return Picture(
+        context.figure_name("loads"),
+        figures.loads(load_scatter),
+        (
+            "Speed of each identification test above the model's, due to a load that nobody measures, with "
+            "its 95 % interval, the slowest test below; grey band: ± the scatter between tests."
+        ),
+        sentence(load_scatter.sentence),
+        data=figure_data.loads(load_scatter),
     )
 
 

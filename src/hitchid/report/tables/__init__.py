@@ -11,6 +11,7 @@ from hitchid.report.tables.comparison import comparison_models as comparison_mod
 from hitchid.report.tables.comparison import comparison_parameters as comparison_parameters
 from hitchid.report.tables.comparison import leaderboard_table as leaderboard_table
 from hitchid.report.tables.parameters import characteristic_tables as characteristic_tables
+from hitchid.report.tables.parameters import load_table as load_table
 from hitchid.report.tables.parameters import parameter_table as parameter_table
 from hitchid.report.tables.search import search_table as search_table
 from hitchid.report.tables.trust import band_table as band_table

@@ -1,6 +1,6 @@
 """Tables of parameters with their intervals, and of operating characteristics."""
 
-from hitchid.model import Characteristics, Estimates
+from hitchid.model import Characteristics, Estimates, Interval, LoadScatter
 from hitchid.model.estimates import NOT_ASSESSED
 from hitchid.report import numbers
 from hitchid.report.document import Table
@@ -44,6 +44,24 @@ def parameter_table(title: str, estimates: Estimates) -> Table:
         "verdict",
     )
     return Table(title, header, tuple(rows))
+
+
+def load_table(direction: str, load_scatter: LoadScatter) -> Table:
+    """Return the scatter of the speed between tests, and each test's own speed."""
+
+    def row(name: str, value: float, ends: Interval, verdict: str) -> tuple[str, ...]:
+        return name, f"{100 * value:.2f}", numbers.interval(_in_percent(ends)), verdict
+
+    verdict = f"{numbers.determined(load_scatter.determined)}, shrinkage {100 * load_scatter.shrinkage:.0f} %"
+    rows = [row("scatter between tests", load_scatter.scatter, load_scatter.interval, verdict)]
+    rows += [row(test.test, test.speed, test.interval, "") for test in load_scatter.tests]
+    header = ("test", "speed above the model's / %", "95 %", "verdict")
+    return Table(f"{direction}: load that nobody measures", header, tuple(rows))
+
+
+def _in_percent(interval: Interval) -> Interval:
+    lower, upper = interval
+    return None if lower is None else 100 * lower, None if upper is None else 100 * upper
 
 
 def characteristic_tables(direction: str, characteristics: Characteristics) -> list[Table]:
