@@ -41,6 +41,7 @@ bench: setup
 study: setup
 	$(BIN)/python benchmarks/study.py
 	$(BIN)/python benchmarks/coverage.py
+	$(BIN)/python benchmarks/load_scatter.py
 	$(BIN)/python benchmarks/bands.py
 	$(BIN)/python benchmarks/advice.py
 	$(BIN)/python benchmarks/fuzz.py

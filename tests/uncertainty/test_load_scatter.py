@@ -1,12 +1,18 @@
 """The scatter of the load is that of closed forms where there are any, and that which was simulated."""
 
+import json
+from dataclasses import asdict, replace
+
 import numpy as np
 import pytest
+from pydantic import TypeAdapter
 from scipy import stats
 
+import handmade
 from hitchid.data.record import LIFTING
 from hitchid.errors import FitError
 from hitchid.estimation import Objective
+from hitchid.model import Estimates, Uncertainty
 from hitchid.structures import Batch, ModelSpec, structure_named
 from hitchid.uncertainty.load_scatter import Contrasts, load_scatter, scatter_of
 from truth import held, levels
@@ -99,6 +105,22 @@ def test_the_order_of_the_tests_makes_no_difference(found_in):
 def test_a_factor_on_the_gain_that_all_tests_share_is_no_scatter(found_in):
     found = found_in([1.05] * 8, shared=False)
     assert found.scatter < 1e-3
+
+
+def test_a_model_keeps_the_scatter_and_one_of_an_older_version_has_none():
+    found = scatter_of(balanced(np.random.default_rng(2).normal(0.0, 0.04, 8), 0.01), NAMES)
+    whole = Uncertainty(Estimates((), (), (), 8, 8), load_scatter=found)
+    described = json.loads(json.dumps(asdict(whole)))
+    assert TypeAdapter(Uncertainty).validate_python(described) == whole
+    del described["load_scatter"]
+    assert TypeAdapter(Uncertainty).validate_python(described).load_scatter is None
+
+
+def test_the_summary_of_a_model_tells_the_scatter():
+    found = scatter_of(balanced(np.random.default_rng(2).normal(0.0, 0.04, 8), 0.01), NAMES)
+    known = {LIFTING: Uncertainty(Estimates((), (), (), 8, 8), load_scatter=found)}
+    shown = repr(replace(handmade.hitch(), uncertainty=known))
+    assert f"load: {found.sentence}" in " ".join(shown.split())
 
 
 def test_two_tests_have_no_scatter(found_in):
