@@ -26,7 +26,7 @@ NAMES = [f"test {number}" for number in range(8)]
 def found_in(make_record):
     """Return a function that gives the scatter in tests of an integrator with factors on its speed."""
 
-    def find(factors, *, names=NAMES, seeds=range(8), shared=True):
+    def find(factors, *, names=NAMES, seeds=range(8), shared=True, free=True):
         records = []
         for number, (factor, seed) in enumerate(zip(factors, seeds, strict=False)):
             rng = np.random.default_rng(seed)
@@ -35,7 +35,7 @@ def found_in(make_record):
             records.append(make_record(80.0 + travel + NOISE * rng.standard_normal(SAMPLES), command))
         batch = Batch.of(records, LIFTING, dead_zone=0.0, sign=1, initial=[80.0] * len(records))
         objective = Objective.of(batch, INTEGRATOR)
-        return load_scatter(objective, objective.position(np.array([GAIN])), np.array([True]), names)
+        return load_scatter(objective, objective.position(np.array([GAIN])), np.array([free]), names)
 
     return find
 
@@ -126,3 +126,8 @@ def test_the_summary_of_a_model_tells_the_scatter():
 def test_two_tests_have_no_scatter(found_in):
     with pytest.raises(FitError, match="1 differences"):
         found_in([1.0, 1.1], names=NAMES[:2])
+
+
+def test_without_estimates_there_is_no_scatter(found_in):
+    with pytest.raises(FitError, match="no parameter of the form was estimated"):
+        found_in([1.0] * 8, free=False)

@@ -97,8 +97,11 @@ def load_scatter(
         names: of the tests, length T.
 
     Raises:
-        FitError: fewer than three tests move, or they do not differ in more than the parameters.
+        FitError: no parameter was estimated, fewer than three tests move, or they do not differ in more than
+            the parameters.
     """
+    if not np.any(free):
+        raise FitError("no parameter of the form was estimated; the load scatter requires one at least")
     errors = errors_of_tests(objective.pooled(), position, free)
     return scatter_of(contrasts_of(errors), names)
 
