@@ -36,6 +36,8 @@ from hitchid.networks.operating_range import OperatingRange, SignalRange
 from hitchid.structures import Batch
 from hitchid.uncertainty import characteristics, information_of, load_scatter
 
+FEWEST_LOADS = 3  # tests, of which two differences are left beside the gain
+
 
 def find_benchmark(
     data: ChannelData, config: ChannelConfig, progress: ProgressCallback
@@ -196,11 +198,13 @@ def _finished(
         lambda: information_of(fit.objective, fit.position, trace.phase1.influence),
         notices,
     )
-    scatter = attempt(
-        "scatter of the load between tests",
-        lambda: load_scatter(fit.objective, fit.position, trace.phase1.influence.free, data.names),
-        notices,
-    )
+    scatter = None
+    if len(data.names) >= FEWEST_LOADS:
+        scatter = attempt(
+            "scatter of the load between tests",
+            lambda: load_scatter(fit.objective, fit.position, trace.phase1.influence.free, data.names),
+            notices,
+        )
     uncertainty = Uncertainty(trace.phase1.assessment, bands, information, trace.characteristics, scatter)
     return replace(
         trace,
