@@ -18,6 +18,7 @@ from hitchid.structures import (
     PhysicalModel,
     Scales,
     discretise,
+    linearise,
     structure_named,
 )
 from hitchid.structures.discretisation import STROKE_NODES, STROKE_RANGE, discretise_along_stroke
@@ -156,6 +157,13 @@ def test_one_sample_at_a_time_it_is_the_whole_travel():
         plant, increment = discrete.advance(plant, valve, position, zero)
         position = position + increment
     np.testing.assert_allclose(found, travel(physical_model, command), rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("displacement", [10.0, 40.0, 75.0])
+def test_a_linear_model_has_the_frequency_of_its_displacement(displacement):
+    linear = linearise(model(0.4), displacement=displacement, command=0.5)
+    found = np.sort(np.abs(np.linalg.eigvals(linear.a)))[1:]
+    np.testing.assert_allclose(found, OMEGA * np.exp(0.4 * (displacement - CENTRE) / SPAN), rtol=1e-9)
 
 
 def test_its_parameters_are_identified_from_its_own_travel():

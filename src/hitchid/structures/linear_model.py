@@ -72,10 +72,10 @@ def linearise(
 ) -> LinearModel:
     """Return the linear model from command to travel about an operating point.
 
-    With the valve's flow w(u), the gain along the stroke g(x) and the linear structure G(s), travel follows a
-    small change of the command by w'(u₀) g(x₀) G(s), with spool lag and dead time. Without nonlinearities
-    that is G(s) at any operating point. The play of a hysteresis is taken as passed: the changes of the
-    command continue in one sense.
+    With the valve's flow w(u), the gain along the stroke g(x) and the linear structure G(s) at x₀, travel
+    follows a small change of the command by w'(u₀) g(x₀) G(s), with spool lag and dead time. Without
+    nonlinearities that is G(s) at any operating point. The play of a hysteresis is taken as passed: the
+    changes of the command continue in one sense.
 
     Args:
         physical_model: of a linear structure.
@@ -91,6 +91,8 @@ def linearise(
             continuous and has a dead time, which no finite number of states represents.
     """
     structure, nonlinearity = physical_model.structure.require_linear(), physical_model.nonlinearity
+    if displacement is not None:
+        physical_model = physical_model.at(jnp.asarray(float(displacement)))
     gain, lag_s = 1.0, 0.0
     if nonlinearity is not None:
         gain = _slope(nonlinearity, command, displacement, load)

@@ -95,6 +95,10 @@ class PhysicalModel(eqx.Module):
             return self.values
         return structure.values_at(self.values, self.nonlinearity.position(displacement))
 
+    def at(self, displacement: Float[Array, ""]) -> "PhysicalModel":
+        """Return the model with the structure's values of a displacement; raises as `values_at`."""
+        return eqx.tree_at(lambda model: model.values, self, self.values_at(displacement))
+
     def state_at_speed(self, speed: Float[Array, ""], displacement: Float[Array, ""]) -> Float[Array, " n"]:
         """Return the linear state at travel zero, a speed of the linear part and a displacement."""
         return self.structure.require_linear().state_at_speed(self.values_at(displacement), speed)
