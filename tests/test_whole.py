@@ -54,6 +54,18 @@ def test_a_loaded_model_gives_the_same_numbers(identified):
         )
 
 
+def test_the_speed_of_every_identification_test_is_reported(identified):
+    campaign, _, folder = identified
+    model = hitchid.load(folder)
+    metrics = hitchid.validate(model, campaign).metrics["channels"]
+    for direction, uncertainty in model.uncertainty.items():
+        found = uncertainty.load_scatter
+        names = [record.name for record in campaign.identification(direction)]
+        assert [test.test for test in found.tests] == names
+        assert list(metrics[direction]["load_scatter"]["tests"]) == names
+        assert 0.0 <= found.scatter <= found.interval[1]
+
+
 PUBLIC = [
     "Campaign",
     "Hitch",
