@@ -15,6 +15,7 @@ from hitchid.structures import ModelSpec, structure_named
 
 from .judge import exercise_model
 from .long_job import write_long_job
+from .machine_speed import slowness
 from .outcome import REFUSED, Outcome, run_guarded
 
 DATA = Path(os.environ.get("HITCHID_DATA", Path(__file__).parents[3] / "shared" / "data"))
@@ -39,7 +40,7 @@ def judge_set(name: str) -> Outcome:
 
 
 def judge_speed(name: str) -> Outcome:
-    """Time one default identification, its programs compiled before."""
+    """Time one default identification, its programs compiled before, at the reference machine's speed."""
     return _fail_on_refusal(
         run_guarded(Outcome(f"{name}, warm"), lambda outcome: _time_identification(outcome, name))
     )
@@ -60,7 +61,11 @@ def _time_identification(outcome: Outcome, name: str) -> None:
         if name in TIMED_WITHOUT_RIVALS:
             with outcome.timed("identify without rivals"):
                 hitchid.identify(campaign, training=CompensatorConfig(baselines=False))
-    outcome.figures |= {f"{stage} / s": seconds for stage, seconds in outcome.seconds.items()}
+    factor = slowness()
+    outcome.figures |= {
+        "times longer than on the reference machine": factor,
+        **{f"{stage} / s": seconds / factor for stage, seconds in outcome.seconds.items()},
+    }
 
 
 def _identified(outcome: Outcome, campaign: hitchid.Campaign, **settings) -> tuple[hitchid.Hitch, dict]:
