@@ -36,7 +36,7 @@ UNITS = {"x": "mm", "u": "A"}
 CURVE_PARAMETERS = {"opening": 0.05, "exponent": 1.3, "saturation": 1.5}
 SEARCH = MultiStart(starts=2)
 MANY_TESTS = 480  # of the campaign whose fit is the best-fitting value
-SCALES = Scales(*map(jnp.asarray, (HIGHEST_A, 0.0, 1.0, 0.0, 1.0)))
+SCALES = Scales(*map(jnp.asarray, (HIGHEST_A, 0.0, 1.0)))
 
 
 @dataclass(frozen=True)

@@ -30,8 +30,16 @@ from hitchid.model.load_filter import LoadFilter
 from hitchid.networks.error_compensator import FEATURES, Compensator
 from hitchid.networks.lstm import Lstm
 from hitchid.networks.operating_range import OperatingRange, SignalRange
-from hitchid.networks.speed_compensator import INPUTS, SpeedCompensator, SpeedNetworks
-from hitchid.structures import PhysicalModel, Scales, StaticNonlinearity, structure_named
+from hitchid.networks.speed_compensator import SIGNALS, SpeedCompensator, SpeedNetworks
+from hitchid.structures import (
+    CovariateScales,
+    PhysicalModel,
+    Scales,
+    Scheduling,
+    StaticNonlinearity,
+    scheduled_quantities,
+    structure_named,
+)
 
 UNITS = {"displacement": "mm", "lifting_command": "A", "lowering_command": "A"}
 DIRECTIONS = {LIFTING: 1, LOWERING: -1}
@@ -74,13 +82,15 @@ def compensator(seed=0, *, trained=True):
 def envelope(**covered):
     """Return the ranges of `COVERED`, or others: name to lowest and highest."""
     ranges = {**COVERED, **covered}
-    return OperatingRange(**{name: SignalRange(*map(jnp.asarray, ends)) for name, ends in ranges.items()})
+    signals = {name: SignalRange(*map(jnp.asarray, ends)) for name, ends in ranges.items()}
+    signals["load"] = SignalRange(*(jnp.asarray([end]) for end in ranges["load"]))
+    return OperatingRange(**signals)
 
 
 def speed_compensator(seed=7, *, trained=True, size=1.0, direction=1, covered=None):
     """Return a compensator for free run; untrained it changes nothing, `size` scales its outputs."""
     rng = np.random.default_rng(seed)
-    shapes = ((MEMBERS, TANH_UNITS, INPUTS), (MEMBERS, TANH_UNITS), (MEMBERS, TANH_UNITS))
+    shapes = ((MEMBERS, TANH_UNITS, SIGNALS + 1), (MEMBERS, TANH_UNITS), (MEMBERS, TANH_UNITS))
     weights = [jnp.asarray(rng.standard_normal(shape)) for shape in shapes]
     return SpeedCompensator(
         networks=SpeedNetworks(*weights[:2], size * trained * weights[2]),
@@ -92,13 +102,19 @@ def speed_compensator(seed=7, *, trained=True, size=1.0, direction=1, covered=No
     )
 
 
-SHAPED = (
-    StaticNonlinearity(
-        jnp.array([0.1, 1.5, 2.0, 0.15, 0.02, 0.2, -0.1, 0.05, 0.3]),
-        Scales(*(jnp.asarray(scale) for scale in (1.2, 100.0, 60.0, 120.0, 25.0))),
-    ),
-    "pressure",
-)
+SCALES = (1.2, 100.0, 60.0)  # A, mm, mm
+CURVES = (0.1, 1.5, 2.0, 0.15, 0.02, 0.2, -0.1)
+
+
+def scheduled(structure, curves=CURVES, scales=SCALES, centre=120.0, spread=25.0, **effects):
+    """Return curves, and the effects of a pressure in bar: quantity to change per standard deviation."""
+    pressure = CovariateScales(jnp.array([centre]), jnp.array([spread]))
+    nonlinearity = StaticNonlinearity(
+        jnp.array(curves), Scales(*(jnp.asarray(scale) for scale in scales), covariates=pressure)
+    )
+    quantities = scheduled_quantities(structure)
+    rows = [[[effects.get(name, 0.0), effects.get(f"{name}_squared", 0.0)]] for name in quantities]
+    return nonlinearity, Scheduling(("pressure",), quantities, jnp.array(rows))
 
 
 # Noise, load and its length, transient and its time, drift: in mm and s.
@@ -121,7 +137,7 @@ def channel(
     filtered=False,
 ):
     """Return a channel; `compensated` and `free_run`: None for no compensator, False for an untrained one."""
-    curves = SHAPED if shape else (None, None)
+    curves = scheduled(structure_named(structure), gain=0.3, opening=0.05) if shape else (None, None)
     values = jnp.array([GAINS[mode], *VALUES[structure]])
     parts = {} if compensated is None else {"compensator": compensator(3, trained=compensated)}
     if free_run is not None:
@@ -147,13 +163,13 @@ def black_box(hidden=5, members=2):
     stacked = jax.tree.map(lambda *arrays: jnp.stack(arrays), *networks)
     head = jnp.asarray(rng.normal(size=stacked.head.shape), jnp.float32)
     stacked = eqx.tree_at(lambda network: network.head, stacked, head)
-    return BlackBox(stacked, *map(np.asarray, (1.0, 0.0, 1.0, 100.0, 20.0, 0.005, 2)))
+    return BlackBox(stacked, *map(np.asarray, (1.0, [0.0], [1.0], 100.0, 20.0, 0.005, 2)))
 
 
 def comparison(mode):
     """Return the baselines and the paper's method beside a channel."""
     terms, coefficients = np.array([[1, 0], [-1, 0], [-1, 1]]), np.array([1.0, 0.2, -0.05])
-    scaling = LinearInputs(*map(np.asarray, (0.0, 1.0, 100.0, 20.0)))
+    scaling = LinearInputs(*map(np.asarray, ([0.0], [1.0], 100.0, 20.0)))
     past, gains = np.array([1.5, -0.5]), np.array([[0.1, 0.05], [0.02, 0.0]])
     baselines = {
         "arx": Arx(scaling, past, gains),

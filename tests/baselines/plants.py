@@ -35,9 +35,10 @@ def batch_of(commands, travels, *, loads=None, until=None, start=0.0, sign=1):
         valid=stack([np.ones(command.size, dtype=bool) for command in commands]),
         loss_mask=stack(counted),
         initial=jnp.full(len(commands), start),
-        covariate=jnp.zeros(len(commands)) if loads is None else jnp.asarray(loads),
+        covariates=jnp.zeros((len(commands), 0)) if loads is None else jnp.asarray(loads)[:, None],
         step_s=0.01,
         sign=sign,
+        covariate_names=() if loads is None else ("pressure",),
     )
 
 

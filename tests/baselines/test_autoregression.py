@@ -10,7 +10,7 @@ from hitchid.baselines.narx import Narx
 
 PAST, COMMAND = np.array([1.5, -0.3, -0.25]), np.array([0.2, -0.1, 0.4])
 SAMPLES = 120
-SCALING = LinearInputs(*map(np.asarray, (0.0, 1.0, 0.0, 1.0)))
+SCALING = LinearInputs(*map(np.asarray, ([0.0], [1.0], 0.0, 1.0)))
 
 
 def recursion(command, past=PAST, weights=COMMAND):

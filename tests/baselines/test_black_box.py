@@ -9,7 +9,7 @@ import pytest
 from plants import batch_of, context
 
 from handmade import black_box
-from hitchid.baselines.black_box import BlackBoxBaseline
+from hitchid.baselines.black_box import SCALINGS, BlackBoxBaseline
 from hitchid.baselines.block_signals import STEPS, block_signals, step_samples, travel_at_samples
 from hitchid.errors import FitError
 
@@ -43,7 +43,7 @@ def by_hand(model, command, load, initial, sign):
         h, c, position, positions = np.zeros(head.shape[0]), np.zeros(head.shape[0]), float(start), []
         for block in command.reshape(-1, STEPS, int(model.samples)).mean(axis=2) / model.command_scale:
             load_input = (load - model.load_centre) / model.load_scale
-            inputs = np.array([value for u in block for value in (u, u)] + [load_input])
+            inputs = np.array([value for u in block for value in (u, u)] + [*load_input])
             gates = inputs @ wi + bias + np.append(h, position) @ wh
             i, f, g, o = np.split(gates, 4)
             # Half the argument is part of the weights: the sigmoid is of twice the sum.
@@ -132,6 +132,7 @@ def test_restored_from_its_shapes_it_is_of_the_same_form():
         f"networks/{f.name}": getattr(model.networks, f.name).shape
         for f in dataclasses.fields(model.networks)
     }
+    shapes |= {name: np.shape(getattr(model, name)) for name in SCALINGS}
     restored = BlackBoxBaseline().skeleton(shapes)
     for one, other in zip(jax.tree.leaves(model), jax.tree.leaves(restored), strict=True):
         assert jnp.shape(one) == jnp.shape(other)

@@ -15,7 +15,7 @@ from hitchid.baselines.polynomial_run import polynomial_run, sections_of
 TRUTH = {(1, 0): 1.2, (2, 0): -0.3, (-1, 0): 0.5, (-2, -2): 0.1, (-2, 1): -0.05}
 SAMPLES = 200
 REST = 7
-SCALING = LinearInputs(*map(np.asarray, (0.0, 1.0, 0.0, 1.0)))
+SCALING = LinearInputs(*map(np.asarray, ([0.0], [1.0], 0.0, 1.0)))
 
 
 def recursion(command, load=0.0):

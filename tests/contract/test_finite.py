@@ -7,7 +7,7 @@ import pytest
 
 from hitchid.data.record import LIFTING
 from hitchid.estimation import Objective
-from hitchid.structures import BUILT_IN, Batch, ModelSpec, structure_named
+from hitchid.structures import BUILT_IN, Batch, CovariateEffects, ModelSpec, structure_named
 from hitchid.structures.structure import LinearStructure
 from truth import levels
 
@@ -18,7 +18,7 @@ WIDEST = ModelSpec(
     valve_curve=True,
     spool_dynamics=True,
     stroke_gain_quadratic=True,
-    covariate="p",
+    covariates=(CovariateEffects("p", dynamics=True, quadratic=True),),
 )
 PLAIN = [ModelSpec(each, dead_time=True) for each in BUILT_IN if isinstance(each, LinearStructure)]
 # A nonlinear structure is integrated step by step, on clocks of the plants it is for.
@@ -55,7 +55,7 @@ def batch_for(make_record, clock, form):
         )
         for number, (command, travel) in enumerate(zip(commands, travels, strict=True))
     ]
-    return Batch.of(records, LIFTING, dead_zone=0.1, sign=1, covariate=form.covariate)
+    return Batch.of(records, LIFTING, dead_zone=0.1, sign=1, covariates=form.covariate_names)
 
 
 @pytest.mark.parametrize(

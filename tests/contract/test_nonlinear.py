@@ -8,7 +8,15 @@ import pytest
 
 from hitchid.data.record import LIFTING
 from hitchid.errors import InputError
-from hitchid.structures import BUILT_IN, Batch, ModelSpec, PhysicalModel, linearise, structure_named
+from hitchid.structures import (
+    BUILT_IN,
+    Batch,
+    CovariateEffects,
+    ModelSpec,
+    PhysicalModel,
+    linearise,
+    structure_named,
+)
 from hitchid.structures.cascaded_tanks import EMPTY, LOWER_BRIM
 from hitchid.structures.inertia_with_friction import SIGN_SMOOTHING
 from hitchid.structures.nonlinear import NonlinearStructure, simulate_nonlinear
@@ -118,7 +126,7 @@ def test_what_comes_later_changes_nothing_before(structure):
         ({"dead_time": True}, "dead time"),
         ({"valve_curve": True, "spool_dynamics": True}, "valve curve and no spool dynamics"),
         ({"stroke_gain_quadratic": True}, "gain along the stroke"),
-        ({"covariate": "pressure"}, "second measured input"),
+        ({"covariates": (CovariateEffects("pressure"),)}, "measured covariates"),
     ],
 )
 def test_a_nonlinear_structure_takes_no_options(structure, option, named):

@@ -15,7 +15,7 @@ from hitchid.data.record import LIFTING, Record
 from hitchid.errors import InputError
 from hitchid.identification import ModelSpec, MultiStart, read_settings
 from hitchid.identification.nested_specs import largest_spec, nested_specs
-from hitchid.structures import PhysicalModel, registered_structures, structure_named
+from hitchid.structures import CovariateEffects, PhysicalModel, registered_structures, structure_named
 from truth import STEP_S, held, levels
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "structure_from_outside"
@@ -23,7 +23,7 @@ NAME = "leaking-cylinder"
 GAIN, LEAK_TIME, LAG = 20.0, 0.8, 0.06
 FRACTION = [GAIN * LEAK_TIME], [LEAK_TIME * LAG, LEAK_TIME + LAG, 1.0]
 NOISE = 0.02
-WIDEST = largest_spec(ModelSpec(structure_named("integrator")), None, opening_known=True)
+WIDEST = largest_spec(ModelSpec(structure_named("integrator")), opening_known=True)
 
 
 @pytest.fixture(scope="module")
@@ -131,7 +131,7 @@ def test_it_is_saved_loaded_and_validated_under_its_name(identified, campaign, t
 
 def test_a_form_keeps_the_options_that_the_structure_takes(installed):
     structure = structure_named(NAME)
-    for _, spec in nested_specs(replace(WIDEST, covariate="pressure")):
+    for _, spec in nested_specs(replace(WIDEST, covariates=(CovariateEffects("pressure", dynamics=True),))):
         assert spec.with_structure(structure).options == spec.options
         assert spec.with_structure(structure).bounds == dict(spec.bounds)
     assert ModelSpec(structure_named("cascaded-tanks")) == WIDEST.with_structure(

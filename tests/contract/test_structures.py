@@ -14,6 +14,7 @@ from hitchid.errors import InputError
 from hitchid.structures import (
     BUILT_IN,
     NONLINEARITY_PARAMETERS,
+    CovariateEffects,
     ModelSpec,
     PhysicalModel,
     Scales,
@@ -35,7 +36,7 @@ TYPICAL = {
     "dead_time": 0.037,
 }
 
-UNIT = Scales(*(jnp.asarray(scale) for scale in (1.0, 0.0, 1.0, 0.0, 1.0)))
+UNIT = Scales(*(jnp.asarray(scale) for scale in (1.0, 0.0, 1.0)))
 
 LINEAR = {
     each.name: each for each in BUILT_IN if isinstance(each, LinearStructure) and not each.has_dry_friction
@@ -249,12 +250,15 @@ def test_a_benchmark_with_all_options_is_linearised(structure):
         valve_curve=True,
         spool_dynamics=True,
         stroke_gain_quadratic=True,
-        covariate="pressure",
+        covariates=(CovariateEffects("pressure", dynamics=True, quadratic=True),),
         dead_time=True,
     )
-    assert form.parameters == (*structure.parameters, *NONLINEARITY_PARAMETERS, form.parameters[-1])
-    curved = form.physical_model(jnp.linspace(0.1, 0.9, len(form.parameters)), UNIT)
-    assert list(curved.named_values().values()) == pytest.approx(np.linspace(0.1, 0.9, len(form.parameters)))
+    curves = (*structure.parameters, *NONLINEARITY_PARAMETERS)
+    assert form.parameters == (*curves, *form.covariate_parameters, form.parameters[-1])
+    values = np.linspace(0.1, 0.9, len(form.parameters))
+    curved = form.physical_model(jnp.asarray(values), UNIT)
+    names = [parameter.name for parameter in form.parameters]
+    assert curved.named_values() == pytest.approx(dict(zip(names, values, strict=True)))
     opening = curved.named_values()["opening"]
     linear = linearise(curved, STEP_S, command=opening + 0.1)
     assert np.all(np.isfinite(linear.a))

@@ -18,7 +18,7 @@ SAMPLES = 250
 UNITS = {"x": "mm", "u": "A"}
 PLAIN = ModelSpec(structure_named("integrator-second-order"))
 SEARCH = MultiStart(evaluations=60)
-SCALES = Scales(*(jnp.asarray(scale) for scale in (1.0, 90.0, 40.0, 0.0, 1.0)))
+SCALES = Scales(*(jnp.asarray(scale) for scale in (1.0, 90.0, 40.0)))
 
 
 def simulated(make_record, form, values, *, noise=0.02, tests=8, dead_zone=0.0):
@@ -127,7 +127,7 @@ def test_the_settings_file_asks_for_a_choice_or_for_curves(tmp_path):
         '[lowering]\nstructure = "first-order-lag"\ncurve = true\nspool = true\n'
     )
     forms = read_settings(path).get("structure", {})
-    assert forms["lifting"] == AutoStructure(PLAIN, covariate="pressure")
+    assert forms["lifting"] == AutoStructure(PLAIN, covariate_names=("pressure",))
     assert forms["lowering"] == ModelSpec(
         structure_named("first-order-lag"), valve_curve=True, spool_dynamics=True
     )

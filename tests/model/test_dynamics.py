@@ -29,7 +29,7 @@ REST, BOTH = np.zeros(2), RISE + FALL
 SPEED = 0.5
 
 
-def stepped_singly(model, commands, measured=None, *, start=100.0, load=0.0):
+def stepped_singly(model, commands, measured=None, *, start=100.0, load=None):
     """Return the displacement at every sample by calls of `step`, shape [N + 1], and N + 1 packed states."""
     state = model.init_state(start, load)
     displacements, states = [start], [state]
@@ -40,7 +40,7 @@ def stepped_singly(model, commands, measured=None, *, start=100.0, load=0.0):
     return np.array(displacements), states
 
 
-def stepped(model, commands, measured=None, *, start=100.0, load=0.0):
+def stepped(model, commands, measured=None, *, start=100.0, load=None):
     """Return displacement and state at every sample, shape [N + 1], by the same steps in one program.
 
     Lengths are rounded up to a power of two, 256 at least, so that models of one structure share the program.
@@ -50,7 +50,7 @@ def stepped(model, commands, measured=None, *, start=100.0, load=0.0):
     rows = np.column_stack([commands, measured])
     padded = np.pad(rows, ((0, max(256, 1 << (count - 1).bit_length()) - count), (0, 0)))
     dynamics = HitchDynamics.of(tuple(model.channels.values()), model.step_s, model.drift)
-    found = scanned(dynamics, jnp.array([start, load]), jnp.asarray(padded))
+    found = scanned(dynamics, jnp.array([start, 0.0 if load is None else load]), jnp.asarray(padded))
     states = jax.tree.map(lambda each: np.asarray(each)[: count + 1], found)
     return states.displacement, states
 
@@ -63,7 +63,7 @@ def scanned(dynamics, initial, rows):
         state, _ = dynamics.step(state, row[:2], row[2])
         return state, state
 
-    first = dynamics.init_state(*initial)
+    first = dynamics.init_state(initial[0], initial[1:])
     states = jax.lax.scan(advance, first, rows)[1]
     return jax.tree.map(lambda one, others: jnp.concatenate([one[None], others]), first, states)
 
@@ -127,7 +127,7 @@ by_name = pytest.mark.parametrize("model", MODELS.values(), ids=MODELS.keys())
 def test_a_free_run_by_single_steps_is_that_of_the_whole_record(record_of, model):
     commands = np.concatenate([np.zeros((60, 2)), cycles(np.random.default_rng(0), 600)])
     record = record_of(np.full(len(commands), 100.0), commands)
-    load = LOAD if any(each.benchmark.covariate for each in model.channels.values()) else 0.0
+    load = LOAD if any(each.benchmark.covariates for each in model.channels.values()) else None
     found, _ = stepped_singly(model, commands[:-1], load=load)
     np.testing.assert_allclose(found, model.simulate(record).displacement, rtol=0, atol=1e-9)
     assert np.ptp(found) > 5.0
@@ -169,7 +169,7 @@ def test_predictions_by_single_steps_are_those_of_the_whole_record(record_of, na
     measured = 100.0 + np.cumsum(rng.normal(0, 0.1, len(commands)))
     measured[:6] = measured[0]
     record = record_of(measured, commands)
-    load = LOAD if any(each.benchmark.covariate for each in model.channels.values()) else 0.0
+    load = LOAD if any(each.benchmark.covariates for each in model.channels.values()) else None
     expected = model.predict(record, horizon=horizon)
     _, states = stepped_singly(model, commands[:-1], measured, start=measured[0], load=load)
     for origin in range(len(commands) - horizon):
@@ -572,7 +572,9 @@ def test_a_start_that_is_no_number_is_refused(value):
     with pytest.raises(InputError, match=r"^displacement: .*finite"):
         PLAIN.init_state(value)
     with pytest.raises(InputError, match=r"^load: .*finite"):
-        PLAIN.init_state(100.0, value)
+        MODELS["curves, spool and dead time"].init_state(100.0, value)
+    with pytest.raises(InputError, match="load: the model has no covariate; expected None, got 80"):
+        PLAIN.init_state(100.0, 80.0)
 
 
 @by_name
@@ -616,7 +618,7 @@ def test_an_hour_with_wrong_gains_leaves_the_place_on_the_stroke_right():
             theirs, moved = dynamics.step(theirs, command, jnp.asarray(jnp.nan))
             return (ours, theirs), (moved, predicted, ours.benchmark)
 
-        rest = jnp.asarray(50.0), jnp.asarray(0.0)
+        rest = jnp.asarray(50.0), jnp.zeros(1)
         start = own_dynamics.init_state(*rest), dynamics.init_state(*rest)
         return jax.lax.scan(advance, start, (commands, noise))[1]
 

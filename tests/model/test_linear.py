@@ -31,7 +31,7 @@ LENGTH_S = 60.0
 def simulated(model, direction, command):
     n = command.size
     signals = {"displacement": np.full(n, 100.0), f"{direction}_command": command}
-    if model.channels[direction].benchmark.covariate:
+    if model.channels[direction].benchmark.covariates:
         signals["pressure"] = np.full(n, 120.0)
     units = {role: model.units[role] for role in signals}
     return np.asarray(model.simulate(hitchid.Record("step", model.step_s, signals, units), compensated=False))

@@ -97,7 +97,7 @@ def test_what_schema_5_kept_in_the_channel_is_found_beside_it():
     assert not comparison.baselines
     names = ("baseline arx", "baseline narx", "baseline lstm", "network correction of the free run")
     assert comparison.dropped == names
-    assert comparison.covariate is None
+    assert comparison.covariates == ()
     samples = slice(len(test))
     paper, behind = comparison.paper, batch.with_dead_zone(comparison.paper.dead_zone)
     simulated = np.asarray(paper.simulate_benchmark(behind))[0, samples]
@@ -138,8 +138,9 @@ def test_an_offset_that_drifts_with_time_in_schema_9_is_refused():
 
     def content(drift):
         values[6] = drift
-        channel = {"structure": "inertia-with-friction", "values": list(values)}
-        return {"schema": 9, "channels": {LIFTING: channel}}
+        channel = {"structure": "inertia-with-friction", "values": list(values), "shape": None, "load": None}
+        others = {key: {} for key in ("comparison", "uncertainty", "set_by_hand")}
+        return {"schema": 9, "channels": {LIFTING: channel}, **others}
 
     with pytest.raises(ValueError, match="lifting: the offset of 'inertia-with-friction' drifts with time"):
         migrate(content(0.02), {})
@@ -161,6 +162,21 @@ def test_without_a_load_filter_of_schema_9_the_last_measured_error_stays():
     error = np.asarray(batch.displacement - channel.simulate_benchmark(batch))[0]
     (ahead,) = np.asarray(channel.predict(batch, (5,)) - channel.simulate_benchmark(batch))[:, 0]
     np.testing.assert_allclose(ahead[5:], error[:-5], rtol=0, atol=DIGITS_MM)
+
+
+def test_the_load_of_schema_10_becomes_a_covariate_with_two_effects():
+    model = load(written(10)[0])
+    channel, known = model.channels[LIFTING], model.uncertainty[LIFTING]
+    assert channel.benchmark.covariates == model.comparison[LIFTING].covariates == ("pressure",)
+    named = channel.benchmark.named_values()
+    assert (named["gain_by_pressure"], named["opening_by_pressure"]) == (0.3, 0.05)
+    assert [estimate.name for estimate in known.benchmark.parameters] == ["gain", "gain_by_pressure"]
+    (member,) = known.bands.ensemble
+    assert len(member.benchmark) == channel.benchmark.parameter_vector.size
+    folder, rows = written(10)
+    band = load(folder).simulate(record(rows)).band()
+    np.testing.assert_allclose(band.lower, rows["lower"], rtol=0, atol=LSTM_DIGITS_MM)
+    np.testing.assert_allclose(band.upper, rows["upper"], rtol=0, atol=LSTM_DIGITS_MM)
 
 
 def test_a_description_of_this_version_stays_as_it_is():

@@ -53,11 +53,11 @@ def test_a_valve_curve_multiplies_by_its_slope_the_gain_there_and_the_lag_of_the
     plain = handmade.channel(LIFTING, "integrator-first-order")
     curved = handmade.channel(LIFTING, "integrator-first-order", shape=True)
     nonlinearity = curved.benchmark.nonlinearity
-    load, centre = nonlinearity.scales.load_centre, nonlinearity.scales.centre
+    centre = nonlinearity.scales.centre
     step = 1e-4
 
     def flow(effective):
-        return float(nonlinearity.flow(jnp.asarray(effective), load))
+        return float(nonlinearity.flow(jnp.asarray(effective)))
 
     # Central difference: error of the second order, below 1e-6 for curves of size one.
     slope = (flow(EFFECTIVE + step) - flow(EFFECTIVE - step)) / (2 * step)
@@ -66,7 +66,7 @@ def test_a_valve_curve_multiplies_by_its_slope_the_gain_there_and_the_lag_of_the
         found.magnitude.value * np.exp(1j * found.phase_rad.value)
         for found in (frequency_response(channel, FREQUENCY_HZ, LEVEL, None) for channel in (plain, curved))
     ]
-    factor = slope * float(nonlinearity.gain(centre, load)) / (1 + 2j * np.pi * FREQUENCY_HZ * spool_lag_s)
+    factor = slope * float(nonlinearity.gain(centre)) / (1 + 2j * np.pi * FREQUENCY_HZ * spool_lag_s)
     np.testing.assert_allclose(response[1] / response[0], factor, rtol=1e-6)
 
 
@@ -110,12 +110,11 @@ def test_a_valve_curve_is_part_of_the_step_response():
     curved = handmade.channel(LIFTING, shape=True)
     (found,) = step_responses(curved, [LEVEL], 10.0, None)
     nonlinearity = curved.benchmark.nonlinearity
-    load = nonlinearity.scales.load_centre
-    flow = float(nonlinearity.flow(jnp.asarray(EFFECTIVE), load))
+    flow = float(nonlinearity.flow(jnp.asarray(EFFECTIVE)))
     # Half a hysteresis of the rising command lies within the dead zone and the play; once the spool's lag
     # has died away, the speed is gain, flow and the gain at each place of the stroke.
     places = 0.5 * (found.travel.value[1:] + found.travel.value[:-1]) + float(nonlinearity.scales.centre)
-    steady = GAIN * flow * np.asarray(nonlinearity.gain(jnp.asarray(places), jnp.full(places.size, load)))
+    steady = GAIN * flow * np.asarray(nonlinearity.gain(jnp.asarray(places)))
     # Forward steps: the gain is that at the start of an interval, a relative error below its change in one.
     np.testing.assert_allclose(found.speed.value[50:], steady[50:], rtol=5e-3)
 

@@ -15,8 +15,6 @@ from hitchid.model import Characteristics, Estimate, Estimates, Quantity, SpeedP
 from hitchid.structures import (
     NONLINEARITY_PARAMETERS,
     PhysicalModel,
-    Scales,
-    StaticNonlinearity,
     structure_named,
 )
 from hitchid.structures.static_nonlinearity import NEUTRAL
@@ -30,15 +28,11 @@ LEVELS, LOADS = (0.6, 0.9, 1.2), (100.0, 120.0, 140.0)
 def curved(**values):
     """Return a model with one lifting channel and given nonlinearities, U = 1.2 A, mean load 120 bar."""
     row = [values.get(p.name, NEUTRAL.get(p.name, 0.0)) for p in NONLINEARITY_PARAMETERS]
-    scales = Scales(*(jnp.asarray(scale) for scale in (1.2, 100.0, 60.0, 120.0, 25.0)))
+    effects = {name: values.get(f"{name}_by_pressure", 0.0) for name in ("gain", "opening")}
     channel = handmade.channel(LIFTING, covered=handmade.envelope(command=(0.0, 1.2)))
-    benchmark = PhysicalModel(
-        structure_named("integrator"),
-        jnp.array([30.0]),
-        jnp.zeros(()),
-        StaticNonlinearity(jnp.array(row), scales),
-        "pressure",
-    )
+    structure = structure_named("integrator")
+    curves = handmade.scheduled(structure, row, **effects)
+    benchmark = PhysicalModel(structure, jnp.array([30.0]), jnp.zeros(()), *curves)
     return handmade.hitch_of(replace(channel, benchmark=benchmark))
 
 
@@ -72,7 +66,8 @@ def with_map(model, *, open_level=None, errors=(0.05, 0.02)):
     dead_zone = Quantity("dead zone", "A", 0.35, (0.3, 0.4), determined=True)
     characteristics = Characteristics("A", "mm/s", "pressure", dead_zone, None, 0.9, None, None, points, ())
     estimates = tuple(
-        estimate(name, error) for name, error in zip(("position_slope", "load_gain"), errors, strict=True)
+        estimate(name, error)
+        for name, error in zip(("position_slope", "gain_by_pressure"), errors, strict=True)
     )
     known = Uncertainty(Estimates(estimates, (), ((1.0, 0.0), (0.0, 1.0)), 5, 5), None, None, characteristics)
     return replace(model, uncertainty={LIFTING: known})
@@ -89,7 +84,7 @@ def test_speed_is_gain_times_what_lies_beyond_the_dead_zone_signed_as_the_displa
 
 
 def test_speed_is_what_a_simulation_settles_at(make_record):
-    model = curved(opening=0.1, exponent=1.5, saturation=0.4, load_gain=0.3, load_shift=0.05)
+    model = curved(opening=0.1, exponent=1.5, saturation=0.4, gain_by_pressure=0.3, opening_by_pressure=0.05)
     command, load = 1.1, 135.0
     record = make_record(np.full(200, 100.0), np.r_[0.0, np.full(199, command)])
     pressure = {**record.signals, "pressure": np.full(200, load)}
@@ -116,7 +111,7 @@ def test_commands_displacements_and_loads_broadcast():
 
 
 def test_the_band_is_that_of_the_speed_map_at_its_points():
-    model = with_map(curved(load_gain=0.3))
+    model = with_map(curved(gain_by_pressure=0.3))
     found = model.speed(np.array(LEVELS)[:, None], load=np.array(LOADS))
     np.testing.assert_allclose(found.band.lower, 0.9 * found.speed, rtol=1e-12)
     np.testing.assert_allclose(found.band.upper, 1.2 * found.speed, rtol=1e-12)
@@ -177,7 +172,7 @@ def test_the_speed_at_the_command_for_a_speed_is_that_speed(
         saturation=saturation,
         position_slope=0.3,
         position_curve=-0.2,
-        load_gain=0.2,
+        gain_by_pressure=0.2,
     )
     at = {"displacement": displacement, "load": load}
     slowest, fastest = (float(model.speed(command, **at).speed) for command in (0.3513, 1.55))
@@ -228,7 +223,7 @@ def test_what_has_no_inverse_is_refused():
     with pytest.raises(InputError, match="load: the lifting channel has no covariate"):
         COVERED.inverse_table(LIFTING, load=100.0)
     with pytest.raises(InputError, match="does not move at the largest command"):
-        curved(opening=0.9, load_shift=0.3).inverse_table(load=180.0)
+        curved(opening=0.9, opening_by_pressure=0.3).inverse_table(load=180.0)
 
 
 def wide(channel):

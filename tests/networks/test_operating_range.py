@@ -48,14 +48,14 @@ def test_trust_never_grows_on_the_way_out(ends):
 def test_where_there_is_no_second_input_its_range_has_no_width_and_is_never_left():
     assert trusted(0.0, 0.0, 0.0) == 1.0
     covered = envelope()
-    assert float(covered.trust(jnp.asarray(0.2), jnp.asarray(80.0), jnp.asarray(0.0))) == 1.0
+    assert float(covered.trust(jnp.asarray(0.2), jnp.asarray(80.0), jnp.zeros(1))) == 1.0
 
 
 def test_one_range_left_by_a_tenth_is_enough():
     covered = envelope(load=(10.0, 20.0))
-    within = {"command": 0.2, "displacement": 80.0, "load": 15.0}
-    beyond = {"command": 0.56, "displacement": 161.0, "load": 21.5}
-    halfway = {"command": 0.525, "displacement": 155.0, "load": 20.5}
+    within = {"command": 0.2, "displacement": 80.0, "load": [15.0]}
+    beyond = {"command": 0.56, "displacement": 161.0, "load": [21.5]}
+    halfway = {"command": 0.525, "displacement": 155.0, "load": [20.5]}
     assert float(covered.trust(*map(jnp.asarray, within.values()))) == 1.0
     for name in within:
         for values, trust in ((beyond, 0.0), (halfway, 0.5)):
@@ -70,11 +70,11 @@ def test_the_ranges_of_a_model_are_those_of_the_samples_that_count(make_record):
         for start, top in ((80.0, 0.7), (70.0, 0.9))
     ]
     batch = Batch.of(records, LIFTING, dead_zone=0.3, sign=1)
-    found = operating_range_of(batch)
-    ranges = {name: (float(each.lowest), float(each.highest)) for name, each in vars(found).items()}
+    found = operating_range_of(batch, ())
+    ranges = {name: (each.lowest.item(), each.highest.item()) for name, each in vars(found).items()}
     assert ranges["command"] == pytest.approx((0.0, 0.6))
     assert ranges["displacement"] == (70.0, 90.0)
     assert ranges["load"] == (0.0, 0.0)
     early = batch.masked(jnp.asarray(np.arange(batch.command.shape[1]) < 50)[None] & batch.loss_mask)
-    assert float(operating_range_of(early).displacement.highest) == records[0].displacement[49]
-    assert float(operating_range_of(early).command.highest) == pytest.approx(0.9 * 49 / 99 - 0.3)
+    assert float(operating_range_of(early, ()).displacement.highest) == records[0].displacement[49]
+    assert float(operating_range_of(early, ()).command.highest) == pytest.approx(0.9 * 49 / 99 - 0.3)

@@ -17,12 +17,12 @@ FINE = 2.0**-10
 
 
 def made_up(seed=0, *, samples=SAMPLES):
-    """Return travel, growing in each sample, and command, shape [T, N], initial and load, shape [T]."""
+    """Return travel, growing in each sample, and command, shape [T, N], initial, shape [T], and load."""
     rng = np.random.default_rng(seed)
     steps = FINE * rng.integers(1, 400, (TESTS, samples))
     travel = np.cumsum(steps, axis=1) - steps
     command = rng.uniform(0.0, 0.5, (TESTS, samples))
-    return tuple(map(jnp.asarray, (travel, command, rng.uniform(60.0, 90.0, TESTS), np.zeros(TESTS))))
+    return tuple(map(jnp.asarray, (travel, command, rng.uniform(60.0, 90.0, TESTS), np.zeros((TESTS, 1)))))
 
 
 def simulated(model, *signals):

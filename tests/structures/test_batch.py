@@ -85,10 +85,11 @@ def test_the_second_input_counts_as_its_mean_before_motion(records):
         records[records.index(record)] = replace(
             record, signals=signals, units={**record.units, "pressure": "bar"}
         )
-    batch = laid(records, covariate="pressure")
-    assert batch.covariate.shape == (3,)
-    np.testing.assert_allclose(batch.covariate, told, rtol=1e-12)
-    np.testing.assert_array_equal(laid(records).covariate, [0.0, 0.0, 0.0])
+    batch = laid(records, covariates=["pressure"])
+    assert batch.covariates.shape == (3, 1)
+    np.testing.assert_allclose(batch.load(["pressure"])[:, 0], told, rtol=1e-12)
+    assert laid(records).covariates.shape == (3, 0)
+    np.testing.assert_array_equal(laid(records).load([]), np.zeros((3, 1)))
 
 
 @pytest.mark.parametrize("most", [100, 171, 256, 512, 4096])
@@ -110,7 +111,7 @@ def test_a_thinned_batch_keeps_the_integral_of_every_command_and_the_start(recor
         np.testing.assert_allclose(
             thin.step_s * rough.sum(axis=1), STEP_S * whole.sum(axis=1), rtol=512 * EPS, atol=0
         )
-    for name in ("initial", "covariate", "dead_zone"):
+    for name in ("initial", "covariates", "dead_zone"):
         np.testing.assert_array_equal(getattr(thin, name), getattr(batch, name))
     for name in ("displacement", "valid", "loss_mask"):
         np.testing.assert_array_equal(getattr(thin, name), np.asarray(getattr(batch, name))[:, ::factor])
@@ -146,7 +147,7 @@ def test_take_keeps_whole_tests_in_the_order_asked_for(records):
         "valid",
         "loss_mask",
         "initial",
-        "covariate",
+        "covariates",
     ):
         np.testing.assert_array_equal(getattr(some, name), np.asarray(getattr(batch, name))[[2, 0]])
     assert (some.step_s, some.sign) == (batch.step_s, batch.sign)

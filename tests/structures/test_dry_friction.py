@@ -118,11 +118,11 @@ def test_one_sample_at_a_time_it_is_the_whole_response(at_rest):
     whole = np.asarray(benchmark.travel(Batch.of([record], LIFTING, dead_zone=0.0, sign=1)))[0, :SAMPLES]
     discrete = DiscretePhysicalModel.of(benchmark, dead_zone=0.0, min_command=1e-6, sign=1, step_s=STEP_S)
     zero = jnp.zeros(())
-    valve, plant, travel, found = discrete.closed_valve(), discrete.init_state(zero, zero, zero), 0.0, []
+    valve, plant, travel, found = discrete.closed_valve(), discrete.init_state(zero, zero), 0.0, []
     for u in command:
         found.append(travel)
-        valve = discrete.step_valve(valve, jnp.asarray(u), zero)
-        plant, increment = discrete.advance(plant, valve, zero, zero)
+        valve = discrete.step_valve(valve, jnp.asarray(u))
+        plant, increment = discrete.advance(plant, valve, zero)
         travel += float(increment)
     np.testing.assert_allclose(found, whole, rtol=0, atol=1e-9)
 

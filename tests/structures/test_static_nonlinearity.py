@@ -22,7 +22,7 @@ from hitchid.structures.static_nonlinearity import MAX_EXTRAPOLATION, NEUTRAL, Q
 from truth import STEP_S, levels
 
 EPS = np.finfo(np.float64).eps
-SCALES = Scales(*(jnp.asarray(scale) for scale in (2.0, 50.0, 50.0, 120.0, 25.0)))
+SCALES = Scales(*(jnp.asarray(scale) for scale in (2.0, 50.0, 50.0)))
 DEAD_ZONE = 0.4
 
 
@@ -36,8 +36,8 @@ compiled_flow = eqx.filter_jit(StaticNonlinearity.flow)
 compiled_effective = eqx.filter_jit(StaticNonlinearity.effective)
 
 
-def flow(curves, command, load=120.0):
-    return np.asarray(compiled_flow(curves, jnp.asarray(command)[None], jnp.array([load])))[0]
+def flow(curves, command):
+    return np.asarray(compiled_flow(curves, jnp.asarray(command)[None]))[0]
 
 
 def effective(curves, command, dead_zone=DEAD_ZONE):
@@ -51,7 +51,7 @@ def test_neutral_curves_change_nothing():
     # (1 + 10⁻¹⁶)^¼ and a division by U and back.
     np.testing.assert_allclose(flow(shape(), command), command, rtol=4 * EPS)
     travel = jnp.cumsum(jnp.asarray(command))[None]
-    shaped = shape().travel(travel, jnp.zeros(1), jnp.zeros(1), 1)
+    shaped = shape().travel(travel, jnp.zeros(1), 1)
     np.testing.assert_allclose(
         np.asarray(shaped), travel, rtol=0, atol=200 * EPS * float(jnp.abs(travel).max())
     )
@@ -168,19 +168,17 @@ def test_flow_is_the_power_of_what_lies_beyond_the_opening_until_it_saturates():
     opening=st.floats(-0.6, 0.9),
     exponent=st.floats(0.34, 3.0),
     saturation=st.floats(0.05, 1e4),
-    shift=st.floats(-0.3, 0.3),
-    load=st.floats(0.0, 400.0),
 )
 def test_flow_never_falls_with_the_command_and_a_standing_command_moves_nothing(
-    opening, exponent, saturation, shift, load
+    opening, exponent, saturation
 ):
-    curves = shape(opening=opening, exponent=exponent, saturation=saturation, load_shift=shift)
+    curves = shape(opening=opening, exponent=exponent, saturation=saturation)
     command = np.linspace(0.0, 2.5, 60)
-    found = flow(curves, command, load)
+    found = flow(curves, command)
     assert found[0] == 0.0
     assert np.all(np.diff(found) >= -4 * EPS * found.max())
     assert found.max() <= 2.0 * saturation * (1 + 4 * EPS)
-    np.testing.assert_array_equal(flow(curves, -command, load), -found)
+    np.testing.assert_array_equal(flow(curves, -command), -found)
 
 
 def test_a_gain_along_the_stroke_gives_the_travel_of_its_differential_equation():
@@ -190,7 +188,7 @@ def test_a_gain_along_the_stroke_gives_the_travel_of_its_differential_equation()
     for step_s in (0.02, 0.01):
         time_s = step_s * np.arange(round(3.0 / step_s) + 1)
         linear = jnp.asarray(speed * time_s)[None]
-        found = shape(position_slope=slope).travel(linear, jnp.zeros(1), jnp.zeros(1), 1)
+        found = shape(position_slope=slope).travel(linear, jnp.zeros(1), 1)
         place = -np.log(np.exp(slope) - slope * speed * time_s / 50.0) / slope
         errors.append(np.abs(np.asarray(found)[0] - 50.0 * (place + 1)).max())
     # One Euler step a sample: half the step, half the error.
@@ -200,11 +198,10 @@ def test_a_gain_along_the_stroke_gives_the_travel_of_its_differential_equation()
 
 def test_a_falling_displacement_sees_the_same_gain_where_it_is():
     linear = jnp.linspace(0.0, 20.0, 300)[None]
-    none = jnp.zeros(1)
     curves = shape(position_slope=0.5, position_curve=-0.4)
-    up = curves.travel(linear, none, jnp.array([10.0]), 1)
+    up = curves.travel(linear, jnp.array([10.0]), 1)
     mirrored = shape(position_slope=-0.5, position_curve=-0.4)
-    down = mirrored.travel(linear, none, jnp.array([90.0]), -1)
+    down = mirrored.travel(linear, jnp.array([90.0]), -1)
     np.testing.assert_allclose(up, down, rtol=1e-12)
 
 
@@ -214,7 +211,7 @@ compiled_gain = eqx.filter_jit(StaticNonlinearity.gain)
 def gain(curves, place):
     """Return the gain at places in half ranges from the centre, 50 mm each, shape [N]."""
     displacement = 50.0 + 50.0 * np.asarray(place)
-    return np.asarray(compiled_gain(curves, jnp.asarray(displacement), jnp.full(len(place), 120.0)))
+    return np.asarray(compiled_gain(curves, jnp.asarray(displacement)))
 
 
 slopes = st.floats(-2.0, 2.0)
@@ -253,19 +250,10 @@ def test_the_gain_has_no_step_where_the_reach_ends_and_at_last_stands(slope, sid
     np.testing.assert_allclose(found[1:], found[1], rtol=50 * EPS)
 
 
-def test_the_load_scales_travel_and_shifts_the_opening():
-    linear = jnp.linspace(0.0, 20.0, 300)[None]
-    found = shape(load_gain=0.3).travel(linear, jnp.array([145.0]), jnp.zeros(1), 1)
-    np.testing.assert_allclose(found, np.exp(0.3) * linear, rtol=1e-12)
-    command = np.linspace(0.01, 2.0, 50)
-    shifted = flow(shape(load_shift=0.1), command, 145.0)
-    np.testing.assert_allclose(shifted, flow(shape(opening=0.1), command), rtol=1e-12, atol=1e-15)
-
-
 def test_a_record_without_the_second_input_is_refused(make_record):
     record = make_record(np.linspace(80.0, 90.0, 100), np.ones(100))
     with pytest.raises(InputError, match="has no 'pressure'"):
-        Batch.of([record], LIFTING, dead_zone=0.0, sign=1, covariate="pressure")
+        Batch.of([record], LIFTING, dead_zone=0.0, sign=1, covariates=["pressure"])
 
 
 def test_bounds_may_be_negative_only_where_a_parameter_may():

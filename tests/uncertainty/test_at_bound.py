@@ -14,7 +14,7 @@ from hitchid.uncertainty.profile import Profile
 from truth import levels
 
 FORM = ModelSpec(structure_named("integrator-second-order"))
-SCALES = Scales(*(jnp.asarray(scale) for scale in (1.0, 90.0, 40.0, 0.0, 1.0)))
+SCALES = Scales(*(jnp.asarray(scale) for scale in (1.0, 90.0, 40.0)))
 SAMPLES, TESTS, NOISE = 200, 8, 0.05
 LOWEST_DAMPING = 0.05  # bound of the search
 

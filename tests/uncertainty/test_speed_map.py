@@ -26,7 +26,6 @@ from hitchid.structures import (
     PhysicalModel,
     Scales,
     StaticNonlinearity,
-    steady_speed,
     structure_named,
 )
 from hitchid.structures.static_nonlinearity import NEUTRAL
@@ -169,23 +168,24 @@ def test_a_profile_widens_a_speed_to_what_still_fits_and_opens_it_where_it_has_n
 
 def shaped(**values):
     neutral = {parameter.name: NEUTRAL.get(parameter.name, 0.0) for parameter in NONLINEARITY_PARAMETERS}
-    scales = Scales(*map(jnp.asarray, (2.0, 100.0, 50.0, 10.0, 4.0)))
+    scales = Scales(*map(jnp.asarray, (2.0, 100.0, 50.0)))
     return StaticNonlinearity(
         jnp.asarray([{**neutral, **values}[parameter.name] for parameter in NONLINEARITY_PARAMETERS]), scales
     )
 
 
 def test_steady_speed_follows_the_valve_curve_and_the_load():
-    shape = shaped(
-        opening=0.1, exponent=1.5, saturation=0.6, load_shift=0.05, load_gain=-0.2, position_curve=0.3
+    curves = shaped(opening=0.1, exponent=1.5, saturation=0.6, position_curve=0.3).values.tolist()
+    shape = handmade.scheduled(
+        INTEGRATOR.structure, curves, (2.0, 100.0, 50.0), 10.0, 4.0, opening=0.05, gain=-0.2
     )
-    benchmark = PhysicalModel(INTEGRATOR.structure, jnp.asarray([20.0]), jnp.zeros(()), shape)
+    benchmark = PhysicalModel(INTEGRATOR.structure, jnp.asarray([20.0]), jnp.zeros(()), *shape)
     commands, loads = np.array([0.4, 1.0, 2.2]), np.array([10.0, 14.0, 14.0])
     z, load = (np.maximum(commands - 0.3, 0) / 2.0), (loads - 10.0) / 4.0
     v = np.maximum(z - 0.05 * load - 0.1, 0) ** 1.5
     w = 2.0 * v / (1 + (v / 0.6) ** 4) ** 0.25
     expected = 20.0 * w * np.exp(-0.3 / 3 - 0.2 * load)
-    found = steady_speed(benchmark, jnp.asarray(commands), jnp.asarray(loads), 0.3, 100.0)
+    found = speeds_at(benchmark, jnp.asarray(commands), jnp.full(3, 100.0), jnp.asarray(loads)[:, None], 0.3)
     np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
@@ -196,7 +196,7 @@ def test_delay_and_response_time_are_those_of_the_step_response(omega, damping):
     (num,), den = second_order(1.0, omega, damping)
     time_s, speed = signal.step(([num], den[:-1]), T=np.linspace(0, 40 * damping / omega, 200_001))
     for found, part in zip(
-        step_times(benchmark, 1.0, 0.0, 0.3, speed_lag(structure, np.asarray(benchmark.values))),
+        step_times(benchmark, 1.0, 0.3, speed_lag(structure, np.asarray(benchmark.values))),
         (0.05, 1 - np.exp(-1)),
         strict=True,
     ):

@@ -8,7 +8,6 @@ import numpy as np
 from hitchid.baselines.autoregression import Autoregression
 from hitchid.baselines.baseline import Baseline, FitContext, Sizes
 from hitchid.baselines.linear_inputs import (
-    INPUT_COUNTS,
     LinearInputs,
     UnpaddedTest,
     free_run_error,
@@ -86,11 +85,15 @@ class ArxBaseline(Baseline):
                 [model.simulate(test.inputs) for test in validation_tests], validation_tests
             )
 
-        return fit(tests, *min(product(ORDERS, INPUT_COUNTS), key=error))
+        return fit(tests, *min(product(ORDERS, scaling.counts), key=error))
 
     def skeleton(self, shapes: Sizes) -> Arx:
         """Return a model of the stored order, all coefficients zero."""
-        return Arx(LinearInputs.unfilled(), np.zeros(shapes["past"]), np.zeros(shapes["gains"]))
+        return Arx(
+            LinearInputs.unfilled(*shapes["scaling/load_centre"]),
+            np.zeros(shapes["past"]),
+            np.zeros(shapes["gains"]),
+        )
 
 
 def _lagged(test: UnpaddedTest, order: int) -> np.ndarray:

@@ -47,8 +47,8 @@ class Baseline(ABC):
         """Fit to all identification tests of a direction; None where the fit is not possible.
 
         What is chosen, such as an order or the end of a training, is chosen by `split_validation` of the
-        tests; the model is then fitted to all of them. The tests have the load that the physics model may
-        use, and so has every batch that the fitted baseline is given.
+        tests; the model is then fitted to all of them. The tests have the covariates that the physics model
+        may use, and so has every batch that the fitted baseline is given.
 
         Args:
             tests: all identification tests.

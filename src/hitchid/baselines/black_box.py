@@ -19,11 +19,20 @@ from hitchid.baselines.block_signals import (
 from hitchid.baselines.ensemble_training import Sections, train_ensemble
 from hitchid.baselines.fitted import FittedBaseline
 from hitchid.baselines.integrating_lstm import SINGLE, IntegratingLstm
+from hitchid.baselines.linear_inputs import covariate_scaling, covariates_of
 from hitchid.errors import FitError
 from hitchid.estimation.training import weights_of, with_weights
 from hitchid.structures import Batch, validation_mask
 
 HIDDEN, MEMBERS = 16, 5  # cells of an LSTM, LSTMs of an ensemble; chosen
+SCALINGS = (
+    "command_scale",
+    "load_centre",
+    "load_scale",
+    "position_centre",
+    "position_scale",
+    "increment_scale",
+)
 MAX_TESTS = 48  # tests of a training, which bound its time; chosen
 
 
@@ -36,7 +45,7 @@ class BlackBox(FittedBaseline):
     Attributes:
         networks: the members, a leading axis over them in each array.
         command_scale: largest command of the tests, shape [].
-        load_centre, load_scale: scaling of the load before motion, shape [].
+        load_centre, load_scale: scaling of the covariates before motion, shape [C].
         position_centre, position_scale: scaling of the position, shape [].
         increment_scale: σ, mean change of the scaled position in a step, shape [].
         samples: samples of a step, shape [].
@@ -55,8 +64,9 @@ class BlackBox(FittedBaseline):
     def untrained(cls, batch: Batch, signals: BlockSignals, samples: int, seed: int) -> "BlackBox":
         """Return an ensemble that stands still, scaled to tests."""
         rng = np.random.default_rng(seed)
-        members = [IntegratingLstm.init(rng, 2 * STEPS + 1, HIDDEN, STEPS) for _ in range(MEMBERS)]
-        position, load = batch.sign * np.asarray(batch.initial), np.asarray(batch.covariate)
+        inputs = 2 * STEPS + covariates_of(batch).shape[1]
+        members = [IntegratingLstm.init(rng, inputs, HIDDEN, STEPS) for _ in range(MEMBERS)]
+        position = batch.sign * np.asarray(batch.initial)
         scale = np.abs(signals.travel[signals.mask]).max(initial=0.0) or 1.0
         changes = np.diff(signals.travel, axis=2)[signals.mask[:, :, 1:]]
         return cls(
@@ -65,8 +75,7 @@ class BlackBox(FittedBaseline):
                 np.asarray,
                 (
                     np.abs(batch.raw_command).max() or 1.0,
-                    load.mean(),
-                    load.std() or 1.0,
+                    *covariate_scaling(batch),
                     position.mean(),
                     scale,
                     (np.abs(changes).mean() if changes.size else 0.0) / scale or 1.0,
@@ -76,11 +85,11 @@ class BlackBox(FittedBaseline):
         )
 
     def inputs(self, batch: Batch, signals: BlockSignals) -> Float32[Array, "k t i"]:
-        """Return the scaled inputs of each block, shape [K, T, 17]."""
+        """Return the scaled inputs of each block, shape [K, T, 16 + C]."""
         blocks, tests = signals.travel.shape[:2]
-        load = (np.asarray(batch.covariate) - self.load_centre) / self.load_scale
+        load = (covariates_of(batch) - self.load_centre) / self.load_scale
         commands = (signals.commands / self.command_scale).reshape(blocks, tests, -1)
-        load_rows = np.broadcast_to(load[None, :, None], (blocks, tests, 1))
+        load_rows = np.broadcast_to(load[None], (blocks, *load.shape))
         return jnp.asarray(np.concatenate([commands, load_rows], axis=2), SINGLE)
 
     def start(self, batch: Batch) -> Float32[Array, " t"]:
@@ -163,7 +172,8 @@ class BlackBoxBaseline(Baseline):
                 for name in ("weight_ih", "weight_hh", "bias", "head", "head_bias")
             )
         )
-        return BlackBox(networks, *(np.zeros(()) for _ in range(6)), samples=np.zeros((), np.int64))
+        scalings = (np.zeros(shapes.get(name, ())) for name in SCALINGS)
+        return BlackBox(networks, *scalings, samples=np.zeros((), np.int64))
 
 
 @eqx.filter_jit

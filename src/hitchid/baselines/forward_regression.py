@@ -4,7 +4,7 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
-LOAD, INITIAL = 1001, 1002  # codes of the load and the initial displacement among the factors of a term
+CONSTANT = 1001  # code of the first covariate among the factors of a term; the initial displacement is last
 DEPENDENT = 1e-10  # share of a term's square that is left orthogonal to the others; below it is none
 
 
@@ -13,10 +13,11 @@ def candidate_terms(lags: int, constants: np.ndarray) -> np.ndarray:
 
     Args:
         lags: largest lag.
-        constants: load and initial displacement of the tests, scaled; those that do not vary are no factors.
+        constants: covariates and initial displacement of the tests, scaled; one that does not vary is no
+            factor.
     """
     lagged = range(1, lags + 1)
-    varied = [code for code, column in zip((LOAD, INITIAL), constants.T, strict=True) if np.ptp(column) > 0]
+    varied = [CONSTANT + number for number, column in enumerate(constants.T) if np.ptp(column) > 0]
     factors = [0, *lagged, *(-i for i in lagged), *varied]
     return np.array(list(combinations_with_replacement(factors, 2)), dtype=np.int64)
 

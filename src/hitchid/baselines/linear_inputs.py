@@ -8,16 +8,15 @@ import numpy as np
 
 from hitchid.structures import Batch
 
-INPUT_COUNTS = (2, 4)  # inputs that are compared: with the command alone, and with constants as well
-
 
 class LinearInputs(eqx.Module):
-    """Inputs of a linear model of travel: command, command times load, 1, and initial displacement.
+    """Inputs of a linear model of travel: command, command times each covariate, 1, initial displacement.
 
-    The load multiplies the command, for without one it moves nothing; it is zero where none is measured.
+    A covariate multiplies the command, for without one it moves nothing; there is one of zeros where none is
+    measured.
 
     Attributes:
-        load_centre, load_scale: scaling of the load before motion, shape [].
+        load_centre, load_scale: scaling of the covariates before motion, shape [C].
         initial_centre, initial_scale: scaling of the initial displacement, shape [].
     """
 
@@ -29,18 +28,24 @@ class LinearInputs(eqx.Module):
     @classmethod
     def of(cls, batch: Batch) -> "LinearInputs":
         """Return the inputs scaled to tests."""
-        load, initial = np.asarray(batch.covariate), np.asarray(batch.initial)
-        return cls(*map(np.asarray, (load.mean(), load.std() or 1.0, initial.mean(), initial.std() or 1.0)))
+        initial = np.asarray(batch.initial)
+        scaling = *covariate_scaling(batch), initial.mean(), initial.std() or 1.0
+        return cls(*map(np.asarray, scaling))
 
     @classmethod
-    def unfilled(cls) -> "LinearInputs":
+    def unfilled(cls, covariates: int) -> "LinearInputs":
         """Return inputs whose scaling is zero, to be filled with the stored one."""
-        return cls(*(np.zeros(()) for _ in range(4)))
+        return cls(*(np.zeros(shape) for shape in ((covariates,), (covariates,), (), ())))
 
     def constants(self, batch: Batch) -> tuple[np.ndarray, np.ndarray]:
-        """Return load and initial displacement of each test, scaled, shape [T] each."""
-        load = (np.asarray(batch.covariate) - self.load_centre) / self.load_scale
+        """Return covariates and initial displacement of each test, scaled, shapes [T, C] and [T]."""
+        load = (covariates_of(batch) - self.load_centre) / self.load_scale
         return load, (np.asarray(batch.initial) - self.initial_centre) / self.initial_scale
+
+    @property
+    def counts(self) -> tuple[int, int]:
+        """Numbers of inputs that are compared: the command alone and with the covariates, and all."""
+        return 1 + self.load_centre.size, 3 + self.load_centre.size
 
     def rows(self, batch: Batch, count: int) -> np.ndarray:
         """Return the first inputs of each test, shape [T, count, N]."""
@@ -48,11 +53,23 @@ class LinearInputs(eqx.Module):
         load, initial = self.constants(batch)
         inputs = (
             command,
-            load[:, None] * command,
+            *(column[:, None] * command for column in load.T),
             np.ones_like(command),
             np.broadcast_to(initial[:, None], command.shape),
         )
         return np.stack(inputs[:count], axis=1)
+
+
+def covariates_of(batch: Batch) -> np.ndarray:
+    """Return the covariates of each test, one of zeros where there is none, shape [T, C]."""
+    return np.asarray(batch.load(batch.covariate_names))
+
+
+def covariate_scaling(batch: Batch) -> tuple[np.ndarray, np.ndarray]:
+    """Return mean and standard deviation of each covariate, one where it does not vary, shape [C] each."""
+    loads = covariates_of(batch)
+    spread = loads.std(axis=0)
+    return loads.mean(axis=0), np.where(spread > 0, spread, 1.0)
 
 
 class UnpaddedTest(NamedTuple):

@@ -22,12 +22,12 @@ SECTION_SAMPLES, MAX_SAMPLES = 2000, 20_000
 class Narx(Autoregression):
     """Polynomial NARX model of travel w (displacement relative to the start).
 
-    w(k) = Σₘ θₘ fₘ₁(k) fₘ₂(k), each factor f one of 1, w(k−i), u(k−i), the load, the initial displacement.
+    w(k) = Σₘ θₘ fₘ₁(k) fₘ₂(k), each factor f one of 1, w(k−i), u(k−i), a covariate, the initial displacement.
 
     Attributes:
-        scaling: of load and initial displacement.
-        terms: factors of each term, shape [M, 2]: 0 is the constant 1, i is w(k−i), −i is u(k−i), 1001 and
-            1002 are the load and the initial displacement.
+        scaling: of covariates and initial displacement.
+        terms: factors of each term, shape [M, 2]: 0 is the constant 1, i is w(k−i), −i is u(k−i), from
+            1001 on the covariates and last the initial displacement.
         coefficients: θ, for scaled signals, shape [M].
         travel_scale, command_scale: divisors of travel and command, shape [].
     """
@@ -45,17 +45,17 @@ class Narx(Autoregression):
         return int(lags.max(initial=1, where=lags <= LAGS[-1]))
 
     def inputs(self, batch: Batch) -> np.ndarray:
-        """Return command, load and initial displacement of tests, scaled, shape [T, 3, N]."""
+        """Return command, covariates and initial displacement of tests, scaled, shape [T, 2 + C, N]."""
         return narx_inputs(batch, self.scaling, self.command_scale)
 
     def predict_next(self, inputs: np.ndarray, travel: np.ndarray) -> np.ndarray:
-        """Return w(k) from inputs, shape [3, n, N], and w(k−1) … w(k−n), shape [n, N]."""
+        """Return w(k) from inputs, shape [2 + C, n, N], and w(k−1) … w(k−n), shape [n, N]."""
         constants = inputs[1:, 0].T
         values = products(self.terms, travel.T / self.travel_scale, inputs[0].T, constants)
         return self.travel_scale * (values @ self.coefficients)
 
     def simulate(self, inputs: np.ndarray) -> np.ndarray:
-        """Return travel simulated from inputs of shape [3, N] alone, from rest, shape [N].
+        """Return travel simulated from inputs of shape [2 + C, N] alone, from rest, shape [N].
 
         A simulation that diverges becomes infinite or NaN, without a warning.
         """
@@ -137,14 +137,20 @@ class NarxBaseline(Baseline):
     def skeleton(self, shapes: Sizes) -> Narx:
         """Return a model of the stored number of terms, all arrays zero."""
         terms, coefficients = np.zeros(shapes["terms"], np.int64), np.zeros(shapes["coefficients"])
-        return Narx(LinearInputs.unfilled(), terms, coefficients, np.zeros(()), np.zeros(()))
+        return Narx(
+            LinearInputs.unfilled(*shapes["scaling/load_centre"]),
+            terms,
+            coefficients,
+            np.zeros(()),
+            np.zeros(()),
+        )
 
 
 def narx_inputs(batch: Batch, scaling: LinearInputs, command_scale: np.ndarray) -> np.ndarray:
-    """Return command, load and initial displacement of tests, scaled, shape [T, 3, N]."""
+    """Return command, covariates and initial displacement of tests, scaled, shape [T, 2 + C, N]."""
     load, initial = scaling.constants(batch)
     command = np.asarray(batch.command) / command_scale
-    rows = (command, *(np.broadcast_to(row[:, None], command.shape) for row in (load, initial)))
+    rows = (command, *(np.broadcast_to(row[:, None], command.shape) for row in (*load.T, initial)))
     return np.stack(rows, axis=1)
 
 

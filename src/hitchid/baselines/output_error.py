@@ -12,7 +12,6 @@ from hitchid.baselines.autoregression import to_displacement
 from hitchid.baselines.baseline import Baseline, FitContext, Sizes
 from hitchid.baselines.fitted import FittedBaseline
 from hitchid.baselines.linear_inputs import (
-    INPUT_COUNTS,
     LinearInputs,
     UnpaddedTest,
     free_run_error,
@@ -89,14 +88,17 @@ class OutputErrorBaseline(Baseline):
                 [model.simulate(test.inputs) for test in validation_tests], validation_tests
             )
 
-        choices = sorted(product(ORDERS, DELAYS, INPUT_COUNTS), key=partial(error, _filtered_fit))
+        choices = sorted(product(ORDERS, DELAYS, scaling.counts), key=partial(error, _filtered_fit))
         order, delay, count = min(choices[:REFINED], key=partial(error, _refined_fit))
         model = _refined_fit(scaling, prepared(coarse, delay, count), order)
         return OutputError(scaling, model.past, model.gains, np.asarray(delay), np.asarray(step))
 
     def skeleton(self, shapes: Sizes) -> OutputError:
         """Return a model of the stored order, all coefficients zero."""
-        scaling, steps = LinearInputs.unfilled(), (np.zeros((), np.int64), np.ones((), np.int64))
+        scaling, steps = (
+            LinearInputs.unfilled(*shapes["scaling/load_centre"]),
+            (np.zeros((), np.int64), np.ones((), np.int64)),
+        )
         return OutputError(scaling, np.zeros(shapes["past"]), np.zeros(shapes["gains"]), *steps)
 
 

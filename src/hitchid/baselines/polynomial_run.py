@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hitchid.baselines.forward_regression import LOAD
+from hitchid.baselines.forward_regression import CONSTANT
 from hitchid.structures import Batch
 
 
@@ -15,7 +15,7 @@ class Sections:
     Attributes:
         command: command of the past and of the section, shape [S, P + N].
         past: travel before the section, shape [S, P].
-        constants: load and initial displacement, shape [S, 2].
+        constants: covariates and initial displacement, shape [S, C + 1].
         travel: measured travel of the section, shape [S, N].
         mask: samples that errors are taken over, shape [S, N].
     """
@@ -45,7 +45,7 @@ def sections_of(
 
     Args:
         batch: tests.
-        inputs: scaled command and constants, shape [T, 3, N].
+        inputs: scaled command and constants, shape [T, 2 + C, N].
         travel: scaled travel, shape [T, N].
         past: samples before a section.
         longest: samples of a section at most.
@@ -78,7 +78,7 @@ def products(terms: np.ndarray, travel: np.ndarray, command: np.ndarray, constan
     Args:
         terms: factors of each term, shape [M, 2]; see `Narx`.
         travel, command: scaled, at k−1 … k−n, shape [S, n] each.
-        constants: load and initial displacement, scaled, shape [S, 2].
+        constants: covariates and initial displacement, scaled, shape [S, C + 1].
     """
     signals = np.concatenate([np.ones((len(travel), 1)), travel, command, constants], axis=1)
     columns = _columns(terms, travel.shape[1])
@@ -124,6 +124,6 @@ def polynomial_run(
 
 
 def _columns(terms: np.ndarray, lags: int) -> np.ndarray:
-    """Return the columns of 1, w(k−1) …, u(k−1) …, load, initial displacement that are a term's factors."""
-    constants = np.where(terms >= LOAD, 2 * lags + 1 + terms - LOAD, terms)
+    """Return the columns, among 1, w(k−1) …, u(k−1) … and constants, that are the factors of terms."""
+    constants = np.where(terms >= CONSTANT, 2 * lags + 1 + terms - CONSTANT, terms)
     return np.where(terms < 0, lags - terms, constants)

@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hitchid.errors import InputError
+
 if TYPE_CHECKING:
     from hitchid.report import Format
 
@@ -24,6 +26,42 @@ Interactive = Annotated[
 Strict = Annotated[bool, typer.Option("--strict", help="Fail if any log cannot be used.")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Print errors only.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace an existing result.")]
+
+
+Loads = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--load",
+        help="Covariate before motion, in the model's unit; of several NAME=VALUE, once each "
+        "[simulate: as measured in the log; run: mean of the identification tests].",
+    ),
+]
+
+
+def loads_of(texts: list[str] | None) -> dict[str, float] | float | None:
+    """Return the covariates of `--load`, one number or by name.
+
+    Raises:
+        InputError: a value is not a number, or only some have names.
+    """
+    if not texts:
+        return None
+    if len(texts) == 1 and "=" not in texts[0]:
+        return _number(texts[0], texts[0])
+    named = {}
+    for text in texts:
+        name, separator, value = text.rpartition("=")
+        if not separator:
+            raise InputError(f"--load: expected NAME=VALUE for each of several covariates, got {text}")
+        named[name.strip()] = _number(value, text)
+    return named
+
+
+def _number(value: str, text: str) -> float:
+    try:
+        return float(value)
+    except ValueError:
+        raise InputError(f"--load: expected a number or NAME=NUMBER, got {text}") from None
 
 
 def report_formats(*, as_pdf: bool, as_xlsx: bool, interactive: bool) -> "list[Format]":

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from hitchid.cli.cache import prepare_jax
+from hitchid.cli.options import Loads, loads_of
 
 
 def run(
@@ -16,14 +17,14 @@ def run(
         float | None,
         typer.Option("--initial", help="Initial displacement, in the model's unit [first measured]."),
     ] = None,
-    load: Annotated[float, typer.Option("--load", help="Load: the covariate before motion.")] = 0.0,
+    load: Loads = None,
 ) -> None:
     """Read samples from standard input, line by line; write the displacement one sample later (JSON)."""
     prepare_jax()
     from hitchid.model import load as load_model
     from hitchid.online.live import Live
 
-    live = Live(load_model(model), initial=initial, load=load)
+    live = Live(load_model(model), initial=initial, load=loads_of(load))
     if isinstance(sys.stdin, TextIOWrapper):
         sys.stdin.reconfigure(encoding="utf-8", errors="replace")
     sys.stderr.write("ready\n")

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from hitchid.cli.cache import prepare_jax
-from hitchid.cli.options import Force, Signals
+from hitchid.cli.options import Force, Loads, Signals, loads_of
 from hitchid.errors import InputError
 
 DEFAULT_COVERAGE = 90  # percent of the samples
@@ -20,10 +20,7 @@ def simulate(
         float | None,
         typer.Option("--initial", help="Initial displacement, in the model's unit [as measured in the log]."),
     ] = None,
-    load: Annotated[
-        float | None,
-        typer.Option("--load", help="Covariate before motion, in the model's unit [as measured in the log]."),
-    ] = None,
+    load: Loads = None,
     horizon: Annotated[
         str,
         typer.Option(
@@ -57,7 +54,7 @@ def simulate(
         load_model(model),
         log,
         out,
-        initial=InitialValues(initial, load),
+        initial=InitialValues(initial, loads_of(load)),
         horizon=steps,
         coverage=(DEFAULT_COVERAGE if coverage is None else coverage) / 100 if bands else None,
         signals=signals,

@@ -158,14 +158,15 @@ class Record(Value, Summarised):
             )
         return self.signals[role]
 
-    def require(self, covariate: str | None) -> "Record":
-        """Return the record itself if it has the covariate, or if none is required.
+    def require(self, covariates: Sequence[str]) -> "Record":
+        """Return the record itself if it has the covariates.
 
         Raises:
-            InputError: it lacks the covariate.
+            InputError: it lacks one of them.
         """
-        if covariate is not None and covariate not in self.signals:
-            raise InputError(f"record '{self.name}' has no '{covariate}'; the model requires this covariate")
+        for name in covariates:
+            if name not in self.signals:
+                raise InputError(f"record '{self.name}' has no '{name}'; the model requires this covariate")
         return self
 
     @property

@@ -23,7 +23,7 @@ from hitchid.experiments.excitation import prbs, precompensated
 from hitchid.model import Channel, Hitch
 from hitchid.model.information import Information
 from hitchid.readers import write_table
-from hitchid.structures import DEAD_TIME, NONLINEARITY_PARAMETERS, Batch, PhysicalModel, padded_length
+from hitchid.structures import Batch, PhysicalModel, padded_length
 from hitchid.uncertainty.information import (
     profile_out_gain,
     standard_errors,
@@ -271,6 +271,7 @@ def _signal(proposal: Proposal, step_s: float) -> np.ndarray:
 def _batch(channel: Channel, commands: Float[np.ndarray, "t n"], step_s: float) -> Batch:
     """Return candidate tests as a batch that starts at the end of the stroke opposite to the motion."""
     ends, load = channel.operating_range.displacement, channel.operating_range.load
+    covariates = channel.benchmark.covariates
     start = ends.lowest if channel.sign > 0 else ends.highest
     tests, samples = commands.shape
     padded = np.pad(commands, ((0, 0), (0, padded_length(samples) - samples)))
@@ -282,9 +283,10 @@ def _batch(channel: Channel, commands: Float[np.ndarray, "t n"], step_s: float) 
         valid=jnp.ones(padded.shape, dtype=bool),
         loss_mask=jnp.ones(padded.shape, dtype=bool),
         initial=jnp.full(tests, start),
-        covariate=jnp.full(tests, 0.5 * (load.lowest + load.highest)),
+        covariates=jnp.tile(0.5 * (load.lowest + load.highest), (tests, 1))[:, : len(covariates)],
         step_s=step_s,
         sign=channel.sign,
+        covariate_names=covariates,
     )
 
 
@@ -293,11 +295,7 @@ def _derivatives(
 ) -> tuple[np.ndarray, Float[np.ndarray, "t n d"]]:
     """Return travel, and its derivatives by the parameters in the unit cube."""
     physical_model = channel.benchmark
-    names = [
-        *(p.name for p in physical_model.structure.parameters),
-        DEAD_TIME.name,
-        *(p.name for p in NONLINEARITY_PARAMETERS),
-    ]
+    names = [parameter.name for parameter in physical_model.parameters]
     tangents = np.zeros((len(information.names), physical_model.parameter_vector.size))
     for row, name, slope in zip(tangents, information.names, information.slopes, strict=True):
         row[names.index(name)] = slope

@@ -130,7 +130,8 @@ def search_problem(objective: Objective) -> SearchProblem:
     problem = objective.problem()
     spec, batch = objective.spec, objective.batch
     structure = spec.structure.linear
-    is_linear = structure is not None and not structure.has_dry_friction and not spec.nonlinearity_parameters
+    curved = spec.nonlinearity_parameters or spec.covariates
+    is_linear = structure is not None and not structure.has_dry_friction and not curved
     if not (is_linear and correlations_applicable(batch)):
         return problem
     correlations = Correlations.of(batch)

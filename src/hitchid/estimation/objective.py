@@ -16,7 +16,7 @@ from hitchid.errors import FitError
 from hitchid.estimation.bounds import Bounds
 from hitchid.estimation.least_squares import LeastSquaresResult, best_refined
 from hitchid.estimation.search_problem import NormalEquations, SearchProblem
-from hitchid.structures import Batch, ModelSpec, Scales
+from hitchid.structures import Batch, CovariateScales, ModelSpec, Scales
 from hitchid.structures.structure import Scale
 
 _Fitness = TypeVar("_Fitness", bound=eqx.Module)
@@ -58,7 +58,7 @@ class Objective(eqx.Module):
         return cls(
             batch,
             spec,
-            scales_of(batch),
+            scales_of(batch, spec.covariate_names),
             _bounds(spec, batch),
             per_test_gain=allows_per_test_gain(batch, spec),
         )
@@ -280,18 +280,29 @@ def _values(bounds: Bounds, position: Float[Array, "*p d"]) -> Float[Array, "*p 
     return bounds.values(position)
 
 
-def scales_of(batch: Batch) -> Scales:
-    """Return the scales of the nonlinearities, from the samples of tests that count."""
+def scales_of(batch: Batch, covariates: Sequence[str] = ()) -> Scales:
+    """Return the scales of the nonlinearities, from the samples of tests that count.
+
+    Args:
+        batch: the tests.
+        covariates: names of those that parameters vary with.
+    """
     loss_mask = np.asarray(batch.loss_mask)
-    displacement, covariate = np.asarray(batch.displacement)[loss_mask], np.asarray(batch.covariate)
+    displacement = np.asarray(batch.displacement)[loss_mask]
     lowest, highest = float(displacement.min()), float(displacement.max())
     return Scales(
         command=jnp.asarray(float(np.abs(np.asarray(batch.command)[loss_mask]).max()) or 1.0),
         centre=jnp.asarray(0.5 * (lowest + highest)),
         span=jnp.asarray(0.5 * (highest - lowest) or 1.0),
-        load_centre=jnp.asarray(float(covariate.mean())),
-        load_spread=jnp.asarray(float(covariate.std()) or 1.0),
+        covariates=_covariate_scales(batch, covariates) if covariates else CovariateScales.none(),
     )
+
+
+def _covariate_scales(batch: Batch, covariates: Sequence[str]) -> CovariateScales:
+    counted = np.asarray(batch.loss_mask).any(axis=1)
+    loads = np.asarray(batch.load(covariates))[counted]
+    spread = loads.std(axis=0)
+    return CovariateScales(jnp.asarray(loads.mean(axis=0)), jnp.asarray(np.where(spread > 0, spread, 1.0)))
 
 
 def _bounds(spec: ModelSpec, batch: Batch) -> Bounds:

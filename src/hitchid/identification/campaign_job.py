@@ -63,7 +63,7 @@ class CampaignJob:
         for direction, value in config.dead_zones.items():
             _check_dead_zone(campaign, direction, value)
         for direction, spec in specs.items():
-            _check_load(campaign, direction, spec.covariate)
+            _check_covariates(campaign, direction, spec.covariate_names)
         dead_zones = {
             direction: DeadZone(0.0, None, 0, "structure")
             for direction, spec in specs.items()
@@ -91,7 +91,7 @@ class CampaignJob:
                 "signals"
             )
         channel_data = {
-            m: prepare(campaign, m, dead_zones.get(m), covariate=specs[m].covariate)
+            m: prepare(campaign, m, dead_zones.get(m), covariates=specs[m].covariate_names)
             for m in campaign.directions
         }
         _check_window(config.training, channel_data)
@@ -203,7 +203,7 @@ class CampaignJob:
 
     def _hitch(self, results: ChannelResults) -> Hitch:
         specs, campaign = self.config.specs.values(), self.campaign
-        roles = (DISPLACEMENT, *COMMAND.values(), *(spec.covariate for spec in specs if spec.covariate))
+        roles = (DISPLACEMENT, *COMMAND.values(), *(name for spec in specs for name in spec.covariate_names))
         units = {role: campaign.units[role] for role in roles if role in campaign.units}
         records = self._records()
         stops = {c.sign: c.end_stop for c, _ in results.values() if c.end_stop is not None}
@@ -231,16 +231,16 @@ def _check_dead_zone(campaign: Campaign, direction: str, value: float) -> None:
         )
 
 
-def _check_load(campaign: Campaign, direction: str, load: str | None) -> None:
-    """Raise SettingsError for a load that no log of a direction in the campaign has measured."""
+def _check_covariates(campaign: Campaign, direction: str, names: Sequence[str]) -> None:
+    """Raise SettingsError for a covariate that no log of a direction in the campaign has measured."""
     signals = {
         name for kind in (direction, CYCLE) for record in campaign.of_kind(kind) for name in record.signals
     }
     covariates = sorted(signals - {DISPLACEMENT, *COMMAND.values()})
-    if load is None or not signals or load in covariates:
-        return
     required = f"one of {', '.join(covariates)}" if covariates else "none, for the logs have no covariates"
-    raise SettingsError(f"{direction}: load is '{load}'; expected {required}")
+    for name in names if signals else ():
+        if name not in covariates:
+            raise SettingsError(f"{direction}: load is '{name}'; expected {required}")
 
 
 def _check_window(training: CompensatorConfig | None, channel_data: Mapping[str, ChannelData]) -> None:

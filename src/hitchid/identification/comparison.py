@@ -63,7 +63,7 @@ def fit_comparison(
     parts = split_progress(progress, {"baselines": 0.6, "paper": 0.4})
     comparison = Comparison(
         _fit_baselines(data, config, training, keys[0], parts["baselines"], seconds, notices),
-        covariate=config.spec.covariate,
+        covariates=data.all_tests.covariate_names,
     )
     if config.spec == config.paper_spec:
         return comparison, notices

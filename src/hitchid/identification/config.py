@@ -35,12 +35,14 @@ class IdentificationConfig:
     comparison: SearchComparison | None
     seed: int
 
-    def with_default_covariate(self, campaign: Campaign) -> "IdentificationConfig":
-        """Return the configuration with the campaign's first covariate where an automatic choice has none."""
-        covariates = campaign.covariates[:1]
+    def with_campaign_covariates(self, campaign: Campaign) -> "IdentificationConfig":
+        """Return the configuration with the campaign's covariates where an automatic choice names none."""
         return replace(
             self,
-            specs={direction: _with_covariate(spec, *covariates) for direction, spec in self.specs.items()},
+            specs={
+                direction: _with_covariates(spec, campaign.covariates)
+                for direction, spec in self.specs.items()
+            },
         )
 
     def describe(self) -> dict[str, object]:
@@ -69,15 +71,17 @@ class IdentificationConfig:
         return Checkpoints.of_run(folder, stamp)
 
 
-def _with_covariate(spec: ModelSpec | AutoStructure, *covariates: str) -> ModelSpec | AutoStructure:
-    if covariates and isinstance(spec, AutoStructure) and spec.covariate is None:
-        return replace(spec, covariate=covariates[0])
+def _with_covariates(
+    spec: ModelSpec | AutoStructure, covariates: tuple[str, ...]
+) -> ModelSpec | AutoStructure:
+    if isinstance(spec, AutoStructure) and not spec.covariate_names:
+        return replace(spec, covariate_names=covariates)
     return spec
 
 
 def _describe_spec(spec: ModelSpec | AutoStructure) -> dict[str, object]:
     if isinstance(spec, AutoStructure):
-        return {"automatic": True, "load": spec.covariate}
+        return {"automatic": True, "load": list(spec.covariate_names)}
     return {
         "structure": spec.structure.name,
         "dead_time": spec.dead_time,
@@ -85,7 +89,9 @@ def _describe_spec(spec: ModelSpec | AutoStructure) -> dict[str, object]:
         "spool": spec.spool_dynamics,
         "slope": spec.stroke_gain_linear,
         "position": spec.stroke_gain_quadratic,
-        "load": spec.covariate,
+        "load": list(spec.covariate_names),
+        "load_dynamics": any(effects.dynamics for effects in spec.covariates),
+        "load_quadratic": any(effects.quadratic for effects in spec.covariates),
         "bounds": {name: list(limits) for name, limits in spec.bounds.items()},
     }
 

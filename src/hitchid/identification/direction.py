@@ -57,7 +57,7 @@ def find_benchmark(
     with timed(seconds, "benchmark"):
         phase1, candidates = _fit_benchmark(data, config, parts["benchmark"])
     data = data.with_dead_zone(_revised_dead_zone(data.dead_zone, candidates))
-    channel = benchmark_channel(data, phase1, operating_range_of(data.all_tests))
+    channel = benchmark_channel(data, phase1, operating_range_of(data.all_tests, phase1.benchmark.covariates))
     parts["speed map"](ProgressUpdate("phase 1, speed map", 0.0))
     with timed(seconds, "speed map"):
         operating_characteristics, characteristics_notices = _characteristics(
@@ -230,9 +230,15 @@ def _bands(
     return calibrate_bands(channel, phase1, batch, held_out)
 
 
-def operating_range_of(batch: Batch) -> OperatingRange:
-    """Return the ranges of signals in tests, over the samples that count."""
+def operating_range_of(batch: Batch, covariates: Sequence[str]) -> OperatingRange:
+    """Return the ranges of signals in tests, over the samples that count.
+
+    Args:
+        batch: the tests.
+        covariates: names of those that the model uses.
+    """
     loss_mask = np.asarray(batch.loss_mask)
+    loads = batch.load(covariates)
 
     def range_of(values: np.ndarray) -> SignalRange:
         return SignalRange(jnp.asarray(float(values.min())), jnp.asarray(float(values.max())))
@@ -240,7 +246,7 @@ def operating_range_of(batch: Batch) -> OperatingRange:
     return OperatingRange(
         command=range_of(np.abs(np.asarray(batch.command))[loss_mask]),
         displacement=range_of(np.asarray(batch.displacement)[loss_mask]),
-        load=range_of(np.asarray(batch.covariate)),
+        load=SignalRange(loads.min(axis=0), loads.max(axis=0)),
     )
 
 

@@ -139,7 +139,7 @@ def _pool_directions(batches: list[Batch]) -> tuple[Batch, np.ndarray]:
         valid=pad_and_stack("valid"),
         loss_mask=pad_and_stack("loss_mask"),
         initial=zeros,
-        covariate=zeros,
+        covariates=jnp.zeros((direction_index.size, 0)),
         step_s=batches[0].step_s,
         sign=1,
     ), direction_index

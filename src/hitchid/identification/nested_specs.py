@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
-from hitchid.structures import ModelSpec, Parameter, structure_named
+from hitchid.structures import CovariateEffects, ModelSpec, Parameter, structure_named
 from hitchid.structures.static_nonlinearity import SPOOL_DYNAMICS, VALVE_CURVE
 
 # Positions between the bounds, 0 to 1, at which an option has no effect, or as little as the bounds allow.
@@ -53,8 +53,8 @@ HYSTERESIS_STARTS = (0.05, 0.1, 0.2)
 SPOOL_LAG_START = 0.5
 
 
-def largest_spec(baseline: ModelSpec, covariate: str | None, *, opening_known: bool) -> ModelSpec:
-    """Return the largest candidate."""
+def largest_spec(baseline: ModelSpec, *, opening_known: bool) -> ModelSpec:
+    """Return the largest candidate without covariates."""
     return replace(
         baseline,
         structure=structure_named("integrator-second-order"),
@@ -63,7 +63,7 @@ def largest_spec(baseline: ModelSpec, covariate: str | None, *, opening_known: b
         valve_curve=True,
         spool_dynamics=True,
         stroke_gain_quadratic=True,
-        covariate=covariate,
+        covariates=(),
     )
 
 
@@ -75,23 +75,30 @@ def nested_specs(largest: ModelSpec) -> list[tuple[str, ModelSpec]]:
         valve_curve=False,
         spool_dynamics=False,
         stroke_gain_quadratic=False,
-        covariate=None,
     )
     with_curve = replace(delayed, bounds=largest.bounds, valve_curve=True)
     with_spool = replace(with_curve, spool_dynamics=True)
     with_slope = replace(with_spool, stroke_gain_linear=True)
-    with_position = replace(with_spool, stroke_gain_quadratic=True)
     named_specs = [
         ("second order, dead time", delayed),
         ("with valve curve", with_curve),
         ("with spool lag and hysteresis", with_spool),
         ("with a gain linear along the stroke", with_slope),
-        ("with a gain quadratic along the stroke", with_position),
-        (f"with {largest.covariate}", largest),
+        ("with a gain quadratic along the stroke", largest),
     ]
     return named_specs[:1] + [
         current for previous, current in pairwise(named_specs) if current[1] != previous[1]
     ]
+
+
+def covariate_specs(spec: ModelSpec, covariate: str) -> list[tuple[str, ModelSpec]]:
+    """Return names and specifications of a form with the effects of one more covariate, few to many."""
+    steps = (
+        (f"with {covariate} on speed and opening", CovariateEffects(covariate)),
+        (f"with {covariate} on dynamics, too", CovariateEffects(covariate, dynamics=True)),
+        (f"with {covariate} and its square", CovariateEffects(covariate, dynamics=True, quadratic=True)),
+    )
+    return [(name, replace(spec, covariates=(*spec.covariates, effects))) for name, effects in steps]
 
 
 def starts(spec: ModelSpec, previous: Sequence[Parameter]) -> Sequence[Mapping[str, float]]:

@@ -49,7 +49,7 @@ def run_pipeline(
     parts["tests"](ProgressUpdate("tests and dead zones", 0.0))
 
     def prepare_job(campaign: Campaign) -> CampaignJob:
-        campaign_config = config.with_default_covariate(campaign)
+        campaign_config = config.with_campaign_covariates(campaign)
         return CampaignJob.of(campaign, campaign_config, campaign_config.checkpoints(checkpoints, campaign))
 
     jobs_or_errors = [_result_or_error(prepare_job, campaign) for campaign in campaigns]

@@ -67,18 +67,18 @@ class ChannelData:
 
 
 def prepare(
-    campaign: Campaign, direction: str, dead_zone: DeadZone | None, *, covariate: str | None = None
+    campaign: Campaign, direction: str, dead_zone: DeadZone | None, *, covariates: Sequence[str] = ()
 ) -> ChannelData:
     """Prepare the identification tests of one direction.
 
-    Left out are tests that lack the covariate or are all at the end stop, and ramps that end before the
+    Left out are tests that lack a covariate or are all at the end stop, and ramps that end before the
     piston moves; of a strict campaign the first of them is an error. What is held out stays so.
 
     Args:
         campaign: tests, of one direction each.
         direction: the direction.
         dead_zone: where it is known already; otherwise found from ramps, or else from the tests.
-        covariate: name of a further measured input.
+        covariates: names of further measured inputs.
 
     Raises:
         InputError: every test of the direction is held out or left out.
@@ -91,7 +91,7 @@ def prepare(
         )
     strict, total = campaign.strict, len(records)
     records, without_covariate = split_usable(
-        _by_name(records), lambda record: record.require(covariate), strict=strict
+        _by_name(records), lambda record: record.require(covariates), strict=strict
     )
     if not records:
         refuse(without_covariate, f"{direction} tests")
@@ -127,7 +127,7 @@ def prepare(
     if dead_zone.origin == "none":
         notices.append("the dead zone cannot be identified from one level of command; zero is used")
     all_tests = Batch.of(
-        records, direction, dead_zone=dead_zone.value, sign=sign, end_stop=end_stop, covariate=covariate
+        records, direction, dead_zone=dead_zone.value, sign=sign, end_stop=end_stop, covariates=covariates
     )
     training, validation, validation_rows = split_validation(all_tests)
     if len(records) == 1:

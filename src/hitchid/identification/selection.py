@@ -25,6 +25,7 @@ from hitchid.identification.nested_specs import (
     MIDDLE,
     NEUTRAL_POSITIONS,
     NEXT_STRUCTURES,
+    covariate_specs,
     largest_spec,
     nested_specs,
     starts,
@@ -54,11 +55,11 @@ class AutoStructure:
 
     Attributes:
         baseline_spec: specification the choice starts from and must improve on.
-        covariate: name of the covariate that may be used; None for the campaign's first, if any.
+        covariate_names: names of the covariates that may be used; empty for all of the campaign.
     """
 
     baseline_spec: ModelSpec
-    covariate: str | None = None
+    covariate_names: tuple[str, ...] = ()
 
 
 def choose_spec(
@@ -84,9 +85,12 @@ def choose_spec(
     alone and with the options of the best form so far. The one taken is identified as any other, by global
     search and least squares.
 
+    Covariates are tried one after the other on top of the best form, each with its effect on speed and
+    opening, on the dynamics, too, and with its square; the best of them stays, and the rest are tried again.
+
     Args:
         batch: identification tests.
-        auto_structure: the plain form, and a second input.
+        auto_structure: the plain form, and the covariates.
         search: of the plain form and of the one chosen.
         seed: every random draw comes from it.
         units: see `identify_benchmark`.
@@ -101,16 +105,18 @@ def choose_spec(
         FitError: nothing moves, or no parameters give a finite error.
         InputError: a structure of another package cannot be imported.
     """
-    covariate, baseline_spec = auto_structure.covariate, auto_structure.baseline_spec
-    folds = operating_point_folds(batch, separate_tests=covariate is not None)
+    baseline_spec = auto_structure.baseline_spec
+    covariates = [name for name in auto_structure.covariate_names if np.ptp(batch.load([name])) > 0]
+    folds = operating_point_folds(batch, separate_tests=bool(covariates))
     parts = split_progress(progress, CHOICE_SHARES)
     choice = _Choice(batch, batch.decimate(SAMPLES), folds, search, seed, units, parts, checkpoints)
     assessed = partial(assess_fit, units=units, dead_zone=dead_zone, seed=seed, progress=parts["intervals"])
     baseline = choice.search_fit(baseline_spec, BASELINE, part="baseline", checkpoint="plain")
     if not folds:
         return assessed(baseline), ()
-    largest = largest_spec(baseline_spec, covariate, opening_known=opening_known)
+    largest = largest_spec(baseline_spec, opening_known=opening_known)
     candidates = choice.nested_candidates(baseline, largest, revised=revised)
+    candidates = choice.covariate_candidates(candidates, covariates)
     chosen = best_candidate(candidates)
     while following := choice.next_structure(candidates[chosen]):
         candidates += following
@@ -209,6 +215,47 @@ class _Choice:
             candidates.append(evaluation.candidate(name, spec, objective, free))
             self._report("candidates", candidates[-1], (number + 1) / len(specs))
         return candidates
+
+    def covariate_candidates(
+        self, candidates: Sequence[Candidate], covariates: Sequence[str]
+    ) -> list[Candidate]:
+        """Return the candidates with those that covariates are added to, until none is better.
+
+        The load of a test that nobody measured hides what other options add. The first covariate is
+        therefore added to the form with all options, and judged against the best.
+        """
+        everything, remaining = list(candidates), list(covariates)
+        base = candidates[-1]
+        while remaining:
+            before = len(everything)
+            for name in remaining:
+                everything += self._with_covariate(base, name)
+            chosen = best_candidate(everything)
+            if chosen < before:
+                break
+            base = everything[chosen]
+            remaining = [name for name in remaining if name not in base.spec.covariate_names]
+        return everything
+
+    def _with_covariate(self, base: Candidate, covariate: str) -> list[Candidate]:
+        """Return a candidate with the effects of one more covariate, few to many."""
+        specs = covariate_specs(base.spec, covariate)
+        objective = Objective.of(self.coarse.with_dead_zone(base.dead_zone), specs[-1][1])
+        names = [parameter.name for parameter in objective.spec.parameters]
+        positions = _positions_of(objective, names, base.named_values)
+        found: list[Candidate] = []
+        for name, spec in specs:
+            free = [names.index(parameter.name) for parameter in spec.parameters]
+            objective = replace(objective, per_test_gain=allows_per_test_gain(self.coarse, spec))
+            try:
+                evaluation = self._fitted(f"form {base.name} {name}", objective, free, [positions])
+            except FitError:
+                continue
+            positions = evaluation.positions
+            others = "".join(f"{known}, " for known in base.spec.covariate_names)
+            found.append(evaluation.candidate(f"{others}{name}", spec, objective, free))
+            self._report("candidates", found[-1], 1.0)
+        return found
 
     def candidates_of(self, structure: Structure, incumbent: Candidate) -> list[Candidate]:
         """Return another structure alone, and with the options of the best form so far.

@@ -18,7 +18,7 @@ from hitchid.identification.identify import DEFAULT_STRUCTURES
 from hitchid.identification.phase2 import CompensatorConfig
 from hitchid.identification.selection import AutoStructure
 from hitchid.identification.speed_training import SpeedCompensatorConfig
-from hitchid.structures import ModelSpec, structure_named
+from hitchid.structures import CovariateEffects, ModelSpec, structure_named
 
 AUTOMATIC = "automatic"
 Count = Annotated[int, Field(ge=1, le=10**9)]
@@ -45,9 +45,16 @@ class ChannelSection(Strict):
     spool: bool = False
     slope: bool = False
     position: bool = False
-    load: str | None = None
+    load: str | tuple[str, ...] = ()
+    load_dynamics: bool = False
+    load_quadratic: bool = False
     dead_zone: float | None = Field(default=None, ge=0)
     bounds: dict[str, tuple[float, float]] = Field(default_factory=dict)
+
+    @property
+    def covariate_names(self) -> tuple[str, ...]:
+        """Names of the covariates that parameters may vary with."""
+        return (self.load,) if isinstance(self.load, str) else tuple(dict.fromkeys(self.load))
 
 
 class SearchSection(Strict):
@@ -155,7 +162,7 @@ def _spec(direction: str, section: ChannelSection) -> ModelSpec | AutoStructure:
                 f"{direction}: structure '{AUTOMATIC}' determines "
                 f"{' and '.join(sorted(decided))} itself; remove these keys, or name a structure"
             )
-        return replace(DEFAULT_STRUCTURES[direction], covariate=section.load)
+        return replace(DEFAULT_STRUCTURES[direction], covariate_names=section.covariate_names)
     return ModelSpec(
         structure_named(section.structure),
         section.dead_time,
@@ -164,5 +171,8 @@ def _spec(direction: str, section: ChannelSection) -> ModelSpec | AutoStructure:
         spool_dynamics=section.spool,
         stroke_gain_linear=section.slope,
         stroke_gain_quadratic=section.position,
-        covariate=section.load,
+        covariates=tuple(
+            CovariateEffects(name, section.load_dynamics, section.load_quadratic)
+            for name in section.covariate_names
+        ),
     )

@@ -17,7 +17,7 @@ from hitchid.identification.cross_fitting import HeldOut
 from hitchid.identification.holdout_test import FEWEST_TESTS, HoldoutTest
 from hitchid.model import Channel
 from hitchid.networks.speed_compensator import (
-    INPUTS,
+    SIGNALS,
     SpeedCompensator,
     SpeedNetworks,
     simulate_compensated,
@@ -116,10 +116,15 @@ class _FreeRuns(NamedTuple):
     benchmark: Float[Array, "t n"]
     command: Float[Array, "t n"]
     initial: Float[Array, " t"]
-    load: Float[Array, " t"]
+    load: Float[Array, "t c"]
     measured: Float[Array, "t n"]
     weight: Float[Array, "t n"]
     step_s: Float[Array, ""]
+
+    @property
+    def inputs(self) -> int:
+        """Number of inputs of a network."""
+        return SIGNALS + self.load.shape[1]
 
     @classmethod
     def of(cls, channel: Channel, batch: Batch, tests: Bool[np.ndarray, " t"]) -> "_FreeRuns":
@@ -132,7 +137,7 @@ class _FreeRuns(NamedTuple):
             travel,
             coarse.command,
             coarse.initial,
-            coarse.covariate,
+            coarse.load(channel.benchmark.covariates),
             coarse.travel,
             jnp.asarray(weight),
             jnp.asarray(coarse.step_s),
@@ -155,11 +160,11 @@ def _trained(
     ridge = settings.ridge * max(initial_cost, np.finfo(float).tiny)
 
     def work() -> Arrays:
-        starts = [_initial_weights(rng, settings.units) for _ in range(settings.members)]
+        starts = [_initial_weights(rng, runs.inputs, settings.units) for _ in range(settings.members)]
         return {"weights": np.stack([_fitted(compensator, runs, start, ridge) for start in starts])}
 
     weights = checkpoints.cached_arrays("weights", work)["weights"]
-    return replace(compensator, networks=_networks(jnp.asarray(weights)))
+    return replace(compensator, networks=_networks(jnp.asarray(weights), settings.units))
 
 
 def _fitted(
@@ -188,7 +193,7 @@ def _equations(
     """Return the weighted squared error of a free run, to second order."""
 
     def errors(weights: Float[Array, " w"]) -> Float[Array, "t n"]:
-        single = replace(compensator, networks=_networks(weights[None]))
+        single = replace(compensator, networks=_networks(weights[None], compensator.networks.biases.shape[1]))
         travel = simulate_compensated(
             single, runs.benchmark, runs.command, runs.initial, runs.load, runs.step_s
         )
@@ -201,19 +206,18 @@ def _equations(
     return jnp.sum(residuals**2), rows @ residuals.ravel(), rows @ rows.T
 
 
-def _networks(weights: Float[Array, "m w"]) -> SpeedNetworks:
-    """Return networks from their weights in rows: W, b, v."""
-    members, units = weights.shape[0], weights.shape[1] // (INPUTS + 2)
+def _networks(weights: Float[Array, "m w"], units: int) -> SpeedNetworks:
+    """Return networks of so many units from their weights in rows: W, b, v."""
     return SpeedNetworks(
-        weights[:, : INPUTS * units].reshape(members, units, INPUTS),
-        weights[:, INPUTS * units : (INPUTS + 1) * units],
-        weights[:, (INPUTS + 1) * units :],
+        weights[:, : -2 * units].reshape(weights.shape[0], units, -1),
+        weights[:, -2 * units : -units],
+        weights[:, -units:],
     )
 
 
-def _initial_weights(rng: np.random.Generator, units: int) -> Float[np.ndarray, " w"]:
+def _initial_weights(rng: np.random.Generator, inputs: int, units: int) -> Float[np.ndarray, " w"]:
     """Return random weights and biases of spread one, and small output weights."""
-    weights = rng.standard_normal((INPUTS + 2) * units)
+    weights = rng.standard_normal((inputs + 2) * units)
     weights[-units:] *= SMALL_OUTPUT
     return np.clip(weights, -LARGEST_WEIGHT, LARGEST_WEIGHT)
 
@@ -228,7 +232,7 @@ def _untrained(channel: Channel, runs: _FreeRuns, settings: SpeedCompensatorConf
         return jnp.asarray(float(np.sqrt(np.mean(rows[counts] ** 2))) or 1.0)
 
     return SpeedCompensator(
-        networks=_networks(jnp.zeros((settings.members, (INPUTS + 2) * settings.units))),
+        networks=_networks(jnp.zeros((settings.members, (runs.inputs + 2) * settings.units)), settings.units),
         command_scale=jnp.asarray(float(np.abs(np.asarray(runs.command)[counts]).max()) or 1.0),
         speed_scale=rms(speed),
         acceleration_scale=rms(acceleration),

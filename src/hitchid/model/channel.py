@@ -56,11 +56,11 @@ class Channel(eqx.Module):
         records: Sequence[Record],
         initial: Sequence[float] | None = None,
         *,
-        covariate: str | None = None,
+        covariates: Sequence[str] | None = None,
     ) -> Batch:
         """Return records as a batch with this channel's dead zone, sign and end stop; see `Batch.of`.
 
-        `covariate` names another second input than the benchmark's.
+        `covariates` names others than the benchmark's.
         """
         return Batch.of(
             checks.tuple_of(records, Record, "records", RECORDS),
@@ -69,7 +69,7 @@ class Channel(eqx.Module):
             sign=self.sign,
             end_stop=self.end_stop,
             initial=initial,
-            covariate=covariate or self.benchmark.covariate,
+            covariates=self.benchmark.covariates if covariates is None else covariates,
         )
 
     @double_precision
@@ -87,7 +87,7 @@ class Channel(eqx.Module):
             self.benchmark.travel(batch),
             batch.command,
             batch.initial,
-            batch.covariate,
+            self._load(batch),
             batch.step_s,
         )
         return self.limited(batch, travel)
@@ -119,12 +119,13 @@ class Channel(eqx.Module):
         signals = {
             "command": jnp.abs(batch.command),
             "displacement": displacement,
-            "load": batch.covariate[:, None],
         }
-        return {
-            name: np.asarray((getattr(self.operating_range, name).trust(values) < 1) & batch.valid)
-            for name, values in signals.items()
-        }
+        trusts = {name: getattr(self.operating_range, name).trust(values) for name, values in signals.items()}
+        trusts["load"] = self.operating_range.load_trust(self._load(batch))[:, None]
+        return {name: np.asarray((trust < 1) & batch.valid) for name, trust in trusts.items()}
+
+    def _load(self, batch: Batch) -> Float[Array, "t c"]:
+        return batch.load(self.benchmark.covariates)
 
     def limited(self, batch: Batch, travel: Float[Array, "t n"]) -> Float[Array, "t n"]:
         """Return the displacement of a travel, within the end stop and the limits, shape [T, N]."""
@@ -150,7 +151,7 @@ class Channel(eqx.Module):
         benchmark = self.simulate_benchmark(batch)
         time_s = jnp.broadcast_to(_clock(batch), benchmark.shape)
         tests = Sample(time_s, batch.command, benchmark, batch.displacement)
-        trust = self.operating_range.trust(jnp.abs(batch.command), benchmark, batch.covariate[:, None])
+        trust = self.operating_range.trust(jnp.abs(batch.command), benchmark, self._load(batch)[:, None])
         return benchmark + predict_errors(
             ErrorPredictor(self.load_filter, self.compensator), tests, trust, horizons, batch.step_s
         )

@@ -1,6 +1,6 @@
 """Conversion between a channel and JSON and tensors."""
 
-from dataclasses import fields
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -13,16 +13,22 @@ from hitchid.model.load_filter import LoadFilter
 from hitchid.model.tensors import Tensors, check_size, fill, tensors_of
 from hitchid.networks.error_compensator import FEATURES, Compensator
 from hitchid.networks.lstm import Lstm
-from hitchid.networks.operating_range import OperatingRange
-from hitchid.networks.speed_compensator import INPUTS, SpeedCompensator, SpeedNetworks
+from hitchid.networks.operating_range import OperatingRange, SignalRange
+from hitchid.networks.speed_compensator import SIGNALS, SpeedCompensator, SpeedNetworks
 from hitchid.structures import (
     NONLINEARITY_PARAMETERS,
+    CovariateScales,
     PhysicalModel,
     Scales,
+    Scheduling,
     StaticNonlinearity,
+    Structure,
+    scheduled_quantities,
     structure_named,
 )
+from hitchid.structures.scheduling import POWERS
 
+_SCALES = ("command", "centre", "span")
 _TRAINED = ("compensator", "speed_compensator", "operating_range", "load_filter")
 
 
@@ -44,13 +50,13 @@ def describe_channel(channel: Channel) -> dict[str, object]:
         "structure": benchmark.structure.name,
         "values": [float(value) for value in benchmark.values],
         "dead_time_s": float(benchmark.dead_time_s),
-        "load": benchmark.covariate,
         "shape": None
         if curves is None
         else {
             "values": [float(value) for value in curves.values],
-            "scales": {field.name: float(getattr(curves.scales, field.name)) for field in fields(Scales)},
+            "scales": {name: float(getattr(curves.scales, name)) for name in _SCALES},
         },
+        "scheduling": _describe_scheduling(benchmark),
         "compensator": None
         if compensator is None
         else {
@@ -78,6 +84,7 @@ def read_channel(direction: str, described: dict[str, Any], tensors: Tensors, pr
     if len(described["values"]) != len(structure.parameters):
         raise ValueError(f"{structure.name} has {len(structure.parameters)} parameters")
     sign, limits = int(described["direction"]), described["limits"]
+    loads = len((described["scheduling"] or {"covariates": [""]})["covariates"])
     return Channel(
         direction=direction,
         sign=sign,
@@ -87,13 +94,12 @@ def read_channel(direction: str, described: dict[str, Any], tensors: Tensors, pr
             structure,
             jnp.asarray(described["values"]),
             jnp.asarray(float(described["dead_time_s"])),
-            _shape(described["shape"]),
-            described["load"],
+            *_read_curves(described["shape"], described["scheduling"], structure),
         ),
-        operating_range=fill(OperatingRange.unbounded(), tensors, f"{prefix}/operating_range"),
+        operating_range=fill(_empty_range(loads), tensors, f"{prefix}/operating_range"),
         compensator=_read_compensator(described["compensator"], tensors, f"{prefix}/compensator"),
         speed_compensator=_read_speed_compensator(
-            described["speed_compensator"], sign, tensors, f"{prefix}/speed_compensator"
+            described["speed_compensator"], sign, loads, tensors, f"{prefix}/speed_compensator"
         ),
         limits=None if limits is None else TravelLimits(**limits),
         load_filter=fill(LoadFilter.none(), tensors, f"{prefix}/load_filter"),
@@ -110,21 +116,49 @@ def _read_compensator(described: dict[str, Any] | None, tensors: Tensors, prefix
 
 
 def _read_speed_compensator(
-    described: dict[str, Any] | None, sign: int, tensors: Tensors, prefix: str
+    described: dict[str, Any] | None, sign: int, loads: int, tensors: Tensors, prefix: str
 ) -> SpeedCompensator | None:
     if described is None:
         return None
     check_size(tensors, described["members"] * described["units"])
-    return fill(_empty_speed_compensator(sign=sign, **described), tensors, prefix)
+    return fill(_empty_speed_compensator(sign=sign, loads=loads, **described), tensors, prefix)
 
 
-def _shape(described: dict | None) -> StaticNonlinearity | None:
-    if described is None:
+def _describe_scheduling(benchmark: PhysicalModel) -> dict[str, object] | None:
+    scheduling, nonlinearity = benchmark.scheduling, benchmark.nonlinearity
+    if scheduling is None or nonlinearity is None:
         return None
+    scales = nonlinearity.scales.covariates
+    return {
+        "covariates": list(scheduling.covariates),
+        "quantities": list(scheduling.quantities),
+        "centre": scales.centre.tolist(),
+        "spread": scales.spread.tolist(),
+        "effects": scheduling.effects.tolist(),
+    }
+
+
+def _read_curves(
+    described: dict[str, Any] | None, scheduled: dict[str, Any] | None, structure: Structure
+) -> tuple[StaticNonlinearity | None, Scheduling | None]:
+    if described is None:
+        return None, None
     if len(described["values"]) != len(NONLINEARITY_PARAMETERS):
         raise ValueError(f"the curves have {len(NONLINEARITY_PARAMETERS)} parameters")
-    scales = Scales(**{name: jnp.asarray(float(value)) for name, value in described["scales"].items()})
-    return StaticNonlinearity(jnp.asarray(described["values"]), scales)
+    command, centre, span = (jnp.asarray(float(described["scales"][name])) for name in _SCALES)
+    scales = Scales(command, centre, span)
+    values = jnp.asarray(described["values"])
+    if scheduled is None:
+        return StaticNonlinearity(values, scales), None
+    covariates, quantities = tuple(scheduled["covariates"]), tuple(scheduled["quantities"])
+    rows = {name: jnp.asarray(scheduled[name], dtype=float) for name in ("centre", "spread", "effects")}
+    count = len(covariates)
+    if quantities != scheduled_quantities(structure.require_linear()):
+        raise ValueError("the parameters that covariates change are not those of the structure")
+    if [row.shape for row in rows.values()] != [(count,), (count,), (len(quantities), count, len(POWERS))]:
+        raise ValueError("the effects are not those of the covariates")
+    scales = replace(scales, covariates=CovariateScales(rows["centre"], rows["spread"]))
+    return StaticNonlinearity(values, scales), Scheduling(covariates, quantities, rows["effects"])
 
 
 def _empty_compensator(hidden: int, window: int) -> Compensator:
@@ -138,9 +172,15 @@ def _empty_compensator(hidden: int, window: int) -> Compensator:
     )
 
 
-def _empty_speed_compensator(*, members: int, units: int, sign: int) -> SpeedCompensator:
+def _empty_range(loads: int) -> OperatingRange:
+    """Return a range to be filled, of so many covariates."""
+    empty = SignalRange(jnp.zeros(loads), jnp.zeros(loads))
+    return replace(OperatingRange.unbounded(), load=empty)
+
+
+def _empty_speed_compensator(*, members: int, units: int, sign: int, loads: int) -> SpeedCompensator:
     networks = SpeedNetworks(
-        jnp.zeros((members, units, INPUTS)), jnp.zeros((members, units)), jnp.zeros((members, units))
+        jnp.zeros((members, units, SIGNALS + loads)), jnp.zeros((members, units)), jnp.zeros((members, units))
     )
     scales = (jnp.ones(()), jnp.ones(()), jnp.ones(()))
-    return SpeedCompensator(networks, *scales, OperatingRange.unbounded(), sign)
+    return SpeedCompensator(networks, *scales, _empty_range(loads), sign)

@@ -46,7 +46,7 @@ class Comparison:
             predictions in free run; None where not fitted, or where the channel itself is this model.
         paper_estimates: estimates of the parameters of its transfer function; None likewise.
         searches: summaries of the global searches that were compared; empty where none were.
-        covariate: name of the covariate that the baselines use; None for none.
+        covariates: names of the covariates that the baselines use.
         dropped: parts of a model of an older version that this version does not read.
     """
 
@@ -54,7 +54,7 @@ class Comparison:
     paper: Channel | None = None
     paper_estimates: Estimates | None = None
     searches: tuple[SearchSummary, ...] = ()
-    covariate: str | None = None
+    covariates: tuple[str, ...] = ()
     dropped: tuple[str, ...] = ()
 
     def with_limits(self, limits: TravelLimits | None) -> "Comparison":

@@ -12,6 +12,7 @@ from hitchid.data.units import conversion_factor
 from hitchid.errors import InputError
 from hitchid.model.channel import Channel
 from hitchid.model.free_run import InitialCondition
+from hitchid.model.loads import covariates_of, stacked
 from hitchid.structures import mean_before_motion
 
 MAX_CLOCK_SHIFT = 0.05  # share of a sampling time that two clocks may differ over a whole record; chosen
@@ -60,44 +61,46 @@ def interpolated(
     return np.apply_along_axis(lambda row: np.interp(new_times_s, old_times_s, row), -1, samples)
 
 
-def covariate_of(channels: Mapping[str, Channel]) -> str | None:
-    """Return the covariate that channels require; None where they require none."""
-    return next((c.benchmark.covariate for c in channels.values() if c.benchmark.covariate), None)
-
-
 def initial_condition(
     record: Record,
     channels: Mapping[str, Channel],
     *,
     displacement: np.ndarray | None = None,
-    load: np.ndarray | None = None,
+    load: Mapping[str, np.ndarray] | None = None,
 ) -> InitialCondition:
-    """Return displacement and covariate before motion.
+    """Return displacement and covariates before motion.
 
     Args:
         record: on the model's clock and in its units.
         channels: direction to channel.
-        displacement, load: given values, shape [] or [M]; None for the mean before any command is effective.
+        displacement: given values, shape [] or [M]; None for the mean before any command is effective.
+        load: covariates that are given, by name, likewise; the others are those of the record.
 
     Raises:
-        InputError: the record lacks the covariate, or given values differ in number.
+        InputError: the record lacks a covariate, or given values differ in number.
     """
     effective = np.zeros(len(record))
     for direction, channel in channels.items():
         if direction in record.directions:
             effective += np.abs(effective_command(record.command(direction), channel.dead_zone))
-    covariate = covariate_of(channels)
     if displacement is None:
         displacement = np.asarray(mean_before_motion(record.displacement, effective))
-    if load is None:
-        samples = np.zeros(1) if covariate is None else record.require(covariate).signals[covariate]
-        load = np.asarray(mean_before_motion(samples, effective))
+    given = load or {}
+    names = covariates_of(channels.values())
+    signals = record.require([name for name in names if name not in given]).signals
+    rows = stacked(
+        [given[name] if name in given else mean_before_motion(signals[name], effective) for name in names]
+    )
     try:
-        return InitialCondition(*np.broadcast_arrays(displacement, load))
+        runs = np.broadcast_shapes(displacement.shape, rows.shape[:-1])
     except ValueError as error:
+        count = rows[..., 0].size
         raise InputError(
-            f"initial and load: expected equal numbers of values, got {displacement.size} and {load.size}"
+            f"initial and load: expected equal numbers of values, got {displacement.size} and {count}"
         ) from error
+    return InitialCondition(
+        np.broadcast_to(displacement, runs), np.broadcast_to(rows, (*runs, rows.shape[-1]))
+    )
 
 
 def _same_clock(step_s: float, wanted_s: float, samples: int) -> bool:

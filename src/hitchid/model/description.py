@@ -118,7 +118,7 @@ def _describe_comparison(comparison: Comparison) -> dict[str, object]:
     paper, estimates = comparison.paper, comparison.paper_estimates
     return {
         "baselines": list(comparison.baselines),
-        "covariate": comparison.covariate,
+        "covariates": list(comparison.covariates),
         "dropped": list(comparison.dropped),
         "paper": None if paper is None else describe_channel(paper),
         "paper_parameters": None if estimates is None else asdict(estimates),
@@ -141,6 +141,6 @@ def _read_comparison(direction: str, described: dict[str, Any], tensors: Tensors
         None if paper is None else read_channel(direction, paper, tensors, f"{direction}/paper"),
         _ESTIMATES.validate_python(described["paper_parameters"]),
         _SEARCHES.validate_python(described["searches"]),
-        described["covariate"],
+        tuple(described["covariates"]),
         tuple(described["dropped"]),
     )

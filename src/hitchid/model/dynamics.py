@@ -18,6 +18,7 @@ from hitchid.data.test_kinds import ACTIVE_FRACTION
 from hitchid.model.channel import Channel
 from hitchid.model.error_prediction import clip_at_end_stops, compute_features, predict_innovation, select
 from hitchid.model.load_filter import OFFSET, LoadFilter
+from hitchid.model.loads import channel_load, mean_load
 from hitchid.model.state import (
     ChannelState,
     HitchState,
@@ -55,12 +56,18 @@ class HitchDynamics(eqx.Module):
             tuple(channels), tuple(_discrete_model(channel, step_s) for channel in channels), drift, step_s
         )
 
-    def standing_state(self, displacement: float = 0.0, load: float = 0.0) -> HitchState:
-        """Return the state of a hitch at rest with closed valves, from numbers."""
-        return self.init_state(jnp.asarray(float(displacement)), jnp.asarray(float(load)))
+    def standing_state(self, displacement: float = 0.0, load: Sequence[float] | None = None) -> HitchState:
+        """Return the state of a hitch at rest with closed valves, by default at the tests' mean load."""
+        row = mean_load(self.channels) if load is None else load
+        return self.init_state(jnp.asarray(float(displacement)), jnp.asarray(row, dtype=float))
 
-    def init_state(self, displacement: Float[Array, ""], load: Float[Array, ""]) -> HitchState:
-        """Return the state of a hitch at rest with closed valves."""
+    def init_state(self, displacement: Float[Array, ""], load: Float[Array, " l"]) -> HitchState:
+        """Return the state of a hitch at rest with closed valves.
+
+        Args:
+            displacement: where the piston is.
+            load: the covariates, in the order of `covariates_of`; one zero where there is none.
+        """
         zero = jnp.zeros(())
         false = jnp.zeros((), jnp.bool_)
         return HitchState(
@@ -79,7 +86,15 @@ class HitchDynamics(eqx.Module):
             estimates=self._load_filters.init_estimate(jnp.zeros(len(self.channels)), self.step_s),
             feature_state=FeatureState.at_rest(Sample(zero, zero, displacement, displacement)),
             channels=tuple(
-                self._init_channel(number, discrete_model.closed_valve(), displacement, zero, load)
+                self._init_channel(
+                    number,
+                    discrete_model.closed_valve(),
+                    displacement,
+                    zero,
+                    discrete_model.at_load(channel_load(self.channels, number, load))
+                    if discrete_model.is_scheduled
+                    else None,
+                )
                 for number, discrete_model in enumerate(self.discrete_models)
             ),
             hidden=self.zero_lstm_state(),
@@ -108,12 +123,10 @@ class HitchDynamics(eqx.Module):
         commands = jnp.where(command_valid, commands, state.commands)
         is_measured = jnp.abs(measured) < MAX_MAGNITUDE
         valves = tuple(
-            discrete_model.step_valve(
-                channel_state.valve, commands[DIRECTIONS.index(channel.direction)], state.load
+            self._discrete_model(number, state.channels[number]).step_valve(
+                state.channels[number].valve, commands[DIRECTIONS.index(channel.direction)]
             )
-            for channel, discrete_model, channel_state in zip(
-                self.channels, self.discrete_models, state.channels, strict=True
-            )
+            for number, channel in enumerate(self.channels)
         )
         demands = [valve.motion_demand[-1] for valve in valves]
         mode = state.mode
@@ -263,15 +276,23 @@ class HitchDynamics(eqx.Module):
         valve: ValveState,
         displacement: Float[Array, ""],
         speed: Float[Array, ""],
-        load: Float[Array, ""],
+        at_load: DiscretePhysicalModel | None,
     ) -> ChannelState:
-        """Return the state of a channel that takes charge at a displacement and a speed."""
+        """Return the state of a channel that takes charge at a displacement and a speed.
+
+        `at_load` is its model at the load, None where that does not matter.
+        """
         channel = self.channels[number]
         correction = None
         if channel.speed_compensator is not None:
             correction = SpeedCompensatorState(jnp.zeros(()), jnp.zeros(()))
-        plant = self.discrete_models[number].init_state(displacement, speed, load)
-        return ChannelState(valve, plant, jnp.asarray(0), correction)
+        model = self.discrete_models[number] if at_load is None else at_load
+        plant = model.init_state(displacement, speed)
+        return ChannelState(valve, plant, jnp.asarray(0), correction, at_load)
+
+    def _discrete_model(self, number: int, channel_state: ChannelState) -> DiscretePhysicalModel:
+        """Return the benchmark of a channel, at the load of the run where it varies with it."""
+        return self.discrete_models[number] if channel_state.at_load is None else channel_state.at_load
 
     def _speed(self, mode: Int[Array, ""], state: HitchState) -> Float[Array, ""]:
         """Return the speed of the piston; zero at an end stop or a limit of the plant."""
@@ -280,11 +301,9 @@ class HitchDynamics(eqx.Module):
         limits = self.channels[0].limits
         if limits is not None:
             inside &= limits.is_inside(state.benchmark, state.start)
-        for number, (discrete_model, channel_state) in enumerate(
-            zip(self.discrete_models, state.channels, strict=True)
-        ):
-            channel_speed = discrete_model.speed(
-                channel_state.plant, channel_state.valve, state.benchmark, state.load
+        for number, channel_state in enumerate(state.channels):
+            channel_speed = self._discrete_model(number, channel_state).speed(
+                channel_state.plant, channel_state.valve, state.benchmark
             )
             speed = jnp.where(mode == number, jnp.where(inside, channel_speed, 0.0), speed)
         return speed
@@ -299,7 +318,9 @@ class HitchDynamics(eqx.Module):
     ) -> HitchState:
         """Initialise a channel that takes charge at the plant's displacement and speed."""
         channel_state = state.channels[number]
-        initial_state = self._init_channel(number, channel_state.valve, displacement, speed, state.load)
+        initial_state = self._init_channel(
+            number, channel_state.valve, displacement, speed, channel_state.at_load
+        )
         new_state = select(entering, initial_state, channel_state)
         return state._replace(
             benchmark=jnp.where(entering, displacement, state.benchmark),
@@ -311,11 +332,10 @@ class HitchDynamics(eqx.Module):
 
     def _advance_channel(self, number: int, state: HitchState) -> HitchState:
         """Advance a channel. Only the active channel moves the piston; before the first motion all run."""
-        discrete_model, channel_state = self.discrete_models[number], state.channels[number]
+        channel_state = state.channels[number]
+        discrete_model = self._discrete_model(number, channel_state)
         in_charge = state.mode == number
-        plant, increment = discrete_model.advance(
-            channel_state.plant, channel_state.valve, state.benchmark, state.load
-        )
+        plant, increment = discrete_model.advance(channel_state.plant, channel_state.valve, state.benchmark)
         increment = jnp.where(in_charge, increment, 0.0)
         is_active = in_charge | (state.mode == STANDING)
         correction, factor = self._correct_speed(number, channel_state, is_active, increment, state)
@@ -324,6 +344,7 @@ class HitchDynamics(eqx.Module):
             jnp.where(in_charge, plant, channel_state.plant),
             channel_state.samples_in_charge + is_active,
             correction,
+            channel_state.at_load,
         )
         return state._replace(
             benchmark=state.benchmark + increment,
@@ -349,7 +370,7 @@ class HitchDynamics(eqx.Module):
             correction.speed,
             correction.acceleration,
             state.free_run,
-            state.load,
+            channel_load(self.channels, number, state.load),
         )
         speed = channel.sign * increment / self.step_s
         advanced = SpeedCompensatorState(speed, (speed - correction.speed) / self.step_s)

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Float32
 
 from hitchid.model.channel import Channel
+from hitchid.model.loads import channel_load
 from hitchid.model.state import HitchState, NetworkInput
 from hitchid.networks.error_compensator import FEATURES, Compensator, FeatureState, Sample
 from hitchid.networks.lstm import SINGLE, LstmState
@@ -36,7 +37,8 @@ def compute_features(
         effective = channel_state.valve.effective
         time_s = step_s * channel_state.samples_in_charge.astype(displacement.dtype)
         sample = Sample(time_s, effective, displacement, displacement + state.error)
-        trust = channel.operating_range.trust(jnp.abs(effective), displacement, state.load)
+        load = channel_load(channels, number, state.load)
+        trust = channel.operating_range.trust(jnp.abs(effective), displacement, load)
         previous = select(reset, FeatureState.at_rest(sample), state.feature_state)
         feature_state, scaled_features = channel.compensator.update_features(previous, sample, step_s)
         selected = select(recent & (state.mode == number), (feature_state, scaled_features, trust), selected)

@@ -11,6 +11,7 @@ from hitchid.data.record import COMMAND, DIRECTIONS, DISPLACEMENT
 from hitchid.data.test_kinds import effective_command
 from hitchid.model.channel import Channel
 from hitchid.model.free_run import FreeRun, FreeRunInputs
+from hitchid.model.loads import channel_load
 
 
 class OutOfRange(NamedTuple):
@@ -40,7 +41,7 @@ def out_of_range(
     of_all = f"of {displacement.size} samples{runs}"
     found = []
     for number, channel in enumerate(channels):
-        for name, mask in _masks(channel, inputs, displacement).items():
+        for name, mask in _masks(channels, number, inputs, displacement).items():
             samples = mask & (active_channel == number)
             described = describe_range(channel, units, name)
             found.append(
@@ -59,26 +60,35 @@ def out_of_range(
 
 
 def _masks(
-    channel: Channel, inputs: FreeRunInputs, displacement: np.ndarray
+    channels: Sequence[Channel], number: int, inputs: FreeRunInputs, displacement: np.ndarray
 ) -> dict[str, Bool[np.ndarray, "*#m n"]]:
     """Return `command`, `displacement` and `load` to the samples outside the range of a channel."""
+    channel = channels[number]
     command = inputs.commands[:, DIRECTIONS.index(channel.direction)]
     signals = {
         "command": np.abs(effective_command(command, channel.dead_zone)),
         "displacement": displacement,
-        "load": inputs.initial.load[..., None],
     }
-    return {
+    outside = {
         name: np.asarray(getattr(channel.operating_range, name).trust(jnp.asarray(values))) < 1
         for name, values in signals.items()
     }
+    load = channel_load(channels, number, jnp.asarray(inputs.initial.load))
+    return {**outside, "load": np.asarray(channel.operating_range.load_trust(load))[..., None] < 1}
 
 
 def describe_range(channel: Channel, units: Mapping[str, str], name: str) -> str:
     """Return the range of `command`, `displacement` or `load` in the identification tests as text."""
-    load = channel.benchmark.covariate or ""
-    role = {"command": COMMAND[channel.direction], "displacement": DISPLACEMENT, "load": load}[name]
     signal_range = getattr(channel.operating_range, name)
+    if name == "load":
+        covariates = channel.benchmark.covariates
+        ends = zip(signal_range.lowest.tolist(), signal_range.highest.tolist(), strict=True)
+        ranges = [f"{low:.4g} to {high:.4g}" for low, high in ends]
+        if len(ranges) == 1:
+            return f"{ranges[0]} {units.get(''.join(covariates), '')}"
+        named = zip(covariates, ranges, strict=True)
+        return ", ".join(f"{covariate} {text} {units.get(covariate, '')}" for covariate, text in named)
+    role = {"command": COMMAND[channel.direction], "displacement": DISPLACEMENT}[name]
     suffix = " beyond the dead zone" if name == "command" else ""
     ends = f"{float(signal_range.lowest):.4g} to {float(signal_range.highest):.4g}"
     return f"{ends} {units.get(role, '')}{suffix}"

@@ -19,14 +19,20 @@ ORIGINS_PER_BATCH = 64  # predictions advanced at the same time; chosen: their s
 
 
 class InitialCondition(NamedTuple):
-    """Displacement and covariate of a hitch at rest before a run, in the model's units.
+    """Displacement and covariates of a hitch at rest before a run, in the model's units.
 
     Attributes:
-        displacement, load: shape [] each, or [M] for M runs.
+        displacement: shape [], or [M] for M runs.
+        load: covariates in the order of the dynamics, shape [L] or [M, L]; one zero where there is none.
     """
 
     displacement: Float[np.ndarray, "*m"]
-    load: Float[np.ndarray, "*m"]
+    load: Float[np.ndarray, "*m l"]
+
+    @property
+    def row(self) -> Float[np.ndarray, "*m i"]:
+        """Displacement and covariates in one array."""
+        return np.concatenate([self.displacement[..., None], self.load], axis=-1)
 
 
 class FreeRunInputs(NamedTuple):
@@ -59,7 +65,7 @@ class FreeRun(NamedTuple):
 
 def free_run(dynamics: HitchDynamics, inputs: FreeRunInputs) -> FreeRun:
     """Return the free run of each initial condition; several are advanced at the same time."""
-    initial = jnp.asarray(np.stack(inputs.initial, axis=-1))
+    initial = jnp.asarray(inputs.initial.row)
     commands = pad_with_nan(inputs.commands, 1)
     simulate = simulate_free_run if initial.ndim == 1 else simulate_free_runs
     count = len(inputs.commands)
@@ -73,7 +79,7 @@ def ensemble_free_runs(
     members: Sequence[HitchDynamics], inputs: FreeRunInputs
 ) -> Float[np.ndarray, "a *m n"]:
     """Return the displacement of the free runs of several hitches, shape [A, N] or [A, M, N]."""
-    initial = jnp.asarray(np.stack(inputs.initial, axis=-1))
+    initial = jnp.asarray(inputs.initial.row)
     rows = simulate_ensemble(members, initial, pad_with_nan(inputs.commands, 1))
     return _with_initial(rows[..., : len(inputs.commands)], inputs.initial)
 
@@ -94,7 +100,7 @@ def multi_step_predictions(
         pad_with_nan(samples, longest) for samples in (commands_of(record), record.displacement)
     )
     predictions = np.asarray(
-        predict_from_origins(dynamics, jnp.asarray(initial), commands, measured, longest, stride)
+        predict_from_origins(dynamics, jnp.asarray(initial.row), commands, measured, longest, stride)
     )
     return [
         align_predictions(predictions, float(initial.displacement), min(horizon, longest), count, stride)
@@ -120,7 +126,7 @@ def pad_with_nan(samples: np.ndarray, extra: int) -> Array:
 
 @eqx.filter_jit
 def simulate_free_run(
-    dynamics: HitchDynamics, initial: Float[Array, "2"], commands: Float[Array, "n 2"]
+    dynamics: HitchDynamics, initial: Float[Array, " i"], commands: Float[Array, "n 2"]
 ) -> tuple[Float[Array, " n"], Int[Array, " n"], Bool[Array, " n"]]:
     """Return displacement after each sample without measurements; until then, channel and whether held."""
 
@@ -129,19 +135,19 @@ def simulate_free_run(
         demands = [channel.valve.motion_demand[-1] for channel in state.channels]
         return state, (displacement, state.mode, ~jnp.any(jnp.stack(demands)))
 
-    return jax.lax.scan(advance, dynamics.init_state(*initial), commands)[1]
+    return jax.lax.scan(advance, dynamics.init_state(initial[0], initial[1:]), commands)[1]
 
 
 @eqx.filter_jit
 def simulate_free_runs(
-    dynamics: HitchDynamics, initial: Float[Array, "m 2"], commands: Float[Array, "n 2"]
+    dynamics: HitchDynamics, initial: Float[Array, "m i"], commands: Float[Array, "n 2"]
 ) -> tuple[Float[Array, "m n"], Int[Array, "m n"], Bool[Array, "m n"]]:
     """Return `simulate_free_run` for several initial conditions."""
     return jax.vmap(lambda row: simulate_free_run(dynamics, row, commands))(initial)
 
 
 def simulate_ensemble(
-    members: Sequence[HitchDynamics], initial: Float[Array, "*m 2"], commands: Float[Array, "n 2"]
+    members: Sequence[HitchDynamics], initial: Float[Array, "*m i"], commands: Float[Array, "n 2"]
 ) -> Float[np.ndarray, "a *m n"]:
     """Return displacement after each sample for several hitches; one compiled call for each structure."""
     groups: dict[object, list[int]] = {}
@@ -166,7 +172,7 @@ def _simulate_stacked(stacked: HitchDynamics, initial: Array, commands: Array) -
 @eqx.filter_jit
 def predict_from_origins(
     dynamics: HitchDynamics,
-    initial: Float[Array, "2"],
+    initial: Float[Array, " i"],
     commands: Float[Array, "n 2"],
     measured: Float[Array, " n"],
     horizon: int,
@@ -183,7 +189,7 @@ def predict_from_origins(
         return state, state
 
     _, states = jax.lax.scan(
-        advance_measured, dynamics.init_state(*initial), (commands[:count], measured[:count])
+        advance_measured, dynamics.init_state(initial[0], initial[1:]), (commands[:count], measured[:count])
     )
 
     def coast(state: HitchState, origin: Array) -> Float[Array, " h"]:

@@ -2,9 +2,10 @@
 
 from typing import TYPE_CHECKING, cast
 
+from hitchid.model.commands import Numbers
 from hitchid.model.inverse_table import InverseTable, make_inverse_table
 from hitchid.model.linear import linear_model
-from hitchid.model.operating_point import Numbers
+from hitchid.model.loads import Load
 from hitchid.model.speed import SteadySpeed, speed_with_band
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ class Handover:
         direction: str | None = None,
         *,
         displacement: Numbers | None = None,
-        load: Numbers | None = None,
+        load: Load | None = None,
     ) -> SteadySpeed:
         """Return the steady speed at constant command, with its 95 % band: K w(c − d₀) g(x).
 
@@ -33,7 +34,8 @@ class Handover:
             command: as logged, in the model's unit.
             direction: of the channel; may be omitted in a model of one channel.
             displacement: where the piston is, in the model's unit; by default mid stroke.
-            load: second measured input, in the model's unit; by default the mean of the tests.
+            load: covariate before motion, in the model's unit, or several by name; by default the means of
+                the tests.
 
         Raises:
             InputError: the structure has no speed map, or an argument does not fit.
@@ -46,7 +48,7 @@ class Handover:
         speeds: Numbers | None = None,
         *,
         displacement: float | None = None,
-        load: float | None = None,
+        load: Load | None = None,
     ) -> InverseTable:
         """Return the command for each steady speed, the inverse of `speed`, as a table for a controller.
 
@@ -67,7 +69,7 @@ class Handover:
         *,
         command: float | None = None,
         displacement: float | None = None,
-        load: float | None = None,
+        load: Load | None = None,
     ) -> "signal.StateSpace":
         """Return the linear state-space model of a direction as `scipy.signal` has it; see `to_control`."""
         point = {"command": command, "displacement": displacement, "load": load}
@@ -80,7 +82,7 @@ class Handover:
         *,
         command: float | None = None,
         displacement: float | None = None,
-        load: float | None = None,
+        load: Load | None = None,
     ) -> "control.StateSpace":
         """Return the linear state-space model of a direction as python-control has it, without compensators.
 

@@ -26,6 +26,7 @@ from hitchid.model.dynamics import MAX_MAGNITUDE, HitchDynamics
 from hitchid.model.free_run import last_measured, multi_step_predictions
 from hitchid.model.handover import Handover
 from hitchid.model.limits import TravelLimits
+from hitchid.model.loads import Load, load_row
 from hitchid.model.packing import Packed
 from hitchid.model.parameters import ParameterTable, parameter_table
 from hitchid.model.provenance import Provenance, TwoModes
@@ -117,22 +118,25 @@ class Hitch(Value, Summarised, Handover):
         return thresholds.in_log_units(dead_zones, self.units, units)
 
     @double_precision
-    def init_state(self, displacement: float, load: float = 0.0) -> Packed:
+    def init_state(self, displacement: float, load: Load | None = None) -> Packed:
         """Return the state of a hitch at rest with closed valves.
 
         Args:
             displacement: initial displacement, in the model's unit.
-            load: covariate before motion, in the model's unit, where a channel has one.
+            load: covariate before motion, in the model's unit, or several by name; by default the mean of the
+                identification tests.
 
         Raises:
-            InputError: a value is not finite, or beyond 1e9.
+            InputError: a value is not finite, or beyond 1e9, or there is no such covariate.
         """
-        numbers = []
-        for name, value in (("displacement", displacement), ("load", load)):
-            numbers.append(checks.number(value, name))
-            if not abs(numbers[-1]) < MAX_MAGNITUDE:
+        initial = checks.number(displacement, "displacement")
+        row = load_row(load, tuple(self.channels.values()), "model")
+        if row.ndim > 1:
+            raise checks.input_error("load", "one load", load)
+        for name, value in (("displacement", initial), *(("load", value) for value in row)):
+            if not abs(value) < MAX_MAGNITUDE:
                 raise InputError(f"{name}: expected a number within ±{MAX_MAGNITUDE:g}, got {value}")
-        return self._step_functions.init_state(*numbers)
+        return self._step_functions.init_state(initial, row)
 
     def step(
         self, state: Packed, commands: ArrayLike | Sequence[ArrayLike], measured: ArrayLike | None = None
@@ -178,7 +182,7 @@ class Hitch(Value, Summarised, Handover):
         *,
         step_s: float | None = None,
         initial: Numbers | None = None,
-        load: Numbers | None = None,
+        load: Load | None = None,
         compensated: bool = True,
     ) -> Simulation:
         """Return the free run: displacement from the commands and the initial displacement alone.
@@ -187,14 +191,14 @@ class Hitch(Value, Summarised, Handover):
         loads are simulated at the same time.
 
         Args:
-            commands: a record, whose displacement and covariate count only before motion; or commands in
+            commands: a record, whose displacement and covariates count only before motion; or commands in
                 the model's units: columns `lifting_command` and `lowering_command` of a mapping or
                 DataFrame, an array of both, shape [N, 2], or one command, shape [N]: that of a model of one
                 channel, otherwise positive for lifting and negative for lowering.
             step_s: sampling time of commands without a record, s; they are resampled as those of a log.
             initial: initial displacement, in the model's unit, shape [] or [M]; required without a record.
-            load: covariate before motion, in the model's unit, shape [] or [M]; required without a record
-                where the model has one.
+            load: covariate before motion, in the model's unit, shape [] or [M], or several by name; required
+                without a record where the model has one.
             compensated: False for a simulation without compensators, which has no bands.
 
         Raises:

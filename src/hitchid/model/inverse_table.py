@@ -16,9 +16,11 @@ from hitchid._support.summary import GAP, screen
 from hitchid.data.record import COMMAND, DISPLACEMENT
 from hitchid.errors import InputError
 from hitchid.model.channel import Channel
-from hitchid.model.operating_point import Numbers, centre, check_load, linear_channel
+from hitchid.model.commands import Numbers
+from hitchid.model.loads import Load
+from hitchid.model.operating_point import centre, linear_channel, load_of_channel
 from hitchid.model.speed import INSTEAD
-from hitchid.structures import command_for_speed, opening_command, steady_speed
+from hitchid.structures import PhysicalModel, command_for_speed, opening_command, steady_speed
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -100,16 +102,17 @@ def make_inverse_table(
     speeds: Numbers | None = None,
     *,
     displacement: float | None = None,
-    load: float | None = None,
+    load: Load | None = None,
 ) -> InverseTable:
     """Return command over steady speed; see `Hitch.inverse_table`."""
     channel = linear_channel(model, direction, instead=INSTEAD)
-    check_load(channel, load)
-    middle, mean_load = centre(channel)
+    at_load = load_of_channel(channel, load)
+    if at_load.ndim > 1:
+        raise checks.input_error("load", "one load", load)
     inverse = _Inverse(
         channel,
-        middle if displacement is None else checks.number(displacement, "displacement"),
-        mean_load if load is None else checks.number(load, "load"),
+        channel.benchmark.at_load(jnp.asarray(at_load)),
+        centre(channel) if displacement is None else checks.number(displacement, "displacement"),
         f"{model.units[DISPLACEMENT]}/s",
         model.units[COMMAND[channel.direction]],
     )
@@ -129,8 +132,8 @@ class _Inverse:
     """The speed map of a channel at one displacement and load; all speeds are sizes."""
 
     channel: Channel
+    physical_model: PhysicalModel
     displacement: float
-    load: float
     speed_unit: str
     command_unit: str
 
@@ -173,9 +176,8 @@ class _Inverse:
             )
         commands = np.asarray(
             command_for_speed(
-                self.channel.benchmark,
+                self.physical_model,
                 jnp.asarray(sizes),
-                self.load,
                 self.channel.dead_zone,
                 self.displacement,
             )
@@ -216,12 +218,11 @@ class _Inverse:
     def _begin(self) -> float:
         """Return the smallest command at which the valve is open."""
         channel, nonlinearity = self.channel, self.channel.benchmark.nonlinearity
-        opening = float(opening_command(channel.benchmark, self.load, channel.dead_zone))
+        opening = float(opening_command(self.physical_model, channel.dead_zone))
         if nonlinearity is None:
             return opening
         return max(opening, channel.dead_zone + float(nonlinearity.smallest_command))
 
     def _speeds(self, commands: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        loads = jnp.full(commands.size, self.load)
-        model, dead_zone = self.channel.benchmark, self.channel.dead_zone
-        return np.asarray(steady_speed(model, jnp.asarray(commands), loads, dead_zone, self.displacement))
+        model, dead_zone = self.physical_model, self.channel.dead_zone
+        return np.asarray(steady_speed(model, jnp.asarray(commands), dead_zone, self.displacement))

@@ -3,9 +3,13 @@
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import jax.numpy as jnp
+
 from hitchid._support import checks
+from hitchid._support.precision import double_precision
 from hitchid.errors import InputError
-from hitchid.model.operating_point import check_load, linear_channel
+from hitchid.model.loads import Load
+from hitchid.model.operating_point import linear_channel, load_of_channel
 from hitchid.structures import LinearModel, linearise
 
 if TYPE_CHECKING:
@@ -14,6 +18,7 @@ if TYPE_CHECKING:
 INSTEAD = "`simulate` for a record, or `step` in a loop"
 
 
+@double_precision
 def linear_model(
     model: "Hitch",
     direction: str | None,
@@ -21,14 +26,16 @@ def linear_model(
     *,
     command: float | None,
     displacement: float | None,
-    load: float | None,
+    load: Load | None,
 ) -> LinearModel:
     """Return the linear model from command to displacement; see `Hitch.to_control`."""
     channel = linear_channel(model, direction, instead=INSTEAD)
-    check_load(channel, load)
+    at_load = load_of_channel(channel, load)
+    if at_load.ndim > 1:
+        raise checks.input_error("load", "one load", load)
     given = {
         name: checks.number(value, name)
-        for name, value in {"command": command, "displacement": displacement, "load": load}.items()
+        for name, value in {"command": command, "displacement": displacement}.items()
         if value is not None
     }
     if "command" in given:
@@ -37,5 +44,5 @@ def linear_model(
             raise InputError(
                 f"command: expected one beyond the dead zone of {channel.dead_zone:.4g}, got {command}"
             )
-    travel = linearise(channel.benchmark, step_s, **given)
+    travel = linearise(channel.benchmark.at_load(jnp.asarray(at_load)), step_s, **given)
     return replace(travel, c=channel.sign * travel.c)

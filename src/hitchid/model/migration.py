@@ -8,13 +8,14 @@ import numpy as np
 
 from hitchid.model.load_filter import LoadFilter
 from hitchid.model.migration_to_8 import to_schema_8
+from hitchid.model.migration_to_11 import to_schema_11
 from hitchid.model.tensors import tensors_of
 
 Description = dict[str, Any]
 Tensors = dict[str, np.ndarray]
 Stored = tuple[Description, Tensors]
 DRIFT_IN_TIME = 6  # index, in schema 9, among the values of an inertia with friction
-SCHEMA = 10  # version of the layout of a model folder
+SCHEMA = 11  # version of the layout of a model folder
 
 
 def _with_hold(content: Description, tensors: Tensors) -> Stored:
@@ -166,6 +167,7 @@ MIGRATIONS: Mapping[int, Callable[[Description, Tensors], Stored]] = MappingProx
         7: to_schema_8,
         8: _with_load_filter,
         9: _without_clock,
+        10: to_schema_11,
     }
 )
 """Schema to the migration to the next one; content that an older schema lacks is marked as missing."""

@@ -1,18 +1,17 @@
 """Channel, displacement and load that a steady speed or a linear model is for."""
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from jax.typing import ArrayLike
+import numpy as np
+from jaxtyping import Float
 
 from hitchid._support import checks
 from hitchid.errors import InputError
 from hitchid.model.channel import Channel
+from hitchid.model.loads import Load, load_row
 
 if TYPE_CHECKING:
     from hitchid.model.hitch import Hitch
-
-Numbers = ArrayLike | Sequence[ArrayLike]  # a number, or an array or nested list of them
 
 
 def linear_channel(model: "Hitch", direction: str | None, *, instead: str) -> Channel:
@@ -39,15 +38,12 @@ def linear_channel(model: "Hitch", direction: str | None, *, instead: str) -> Ch
     return channel
 
 
-def check_load(channel: Channel, load: object) -> None:
-    """Raise InputError for a load of a channel that has no second measured input."""
-    if load is not None and channel.benchmark.covariate is None:
-        raise InputError(f"load: the {channel.direction} channel has no covariate; expected None, got {load}")
+def load_of_channel(channel: Channel, load: Load | None) -> Float[np.ndarray, "*m c"]:
+    """Return a load in the order of the channel's covariates; see `load_row`."""
+    return load_row(load, [channel], f"{channel.direction} channel")
 
 
-def centre(channel: Channel) -> tuple[float, float]:
-    """Return the middle of the displacement and the mean load of the tests; zeros without nonlinearities."""
+def centre(channel: Channel) -> float:
+    """Return the middle of the displacement in the tests; zero without nonlinearities."""
     nonlinearity = channel.benchmark.nonlinearity
-    if nonlinearity is None:
-        return 0.0, 0.0
-    return float(nonlinearity.scales.centre), float(nonlinearity.scales.load_centre)
+    return 0.0 if nonlinearity is None else float(nonlinearity.scales.centre)

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hitchid.model.estimates import Estimate, Estimates
-from hitchid.structures import DEAD_TIME, NONLINEARITY_PARAMETERS, PhysicalModel
+from hitchid.structures import PhysicalModel
 
 
 def draw_parameters(
@@ -24,11 +24,7 @@ def draw_parameters(
     Returns:
         Vectors as `PhysicalModel.parameter_vector` has them, shape [count, R].
     """
-    names = [
-        *(parameter.name for parameter in benchmark.structure.parameters),
-        DEAD_TIME.name,
-        *(parameter.name for parameter in NONLINEARITY_PARAMETERS),
-    ]
+    names = [parameter.name for parameter in benchmark.parameters]
     vectors = np.tile(np.asarray(benchmark.parameter_vector, dtype=np.float64), (count, 1))
     parameters = estimates.parameters
     columns = [names.index(estimate.name) for estimate in parameters]

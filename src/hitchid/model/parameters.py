@@ -14,7 +14,7 @@ from hitchid.errors import InputError
 from hitchid.model.channel import Channel
 from hitchid.model.estimates import Interval
 from hitchid.model.uncertainty import Uncertainty
-from hitchid.structures import DEAD_TIME, NONLINEARITY_PARAMETERS, ModelOption, Parameter
+from hitchid.structures import DEAD_TIME, ModelOption, Parameter
 from hitchid.structures.static_nonlinearity import NEUTRAL
 
 if TYPE_CHECKING:
@@ -145,16 +145,16 @@ def definitions(channel: Channel, uncertainty: Uncertainty | None) -> dict[str, 
     Of the nonlinearities these are the identified ones, or without uncertainty those that have an effect.
     """
     benchmark = channel.benchmark
-    structure, values = benchmark.structure, benchmark.named_values()
+    values = benchmark.named_values()
     identified = set() if uncertainty is None else {p.name for p in uncertainty.benchmark.parameters}
+    structure = benchmark.structure
     parameters = () if structure.uses_raw_command else (DEAD_ZONE,)
     parameters += structure.parameters
-    if benchmark.nonlinearity is not None:
-        parameters += tuple(
-            p
-            for p in NONLINEARITY_PARAMETERS
-            if p.name in identified or values[p.name] != NEUTRAL.get(p.name, 0.0)
-        )
+    parameters += tuple(
+        p
+        for p in benchmark.parameters[len(structure.parameters) + 1 :]
+        if p.name in identified or values[p.name] != NEUTRAL.get(p.name, 0.0)
+    )
     if ModelOption.DEAD_TIME in structure.options:
         parameters += (DEAD_TIME,)
     return {parameter.name: parameter for parameter in parameters}

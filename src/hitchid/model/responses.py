@@ -145,9 +145,8 @@ def steady_speeds(channel: Channel, commands: Float[np.ndarray, " q"]) -> np.nda
         channel: of one direction, with a linear structure.
         commands: in the command's unit, shape [Q].
     """
-    displacement, load = _operating_point(channel)
-    loads = jnp.full(commands.size, load)
-    speeds = steady_speed(channel.benchmark, jnp.asarray(commands), loads, channel.dead_zone, displacement)
+    displacement = _middle(channel)
+    speeds = steady_speed(channel.benchmark, jnp.asarray(commands), channel.dead_zone, displacement)
     return np.asarray(speeds)
 
 
@@ -197,7 +196,7 @@ def frequency_response(
 def _step_batch(channel: Channel, levels: Sequence[float], step_s: float) -> Batch:
     """Return steps of the command at the first sample as tests, shape [L, 512]."""
     raw_command = np.repeat(np.asarray(levels, dtype=np.float64)[:, None], STEP_SAMPLES, axis=1)
-    initial, load = _operating_point(channel)
+    initial, benchmark = _middle(channel), channel.benchmark
     everywhere = np.ones(raw_command.shape, dtype=bool)
     return Batch(
         command=jnp.asarray(effective_command(raw_command, channel.dead_zone)),
@@ -207,20 +206,21 @@ def _step_batch(channel: Channel, levels: Sequence[float], step_s: float) -> Bat
         valid=jnp.asarray(everywhere),
         loss_mask=jnp.asarray(everywhere),
         initial=jnp.full(len(levels), initial),
-        covariate=jnp.full(len(levels), load),
+        covariates=jnp.tile(benchmark.mean_load, (len(levels), 1))[:, : len(benchmark.covariates)],
         step_s=step_s,
         sign=channel.sign,
+        covariate_names=benchmark.covariates,
     )
 
 
-def _operating_point(channel: Channel) -> tuple[float, float]:
-    """Return mid stroke and mean load of the identification tests; zero where they are not known."""
+def _middle(channel: Channel) -> float:
+    """Return mid stroke of the identification tests; zero where it is not known."""
     nonlinearity = channel.benchmark.nonlinearity
     if nonlinearity is not None:
-        return float(nonlinearity.scales.centre), float(nonlinearity.scales.load_centre)
+        return float(nonlinearity.scales.centre)
     stroke = channel.operating_range.displacement
     centre = 0.5 * (float(stroke.lowest) + float(stroke.highest))
-    return (centre if np.isfinite(centre) else 0.0), 0.0
+    return centre if np.isfinite(centre) else 0.0
 
 
 @eqx.filter_jit
@@ -240,7 +240,7 @@ def _frequency_responses(
     rational = np.linalg.solve(system, inputs)[:, :, 0, 0]
     nonlinearity = benchmark.nonlinearity
     if nonlinearity is not None:
-        curves = vectors[:, count + 1 :]
+        curves = vectors[:, count + 1 : count + 1 + len(NONLINEARITY_PARAMETERS)]
         spool_lag_s = curves[:, [parameter.name for parameter in NONLINEARITY_PARAMETERS].index("spool_lag")]
         gains = np.asarray(_small_signal_gains(nonlinearity.scales, jnp.asarray(curves), effective))
         rational = rational * gains[:, None] / (1 + s * spool_lag_s[:, None])
@@ -255,7 +255,7 @@ def _small_signal_gains(
 
     def gain(values: Float[Array, " c"]) -> Float[Array, ""]:
         nonlinearity = StaticNonlinearity(values, scales)
-        slope = jax.grad(lambda size: nonlinearity.flow(size, scales.load_centre))(command)
-        return slope * nonlinearity.gain(scales.centre, scales.load_centre)
+        slope = jax.grad(nonlinearity.flow)(command)
+        return slope * nonlinearity.gain(scales.centre)
 
     return jax.vmap(gain)(curves)

@@ -17,7 +17,7 @@ from hitchid.model.estimates import NOT_ASSESSED, Estimate, Estimates
 from hitchid.model.parameters import DEAD_ZONE, SET_BY_HAND, definitions, values_of
 from hitchid.model.uncertainty import Uncertainty
 from hitchid.networks.operating_range import OperatingRange
-from hitchid.structures import DEAD_TIME, NONLINEARITY_PARAMETERS, Parameter, PhysicalModel, Scale
+from hitchid.structures import DEAD_TIME, Parameter, PhysicalModel, Scale
 
 if TYPE_CHECKING:
     from hitchid.model.hitch import Hitch
@@ -102,12 +102,11 @@ def _changed(channel: Channel, values: Mapping[str, float]) -> Channel:
 
 
 def _changed_benchmark(benchmark: PhysicalModel, values: Mapping[str, float]) -> PhysicalModel:
-    names = [parameter.name for parameter in (*benchmark.structure.parameters, DEAD_TIME)]
-    if benchmark.nonlinearity is not None:
-        names += [parameter.name for parameter in NONLINEARITY_PARAMETERS]
     row = [
-        values.get(name, current)
-        for name, current in zip(names, map(float, benchmark.parameter_vector), strict=True)
+        values.get(parameter.name, current)
+        for parameter, current in zip(
+            benchmark.parameters, map(float, benchmark.parameter_vector), strict=True
+        )
     ]
     return benchmark.with_parameter_vector(jnp.asarray(row))
 

@@ -16,7 +16,7 @@ from hitchid.data.signal_map import CampaignFile, SignalMap, command_columns
 from hitchid.data.units import UNITS
 from hitchid.errors import InputError, LogError
 from hitchid.model import Hitch
-from hitchid.model.conversion import covariate_of
+from hitchid.model.loads import Load, covariates_of, loads_by_name
 from hitchid.readers import ReaderProcess, assemble, read_table, settings_of
 from hitchid.readers.formats import record_name
 from hitchid.readers.formats.csv import SUFFIXES, read_rows, write_rows
@@ -27,11 +27,11 @@ class InitialValues(NamedTuple):
 
     Attributes:
         displacement: initial displacement; None for the one measured in the log.
-        load: covariate before motion; None for that of the log.
+        load: covariates before motion, by name; those that are not given are those of the log.
     """
 
     displacement: float | None = None
-    load: float | None = None
+    load: Load | None = None
 
 
 class SimulatedLog(NamedTuple):
@@ -136,8 +136,10 @@ def _required_signals(
         signals = SignalMap(displacement=signals.displacement, covariates=signals.covariates, **designed)
     if initial == FROM_LOG:
         return signals
-    required = covariate_of(model.channels) if initial.load is None else None
-    covariates = tuple(column for column in signals.covariates if column.column == required)
+    names = covariates_of(model.channels.values())
+    given = loads_by_name(initial.load, names, "model")
+    required = [name for name in names if name not in given]
+    covariates = tuple(column for column in signals.covariates if column.column in required)
     return signals.model_copy(update={"covariates": covariates})
 
 

@@ -22,6 +22,7 @@ from hitchid.model.dynamics import MAX_MAGNITUDE, HitchDynamics
 from hitchid.model.ensemble import hitch_half_width
 from hitchid.model.extrapolation import OutOfRange, out_of_range
 from hitchid.model.free_run import FreeRun, FreeRunInputs, commands_of, free_run
+from hitchid.model.loads import Load, covariates_of, loads_by_name
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -160,37 +161,41 @@ def simulate(
     *,
     step_s: float | None,
     initial: Numbers | None,
-    load: Numbers | None,
+    load: Load | None,
 ) -> Simulation:
     """Return the free run of a record or of commands alone; see `Hitch.simulate`."""
     channels = {channel.direction: channel for channel in model.dynamics.channels}
-    covariate = conversion.covariate_of(channels)
-    if covariate is None and load is not None:
-        raise InputError(f"load: the model has no covariate; expected None, got {load}")
+    covariates = covariates_of(channels.values())
+    given = loads_by_name(load, covariates, "model")
+    loads = {name: _checked(values, "load") for name, values in given.items()}
     if not isinstance(commands, Record):
         if initial is None:
             unit = model.units[DISPLACEMENT]
             raise InputError(f"initial: expected the initial displacement, in {unit}, got None")
-        if covariate is not None and load is None:
-            raise InputError(
-                f"load: expected '{covariate}' before motion, in {model.units[covariate]}, which the model "
-                "requires; got None"
-            )
+        for name in covariates:
+            if name not in loads:
+                raise InputError(
+                    f"load: expected '{name}' before motion, in {model.units[name]}, which the model "
+                    f"requires; got {load}"
+                )
         record = record_of_commands(commands, tuple(channels), model.units, step_s)
     elif step_s is not None:
         raise InputError(f"step_s: a record has its own sampling time; expected None, got {step_s}")
     else:
         record = commands
-        if covariate is not None and load is None and covariate not in record.signals:
-            raise InputError(
-                f"record '{record.name}' has no '{covariate}', which the model requires; "
-                "expected this signal in the record, or `load`, its value before motion, in "
-                f"{model.units[covariate]}"
-            )
+        for name in covariates:
+            if name not in loads and name not in record.signals:
+                raise InputError(
+                    f"record '{record.name}' has no '{name}', which the model requires; expected this "
+                    f"signal in the record, or `load`, its value before motion, in {model.units[name]}"
+                )
     model_record = conversion.to_model_units(record, tuple(channels), model.units, model.dynamics.step_s)
     _check_magnitude(model_record)
     initial_condition = conversion.initial_condition(
-        model_record, channels, displacement=_checked(initial, "initial"), load=_checked(load, "load")
+        model_record,
+        channels,
+        displacement=None if initial is None else _checked(initial, "initial"),
+        load=loads,
     )
     inputs = FreeRunInputs(commands_of(model_record), initial_condition)
     run = free_run(model.dynamics, inputs)
@@ -210,10 +215,8 @@ def _check_magnitude(record: Record) -> None:
             )
 
 
-def _checked(values: Numbers | None, name: str) -> np.ndarray | None:
-    """Return one or several finite numbers as an array of shape [] or [M]; None stays None."""
-    if values is None:
-        return None
+def _checked(values: Numbers, name: str) -> np.ndarray:
+    """Return one or several finite numbers as an array of shape [] or [M]."""
     required = f"one or several numbers within ±{MAX_MAGNITUDE:g}"
     try:
         array = np.asarray(values)

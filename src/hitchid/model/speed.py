@@ -17,15 +17,17 @@ from hitchid.errors import InputError
 from hitchid.model.bands import Band
 from hitchid.model.channel import Channel
 from hitchid.model.characteristics import Characteristics
+from hitchid.model.commands import Numbers
 from hitchid.model.estimates import Estimates
-from hitchid.model.operating_point import Numbers, centre, check_load, linear_channel
-from hitchid.structures import NONLINEARITY_PARAMETERS, StaticNonlinearity, steady_speed
+from hitchid.model.loads import Load
+from hitchid.model.operating_point import centre, linear_channel, load_of_channel
+from hitchid.structures import PhysicalModel, speeds_at
 
 if TYPE_CHECKING:
     from hitchid.model.hitch import Hitch
 
 NORMAL_QUANTILE = float(ndtri(0.975))  # of a 95 % interval
-STROKE_AND_LOAD = ("position_slope", "position_curve", "load_gain")  # parameters of the gain g(x, c)
+STROKE, BY_LOAD = ("position_slope", "position_curve"), "gain_by_"  # parameters of the gain g(x), of K(c)
 INSTEAD = "`simulate` with a constant command"
 
 
@@ -52,25 +54,25 @@ def speed_with_band(
     direction: str | None = None,
     *,
     displacement: Numbers | None = None,
-    load: Numbers | None = None,
+    load: Load | None = None,
 ) -> SteadySpeed:
     """Return the steady speed at constant command; see `Hitch.speed`."""
     channel = linear_channel(model, direction, instead=INSTEAD)
-    check_load(channel, load)
-    middle, mean_load = centre(channel)
+    at_load = load_of_channel(channel, load)
     arrays = (
         checks.numbers(command, "command"),
-        checks.numbers(middle if displacement is None else displacement, "displacement"),
-        checks.numbers(mean_load if load is None else load, "load"),
+        checks.numbers(centre(channel) if displacement is None else displacement, "displacement"),
+        at_load[..., 0],
     )
     try:
-        commands, positions, loads = np.broadcast_arrays(*arrays)
+        commands, positions, _ = np.broadcast_arrays(*arrays)
     except ValueError as error:
         shapes = ", ".join(str(array.shape) for array in arrays)
         raise InputError(
             f"command, displacement and load: expected shapes that broadcast, got {shapes}"
         ) from error
-    points = _Points(commands.ravel(), positions.ravel(), loads.ravel())
+    loads = np.broadcast_to(at_load, (*commands.shape, at_load.shape[-1])).reshape(commands.size, -1)
+    points = _Points(commands.ravel(), positions.ravel(), loads)
     speeds = _speeds(channel, points)
     uncertainty = model.uncertainty.get(channel.direction)
     band = None
@@ -83,11 +85,11 @@ def speed_with_band(
 
 
 class _Points(NamedTuple):
-    """Operating points, each of shape [Q]."""
+    """Operating points: commands and displacements, shape [Q], and covariates, shape [Q, C]."""
 
     command: Float[np.ndarray, " q"]
     displacement: Float[np.ndarray, " q"]
-    load: Float[np.ndarray, " q"]
+    load: Float[np.ndarray, "q c"]
 
 
 def _signed(channel: Channel, speeds: Float[np.ndarray, "*q"]) -> Float[np.ndarray, "*q"]:
@@ -98,7 +100,7 @@ def _signed(channel: Channel, speeds: Float[np.ndarray, "*q"]) -> Float[np.ndarr
 def _speeds(channel: Channel, points: _Points) -> Float[np.ndarray, " q"]:
     """Return speeds in the direction of travel, shape [Q]."""
     command, displacement, load = map(jnp.asarray, points)
-    return np.asarray(steady_speed(channel.benchmark, command, load, channel.dead_zone, displacement))
+    return np.asarray(speeds_at(channel.benchmark, command, displacement, load, channel.dead_zone))
 
 
 def _ends(
@@ -113,8 +115,8 @@ def _ends(
     """
     size = np.abs(points.command)
     levels, loads, shares = _map_shares(characteristics)
-    held_load = np.clip(points.load, loads[0], loads[-1])
-    extra = _gain_error(channel, points, held_load, estimates)
+    held_loads, held_load = _held_loads(channel, points, characteristics, loads)
+    extra = _gain_error(channel, points, held_loads, estimates)
     begin = (characteristics.opening or characteristics.dead_zone).interval[0] or 0.0
     fade = np.clip((size - begin) / max(levels[0] - begin, np.finfo(float).tiny), 0.0, 1.0)
     speeds, reference = (
@@ -126,6 +128,21 @@ def _ends(
         for side in shares
     )
     return np.stack([np.maximum(speeds - lower, 0.0), speeds + upper])
+
+
+def _held_loads(
+    channel: Channel, points: _Points, characteristics: Characteristics, loads: Float[np.ndarray, " k"]
+) -> tuple[Float[np.ndarray, "q c"], Float[np.ndarray, " q"]]:
+    """Return the loads of the speed map next to the points, and those of its own covariate.
+
+    The map is for the means of the other covariates.
+    """
+    held = np.tile(np.asarray(channel.benchmark.mean_load), (points.command.size, 1))
+    if characteristics.load is None:
+        return held, np.zeros(points.command.size)
+    column = channel.benchmark.covariates.index(characteristics.load)
+    held[:, column] = np.clip(points.load[:, column], loads[0], loads[-1])
+    return held, held[:, column]
 
 
 def _half_width(
@@ -175,23 +192,23 @@ def _interpolated(
 
 
 def _gain_error(
-    channel: Channel, points: _Points, held_load: Float[np.ndarray, " q"], estimates: Estimates
+    channel: Channel, points: _Points, held_loads: Float[np.ndarray, "q c"], estimates: Estimates
 ) -> Float[np.ndarray, " q"]:
-    """Return half the 95 % interval of log g(x, c) − log g(mid stroke, nearest load of the map), shape [Q].
+    """Return half the 95 % interval of log K g(x) less that at mid stroke and the map's load, shape [Q].
 
     Infinite where it depends on a parameter without a standard error.
     """
-    nonlinearity = channel.benchmark.nonlinearity
+    benchmark = channel.benchmark
+    slots = [parameter.name for parameter in benchmark.parameters]
     names = [estimate.name for estimate in estimates.parameters]
-    numbers = [names.index(name) for name in STROKE_AND_LOAD if name in names]
-    if nonlinearity is None or not numbers:
+    numbers = [n for n, name in enumerate(names) if name in STROKE or name.startswith(BY_LOAD)]
+    if benchmark.nonlinearity is None or not numbers:
         return np.zeros(points.command.size)
-    slots = [parameter.name for parameter in NONLINEARITY_PARAMETERS]
     columns = [slots.index(names[number]) for number in numbers]
-    middle = np.full(points.load.size, centre(channel)[0])
+    middle = np.full(points.command.size, centre(channel))
     here, there = (
-        np.asarray(_log_gain_gradient(nonlinearity, jnp.asarray(position), jnp.asarray(covariate)))
-        for position, covariate in ((points.displacement, points.load), (middle, held_load))
+        np.asarray(_log_gain_gradient(benchmark, jnp.asarray(position), jnp.asarray(load)))
+        for position, load in ((points.displacement, points.load), (middle, held_loads))
     )
     change = (here - there)[:, columns]
     errors = [estimates.parameters[number].error for number in numbers]
@@ -205,9 +222,11 @@ def _gain_error(
 
 @eqx.filter_jit
 def _log_gain_gradient(
-    nonlinearity: StaticNonlinearity, displacement: Float[Array, " q"], load: Float[Array, " q"]
-) -> Float[Array, "q p"]:
-    def log_gain(values: Array, position: Array, covariate: Array) -> Array:
-        return jnp.log(StaticNonlinearity(values, nonlinearity.scales).gain(position, covariate))
+    benchmark: PhysicalModel, displacement: Float[Array, " q"], load: Float[Array, "q c"]
+) -> Float[Array, "q r"]:
+    def log_gain(vector: Array, position: Array, load: Array) -> Array:
+        at_load = benchmark.with_parameter_vector(vector).at_load(load)
+        stroke = 1.0 if at_load.nonlinearity is None else at_load.nonlinearity.gain(position)
+        return jnp.log(at_load.gain * stroke)
 
-    return jax.vmap(jax.grad(log_gain), (None, 0, 0))(nonlinearity.values, displacement, load)
+    return jax.vmap(jax.grad(log_gain), (None, 0, 0))(benchmark.parameter_vector, displacement, load)

@@ -7,7 +7,7 @@ from jaxtyping import Array, Bool, Float, Float32, Int
 from hitchid._support.short_repr import short_repr
 from hitchid.model.load_filter import ErrorEstimate
 from hitchid.networks.error_compensator import FeatureState
-from hitchid.structures import ValveState
+from hitchid.structures import DiscretePhysicalModel, ValveState
 
 
 @short_repr
@@ -31,12 +31,14 @@ class ChannelState(NamedTuple):
         plant: state of the benchmark, shape [n].
         samples_in_charge: samples since the channel took charge.
         correction: state of the compensator for free run; None where there is none.
+        at_load: its benchmark at the load of the run; None where its parameters do not vary with covariates.
     """
 
     valve: ValveState
     plant: Float[Array, " n"]
     samples_in_charge: Int[Array, ""]
     correction: SpeedCompensatorState | None
+    at_load: DiscretePhysicalModel | None = None
 
 
 @short_repr
@@ -56,7 +58,7 @@ class HitchState(NamedTuple):
         commands: last valid lifting and lowering command, shape [2].
         command_missing: whether a command was missing and its last value was used.
         both_valves_active: whether both valves were open; then lowering takes precedence.
-        load: covariate before motion.
+        load: covariates before motion, in the order of the model, shape [L]; one zero where there is none.
         estimates: of the load filter of each channel, before the measurement at this sample, shape [C, ...];
             that of the active channel counts.
         feature_state: features of the active compensator.
@@ -75,7 +77,7 @@ class HitchState(NamedTuple):
     commands: Float[Array, "2"]
     command_missing: Bool[Array, ""]
     both_valves_active: Bool[Array, ""]
-    load: Float[Array, ""]
+    load: Float[Array, " l"]
     estimates: ErrorEstimate
     feature_state: FeatureState
     channels: tuple[ChannelState, ...]

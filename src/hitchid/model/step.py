@@ -13,6 +13,7 @@ from hitchid._support import checks
 from hitchid.data.record import DIRECTIONS
 from hitchid.errors import InputError
 from hitchid.model.dynamics import HitchDynamics
+from hitchid.model.loads import mean_load
 from hitchid.model.packing import Packed, Packing
 
 
@@ -45,7 +46,9 @@ class StepFunctions:
 
     @cached_property
     def _shapes(self) -> tuple[tuple[int, ...], ...]:
-        return tuple(array.shape for array in jax.eval_shape(self.init_state, 0.0, 0.0))
+        return tuple(
+            array.shape for array in jax.eval_shape(self.init_state, 0.0, mean_load(self._dynamics.channels))
+        )
 
 
 def join_inputs(

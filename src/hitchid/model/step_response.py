@@ -32,7 +32,7 @@ def speed_lag(structure: LinearStructure, values: np.ndarray) -> float:
 
 
 def step_times(
-    physical_model: PhysicalModel, level: Scalar, load: Scalar, dead_zone: Scalar, lag_s: Scalar
+    physical_model: PhysicalModel, level: Scalar, dead_zone: Scalar, lag_s: Scalar
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """Return the times after a command step at which the speed is 5 % and 63.2 % of its final value, s.
 
@@ -43,15 +43,15 @@ def step_times(
     lag = jnp.asarray(lag_s)
     if nonlinearity is not None:
         # A lagging spool reaches the opening only after a while: c (1 − exp(−t/τ)) = d.
-        open_at = jnp.clip(opening_command(physical_model, load, dead_zone) / level, 0.0, MAX_OPENING_RATIO)
+        open_at = jnp.clip(opening_command(physical_model, dead_zone) / level, 0.0, MAX_OPENING_RATIO)
         lag = lag + nonlinearity.named("spool_lag")[0] * (1 - jnp.log1p(-open_at))
     step_s = jnp.maximum(TIME_CONSTANTS * lag, SHORTEST_S) / CELLS
     command, dead_zones = jnp.full((1, CELLS), level), jnp.full(1, dead_zone)
     flow = jnp.maximum(command - dead_zone, 0.0)
     final = flow[0, -1]
     if nonlinearity is not None:
-        final = nonlinearity.flow(final, jnp.asarray(load))
-        flow = nonlinearity.flow(nonlinearity.effective(command, dead_zones, step_s), jnp.full((1, 1), load))
+        final = nonlinearity.flow(final)
+        flow = nonlinearity.flow(nonlinearity.effective(command, dead_zones, step_s))
     travel = simulate_linear(discretise(structure, physical_model.values, 0.0, step_s), flow)[0]
     relative_speed = jnp.diff(travel) / (step_s * physical_model.gain * final)
     step_response = jnp.concatenate([jnp.zeros(1), relative_speed])

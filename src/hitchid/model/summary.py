@@ -9,7 +9,7 @@ from hitchid._support.summary import Summary
 from hitchid.data.record import COMMAND, DISPLACEMENT
 from hitchid.model.channel import Channel
 from hitchid.model.hitch import Hitch
-from hitchid.structures import DEAD_TIME, NONLINEARITY_PARAMETERS
+from hitchid.model.parameters import definitions
 
 
 def hitch_summary(hitch: Hitch) -> Summary:
@@ -39,10 +39,13 @@ def _facts(hitch: Hitch, channel: Channel) -> Iterator[str]:
     uncertainty = hitch.uncertainty.get(channel.direction)
     errors = {e.name: e.error for e in uncertainty.benchmark.parameters} if uncertainty else {}
     command_unit = hitch.units.get(COMMAND[channel.direction], "")
-    known = (*benchmark.structure.parameters, *NONLINEARITY_PARAMETERS, DEAD_TIME)
+    known = benchmark.parameters
+    shown = definitions(channel, uncertainty)
     units = {p.name: p.unit.format(x=hitch.units[DISPLACEMENT], u=command_unit) for p in known}
     symbols = {parameter.name: parameter.symbol for parameter in benchmark.structure.parameters}
     for name, value in benchmark.named_values().items():
+        if "_by_" in name and name not in shown:
+            continue
         symbol = f" {symbols[name]}" if symbols.get(name) else ""
         error = f" ± {error:.2g}" if (error := errors.get(name)) else ""
         unit = "" if units[name] == "1" else f" {units[name]}"

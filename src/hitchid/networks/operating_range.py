@@ -8,10 +8,10 @@ MARGIN = 0.1  # share of a range: distance beyond its ends at which the trust is
 
 
 class SignalRange(eqx.Module):
-    """Lowest and highest value of a signal in the tests, each of shape []."""
+    """Lowest and highest value of a signal in the tests, each of shape [], or [C] of several signals."""
 
-    lowest: Float[Array, ""]
-    highest: Float[Array, ""]
+    lowest: Float[Array, "*c"]
+    highest: Float[Array, "*c"]
 
     @eqx.filter_jit
     def trust(self, values: Float[Array, "*b"]) -> Float[Array, "*b"]:
@@ -27,7 +27,7 @@ class OperatingRange(eqx.Module):
     Attributes:
         command: effective command.
         displacement: measured displacement.
-        load: covariate; a range without width where there is none.
+        load: covariates, ends of shape [C]; one range without width where there is none.
     """
 
     command: SignalRange
@@ -37,10 +37,16 @@ class OperatingRange(eqx.Module):
     @classmethod
     def unbounded(cls) -> "OperatingRange":
         """Return unlimited ranges: the trust is 1 everywhere."""
-        return cls(*(SignalRange(jnp.asarray(-jnp.inf), jnp.asarray(jnp.inf)) for _ in range(3)))
+        shapes = ((), (), (1,))
+        return cls(*(SignalRange(jnp.full(shape, -jnp.inf), jnp.full(shape, jnp.inf)) for shape in shapes))
 
     def trust(
-        self, command: Float[Array, "*#b"], displacement: Float[Array, "*#b"], load: Float[Array, "*#b"]
+        self, command: Float[Array, "*#b"], displacement: Float[Array, "*#b"], load: Float[Array, "*#b c"]
     ) -> Float[Array, "*b"]:
-        """Return the product of the three trust factors, 0 to 1; see `SignalRange.trust`."""
-        return self.command.trust(command) * self.displacement.trust(displacement) * self.load.trust(load)
+        """Return the product of the trust factors, 0 to 1; see `SignalRange.trust`."""
+        signals = self.command.trust(command) * self.displacement.trust(displacement)
+        return signals * self.load_trust(load)
+
+    def load_trust(self, load: Float[Array, "*b c"]) -> Float[Array, "*b"]:
+        """Return the product of the trust factors of the covariates."""
+        return jnp.prod(self.load.trust(load), axis=-1)

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from hitchid.networks.operating_range import OperatingRange, SignalRange
 
 AUTHORITY = 0.5  # largest relative correction of the speed; chosen
-INPUTS = 5  # command, speed and acceleration of the benchmark, displacement, covariate
+SIGNALS = 4  # command, speed and acceleration of the benchmark, displacement; covariates follow
 DISPLACEMENT = 3  # index of the input that the networks feed back
 
 
@@ -21,12 +21,12 @@ class SpeedNetworks(NamedTuple):
     """M networks of one layer of H units each, f = v · tanh(W x + b).
 
     Attributes:
-        input_weights: W, shape [M, H, 5].
+        input_weights: W, shape [M, H, 4 + C].
         biases: b, shape [M, H].
         output_weights: v, shape [M, H].
     """
 
-    input_weights: Float[Array, "m h 5"]
+    input_weights: Float[Array, "m h i"]
     biases: Float[Array, "m h"]
     output_weights: Float[Array, "m h"]
 
@@ -35,7 +35,7 @@ class SpeedCompensator(eqx.Module):
     """Networks that scale the speed of the benchmark by 1 ± ½.
 
     y(k+1) = y(k) + (y_tf(k+1) − y_tf(k)) (1 + ½ m(k) Σᵢ tanh fᵢ(x(k))/M). x: effective command, speed and
-    acceleration of the benchmark up to sample k, the compensated displacement, and the covariate. m: trust
+    acceleration of the benchmark up to sample k, the compensated displacement, and the covariates. m: trust
     factor, 1 within the operating range of the tests. While the benchmark is at standstill, so is the output.
 
     Attributes:
@@ -59,14 +59,15 @@ class SpeedCompensator(eqx.Module):
 
     def inputs(
         self, command: Array, speed: Array, acceleration: Array, displacement: Array, load: Array
-    ) -> Float[Array, "*b 5"]:
+    ) -> Float[Array, "*b i"]:
         """Return the scaled inputs of the networks."""
+        loads = _centred(load, self.operating_range.load)
         scaled = [
             command / self.command_scale,
             speed / self.speed_scale,
             acceleration / self.acceleration_scale,
             _centred(displacement, self.operating_range.displacement),
-            _centred(load, self.operating_range.load),
+            *jnp.moveaxis(loads, -1, 0),
         ]
         return jnp.stack(jnp.broadcast_arrays(*scaled), axis=-1)
 
@@ -76,7 +77,7 @@ class SpeedCompensator(eqx.Module):
         speed: Float[Array, "*b"],
         acceleration: Float[Array, "*b"],
         displacement: Float[Array, "*b"],
-        load: Float[Array, "*b"],
+        load: Float[Array, "*b c"],
     ) -> Float[Array, "*b"]:
         """Return the factor on the benchmark's speed until the next sample.
 
@@ -84,7 +85,7 @@ class SpeedCompensator(eqx.Module):
             command: effective command.
             speed, acceleration: of the benchmark's travel up to now, in the displacement's unit, 1/s, 1/s².
             displacement: compensated displacement.
-            load: covariate.
+            load: covariates.
         """
         scaled = self.inputs(command, speed, acceleration, displacement, load)
         trust = self.operating_range.trust(jnp.abs(command), displacement, load)
@@ -97,7 +98,7 @@ def simulate_compensated(
     benchmark: Float[Array, "t n"],
     command: Float[Array, "t n"],
     initial: Float[Array, " t"],
-    load: Float[Array, " t"],
+    load: Float[Array, "t c"],
     step_s: Float[Array, ""] | float,
 ) -> Float[Array, "t n"]:
     """Return the travel of the compensated free run, shape [T, N].
@@ -106,7 +107,7 @@ def simulate_compensated(
         compensator: a trained compensator.
         benchmark: travel of the benchmark, shape [T, N].
         command: effective command, shape [T, N].
-        initial, load: displacement and covariate before motion, shape [T].
+        initial, load: displacement and covariates before motion, shapes [T] and [T, C].
         step_s: sampling time, s.
     """
     networks, operating_range = compensator.networks, compensator.operating_range
@@ -116,7 +117,7 @@ def simulate_compensated(
     # All that does not depend on the compensated displacement is computed for all samples at once.
     scaled = compensator.inputs(command, speed, acceleration, initial[:, None], load[:, None])
     fixed = _preactivation(networks, scaled.at[..., DISPLACEMENT].set(0.0))
-    trust = operating_range.command.trust(jnp.abs(command)) * operating_range.load.trust(load)[:, None]
+    trust = operating_range.command.trust(jnp.abs(command)) * operating_range.load_trust(load)[:, None]
 
     def advance(travel: Array, sample: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         fixed, trust, increment = sample
@@ -130,7 +131,7 @@ def simulate_compensated(
     return jax.lax.scan(advance, jnp.zeros_like(initial), samples)[1].T
 
 
-def _preactivation(networks: SpeedNetworks, scaled: Float[Array, "*b 5"]) -> Float[Array, "*b m h"]:
+def _preactivation(networks: SpeedNetworks, scaled: Float[Array, "*b i"]) -> Float[Array, "*b m h"]:
     """Return W x + b of all networks."""
     return jnp.sum(networks.input_weights * scaled[..., None, None, :], axis=-1) + networks.biases
 

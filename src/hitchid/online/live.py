@@ -12,6 +12,7 @@ from hitchid._support.short_repr import short_repr
 from hitchid.data.record import COMMAND, DIRECTIONS, DISPLACEMENT
 from hitchid.data.test_kinds import effective_command
 from hitchid.model import Channel, Hitch, Packed
+from hitchid.model.loads import Load
 
 TIME = "time_s"
 FIELDS = (TIME, *COMMAND.values(), DISPLACEMENT)
@@ -57,13 +58,13 @@ class Live:
     Args:
         model: an identified hitch.
         initial: initial displacement, in the model's unit; None for the first measured one.
-        load: covariate before motion, where the model has one.
+        load: covariate before motion, or several by name; by default the mean of the identification tests.
 
     Raises:
         InputError: initial displacement or load is not finite, or beyond 1e9.
     """
 
-    def __init__(self, model: Hitch, *, initial: float | None = None, load: float = 0.0) -> None:
+    def __init__(self, model: Hitch, *, initial: float | None = None, load: Load | None = None) -> None:
         self._model = model
         self._load = load
         self._displacement = initial

@@ -17,11 +17,17 @@ from hitchid.structures.registry import BUILT_IN as BUILT_IN
 from hitchid.structures.registry import external_structures as external_structures
 from hitchid.structures.registry import registered_structures as registered_structures
 from hitchid.structures.registry import structure_named as structure_named
+from hitchid.structures.scheduling import CovariateEffects as CovariateEffects
+from hitchid.structures.scheduling import CovariateScales as CovariateScales
+from hitchid.structures.scheduling import Scheduling as Scheduling
+from hitchid.structures.scheduling import effect_parameters as effect_parameters
+from hitchid.structures.scheduling import scheduled_quantities as scheduled_quantities
 from hitchid.structures.static_nonlinearity import NONLINEARITY_PARAMETERS as NONLINEARITY_PARAMETERS
 from hitchid.structures.static_nonlinearity import Scales as Scales
 from hitchid.structures.static_nonlinearity import StaticNonlinearity as StaticNonlinearity
 from hitchid.structures.steady_state import command_for_speed as command_for_speed
 from hitchid.structures.steady_state import opening_command as opening_command
+from hitchid.structures.steady_state import speeds_at as speeds_at
 from hitchid.structures.steady_state import steady_speed as steady_speed
 from hitchid.structures.structure import DEAD_TIME as DEAD_TIME
 from hitchid.structures.structure import LinearStructure as LinearStructure

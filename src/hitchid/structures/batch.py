@@ -1,6 +1,6 @@
 """Tests of unequal length in one set of arrays, padded and masked."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import equinox as eqx
 import jax
@@ -14,6 +14,16 @@ from hitchid.data.test_kinds import effective_command
 
 MIN_PADDED_LENGTH, MIN_PADDED_TESTS = 256, 4  # samples, tests; smaller programs cost as much to compile
 REST_SAMPLES = 50  # samples: their mean has a seventh of the sensor's noise
+BY_TEST = (  # arrays of a batch with a row for each test
+    "command",
+    "raw_command",
+    "dead_zone",
+    "displacement",
+    "valid",
+    "loss_mask",
+    "initial",
+    "covariates",
+)
 STOP_FRACTION = 0.01  # share of the way to the end stop that is left where a sample counts as at it
 
 
@@ -29,9 +39,10 @@ class Batch(eqx.Module):
         valid: which samples exist, shape [T, N].
         loss_mask: which samples errors are taken over (those before an end stop is met), shape [T, N].
         initial: displacement before motion, shape [T].
-        covariate: second measured input before motion, zero where there is none, shape [T].
+        covariates: further measured inputs before motion, in the order of their names, shape [T, C].
         step_s: sampling time, s.
         sign: +1 where the displacement grows with the command, −1 where it falls.
+        covariate_names: names of the covariates.
     """
 
     command: Float[Array, "t n"]
@@ -41,9 +52,10 @@ class Batch(eqx.Module):
     valid: Bool[Array, "t n"]
     loss_mask: Bool[Array, "t n"]
     initial: Float[Array, " t"]
-    covariate: Float[Array, " t"]
+    covariates: Float[Array, "t c"]
     step_s: float
     sign: int
+    covariate_names: tuple[str, ...] = eqx.field(default=(), static=True)
 
     @classmethod
     def of(
@@ -55,7 +67,7 @@ class Batch(eqx.Module):
         sign: int,
         end_stop: float | None = None,
         initial: Sequence[float] | None = None,
-        covariate: str | None = None,
+        covariates: Sequence[str] = (),
     ) -> "Batch":
         """Stack records, padded so that like shapes compile once.
 
@@ -68,19 +80,19 @@ class Batch(eqx.Module):
             sign: +1 where the displacement grows with the command, −1 where it falls.
             end_stop: displacement at which the piston meets its end stop, None where it never did.
             initial: displacement before motion; by default found by `mean_before_motion`.
-            covariate: name of the second measured input, whose mean before motion is used; None for none.
+            covariates: names of further measured inputs, whose means before motion are used.
 
         Raises:
-            InputError: a record lacks the second input.
+            InputError: a record lacks a covariate.
         """
         for record in records:
-            record.require(covariate)
+            record.require(covariates)
         commands = [effective_command(record.command(direction), dead_zone) for record in records]
         displacements = [record.displacement for record in records]
         if initial is None:
             initial = [mean_before_motion(x, u) for x, u in zip(displacements, commands, strict=True)]
-        covariates = [
-            0.0 if covariate is None else mean_before_motion(record.signals[covariate], command)
+        means = [
+            [mean_before_motion(record.signals[name], command) for name in covariates]
             for record, command in zip(records, commands, strict=True)
         ]
         loss_masks = [before_end_stop(x, sign, end_stop) for x in displacements]
@@ -100,9 +112,10 @@ class Batch(eqx.Module):
             valid=stack([np.ones(len(record), dtype=bool) for record in records], np.bool_),
             loss_mask=stack(loss_masks, np.bool_),
             initial=jnp.asarray(np.asarray(initial, dtype=np.float64)),
-            covariate=jnp.asarray(covariates, dtype=np.float64),
+            covariates=jnp.asarray(np.array(means, dtype=np.float64).reshape(len(records), -1)),
             step_s=records[0].step_s,
             sign=sign,
+            covariate_names=tuple(covariates),
         )
 
     @property
@@ -113,6 +126,25 @@ class Batch(eqx.Module):
     def to_displacement(self, travel: Float[Array, "t n"]) -> Float[Array, "t n"]:
         """Return the displacement that belongs to a travel; the inverse of `travel`."""
         return self.initial[:, None] + self.sign * travel
+
+    def load(self, covariates: Sequence[str]) -> Float[Array, "t c"]:
+        """Return some of the covariates of each test, in their order; a column of zeros for none."""
+        if not covariates:
+            return jnp.zeros((self.initial.shape[0], 1), self.initial.dtype)
+        return self.covariates[:, np.array([self.covariate_names.index(name) for name in covariates])]
+
+    def map_tests(
+        self, function: Callable[["Batch", Array], Array], *rows: Float[Array, "t *b"]
+    ) -> Float[Array, "t *d"]:
+        """Return a function of each test, as a batch of one, and of its row of each array, stacked."""
+
+        def of_batch(batch: "Batch") -> list:
+            return [getattr(batch, name) for name in BY_TEST]
+
+        def of_test(arrays: list[Array], *row: Array) -> Array:
+            return function(eqx.tree_at(of_batch, self, [array[None] for array in arrays]), *row)
+
+        return jax.vmap(of_test)(of_batch(self), *rows)
 
     def with_dead_zones(self, dead_zone: Float[Array, " t"]) -> "Batch":
         """Return the tests behind another dead zone, in the command's unit."""
@@ -157,9 +189,10 @@ class Batch(eqx.Module):
             valid=self.valid[:, ::step],
             loss_mask=self.loss_mask[:, ::step],
             initial=self.initial,
-            covariate=self.covariate,
+            covariates=self.covariates,
             step_s=step * self.step_s,
             sign=self.sign,
+            covariate_names=self.covariate_names,
         )
 
     def pad_batch(self) -> "Batch":

@@ -1,6 +1,7 @@
 """A physical model one sample at a time: the state of its valve, and the state of its plant."""
 
 import abc
+from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -62,11 +63,19 @@ class DiscretePhysicalModel(eqx.Module):
         structure = benchmark.structure
         if isinstance(structure, NonlinearStructure):
             return _NonlinearModel(benchmark, dead_zone, min_command, sign, 0, step_s, structure)
-        discrete = benchmark.discretised(step_s)
-        delay_samples = int(discrete.delay_samples)
-        if benchmark.varies_along_stroke:
-            discrete = benchmark.discretised_along_stroke(step_s)
+        delay_samples = int(benchmark.discretised(step_s).delay_samples)
+        discrete = _discrete(benchmark, step_s)
         return _LinearModel(benchmark, dead_zone, min_command, sign, delay_samples, step_s, discrete)
+
+    @property
+    def is_scheduled(self) -> bool:
+        """Whether its parameters vary with covariates."""
+        return self.benchmark.scheduling is not None
+
+    def at_load(self, load: Float[Array, " c"]) -> "DiscretePhysicalModel":
+        """Return the model at values of its covariates; see `PhysicalModel.at_load`."""
+        del load
+        return self
 
     def closed_valve(self) -> ValveState:
         """Return the valve before any command."""
@@ -74,14 +83,14 @@ class DiscretePhysicalModel(eqx.Module):
         motion_demand = jnp.zeros(self.delay_samples + 1, jnp.bool_)
         return ValveState(PlayState(zero, zero), zero, jnp.zeros(self.delay_samples + 2), motion_demand)
 
-    def step_valve(self, valve: ValveState, command: Scalar, covariate: Scalar) -> ValveState:
+    def step_valve(self, valve: ValveState, command: Scalar) -> ValveState:
         """Advance the valve by one sample of its command."""
         nonlinearity, spool = self.benchmark.nonlinearity, valve.spool
         effective = jnp.sign(command) * jnp.maximum(jnp.abs(command) - self.dead_zone, 0.0)
         flow = command if self.benchmark.structure.uses_raw_command else effective
         if nonlinearity is not None:
             spool, excess = nonlinearity.step_spool(spool, command, jnp.asarray(self.dead_zone), self.step_s)
-            flow = nonlinearity.flow(excess, covariate)
+            flow = nonlinearity.flow(excess)
         demanded = (flow != 0) & (jnp.abs(command) >= self.min_command)
         return ValveState(
             spool,
@@ -91,17 +100,15 @@ class DiscretePhysicalModel(eqx.Module):
         )
 
     @abc.abstractmethod
-    def init_state(self, displacement: Scalar, speed: Scalar, load: Scalar) -> State:
+    def init_state(self, displacement: Scalar, speed: Scalar) -> State:
         """Return the plant's state at a displacement and a speed, in the displacement's unit and 1/s."""
 
     @abc.abstractmethod
-    def advance(
-        self, plant_state: State, valve: ValveState, displacement: Scalar, covariate: Scalar
-    ) -> tuple[State, Scalar]:
+    def advance(self, plant_state: State, valve: ValveState, displacement: Scalar) -> tuple[State, Scalar]:
         """Return the plant's state one sample later and the change of the displacement."""
 
     @abc.abstractmethod
-    def speed(self, plant_state: State, valve: ValveState, displacement: Scalar, covariate: Scalar) -> Scalar:
+    def speed(self, plant_state: State, valve: ValveState, displacement: Scalar) -> Scalar:
         """Return the speed of the displacement under the input of the sample before."""
 
 
@@ -110,20 +117,24 @@ class _LinearModel(DiscretePhysicalModel):
 
     discrete: DiscreteStateSpace | StrokeModel
 
-    def init_state(self, displacement: Scalar, speed: Scalar, load: Scalar) -> State:
-        return self.benchmark.state_at_speed(speed / self._scale(displacement, load), displacement)
+    def at_load(self, load: Float[Array, " c"]) -> DiscretePhysicalModel:
+        if not self.is_scheduled:
+            return self
+        benchmark = self.benchmark.at_load(load)
+        return replace(self, benchmark=benchmark, discrete=_discrete(benchmark, self.step_s))
 
-    def advance(
-        self, plant_state: State, valve: ValveState, displacement: Scalar, covariate: Scalar
-    ) -> tuple[State, Scalar]:
+    def init_state(self, displacement: Scalar, speed: Scalar) -> State:
+        return self.benchmark.state_at_speed(speed / self._scale(displacement), displacement)
+
+    def advance(self, plant_state: State, valve: ValveState, displacement: Scalar) -> tuple[State, Scalar]:
         flows = valve.flows[self.delay_samples], valve.flows[self.delay_samples + 1]
         next_state = self._model_at(displacement).advance(plant_state, *flows)
-        return next_state, self._scale(displacement, covariate) * (next_state[0] - plant_state[0])
+        return next_state, self._scale(displacement) * (next_state[0] - plant_state[0])
 
-    def speed(self, plant_state: State, valve: ValveState, displacement: Scalar, covariate: Scalar) -> Scalar:
+    def speed(self, plant_state: State, valve: ValveState, displacement: Scalar) -> Scalar:
         a, b = self.benchmark.structure.require_linear().state_space(self.benchmark.values_at(displacement))
         travel_speed = jnp.sum(a[0] * plant_state) + b[0] * valve.flows[self.delay_samples + 1]
-        return self._scale(displacement, covariate) * travel_speed
+        return self._scale(displacement) * travel_speed
 
     def _model_at(self, displacement: Scalar) -> DiscreteStateSpace:
         """Return the discrete linear part at a displacement."""
@@ -132,11 +143,16 @@ class _LinearModel(DiscretePhysicalModel):
             return discrete
         return discrete.at(jnp.zeros(()) if nonlinearity is None else nonlinearity.position(displacement))
 
-    def _scale(self, displacement: Scalar, covariate: Scalar) -> Scalar:
+    def _scale(self, displacement: Scalar) -> Scalar:
         """Return the change of displacement per travel of the linear part."""
         nonlinearity = self.benchmark.nonlinearity
-        gain = jnp.ones(()) if nonlinearity is None else nonlinearity.gain(displacement, covariate)
+        gain = jnp.ones(()) if nonlinearity is None else nonlinearity.gain(displacement)
         return self.sign * gain
+
+
+def _discrete(benchmark: PhysicalModel, step_s: float) -> DiscreteStateSpace | StrokeModel:
+    along_stroke = benchmark.varies_along_stroke
+    return benchmark.discretised_along_stroke(step_s) if along_stroke else benchmark.discretised(step_s)
 
 
 class _NonlinearModel(DiscretePhysicalModel):
@@ -144,16 +160,14 @@ class _NonlinearModel(DiscretePhysicalModel):
 
     structure: NonlinearStructure
 
-    def init_state(self, displacement: Scalar, speed: Scalar, load: Scalar) -> State:
+    def init_state(self, displacement: Scalar, speed: Scalar) -> State:
         return self.structure.init_state(self.benchmark.values, displacement[None])[:, 0]
 
-    def advance(
-        self, plant_state: State, valve: ValveState, displacement: Scalar, covariate: Scalar
-    ) -> tuple[State, Scalar]:
+    def advance(self, plant_state: State, valve: ValveState, displacement: Scalar) -> tuple[State, Scalar]:
         state, values = plant_state[:, None], self.benchmark.values
         next_state = rk4_step(self.structure, values, state, valve.flows[:1], self.step_s)[:, 0]
         return next_state, next_state[0] - plant_state[0]
 
-    def speed(self, plant_state: State, valve: ValveState, displacement: Scalar, covariate: Scalar) -> Scalar:
+    def speed(self, plant_state: State, valve: ValveState, displacement: Scalar) -> Scalar:
         values, previous_flow = self.benchmark.values, valve.flows[self.delay_samples + 1][None]
         return self.structure.vector_field(values, plant_state[:, None], previous_flow)[0, 0]

@@ -23,6 +23,7 @@ class FirstOrderLag(LinearStructure):
         GAIN._replace(symbol="K/τ"),
         Parameter("time_constant", "s", 0.05, 1000.0, symbol="τ"),
     )
+    load_dynamics: ClassVar[tuple[str, ...]] = ("time_constant",)
     fallback_quantity: ClassVar[Mapping[str, str]] = MappingProxyType({"time_constant": "gain"})
 
     def state_space(self, values: Float[Array, " p"]) -> tuple[Float[Array, "n n"], Float[Array, " n"]]:

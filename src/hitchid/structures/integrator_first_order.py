@@ -19,6 +19,7 @@ class IntegratorFirstOrder(LinearStructure):
         GAIN,
         Parameter("time_constant", "s", 1e-3, 100.0, symbol="τ"),
     )
+    load_dynamics: ClassVar[tuple[str, ...]] = ("time_constant",)
 
     def state_space(self, values: Float[Array, " p"]) -> tuple[Float[Array, "n n"], Float[Array, " n"]]:
         """Return A and B; the states are displacement and speed."""

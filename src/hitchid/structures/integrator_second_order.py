@@ -29,6 +29,7 @@ class IntegratorSecondOrder(LinearStructure):
         # At 0.05 an oscillation halves in 2.2 periods; the verdict names a bound that is met.
         Parameter("damping_ratio", "1", 0.05, 50.0, symbol="ξh"),
     )
+    load_dynamics: ClassVar[tuple[str, ...]] = ("natural_frequency", "damping_ratio")
     fallback_quantity: ClassVar[Mapping[str, str]] = MappingProxyType(
         {"natural_frequency": LAG, "damping_ratio": LAG}
     )

@@ -68,7 +68,6 @@ def linearise(
     *,
     command: float | None = None,
     displacement: float | None = None,
-    load: float | None = None,
 ) -> LinearModel:
     """Return the linear model from command to travel about an operating point.
 
@@ -78,13 +77,12 @@ def linearise(
     changes of the command continue in one sense.
 
     Args:
-        physical_model: of a linear structure.
+        physical_model: of a linear structure, at its load.
         step_s: sampling time, s, for the exact model of a command held between samples, the dead time in
             delay states; None for the continuous model.
         command: u₀, what lies beyond the dead zone, in the command's unit; by default half way from the
             opening of the valve to the largest one of the identification tests.
         displacement: x₀; by default the middle of its range in the tests.
-        load: second measured input before motion; by default the mean of the tests.
 
     Raises:
         InputError: the structure is not linear, the valve is closed at the operating point, or the model is
@@ -95,7 +93,7 @@ def linearise(
         physical_model = physical_model.at(jnp.asarray(float(displacement)))
     gain, lag_s = 1.0, 0.0
     if nonlinearity is not None:
-        gain = _slope(nonlinearity, command, displacement, load)
+        gain = _slope(nonlinearity, command, displacement)
         spool_lag = float(nonlinearity.named("spool_lag")[0])
         lag_s = spool_lag if spool_lag > NEUTRAL["spool_lag"] else 0.0
     if step_s is not None:
@@ -113,24 +111,19 @@ def linearise(
     return LinearModel(a, b[:, None], gain * np.eye(1, b.size), None)
 
 
-def _slope(
-    nonlinearity: StaticNonlinearity, command: float | None, displacement: float | None, load: float | None
-) -> float:
+def _slope(nonlinearity: StaticNonlinearity, command: float | None, displacement: float | None) -> float:
     """Return w'(u₀) g(x₀)."""
     scales = nonlinearity.scales
-    position, covariate = (
-        jnp.asarray(default if value is None else float(value))
-        for value, default in ((displacement, scales.centre), (load, scales.load_centre))
-    )
-    opening = nonlinearity.opening_command(covariate)
+    position = scales.centre if displacement is None else jnp.asarray(float(displacement))
+    opening = nonlinearity.opening_command
     effective_command = 0.5 * (opening + scales.command) if command is None else jnp.asarray(float(command))
-    if not float(nonlinearity.flow(effective_command, covariate)):
+    if not float(nonlinearity.flow(effective_command)):
         raise InputError(
             f"command: expected more than {float(opening):.4g} beyond the dead zone, where "
             f"the valve opens; got {float(effective_command):.4g}"
         )
-    slope = jax.grad(nonlinearity.flow)(effective_command, covariate)
-    return float(slope * nonlinearity.gain(position, covariate))
+    slope = jax.grad(nonlinearity.flow)(effective_command)
+    return float(slope * nonlinearity.gain(position))
 
 
 def _discrete(physical_model: PhysicalModel, step_s: float, gain: float, lag_s: float) -> LinearModel:

@@ -1,6 +1,6 @@
 """The form of one direction: a structure, and the options that are identified with it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import jax.numpy as jnp
@@ -9,8 +9,13 @@ from jaxtyping import Array, Float
 
 from hitchid.errors import InputError
 from hitchid.structures.physical_model import PhysicalModel
+from hitchid.structures.scheduling import (
+    CovariateEffects,
+    Scheduling,
+    effect_parameters,
+    scheduled_quantities,
+)
 from hitchid.structures.static_nonlinearity import (
-    COVARIATE_EFFECTS,
     NEUTRAL,
     NONLINEARITY_PARAMETERS,
     SPOOL_DYNAMICS,
@@ -36,7 +41,7 @@ class ModelSpec:
             are not measured and differ from test to test are not taken for it, each test then has a factor on
             its speed during estimation.
         stroke_gain_quadratic: whether a gain that varies along the stroke in any way is, slope and curve.
-        covariate: name of a second measured input that shifts the opening and scales the gain; None for none.
+        covariates: measured inputs that parameters vary with, and what each changes.
         bounds: parameter name to lower and upper bound, in its unit, where the default will not do.
     """
 
@@ -47,7 +52,7 @@ class ModelSpec:
     spool_dynamics: bool = False
     stroke_gain_linear: bool = False
     stroke_gain_quadratic: bool = False
-    covariate: str | None = None
+    covariates: tuple[CovariateEffects, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse options that the structure does not take, and bounds that do not fit."""
@@ -76,7 +81,7 @@ class ModelSpec:
             ModelOption.VALVE_CURVE: self.valve_curve,
             ModelOption.SPOOL_DYNAMICS: self.spool_dynamics,
             ModelOption.STROKE_GAIN: self.stroke_gain_linear or self.stroke_gain_quadratic,
-            ModelOption.COVARIATE: self.covariate is not None,
+            ModelOption.COVARIATES: bool(self.covariates),
         }
         return frozenset(option for option, is_enabled in enabled.items() if is_enabled)
 
@@ -91,12 +96,17 @@ class ModelSpec:
             spool_dynamics=self.spool_dynamics and ModelOption.SPOOL_DYNAMICS in taken,
             stroke_gain_linear=self.stroke_gain_linear and has_stroke_gain,
             stroke_gain_quadratic=self.stroke_gain_quadratic and has_stroke_gain,
-            covariate=self.covariate if ModelOption.COVARIATE in taken else None,
+            covariates=self.covariates if ModelOption.COVARIATES in taken else (),
         )
         option_names = {parameter.name for parameter in spec.parameters} - {
             p.name for p in structure.parameters
         }
         return replace(spec, bounds={name: self.bounds[name] for name in option_names & self.bounds.keys()})
+
+    @property
+    def covariate_names(self) -> tuple[str, ...]:
+        """Names of the covariates, in their order."""
+        return tuple(effects.covariate for effects in self.covariates)
 
     @property
     def nonlinearity_parameters(self) -> tuple[Parameter, ...]:
@@ -106,15 +116,28 @@ class ModelSpec:
             (self.spool_dynamics, SPOOL_DYNAMICS),
             (self.stroke_gain_linear and not self.stroke_gain_quadratic, STROKE_GAIN_LINEAR),
             (self.stroke_gain_quadratic, STROKE_GAIN_QUADRATIC),
-            (self.covariate is not None, COVARIATE_EFFECTS),
         )
         return tuple(parameter for enabled, group in groups if enabled for parameter in group)
+
+    @property
+    def covariate_parameters(self) -> tuple[Parameter, ...]:
+        """The effects of the covariates that are searched."""
+        return tuple(
+            parameter
+            for effects in self.covariates
+            for parameter in effects.parameters(self.structure.require_linear())
+        )
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """The parameters that are searched, in their order."""
         delay = (DEAD_TIME,) if self.dead_time else ()
-        return (*self.structure.parameters, *self.nonlinearity_parameters, *delay)
+        return (
+            *self.structure.parameters,
+            *self.nonlinearity_parameters,
+            *self.covariate_parameters,
+            *delay,
+        )
 
     def physical_model(self, values: Float[Array, " q"], scales: Scales) -> PhysicalModel:
         """Return the benchmark with searched values; options that are not identified are neutral.
@@ -123,21 +146,26 @@ class ModelSpec:
             values: of `parameters`, in their order.
             scales: of the nonlinearities.
         """
-        count, nonlinearity_parameters = len(self.structure.parameters), self.nonlinearity_parameters
+        structure, count = self.structure, len(self.structure.parameters)
         dead_time = values[-1] if self.dead_time else jnp.zeros((), values.dtype)
-        linear = self.structure.linear
-        if not (nonlinearity_parameters or (linear and linear.varies_along_stroke)):
-            return PhysicalModel(self.structure, values[:count], dead_time)
-        searched = {
-            parameter: values[count + index] for index, parameter in enumerate(nonlinearity_parameters)
-        }
-        neutral = {parameter: NEUTRAL.get(parameter.name, 0.0) for parameter in NONLINEARITY_PARAMETERS}
-        curves = jnp.stack(
-            [jnp.asarray(searched.get(p, neutral[p]), values.dtype) for p in NONLINEARITY_PARAMETERS]
-        )
-        return PhysicalModel(
-            self.structure, values[:count], dead_time, StaticNonlinearity(curves, scales), self.covariate
-        )
+        needs_curves = structure.linear is not None and structure.linear.varies_along_stroke
+        if not (self.nonlinearity_parameters or self.covariates or needs_curves):
+            return PhysicalModel(structure, values[:count], dead_time)
+        searched = dict(zip((parameter.name for parameter in self.parameters), values, strict=True))
+
+        def stacked(parameters: Sequence[Parameter]) -> Float[Array, " p"]:
+            """Return the values of parameters, neutral ones where they are not searched."""
+            neutral = (searched.get(p.name, NEUTRAL.get(p.name, 0.0)) for p in parameters)
+            return jnp.stack([jnp.asarray(value, values.dtype) for value in neutral])
+
+        curves = StaticNonlinearity(stacked(NONLINEARITY_PARAMETERS), scales)
+        if not self.covariates:
+            return PhysicalModel(structure, values[:count], dead_time, curves)
+        linear, names = structure.require_linear(), self.covariate_names
+        quantities = scheduled_quantities(linear)
+        effects = stacked(effect_parameters(linear, names)).reshape(len(quantities), len(names), -1)
+        scheduling = Scheduling(names, quantities, effects)
+        return PhysicalModel(structure, values[:count], dead_time, curves, scheduling)
 
     def derived(self, values: np.ndarray, dead_zone: float) -> dict[str, tuple[float, str]]:
         """Return quantities that follow from searched values: name to value and unit template.

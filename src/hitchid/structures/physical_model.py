@@ -18,8 +18,9 @@ from hitchid.structures.discretisation import (
     simulate_linear,
 )
 from hitchid.structures.nonlinear import NonlinearStructure, simulate_nonlinear
+from hitchid.structures.scheduling import OPENING, Scheduling, effect_parameters
 from hitchid.structures.static_nonlinearity import NONLINEARITY_PARAMETERS, StaticNonlinearity
-from hitchid.structures.structure import DEAD_TIME, LinearStructure, Structure
+from hitchid.structures.structure import DEAD_TIME, LinearStructure, Parameter, Structure
 
 
 @short_repr
@@ -30,15 +31,16 @@ class PhysicalModel(eqx.Module):
         structure: the structure.
         values: its parameters, shape [p], in the order of `structure.parameters`.
         dead_time_s: dead time, s, shape [].
-        nonlinearity: of valve, stroke and load around the linear model; None for the linear model alone.
-        covariate: name of the second measured input; None where there is none.
+        nonlinearity: of valve and stroke around the linear model; None for the linear model alone.
+        scheduling: effects of measured covariates on its parameters, which are those at the mean of the
+            covariates; None where there is none.
     """
 
     structure: Structure
     values: Float[Array, " p"]
     dead_time_s: Float[Array, ""]
     nonlinearity: StaticNonlinearity | None = None
-    covariate: str | None = eqx.field(default=None, static=True)
+    scheduling: Scheduling | None = None
 
     @double_precision
     def travel(self, batch: Batch) -> Float[Array, "t n"]:
@@ -48,15 +50,47 @@ class PhysicalModel(eqx.Module):
                 self.structure, self.values, batch.raw_command, batch.initial, batch.step_s
             )
             return batch.sign * (displacement - batch.initial[:, None])
+        if self.scheduling is not None:
+            return _travel_by_load(self, batch)
         if self.nonlinearity is None:
             return self.response(batch.command, batch.step_s)
-        flow = _flow(self.nonlinearity, batch.raw_command, batch.dead_zone, batch.covariate, batch.step_s)
+        flow = _flow(self.nonlinearity, batch.raw_command, batch.dead_zone, batch.step_s)
         if self.varies_along_stroke:
             return _travel_along_stroke(
-                self, self.nonlinearity, flow, batch.covariate, batch.initial, batch.sign, batch.step_s
+                self, self.nonlinearity, flow, batch.initial, batch.sign, batch.step_s
             )
         linear = self.response(flow, batch.step_s)
-        return _apply_nonlinearity(self.nonlinearity, linear, batch.covariate, batch.initial, batch.sign)
+        return _apply_nonlinearity(self.nonlinearity, linear, batch.initial, batch.sign)
+
+    @property
+    def covariates(self) -> tuple[str, ...]:
+        """Names of the covariates that its parameters vary with."""
+        return () if self.scheduling is None else self.scheduling.covariates
+
+    @property
+    def mean_load(self) -> Float[Array, " c"]:
+        """Mean of each covariate in the identification tests, shape [C]; one zero where there is none."""
+        if self.scheduling is None or self.nonlinearity is None:
+            return jnp.zeros(1)
+        return self.nonlinearity.scales.covariates.centre
+
+    def at_load(self, load: Float[Array, " c"]) -> "PhysicalModel":
+        """Return the model with its parameters at values of the covariates, shape [C]; see `Scheduling`.
+
+        A model without covariates is returned as it is.
+        """
+        scheduling, nonlinearity = self.scheduling, self.nonlinearity
+        if scheduling is None or nonlinearity is None:
+            return self
+        changes = scheduling.changes(load, nonlinearity.scales.covariates)
+        names = [parameter.name for parameter in self.structure.parameters]
+        values = self.values
+        for quantity, change in zip(scheduling.quantities, changes, strict=True):
+            if quantity == OPENING:
+                nonlinearity = nonlinearity.with_opening_shifted(change)
+            else:
+                values = values.at[names.index(quantity)].multiply(jnp.exp(change))
+        return PhysicalModel(self.structure, values, self.dead_time_s, nonlinearity)
 
     @property
     def varies_along_stroke(self) -> bool:
@@ -110,33 +144,43 @@ class PhysicalModel(eqx.Module):
             self.structure.require_linear(), self.values, self.dead_time_s, step_s
         )
 
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Its parameters: the structure's, dead time, those of the nonlinearities and of the covariates."""
+        curves = () if self.nonlinearity is None else NONLINEARITY_PARAMETERS
+        effects = ()
+        if self.scheduling is not None:
+            effects = effect_parameters(self.structure.require_linear(), self.scheduling.covariates)
+        return (*self.structure.parameters, DEAD_TIME, *curves, *effects)
+
     def named_values(self) -> dict[str, float]:
         """Return parameter name to value, with `dead_time` where there is one."""
-        named = {p.name: float(v) for p, v in zip(self.structure.parameters, self.values, strict=True)}
-        if self.nonlinearity is not None:
-            named |= {
-                p.name: float(v)
-                for p, v in zip(NONLINEARITY_PARAMETERS, self.nonlinearity.values, strict=True)
-            }
-        return {**named, DEAD_TIME.name: float(self.dead_time_s)} if float(self.dead_time_s) else named
+        vector = map(float, self.parameter_vector)
+        named = dict(zip((parameter.name for parameter in self.parameters), vector, strict=True))
+        dead_time_s = named.pop(DEAD_TIME.name)
+        return {**named, DEAD_TIME.name: dead_time_s} if dead_time_s else named
 
     @property
     @double_precision
     def parameter_vector(self) -> Float[Array, " r"]:
-        """All its numbers: the structure's values, dead time, and those of the nonlinearities, if any."""
+        """The values of `parameters`."""
         curves = () if self.nonlinearity is None else (self.nonlinearity.values,)
-        return jnp.concatenate([self.values, self.dead_time_s[None], *curves])
+        effects = () if self.scheduling is None else (self.scheduling.effects.ravel(),)
+        return jnp.concatenate([self.values, self.dead_time_s[None], *curves, *effects])
 
     @double_precision
     def with_parameter_vector(self, vector: Float[Array, " r"]) -> "PhysicalModel":
         """Return the model with other numbers; see `parameter_vector`."""
         count = self.values.size
         model = eqx.tree_at(lambda b: (b.values, b.dead_time_s), self, (vector[:count], vector[count]))
-        return (
-            model
-            if self.nonlinearity is None
-            else eqx.tree_at(lambda b: b.nonlinearity.values, model, vector[count + 1 :])
-        )
+        if self.nonlinearity is None:
+            return model
+        last = count + 1 + len(NONLINEARITY_PARAMETERS)
+        model = eqx.tree_at(lambda b: b.nonlinearity.values, model, vector[count + 1 : last])
+        if self.scheduling is None:
+            return model
+        effects = vector[last:].reshape(self.scheduling.effects.shape)
+        return eqx.tree_at(lambda b: b.scheduling.effects, model, effects)
 
     @property
     def gain(self) -> Float[Array, ""]:
@@ -158,21 +202,29 @@ def _flow(
     nonlinearity: StaticNonlinearity,
     raw_command: Float[Array, "t n"],
     dead_zone: Float[Array, " t"],
-    covariate: Float[Array, " t"],
     step_s: Scalar,
 ) -> Float[Array, "t n"]:
-    return nonlinearity.flow(nonlinearity.effective(raw_command, dead_zone, step_s), covariate[:, None])
+    return nonlinearity.flow(nonlinearity.effective(raw_command, dead_zone, step_s))
 
 
 @eqx.filter_jit
 def _apply_nonlinearity(
     nonlinearity: StaticNonlinearity,
     linear: Float[Array, "t n"],
-    load: Float[Array, " t"],
     initial: Float[Array, " t"],
     sign: int | Int[Array, ""],
 ) -> Float[Array, "t n"]:
-    return nonlinearity.travel(linear, load, initial, sign)
+    return nonlinearity.travel(linear, initial, sign)
+
+
+@eqx.filter_jit
+def _travel_by_load(physical_model: PhysicalModel, batch: Batch) -> Float[Array, "t n"]:
+    """Return travel where parameters vary with covariates: each test has a model of its own."""
+
+    def travel(test: Batch, load: Float[Array, " c"]) -> Float[Array, "1 n"]:
+        return physical_model.at_load(load).travel(test)
+
+    return batch.map_tests(travel, batch.load(physical_model.covariates))[:, 0]
 
 
 @eqx.filter_jit
@@ -194,7 +246,6 @@ def _travel_along_stroke(
     physical_model: PhysicalModel,
     nonlinearity: StaticNonlinearity,
     flow: Float[Array, "t n"],
-    covariate: Float[Array, " t"],
     initial: Float[Array, " t"],
     sign: int | Int[Array, ""],
     step_s: Scalar,
@@ -206,7 +257,7 @@ def _travel_along_stroke(
         plant, travel = state
         displacement = initial + sign * travel
         next_plant = model.at(nonlinearity.position(displacement)).advance(plant, *flows)
-        step = nonlinearity.gain(displacement, covariate) * (next_plant[0] - plant[0])
+        step = nonlinearity.gain(displacement) * (next_plant[0] - plant[0])
         return (next_plant, travel + step), travel
 
     at_rest = jax.vmap(physical_model.state_at_speed, in_axes=(None, 0), out_axes=1)(jnp.zeros(()), initial)

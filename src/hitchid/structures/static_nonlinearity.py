@@ -1,4 +1,4 @@
-"""Nonlinearities around a linear model: valve curve, spool dynamics, gain along the stroke, load."""
+"""Nonlinearities around a linear model: valve curve, spool dynamics, gain along the stroke."""
 
 from typing import NamedTuple
 
@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from hitchid._support.short_repr import short_repr
+from hitchid.structures.scheduling import CovariateScales
 from hitchid.structures.structure import Parameter
 
 # Commands are in shares of U, the largest effective command, displacements in half ranges from their centre.
@@ -22,7 +23,6 @@ LOW_LEVELS = "levels just above the dead zone"
 LEVELS = "more levels of command"
 HIGH_LEVELS = "higher levels of command"
 STROKE = "tests over more of the stroke"
-LOADS = "tests at other loads"
 VALVE_CURVE = (
     Parameter("opening", "1", -0.6, 0.9, linear=True, excitation_hint=LOW_LEVELS),
     Parameter("exponent", "1", 1 / 3, 3.0, excitation_hint=LEVELS),
@@ -39,11 +39,7 @@ STROKE_GAIN_QUADRATIC = (
     *STROKE_GAIN_LINEAR,
     Parameter("position_curve", "1", -2.0, 2.0, linear=True, excitation_hint=STROKE),
 )
-COVARIATE_EFFECTS = (
-    Parameter("load_shift", "1", -0.3, 0.3, linear=True, excitation_hint=LOADS),
-    Parameter("load_gain", "1", -1.0, 1.0, linear=True, excitation_hint=LOADS),
-)
-NONLINEARITY_PARAMETERS = (*VALVE_CURVE, *SPOOL_DYNAMICS, *STROKE_GAIN_QUADRATIC, *COVARIATE_EFFECTS)
+NONLINEARITY_PARAMETERS = (*VALVE_CURVE, *SPOOL_DYNAMICS, *STROKE_GAIN_QUADRATIC)
 NEUTRAL = {"opening": 0.0, "exponent": 1.0, "saturation": 1e4, "spool_lag": 1e-15}
 
 
@@ -54,14 +50,13 @@ class Scales(eqx.Module):
     Attributes:
         command: largest effective command.
         centre, span: middle and half of the range of displacement.
-        load_centre, load_spread: mean and standard deviation of the second measured input.
+        covariates: of the covariates that parameters vary with.
     """
 
     command: Float[Array, ""]
     centre: Float[Array, ""]
     span: Float[Array, ""]
-    load_centre: Float[Array, ""]
-    load_spread: Float[Array, ""]
+    covariates: CovariateScales = eqx.field(default_factory=CovariateScales.none)
 
 
 class PlayState(NamedTuple):
@@ -78,27 +73,27 @@ class PlayState(NamedTuple):
 
 @short_repr
 class StaticNonlinearity(eqx.Module):
-    """Static curves around a linear model: u → w(u, c) → linear dynamics → gain g(x, c).
+    """Static curves around a linear model: u → w(u) → linear dynamics → gain g(x).
 
     The spool follows the command with a lag, ṡ = (c − s)/τ, and with play: p(k) = p(k−1) held within
     s̄(k) ± h d₀/2, where s̄ is the mean of s over a sampling interval, d₀ the dead zone and h d₀ the width of
     the hysteresis. Beyond the dead zone lies u = sign(p)·max(abs(p) − d₀ + h d₀/2, 0), which without lag and
     hysteresis is the effective command.
 
-    With z = u/U and the second input c in its own spread, v = max(z − s c − d, 0)ⁿ and
-    w = U v/(1 + (v/σ)⁴)^¼: beyond the opening d flow grows with the power n of the command until it
-    saturates. Within a millionth of U of its opening flow is a straight line, for a power below one has no
-    derivative at zero. With a negative opening the valve opens below the dead zone. Where u is less than
-    a thousandth of U nothing flows; with h ≤ 1 that includes a command of zero once the lag has died away.
-    Travel grows by g = exp(a ξ + b (ξ² − ⅓) + γ c) times what the linear model's does, ξ the displacement
-    within its range; farther out than 1½ of it b ξ² is held, and a ξ goes on to at most twice or half.
+    With z = u/U, v = max(z − d, 0)ⁿ and w = U v/(1 + (v/σ)⁴)^¼: beyond the opening d flow grows with the
+    power n of the command until it saturates. Within a millionth of U of its opening flow is a straight line,
+    for a power below one has no derivative at zero. With a negative opening the valve opens below the dead
+    zone. Where u is less than a thousandth of U nothing flows; with h ≤ 1 that includes a command of zero
+    once the lag has died away. Travel grows by g = exp(a ξ + b (ξ² − ⅓)) times what the linear model's does,
+    ξ the displacement within its range; farther out than 1½ of it b ξ² is held, and a ξ goes on to at most
+    twice or half.
 
     Attributes:
-        values: d, n, σ, h, τ, a, b, s, γ, shape [9].
-        scales: U, and those of ξ and c.
+        values: d, n, σ, h, τ, a, b, shape [7].
+        scales: U, and those of ξ.
     """
 
-    values: Float[Array, "9"]
+    values: Float[Array, "7"]
     scales: Scales
 
     def effective(
@@ -131,16 +126,15 @@ class StaticNonlinearity(eqx.Module):
         excess = jnp.sign(play_output) * jnp.maximum(jnp.abs(play_output) - (dead_zone - half_width), 0.0)
         return PlayState(command + decay * (spool.lagged - command), play_output), excess
 
-    def flow(self, command: Float[Array, "*b"], covariate: Float[Array, "*#b"]) -> Float[Array, "*b"]:
+    def flow(self, command: Float[Array, "*b"]) -> Float[Array, "*b"]:
         """Return w, in the command's unit.
 
         Args:
             command: u, what lies beyond the dead zone.
-            covariate: second input before motion.
         """
-        opening, exponent, saturation, shift = self.named("opening", "exponent", "saturation", "load_shift")
+        opening, exponent, saturation = self.named("opening", "exponent", "saturation")
         size = jnp.abs(command) / self.scales.command
-        above_opening = size - opening - shift * self._scaled_covariate(covariate)
+        above_opening = size - opening
         is_open = (size > MIN_RELATIVE_COMMAND) & (above_opening > 0)
         power = jnp.maximum(above_opening, LINEAR_OPENING) ** exponent * jnp.minimum(
             above_opening / LINEAR_OPENING, 1.0
@@ -149,46 +143,40 @@ class StaticNonlinearity(eqx.Module):
         saturated = unsaturated / (1 + (unsaturated / saturation) ** SHARPNESS) ** (1 / SHARPNESS)
         return jnp.sign(command) * self.scales.command * saturated
 
-    def opening_command(self, covariate: Float[Array, "*b"]) -> Float[Array, "*b"]:
-        """Return U max(d + s c, 0), where beyond the dead zone flow begins, in the command's unit."""
-        opening, shift = self.named("opening", "load_shift")
-        return self.scales.command * jnp.maximum(opening + shift * self._scaled_covariate(covariate), 0.0)
+    @property
+    def opening_command(self) -> Float[Array, ""]:
+        """U max(d, 0), where beyond the dead zone flow begins, in the command's unit."""
+        return self.scales.command * jnp.maximum(self.named("opening")[0], 0.0)
 
     @property
     def smallest_command(self) -> Float[Array, ""]:
         """Smallest u at which the valve opens, in the command's unit, where its opening is not larger."""
         return MIN_RELATIVE_COMMAND * (1 + RELATIVE_STEP) * self.scales.command
 
-    def command_for_flow(self, flow: Float[Array, "*b"], covariate: Float[Array, "*b"]) -> Float[Array, "*b"]:
+    def command_for_flow(self, flow: Float[Array, "*b"]) -> Float[Array, "*b"]:
         """Return u > 0 of a flow w > 0, the inverse of `flow`, in the command's unit.
 
         Not finite for a flow that saturation does not let through.
         """
-        opening, exponent, saturation, shift = self.named("opening", "exponent", "saturation", "load_shift")
+        opening, exponent, saturation = self.named("opening", "exponent", "saturation")
         saturated = flow / self.scales.command
         unsaturated = saturated / (1 - (saturated / saturation) ** SHARPNESS) ** (1 / SHARPNESS)
         straight = LINEAR_OPENING ** (1 - exponent) * unsaturated
         above_opening = jnp.maximum(unsaturated, 0.0) ** (1 / exponent)
         above_opening = jnp.where(above_opening < LINEAR_OPENING, straight, above_opening)
-        return self.scales.command * (above_opening + opening + shift * self._scaled_covariate(covariate))
+        return self.scales.command * (above_opening + opening)
 
-    def gain(self, displacement: Float[Array, "*b"], covariate: Float[Array, "*b"]) -> Float[Array, "*b"]:
+    def gain(self, displacement: Float[Array, "*b"]) -> Float[Array, "*b"]:
         """Return g, the factor on the linear model's speed.
 
         Args:
             displacement: where the piston is.
-            covariate: second input before motion.
         """
-        slope, curve, gain = self.named("position_slope", "position_curve", "load_gain")
+        slope, curve = self.named("position_slope", "position_curve")
         position = self.position(displacement)
         clipped_position = jnp.clip(position, -QUADRATIC_RANGE, QUADRATIC_RANGE)
         extrapolation = jnp.clip(slope * (position - clipped_position), -MAX_EXTRAPOLATION, MAX_EXTRAPOLATION)
-        return jnp.exp(
-            slope * clipped_position
-            + extrapolation
-            + curve * (clipped_position**2 - 1 / 3)
-            + gain * self._scaled_covariate(covariate)
-        )
+        return jnp.exp(slope * clipped_position + extrapolation + curve * (clipped_position**2 - 1 / 3))
 
     def position(self, displacement: Float[Array, "*b"]) -> Float[Array, "*b"]:
         """Return ξ, half ranges of displacement from the middle of its range."""
@@ -197,7 +185,6 @@ class StaticNonlinearity(eqx.Module):
     def travel(
         self,
         linear: Float[Array, "t n"],
-        covariate: Float[Array, " t"],
         initial: Float[Array, " t"],
         sign: int | Int[Array, ""],
     ) -> Float[Array, "t n"]:
@@ -205,22 +192,23 @@ class StaticNonlinearity(eqx.Module):
 
         Args:
             linear: travel of the linear model.
-            covariate: second input before motion.
             initial: displacement before motion.
             sign: +1 where displacement grows with travel, −1 where it falls.
         """
         steps = jnp.diff(linear, axis=1, prepend=jnp.zeros_like(linear[:, :1]))
 
         def advance(travel: Array, step: Array) -> tuple[Array, Array]:
-            travel = travel + self.gain(initial + sign * travel, covariate) * step
+            travel = travel + self.gain(initial + sign * travel) * step
             return travel, travel
 
         return jax.lax.scan(advance, jnp.zeros_like(initial), steps.T)[1].T
+
+    def with_opening_shifted(self, shift: Float[Array, ""]) -> "StaticNonlinearity":
+        """Return the curves with d + s in place of d, s a share of U."""
+        number = [parameter.name for parameter in NONLINEARITY_PARAMETERS].index("opening")
+        return StaticNonlinearity(self.values.at[number].add(shift), self.scales)
 
     def named(self, *names: str) -> tuple[Array, ...]:
         """Return values by the names of their parameters."""
         order = [parameter.name for parameter in NONLINEARITY_PARAMETERS]
         return tuple(self.values[order.index(name)] for name in names)
-
-    def _scaled_covariate(self, covariate: Float[Array, "*b"]) -> Float[Array, "*b"]:
-        return jnp.clip((covariate - self.scales.load_centre) / self.scales.load_spread, -3.0, 3.0)

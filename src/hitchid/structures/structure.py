@@ -60,7 +60,7 @@ class ModelOption(Enum):
     VALVE_CURVE = "valve curve"
     SPOOL_DYNAMICS = "spool dynamics"
     STROKE_GAIN = "gain along the stroke"
-    COVARIATE = "second measured input"
+    COVARIATES = "measured covariates"
 
 
 class Structure(eqx.Module):
@@ -138,12 +138,15 @@ class LinearStructure(Structure):
     Attributes:
         has_dry_friction: whether dry friction acts on the speed, beside the linear model.
         varies_along_stroke: whether its dynamics differ from place to place; see `values_at`.
+        load_dynamics: names of the parameters, all positive, that load or oil temperature may change beside
+            the gain.
     """
 
     gain: ClassVar[str] = "gain"
     options: ClassVar[frozenset[ModelOption]] = frozenset(ModelOption)
     has_dry_friction: ClassVar[bool] = False
     varies_along_stroke: ClassVar[bool] = False
+    load_dynamics: ClassVar[tuple[str, ...]] = ()
 
     @property
     def linear(self) -> "LinearStructure":

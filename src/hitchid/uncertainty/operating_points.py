@@ -42,17 +42,14 @@ def operating_levels(batch: Batch, opening: float) -> Float[np.ndarray, " l"]:
     return np.linspace(slowest, fastest, GRID_LEVELS)
 
 
-def operating_loads(batch: Batch, *, measured: bool) -> Float[np.ndarray, " k"]:
-    """Return mean load and mean ± standard deviation, clipped to the measured range, shape [K]; else [0]."""
-    load = np.asarray(batch.covariate)
-    if not measured:
-        return np.zeros(1)
+def operating_loads(load: Float[np.ndarray, " t"]) -> Float[np.ndarray, " k"]:
+    """Return mean and mean ± standard deviation of a covariate, clipped to its range, shape [K]."""
     mean, deviation = load.mean(), load.std()
     return np.unique(np.clip([mean - deviation, mean, mean + deviation], load.min(), load.max()))
 
 
 def measured_speeds(
-    batch: Batch, opening: float, response_time: float, *, has_load: bool
+    batch: Batch, opening: float, response_time: float, load: Float[np.ndarray, " t"] | None
 ) -> tuple[MeasuredSpeed, ...]:
     """Return mean speeds around mid stroke at constant command, by command; the 100 longest stretches.
 
@@ -63,7 +60,7 @@ def measured_speeds(
         batch: identification tests.
         opening: command at which flow begins.
         response_time: of the speed, s.
-        has_load: whether the tests have a measured load.
+        load: the covariate that the speed map is for, of each test; None without one.
     """
     loss_mask, displacement = np.asarray(batch.loss_mask), np.asarray(batch.displacement)
     logged = np.abs(np.asarray(batch.raw_command))
@@ -72,7 +69,8 @@ def measured_speeds(
     middle = np.abs(displacement - 0.5 * (low + high)) <= MIDDLE_SHARE * 0.5 * (high - low)
     settling_samples = int(np.ceil(SETTLING_RESPONSE_TIMES * response_time / batch.step_s)) + 1
     sized_speeds: list[tuple[int, MeasuredSpeed]] = []
-    for row, load in enumerate(np.asarray(batch.covariate)):
+    loads = [None] * len(logged) if load is None else load.tolist()
+    for row, test_load in enumerate(loads):
         changed = np.abs(np.diff(logged[row])) > LEVEL_TOLERANCE * logged.max()
         for stretch in np.split(np.arange(logged.shape[1]), np.flatnonzero(changed) + 1):
             steady_samples = stretch[settling_samples:]
@@ -87,8 +85,6 @@ def measured_speeds(
             speed = np.polyfit(
                 batch.step_s * (steady_samples - steady_samples[0]), travel[row, steady_samples], 1
             )[0]
-            sized_speeds.append(
-                (steady_samples.size, MeasuredSpeed(command, float(load) if has_load else None, float(speed)))
-            )
+            sized_speeds.append((steady_samples.size, MeasuredSpeed(command, test_load, float(speed))))
     longest = sorted(sized_speeds, key=lambda entry: -entry[0])[:MAX_STRETCHES]
     return tuple(sorted((speed for _, speed in longest), key=lambda entry: entry.command))

@@ -17,7 +17,7 @@ from hitchid.model.characteristics import (
 )
 from hitchid.model.estimates import Interval, Quantity, make_quantity
 from hitchid.model.step_response import speed_lag, step_times
-from hitchid.structures import ModelSpec, Scales, opening_command, steady_speed
+from hitchid.structures import ModelSpec, PhysicalModel, Scales, opening_command, speeds_at
 from hitchid.uncertainty.dead_zone_error import DeadZoneError, t_quantile, welch_satterthwaite
 from hitchid.uncertainty.influence import Influence
 from hitchid.uncertainty.operating_points import measured_speeds, operating_levels, operating_loads
@@ -34,9 +34,9 @@ class _Points(NamedTuple):
     """Operating points: levels and loads of the speed map, level and load of the step, dead zone."""
 
     levels: Float[Array, " s"]
-    loads: Float[Array, " s"]
+    loads: Float[Array, "s c"]
     level: Float[Array, ""]
-    load: Float[Array, ""]
+    load: Float[Array, " c"]
     dead_zone: Float[Array, ""]
 
 
@@ -69,24 +69,31 @@ def characteristics(
     """
     model_spec, batch = objective.spec, objective.batch
     largest = float(np.abs(np.asarray(batch.raw_command)[np.asarray(batch.loss_mask)]).max())
-    has_load = model_spec.covariate is not None
     if model_spec.structure.linear is None:
         return None
-    loads = operating_loads(batch, measured=has_load)
     physical_model = model_spec.physical_model(jnp.asarray(objective.values(position)), objective.scales)
-    opening = float(opening_command(physical_model, float(loads[loads.size // 2]), dead_zone.value))
+    opening = float(opening_command(physical_model, dead_zone.value))
+    load_name = _largest_effect(physical_model)
+    test_loads = None if load_name is None else np.asarray(batch.load([load_name]))[:, 0]
+    loads = np.zeros(1) if test_loads is None else operating_loads(test_loads)
+    mean_load = np.asarray(physical_model.mean_load)
     levels = operating_levels(batch, opening)
     if not levels.size:
         return None
-    middle = float(levels[levels.size // 2]), float(loads[loads.size // 2])
+    level = float(levels[levels.size // 2])
     commands, grid_loads = (grid.ravel() for grid in np.meshgrid(levels, loads, indexing="ij"))
-    points = _Points(*map(jnp.asarray, (commands, grid_loads, *middle, dead_zone.value)))
+    load_rows = np.tile(mean_load, (grid_loads.size, 1))
+    if load_name is not None:
+        load_rows[:, physical_model.covariates.index(load_name)] = grid_loads
+    points = _Points(*map(jnp.asarray, (commands, load_rows, level, mean_load, dead_zone.value)))
     values = _evaluate(objective, position[None], points)[0]
     scales = np.concatenate([np.maximum(values[:-3], TINY), [batch.step_s, batch.step_s, largest]])
     intervals = _intervals(objective, position, influence, points, dead_zone_error, scales)
     fastest = float(values[:-3].max())
     speeds = [
-        SpeedPoint.of(float(command), float(load) if has_load else None, float(speed), interval, fastest)
+        SpeedPoint.of(
+            float(command), None if load_name is None else float(load), float(speed), interval, fastest
+        )
         for command, load, speed, interval in zip(
             commands, grid_loads, values[:-3], intervals[:-3], strict=True
         )
@@ -104,15 +111,23 @@ def characteristics(
     return Characteristics(
         command_unit=units["u"],
         speed_unit=f"{units['x']}/s",
-        load=model_spec.covariate,
+        load=load_name,
         dead_zone=dead_zone,
         opening=opening_quantity if model_spec.valve_curve else None,
-        level=middle[0],
+        level=level,
         delay=delay if has_lag else None,
         response_time=response_time if has_lag else None,
         speed_map=tuple(speeds),
-        measured=measured_speeds(batch, opening, response_time.value, has_load=has_load),
+        measured=measured_speeds(batch, opening, response_time.value, test_loads),
     )
+
+
+def _largest_effect(physical_model: PhysicalModel) -> str | None:
+    """Return the covariate with the largest effect on the speed; None without covariates."""
+    if physical_model.scheduling is None:
+        return None
+    sizes = np.abs(np.asarray(physical_model.scheduling.effects)[0]).sum(axis=1)
+    return physical_model.covariates[int(np.argmax(sizes))]
 
 
 def _intervals(
@@ -266,9 +281,11 @@ def _quantities(
 ) -> Float[Array, "p q"]:
     def quantities_at(values: Float[Array, " d"], lag_s: Float[Array, ""]) -> Float[Array, " q"]:
         physical_model = model_spec.physical_model(values, scales)
-        speeds = steady_speed(physical_model, points.levels, points.loads, points.dead_zone, scales.centre)
-        times = step_times(physical_model, points.level, points.load, points.dead_zone, lag_s)
-        opening = opening_command(physical_model, points.load, points.dead_zone)
+        middle = jnp.broadcast_to(scales.centre, points.levels.shape)
+        speeds = speeds_at(physical_model, points.levels, middle, points.loads, points.dead_zone)
+        at_load = physical_model.at_load(points.load)
+        times = step_times(at_load, points.level, points.dead_zone, lag_s)
+        opening = opening_command(at_load, points.dead_zone)
         return jnp.concatenate([speeds, jnp.stack([*times, opening])])
 
     return jax.vmap(quantities_at)(values, lags)

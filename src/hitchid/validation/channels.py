@@ -216,9 +216,9 @@ def _baseline_runs(
     channel: Channel, comparison: Comparison, tests: Sequence[Record], steps: Sequence[int]
 ) -> dict[str, _BaselineRun]:
     """Return the runs of the baselines, by name; none of those whose covariate a test lacks."""
-    runs, covariate = {}, comparison.covariate
-    if covariate is None or all(covariate in record.signals for record in tests):
-        batch = channel.batch(tests, covariate=covariate)
+    runs, covariates = {}, comparison.covariates
+    if all(name in record.signals for record in tests for name in covariates):
+        batch = channel.batch(tests, covariates=covariates)
         runs = {
             name: _BaselineRun(_limited(channel, batch, fitted.free_run(batch)), fitted.predict(batch, steps))
             for name, fitted in comparison.baselines.items()

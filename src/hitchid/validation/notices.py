@@ -22,9 +22,10 @@ def channel_notices(
         tests: on the model's clock and in its units.
     """
     notices = _accuracy_notices(direction, accuracy) + _out_of_range_notices(direction, channel, tests)
-    covariate = channel.benchmark.covariate
-    if covariate is not None:
-        notices.append(f"{direction}: the free run uses the mean of '{covariate}' before motion")
+    notices += [
+        f"{direction}: the free run uses the mean of '{name}' before motion"
+        for name in channel.benchmark.covariates
+    ]
     return notices
 
 
@@ -36,16 +37,19 @@ def baseline_notices(direction: str, comparison: Comparison, tests: Sequence[Rec
         comparison: models fitted to the same tests as the channel.
         tests: on the model's clock and in its units.
     """
-    notices, covariate = [], comparison.covariate
+    notices = []
     if comparison.dropped:
         names = ", ".join(comparison.dropped)
         notices.append(
             f"{direction}: made by an older version and not used: {names}; identify again to have them"
         )
-    lacking = [test.name for test in tests if covariate and covariate not in test.signals]
+    lacking = [
+        (test.name, name) for test in tests for name in comparison.covariates if name not in test.signals
+    ]
     if comparison.baselines and lacking:
+        (test, covariate), *_ = lacking
         notices.append(
-            f"{direction}: the baselines are not compared: they use '{covariate}', which {lacking[0]} lacks"
+            f"{direction}: the baselines are not compared: they use '{covariate}', which {test} lacks"
         )
     return notices
 

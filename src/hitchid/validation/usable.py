@@ -19,7 +19,7 @@ def with_covariates(campaign: Campaign, *models: Hitch) -> tuple[Campaign, tuple
         for model in models:
             for direction, channel in model.channels.items():
                 if record.kind in (direction, CYCLE):
-                    record.require(channel.benchmark.covariate)
+                    record.require(channel.benchmark.covariates)
         return record
 
     records = [(record.name, record) for record in campaign.records]
