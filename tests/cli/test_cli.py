@@ -385,8 +385,8 @@ BAD_MODELS = {
     "description of something else": (lambda f: (f / "model.json").write_text("{}") and None, ["model.json"]),
     "trace edited": (edited("trace.json", "{", "{ "), ["trace.json", "edited"]),
     "a newer schema": (
-        edited("model.json", '"schema": 10', '"schema": 11'),
-        ["model.json", "schema 11", "expected 3 to 10"],
+        edited("model.json", '"schema": 11', '"schema": 12'),
+        ["model.json", "schema 12", "expected 3 to 11"],
     ),
 }
 

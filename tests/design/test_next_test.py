@@ -54,7 +54,7 @@ def identified(mode, dead_zone=NO_ERROR):
     search, units = MultiStart(60, starts=1), {"x": "mm", "u": "A"}
     found = identify_benchmark(batch, form, search, 0, units=units, dead_zone=dead_zone)
     information = information_of(found.fit.objective, found.fit.position, found.influence)
-    channel = Channel(mode, 1, ZONE, None, found.benchmark, operating_range_of(batch))
+    channel = Channel(mode, 1, ZONE, None, found.benchmark, operating_range_of(batch, ()))
     known = Uncertainty(found.assessment, information=information)
     return (channel if mode == LIFTING else mirrored(channel)), known
 

@@ -55,7 +55,9 @@ def tests_of(make_record):
 
 def trained(batch, *, seed=0, settings=SETTINGS, covered=None):
     tests = batch.command.shape[0]
-    channel = Channel(LIFTING, 1, 0.0, None, BENCHMARK, operating_range=covered or operating_range_of(batch))
+    channel = Channel(
+        LIFTING, 1, 0.0, None, BENCHMARK, operating_range=covered or operating_range_of(batch, ())
+    )
     held_out = tuple(HeldOut(fold, channel) for fold in folds_of(tests))
     return channel, train_speed_compensator(channel, held_out, batch, settings, seed)
 
@@ -123,7 +125,7 @@ def test_samples_that_do_not_count_are_neither_learnt_nor_judged(tests_of):
 
 def test_a_test_changes_nothing_in_what_it_is_judged_by(tests_of):
     batch = tests_of(along_the_stroke)
-    covered = operating_range_of(batch)
+    covered = operating_range_of(batch, ())
     first = trained(batch, covered=covered)[1].held_out[0]
     assert first.tests[0]
     changed = with_displacement(batch, batch.displacement.at[0, 50:].add(0.1))

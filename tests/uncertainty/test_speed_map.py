@@ -11,6 +11,7 @@ import pytest
 from pydantic import TypeAdapter
 from scipy import signal, stats
 
+import handmade
 from hitchid.data.record import LIFTING
 from hitchid.estimation import Objective, refine
 from hitchid.identification import direction
@@ -26,6 +27,7 @@ from hitchid.structures import (
     PhysicalModel,
     Scales,
     StaticNonlinearity,
+    speeds_at,
     structure_named,
 )
 from hitchid.structures.static_nonlinearity import NEUTRAL
@@ -208,7 +210,7 @@ def test_a_lagging_spool_delays_motion_until_it_has_passed_the_dead_zone():
     benchmark = PhysicalModel(
         INTEGRATOR.structure, jnp.asarray([30.0]), jnp.asarray(0.02), shaped(spool_lag=0.2)
     )
-    delay, response_time = step_times(benchmark, 1.0, 10.0, 0.5, 0.0)
+    delay, response_time = step_times(benchmark, 1.0, 0.5, 0.0)
     # c (1 − exp(−t/τ)) − d is a part p of c − d at t = τ ln(c / ((1 − p) (c − d))).
     for found, part in ((delay, 0.05), (response_time, 1 - np.exp(-1))):
         assert float(found) == pytest.approx(0.02 + 0.2 * np.log(2 / (1 - part)), rel=0.01)
@@ -228,7 +230,7 @@ def test_levels_are_those_at_which_tests_stood_else_a_grid_within_what_occurred(
 
 def test_measured_speeds_are_those_of_the_plant_around_mid_stroke(batch_of):
     batch = batch_of(steps(np.random.default_rng(0), scatter=0.0, noise=0.0, levels=(1.0, 0.95, -0.9)))
-    found = measured_speeds(batch, 0.3, 0.15, has_load=False)
+    found = measured_speeds(batch, 0.3, 0.15, None)
     assert [each.command for each in found] == pytest.approx([0.9, 0.95, 1.0])
     assert [each.speed for each in found] == pytest.approx([0.9 * GAIN, 0.95 * GAIN, GAIN], rel=0.01)
 

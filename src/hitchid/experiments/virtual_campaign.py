@@ -1,7 +1,7 @@
 """Test campaign on the virtual bench: static tests, then dynamic tests within its limits."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -16,6 +16,7 @@ from hitchid._support.storage import write_folder
 from hitchid.data.record import COMMAND, DIRECTIONS, DISPLACEMENT, LIFTING, LOWERING, RAMP, Record
 from hitchid.errors import InputError
 from hitchid.experiments import excitation
+from hitchid.experiments.conditions import COVARIATES, Condition, Conditions
 from hitchid.identification.dead_zone import from_ramps
 from hitchid.readers import write_table
 from hitchid.rig import Rig, load_rig, measure, rig_limits, simulate
@@ -64,15 +65,22 @@ class Log:
         name: of its file.
         columns: column to measured samples.
         truth: displacement without sensor and noise, mm.
+        pressure_pa: in the cylinder, absolute, Pa.
     """
 
     name: str
     columns: Mapping[str, np.ndarray]
     truth: np.ndarray
+    pressure_pa: np.ndarray
 
 
 def run(
-    rig: Rig, tests: Mapping[Protocol, int] = TESTS, directions: Sequence[str] = DIRECTIONS, *, seed: int = 0
+    rig: Rig,
+    tests: Mapping[Protocol, int] = TESTS,
+    directions: Sequence[str] = DIRECTIONS,
+    *,
+    conditions: Conditions | None = None,
+    seed: int = 0,
 ) -> list[Log]:
     """Run tests on a rig and return their logs.
 
@@ -84,6 +92,8 @@ def run(
         rig: the virtual bench.
         tests: protocol to number: ramps and `prbs` tests of each direction, cycles.
         directions: directions to excite; cycles excite both.
+        conditions: operating conditions, in each of which all tests are run and cylinder pressure, oil
+            temperature and consumer flow are measured, too; None for those of the rig.
         seed: seed of all random draws.
 
     Raises:
@@ -96,6 +106,12 @@ def run(
     for direction in checks.tuple_of(directions, str, "modes", "directions"):
         checks.one_of(direction, DIRECTIONS, "direction")
     checks.integer(seed, "seed")
+    if conditions is not None:
+        return [
+            log
+            for number, condition in enumerate(conditions.of(rig))
+            for log in _run_in(condition, tests, directions, np.random.default_rng([seed, number]))
+        ]
     excited = DIRECTIONS if "cycle" in tests else directions
     ramps = {direction: _ramps(rig, direction, tests.get("ramp", REPEATS), seed) for direction in excited}
     static = {direction: _evaluate_ramps(logs, direction) for direction, logs in ramps.items()}
@@ -115,12 +131,25 @@ def run(
     return [log for logs in (*static_logs, *(results[name] for name in jobs)) for log in logs]
 
 
+def _run_in(
+    condition: Condition,
+    tests: Mapping[Protocol, int],
+    directions: Sequence[str],
+    rng: np.random.Generator,
+) -> Iterator[Log]:
+    """Yield the logs of one operating condition, with what is measured of it."""
+    for log in run(condition.rig, tests, directions, seed=int(rng.integers(2**31))):
+        columns = {**log.columns, **condition.readings(log.pressure_pa, rng)}
+        yield replace(log, name=f"{log.name}-{condition.name}", columns=columns)
+
+
 def write_campaign(
     out: str | Path,
     rig: str | Path = "nominal",
     *,
     tests: Mapping[Protocol, int] = TESTS,
     directions: Sequence[str] = DIRECTIONS,
+    conditions: Conditions | None = None,
     suffix: Literal["csv", "csv.gz", "mf4", "parquet", "tdms"] = "csv",
     seed: int = 0,
     force: bool = False,
@@ -130,7 +159,7 @@ def write_campaign(
     Args:
         out: folder to write.
         rig: name or file of a parameter set.
-        tests, directions, seed: see `run`.
+        tests, directions, conditions, seed: see `run`.
         suffix: format of the logs.
         force: replace an older campaign.
 
@@ -143,9 +172,8 @@ def write_campaign(
         SettingsError: the rig's parameters cannot be used.
     """
     folder = checks.path(out, "out")
-    logs = run(
-        load_rig(checks.instance(rig, (str, Path), "rig", "a name or a path")), tests, directions, seed=seed
-    )
+    parameters = load_rig(checks.instance(rig, (str, Path), "rig", "a name or a path"))
+    logs = run(parameters, tests, directions, conditions=conditions, seed=seed)
 
     def fill(folder: Path) -> None:
         (folder / TRUTH).mkdir()
@@ -153,7 +181,9 @@ def write_campaign(
             write_table(folder / f"{log.name}.{suffix}", log.columns)
             truth = {"time_s": log.columns["time_s"], "displacement_true_mm": log.truth}
             write_table(folder / TRUTH / f"{log.name}.{suffix}", truth)
-        (folder / "campaign.toml").write_text(COLUMNS, encoding="utf-8")
+        (folder / "campaign.toml").write_text(
+            COLUMNS + ("" if conditions is None else COVARIATES), encoding="utf-8"
+        )
 
     write_folder(folder, fill, result_kind="campaign.toml", force=force)
     return len(logs)
@@ -263,9 +293,9 @@ def _logs(
     currents = np.stack(commands)
     motion = simulate(rig, currents, initial_displacement_m=np.asarray(starts_m))
     columns = measure(rig, motion, currents, jax.random.key(seed))
-    truth = 1e3 * np.asarray(motion.displacement_m)
+    truth, pressure_pa = 1e3 * np.asarray(motion.displacement_m), np.asarray(motion.pressure_pa)
     return [
-        Log(name, {column: rows[test] for column, rows in columns.items()}, truth[test])
+        Log(name, {column: rows[test] for column, rows in columns.items()}, truth[test], pressure_pa[test])
         for test, name in enumerate(names)
     ]
 
