@@ -159,7 +159,7 @@ def test_a_choice_does_not_go_with_what_it_decides_itself(tmp_path, structure, a
         read_settings(path)
 
 
-def loaded(make_record, *, tests=16):
+def loaded(make_record, *, tests=12):
     """Return tests: speed follows a pressure, damping an oil temperature, and a flow changes nothing."""
     rng = np.random.default_rng(8)
     names = ("flow", "oil", "pressure")
@@ -195,9 +195,9 @@ def test_covariates_are_kept_where_they_change_something_and_what_they_change_is
     assert set(chosen.spec.covariate_names) == {"pressure", "oil"}
     assert {name for each in tried for name in each.spec.covariate_names} == {"flow", "oil", "pressure"}
     named = {each.name: each for each in found.parameter_estimates}
-    for name, truth in (("gain_by_pressure", 0.2), ("damping_ratio_by_oil", -0.6)):
-        assert named[name].error < 0.1 * abs(truth)
-        assert named[name].value == pytest.approx(truth, abs=3 * named[name].error)
+    # Noise of 0.02 mm on 60 mm of travel is 1e-4 of the speed; the curves of the valve take a part.
+    assert named["gain_by_pressure"].value == pytest.approx(0.2, rel=0.01)
+    assert named["damping_ratio_by_oil"].value == pytest.approx(-0.6, rel=0.05)
     # Noise of 0.02 mm; without the covariates a speed that differs by 20 % from test to test.
     assert found.rmse == pytest.approx(0.02, rel=0.1)
     assert tried[0].held_out_rmse > 1.0

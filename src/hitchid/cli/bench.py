@@ -52,11 +52,27 @@ def bench(
         TestedDirections, typer.Option("--mode", help="Direction to excite.")
     ] = TestedDirections.BOTH,
     rig: Annotated[str, typer.Option("--rig", help="Parameter set: a name or a TOML file.")] = "nominal",
+    implements_kg: Annotated[
+        list[float] | None,
+        typer.Option("--implement-kg", help="Mass of the implement; several, once each [that of the rig]."),
+    ] = None,
+    oil_c: Annotated[
+        list[float] | None,
+        typer.Option("--oil-c", help="Oil temperature; several, once each [that of the rig]."),
+    ] = None,
+    consumer_l_min: Annotated[
+        list[float] | None,
+        typer.Option("--consumer-l-min", help="Flow that a second consumer takes from the pump [0]."),
+    ] = None,
     log_format: Annotated[LogFormat, typer.Option("--format", help="Format of the logs.")] = LogFormat.CSV,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of every random draw.")] = 0,
     force: Force = False,
 ) -> None:
-    """Run tests on the virtual test bench; write one log a test and campaign.toml."""
+    """Run tests on the virtual test bench; write one log a test and campaign.toml.
+
+    With operating conditions all tests are run in every combination of them, and the logs have cylinder
+    pressure, oil temperature and consumer flow, too.
+    """
     from hitchid._support.storage import check_folder, check_inputs
     from hitchid.cli import terminal as display
 
@@ -64,8 +80,14 @@ def bench(
     check_inputs(out, [Path(rig)] if rig.endswith(".toml") else [])
     prepare_jax()
     from hitchid.data.record import DIRECTIONS
+    from hitchid.experiments.conditions import Conditions
     from hitchid.experiments.virtual_campaign import REPEATS, TESTS, write_campaign
 
+    conditions = None
+    if implements_kg or oil_c or consumer_l_min:
+        conditions = Conditions(
+            tuple(implements_kg or ()), tuple(oil_c or ()), tuple(consumer_l_min or (0.0,))
+        )
     default_count = REPEATS if protocol is Protocol.RAMP else TESTS["prbs"]
 
     logs = write_campaign(
@@ -73,6 +95,7 @@ def bench(
         rig,
         tests={protocol.value: default_count if tests is None else tests},
         directions=DIRECTIONS if mode is TestedDirections.BOTH else (mode.value,),
+        conditions=conditions,
         suffix=log_format.value,
         seed=seed,
         force=force,

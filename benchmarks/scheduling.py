@@ -1,0 +1,188 @@
+"""Covariates on the virtual bench: what they gain, what a filter regains without them, what is kept in vain.
+
+Run: python benchmarks/scheduling.py [rig ...], or python benchmarks/scheduling.py without-effect [campaigns]
+"""
+
+import sys
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+import hitchid
+from hitchid._support.parallel import parallel
+from hitchid.data.campaign import Campaign
+from hitchid.data.record import DIRECTIONS, LIFTING
+from hitchid.data.test_kinds import effective_command
+from hitchid.experiments.conditions import Conditions
+from hitchid.experiments.virtual_campaign import write_campaign
+from hitchid.identification import AutoStructure, MultiStart
+from hitchid.identification.selection import choose_spec
+from hitchid.model import Hitch
+from hitchid.structures import Batch, ModelSpec, Scales, structure_named
+
+IMPLEMENTS_KG, OIL_C = tuple(np.linspace(450.0, 1300.0, 6)), tuple(np.linspace(5.0, 70.0, 5))
+ALONE = ((450.0, 5.0), (960.0, 37.5), (1300.0, 70.0))  # kg, °C: conditions with a model of their own
+TESTS, TESTS_ALONE = 2, 20  # tests of a direction in each condition, and for a model of one condition
+AFTER_MOTION_S = 1.0
+FAST = {"training": None, "comparison": None}
+CAMPAIGNS, COVARIATES = 200, ("engine", "flow", "oil")
+
+
+def show(*lines: str) -> None:
+    """Write lines to standard output at once."""
+    sys.stdout.write("".join(f"{line}\n" for line in lines))
+    sys.stdout.flush()
+
+
+def campaign(rig: str, conditions: Conditions, tests: int, seed: int) -> Campaign:
+    """Return a campaign over operating conditions."""
+    with tempfile.TemporaryDirectory() as folder:
+        logs = Path(folder) / "logs"
+        write_campaign(logs, rig, tests={"prbs": tests}, conditions=conditions, seed=seed)
+        return hitchid.read(logs)
+
+
+def without_covariates(given: Campaign) -> Campaign:
+    """Return a campaign of the same tests in which no covariate was measured."""
+    records = tuple(
+        replace(
+            record,
+            signals={role: rows for role, rows in record.signals.items() if role not in given.covariates},
+            units={role: unit for role, unit in record.units.items() if role not in given.covariates},
+        )
+        for record in given.records
+    )
+    return replace(given, records=records)
+
+
+def free_run_errors(model: Hitch, tests: Campaign, direction: str) -> dict[str, float]:
+    """Return test to free-run RMSE, mm."""
+    return {
+        record.name: float(np.sqrt(np.mean((model.simulate(record).displacement - record.displacement) ** 2)))
+        for record in tests.of_kind(direction)
+    }
+
+
+def late_errors(model: Hitch, tests: Campaign, direction: str, *, measured: bool) -> dict[str, float]:
+    """Return test to RMSE later than one second after motion begins, mm.
+
+    With `measured`, the displacement up to that second is given to the filter; then the model runs free.
+    """
+    errors = {}
+    for record in tests.of_kind(direction):
+        beyond = effective_command(record.command(direction), model.dead_zones[direction])
+        begin = int(np.flatnonzero(beyond)[0]) + round(AFTER_MOTION_S / record.step_s)
+        if measured:
+            commands = np.array([record.command(name) for name in DIRECTIONS]).T
+            state, found = model.init_state(record.displacement[0]), [record.displacement[0]]
+            for row, place in zip(commands[:-1], record.displacement[:-1], strict=True):
+                known = place if len(found) <= begin else None
+                state, displacement = model.step(state, row, known)
+                found.append(float(displacement))
+            predicted = np.array(found)
+        else:
+            predicted = np.asarray(model.simulate(record))
+        errors[record.name] = float(np.sqrt(np.mean((predicted - record.displacement)[begin + 1 :] ** 2)))
+    return errors
+
+
+def rms(errors: dict[str, float], part: str = "") -> float:
+    """Return the root mean square over tests whose name contains a part, mm."""
+    return float(np.sqrt(np.mean([error**2 for name, error in errors.items() if part in name])))
+
+
+def report(rig: str) -> None:
+    """Print the figures of one rig."""
+    grid = Conditions(IMPLEMENTS_KG, OIL_C)
+    training, unseen = (campaign(rig, grid, TESTS, seed) for seed in (1, 2))
+    plain = without_covariates(unseen)
+    scheduled = hitchid.identify(training, **FAST)
+    unscheduled = hitchid.identify(without_covariates(training), **FAST).model
+    for direction in DIRECTIONS:
+        (chosen,) = (each for each in scheduled.channels[direction].candidates if each.chosen)
+        with_load = free_run_errors(scheduled.model, unseen, direction)
+        without = free_run_errors(unscheduled, plain, direction)
+        gain = 1 - rms(with_load) / rms(without)
+        show(
+            f"{rig}, {direction}: {chosen.name}; {' '.join(chosen.spec.covariate_names)}",
+            f"  free run, {len(with_load)} unseen tests: with covariates {rms(with_load):.3f} mm, without "
+            f"{rms(without):.3f} mm: {100 * gain:.0f} % less",
+        )
+        late = [
+            rms(late_errors(scheduled.model, unseen, direction, measured=False)),
+            rms(late_errors(unscheduled, plain, direction, measured=False)),
+            rms(late_errors(unscheduled, plain, direction, measured=True)),
+        ]
+        regained = (late[1] - late[2]) / (late[1] - late[0])
+        show(
+            f"  from 1 s after motion: {late[0]:.3f} and {late[1]:.3f} mm; not measured, with the filter "
+            f"{late[2]:.3f} mm: {100 * regained:.0f} % of the gain"
+        )
+    for number, (mass, oil) in enumerate(ALONE):
+        own = campaign(rig, Conditions((mass,), (oil,)), TESTS_ALONE, 10 + number)
+        model = hitchid.identify(without_covariates(own), **FAST).model
+        name = f"{mass:g}kg-{oil:g}C"
+        here = replace(unseen, records=tuple(r for r in unseen.records if r.name.endswith(name)))
+        for direction in DIRECTIONS:
+            alone = rms(free_run_errors(model, without_covariates(here), direction))
+            shared = rms(free_run_errors(scheduled.model, here, direction))
+            show(
+                f"  {direction} at {name}: own model {alone:.3f} mm, with covariates {shared:.3f} mm, "
+                f"{shared / alone:.2f} times"
+            )
+
+
+def kept_in_vain(seed: int) -> bool:
+    """Return whether a covariate without effect was kept, in one campaign of a known plant."""
+    rng = np.random.default_rng(seed)
+    spec = ModelSpec(structure_named("integrator-second-order"))
+    scales = Scales(*map(np.asarray, (1.0, 90.0, 40.0)))
+    tests, samples = 12, 250
+    commands = np.repeat(rng.uniform(0.2, 1.0, (tests, samples // 25)), 25, axis=1)
+    commands *= np.linspace(0.5, 1.0, tests)[:, None]
+    commands[:, :5] = 0.0
+
+    def batch(travel: np.ndarray) -> Batch:
+        records = [
+            hitchid.Record(
+                f"{number:02d}",
+                0.01,
+                {
+                    "displacement": 80.0 + rows,
+                    "lifting_command": command,
+                    **{name: np.full(samples, value) for name, value in zip(COVARIATES, loads, strict=True)},
+                },
+                {"displacement": "mm", "lifting_command": "A", **dict.fromkeys(COVARIATES, "1")},
+            )
+            for number, (rows, command, loads) in enumerate(zip(travel, commands, covariates, strict=True))
+        ]
+        return Batch.of(records, LIFTING, dead_zone=0.0, sign=1, covariates=COVARIATES)
+
+    covariates = rng.standard_normal((tests, len(COVARIATES)))
+    still = batch(np.zeros((tests, samples)))
+    values = np.array([20.0, 15.0, 0.6])
+    travel = np.asarray(spec.physical_model(values, scales).travel(still))[:, :samples]
+    loads = np.exp(0.015 * rng.standard_normal((tests, 1)))  # nobody measures it
+    noise = 0.05 * rng.standard_normal(travel.shape)
+    auto = AutoStructure(spec, COVARIATES)
+    _, candidates = choose_spec(
+        batch(loads * travel + noise), auto, MultiStart(evaluations=60), seed, units={"x": "mm", "u": "A"}
+    )
+    return any(each.chosen and each.spec.covariates for each in candidates)
+
+
+def without_effect(campaigns: int) -> None:
+    """Print in how many campaigns covariates without effect are kept."""
+    kept = parallel(kept_in_vain, range(campaigns))
+    total = sum(kept.values())
+    show(f"three covariates without effect: one is kept in {total} of {campaigns} campaigns")
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["without-effect"]:
+        without_effect(int(sys.argv[2]) if len(sys.argv) > 2 else CAMPAIGNS)
+    else:
+        for name in sys.argv[1:] or ("nominal", "heavy-cold", "light-warm-worn"):
+            report(name)
