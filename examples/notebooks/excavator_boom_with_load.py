@@ -41,7 +41,11 @@ for record in campaign.records:
 from hitchid.identification import ModelSpec
 from hitchid.structures import CovariateEffects, structure_named
 
-spec = ModelSpec(structure_named("integrator-first-order"), valve_curve=True, covariates=(CovariateEffects("head_pressure"),))
+spec = ModelSpec(
+    structure_named("integrator-first-order"),
+    valve_curve=True,
+    covariates=(CovariateEffects("head_pressure"),),
+)
 found = hitchid.identify(campaign, structure={"lifting": spec}, training=None, comparison=None)
 
 # %% [markdown]

@@ -27,9 +27,9 @@ def mean_load(channels: Iterable["Channel"]) -> Float[np.ndarray, " l"]:
     """Return the mean of each covariate in the identification tests; one zero where there is none."""
     means: dict[str, float] = {}
     for benchmark in (channel.benchmark for channel in channels):
-        if benchmark.covariates:
-            known = zip(benchmark.covariates, np.asarray(benchmark.mean_load).tolist(), strict=True)
-            means = {**dict(known), **means}
+        values = np.asarray(benchmark.mean_load).tolist()
+        for name, value in zip(benchmark.covariates, values, strict=False):
+            means.setdefault(name, value)
     return np.array([*means.values()] or [0.0])
 
 
@@ -72,7 +72,7 @@ def load_row(load: Load | None, channels: Sequence["Channel"], owner: str) -> Fl
         InputError: as `loads_by_name`, or given values differ in number.
     """
     names, means = covariates_of(channels), mean_load(channels)
-    given: dict[str, ArrayLike] = {**dict(zip(names, means.tolist(), strict=False))}
+    given: dict[str, ArrayLike] = dict(zip(names, means.tolist(), strict=False))
     given |= loads_by_name(load, names, owner)
     return stacked([given[name] for name in names])
 
