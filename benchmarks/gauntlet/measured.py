@@ -15,7 +15,7 @@ from hitchid.structures import ModelSpec, structure_named
 
 from .judge import exercise_model
 from .long_job import write_long_job
-from .machine_speed import slowness
+from .machine_speed import seconds_of_work, slowness
 from .outcome import REFUSED, Outcome, run_guarded
 
 DATA = Path(os.environ.get("HITCHID_DATA", Path(__file__).parents[3] / "shared" / "data"))
@@ -56,12 +56,13 @@ def _fail_on_refusal(outcome: Outcome) -> Outcome:
 def _time_identification(outcome: Outcome, name: str) -> None:
     with tempfile.TemporaryDirectory() as folder:
         campaign = _long_job(Path(folder)) if name == "long-job" else hitchid.read(DATA / name)
+        seconds_before = seconds_of_work()
         with outcome.timed("identify"):
             hitchid.identify(campaign)
         if name in TIMED_WITHOUT_RIVALS:
             with outcome.timed("identify without rivals"):
                 hitchid.identify(campaign, training=CompensatorConfig(baselines=False))
-    factor = slowness()
+    factor = slowness(seconds_before, seconds_of_work())
     outcome.figures |= {
         "times longer than on the reference machine": factor,
         **{f"{stage} / s": seconds / factor for stage, seconds in outcome.seconds.items()},
