@@ -79,7 +79,7 @@ def test_a_run_is_that_of_the_gains_at_its_load():
         commands, step_s=0.01, initial=100.0, load={"oil": [40.0, 50.0], "pressure": 90.0}
     ).displacement
     travel = runs[:, 150] - 100.0
-    # Ten standard deviations count as three. Speeds at one place: travel depends on the gain along the stroke.
+    # Ten standard deviations count as three. Speeds at one place: travel depends on its gain, too.
     first = np.diff(runs, axis=1)[:, 9]
     assert first[1] / first[0] == pytest.approx(np.exp(0.3), rel=0.01)
     assert travel[1] > 1.2 * travel[0]
