@@ -12,7 +12,7 @@ from hitchid.data.campaign import Campaign
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import FitError, InputError, LogError, OutputError, SettingsError
 from hitchid.identification import AutoStructure, identify
-from hitchid.identification.campaign_job import _check_dead_zone, _check_load, _check_window
+from hitchid.identification.campaign_job import _check_covariates, _check_dead_zone, _check_window
 from hitchid.identification.dead_zone import DeadZone
 from hitchid.identification.identify import PAPER_SPECS
 from hitchid.identification.phase2 import CompensatorConfig
@@ -194,8 +194,8 @@ def test_settings_that_contradict_the_logs_are_refused_before_any_search(five):
             _check_dead_zone(campaign, LIFTING, value)
     _check_dead_zone(campaign, LIFTING, 0.49)
     with pytest.raises(SettingsError, match="load is 'nope'; expected none, for the logs have no covariates"):
-        _check_load(campaign, LIFTING, "nope")
-    _check_load(campaign, LIFTING, None)
+        _check_covariates(campaign, LIFTING, ("nope",))
+    _check_covariates(campaign, LIFTING, ())
     prepared = {LIFTING: prepare(campaign, LIFTING, GIVEN)}
     _check_window(CompensatorConfig(window=120), prepared)
     with pytest.raises(SettingsError, match=r"window.*120 samples.*100000"):
@@ -212,10 +212,10 @@ def test_a_load_that_no_log_has_is_refused_with_the_names_of_those_they_have(fiv
     ]
     measured = replace(campaign, records=tuple(records))
     with pytest.raises(SettingsError, match="lifting: load is 'nope'; expected one of head, rod"):
-        identify(measured, structure={LIFTING: AutoStructure(PAPER_SPECS[LIFTING], "nope")})
+        identify(measured, structure={LIFTING: AutoStructure(PAPER_SPECS[LIFTING], ("nope",))})
     with pytest.raises(SettingsError, match="lifting: load is 'displacement'; expected one of head, rod"):
-        _check_load(measured, LIFTING, "displacement")
-    _check_load(measured, LIFTING, "head")
+        _check_covariates(measured, LIFTING, ("displacement",))
+    _check_covariates(measured, LIFTING, ("head",))
 
 
 @pytest.mark.parametrize(
