@@ -26,9 +26,9 @@ def covariates_of(channels: Iterable["Channel"]) -> tuple[str, ...]:
 def mean_load(channels: Iterable["Channel"]) -> Float[np.ndarray, " l"]:
     """Return the mean of each covariate in the identification tests; one zero where there is none."""
     means: dict[str, float] = {}
-    for benchmark in (channel.benchmark for channel in channels):
+    for benchmark in (channel.benchmark for channel in channels if channel.benchmark.covariates):
         values = np.asarray(benchmark.mean_load).tolist()
-        for name, value in zip(benchmark.covariates, values, strict=False):
+        for name, value in zip(benchmark.covariates, values, strict=True):
             means.setdefault(name, value)
     return np.array([*means.values()] or [0.0])
 
