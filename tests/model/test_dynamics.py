@@ -15,6 +15,7 @@ from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError
 from hitchid.model.dynamics import HitchDynamics
 from hitchid.model.error_prediction import MAX_COASTING_SAMPLES
+from hitchid.model.loads import mean_load
 from hitchid.model.packing import Packing
 from truth import STEP_S, levels
 
@@ -50,7 +51,8 @@ def stepped(model, commands, measured=None, *, start=100.0, load=None):
     rows = np.column_stack([commands, measured])
     padded = np.pad(rows, ((0, max(256, 1 << (count - 1).bit_length()) - count), (0, 0)))
     dynamics = HitchDynamics.of(tuple(model.channels.values()), model.step_s, model.drift)
-    found = scanned(dynamics, jnp.array([start, 0.0 if load is None else load]), jnp.asarray(padded))
+    loads = mean_load(dynamics.channels) if load is None else [load]
+    found = scanned(dynamics, jnp.array([start, *loads]), jnp.asarray(padded))
     states = jax.tree.map(lambda each: np.asarray(each)[: count + 1], found)
     return states.displacement, states
 
