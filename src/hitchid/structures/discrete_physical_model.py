@@ -64,7 +64,7 @@ class DiscretePhysicalModel(eqx.Module):
         if isinstance(structure, NonlinearStructure):
             return _NonlinearModel(benchmark, dead_zone, min_command, sign, 0, step_s, structure)
         delay_samples = int(benchmark.discretised(step_s).delay_samples)
-        discrete = _discrete(benchmark, step_s)
+        discrete = benchmark.discretised_along_stroke(step_s)
         return _LinearModel(benchmark, dead_zone, min_command, sign, delay_samples, step_s, discrete)
 
     @property
@@ -121,14 +121,16 @@ class _LinearModel(DiscretePhysicalModel):
         if not self.is_scheduled:
             return self
         benchmark = self.benchmark.at_load(load)
-        return replace(self, benchmark=benchmark, discrete=_discrete(benchmark, self.step_s))
+        return replace(self, benchmark=benchmark, discrete=benchmark.discretised_along_stroke(self.step_s))
 
     def init_state(self, displacement: Scalar, speed: Scalar) -> State:
         return self.benchmark.state_at_speed(speed / self._scale(displacement), displacement)
 
     def advance(self, plant_state: State, valve: ValveState, displacement: Scalar) -> tuple[State, Scalar]:
         flows = valve.flows[self.delay_samples], valve.flows[self.delay_samples + 1]
-        next_state = self._model_at(displacement).advance(plant_state, *flows)
+        nonlinearity = self.benchmark.nonlinearity
+        position = jnp.zeros(()) if nonlinearity is None else nonlinearity.position(displacement)
+        next_state = self.discrete.at(position).advance(plant_state, *flows)
         return next_state, self._scale(displacement) * (next_state[0] - plant_state[0])
 
     def speed(self, plant_state: State, valve: ValveState, displacement: Scalar) -> Scalar:
@@ -136,23 +138,11 @@ class _LinearModel(DiscretePhysicalModel):
         travel_speed = jnp.sum(a[0] * plant_state) + b[0] * valve.flows[self.delay_samples + 1]
         return self._scale(displacement) * travel_speed
 
-    def _model_at(self, displacement: Scalar) -> DiscreteStateSpace:
-        """Return the discrete linear part at a displacement."""
-        discrete, nonlinearity = self.discrete, self.benchmark.nonlinearity
-        if isinstance(discrete, DiscreteStateSpace):
-            return discrete
-        return discrete.at(jnp.zeros(()) if nonlinearity is None else nonlinearity.position(displacement))
-
     def _scale(self, displacement: Scalar) -> Scalar:
         """Return the change of displacement per travel of the linear part."""
         nonlinearity = self.benchmark.nonlinearity
         gain = jnp.ones(()) if nonlinearity is None else nonlinearity.gain(displacement)
         return self.sign * gain
-
-
-def _discrete(benchmark: PhysicalModel, step_s: float) -> DiscreteStateSpace | StrokeModel:
-    along_stroke = benchmark.varies_along_stroke
-    return benchmark.discretised_along_stroke(step_s) if along_stroke else benchmark.discretised(step_s)
 
 
 class _NonlinearModel(DiscretePhysicalModel):

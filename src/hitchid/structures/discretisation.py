@@ -51,6 +51,11 @@ class DiscreteStateSpace(NamedTuple):
         """State at rest."""
         return jnp.zeros_like(self.gamma0) if self.friction is None else self.friction.start
 
+    def at(self, position: Float[Array, "*t"]) -> "DiscreteStateSpace":
+        """Return the model, which is the same everywhere on the stroke; see `StrokeModel.at`."""
+        del position
+        return self
+
     def advance(
         self, state: Float[Array, "n *t"], current: Float[Array, "*t"], previous: Float[Array, "*t"]
     ) -> Float[Array, "n *t"]:
@@ -85,6 +90,11 @@ class StrokeModel(NamedTuple):
 
     models: DiscreteStateSpace
 
+    @property
+    def delay_samples(self) -> Int[Array, ""]:
+        """The whole samples of the dead time."""
+        return self.models.delay_samples[0]
+
     def at(self, position: Float[Array, "*t"]) -> DiscreteStateSpace:
         """Return the models at places on the stroke, each array with the axes of `position` behind its own.
 
@@ -100,7 +110,7 @@ class StrokeModel(NamedTuple):
             return rows[..., index] * (1 - share) + rows[..., index + 1] * share
 
         parts = self.models._replace(delay_samples=jnp.zeros(STROKE_NODES))
-        return jax.tree.map(interpolated, parts)._replace(delay_samples=self.models.delay_samples[0])
+        return jax.tree.map(interpolated, parts)._replace(delay_samples=self.delay_samples)
 
 
 def zero_order_hold(
@@ -216,22 +226,15 @@ def simulate_linear(model: DiscreteStateSpace, command: Float[Array, "t n"]) -> 
         return model.advance(state, *commands), state[0]
 
     start = jnp.broadcast_to(model.start[:, None], (model.start.size, command.shape[0]))
-    return jax.lax.scan(advance, start.astype(command.dtype), delayed_commands(command, model.delay_samples))[
-        1
-    ].T
+    commands = delayed(command, model.delay_samples), delayed(command, model.delay_samples + 1)
+    return jax.lax.scan(advance, start.astype(command.dtype), commands)[1].T
 
 
-def delayed_commands(
-    command: Float[Array, "t n"], delay_samples: Int[Array, ""]
-) -> tuple[Float[Array, "n t"], Float[Array, "n t"]]:
-    """Return u[k−m] and u[k−m−1] of commands that are zero before their first sample; time runs first."""
+def delayed(command: Float[Array, "t n"], samples: Int[Array, ""]) -> Float[Array, "n t"]:
+    """Return u[k−m] of commands that are zero before their first sample; time runs first."""
     count = command.shape[1]
     padded = jnp.pad(command, ((0, 0), (count, 0)))
-
-    def delayed(samples: Array) -> Float[Array, "n t"]:
-        return jax.lax.dynamic_slice_in_dim(padded, count - samples, count, axis=1).T
-
-    return delayed(delay_samples), delayed(delay_samples + 1)
+    return jax.lax.dynamic_slice_in_dim(padded, count - samples, count, axis=1).T
 
 
 def pulse_response(model: DiscreteStateSpace, samples: int) -> Float[Array, " n"]:

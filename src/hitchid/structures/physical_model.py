@@ -1,9 +1,11 @@
 """A structure with values for its parameters: simulation and discrete model."""
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from hitchid._support.precision import double_precision
 from hitchid._support.short_repr import short_repr
@@ -12,14 +14,14 @@ from hitchid.structures.discretisation import (
     DiscreteStateSpace,
     Scalar,
     StrokeModel,
-    delayed_commands,
+    delayed,
     discretise,
     discretise_along_stroke,
     simulate_linear,
 )
 from hitchid.structures.nonlinear import NonlinearStructure, simulate_nonlinear
 from hitchid.structures.scheduling import OPENING, Scheduling, effect_parameters
-from hitchid.structures.static_nonlinearity import NONLINEARITY_PARAMETERS, StaticNonlinearity
+from hitchid.structures.static_nonlinearity import NONLINEARITY_PARAMETERS, PlayState, StaticNonlinearity
 from hitchid.structures.structure import DEAD_TIME, LinearStructure, Parameter, Structure
 
 
@@ -54,13 +56,7 @@ class PhysicalModel(eqx.Module):
             return _travel_by_load(self, batch)
         if self.nonlinearity is None:
             return self.response(batch.command, batch.step_s)
-        flow = _flow(self.nonlinearity, batch.raw_command, batch.dead_zone, batch.step_s)
-        if self.varies_along_stroke:
-            return _travel_along_stroke(
-                self, self.nonlinearity, flow, batch.initial, batch.sign, batch.step_s
-            )
-        linear = self.response(flow, batch.step_s)
-        return _apply_nonlinearity(self.nonlinearity, linear, batch.initial, batch.sign)
+        return _travel(self, self.nonlinearity, batch)
 
     @property
     def covariates(self) -> tuple[str, ...]:
@@ -138,8 +134,10 @@ class PhysicalModel(eqx.Module):
         return self.structure.require_linear().state_at_speed(self.values_at(displacement), speed)
 
     @double_precision
-    def discretised_along_stroke(self, step_s: Scalar) -> StrokeModel:
-        """Return the discrete models of places on the stroke; see `discretised`."""
+    def discretised_along_stroke(self, step_s: Scalar) -> DiscreteStateSpace | StrokeModel:
+        """Return the discrete models of places on the stroke, one for all where the dynamics do not vary."""
+        if not self.varies_along_stroke:
+            return self.discretised(step_s)
         return _discretised_along_stroke(
             self.structure.require_linear(), self.values, self.dead_time_s, step_s
         )
@@ -198,26 +196,6 @@ class PhysicalModel(eqx.Module):
 
 
 @eqx.filter_jit
-def _flow(
-    nonlinearity: StaticNonlinearity,
-    raw_command: Float[Array, "t n"],
-    dead_zone: Float[Array, " t"],
-    step_s: Scalar,
-) -> Float[Array, "t n"]:
-    return nonlinearity.flow(nonlinearity.effective(raw_command, dead_zone, step_s))
-
-
-@eqx.filter_jit
-def _apply_nonlinearity(
-    nonlinearity: StaticNonlinearity,
-    linear: Float[Array, "t n"],
-    initial: Float[Array, " t"],
-    sign: int | Int[Array, ""],
-) -> Float[Array, "t n"]:
-    return nonlinearity.travel(linear, initial, sign)
-
-
-@eqx.filter_jit
 def _travel_by_load(physical_model: PhysicalModel, batch: Batch) -> Float[Array, "t n"]:
     """Return travel where parameters vary with covariates: each test has a model of its own."""
 
@@ -241,25 +219,43 @@ def _discretised_along_stroke(
     return discretise_along_stroke(structure, values, dead_time_s, step_s)
 
 
+class _TestState(NamedTuple):
+    """State of T tests at one sample.
+
+    Attributes:
+        spool: of the valve.
+        flow: through it over the sample before, shape [T].
+        plant: of the linear model, shape [n, T].
+        travel: shape [T].
+    """
+
+    spool: PlayState
+    flow: Float[Array, " t"]
+    plant: Float[Array, "n t"]
+    travel: Float[Array, " t"]
+
+
 @eqx.filter_jit
-def _travel_along_stroke(
-    physical_model: PhysicalModel,
-    nonlinearity: StaticNonlinearity,
-    flow: Float[Array, "t n"],
-    initial: Float[Array, " t"],
-    sign: int | Int[Array, ""],
-    step_s: Scalar,
+def _travel(
+    physical_model: PhysicalModel, nonlinearity: StaticNonlinearity, batch: Batch
 ) -> Float[Array, "t n"]:
-    """Return travel where the dynamics vary along the stroke; see `StaticNonlinearity.travel`."""
+    """Return travel through valve, linear dynamics and gain along the stroke, in one loop over the samples.
+
+    A loop for each would write and read all signals, and their derivatives, in between. The spool starts at
+    rest: its command is delayed in place of the flow, which for whole samples is the same.
+    """
+    step_s, initial = batch.step_s, batch.initial
     model = physical_model.discretised_along_stroke(step_s)
 
-    def advance(state: tuple[Array, Array], flows: tuple[Array, Array]) -> tuple[tuple[Array, Array], Array]:
-        plant, travel = state
-        displacement = initial + sign * travel
-        next_plant = model.at(nonlinearity.position(displacement)).advance(plant, *flows)
-        step = nonlinearity.gain(displacement) * (next_plant[0] - plant[0])
-        return (next_plant, travel + step), travel
+    def advance(state: _TestState, command: Array) -> tuple[_TestState, Array]:
+        displacement = initial + batch.sign * state.travel
+        spool, excess = nonlinearity.step_spool(state.spool, command, batch.dead_zone, step_s)
+        flow = nonlinearity.flow(excess)
+        plant = model.at(nonlinearity.position(displacement)).advance(state.plant, flow, state.flow)
+        step = nonlinearity.gain(displacement) * (plant[0] - state.plant[0])
+        return _TestState(spool, flow, plant, state.travel + step), state.travel
 
     at_rest = jax.vmap(physical_model.state_at_speed, in_axes=(None, 0), out_axes=1)(jnp.zeros(()), initial)
-    flows = delayed_commands(flow, model.models.delay_samples[0])
-    return jax.lax.scan(advance, (at_rest, jnp.zeros_like(initial)), flows)[1].T
+    zeros = jnp.zeros_like(initial)
+    first = _TestState(PlayState(zeros, zeros), zeros, at_rest, zeros)
+    return jax.lax.scan(advance, first, delayed(batch.raw_command, model.delay_samples))[1].T

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from hitchid._support.short_repr import short_repr
 from hitchid.structures.scheduling import CovariateScales
@@ -181,27 +181,6 @@ class StaticNonlinearity(eqx.Module):
     def position(self, displacement: Float[Array, "*b"]) -> Float[Array, "*b"]:
         """Return ξ, half ranges of displacement from the middle of its range."""
         return (displacement - self.scales.centre) / self.scales.span
-
-    def travel(
-        self,
-        linear: Float[Array, "t n"],
-        initial: Float[Array, " t"],
-        sign: int | Int[Array, ""],
-    ) -> Float[Array, "t n"]:
-        """Return travel from the linear model's.
-
-        Args:
-            linear: travel of the linear model.
-            initial: displacement before motion.
-            sign: +1 where displacement grows with travel, −1 where it falls.
-        """
-        steps = jnp.diff(linear, axis=1, prepend=jnp.zeros_like(linear[:, :1]))
-
-        def advance(travel: Array, step: Array) -> tuple[Array, Array]:
-            travel = travel + self.gain(initial + sign * travel) * step
-            return travel, travel
-
-        return jax.lax.scan(advance, jnp.zeros_like(initial), steps.T)[1].T
 
     def with_opening_shifted(self, shift: Float[Array, ""]) -> "StaticNonlinearity":
         """Return the curves with d + s in place of d, s a share of U."""
