@@ -127,6 +127,12 @@ def test_an_integrator_answers_a_thinned_batch_at_its_samples_as_the_whole_one(r
     np.testing.assert_allclose(found, whole, rtol=0, atol=512 * EPS * whole.max())
 
 
+@pytest.mark.parametrize(("tests", "samples"), [(3, 512), (64, 512), (128, 256), (400, 256)])
+def test_the_coarse_clock_of_many_tests_is_coarser(records, tests, samples):
+    batch = laid(records).take([0] * tests)
+    assert batch.coarse().command.shape == (tests, samples)
+
+
 @pytest.mark.parametrize("direction", [1, -1])
 def test_displaced_undoes_travel(records, direction):
     batch = laid(records, sign=direction)

@@ -22,7 +22,7 @@ from hitchid.structures import Batch, ModelSpec, PhysicalModel
 from hitchid.uncertainty import NO_ERROR, DeadZoneError, Influence, assess, unassessed
 
 GAIN_ITERATIONS = 3  # of the gain, on which the travel depends weakly through the gain along the stroke
-SEARCH_SAMPLES, COARSE_SAMPLES = 8192, 2048  # of a test, at most: in the search, in the first descents
+SEARCH_SAMPLES = 8192  # of a test, at most, in the search
 FIT_SHARES = {"search": 0.6, "rough": 0.2, "least squares": 0.2}  # of the work of a fit (measured)
 ROUGH_TOLERANCE, ROUGH_STEPS, STEPS = 1e-9, 60, 60  # of the first descents; positions of each descent
 
@@ -172,7 +172,7 @@ def _refine_from_starts(
 ) -> np.ndarray:
     """Return where least squares ends from the best of several starts, the first of them the search's."""
     parts["rough"](ProgressUpdate("phase 1, least squares from several starts", 0.0))
-    coarse = objective.with_data(objective.batch.decimate(COARSE_SAMPLES)).problem()
+    coarse = objective.with_data(objective.batch.coarse()).problem()
     rough_result = best_refined(coarse, starts, limit=ROUGH_STEPS, tolerance=ROUGH_TOLERANCE)
     problem = objective.problem()
     parts["least squares"](ProgressUpdate("phase 1, least squares", 0.0))

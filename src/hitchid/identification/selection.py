@@ -41,7 +41,6 @@ from hitchid.structures import (
 )
 from hitchid.uncertainty import NO_ERROR, DeadZoneError
 
-SAMPLES = 2048  # largest number of samples of a test while candidates are compared; chosen
 # Shares of a dead zone that is tried again with a valve curve; the first decides whether the others are.
 DEAD_ZONE_SHARES = (0.5, 0.25, 0.75, 0.0)
 # Work of the first fit, the candidates, structures of other packages, the last fit, the intervals (measured).
@@ -109,7 +108,7 @@ def choose_spec(
     covariates = [name for name in auto_structure.covariate_names if np.ptp(batch.load([name])) > 0]
     folds = operating_point_folds(batch, separate_tests=bool(covariates))
     parts = split_progress(progress, CHOICE_SHARES)
-    choice = _Choice(batch, batch.decimate(SAMPLES), folds, search, seed, units, parts, checkpoints)
+    choice = _Choice(batch, batch.coarse(), folds, search, seed, units, parts, checkpoints)
     assessed = partial(assess_fit, units=units, dead_zone=dead_zone, seed=seed, progress=parts["intervals"])
     baseline = choice.search_fit(baseline_spec, BASELINE, part="baseline", checkpoint="plain")
     if not folds:

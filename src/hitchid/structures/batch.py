@@ -13,6 +13,8 @@ from hitchid.data.record import Record
 from hitchid.data.test_kinds import effective_command
 
 MIN_PADDED_LENGTH, MIN_PADDED_TESTS = 256, 4  # samples, tests; smaller programs cost as much to compile
+# Of the tests on a coarse clock, see `Batch.coarse`; chosen for speed.
+COARSE_SAMPLES, COARSE_TOTAL, FEWEST_COARSE_SAMPLES = 2048, 32_768, 256
 REST_SAMPLES = 50  # samples: their mean has a seventh of the sensor's noise
 BY_TEST = (  # arrays of a batch with a row for each test
     "command",
@@ -194,6 +196,15 @@ class Batch(eqx.Module):
             sign=self.sign,
             covariate_names=self.covariate_names,
         )
+
+    def coarse(self) -> "Batch":
+        """Return the tests on a clock for fits that are compared, or that others start from.
+
+        At most 2048 samples a test; of many tests as many fewer as keep 32 768 in all, but for 256 a test:
+        what a campaign determines grows with its tests, not with their samples.
+        """
+        samples = max(COARSE_TOTAL // self.command.shape[0], FEWEST_COARSE_SAMPLES)
+        return self.decimate(min(samples, COARSE_SAMPLES))
 
     def pad_batch(self) -> "Batch":
         """Return the tests padded with tests of no weight, so that like numbers compile once.

@@ -24,7 +24,6 @@ from hitchid.uncertainty.verdict import verdict
 
 TIGHT_RATIO, TIGHT_SHARE = 1.4, 0.2  # widest interval without a profile: ratio, share of range; chosen
 PERCENTILES = (2.5, 97.5)  # ends of a 95 % interval
-PROFILE_SAMPLES = 2048  # samples of a test in a profile's fits; chosen for speed
 ASSESSMENT_SHARES = {"standard errors": 0.3, "intervals": 0.5, "derived": 0.2}  # of the work (measured)
 # Share of the largest derivative: below it an error of 0.1 % of the travel is wider than the bounds.
 MIN_RELATIVE_DERIVATIVE = 1e-5
@@ -148,7 +147,7 @@ def _with_interval(
         interval = _interval_union(interval, bootstrap)
         if result.is_narrow(interval, TIGHT_RATIO, TIGHT_SHARE):
             return replace(result, interval=interval)
-    coarse_objective = objective.with_data(objective.batch.decimate(PROFILE_SAMPLES))
+    coarse_objective = objective.with_data(objective.batch.coarse())
     curve = profile(coarse_objective, position, result.number, dead_zone)
     interval = _interval_union(result.to_interval(curve.lower, curve.upper), bootstrap)
     return replace(result, interval=interval, profile=curve)

@@ -13,9 +13,9 @@ from hitchid.uncertainty.profile import Profile
 from hitchid.uncertainty.scores import MIN_EIGENVALUE, Scores
 
 BOOTSTRAP_DRAWS = 999  # resamples of the tests; chosen
-# Refit with a shifted dead zone: samples of a test, steps, relative tolerance of the sum of squares (tight:
-# the shift of the estimates is small). Chosen.
-COARSE_SAMPLES, REFIT_STEPS, TOLERANCE = 2048, 15, 1e-12
+# Refit with a shifted dead zone: steps, relative tolerance of the sum of squares (tight: the shift of the
+# estimates is small). Chosen.
+REFIT_STEPS, TOLERANCE = 15, 1e-12
 GAIN_INDEX = 0  # the gain is the first parameter of every linear structure
 
 
@@ -139,7 +139,7 @@ def _shifted_estimates(
     estimates = np.stack([position, position])
     if not dead_zone.standard_error > 0 or not free.any():
         return estimates
-    coarse_objective = objective.with_data(objective.batch.decimate(COARSE_SAMPLES))
+    coarse_objective = objective.with_data(objective.batch.coarse())
     for row, shift in enumerate((dead_zone.standard_error, -dead_zone.standard_error)):
         shifted_objective = coarse_objective.with_data(
             coarse_objective.batch.with_dead_zones(coarse_objective.batch.dead_zone + shift)
