@@ -113,8 +113,8 @@ def step(
     Args:
         rig: the bench, which may have other parameters than in the step before.
         state: of the bench.
-        currents: lifting and lowering, held for 10 ms, A, shape [2]; negative ones count as zero, others that are not
-            finite too.
+        currents: lifting and lowering, held for 10 ms, A, shape [2]; one that is negative or not finite
+            counts as zero.
         disturbance: over the sample, and on its reading.
 
     Raises:
