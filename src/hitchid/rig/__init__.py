@@ -9,11 +9,19 @@ from hitchid.rig.small_signal import OperatingPoint as OperatingPoint
 from hitchid.rig.small_signal import SmallSignal as SmallSignal
 from hitchid.rig.small_signal import lowering_small_signal as lowering_small_signal
 from hitchid.rig.small_signal import small_signal as small_signal
+from hitchid.rig.stepping import BenchState as BenchState
+from hitchid.rig.stepping import Disturbance as Disturbance
+from hitchid.rig.stepping import Measurement as Measurement
+from hitchid.rig.stepping import reset as reset
+from hitchid.rig.stepping import step as step
 from hitchid.rig.test_bench import Rig as Rig
 from hitchid.rig.test_bench import RigLimits as RigLimits
 from hitchid.rig.test_bench import rig_limits as rig_limits
 
 __all__ = [
+    "BenchState",
+    "Disturbance",
+    "Measurement",
     "OperatingPoint",
     "Rig",
     "RigLimits",
@@ -23,7 +31,9 @@ __all__ = [
     "lowering_small_signal",
     "measure",
     "parameter_sets",
+    "reset",
     "rig_limits",
     "simulate",
     "small_signal",
+    "step",
 ]

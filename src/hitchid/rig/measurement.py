@@ -69,24 +69,44 @@ def _measure(
     time = (nominal + SAMPLE_S * clock_jitter).at[:, 0].set(0.0)
     corner = sensors.filter_frequency * SAMPLE_S
     angle = _first_order_filter(rig.linkage.sensor_angle(displacement), corner)
-    angle = jax.vmap(jnp.interp)(time, nominal, angle)
-
-    def read(value: Array, full: Array, curve: CalibrationCurve, spread: Array, noise: Array) -> Array:
-        reading = value / full
-        error = curve.error(reading) + spread * noise
-        return full * sensors.quantise(reading + error)
-
-    angle = read(angle, sensors.angle_range, sensors.angle_curve, sensors.angle_noise, angle_noise)
+    angle = angle_reading(rig, jax.vmap(jnp.interp)(time, nominal, angle), angle_noise)
     filtered_currents = _filter_held_input(currents, corner)
-    full, spread = sensors.current_range, sensors.current_noise
+    current_noise = jnp.stack([lifting_noise, lowering_noise], axis=-1)
+    read = current_readings(rig, filtered_currents, current_noise)
     return {
         "time_s": time,
-        "current_up_A": read(filtered_currents[..., 0], full, sensors.lifting_curve, spread, lifting_noise),
-        "current_down_A": read(
-            filtered_currents[..., 1], full, sensors.lowering_curve, spread, lowering_noise
-        ),
+        "current_up_A": read[..., 0],
+        "current_down_A": read[..., 1],
         "displacement_mm": 1e3 * rig.linkage.displacement(angle),
     }
+
+
+def angle_reading(rig: Rig, angle: Float[Array, "..."], noise: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Return the converter's reading of filtered lift-arm angles, rad; `noise` is of spread one."""
+    sensors = rig.sensors
+    return _read(rig, angle, sensors.angle_range, sensors.angle_curve, sensors.angle_noise * noise)
+
+
+def current_readings(
+    rig: Rig, currents: Float[Array, "... 2"], noise: Float[Array, "... 2"]
+) -> Float[Array, "... 2"]:
+    """Return the converter's readings of filtered lifting and lowering currents, A; `noise` of spread one."""
+    sensors = rig.sensors
+    curves = (sensors.lifting_curve, sensors.lowering_curve)
+    spread = sensors.current_noise
+    return jnp.stack(
+        [
+            _read(rig, currents[..., number], sensors.current_range, curve, spread * noise[..., number])
+            for number, curve in enumerate(curves)
+        ],
+        axis=-1,
+    )
+
+
+def _read(rig: Rig, value: Array, full: Array, curve: CalibrationCurve, error: Array) -> Array:
+    """Return a value as the converter reads it, with the error of its calibration curve and of noise."""
+    reading = value / full
+    return full * rig.sensors.quantise(reading + (curve.error(reading) + error))
 
 
 def _first_order_filter(signal: Float[Array, "t n"], corner: Array) -> Float[Array, "t n"]:

@@ -1,6 +1,7 @@
 """Simulation of tests: true motion of the bench under given currents."""
 
 from functools import partial
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -17,6 +18,7 @@ from hitchid.rig.plant import (
     OilVolumes,
     RigInputs,
     RigState,
+    StepFactors,
     advance,
     at_rest,
     cylinder_amount,
@@ -109,9 +111,9 @@ def simulate(
         "oil_temperature_c": _broadcast("oil_temperature_c", temperature, (tests,)),
     }
     for name, array in inputs.items():
-        _check(name, array, -np.inf, np.inf)
-    _check("currents", inputs["currents"], 0.0, np.inf)
-    _check("initial_displacement_m", inputs["initial_displacement_m"], 0.0, rig.cylinder.stroke)
+        check_range(name, array, -np.inf, np.inf)
+    check_range("currents", inputs["currents"], 0.0, np.inf)
+    check_range("initial_displacement_m", inputs["initial_displacement_m"], 0.0, rig.cylinder.stroke)
     return _simulate(
         rig,
         inputs["currents"],
@@ -132,7 +134,8 @@ def _broadcast(name: str, value: object, shape: tuple[int, ...]) -> Array:
         ) from error
 
 
-def _check(name: str, array: Array, low: float, high: object) -> None:
+def check_range(name: str, array: Array, low: float, high: object) -> None:
+    """Raise InputError where a value is not finite or beyond its limits; in a compiled program nothing."""
     if isinstance(array, Tracer) or isinstance(high, Tracer):
         return
     values, top = np.asarray(array), float(np.asarray(high))
@@ -168,27 +171,70 @@ def _simulate_test(
     load_force: Float[Array, " n"],
     temperature: Scalar,
 ) -> RigState:
-    rig = at_temperature(rig, temperature)
-    steps = step_factors(rig, jnp.asarray(SAMPLE_S / substeps))
-    ripple_phase_step = rig.supply.ripple_frequency * steps.dt
-    ripple_amplitude = rig.supply.ripple * jnp.sinc(ripple_phase_step / (2 * jnp.pi))
+    warm = at_temperature(rig, temperature)
+    factors = _sample_factors(warm, substeps)
 
     def sample(state: RigState, row: tuple[Array, Array, Array]) -> tuple[RigState, RigState]:
-        current, force, number = row
-        load, origin = rig.linkage.load(state.displacement), state.displacement
-        inputs = RigInputs(current[0], current[1], force)
-        start = rig.supply.ripple_frequency * SAMPLE_S * number
+        return _advance_sample(warm, factors, state, *row), state
 
-        def substep(index: Array, inner_state: RigState) -> RigState:
-            ripple = 1 + ripple_amplitude * jnp.sin(start + (index + 0.5) * ripple_phase_step)
-            return advance(rig, load, origin, inner_state, inputs, ripple, steps)
-
-        return jax.lax.fori_loop(0, substeps, substep, state), state
-
-    initial_state = at_rest(rig, initial, load_force[0])
+    initial_state = at_rest(warm, initial, load_force[0])
     numbers = jnp.arange(load_force.shape[0], dtype=jnp.float64)
     _, states = jax.lax.scan(sample, initial_state, (currents, load_force, numbers))
     return states
+
+
+class _SampleFactors(NamedTuple):
+    """What does not change from sample to sample: factors of a step, and the phase and size of the ripple."""
+
+    steps: StepFactors
+    ripple_phase_step: Scalar
+    ripple_amplitude: Scalar
+    substeps: int
+
+
+def _sample_factors(rig: Rig, substeps: int) -> _SampleFactors:
+    steps = step_factors(rig, jnp.asarray(SAMPLE_S / substeps))
+    phase_step = rig.supply.ripple_frequency * steps.dt
+    return _SampleFactors(
+        steps, phase_step, rig.supply.ripple * jnp.sinc(phase_step / (2 * jnp.pi)), substeps
+    )
+
+
+def _advance_sample(
+    rig: Rig,
+    factors: _SampleFactors,
+    state: RigState,
+    currents: Float[Array, "2"],
+    load_force: Scalar,
+    number: Scalar,
+) -> RigState:
+    """Return the bench 10 ms later; see `advance_sample`. `rig` is at its oil temperature."""
+    load, origin = rig.linkage.load(state.displacement), state.displacement
+    inputs = RigInputs(currents[0], currents[1], load_force)
+    start = rig.supply.ripple_frequency * SAMPLE_S * number
+
+    def substep(index: Array, inner_state: RigState) -> RigState:
+        phase = start + (index + 0.5) * factors.ripple_phase_step
+        ripple = 1 + factors.ripple_amplitude * jnp.sin(phase)
+        return advance(rig, load, origin, inner_state, inputs, ripple, factors.steps)
+
+    return jax.lax.fori_loop(0, factors.substeps, substep, state)
+
+
+def advance_sample(
+    rig: Rig, state: RigState, currents: Float[Array, "2"], load_force: Scalar, number: Scalar
+) -> RigState:
+    """Return the bench 10 ms later, at the rig's oil temperature.
+
+    Args:
+        rig: the bench.
+        state: at the start of the sample.
+        currents: lifting and lowering, held, A.
+        load_force: at the implement, downward, N.
+        number: of the sample since the start, which the pump's ripple follows.
+    """
+    warm = at_temperature(rig, rig.oil.temperature)
+    return _advance_sample(warm, _sample_factors(warm, SUBSTEPS), state, currents, load_force, number)
 
 
 def _motion(states: RigState) -> RigMotion:
