@@ -72,6 +72,20 @@ def test_draws_stay_within_the_bounds_of_the_search(benchmark):
     assert {drawn.min(), drawn.max()} == {0.5 * GAIN, 2 * GAIN}
 
 
+def test_a_bound_leaves_what_two_parameters_determine_together(benchmark):
+    # Log gain and log frequency vary by 2, their sum by 0.01: beyond the bounds the sum is still known.
+    spread, known_sum = 2.0, 0.01
+    correlation = -1 + 0.5 * (known_sum / spread) ** 2
+    known = estimates(
+        estimate("gain", GAIN, spread * GAIN, lower=0.5 * GAIN, upper=2 * GAIN),
+        estimate("natural_frequency", OMEGA, spread * OMEGA),
+        correlation=[[1.0, correlation], [correlation, 1.0]],
+    )
+    logarithms = np.log(draw_parameters(benchmark, known, COUNT, seed=0)[:, :2] / [GAIN, OMEGA])
+    assert np.abs(logarithms[:, 0]).max() == pytest.approx(np.log(2), rel=1e-12)
+    assert logarithms.sum(axis=1).std() == pytest.approx(known_sum, rel=5 / np.sqrt(2 * COUNT))
+
+
 def test_a_value_beyond_the_bounds_is_not_moved(benchmark):
     known = estimates(estimate("gain", GAIN, None, lower=2 * GAIN, upper=3 * GAIN))
     known = replace(known, correlation=((0.0,),))

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, cast
 
 from hitchid.model.commands import Numbers
 from hitchid.model.inverse_table import InverseTable, make_inverse_table
-from hitchid.model.linear import linear_model
+from hitchid.model.linearisation import DRAWS, Linearisation, linearise_hitch
 from hitchid.model.loads import Load
 from hitchid.model.speed import SteadySpeed, speed_with_band
 
@@ -62,6 +62,37 @@ class Handover:
         """
         return make_inverse_table(_hitch(self), direction, speeds, displacement=displacement, load=load)
 
+    def linearise(
+        self,
+        direction: str | None = None,
+        *,
+        command: float | None = None,
+        displacement: float | None = None,
+        load: Load | None = None,
+        draws: int = DRAWS,
+        seed: int = 0,
+    ) -> Linearisation:
+        """Return the linear model of a direction about an operating point, with draws of its parameters.
+
+        From the deviation of the command to that of the displacement, without compensators; its parameters
+        are also drawn from the distribution of their estimates, at a fixed dead zone, for bands and for a
+        design that holds for all of them. The default operating point has the parameters of the identified
+        transfer function; others are a list comprehension away.
+
+        Args:
+            direction: of the channel; may be omitted in a model of one channel.
+            command, displacement, load: operating point, in the model's units; by default half way from
+                the opening of the valve to the largest command, mid stroke, and mean load of the tests.
+            draws: number of parameter vectors; a model without estimates has none.
+            seed: of the draws.
+
+        Raises:
+            InputError: the structure is not linear, the valve is closed at the operating point, or an
+                argument does not fit.
+        """
+        point = {"command": command, "displacement": displacement, "load": load}
+        return linearise_hitch(_hitch(self), direction, **point, draws=draws, seed=seed)
+
     def to_scipy(
         self,
         direction: str | None = None,
@@ -73,7 +104,7 @@ class Handover:
     ) -> "signal.StateSpace":
         """Return the linear state-space model of a direction as `scipy.signal` has it; see `to_control`."""
         point = {"command": command, "displacement": displacement, "load": load}
-        return linear_model(_hitch(self), direction, step_s, **point).to_scipy()
+        return self.linearise(direction, **point, draws=0).to_scipy(step_s)
 
     def to_control(
         self,
@@ -94,16 +125,16 @@ class Handover:
         Args:
             direction: of the channel; may be omitted in a model of one channel.
             step_s: sampling time, s, for the exact model of a held command; None for the continuous model,
-                which a model with a dead time does not have.
+                the dead time as a Padé approximant of fourth order.
             command, displacement, load: operating point, in the model's units; by default half way from
                 the opening of the valve to the largest command, mid stroke, and mean load of the tests.
 
         Raises:
-            InputError: the structure is not linear, the valve is closed at the operating point, the model is
-                continuous and has a dead time, or python-control is not installed.
+            InputError: the structure is not linear, the valve is closed at the operating point, the dead time
+                has too many samples, or python-control is not installed.
         """
         point = {"command": command, "displacement": displacement, "load": load}
-        return linear_model(_hitch(self), direction, step_s, **point).to_control()
+        return self.linearise(direction, **point, draws=0).to_control(step_s)
 
 
 def _hitch(handover: Handover) -> "Hitch":

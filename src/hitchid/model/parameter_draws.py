@@ -12,8 +12,9 @@ def draw_parameters(
 ) -> Float[np.ndarray, "s r"]:
     """Return parameter vectors from the normal distribution of the estimates around the model's values.
 
-    Positive parameters are drawn by their logarithm, as they are estimated. A draw beyond the bounds of the
-    search is set to the bound; a parameter without a standard error keeps its value.
+    Positive parameters are drawn by their logarithm, as they are estimated. A parameter beyond the
+    bounds of the search is set to the bound, and the others to their mean given that; one without a standard
+    error keeps its value.
 
     Args:
         benchmark: the physical model.
@@ -28,18 +29,48 @@ def draw_parameters(
     vectors = np.tile(np.asarray(benchmark.parameter_vector, dtype=np.float64), (count, 1))
     parameters = estimates.parameters
     columns = [names.index(estimate.name) for estimate in parameters]
-    deviations = np.array(
-        [_deviation(estimate, vectors[0, i]) for estimate, i in zip(parameters, columns, strict=True)]
-    )
+    values = vectors[0, columns]
+    deviations = np.array(list(map(_deviation, parameters, values)))
     covariance = np.outer(deviations, deviations) * np.array(estimates.correlation)
     random = np.random.default_rng(seed)
     # Singular where a parameter keeps its value, which the eigenvalue decomposition allows.
     steps = random.multivariate_normal(np.zeros(deviations.size), covariance, count, method="eigh")
-    for estimate, column, step in zip(parameters, columns, steps.T, strict=True):
-        value = vectors[0, column]
-        drawn = value + step if estimate.linear else value * np.exp(step)
-        vectors[:, column] = np.clip(drawn, min(estimate.lower, value), max(estimate.upper, value))
+    bounds = np.array([_bounds(estimate, value) for estimate, value in zip(parameters, values, strict=True)])
+    linear = np.array([estimate.linear for estimate in parameters])
+    for row, step in zip(vectors, steps, strict=True):
+        within = _within(step, covariance, *bounds.T)
+        row[columns] = np.where(linear, values + within, values * np.exp(np.where(linear, 0.0, within)))
     return vectors
+
+
+def _within(
+    step: Float[np.ndarray, " p"],
+    covariance: Float[np.ndarray, "p p"],
+    lowest: Float[np.ndarray, " p"],
+    highest: Float[np.ndarray, " p"],
+) -> Float[np.ndarray, " p"]:
+    """Return a step with parameters at the bounds that it passes, the others at their mean given these.
+
+    So what a bound takes from one parameter does not stay with those that it is correlated with. They are
+    held one by one, first the one that is the most standard errors beyond its bound.
+    """
+    held = np.zeros(step.size, bool)
+    deviations = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
+    while np.any(beyond := ~held & ((step < lowest) | (step > highest))):
+        excess = np.abs(step - np.clip(step, lowest, highest)) / deviations
+        held[np.argmax(np.where(beyond, excess, -1.0))] = True
+        moved = (np.clip(step, lowest, highest) - step)[held]
+        step = step + covariance[:, held] @ np.linalg.pinv(covariance[np.ix_(held, held)]) @ moved
+        step[held] = np.clip(step, lowest, highest)[held]
+    return step
+
+
+def _bounds(estimate: Estimate, value: float) -> tuple[float, float]:
+    """Return the largest steps of a parameter, or of its logarithm, down and up."""
+    lower, upper = min(estimate.lower, value), max(estimate.upper, value)
+    if estimate.linear:
+        return lower - value, upper - value
+    return float(np.log(lower / value)), float(np.log(upper / value))
 
 
 def _deviation(estimate: Estimate, value: float) -> float:

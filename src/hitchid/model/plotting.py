@@ -152,7 +152,7 @@ def plot_bode(
         direction: lifting or lowering; None for all directions of the model, in the same axes.
         frequency_hz: frequencies, Hz; None for three decades up to half the sampling frequency.
         command: constant command at which a model with a valve curve is linearised, in the model's unit; None
-            for the dead zone and half of the largest effective command.
+            for half way from the opening of the valve to the largest command of the tests.
         axes: two matplotlib axes, magnitude and phase; None for a new figure of pyplot.
         seed: of the parameter vectors.
 
@@ -168,7 +168,7 @@ def plot_bode(
     if command is not None:
         checks.number(command, "command", above=0.0)
     directions = _directions(model, direction)
-    frequencies = _frequencies(model, frequency_hz)
+    frequencies = responses.checked_frequencies_hz(frequency_hz, model.step_s)
     units = dict.fromkeys(f"{model.units[DISPLACEMENT]}/{model.units[COMMAND[name]]}" for name in directions)
     magnitudes, phases = [], []
     for name in directions:
@@ -257,12 +257,6 @@ def _draws(model: "Hitch", direction: str, seed: int) -> np.ndarray | None:
         return None
     checks.integer(seed, "seed")
     return draw_parameters(model.channels[direction].benchmark, known.benchmark, DRAWS, seed)
-
-
-def _frequencies(model: "Hitch", frequency_hz: Sequence[float] | np.ndarray | None) -> np.ndarray:
-    if frequency_hz is None:
-        return responses.default_frequencies_hz(model.step_s)
-    return np.array([checks.number(value, "frequency_hz", above=0.0) for value in np.ravel(frequency_hz)])
 
 
 def _decibels(magnitude: np.ndarray) -> np.ndarray:

@@ -9,17 +9,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from hitchid._support import checks
 from hitchid._support.precision import double_precision
 from hitchid._support.short_repr import short_repr
 from hitchid.data.test_kinds import effective_command
 from hitchid.model.channel import Channel
 from hitchid.model.step_response import speed_lag
 from hitchid.structures import (
-    NONLINEARITY_PARAMETERS,
     Batch,
     PhysicalModel,
-    Scales,
-    StaticNonlinearity,
+    SmallSignal,
+    default_command,
+    default_displacement,
+    small_signal,
     steady_speed,
 )
 
@@ -156,6 +158,13 @@ def default_frequencies_hz(step_s: float) -> np.ndarray:
     return np.geomspace(highest / 10**DECADES, highest, FREQUENCIES)
 
 
+def checked_frequencies_hz(frequency_hz: Sequence[float] | np.ndarray | None, step_s: float) -> np.ndarray:
+    """Return given frequencies, or the default; raises InputError for one that is not positive."""
+    if frequency_hz is None:
+        return default_frequencies_hz(step_s)
+    return np.array([checks.number(value, "frequency_hz", above=0.0) for value in np.ravel(frequency_hz)])
+
+
 @double_precision
 def frequency_response(
     channel: Channel,
@@ -163,34 +172,48 @@ def frequency_response(
     command: float | None = None,
     vectors: Float[np.ndarray, "s r"] | None = None,
 ) -> FrequencyResponse:
-    """Return G(jω) = x₁ᵀ (jω − A)⁻¹ B exp(−jωT) of the physical model from command to travel.
+    """Return G(jω) of the physical model from command to travel, at mid stroke and mean load.
 
-    With a valve curve the model is linearised at a constant command, mid stroke and mean load: G is
-    multiplied by the slope of the valve curve, by the gain there, and by 1/(1 + jωτ) of the spool. Small
-    signals within the hysteresis are not described.
+    See `hitchid.structures.linearise`. Small signals within the hysteresis are not described.
 
     Args:
         channel: of one direction, with a linear structure.
         frequency_hz: Hz, shape [F].
-        command: constant command of the linearisation, in its unit; None for the dead zone and half of the
-            largest effective command.
+        command: constant command of the linearisation, in its unit; None for that of `linearise`.
         vectors: parameter vectors of the band, shape [S, R]; None for no band.
 
     Raises:
         InputError: the structure is not linear.
     """
-    channel.benchmark.structure.require_linear()
-    effective = None if command is None else max(command - channel.dead_zone, 0.0)
-    nominal = np.asarray(channel.benchmark.parameter_vector)[None]
-    every = nominal if vectors is None else np.concatenate([nominal, vectors])
-    rational, dead_time_s = _frequency_responses(channel.benchmark, every, frequency_hz, effective)
-    magnitude = np.abs(rational)
-    phase = np.unwrap(np.angle(rational), axis=1) - 2 * np.pi * frequency_hz * dead_time_s[:, None]
-    if vectors is None:
-        return FrequencyResponse(frequency_hz, Banded(magnitude[0]), Banded(phase[0]))
-    return FrequencyResponse(
-        frequency_hz, Banded.of(magnitude[0], magnitude[1:]), Banded.of(phase[0], phase[1:])
-    )
+    benchmark = channel.benchmark
+    benchmark.structure.require_linear()
+    effective = default_command(benchmark) if command is None else max(command - channel.dead_zone, 0.0)
+
+    def linear(vector: Float[Array, " r"]) -> SmallSignal:
+        drawn = benchmark.with_parameter_vector(vector)
+        return small_signal(drawn, jnp.asarray(effective), default_displacement(drawn))
+
+    drawn = None if vectors is None else jax.vmap(linear)(jnp.asarray(vectors))
+    return response_of(linear(benchmark.parameter_vector), drawn, frequency_hz)
+
+
+def response_of(
+    nominal: SmallSignal, drawn: SmallSignal | None, frequency_hz: Float[np.ndarray, " f"]
+) -> FrequencyResponse:
+    """Return the frequency response of a linear model, with a band from others, the first axis of `drawn`."""
+    magnitude, phase_rad = _polar(nominal, frequency_hz)
+    if drawn is None:
+        return FrequencyResponse(frequency_hz, Banded(magnitude), Banded(phase_rad))
+    magnitudes, phases_rad = _polar(drawn, frequency_hz)
+    return FrequencyResponse(frequency_hz, Banded.of(magnitude, magnitudes), Banded.of(phase_rad, phases_rad))
+
+
+def _polar(linear: SmallSignal, frequency_hz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return magnitude and continuous phase, the dead time's included, rad."""
+    rational = linear.rational(frequency_hz)
+    phase_rad = np.unwrap(np.angle(rational), axis=-1)
+    dead_time_s = np.asarray(linear.dead_time_s)[..., None]
+    return np.abs(rational), phase_rad - 2 * np.pi * frequency_hz * dead_time_s
 
 
 def _step_batch(channel: Channel, levels: Sequence[float], step_s: float) -> Batch:
@@ -226,36 +249,3 @@ def _middle(channel: Channel) -> float:
 @eqx.filter_jit
 def _travels(benchmark: PhysicalModel, vectors: Float[Array, "s r"], batch: Batch) -> Float[Array, "s t n"]:
     return jax.vmap(lambda vector: benchmark.with_parameter_vector(vector).travel(batch))(vectors)
-
-
-def _frequency_responses(
-    benchmark: PhysicalModel, vectors: np.ndarray, frequency_hz: np.ndarray, effective: float | None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return rational part and dead time, s, of each parameter vector, shapes [S, F] and [S]."""
-    count = benchmark.values.size
-    a, b = jax.vmap(benchmark.structure.require_linear().state_space)(jnp.asarray(vectors[:, :count]))
-    s = 2j * np.pi * frequency_hz
-    system = s[:, None, None] * np.eye(b.shape[1]) - np.asarray(a)[:, None]
-    inputs = np.broadcast_to(np.asarray(b)[:, None, :, None], (*system.shape[:3], 1))
-    rational = np.linalg.solve(system, inputs)[:, :, 0, 0]
-    nonlinearity = benchmark.nonlinearity
-    if nonlinearity is not None:
-        curves = vectors[:, count + 1 : count + 1 + len(NONLINEARITY_PARAMETERS)]
-        spool_lag_s = curves[:, [parameter.name for parameter in NONLINEARITY_PARAMETERS].index("spool_lag")]
-        gains = np.asarray(_small_signal_gains(nonlinearity.scales, jnp.asarray(curves), effective))
-        rational = rational * gains[:, None] / (1 + s * spool_lag_s[:, None])
-    return rational, vectors[:, count]
-
-
-def _small_signal_gains(
-    scales: Scales, curves: Float[Array, "s c"], effective: float | None
-) -> Float[Array, " s"]:
-    """Return dw/du · g at an effective command, mid stroke and mean load for each row of values."""
-    command = 0.5 * scales.command if effective is None else jnp.asarray(effective)
-
-    def gain(values: Float[Array, " c"]) -> Float[Array, ""]:
-        nonlinearity = StaticNonlinearity(values, scales)
-        slope = jax.grad(nonlinearity.flow)(command)
-        return slope * nonlinearity.gain(scales.centre)
-
-    return jax.vmap(gain)(curves)

@@ -9,7 +9,12 @@ from hitchid.structures.discrete_physical_model import ValveState as ValveState
 from hitchid.structures.discretisation import discretise as discretise
 from hitchid.structures.discretisation import pulse_response as pulse_response
 from hitchid.structures.linear_model import LinearModel as LinearModel
+from hitchid.structures.linear_model import SmallSignal as SmallSignal
+from hitchid.structures.linear_model import default_command as default_command
+from hitchid.structures.linear_model import default_displacement as default_displacement
 from hitchid.structures.linear_model import linearise as linearise
+from hitchid.structures.linear_model import small_signal as small_signal
+from hitchid.structures.linear_model import small_signal_at as small_signal_at
 from hitchid.structures.model_spec import ModelSpec as ModelSpec
 from hitchid.structures.nonlinear import NonlinearStructure as NonlinearStructure
 from hitchid.structures.physical_model import PhysicalModel as PhysicalModel

@@ -174,6 +174,14 @@ def discretise(
         step_s: sampling time h, s.
     """
     a, b = structure.state_space(values)
+    discrete = discretise_delayed(a, b, dead_time_s, step_s)
+    return discrete._replace(friction=_discrete_friction(structure, values, step_s))
+
+
+def discretise_delayed(
+    a: Float[Array, "n n"], b: Float[Array, " n"], dead_time_s: Scalar, step_s: Scalar
+) -> DiscreteStateSpace:
+    """Discretise ẋ = A x + B u(t − T) exactly for a held command; see `discretise`."""
     dead_time_samples = jnp.asarray(dead_time_s) / step_s
     # A dead time of n samples computed as (n h)/h may fall short of n by rounding.
     delay_samples = jnp.floor(dead_time_samples + 1e-9)
@@ -187,7 +195,6 @@ def discretise(
         gamma0,
         current_transition @ delayed_gamma,
         delay_samples.astype(jnp.int32),
-        _discrete_friction(structure, values, step_s),
     )
 
 

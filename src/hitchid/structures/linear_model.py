@@ -1,25 +1,27 @@
 """Linear state-space model of one direction for other libraries: scipy and python-control."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Complex, Float
 
 from hitchid._support.checks import number
 from hitchid._support.precision import double_precision
 from hitchid._support.short_repr import short_repr
 from hitchid.errors import InputError
+from hitchid.structures.discretisation import discretise_delayed
 from hitchid.structures.physical_model import PhysicalModel
-from hitchid.structures.static_nonlinearity import NEUTRAL, StaticNonlinearity
+from hitchid.structures.static_nonlinearity import NEUTRAL
 
 if TYPE_CHECKING:
     import control
     from scipy import signal
 
 MAX_DELAY_STATES = 5000  # states of the dead time; the matrix of as many takes 200 MB; chosen
+PADE_ORDER = 4  # of the dead time in a continuous model; chosen: its phase is exact to 1e-4 rad up to ω T = 2
 
 
 @short_repr
@@ -61,6 +63,99 @@ class LinearModel:
         return control.StateSpace(self.a, self.b, self.c, np.zeros((1, 1)), clock, **names)
 
 
+Values = Array | np.ndarray
+
+
+class SmallSignal(NamedTuple):
+    """Linear model from a change of the command to travel about an operating point.
+
+    ẋ = A x + B q(t − T), τ q̇ = u − q, travel = k x₁. Arrays may have a leading axis of parameter vectors.
+
+    Attributes:
+        a, b: A and B of the structure, shapes [..., n, n] and [..., n].
+        gain: k = w'(u₀) g(x₀), slope of the flow times the gain along the stroke, shape [...].
+        spool_lag_s: τ, s; zero without a lag.
+        dead_time_s: T, s.
+    """
+
+    a: Float[Values, "*s n n"]
+    b: Float[Values, "*s n"]
+    gain: Float[Values, "*s"]
+    spool_lag_s: Float[Values, "*s"]
+    dead_time_s: Float[Values, "*s"]
+
+    def rational(self, frequency_hz: Float[np.ndarray, " f"]) -> Complex[np.ndarray, "*s f"]:
+        """Return k x₁ᵀ (jω − A)⁻¹ B / (1 + jωτ), the frequency response without the dead time.
+
+        Args:
+            frequency_hz: Hz, shape [F].
+        """
+        s = 2j * np.pi * np.asarray(frequency_hz)
+        a, b = np.asarray(self.a)[..., None, :, :], np.asarray(self.b)[..., None, :, None]
+        system = s[:, None, None] * np.eye(b.shape[-2]) - a
+        states = np.linalg.solve(system, np.broadcast_to(b, (*system.shape[:-1], 1)))
+        gain, lag_s = np.asarray(self.gain)[..., None], np.asarray(self.spool_lag_s)[..., None]
+        return gain * states[..., 0, 0] / (1 + s * lag_s)
+
+    @double_precision
+    def state_space(self, step_s: float | None) -> LinearModel:
+        """Return the model of one parameter vector as matrices.
+
+        Args:
+            step_s: sampling time, s, for the exact model of a held command, the dead time in delay states;
+                None for the continuous model, the dead time as a Padé approximant.
+
+        Raises:
+            InputError: the dead time has too many samples.
+        """
+        if step_s is not None:
+            return _discrete(self, number(step_s, "step_s", above=0.0))
+        a, b = np.asarray(self.a), np.asarray(self.b)[:, None]
+        c = float(self.gain) * np.eye(1, b.size)
+        lag_s, dead_time_s = float(self.spool_lag_s), float(self.dead_time_s)
+        if lag_s:
+            a, b, c = _in_series(
+                (a, b, c), (np.array([[-1 / lag_s]]), np.array([[1 / lag_s]]), np.eye(1), 0.0)
+            )
+        if dead_time_s:
+            a, b, c = _in_series((a, b, c), _pade(dead_time_s))
+        return LinearModel(a, b, c, None)
+
+
+def small_signal(
+    physical_model: PhysicalModel, command: Float[Array, ""], displacement: Float[Array, ""]
+) -> SmallSignal:
+    """Return the linear model about an operating point; see `linearise`. It may be mapped over models.
+
+    Args:
+        physical_model: of a linear structure, at its load.
+        command: u₀, what lies beyond the dead zone, in the command's unit; no gain where the valve is closed.
+        displacement: x₀.
+    """
+    a, b = physical_model.structure.require_linear().state_space(physical_model.values_at(displacement))
+    nonlinearity = physical_model.nonlinearity
+    if nonlinearity is None:
+        return SmallSignal(a, b, jnp.ones(()), jnp.zeros(()), physical_model.dead_time_s)
+    gain = jax.grad(nonlinearity.flow)(command) * nonlinearity.gain(displacement)
+    (lag_s,) = nonlinearity.named("spool_lag")
+    lag_s = jnp.where(lag_s > NEUTRAL["spool_lag"], lag_s, 0.0)
+    return SmallSignal(a, b, gain, lag_s, physical_model.dead_time_s)
+
+
+def default_command(physical_model: PhysicalModel) -> Float[Array, ""]:
+    """Return u₀ half way from the opening of the valve to the largest command of the tests."""
+    nonlinearity = physical_model.nonlinearity
+    if nonlinearity is None:
+        return jnp.ones(())
+    return 0.5 * (nonlinearity.opening_command + nonlinearity.scales.command)
+
+
+def default_displacement(physical_model: PhysicalModel) -> Float[Array, ""]:
+    """Return x₀ in the middle of the displacement's range in the tests."""
+    nonlinearity = physical_model.nonlinearity
+    return jnp.zeros(()) if nonlinearity is None else nonlinearity.scales.centre
+
+
 @double_precision
 def linearise(
     physical_model: PhysicalModel,
@@ -79,60 +174,78 @@ def linearise(
     Args:
         physical_model: of a linear structure, at its load.
         step_s: sampling time, s, for the exact model of a command held between samples, the dead time in
-            delay states; None for the continuous model.
+            delay states; None for the continuous model, the dead time as a Padé approximant of fourth order.
         command: u₀, what lies beyond the dead zone, in the command's unit; by default half way from the
             opening of the valve to the largest one of the identification tests.
         displacement: x₀; by default the middle of its range in the tests.
 
     Raises:
-        InputError: the structure is not linear, the valve is closed at the operating point, or the model is
-            continuous and has a dead time, which no finite number of states represents.
+        InputError: the structure is not linear, the valve is closed at the operating point, or the dead time
+            has too many samples.
     """
-    structure, nonlinearity = physical_model.structure.require_linear(), physical_model.nonlinearity
-    if displacement is not None:
-        physical_model = physical_model.at(jnp.asarray(float(displacement)))
-    gain, lag_s = 1.0, 0.0
-    if nonlinearity is not None:
-        gain = _slope(nonlinearity, command, displacement)
-        spool_lag = float(nonlinearity.named("spool_lag")[0])
-        lag_s = spool_lag if spool_lag > NEUTRAL["spool_lag"] else 0.0
-    if step_s is not None:
-        return _discrete(physical_model, number(step_s, "step_s", above=0.0), gain, lag_s)
-    dead_time_s = float(physical_model.dead_time_s)
-    if dead_time_s:
+    return small_signal_at(physical_model, command, displacement).state_space(step_s)
+
+
+@double_precision
+def small_signal_at(
+    physical_model: PhysicalModel, command: float | None, displacement: float | None
+) -> SmallSignal:
+    """Return the linear model about an operating point where the valve is open; see `linearise`."""
+    physical_model.structure.require_linear()
+    effective = default_command(physical_model) if command is None else jnp.asarray(float(command))
+    place = default_displacement(physical_model) if displacement is None else jnp.asarray(float(displacement))
+    nonlinearity = physical_model.nonlinearity
+    if nonlinearity is not None and not float(nonlinearity.flow(effective)):
         raise InputError(
-            f"step_s: expected a sampling time, since a dead time of {dead_time_s:.4g} s has no continuous "
-            "state-space model; got None"
+            f"command: expected more than {float(nonlinearity.opening_command):.4g} beyond the dead zone, "
+            f"where the valve opens; got {float(effective):.4g}"
         )
-    a, b = map(np.asarray, structure.state_space(physical_model.values))
-    if lag_s:
-        a = np.block([[a, b[:, None]], [np.zeros((1, b.size)), np.array([[-1 / lag_s]])]])
-        b = np.append(np.zeros(b.size), 1 / lag_s)
-    return LinearModel(a, b[:, None], gain * np.eye(1, b.size), None)
+    return small_signal(physical_model, effective, place)
 
 
-def _slope(nonlinearity: StaticNonlinearity, command: float | None, displacement: float | None) -> float:
-    """Return w'(u₀) g(x₀)."""
-    scales = nonlinearity.scales
-    position = scales.centre if displacement is None else jnp.asarray(float(displacement))
-    opening = nonlinearity.opening_command
-    effective_command = 0.5 * (opening + scales.command) if command is None else jnp.asarray(float(command))
-    if not float(nonlinearity.flow(effective_command)):
-        raise InputError(
-            f"command: expected more than {float(opening):.4g} beyond the dead zone, where "
-            f"the valve opens; got {float(effective_command):.4g}"
-        )
-    slope = jax.grad(nonlinearity.flow)(effective_command)
-    return float(slope * nonlinearity.gain(position))
+_discretised = jax.jit(discretise_delayed)
+Matrices = tuple[np.ndarray, np.ndarray, np.ndarray]  # A, B and C
 
 
-def _discrete(physical_model: PhysicalModel, step_s: float, gain: float, lag_s: float) -> LinearModel:
+def _in_series(plant: Matrices, first: tuple[np.ndarray, np.ndarray, np.ndarray, float]) -> Matrices:
+    """Return A, B and C of a plant whose input is the output of a first system A, B, C and D."""
+    (a, b, c), (a1, b1, c1, d1) = plant, first
+    size, more = len(a), len(a1)
+    return (
+        np.block([[a, b @ c1], [np.zeros((more, size)), a1]]),
+        np.vstack([d1 * b, b1]),
+        np.hstack([c, np.zeros((1, more))]),
+    )
+
+
+def _pade(dead_time_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """Return A, B, C and D of the approximant of exp(−s T) with magnitude one at all frequencies.
+
+    P(−sT)/P(sT), P(x) = Σ aᵢ xⁱ with aᵢ = aᵢ₋₁ (n − i + 1)/((2n − i + 1) i), in companion form for T = 1
+    (Golub & Van Loan, Matrix Computations, sec. 9.3).
+    """
+    order = PADE_ORDER
+    coefficients = np.ones(order + 1)
+    for power in range(1, order + 1):
+        factor = (order - power + 1) / ((2 * order - power + 1) * power)
+        coefficients[power] = coefficients[power - 1] * factor
+    denominator = coefficients / coefficients[-1]
+    numerator = denominator * (-1.0) ** np.arange(order + 1)
+    direct = numerator[-1]
+    a = np.eye(order, k=1)
+    a[-1] = -denominator[:-1]
+    c = (numerator - direct * denominator)[None, :-1]
+    return a / dead_time_s, np.eye(order, 1, k=1 - order) / dead_time_s, c, direct
+
+
+def _discrete(small_signal: SmallSignal, step_s: float) -> LinearModel:
     """Return the discrete model: states of the structure, delayed flows, and the spool's lag.
 
     As in simulation, flow is constant over a sampling interval and follows the mean of the lagged command s:
     s̄[k] = u[k] + τ/h (1 − e^(−h/τ)) (s[k] − u[k]), s[k+1] = u[k] + e^(−h/τ) (s[k] − u[k]).
     """
-    discrete = physical_model.discretised(step_s)
+    discrete = _discretised(small_signal.a, small_signal.b, small_signal.dead_time_s, step_s)
+    lag_s, gain = float(small_signal.spool_lag_s), float(small_signal.gain)
     order, delay = discrete.gamma0.size, int(discrete.delay_samples)
     if delay > MAX_DELAY_STATES:
         raise InputError(
