@@ -66,6 +66,7 @@ class LinearModel:
 Values = Array | np.ndarray
 
 
+@short_repr
 class SmallSignal(NamedTuple):
     """Linear model from a change of the command to travel about an operating point.
 
