@@ -95,10 +95,27 @@ def test_drawn_models_have_the_spread_of_the_estimates_and_the_rest_of_the_model
         assert np.log(found / gain.value) / SPREAD == pytest.approx(quantile, abs=0.3)
     band = linear.frequency_response(FREQUENCY_HZ).magnitude
     np.testing.assert_allclose(band.upper / band.value, gain.lower / gain.value, rtol=1e-9)
-    first = linear.models(0.01)[0]
-    nominal = linear.model(0.01)
-    np.testing.assert_allclose(first.a[0, 0], nominal.a[0, 0], rtol=1e-12)
-    assert len(linear.models(0.01)) == DRAWS
+    # At 10 ms, too, a drawn model differs by its gain alone.
+    models, z = linear.models(0.01), np.exp(0.02j * np.pi * FREQUENCY_HZ)
+    assert len(models) == DRAWS
+    ratio = of_matrices(models[0].to_scipy(), z) / of_matrices(linear.to_scipy(0.01), z)
+    expected = (linear.drawn.gain * linear.drawn.b[:, -1])[0] / (
+        linear.small_signal.gain * linear.small_signal.b[-1]
+    )
+    np.testing.assert_allclose(ratio, expected, rtol=1e-9)
+
+
+def test_a_model_without_standard_errors_has_no_draws():
+    model = uncertain(handmade.hitch("integrator-first-order"))
+    unknown = {
+        direction: Uncertainty(
+            replace(known.benchmark, parameters=(replace(known.benchmark.parameters[0], error=None),))
+        )
+        for direction, known in model.uncertainty.items()
+    }
+    linear = replace(model, uncertainty=unknown).linearise(LIFTING)
+    assert linear.drawn is None
+    assert linear.gain.lower is None
 
 
 def test_the_gain_is_the_slope_of_the_steady_speed_at_the_operating_point():

@@ -4,8 +4,9 @@ from typing import TYPE_CHECKING, cast
 
 from hitchid.model.commands import Numbers
 from hitchid.model.inverse_table import InverseTable, make_inverse_table
-from hitchid.model.linearisation import DRAWS, Linearisation, linearise_hitch
+from hitchid.model.linearisation import Linearisation, linearise_hitch
 from hitchid.model.loads import Load
+from hitchid.model.parameter_draws import DRAWS
 from hitchid.model.speed import SteadySpeed, speed_with_band
 
 if TYPE_CHECKING:
@@ -83,7 +84,7 @@ class Handover:
             direction: of the channel; may be omitted in a model of one channel.
             command, displacement, load: operating point, in the model's units; by default half way from
                 the opening of the valve to the largest command, mid stroke, and mean load of the tests.
-            draws: number of parameter vectors; a model without estimates has none.
+            draws: number of parameter vectors; a model without standard errors has none.
             seed: of the draws.
 
         Raises:

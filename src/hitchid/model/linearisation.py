@@ -4,11 +4,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from hitchid._support import checks
 from hitchid._support.precision import double_precision
@@ -17,21 +16,15 @@ from hitchid.data.record import COMMAND, DISPLACEMENT
 from hitchid.errors import InputError
 from hitchid.model.loads import Load
 from hitchid.model.operating_point import linear_channel, load_of_channel
-from hitchid.model.parameter_draws import draw_parameters
-from hitchid.model.responses import (
-    Banded,
-    FrequencyResponse,
-    checked_frequencies_hz,
-    response_of,
-)
+from hitchid.model.parameter_draws import draws_of
+from hitchid.model.responses import Banded, FrequencyResponse, checked_frequencies_hz, response_of
 from hitchid.structures import (
     LinearModel,
-    PhysicalModel,
     SmallSignal,
     default_command,
     default_displacement,
-    small_signal,
     small_signal_at,
+    small_signals,
 )
 
 if TYPE_CHECKING:
@@ -41,7 +34,6 @@ if TYPE_CHECKING:
     from hitchid.model.hitch import Hitch
 
 INSTEAD = "`simulate` for a record, or `step` in a loop"
-DRAWS = 200  # parameter vectors of a band by default, chosen
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -194,10 +186,10 @@ def linearise_hitch(
         default_command(here) if effective is None else jnp.asarray(effective),
         default_displacement(here) if place is None else jnp.asarray(place),
     )
-    drawn, known = None, model.uncertainty.get(channel.direction)
-    if known is not None and checks.integer(draws, "draws"):
-        vectors = draw_parameters(benchmark, known.benchmark, draws, checks.integer(seed, "seed"))
-        drawn = jax.tree.map(np.asarray, _drawn(benchmark, jnp.asarray(vectors), at_load, *point))
+    vectors, drawn = draws_of(model, channel.direction, seed, draws) if draws else None, None
+    if vectors is not None:
+        linear_models = small_signals(benchmark, jnp.asarray(vectors), at_load, *point)
+        drawn = jax.tree.map(np.asarray, linear_models)
     nonlinearity = benchmark.nonlinearity
     hysteresis = 0.0 if nonlinearity is None else float(nonlinearity.named("hysteresis")[0])
     return Linearisation(
@@ -229,22 +221,6 @@ def describing_function(play: float, amplitude: float) -> complex:
     kappa = 1 - 2 * play / amplitude
     real = np.pi / 2 + np.arcsin(kappa) + kappa * np.sqrt(1 - kappa**2)
     return complex(real, -(1 - kappa**2)) / np.pi
-
-
-@eqx.filter_jit
-def _drawn(
-    benchmark: PhysicalModel,
-    vectors: Float[Array, "s r"],
-    load: Float[Array, " c"],
-    command: Float[Array, ""],
-    displacement: Float[Array, ""],
-) -> SmallSignal:
-    """Return the linear model with each parameter vector."""
-
-    def linear(vector: Float[Array, " r"]) -> SmallSignal:
-        return small_signal(benchmark.with_parameter_vector(vector).at_load(load), command, displacement)
-
-    return jax.vmap(linear)(vectors)
 
 
 def _speed_gain(linear: SmallSignal, sign: int) -> Float[np.ndarray, "*s"]:

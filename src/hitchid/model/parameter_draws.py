@@ -1,10 +1,34 @@
 """Parameters drawn from the distribution of their estimates."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from jaxtyping import Float
 
+from hitchid._support import checks
 from hitchid.model.estimates import Estimate, Estimates
 from hitchid.structures import PhysicalModel
+
+if TYPE_CHECKING:
+    from hitchid.model.hitch import Hitch
+
+DRAWS = 200  # parameter vectors of a band by default; chosen
+
+
+def draws_of(
+    model: "Hitch", direction: str, seed: int, count: int = DRAWS
+) -> Float[np.ndarray, "s r"] | None:
+    """Return parameter vectors of a direction; None where the model has no standard errors.
+
+    Raises:
+        InputError: the count is no whole number above zero, or the seed none of at least zero.
+    """
+    checks.integer(seed, "seed")
+    checks.integer(count, "draws", minimum=1)
+    known = model.uncertainty.get(direction)
+    if known is None or not any(parameter.error for parameter in known.benchmark.parameters):
+        return None
+    return draw_parameters(model.channels[direction].benchmark, known.benchmark, count, seed)
 
 
 def draw_parameters(

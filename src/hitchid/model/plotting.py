@@ -12,7 +12,7 @@ from hitchid.errors import InputError
 from hitchid.model import responses
 from hitchid.model.channel import Channel
 from hitchid.model.characteristics import Characteristics
-from hitchid.model.parameter_draws import draw_parameters
+from hitchid.model.parameter_draws import draws_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from hitchid.model.hitch import Hitch
     from hitchid.plots import SpeedCurve
 
-DRAWS = 200  # parameter vectors of a band; chosen
 MAP_IN, STEP_IN, BODE_IN = 3.2, 4.4, 4.4  # heights of new figures, inch; chosen
 MAP_POINTS = 25  # of a speed map without characteristics; chosen
 
@@ -173,7 +172,7 @@ def plot_bode(
     magnitudes, phases = [], []
     for name in directions:
         channel, colour = model.channels[name], DIRECTION_COLOURS[name]
-        vectors = _draws(model, name, seed)
+        vectors = draws_of(model, name, seed)
         response = responses.frequency_response(channel, frequencies, command, vectors)
         label = name if vectors is None else f"{name}, 95 % band"
         decibels, degrees = response.magnitude.map(_decibels), response.phase_rad.map(np.rad2deg)
@@ -247,16 +246,7 @@ def _step_responses(
     if duration_s is None:
         duration_s = responses.default_duration_s(channel, model.step_s)
     checks.number(duration_s, "duration_s", above=0.0)
-    return responses.step_responses(channel, levels, duration_s, _draws(model, direction, seed))
-
-
-def _draws(model: "Hitch", direction: str, seed: int) -> np.ndarray | None:
-    """Return parameter vectors of the band; None where the model has no standard errors."""
-    known = model.uncertainty.get(direction)
-    if known is None or not any(parameter.error for parameter in known.benchmark.parameters):
-        return None
-    checks.integer(seed, "seed")
-    return draw_parameters(model.channels[direction].benchmark, known.benchmark, DRAWS, seed)
+    return responses.step_responses(channel, levels, duration_s, draws_of(model, direction, seed))
 
 
 def _decibels(magnitude: np.ndarray) -> np.ndarray:

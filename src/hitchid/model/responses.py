@@ -21,7 +21,7 @@ from hitchid.structures import (
     SmallSignal,
     default_command,
     default_displacement,
-    small_signal,
+    small_signals,
     steady_speed,
 )
 
@@ -188,13 +188,10 @@ def frequency_response(
     benchmark = channel.benchmark
     benchmark.structure.require_linear()
     effective = default_command(benchmark) if command is None else max(command - channel.dead_zone, 0.0)
-
-    def linear(vector: Float[Array, " r"]) -> SmallSignal:
-        drawn = benchmark.with_parameter_vector(vector)
-        return small_signal(drawn, jnp.asarray(effective), default_displacement(drawn))
-
-    drawn = None if vectors is None else jax.vmap(linear)(jnp.asarray(vectors))
-    return response_of(linear(benchmark.parameter_vector), drawn, frequency_hz)
+    point = (benchmark.mean_load, jnp.asarray(effective), default_displacement(benchmark))
+    nominal = small_signals(benchmark, benchmark.parameter_vector[None], *point)
+    drawn = None if vectors is None else small_signals(benchmark, jnp.asarray(vectors), *point)
+    return response_of(jax.tree.map(lambda rows: rows[0], nominal), drawn, frequency_hz)
 
 
 def response_of(

@@ -13,8 +13,8 @@ from hitchid.structures.linear_model import SmallSignal as SmallSignal
 from hitchid.structures.linear_model import default_command as default_command
 from hitchid.structures.linear_model import default_displacement as default_displacement
 from hitchid.structures.linear_model import linearise as linearise
-from hitchid.structures.linear_model import small_signal as small_signal
 from hitchid.structures.linear_model import small_signal_at as small_signal_at
+from hitchid.structures.linear_model import small_signals as small_signals
 from hitchid.structures.model_spec import ModelSpec as ModelSpec
 from hitchid.structures.nonlinear import NonlinearStructure as NonlinearStructure
 from hitchid.structures.physical_model import PhysicalModel as PhysicalModel

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -143,6 +144,23 @@ def small_signal(
     return SmallSignal(a, b, gain, lag_s, physical_model.dead_time_s)
 
 
+@eqx.filter_jit
+def small_signals(
+    physical_model: PhysicalModel,
+    vectors: Float[Array, "s r"],
+    load: Float[Array, " c"],
+    command: Float[Array, ""],
+    displacement: Float[Array, ""],
+) -> SmallSignal:
+    """Return the linear model with each of S parameter vectors, at a load; see `small_signal`."""
+
+    def linear(vector: Float[Array, " r"]) -> SmallSignal:
+        at_load = physical_model.with_parameter_vector(vector).at_load(load)
+        return small_signal(at_load, command, displacement)
+
+    return jax.vmap(linear)(vectors)
+
+
 def default_command(physical_model: PhysicalModel) -> Float[Array, ""]:
     """Return u₀ half way from the opening of the valve to the largest command of the tests."""
     nonlinearity = physical_model.nonlinearity
@@ -204,7 +222,6 @@ def small_signal_at(
     return small_signal(physical_model, effective, place)
 
 
-_discretised = jax.jit(discretise_delayed)
 Matrices = tuple[np.ndarray, np.ndarray, np.ndarray]  # A, B and C
 
 
@@ -237,6 +254,9 @@ def _pade(dead_time_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, float
     a[-1] = -denominator[:-1]
     c = (numerator - direct * denominator)[None, :-1]
     return a / dead_time_s, np.eye(order, 1, k=1 - order) / dead_time_s, c, direct
+
+
+_discretised = jax.jit(discretise_delayed)
 
 
 def _discrete(small_signal: SmallSignal, step_s: float) -> LinearModel:
