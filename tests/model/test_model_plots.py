@@ -10,8 +10,7 @@ from matplotlib.figure import Figure
 import handmade
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError
-from hitchid.model.parameter_draws import draw_parameters
-from hitchid.model.plotting import DRAWS
+from hitchid.model.parameter_draws import DRAWS, draw_parameters
 from hitchid.model.responses import frequency_response, step_responses
 from plotted import characteristics, hitch
 
