@@ -46,6 +46,7 @@ study: setup
 	$(BIN)/python benchmarks/advice.py
 	$(BIN)/python benchmarks/fuzz.py
 	$(BIN)/python benchmarks/resume.py
+	$(BIN)/python -m benchmarks.position_control --draws 200
 
 # For maintainers; needs uv in PATH.
 pins:

@@ -18,6 +18,7 @@ from typer.testing import CliRunner
 
 import hitchid
 from hitchid import cli
+from hitchid.control.limits import read_drive_limits
 from hitchid.data.signal_map import read_campaign_file
 from hitchid.errors import InputError
 from hitchid.identification import identify, read_settings
@@ -177,8 +178,9 @@ def check_toml(block: Block) -> None:
     keys = set(tomllib.loads(block.text))
     path = Path(block.file or "unnamed.toml")
     path.write_text(block.text, encoding="utf-8")
-    reader = read_campaign_file if keys & CAMPAIGN_KEYS else read_limits if "unit" in keys else read_settings
-    reader(path)
+    readers = {"unit": read_limits, "steps": read_drive_limits}
+    own = next((reader for key, reader in readers.items() if key in keys), read_settings)
+    (read_campaign_file if keys & CAMPAIGN_KEYS else own)(path)
 
 
 def test_there_are_examples_of_every_command():

@@ -1,6 +1,18 @@
 """Command line: one module per command, of the same name."""
 
-from hitchid.cli import bench, compare, design, identify, inspect, reproduce, run, simulate, validate
+from hitchid.cli import (
+    bench,
+    compare,
+    design,
+    drive,
+    identify,
+    inspect,
+    reproduce,
+    run,
+    simulate,
+    tune,
+    validate,
+)
 from hitchid.cli.program import app as app
 from hitchid.cli.program import main as main
 
@@ -11,6 +23,8 @@ for _command, _example in (
     (compare.compare, "hitchid compare model-a model-b logs/ --out comparison"),
     (simulate.simulate, "hitchid simulate model test.csv --out simulated.csv --bands"),
     (design.design, "hitchid design model --direction lifting --out next-test.csv"),
+    (tune.tune, "hitchid tune model --out controller.toml"),
+    (drive.drive, "hitchid drive controller.toml --rig nominal --out drive"),
     (run.run, "recorder | hitchid run model | controller"),
     (bench.bench, "hitchid bench logs --protocol prbs --tests 20"),
     (reproduce.reproduce, "hitchid reproduce --out study --quick"),

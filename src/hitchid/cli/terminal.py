@@ -15,6 +15,7 @@ from hitchid.data.segmentation import LABELS
 
 if TYPE_CHECKING:
     from hitchid.audit import AuditFinding
+    from hitchid.control import Tuning
     from hitchid.data.campaign import Campaign
     from hitchid.design.next_test import Advice
     from hitchid.identification import ChannelTrace, Identification
@@ -192,6 +193,25 @@ def show_advice(advice: "Advice", model: "Hitch") -> None:
         write_messages(
             "notice", [f"the error of {name} is mostly due to the dead zone: measure three more ramps"]
         )
+
+
+def show_tuning(tuning: "Tuning", out: Path) -> None:
+    """Print method, gains and margins of a controller, and the path of its file."""
+    table = _table("direction", "bandwidth", "gain margin", "phase margin", "delay margin", "Ms")
+    for (direction, margins), gains in zip(tuning.margins.items(), tuning.controller.gains, strict=True):
+        worst = margins.worst
+        table.add_row(
+            direction,
+            f"{float(gains.proportional):.2f} 1/s",
+            f"{worst.gain_db:.1f} dB",
+            f"{worst.phase_deg:.0f}°",
+            f"{1e3 * worst.delay_s:.0f} ms",
+            f"{worst.sensitivity:.2f}",
+        )
+    _narrow_console().print(table)
+    _print_wrapped(f"margins: met by 95 % of {tuning.draws} draws of the parameters at nine operating points")
+    _print_wrapped(f"method: {tuning.method}")
+    _print_wrapped(f"controller: {out}")
 
 
 def show_study(study: "Study", out: Path) -> None:

@@ -80,9 +80,6 @@ def read_channel(direction: str, described: dict[str, Any], tensors: Tensors, pr
         ValueError, KeyError, TypeError: the description or the tensors are not those of a channel.
         InputError: its structure is not installed.
     """
-    structure = structure_named(described["structure"])
-    if len(described["values"]) != len(structure.parameters):
-        raise ValueError(f"{structure.name} has {len(structure.parameters)} parameters")
     sign, limits = int(described["direction"]), described["limits"]
     loads = len((described["scheduling"] or {"covariates": [""]})["covariates"])
     return Channel(
@@ -90,12 +87,7 @@ def read_channel(direction: str, described: dict[str, Any], tensors: Tensors, pr
         sign=sign,
         dead_zone=float(described["dead_zone"]),
         end_stop=described["end_stop"],
-        benchmark=PhysicalModel(
-            structure,
-            jnp.asarray(described["values"]),
-            jnp.asarray(float(described["dead_time_s"])),
-            *_read_curves(described["shape"], described["scheduling"], structure),
-        ),
+        benchmark=read_channel_benchmark(described),
         operating_range=fill(_empty_range(loads), tensors, f"{prefix}/operating_range"),
         compensator=_read_compensator(described["compensator"], tensors, f"{prefix}/compensator"),
         speed_compensator=_read_speed_compensator(
@@ -103,6 +95,19 @@ def read_channel(direction: str, described: dict[str, Any], tensors: Tensors, pr
         ),
         limits=None if limits is None else TravelLimits(**limits),
         load_filter=fill(LoadFilter.none(), tensors, f"{prefix}/load_filter"),
+    )
+
+
+def read_channel_benchmark(described: dict[str, Any]) -> PhysicalModel:
+    """Return the physical model of a channel from its description; raises as `read_channel`."""
+    structure = structure_named(described["structure"])
+    if len(described["values"]) != len(structure.parameters):
+        raise ValueError(f"{structure.name} has {len(structure.parameters)} parameters")
+    return PhysicalModel(
+        structure,
+        jnp.asarray(described["values"]),
+        jnp.asarray(float(described["dead_time_s"])),
+        *_read_curves(described["shape"], described["scheduling"], structure),
     )
 
 

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from hitchid.model.hitch import Hitch
 
 DRAWS = 200  # parameter vectors of a band by default; chosen
+PROFILE_REACH = 1.5  # three standard deviations over the two of a 95 % interval
 
 
 def draws_of(
@@ -36,9 +37,9 @@ def draw_parameters(
 ) -> Float[np.ndarray, "s r"]:
     """Return parameter vectors from the normal distribution of the estimates around the model's values.
 
-    Positive parameters are drawn by their logarithm, as they are estimated. A parameter beyond the
-    bounds of the search is set to the bound, and the others to their mean given that; one without a standard
-    error keeps its value.
+    Positive parameters are drawn by their logarithm, as they are estimated. A parameter beyond the bounds of
+    the search, or far beyond its likelihood profile, is set to that limit, and the others to their mean given
+    that; one without a standard error keeps its value.
 
     Args:
         benchmark: the physical model.
@@ -90,11 +91,24 @@ def _within(
 
 
 def _bounds(estimate: Estimate, value: float) -> tuple[float, float]:
-    """Return the largest steps of a parameter, or of its logarithm, down and up."""
-    lower, upper = min(estimate.lower, value), max(estimate.upper, value)
-    if estimate.linear:
-        return lower - value, upper - value
-    return float(np.log(lower / value)), float(np.log(upper / value))
+    """Return the largest steps of a parameter, or of its logarithm, down and up.
+
+    They end at the bounds of the search, and at `PROFILE_REACH` times an interval of the likelihood profile:
+    where the error of two parameters together is large, as of the frequency and the damping of an overdamped
+    load, their normal distribution reaches far beyond what the tests allow.
+    """
+
+    def step(end: float) -> float:
+        return end - value if estimate.linear else float(np.log(end / value))
+
+    lower, upper = step(min(estimate.lower, value)), step(max(estimate.upper, value))
+    if estimate.method == "profile":
+        low, high = estimate.interval
+        if low is not None and (estimate.linear or low > 0):
+            lower = max(lower, PROFILE_REACH * min(step(low), 0.0))
+        if high is not None:
+            upper = min(upper, PROFILE_REACH * max(step(high), 0.0))
+    return lower, upper
 
 
 def _deviation(estimate: Estimate, value: float) -> float:

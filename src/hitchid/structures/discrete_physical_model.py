@@ -77,6 +77,10 @@ class DiscretePhysicalModel(eqx.Module):
         del load
         return self
 
+    def with_benchmark(self, benchmark: PhysicalModel) -> "DiscretePhysicalModel":
+        """Return the model with other numbers, which may be traced; whole samples of dead time stay."""
+        return replace(self, benchmark=benchmark)
+
     def closed_valve(self) -> ValveState:
         """Return the valve before any command."""
         zero = jnp.zeros(())
@@ -118,9 +122,9 @@ class _LinearModel(DiscretePhysicalModel):
     discrete: DiscreteStateSpace | StrokeModel
 
     def at_load(self, load: Float[Array, " c"]) -> DiscretePhysicalModel:
-        if not self.is_scheduled:
-            return self
-        benchmark = self.benchmark.at_load(load)
+        return self.with_benchmark(self.benchmark.at_load(load)) if self.is_scheduled else self
+
+    def with_benchmark(self, benchmark: PhysicalModel) -> DiscretePhysicalModel:
         return replace(self, benchmark=benchmark, discrete=benchmark.discretised_along_stroke(self.step_s))
 
     def init_state(self, displacement: Scalar, speed: Scalar) -> State:

@@ -1,0 +1,131 @@
+"""`hitchid drive`: proof of a position controller in closed loop on the virtual bench."""
+
+import importlib
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hitchid.cli.cache import prepare_jax
+from hitchid.cli.options import AsJson, Force, Loads, Quiet, loads_of
+from hitchid.cli.program import command_line
+from hitchid.errors import InputError
+
+if TYPE_CHECKING:
+    from hitchid.control import ControllerFile, PositionController
+    from hitchid.model import Hitch
+
+
+def drive(
+    controller: Annotated[
+        Path, typer.Argument(help="Controller file, as hitchid tune writes it.", show_default=False)
+    ],
+    out: Annotated[Path, typer.Option("--out", help="Folder to write: report.html, figures, metrics.json.")],
+    rig: Annotated[str, typer.Option("--rig", help="Parameter set: a name or a TOML file.")] = "nominal",
+    own: Annotated[
+        str | None,
+        typer.Option(
+            "--controller", help="Controller to drive instead, MODULE:OBJECT; baselines and bands stay."
+        ),
+    ] = None,
+    load: Loads = None,
+    draws: Annotated[
+        int, typer.Option("--draws", min=1, max=10000, help="Closed loops of each scenario.")
+    ] = 20,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of loads and noise.")] = 0,
+    accept: Annotated[
+        Path | None,
+        typer.Option("--accept", help="Acceptance limits in TOML; exit code 1 if one is violated."),
+    ] = None,
+    force: Force = False,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Drive a controller through steps, ramps, ploughing, changes of load and oil on the virtual bench."""
+    from hitchid._support.storage import canonical_json, check_folder, check_inputs
+    from hitchid.cli import terminal as display
+
+    check_folder(out, result_kind="metrics.json", force=force)
+    check_inputs(out, [controller, accept, *([Path(rig)] if rig.endswith(".toml") else [])])
+    prepare_jax()
+    from hitchid._support.progress import ProgressUpdate
+    from hitchid.control import drive as run
+    from hitchid.control import load_controller
+    from hitchid.control.limits import check_drive, read_drive_limits
+    from hitchid.report import drive_report, write_report
+    from hitchid.rig import load_rig
+
+    limits = None if accept is None else read_drive_limits(accept)
+    content, bench = load_controller(controller), load_rig(rig)
+    tested = None if own is None else _imported(own)
+    model, notices = _model(content, controller.parent)
+    with display.progress(quiet=quiet) as report:
+        result = run(
+            content.controller,
+            bench,
+            tested=tested,
+            model=model,
+            load=loads_of(load) if load else content.load or None,
+            draws=draws,
+            seed=seed,
+            progress=report,
+        )
+        acceptance = None if limits is None else check_drive(result.metrics, limits)
+        report(ProgressUpdate("report", 0.98))
+        document = drive_report(
+            result,
+            rig=rig,
+            margins=content.margins,
+            acceptance=acceptance,
+            notices=notices,
+            command=command_line(),
+        )
+    accepted = {} if acceptance is None else {"acceptance": acceptance.describe()}
+    files = {"metrics.json": canonical_json({**result.metrics, **accepted})}
+    write_report(out, document, files, mark="metrics.json", force=force)
+    if as_json:
+        typer.echo(json.dumps({**result.metrics, **accepted}, indent=1))
+    else:
+        if not quiet:
+            display.show_report(document, notices, out)
+        if acceptance is not None:
+            display.show_acceptance(acceptance, quiet=quiet)
+    if acceptance is not None and not acceptance.passed:
+        raise typer.Exit(1)
+
+
+def _model(content: "ControllerFile", folder: Path) -> "tuple[Hitch | None, tuple[str, ...]]":
+    """Return the model that a controller was tuned for, or None and the reason why bands are missing."""
+    from hitchid.errors import ModelFolderError
+    from hitchid.model import load as load_model
+
+    try:
+        model = load_model(folder / content.model)
+    except ModelFolderError as error:
+        return None, (f"no band is predicted: {error}",)
+    if model.provenance.digest != content.digest:
+        reason = f"{folder / content.model} is not the model that the controller was tuned for"
+        return None, (f"no band is predicted: {reason}",)
+    return model, ()
+
+
+def _imported(name: str) -> "PositionController":
+    """Return an object by MODULE:OBJECT; modules of the current folder are found, too.
+
+    Raises:
+        InputError: the name has another form, or there is no such object, or it is no controller.
+    """
+    module_name, separator, object_name = name.partition(":")
+    if not separator or not module_name or not object_name:
+        raise InputError(f"--controller: expected MODULE:OBJECT, got {name}")
+    if (here := str(Path.cwd())) not in sys.path:
+        sys.path.insert(0, here)
+    try:
+        found = getattr(importlib.import_module(module_name), object_name)
+    except Exception as error:  # whatever a foreign module raises
+        raise InputError(f"--controller: {name} cannot be imported: {error}") from error
+    if not callable(getattr(found, "initial_state", None)) or not callable(getattr(found, "step", None)):
+        raise InputError(f"--controller: {name} has no functions `initial_state` and `step`")
+    return found

@@ -1,0 +1,50 @@
+"""`hitchid tune`: a position controller from a model, with margins over what its tests leave open."""
+
+import json
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hitchid.cli.cache import prepare_jax
+from hitchid.cli.options import AsJson, Force, Loads, Quiet, loads_of
+
+
+def tune(
+    model: Annotated[Path, typer.Argument(help="Model folder.", show_default=False)],
+    out: Annotated[Path, typer.Option("--out", help="Controller file to write, TOML.")],
+    load: Loads = None,
+    draws: Annotated[
+        int, typer.Option("--draws", min=20, max=10000, help="Drawn parameter vectors of the margins.")
+    ] = 200,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the draws.")] = 0,
+    force: Force = False,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Tune a position controller: the fastest that keeps its margins over draws of the parameters."""
+    from hitchid._support.storage import check_file, check_inputs
+    from hitchid.cli import terminal as display
+
+    check_file(out, force=force)
+    check_inputs(out, [model])
+    prepare_jax()
+    from hitchid.control import load_controller, save_controller
+    from hitchid.control import tune as run
+    from hitchid.model import load as load_model
+
+    hitch = load_model(model)
+    with display.progress(quiet=quiet) as report:
+        tuning = run(hitch, load=loads_of(load), draws=draws, seed=seed, progress=report)
+    save_controller(tuning, hitch, out, model_folder=_relative(model, out), force=force)
+    if as_json:
+        margins = load_controller(out).margins
+        typer.echo(json.dumps({"method": tuning.method, "margins": margins}, indent=1))
+    elif not quiet:
+        display.show_tuning(tuning, out)
+
+
+def _relative(model: Path, out: Path) -> str:
+    """Return the model's folder relative to that of the file, so that both can move together."""
+    return Path(os.path.relpath(model.resolve(), out.resolve().parent)).as_posix()

@@ -1,0 +1,162 @@
+"""One direction of a hitch as its controller sees it: speed to current, and travel not yet measured."""
+
+import math
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from hitchid._support.short_repr import short_repr
+from hitchid.structures import (
+    DiscretePhysicalModel,
+    PhysicalModel,
+    ValveState,
+    command_for_speed,
+    steady_speed,
+)
+
+Scalar = Float[Array, ""]
+REACHABLE = 1 - 1e-9  # of the speed at the largest current: a saturated valve has no inverse at its limit
+
+
+@short_repr
+class AxisState(NamedTuple):
+    """State of the model of one direction.
+
+    Attributes:
+        valve: of the undelayed model.
+        plant: of the undelayed model, shape [n].
+        increments: signed travel over each of the last samples, the newest first, mm, shape [m].
+    """
+
+    valve: ValveState
+    plant: Float[Array, " n"]
+    increments: Float[Array, " m"]
+
+
+@short_repr
+class Axis(eqx.Module):
+    """Model of one direction in a controller: what it does now shows in the measurement a dead time later.
+
+    Attributes:
+        model: discrete model without its dead time.
+        dead_time_samples: dead time T over the sampling time.
+        largest_a: largest current of the identification tests, A.
+        buffer: samples of travel that are kept, more than the dead time.
+    """
+
+    model: DiscretePhysicalModel
+    dead_time_samples: Scalar
+    largest_a: float = eqx.field(static=True)
+    buffer: int = eqx.field(static=True)
+
+    @classmethod
+    def of(
+        cls, benchmark: PhysicalModel, *, sign: int, dead_zone: float, step_s: float, largest_a: float
+    ) -> "Axis":
+        """Return the axis of a physical model of a linear structure with an integrator."""
+        model = DiscretePhysicalModel.of(
+            undelayed(benchmark), dead_zone=dead_zone, min_command=0.0, sign=sign, step_s=step_s
+        )
+        samples = float(benchmark.dead_time_s) / step_s
+        return cls(model, jnp.asarray(samples), largest_a, buffer_of(samples))
+
+    @property
+    def step_s(self) -> float:
+        """Sampling time, s."""
+        return self.model.step_s
+
+    @property
+    def sign(self) -> int:
+        """Sign of its speed."""
+        return self.model.sign
+
+    def at_load(self, load: Float[Array, " c"]) -> "Axis":
+        """Return the axis at values of its covariates."""
+        return eqx.tree_at(lambda axis: axis.model, self, self.model.at_load(load))
+
+    def with_benchmark(self, benchmark: PhysicalModel) -> "Axis":
+        """Return the axis with the numbers of another benchmark, which may be traced.
+
+        Its dead time may have at most the samples that are kept.
+        """
+        return eqx.tree_at(
+            lambda axis: (axis.model, axis.dead_time_samples),
+            self,
+            (self.model.with_benchmark(undelayed(benchmark)), benchmark.dead_time_s / self.step_s),
+        )
+
+    @property
+    def lags(self) -> tuple[float, float]:
+        """a₁ and a₂ of the speed's denominator 1 + a₁ s + a₂ s² + …, the spool's lag in a₁, s and s².
+
+        The speed is a₁ behind a current that changes steadily, and travels a₁ times itself when it stops.
+        """
+        benchmark = self.model.benchmark
+        structure = benchmark.structure.require_linear()
+        denominator = structure.transfer_function(tuple(benchmark.values.tolist()))[1][::-1]
+        a1, a2 = (*(float(factor / denominator[1]) for factor in denominator[2:4]), 0.0, 0.0)[:2]
+        return a1 + spool_lag_s(benchmark), a2
+
+    def initial_state(self, displacement: Scalar) -> AxisState:
+        """Return the state at rest with a closed valve."""
+        plant = self.model.init_state(displacement, jnp.zeros(()))
+        return AxisState(self.model.closed_valve(), plant, jnp.zeros(self.buffer))
+
+    def step(self, state: AxisState, current: Scalar, displacement: Scalar) -> AxisState:
+        """Return the state one sample later.
+
+        Args:
+            state: of this axis.
+            current: held over the sample, A.
+            displacement: about which gains and dynamics along the stroke are taken, mm.
+        """
+        valve = self.model.step_valve(state.valve, current)
+        plant, increment = self.model.advance(state.plant, valve, displacement)
+        return AxisState(valve, plant, jnp.concatenate([increment[None], state.increments[:-1]]))
+
+    def under_way(self, state: AxisState) -> Scalar:
+        """Return the travel that was caused but is not measured yet, that of the last dead time, mm."""
+        shares = jnp.clip(self.dead_time_samples - jnp.arange(self.buffer), 0.0, 1.0)
+        return jnp.sum(shares * state.increments)
+
+    def speed(self, state: AxisState) -> Scalar:
+        """Return the speed a dead time ahead, mm/s."""
+        return state.increments[0] / self.step_s
+
+    def acceleration(self, state: AxisState) -> Scalar:
+        """Return the acceleration a dead time ahead, mm/s²."""
+        return (state.increments[0] - state.increments[1]) / self.step_s**2
+
+    def fastest(self, displacement: Scalar) -> Scalar:
+        """Return the size of the steady speed at the largest current, mm/s."""
+        levels = jnp.asarray(self.largest_a)
+        return steady_speed(self.model.benchmark, levels, self.model.dead_zone, displacement)
+
+    def current_for(self, speed: Scalar, displacement: Scalar) -> Scalar:
+        """Return the current of a steady speed, at most the largest of the identification tests, A.
+
+        Args:
+            speed: size of the speed, mm/s.
+            displacement: mm.
+        """
+        reachable = jnp.minimum(speed, REACHABLE * self.fastest(displacement))
+        current = command_for_speed(self.model.benchmark, reachable[None], self.model.dead_zone, displacement)
+        return jnp.clip(current[0], 0.0, self.largest_a)
+
+
+def buffer_of(dead_time_samples: float) -> int:
+    """Return how many samples of travel are kept: those of the dead time, and two for the acceleration."""
+    return math.ceil(dead_time_samples) + 2
+
+
+def undelayed(benchmark: PhysicalModel) -> PhysicalModel:
+    """Return the benchmark without its dead time."""
+    return eqx.tree_at(lambda model: model.dead_time_s, benchmark, jnp.zeros(()))
+
+
+def spool_lag_s(benchmark: PhysicalModel) -> float:
+    """Return the lag of the valve's spool, s; zero without one."""
+    nonlinearity = benchmark.nonlinearity
+    return 0.0 if nonlinearity is None else float(nonlinearity.named("spool_lag")[0])

@@ -1,0 +1,249 @@
+"""Closed loops of a position controller on the virtual bench, many at once."""
+
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from hitchid import rig as bench
+from hitchid._support.precision import double_precision
+from hitchid._support.short_repr import short_repr
+from hitchid.errors import InputError
+from hitchid.rig import Disturbance, Rig
+from hitchid.rig.test_bench import at_temperature
+
+CHUNK = 500  # samples of a compiled run: scenarios of any length share one program; chosen
+
+
+@runtime_checkable
+class PositionController(Protocol):
+    """Anything that brings a hitch to a position, once every 10 ms.
+
+    An Equinox module that JAX can trace runs many loops at once; any other runs loop by loop, with plain
+    numbers.
+    """
+
+    def initial_state(self, displacement_mm: object, /) -> object:
+        """Return the state of a hitch that is held at a displacement, mm."""
+        ...
+
+    def step(self, state: object, target_mm: object, measured_mm: object, /) -> tuple[object, object]:
+        """Return the next state, and lifting and lowering current, A; a lost measurement is NaN."""
+        ...
+
+
+@short_repr
+class Surroundings(NamedTuple):
+    """What acts on the bench over time, each a number or one a sample, shape [N].
+
+    Attributes:
+        implement_kg: mass of the implement; None for that of the rig.
+        oil_c: oil temperature, °C; None for that of the rig.
+        surface_mm: displacement at which the implement touches the soil.
+        soil_n_per_mm: downward force of the soil over depth; zero without soil.
+        sensor_lost: whether the angle sensor gives no reading.
+    """
+
+    implement_kg: Float[np.ndarray, "*n"] | float | None = None
+    oil_c: Float[np.ndarray, "*n"] | float | None = None
+    surface_mm: Float[np.ndarray, "*n"] | float = 0.0
+    soil_n_per_mm: Float[np.ndarray, "*n"] | float = 0.0
+    sensor_lost: np.ndarray | bool = False
+
+
+@short_repr
+class ClosedLoops(NamedTuple):
+    """Signals of closed loops at 10 ms.
+
+    Attributes:
+        target_mm: shape [N].
+        displacement_mm: true, shape [T, N].
+        measured_mm: shape [T, N].
+        currents_a: over the sample that follows, lifting and lowering, A, shape [T, N, 2].
+    """
+
+    target_mm: Float[np.ndarray, " n"]
+    displacement_mm: Float[np.ndarray, "t n"]
+    measured_mm: Float[np.ndarray, "t n"]
+    currents_a: Float[np.ndarray, "t n 2"]
+
+    @property
+    def time_s(self) -> Float[np.ndarray, " n"]:
+        """Time since the start, s."""
+        return 0.01 * np.arange(self.target_mm.size)
+
+
+class _Sample(NamedTuple):
+    """Inputs of one sample."""
+
+    target: Array
+    implement_kg: Array
+    oil_c: Array
+    surface_mm: Array
+    soil_n_per_mm: Array
+    sensor_lost: Array
+
+
+class _Readings(NamedTuple):
+    """What is kept of one sample."""
+
+    displacement: Array | np.ndarray
+    measured: Array | np.ndarray
+    currents: Array | np.ndarray
+
+
+@double_precision
+def run_closed_loops(
+    controller: PositionController,
+    rig: Rig,
+    key: PRNGKeyArray,
+    target_mm: Float[np.ndarray, " n"],
+    *,
+    start_mm: float,
+    implement_factors: Float[np.ndarray, " t"],
+    surroundings: Surroundings = Surroundings(),  # noqa: B008
+) -> ClosedLoops:
+    """Run one loop for each factor on the implement's mass, each with noise of its own.
+
+    Args:
+        controller: from the target and the measured displacement to the currents.
+        rig: the bench.
+        key: random key of the noise.
+        target_mm: of all loops, shape [N].
+        start_mm: displacement at which the hitch is held at first.
+        implement_factors: on the mass of the implement, shape [T].
+        surroundings: of all loops.
+
+    Raises:
+        InputError: the start is not within the stroke, or the controller returns other than two currents.
+    """
+    samples = target_mm.size
+    padded = -(-samples // CHUNK) * CHUNK
+    around = surroundings
+    signals = _Sample(
+        jnp.asarray(target_mm, jnp.float64),
+        jnp.asarray(rig.linkage.implement_mass if around.implement_kg is None else around.implement_kg),
+        jnp.asarray(rig.oil.temperature if around.oil_c is None else around.oil_c),
+        jnp.asarray(around.surface_mm, jnp.float64),
+        jnp.asarray(around.soil_n_per_mm, jnp.float64),
+        jnp.asarray(around.sensor_lost),
+    )
+    inputs = jax.tree.map(
+        lambda rows: jnp.pad(jnp.broadcast_to(rows, (samples,)), (0, padded - samples), mode="edge"), signals
+    )
+    # A sample's currents act until the measurement of the next one, whose sensor is that of its own sample.
+    lost = inputs.sensor_lost
+    first = jax.tree.map(lambda rows: rows[0], inputs)
+    inputs = inputs._replace(sensor_lost=jnp.append(lost[1:], lost[-1]))
+    factors = jnp.asarray(implement_factors, jnp.float64)
+    keys = jax.random.split(key, factors.size)
+    starts = jax.vmap(lambda own, factor: _start(rig, own, factor, first, start_mm))(keys, factors)
+    if _is_traceable(controller, start_mm):
+        readings = _run_traced(controller, rig, starts, factors, inputs, start_mm)
+    else:
+        inputs = jax.tree.map(lambda rows: rows[:samples], inputs)
+        readings = _run_plain(controller, rig, starts, factors, inputs, start_mm)
+    displacement, measured, currents = (np.asarray(rows)[:, :samples] for rows in readings)
+    return ClosedLoops(np.asarray(target_mm, float), displacement, measured, currents)
+
+
+def _start(rig: Rig, key: PRNGKeyArray, factor: Array, sample: _Sample, start_mm: float) -> tuple:
+    force = _soil_n(sample, jnp.asarray(start_mm))
+    here = _rig_at(rig, factor, sample)
+    disturbance = Disturbance(load_force_n=force, sensor_lost=sample.sensor_lost)
+    return bench.reset(here, key, initial_displacement_m=1e-3 * start_mm, disturbance=disturbance)
+
+
+def _rig_at(rig: Rig, factor: Array, sample: _Sample) -> Rig:
+    mass = factor * sample.implement_kg
+    loaded = eqx.tree_at(lambda r: r.linkage.implement_mass, rig, mass)
+    return at_temperature(loaded, sample.oil_c)
+
+
+def _soil_n(sample: _Sample, displacement_mm: Array) -> Array:
+    return sample.soil_n_per_mm * jnp.maximum(sample.surface_mm - displacement_mm, 0.0)
+
+
+def _advance(
+    rig: Rig, factor: Array, state: bench.BenchState, currents: Array, sample: _Sample
+) -> tuple[bench.BenchState, bench.Measurement]:
+    force = _soil_n(sample, 1e3 * state.plant.displacement)
+    disturbance = Disturbance(load_force_n=force, sensor_lost=sample.sensor_lost)
+    return bench.step(_rig_at(rig, factor, sample), state, currents, disturbance)
+
+
+def _is_traceable(controller: PositionController, start_mm: float) -> bool:
+    """Return whether JAX can trace a controller; any error of a foreign one means that it cannot."""
+    try:
+        jax.eval_shape(
+            lambda measured: controller.step(controller.initial_state(measured), measured, measured)[1],
+            jnp.asarray(start_mm, jnp.float64),
+        )
+    except Exception:
+        return False
+    return isinstance(controller, eqx.Module)
+
+
+def _run_traced(
+    controller: PositionController, rig: Rig, starts: tuple, factors: Array, inputs: _Sample, start_mm: float
+) -> _Readings:
+    measured = jnp.full(factors.size, start_mm)
+    carry = (*starts, jax.vmap(controller.initial_state)(measured))
+    chunks = []
+    for begin in range(0, inputs.target.size, CHUNK):
+        part = jax.tree.map(lambda rows, b=begin: rows[b : b + CHUNK], inputs)
+        carry, readings = _run_chunk(controller, rig, carry, factors, part)
+        chunks.append(jax.tree.map(np.asarray, readings))
+    return jax.tree.map(lambda *parts: np.concatenate(parts, axis=1), *chunks)
+
+
+@eqx.filter_jit
+def _run_chunk(
+    controller: PositionController, rig: Rig, carry: tuple, factors: Array, inputs: _Sample
+) -> tuple[tuple, _Readings]:
+    def advance(carry: tuple, sample: _Sample, factor: Array) -> tuple[tuple, _Readings]:
+        state, measurement, own = carry
+        own, currents = controller.step(own, sample.target, measurement.displacement_mm)
+        currents = jnp.asarray(currents, jnp.float64)
+        readings = _Readings(1e3 * state.plant.displacement, measurement.displacement_mm, currents)
+        return (*_advance(rig, factor, state, currents, sample), own), readings
+
+    def run(carry: tuple, factor: Array) -> tuple[tuple, _Readings]:
+        return jax.lax.scan(lambda now, sample: advance(now, sample, factor), carry, inputs)
+
+    return jax.vmap(run)(carry, factors)
+
+
+def _run_plain(
+    controller: PositionController, rig: Rig, starts: tuple, factors: Array, inputs: _Sample, start_mm: float
+) -> _Readings:
+    """Run loop by loop, the controller outside of any compiled program."""
+    loops = []
+    advance = eqx.filter_jit(_advance)
+    for number, factor in enumerate(factors):
+        state, measurement = jax.tree.map(lambda rows, n=number: rows[n], starts)
+        own, rows = controller.initial_state(start_mm), []
+        for k in range(inputs.target.size):
+            sample = jax.tree.map(lambda signal, k=k: signal[k], inputs)
+            measured = float(measurement.displacement_mm)
+            own, currents = controller.step(own, float(sample.target), measured)
+            applied = _two_currents(currents)
+            rows.append((1e3 * float(state.plant.displacement), measured, applied))
+            state, measurement = advance(rig, factor, state, jnp.asarray(applied), sample)
+        loops.append([np.array(column) for column in zip(*rows, strict=True)])
+    return _Readings(*(np.stack(signals) for signals in zip(*loops, strict=True)))
+
+
+def _two_currents(currents: object) -> Float[np.ndarray, "2"]:
+    try:
+        values = np.asarray(currents, dtype=float)
+    except (TypeError, ValueError):
+        values = np.zeros(0)
+    if values.shape != (2,):
+        raise InputError(
+            f"controller: expected two currents from `step`, lifting and lowering, A; got {currents!r}"
+        )
+    return values

@@ -1,0 +1,287 @@
+"""Position controller of a hitch: reference, inverse of each valve, predicted position, hold window."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from hitchid._support.precision import double_precision
+from hitchid._support.short_repr import short_repr
+from hitchid.control.axis import Axis, AxisState
+from hitchid.control.reference import Reference, ReferenceLimits
+
+Scalar = Float[Array, ""]
+TARGET_SPEED_S = 0.05  # s, time constant of the speed of a moving target; chosen: five samples
+SMOOTHING_S = 0.2  # s, time constant of the smoothed position; chosen: a sixth of the noise is left
+TRACKING_MM_S = 0.05  # mm/s; a target that moves less stands still: 3 mm in a minute; chosen
+
+
+@short_repr
+class Gains(NamedTuple):
+    """Gains of one direction; the controlled quantity is the speed.
+
+    Attributes:
+        proportional: speed over error of the position, 1/s.
+        integral: change of the speed over error of the position, 1/s².
+        speed: speed over error of the predicted speed, 1.
+        acceleration: speed over error of the predicted acceleration, s.
+    """
+
+    proportional: Scalar | float
+    integral: Scalar | float
+    speed: Scalar | float = 0.0
+    acceleration: Scalar | float = 0.0
+
+
+@short_repr
+class HoldWindow(NamedTuple):
+    """Errors of the position between which a standing hitch is held with closed valves.
+
+    Attributes:
+        inner_mm: below this error the valves close.
+        outer_mm: above this error they open again.
+    """
+
+    inner_mm: Scalar | float
+    outer_mm: Scalar | float
+
+
+@short_repr
+class ControllerState(NamedTuple):
+    """State of a controller.
+
+    Attributes:
+        axes: models of lifting and lowering.
+        reference: shaped reference.
+        integral_mm_s: speed that the integral part asks for.
+        is_holding: whether the hitch is held with closed valves.
+        smoothed_mm: predicted position without most of its noise.
+        measured_mm: last valid measurement.
+        is_lost: whether the last measurement was missing.
+        target_mm: last valid target.
+        target_speed_mm_s: of a moving target.
+        currents_a: last currents, A, shape [2].
+    """
+
+    axes: tuple[AxisState, AxisState]
+    reference: Reference
+    integral_mm_s: Scalar
+    is_holding: Bool[Array, ""]
+    smoothed_mm: Scalar
+    measured_mm: Scalar
+    is_lost: Bool[Array, ""]
+    target_mm: Scalar
+    target_speed_mm_s: Scalar
+    currents_a: Float[Array, "2"]
+
+
+@short_repr
+class HitchController(eqx.Module):
+    """Position controller of a hitch, one sample at a time: `initial_state`, then `step` by `step`.
+
+    With the reference r, and position y_p, speed v_p and acceleration a_p that the model predicts a dead time
+    ahead::
+
+        y_p = y + travel of the last dead time that is not measured yet
+        v   = ṙ + τ r̈ + k_p (r − y_p) + k_v (ṙ − v_p) + k_a (r̈ − a_p) + ∫ k_i (r − y_p) dt
+
+    The current of the direction of v is the inverse of its identified opening curve at the speed v; the other
+    is zero. Below the crossing speed the current falls to zero in proportion. The integral stops where the
+    current is limited. A hitch that is to stand is held with closed valves until its error leaves a window.
+    Without a measurement both currents are zero; when it returns, the reference starts from there.
+
+    Attributes:
+        axes: models of lifting and lowering.
+        gains: of lifting and lowering.
+        acceleration: largest of the reference, lifting and lowering, mm/s², shape [2].
+        speed_share: largest speed of the reference over that of the largest current, which leaves the rest to
+            the correction of errors.
+        lags_s: τ of lifting and lowering, s, shape [2].
+        crossing_mm_s: speed of lifting and lowering below which the current falls to zero, shape [2].
+        hold: window.
+        rate_a_s: fastest rise of a current, A/s; it falls at any rate.
+    """
+
+    axes: tuple[Axis, Axis]
+    gains: tuple[Gains, Gains]
+    acceleration: Float[Array, "2"]
+    speed_share: Scalar
+    lags_s: Float[Array, "2"]
+    crossing_mm_s: Float[Array, "2"]
+    hold: HoldWindow
+    rate_a_s: Scalar
+
+    @property
+    def step_s(self) -> float:
+        """Sampling time, s."""
+        return self.axes[0].step_s
+
+    @double_precision
+    def initial_state(self, displacement_mm: Scalar | float) -> ControllerState:
+        """Return the state of a hitch that is held at a displacement, mm."""
+        start = jnp.asarray(displacement_mm, jnp.float64)
+        zero, no = jnp.zeros(()), jnp.asarray(False)
+        lifting, lowering = self.axes
+        return ControllerState(
+            axes=(lifting.initial_state(start), lowering.initial_state(start)),
+            reference=Reference.at_rest(start),
+            integral_mm_s=zero,
+            is_holding=jnp.asarray(True),
+            smoothed_mm=start,
+            measured_mm=start,
+            is_lost=no,
+            target_mm=start,
+            target_speed_mm_s=zero,
+            currents_a=jnp.zeros(2),
+        )
+
+    @double_precision
+    def step(
+        self, state: ControllerState, target_mm: Scalar | float, measured_mm: Scalar | float
+    ) -> tuple[ControllerState, Float[Array, "2"]]:
+        """Return the next state, and lifting and lowering current of this sample, A, shape [2].
+
+        Args:
+            state: from `initial_state` or an earlier step.
+            target_mm: where the hitch shall be; one that is not finite keeps its last value.
+            measured_mm: displacement; not finite where the sensor gives none.
+        """
+        return _step(self, state, jnp.asarray(target_mm, jnp.float64), jnp.asarray(measured_mm, jnp.float64))
+
+    def limits_at(self, displacement: Scalar) -> ReferenceLimits:
+        """Return the limits of the reference at a displacement, mm."""
+        fastest = jnp.stack([axis.fastest(displacement) for axis in self.axes])
+        return ReferenceLimits(self.speed_share * fastest, self.acceleration)
+
+    def at_load(self, load: Sequence[float] | Float[Array, " c"]) -> "HitchController":
+        """Return the controller with its models at values of their covariates, in the order of the model."""
+        row = jnp.asarray(load, jnp.float64)
+        axes = tuple(axis.at_load(row) for axis in self.axes)
+        return eqx.tree_at(lambda controller: controller.axes, self, axes)
+
+
+@eqx.filter_jit
+def _step(
+    controller: HitchController, state: ControllerState, target: Scalar, measured: Scalar
+) -> tuple[ControllerState, Float[Array, "2"]]:
+    is_lost = ~jnp.isfinite(measured)
+    position = jnp.where(is_lost, state.measured_mm, measured)
+    target = jnp.where(jnp.isfinite(target), target, state.target_mm)
+    limits = controller.limits_at(position)
+    target_speed = _target_speed(state, target, limits, controller.step_s)
+    axes = tuple(zip(controller.axes, state.axes, strict=True))
+    (lifting, lifting_state), (lowering, lowering_state) = axes
+    predicted = position + lifting.under_way(lifting_state) + lowering.under_way(lowering_state)
+    speed = lifting.speed(lifting_state) + lowering.speed(lowering_state)
+    acceleration = lifting.acceleration(lifting_state) + lowering.acceleration(lowering_state)
+    restarts = is_lost | state.is_lost
+    start = jax.tree.map(
+        lambda now, anew: jnp.where(restarts, anew, now), state.reference, Reference.at_rest(predicted)
+    )
+    reference = limits.step(
+        start, _led_target(controller, target, target_speed), target_speed, controller.step_s
+    )
+    smoothed = state.smoothed_mm + controller.step_s / SMOOTHING_S * (predicted - state.smoothed_mm)
+    smoothed = jnp.where(restarts, predicted, smoothed)
+    is_holding = _is_holding(controller, state, reference, target, smoothed, speed) & ~is_lost
+    error = reference.position - predicted
+    closed = is_lost | is_holding
+    integral = jnp.where(restarts, 0.0, state.integral_mm_s)
+    integral, wanted = _wanted_speed(controller, integral, reference, error, speed, acceleration, position)
+    integral = jnp.where(closed, 0.0, integral)
+    currents = jnp.where(closed, 0.0, _currents(controller, wanted, position))
+    currents = jnp.minimum(currents, state.currents_a + controller.rate_a_s * controller.step_s)
+    advanced = (
+        lifting.step(lifting_state, currents[0], position),
+        lowering.step(lowering_state, currents[1], position),
+    )
+    reference = jax.tree.map(
+        lambda now, standing: jnp.where(is_holding, standing, now),
+        reference,
+        Reference.at_rest(reference.position),
+    )
+    next_state = ControllerState(
+        axes=advanced,
+        reference=reference,
+        integral_mm_s=integral,
+        is_holding=is_holding,
+        smoothed_mm=smoothed,
+        measured_mm=position,
+        is_lost=is_lost,
+        target_mm=target,
+        target_speed_mm_s=target_speed,
+        currents_a=currents,
+    )
+    return next_state, currents
+
+
+def _target_speed(state: ControllerState, target: Scalar, limits: ReferenceLimits, step_s: float) -> Scalar:
+    """Return the smoothed speed of a moving target, mm/s; zero after a jump that is faster than the hitch."""
+    change = (target - state.target_mm) / step_s
+    is_reachable = (change <= limits.speed[0]) & (change >= -limits.speed[1])
+    share = step_s / TARGET_SPEED_S
+    smoothed = state.target_speed_mm_s + share * (change - state.target_speed_mm_s)
+    return jnp.where(is_reachable, smoothed, 0.0)
+
+
+def _led_target(controller: HitchController, target: Scalar, target_speed: Scalar) -> Scalar:
+    """Return where a moving target will be a dead time later, when the hitch answers."""
+    lifting, lowering = (axis.dead_time_samples for axis in controller.axes)
+    lead_s = controller.step_s * jnp.where(target_speed > 0, lifting, lowering)
+    return target + target_speed * lead_s
+
+
+def _is_holding(
+    controller: HitchController,
+    state: ControllerState,
+    reference: Reference,
+    target: Scalar,
+    smoothed: Scalar,
+    speed: Scalar,
+) -> Bool[Array, ""]:
+    """Return whether the target stands and the hitch will stand near it when the valves close now."""
+    stands = (jnp.abs(state.target_speed_mm_s) < TRACKING_MM_S) & (target == state.target_mm)
+    coasting = speed * jnp.where(speed > 0, *controller.lags_s)
+    error = jnp.abs(target - smoothed - coasting)
+    arrived = jnp.abs(reference.position - target) < controller.hold.inner_mm
+    window = jnp.where(state.is_holding, controller.hold.outer_mm, controller.hold.inner_mm)
+    return stands & (state.is_holding | arrived) & (error < window)
+
+
+def _wanted_speed(
+    controller: HitchController,
+    integral: Scalar,
+    reference: Reference,
+    error: Scalar,
+    speed: Scalar,
+    acceleration: Scalar,
+    position: Scalar,
+) -> tuple[Scalar, Scalar]:
+    """Return the integral part and the speed that is wanted, mm/s."""
+    upward = jnp.where(reference.speed == 0, error > 0, reference.speed > 0)
+    gains = Gains(*(jnp.where(upward, *pair) for pair in zip(*controller.gains, strict=True)))
+    integrated = integral + controller.step_s * gains.integral * error
+    direct = (
+        reference.speed
+        + jnp.where(upward, *controller.lags_s) * reference.acceleration
+        + gains.proportional * error
+        + gains.speed * (reference.speed - speed)
+        + gains.acceleration * (reference.acceleration - acceleration)
+    )
+    wanted = direct + integrated
+    lifting, lowering = (axis.fastest(position) for axis in controller.axes)
+    limited = ((wanted > lifting) & (error > 0)) | ((wanted < -lowering) & (error < 0))
+    return jnp.where(limited, integral, integrated), jnp.where(limited, direct + integral, wanted)
+
+
+def _currents(controller: HitchController, wanted: Scalar, position: Scalar) -> Float[Array, "2"]:
+    """Return the currents of a wanted speed: that of its direction, and zero."""
+    currents = []
+    for axis, crossing in zip(controller.axes, controller.crossing_mm_s, strict=True):
+        size = jnp.maximum(axis.sign * wanted, 0.0)
+        share = jnp.minimum(size / crossing, 1.0)
+        currents.append(share * axis.current_for(jnp.maximum(size, crossing), position))
+    return jnp.stack(currents)

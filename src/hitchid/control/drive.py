@@ -1,0 +1,224 @@
+"""Proof of a position controller: closed loops on the virtual bench beside baselines and prediction."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from hitchid._support import checks
+from hitchid._support.precision import double_precision
+from hitchid._support.progress import ProgressCallback, ProgressUpdate, silent
+from hitchid._support.short_repr import short_repr
+from hitchid.control.closed_loop import ClosedLoops, PositionController, run_closed_loops
+from hitchid.control.controller import HitchController
+from hitchid.control.figures import Figures, iae_ratios
+from hitchid.control.pid import baselines
+from hitchid.control.prediction import Band, band_of, drawn_hitches, run_on_model
+from hitchid.control.scenarios import Kind, Scenario, least_time_s, scenarios
+from hitchid.model import Hitch
+from hitchid.model.loads import Load
+from hitchid.rig import Rig
+
+DRAWS = 20  # closed loops of a scenario by default; chosen
+LOAD_SPREAD = 0.1  # the implement's mass is drawn within ±10 %; chosen
+BAND_DRAWS = 60  # runs on drawn models of a band; chosen
+BAND_KINDS = (Kind.STEP, Kind.RAMP, Kind.SINE)
+INSIDE_SHARE = 0.9  # of a run's samples that must be inside the band of 90 % for it to count as inside
+TESTED, BASELINE = "controller", "SIMC PI"  # names among the controllers
+
+
+@short_repr
+@dataclass(frozen=True)
+class Drive:
+    """Closed loops of a controller and of the baselines in every scenario.
+
+    Attributes:
+        scenarios: name to scenario.
+        loops: controller to scenario to signals.
+        figures: controller to scenario to figures.
+        bands: scenario to the band predicted from the identified model; empty without a model.
+        least_times_s: step to the least time of the bench at the largest current, s.
+        step_s: sampling time, s.
+    """
+
+    scenarios: Mapping[str, Scenario]
+    loops: Mapping[str, Mapping[str, ClosedLoops]]
+    figures: Mapping[str, Mapping[str, Figures]]
+    bands: Mapping[str, Band]
+    least_times_s: Mapping[str, float]
+    step_s: float = 0.01
+
+    @property
+    def draws(self) -> int:
+        """Closed loops of a scenario."""
+        return len(next(iter(self.loops[TESTED].values())).displacement_mm)
+
+    @property
+    def iae_ratios(self) -> dict[str, float]:
+        """Ratios of the IAE to that of SIMC PI without inverse; see `figures.iae_ratios`."""
+        kinds = {name: scenario.kind for name, scenario in self.scenarios.items()}
+        return iae_ratios(self.figures[TESTED], self.figures[BASELINE], kinds)
+
+    @property
+    def changed_ratios(self) -> dict[str, float]:
+        """Scenario of changed load or oil to the ratio of its IAE to that of the same step without change."""
+        own = self.figures[TESTED]
+        ratios = {}
+        for name, scenario in self.scenarios.items():
+            if scenario.kind in (Kind.LOAD_CHANGE, Kind.COLD_OIL):
+                nominal = own[step_name(scenario.amplitude_mm)].iae_mm_s
+                ratios[name] = own[name].iae_mm_s / nominal
+        return ratios
+
+    @property
+    def inside_band(self) -> dict[str, float]:
+        """Scenario to the share of its loops that are inside the predicted band; see `INSIDE_SHARE`."""
+        return {
+            name: float(np.mean(band.contains(self.loops[TESTED][name].measured_mm) >= INSIDE_SHARE))
+            for name, band in self.bands.items()
+        }
+
+    @property
+    def metrics(self) -> dict[str, object]:
+        """All figures as content for JSON."""
+        own = self.figures[TESTED]
+        steps = {
+            f"{scenario.amplitude_mm:g}": {
+                "overshoot": own[name].overshoot_mm,
+                "settling_s": _finite(own[name].settling_s),
+                "t_min_s": _finite(self.least_times_s[name]),
+                "final_error": own[name].final_error_mm,
+                "iae": own[name].iae_mm_s,
+            }
+            for name, scenario in self.scenarios.items()
+            if scenario.kind is Kind.STEP
+        }
+        by_kind = {scenario.kind: own[name] for name, scenario in self.scenarios.items()}
+        lost = by_kind[Kind.SENSOR_LOST]
+        ramps = [own[name].rmse_mm for name, scenario in self.scenarios.items() if scenario.kind is Kind.RAMP]
+        inside = self.inside_band
+        return {
+            "draws": self.draws,
+            "steps": steps,
+            "hold": {
+                "valve_actions_per_10_s": by_kind[Kind.HOLD].valve_actions_per_10_s,
+                "rmse": by_kind[Kind.HOLD].rmse_mm,
+            },
+            "both_valves_samples": sum(each.both_valves_samples for each in own.values()),
+            "sine": {"rmse": by_kind[Kind.SINE].rmse_mm},
+            "ramps": {"rmse": max(ramps)},
+            "ploughing": {"rmse": by_kind[Kind.PLOUGHING].rmse_mm},
+            "changes": self.changed_ratios,
+            "sensor_lost": {
+                "samples_until_closed": lost.samples_until_closed,
+                "final_error": lost.final_error_mm,
+            },
+            "diverged": sum(each.diverged for each in own.values()),
+            "band": {"inside": float(np.mean(list(inside.values()))), "scenarios": inside}
+            if inside
+            else None,
+            "iae_ratio": self.iae_ratios["all"],
+            "iae_ratios": self.iae_ratios,
+            "iae": {
+                controller: {name: each.iae_mm_s for name, each in figures.items()}
+                for controller, figures in self.figures.items()
+            },
+        }
+
+
+def step_name(amplitude_mm: float) -> str:
+    """Return the name of the scenario of a step."""
+    return f"step {amplitude_mm:+g} mm"
+
+
+@double_precision
+def drive(
+    controller: HitchController,
+    rig: Rig,
+    *,
+    tested: PositionController | None = None,
+    model: Hitch | None = None,
+    load: Load | None = None,
+    draws: int = DRAWS,
+    seed: int = 0,
+    progress: ProgressCallback = silent,
+) -> Drive:
+    """Drive a controller through all scenarios on the virtual bench, with drawn loads and noise.
+
+    Args:
+        controller: tuned; the baselines and the largest currents are from its axes.
+        rig: the bench.
+        tested: another controller to be proved in its place.
+        model: from which the band of each run is predicted before it; None for no bands.
+        load: covariates of the runs that are predicted; their mean by default.
+        draws: closed loops of a scenario.
+        seed: of loads and noise.
+        progress: called with what is done.
+
+    Raises:
+        InputError: a number is out of range, or `tested` returns other than two currents.
+    """
+    checks.instance(controller, HitchController, "controller", "a controller as load_controller returns it")
+    checks.integer(draws, "draws", minimum=1)
+    checks.integer(seed, "seed")
+    middle = jnp.asarray(500 * float(rig.cylinder.stroke))
+    slowest = min(float(axis.fastest(middle)) for axis in controller.axes)
+    todo = scenarios(rig, slowest)
+    factors = np.random.default_rng(seed).uniform(1 - LOAD_SPREAD, 1 + LOAD_SPREAD, draws)
+    bands = {} if model is None else _bands(controller, model, load, todo, seed, progress)
+    loops: dict[str, dict[str, ClosedLoops]] = {}
+    all_controllers = {TESTED: controller if tested is None else tested, **baselines(controller)}
+    for number, (name, each) in enumerate(all_controllers.items()):
+        loops[name] = {}
+        progress(ProgressUpdate(f"closed loops: {name}", 0.2 + 0.2 * number))
+        for scenario in todo:
+            loops[name][scenario.name] = run_closed_loops(
+                each,
+                rig,
+                jax.random.key(seed),
+                scenario.target_mm,
+                start_mm=scenario.start_mm,
+                implement_factors=factors,
+                surroundings=scenario.surroundings,
+            )
+    by_name = {scenario.name: scenario for scenario in todo}
+    figures = {
+        name: {scenario: Figures.of(by_name[scenario], each) for scenario, each in own.items()}
+        for name, own in loops.items()
+    }
+    largest_a = np.array([axis.largest_a for axis in controller.axes])
+    times_s = {
+        scenario.name: least_time_s(rig, largest_a, scenario)
+        for scenario in todo
+        if scenario.kind is Kind.STEP
+    }
+    return Drive(by_name, loops, figures, bands, times_s, controller.step_s)
+
+
+def _bands(
+    controller: HitchController,
+    model: Hitch,
+    load: Load | None,
+    todo: list[Scenario],
+    seed: int,
+    progress: ProgressCallback,
+) -> dict[str, Band]:
+    hitches = drawn_hitches(controller, model, load, BAND_DRAWS, seed)
+    if hitches is None:
+        return {}
+    progress(ProgressUpdate("prediction by the identified model", 0.05))
+    bands = {}
+    for scenario in todo:
+        if scenario.kind in BAND_KINDS:
+            runs = run_on_model(
+                controller, hitches, jax.random.key(seed), scenario.target_mm, start_mm=scenario.start_mm
+            )
+            bands[scenario.name] = band_of(runs)
+    return bands
+
+
+def _finite(value: float | None) -> float | None:
+    """Return a number for JSON; None for one that is not finite."""
+    return value if value is not None and np.isfinite(value) else None

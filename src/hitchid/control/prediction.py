@@ -1,0 +1,206 @@
+"""Closed loops on the identified model with what its tests leave open: parameters, load, sensor noise."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from hitchid._support import checks
+from hitchid._support.precision import double_precision
+from hitchid._support.short_repr import short_repr
+from hitchid.control.axis import Axis, AxisState, buffer_of
+from hitchid.control.closed_loop import CHUNK
+from hitchid.control.controller import ControllerState, HitchController
+from hitchid.model import Channel, Hitch
+from hitchid.model.load_filter import LoadFilter
+from hitchid.model.loads import Load, channel_load, load_row
+from hitchid.model.parameter_draws import draws_of
+
+MOVING_MM_S = 0.5  # mm/s, slowest motion during which transients arise; chosen
+COVERAGE = 0.90  # share of the runs on drawn models inside a band, each over its whole length
+
+
+@short_repr
+class DrawnHitch(eqx.Module):
+    """A model of a hitch with drawn parameters; arrays may have a leading axis of draws.
+
+    Attributes:
+        axes: of lifting and lowering.
+        filters: scatter of load and transients of lifting and lowering.
+        drift: of a held piston, mm/s.
+    """
+
+    axes: tuple[Axis, Axis]
+    filters: tuple[LoadFilter, LoadFilter]
+    drift: Array
+
+
+@short_repr
+class Band(NamedTuple):
+    """Band that holds whole runs: mean ± k standard deviations over runs on drawn models.
+
+    Attributes:
+        lower, upper: of the measured displacement, mm, shape [N].
+    """
+
+    lower: Float[np.ndarray, " n"]
+    upper: Float[np.ndarray, " n"]
+
+    def contains(self, measured_mm: Float[np.ndarray, "*t n"]) -> Float[np.ndarray, "*t"]:
+        """Return the share of samples of each run inside the band."""
+        return np.asarray(np.mean((measured_mm >= self.lower) & (measured_mm <= self.upper), axis=-1))
+
+
+class _State(NamedTuple):
+    """State of a drawn hitch."""
+
+    axes: tuple[AxisState, AxisState]
+    displacement: Array
+    loads: Array
+    transients: Array
+    key: PRNGKeyArray
+
+
+def loads_of_channels(model: Hitch, load: Load | None) -> list[Float[np.ndarray, " c"]]:
+    """Return the covariates of each channel at a load of the model; see `Hitch.simulate`.
+
+    Raises:
+        InputError: the model has no such covariate, or a value is not one number.
+    """
+    channels = tuple(model.channels.values())
+    row = load_row(load, channels, "model")
+    if row.ndim > 1:
+        raise checks.input_error("load", "one load", load)
+    return [np.asarray(channel_load(channels, number, jnp.asarray(row))) for number in range(len(channels))]
+
+
+@double_precision
+def drawn_hitches(
+    controller: HitchController, model: Hitch, load: Load | None, draws: int, seed: int
+) -> DrawnHitch | None:
+    """Return models with parameters drawn from the distribution of their estimates; None without such.
+
+    Args:
+        controller: of the model.
+        model: identified, of both directions.
+        load: covariates of the runs, as for `Hitch.simulate`; None for their mean in the tests.
+        draws: S.
+        seed: of the draws.
+    """
+    axes, filters = [], []
+    rows = loads_of_channels(model, load)
+    for axis, (direction, channel), row in zip(controller.axes, model.channels.items(), rows, strict=True):
+        vectors = draws_of(model, direction, seed, draws)
+        if vectors is None:
+            return None
+        longest_s = float(vectors[:, channel.benchmark.values.size].max())
+        kept = replace(axis, buffer=buffer_of(longest_s / axis.step_s))
+
+        def drawn(vector: Array, row: Array, axis: Axis = kept, channel: Channel = channel) -> Axis:
+            return axis.with_benchmark(channel.benchmark.with_parameter_vector(vector).at_load(row))
+
+        axes.append(jax.vmap(drawn, (0, None))(jnp.asarray(vectors), jnp.asarray(row)))
+        filters.append(jax.tree.map(lambda value: jnp.broadcast_to(value, (draws,)), channel.load_filter))
+    return DrawnHitch(tuple(axes), tuple(filters), jnp.full(draws, model.drift))
+
+
+@double_precision
+def run_on_model(
+    controller: HitchController,
+    hitches: DrawnHitch,
+    key: PRNGKeyArray,
+    target_mm: Float[np.ndarray, " n"],
+    *,
+    start_mm: float,
+) -> Float[np.ndarray, "s n"]:
+    """Return the measured displacement of closed loops on drawn models, mm, shape [S, N].
+
+    Each run has a load of its own, which makes a stroke faster or slower, transients and sensor noise, as
+    `LoadFilter` has them.
+
+    Args:
+        controller: from target and measurement to currents.
+        hitches: S of them.
+        key: random key.
+        target_mm: of all runs, shape [N].
+        start_mm: displacement at which the hitch is held at first.
+    """
+    keys = jax.random.split(key, hitches.drift.size)
+    samples = target_mm.size
+    padded = np.pad(target_mm, (0, -samples % CHUNK), mode="edge")
+    carry = jax.vmap(lambda hitch, own: _start(controller, hitch, own, start_mm))(hitches, keys)
+    chunks = []
+    for part in padded.reshape(-1, CHUNK):
+        carry, rows = _run_chunk(controller, hitches, carry, jnp.asarray(part))
+        chunks.append(np.asarray(rows))
+    return np.concatenate(chunks, axis=1)[:, :samples]
+
+
+def band_of(runs: Float[np.ndarray, "s n"]) -> Band:
+    """Return the band that holds a share of `COVERAGE` of runs over their whole length.
+
+    Its half width is k times their standard deviation at each sample, k being the quantile over runs of the
+    largest deviation in standard deviations.
+    """
+    mean, deviation = runs.mean(axis=0), runs.std(axis=0, ddof=1)
+    safe = np.maximum(deviation, np.finfo(float).tiny)
+    factor = np.quantile(np.max(np.abs(runs - mean) / safe, axis=1), COVERAGE)
+    return Band(mean - factor * deviation, mean + factor * deviation)
+
+
+def _start(
+    controller: HitchController, hitch: DrawnHitch, key: PRNGKeyArray, start_mm: float
+) -> tuple[_State, ControllerState]:
+    key, own = jax.random.split(key)
+    scatters = jnp.stack([filter_.load_scatter for filter_ in hitch.filters])
+    displacement = jnp.asarray(start_mm)
+    axes = (hitch.axes[0].initial_state(displacement), hitch.axes[1].initial_state(displacement))
+    loads = scatters * jax.random.normal(own, (2,))
+    return _State(axes, displacement, loads, jnp.zeros(2), key), controller.initial_state(displacement)
+
+
+@eqx.filter_jit
+def _run_chunk(
+    controller: HitchController,
+    hitches: DrawnHitch,
+    carry: tuple[_State, ControllerState],
+    targets: Float[Array, " n"],
+) -> tuple[tuple[_State, ControllerState], Float[Array, "s n"]]:
+    def run(hitch: DrawnHitch, carry: tuple) -> tuple[tuple, Array]:
+        def advance(carry: tuple, target: Array) -> tuple[tuple, Array]:
+            state, own = carry
+            key, drawn = jax.random.split(state.key)
+            normal = jax.random.normal(drawn, (5,))
+            noise = jnp.maximum(*(filter_.noise for filter_ in hitch.filters))
+            position = state.displacement + jnp.sum(state.transients)
+            measured = position + noise * normal[0]
+            own, currents = controller.step(own, target, measured)
+            return (_advance(hitch, state._replace(key=key), currents, normal[1:]), own), measured
+
+        return jax.lax.scan(advance, carry, targets)
+
+    return jax.vmap(run)(hitches, carry)
+
+
+def _advance(hitch: DrawnHitch, state: _State, currents: Array, normal: Array) -> _State:
+    step_s = hitch.axes[0].step_s
+    axes, loads, transients = [], [], []
+    displacement = state.displacement + hitch.drift * step_s
+    for number, (axis, filter_) in enumerate(zip(hitch.axes, hitch.filters, strict=True)):
+        before = state.axes[number]
+        after = axis.step(before, currents[number], state.displacement)
+        moved = axis.under_way(before) + after.increments[0] - axis.under_way(after)
+        displacement = displacement + (1 + state.loads[number]) * moved
+        kept = jnp.exp(-jnp.abs(moved) / filter_.load_length)
+        spread = jnp.sqrt(1 - kept**2) * filter_.load_scatter
+        loads.append(kept * state.loads[number] + spread * normal[2 * number])
+        is_moving = jnp.abs(moved) > MOVING_MM_S * step_s
+        decay = jnp.exp(-step_s / filter_.transient_time)
+        driven = jnp.where(is_moving, jnp.sqrt(1 - decay**2) * filter_.transient_scatter, 0.0)
+        transients.append(decay * state.transients[number] + driven * normal[2 * number + 1])
+        axes.append(after)
+    return _State((axes[0], axes[1]), displacement, jnp.stack(loads), jnp.stack(transients), state.key)

@@ -1,0 +1,70 @@
+"""Reference of the position: what the lever asks for, within the speed and acceleration of the hitch."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from hitchid._support.short_repr import short_repr
+
+Scalar = Float[Array, ""]
+
+
+@short_repr
+class Reference(NamedTuple):
+    """Where the hitch should be.
+
+    Attributes:
+        position: mm.
+        speed: mm/s.
+        acceleration: over the sample before, mm/s².
+    """
+
+    position: Scalar
+    speed: Scalar
+    acceleration: Scalar
+
+    @classmethod
+    def at_rest(cls, position: Scalar) -> "Reference":
+        """Return the reference that stands at a position."""
+        return cls(position, jnp.zeros(()), jnp.zeros(()))
+
+
+@short_repr
+class ReferenceLimits(eqx.Module):
+    """Limits of the reference, each for lifting and lowering, shape [2].
+
+    Attributes:
+        speed: mm/s.
+        acceleration: mm/s², of a speed that rises or falls in that direction.
+    """
+
+    speed: Float[Array, "2"]
+    acceleration: Float[Array, "2"]
+
+    def step(self, reference: Reference, target: Scalar, target_speed: Scalar, step_s: float) -> Reference:
+        """Return the reference one sample later, on the fastest way to a target that moves at a speed.
+
+        With the distance e to the target and the deceleration a, the speed beyond that of the target is at
+        most v = −a h/2 + √((a h/2)² + 2 a abs(e)), from which a deceleration that changes every h stops
+        there, and at most abs(e)/h, with which it is reached in this sample; it is passed by a h²/8 at most.
+
+        Args:
+            reference: now.
+            target: mm.
+            target_speed: mm/s.
+            step_s: sampling time h, s.
+        """
+        distance = target - reference.position
+        upward = distance > 0
+        braking = jnp.where(upward, *self.acceleration)
+        half = 0.5 * braking * step_s
+        closing = jnp.minimum(
+            jnp.sqrt(half**2 + 2 * braking * jnp.abs(distance)) - half, jnp.abs(distance) / step_s
+        )
+        wanted = jnp.clip(target_speed + jnp.sign(distance) * closing, -self.speed[1], self.speed[0])
+        moving_up = jnp.where(reference.speed == 0, wanted > 0, reference.speed > 0)
+        change = jnp.where(moving_up, *self.acceleration) * step_s
+        speed = reference.speed + jnp.clip(wanted - reference.speed, -change, change)
+        return Reference(reference.position + step_s * speed, speed, (speed - reference.speed) / step_s)

@@ -1,0 +1,158 @@
+"""Scenarios that a position controller of a hitch is driven through on the virtual bench."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+from jaxtyping import Float
+
+from hitchid._support.short_repr import short_repr
+from hitchid.control.closed_loop import Surroundings
+from hitchid.rig import Rig, simulate
+from hitchid.rig.simulation import SAMPLE_S
+
+STEPS_MM = (5.0, 20.0, 100.0)
+RAMP_MM_S, RAMP_S = 8.0, 6.0  # about half the largest speed of the tests; chosen
+SINE_MM, SINE_HZ, SINE_PERIODS = 10.0, 0.1, 3
+HOLD_S = 60.0
+BEFORE_S, AFTER_S = 1.0, 4.0  # s: before a target moves, and after the least time of its way; chosen
+LIGHT_KG, HEAVY_KG, COLD_C = 450.0, 1300.0, 5.0
+LOAD_TAKEN_S = 1.0  # s, for which the load changes in the middle of a motion; chosen
+CHANGED_STEP_MM = 100.0
+WORKING_DEPTH_MM, RIDE_S = 40.0, 12.0  # mm below the surface and s at this depth; chosen
+SOIL_N_PER_MM, BUMPS_MM, BUMPS_HZ = 80.0, 6.0, 0.3  # 3.2 kN at the working depth; ±6 mm of surface; chosen
+LOST_S = 0.5  # s, for which the sensor is lost in the middle of a step; chosen
+
+
+class Kind(Enum):
+    """Kind of a scenario; its figures are those of the kind."""
+
+    STEP = "step"
+    RAMP = "ramp"
+    SINE = "sine"
+    HOLD = "hold"
+    PLOUGHING = "ploughing"
+    LOAD_CHANGE = "load change"
+    COLD_OIL = "cold oil"
+    SENSOR_LOST = "sensor lost"
+
+
+@short_repr
+@dataclass(frozen=True)
+class Scenario:
+    """Target and surroundings over time.
+
+    Attributes:
+        name: unique.
+        kind: of its figures.
+        target_mm: shape [N].
+        start_mm: displacement at which the hitch is held at first.
+        begin: sample at which the figures begin.
+        surroundings: what acts on the bench.
+        amplitude_mm: of a step, signed.
+    """
+
+    name: str
+    kind: Kind
+    target_mm: Float[np.ndarray, " n"]
+    start_mm: float
+    begin: int = 0
+    surroundings: Surroundings = field(default_factory=Surroundings)
+    amplitude_mm: float = 0.0
+
+
+def scenarios(rig: Rig, slowest_mm_s: float) -> list[Scenario]:
+    """Return the scenarios of a bench.
+
+    Args:
+        rig: the bench.
+        slowest_mm_s: of the largest speeds of both directions, from which the durations follow.
+    """
+    middle = 500 * float(rig.cylinder.stroke)
+    return [
+        *(_step(middle, sign * size, slowest_mm_s) for size in STEPS_MM for sign in (1, -1)),
+        *(_ramp(middle, sign) for sign in (1, -1)),
+        _sine(middle),
+        Scenario("hold", Kind.HOLD, np.full(_count(HOLD_S), middle), middle),
+        _ploughing(middle, slowest_mm_s),
+        *_changes(middle, slowest_mm_s),
+        _sensor_lost(middle, slowest_mm_s),
+    ]
+
+
+def least_time_s(rig: Rig, currents_a: Float[np.ndarray, "2"], scenario: Scenario) -> float:
+    """Return the least time in which the bench goes the way of a step: at the largest current, s.
+
+    Args:
+        rig: the bench.
+        currents_a: largest lifting and lowering current, A, shape [2].
+        scenario: a step.
+    """
+    number = 0 if scenario.amplitude_mm > 0 else 1
+    currents = np.zeros((1, scenario.target_mm.size, 2))
+    currents[..., number] = currents_a[number]
+    motion = simulate(rig, currents, initial_displacement_m=1e-3 * scenario.start_mm)
+    travel_mm = 1e3 * np.abs(np.asarray(motion.displacement_m[0]) - 1e-3 * scenario.start_mm)
+    arrived = np.flatnonzero(travel_mm >= abs(scenario.amplitude_mm))
+    return float(arrived[0] * SAMPLE_S) if arrived.size else float("inf")
+
+
+def _count(duration_s: float) -> int:
+    return round(duration_s / SAMPLE_S)
+
+
+def _step(middle: float, size: float, slowest_mm_s: float) -> Scenario:
+    start = middle - 0.5 * size
+    way = _count(abs(size) / slowest_mm_s + AFTER_S)
+    target = np.concatenate([np.full(_count(BEFORE_S), start), np.full(way, start + size)])
+    return Scenario(f"step {size:+g} mm", Kind.STEP, target, start, _count(BEFORE_S), amplitude_mm=size)
+
+
+def _ramp(middle: float, sign: int) -> Scenario:
+    start = middle - sign * 0.5 * RAMP_MM_S * RAMP_S
+    way = start + sign * RAMP_MM_S * SAMPLE_S * np.arange(_count(RAMP_S))
+    target = np.concatenate([np.full(_count(BEFORE_S), start), way, np.full(_count(AFTER_S), way[-1])])
+    return Scenario(f"ramp {sign * RAMP_MM_S:+g} mm/s", Kind.RAMP, target, start, _count(BEFORE_S))
+
+
+def _sine(middle: float) -> Scenario:
+    time_s = SAMPLE_S * np.arange(_count(SINE_PERIODS / SINE_HZ))
+    target = middle + SINE_MM * np.sin(2 * np.pi * SINE_HZ * time_s)
+    return Scenario(f"sine {SINE_MM:g} mm, {SINE_HZ:g} Hz", Kind.SINE, target, middle, _count(1 / SINE_HZ))
+
+
+def _ploughing(middle: float, slowest_mm_s: float) -> Scenario:
+    surface = middle + 0.5 * WORKING_DEPTH_MM
+    down = _count(BEFORE_S + WORKING_DEPTH_MM / slowest_mm_s + AFTER_S)
+    size = down + _count(RIDE_S)
+    target = np.where(np.arange(size) < _count(BEFORE_S), surface, surface - WORKING_DEPTH_MM)
+    riding_s = SAMPLE_S * np.maximum(np.arange(size) - down, 0)
+    bumps = surface + BUMPS_MM * np.sin(2 * np.pi * BUMPS_HZ * riding_s)
+    around = Surroundings(surface_mm=bumps, soil_n_per_mm=SOIL_N_PER_MM)
+    return Scenario("ploughing", Kind.PLOUGHING, target, surface, down, around)
+
+
+def _changes(middle: float, slowest_mm_s: float) -> Iterator[Scenario]:
+    for before_kg, after_kg in ((LIGHT_KG, HEAVY_KG), (HEAVY_KG, LIGHT_KG)):
+        for sign in (1, -1):
+            step = _step(middle, sign * CHANGED_STEP_MM, slowest_mm_s)
+            half_s = 0.5 * CHANGED_STEP_MM / slowest_mm_s
+            time_s = SAMPLE_S * (np.arange(step.target_mm.size) - step.begin) - half_s + 0.5 * LOAD_TAKEN_S
+            kg = before_kg + (after_kg - before_kg) * np.clip(time_s / LOAD_TAKEN_S, 0.0, 1.0)
+            name = f"{before_kg:g} to {after_kg:g} kg, {step.name}"
+            yield _changed(step, name, Kind.LOAD_CHANGE, Surroundings(implement_kg=kg))
+    for sign in (1, -1):
+        step = _step(middle, sign * CHANGED_STEP_MM, slowest_mm_s)
+        yield _changed(step, f"{COLD_C:g} °C oil, {step.name}", Kind.COLD_OIL, Surroundings(oil_c=COLD_C))
+
+
+def _changed(step: Scenario, name: str, kind: Kind, around: Surroundings) -> Scenario:
+    return Scenario(name, kind, step.target_mm, step.start_mm, step.begin, around, step.amplitude_mm)
+
+
+def _sensor_lost(middle: float, slowest_mm_s: float) -> Scenario:
+    step = _step(middle, STEPS_MM[1], slowest_mm_s)
+    time_s = SAMPLE_S * (np.arange(step.target_mm.size) - step.begin)
+    lost = (time_s >= LOST_S) & (time_s < 2 * LOST_S)
+    return _changed(step, "sensor lost", Kind.SENSOR_LOST, Surroundings(sensor_lost=lost))

@@ -1,0 +1,142 @@
+"""Closed loops on the virtual bench: any controller, what acts on the bench, and what is refused."""
+
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from hitchid.control.closed_loop import Surroundings, run_closed_loops
+from hitchid.errors import InputError
+from hitchid.rig import load_rig
+
+SAMPLES, START = 150, 120.0
+TARGET = START + np.where(np.arange(SAMPLES) < 20, 0.0, 6.0)
+FACTORS = np.array([1.0, 1.3])
+LOST = (np.arange(SAMPLES) >= 60) & (np.arange(SAMPLES) < 80)
+
+
+@dataclass(frozen=True)
+class Plain:
+    """A controller of plain numbers around a traced one."""
+
+    controller: object
+
+    def initial_state(self, displacement_mm):
+        return self.controller.initial_state(displacement_mm)
+
+    def step(self, state, target_mm, measured_mm):
+        assert type(measured_mm) is float
+        state, currents = self.controller.step(state, target_mm, measured_mm)
+        return state, [float(current) for current in currents]
+
+
+class Returning:
+    """A controller that returns always the same."""
+
+    def __init__(self, currents):
+        self.currents = currents
+
+    def initial_state(self, displacement_mm):
+        return None
+
+    def step(self, state, target_mm, measured_mm):
+        return state, self.currents
+
+
+class TracedReturning(eqx.Module):
+    """A controller that JAX can trace and that returns always the same."""
+
+    currents: jax.Array
+
+    def initial_state(self, displacement_mm):
+        return jnp.zeros(())
+
+    def step(self, state, target_mm, measured_mm):
+        return state, self.currents
+
+
+def closed(controller, *, factors=FACTORS, target=TARGET, **surroundings):
+    return run_closed_loops(
+        controller,
+        load_rig("nominal"),
+        jax.random.key(3),
+        target,
+        start_mm=START,
+        implement_factors=factors,
+        surroundings=Surroundings(**surroundings),
+    )
+
+
+@pytest.fixture(scope="module")
+def traced(brisk):
+    """Return the loops of a traced controller."""
+    return closed(brisk)
+
+
+def test_the_bench_follows_its_target(traced) -> None:
+    assert traced.displacement_mm.shape == traced.measured_mm.shape == (2, SAMPLES)
+    assert traced.currents_a.shape == (2, SAMPLES, 2)
+    np.testing.assert_allclose(traced.time_s, 0.01 * np.arange(SAMPLES))
+    np.testing.assert_allclose(traced.displacement_mm[:, 0], START, atol=1e-6)
+    assert np.all(traced.displacement_mm[:, -1] > START + 3.0)
+    assert np.abs(traced.measured_mm - traced.displacement_mm).max() < 2.0
+
+
+def test_a_controller_of_plain_numbers_gives_the_same_signals(traced, brisk) -> None:
+    plain = closed(Plain(brisk))
+    np.testing.assert_allclose(plain.displacement_mm, traced.displacement_mm, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(plain.measured_mm, traced.measured_mm, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(plain.currents_a, traced.currents_a, rtol=0, atol=1e-6)
+
+
+def test_loops_have_noise_of_their_own_and_the_same_with_the_same_key(brisk) -> None:
+    first, again = closed(brisk, factors=np.ones(2)), closed(brisk, factors=np.ones(2))
+    np.testing.assert_array_equal(first.measured_mm, again.measured_mm)
+    assert np.any(first.measured_mm[0] != first.measured_mm[1])
+
+
+def test_the_mass_of_the_implement_changes_the_motion(traced, brisk) -> None:
+    other = closed(brisk, factors=np.array([1.0, 0.7]))
+    np.testing.assert_array_equal(other.displacement_mm[0], traced.displacement_mm[0])
+    assert np.abs(other.displacement_mm[1] - traced.displacement_mm[1]).max() > 1e-3
+
+
+def test_a_lost_sensor_measures_nothing_in_just_these_samples(brisk) -> None:
+    found = closed(brisk, sensor_lost=LOST)
+    np.testing.assert_array_equal(np.isnan(found.measured_mm), np.tile(LOST, (2, 1)))
+
+
+def test_currents_are_zero_without_a_measurement(brisk) -> None:
+    found = closed(brisk, sensor_lost=LOST)
+    assert np.any(found.currents_a[:, LOST.argmax() - 1] > 0)
+    assert np.all(found.currents_a[np.isnan(found.measured_mm)] == 0)
+    assert np.all(np.isfinite(found.displacement_mm))
+
+
+def test_cold_oil_and_soil_change_the_motion(traced, brisk) -> None:
+    cold = closed(brisk, oil_c=5.0)
+    soil = closed(brisk, surface_mm=START + 40.0, soil_n_per_mm=np.full(SAMPLES, 80.0))
+    for other in (cold, soil):
+        assert np.all(np.isfinite(other.displacement_mm))
+        assert np.abs(other.displacement_mm - traced.displacement_mm).max() > 1e-3
+
+
+@pytest.mark.parametrize("currents", [[0.1, 0.2, 0.3], [0.1], 0.5, None, "off", [[0.1, 0.2]]])
+def test_other_than_two_currents_are_refused(currents) -> None:
+    with pytest.raises(InputError, match="controller: expected two currents"):
+        closed(Returning(currents), factors=np.ones(1))
+
+
+def test_three_currents_of_a_traced_controller_are_refused() -> None:
+    with pytest.raises(InputError, match=r"currents.*\(3,\)"):
+        closed(TracedReturning(jnp.array([0.1, 0.2, 0.3])), factors=np.ones(1))
+
+
+def test_a_start_beyond_the_stroke_is_refused(brisk) -> None:
+    with pytest.raises(InputError):
+        run_closed_loops(
+            brisk, load_rig("nominal"), jax.random.key(0), TARGET, start_mm=5000.0, implement_factors=FACTORS
+        )

@@ -1,0 +1,150 @@
+"""The position controller sample by sample, and closed on its own model."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+SAMPLES = 60
+START = 100.0
+positions = st.one_of(st.floats(60, 140), st.just(float("nan")), st.just(START))
+
+
+@pytest.fixture(scope="module")
+def answers(controller):
+    """Return a function from targets and measurements to the controller's states and currents."""
+
+    @jax.jit
+    def run(targets, measured):
+        def advance(state, row):
+            state, currents = controller.step(state, *row)
+            return state, (state, currents)
+
+        return jax.lax.scan(advance, controller.initial_state(START), (targets, measured))[1]
+
+    return lambda *rows: jax.tree.map(np.asarray, run(*(jnp.asarray(row, jnp.float64) for row in rows)))
+
+
+@pytest.fixture(scope="module")
+def closed_on_model(controller):
+    """Return a function from targets to displacement and currents, the models of the controller its plant."""
+
+    @jax.jit
+    def run(targets):
+        def advance(carry, target):
+            axes, displacement, state = carry
+            state, currents = controller.step(state, target, displacement)
+            stepped, position = [], displacement
+            for axis, before, current in zip(controller.axes, axes, currents, strict=True):
+                after = axis.step(before, current, displacement)
+                position += axis.under_way(before) + after.increments[0] - axis.under_way(after)
+                stepped.append(after)
+            return (tuple(stepped), position, state), (displacement, currents)
+
+        start = jnp.asarray(START)
+        axes = tuple(axis.initial_state(start) for axis in controller.axes)
+        return jax.lax.scan(advance, (axes, start, controller.initial_state(START)), targets)[1]
+
+    return lambda targets: tuple(map(np.asarray, run(jnp.asarray(targets, jnp.float64))))
+
+
+def test_a_hitch_at_its_target_has_closed_valves(controller) -> None:
+    state, currents = controller.step(controller.initial_state(START), START, START)
+    np.testing.assert_array_equal(currents, [0.0, 0.0])
+    assert bool(state.is_holding)
+    assert float(state.reference.position) == START
+
+
+@settings(max_examples=40)
+@given(
+    levels=arrays(np.float64, 6, elements=positions), measured=arrays(np.float64, SAMPLES, elements=positions)
+)
+def test_currents_are_of_one_valve_within_their_limits_and_rise_no_faster(
+    controller, answers, levels, measured
+) -> None:
+    _, currents = answers(np.repeat(levels, SAMPLES // 6), measured)
+    assert np.all(np.isfinite(currents))
+    assert not np.any(np.all(currents > 0, axis=1))
+    assert currents.min() >= 0
+    assert np.all(currents <= [axis.largest_a for axis in controller.axes])
+    rise = np.diff(currents, axis=0, prepend=np.zeros((1, 2)))
+    assert rise.max() <= float(controller.rate_a_s) * 0.01 + 1e-12
+    assert np.all(currents[np.isnan(measured)] == 0)
+
+
+def test_the_valve_of_the_direction_opens(answers) -> None:
+    measured = np.full(SAMPLES, START)
+    for target, number in ((START + 20, 0), (START - 20, 1)):
+        _, currents = answers(np.full(SAMPLES, target), measured)
+        assert currents[-1, number] > 0
+        assert np.all(currents[:, 1 - number] == 0)
+
+
+@pytest.mark.parametrize("target", [START + 40, START - 40])
+def test_without_a_measurement_the_valves_close_at_once_and_the_reference_starts_anew(
+    controller, answers, target: float
+) -> None:
+    measured = np.full(160, START)
+    measured[30:130] = np.nan
+    measured[130:] = 112.0
+    states, currents = answers(np.full(160, target), measured)
+    number = 0 if target > START else 1
+    assert currents[29, number] > 0
+    assert np.all(currents[30:130] == 0)
+    speed = np.asarray(controller.limits_at(jnp.asarray(112.0)).speed)[number]
+    first = states.reference.position[130]
+    assert abs(first - 112.0) <= 0.01 * speed
+    assert abs(states.reference.speed[130]) <= 0.01 * float(controller.acceleration[number]) + 1e-9
+    gains, axis = controller.gains[number], controller.axes[number]
+    error = abs(first - 112.0)
+    wanted = (
+        abs(states.reference.speed[130]) * (1 + gains.speed)
+        + (controller.lags_s[number] + gains.acceleration) * controller.acceleration[number]
+        + (gains.proportional + 0.01 * gains.integral) * error
+    )
+    assert currents[130, number] <= float(axis.current_for(wanted, jnp.asarray(112.0))) + 1e-9
+    assert abs(states.integral_mm_s[130]) <= 0.01 * gains.integral * error + 1e-12
+
+
+def test_a_target_that_is_lost_keeps_its_last_value(answers) -> None:
+    targets = np.full(SAMPLES, START + 20)
+    lost = targets.copy()
+    lost[20:40] = np.nan
+    measured = np.full(SAMPLES, START)
+    kept, states = answers(targets, measured), answers(lost, measured)
+    for one, other in zip(jax.tree.leaves(kept), jax.tree.leaves(states), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_a_step_is_the_same_traced_and_mapped(controller) -> None:
+    state, _ = controller.step(controller.initial_state(START), START + 20, START)
+    measured = jnp.array([START + 0.1, START - 3.0, jnp.nan])
+    alone = [controller.step(state, START + 20, each) for each in measured]
+    jitted = jax.jit(lambda each: controller.step(state, START + 20, each))
+    traced = [jitted(each) for each in measured]
+    mapped = jax.vmap(lambda each: controller.step(state, START + 20, each))(measured)
+    for number, plain in enumerate(alone):
+        rows = jax.tree.map(lambda leaf, n=number: leaf[n], mapped)
+        for one, *others in zip(*map(jax.tree.leaves, (plain, traced[number], rows)), strict=True):
+            for other in others:
+                np.testing.assert_allclose(other, one, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("step", [20.0, -20.0])
+def test_a_step_on_its_own_model_ends_in_the_hold_window(controller, closed_on_model, step: float) -> None:
+    targets = START + np.where(np.arange(700) < 50, 0.0, step)
+    displacement, currents = closed_on_model(targets)
+    assert np.all(displacement[:51] == START)
+    assert np.all(np.abs(displacement[-100:] - targets[-1]) < controller.hold.outer_mm)
+    assert np.all(currents[-100:] == 0)
+    beyond = np.sign(step) * (displacement - targets[-1])
+    assert beyond.max() < controller.hold.outer_mm
+
+
+def test_a_jump_faster_than_the_hitch_is_no_speed_of_the_target(answers) -> None:
+    targets = np.where(np.arange(SAMPLES) < 10, START, START + 20)
+    states, _ = answers(targets, np.full(SAMPLES, START))
+    assert np.all(states.target_speed_mm_s == 0)

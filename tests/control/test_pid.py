@@ -1,0 +1,82 @@
+"""PI and PID control of the error: the valve of its sign, the limit of its integral, a lost measurement."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from hitchid.control.pid import PidController, baselines
+
+TWO = jnp.ones(2)
+
+
+def controller(proportional: float = 0.05, *, derivative: float = 0.0, offset: float = 0.0) -> PidController:
+    return PidController(
+        proportional * TWO, 2.0 * TWO, derivative * TWO, offset * TWO, jnp.array([0.8, 0.6]), 0.01
+    )
+
+
+def run(own: PidController, errors) -> tuple:
+    """Return integrals and currents over errors of the position."""
+    state, integrals, currents = own.initial_state(100.0), [], []
+    for error in errors:
+        state, now = own.step(state, 100.0 + error, np.nan if np.isnan(error) else 100.0)
+        integrals.append(float(state.integral_a))
+        currents.append(np.asarray(now))
+    return np.array(integrals), np.array(currents)
+
+
+def test_the_sign_of_the_error_chooses_the_valve() -> None:
+    for error, number in ((4.0, 0), (-4.0, 1)):
+        _, currents = run(controller(), [error])
+        expected = np.zeros(2)
+        expected[number] = 0.05 * 4.0 * (1 + 0.01 / 2.0)
+        np.testing.assert_allclose(currents[0], expected, rtol=1e-12)
+
+
+def test_no_error_has_no_current() -> None:
+    for offset in (0.0, 0.3):
+        _, currents = run(controller(offset=offset), [0.0, 0.0])
+        np.testing.assert_array_equal(currents, np.zeros((2, 2)))
+
+
+def test_a_dead_zone_is_added_to_a_current_that_is_not_zero() -> None:
+    plain, compensated = run(controller(), [4.0, -4.0])[1], run(controller(offset=0.3), [4.0, -4.0])[1]
+    np.testing.assert_allclose(compensated, np.where(plain > 0, plain + 0.3, 0.0), rtol=1e-12)
+
+
+@pytest.mark.parametrize(("error", "number", "largest"), [(200.0, 0, 0.8), (-200.0, 1, 0.6)])
+def test_the_integral_stops_at_the_largest_current(error: float, number: int, largest: float) -> None:
+    integrals, currents = run(controller(), [error] * 20)
+    np.testing.assert_array_equal(integrals, 0.0)
+    np.testing.assert_array_equal(currents[:, number], largest)
+    np.testing.assert_array_equal(currents[:, 1 - number], 0.0)
+
+
+def test_the_integral_grows_to_the_limit_and_no_further() -> None:
+    integrals, currents = run(controller(), [12.0] * 200)
+    assert integrals[0] == pytest.approx(0.01 * 0.05 / 2.0 * 12.0)
+    assert 0.05 * 12.0 + integrals[-1] <= 0.8 + 1e-9
+    assert integrals[-1] == integrals[-2]
+    assert currents.max() == pytest.approx(0.8, abs=0.01)
+
+
+def test_without_a_measurement_there_is_no_current_and_the_integral_starts_anew() -> None:
+    integrals, currents = run(controller(), [8.0, 8.0, np.nan, np.nan])
+    assert integrals[1] > 0
+    np.testing.assert_array_equal(integrals[2:], 0.0)
+    np.testing.assert_array_equal(currents[2:], 0.0)
+
+
+def test_baselines_follow_the_simc_rules(linear_controller) -> None:
+    found = baselines(linear_controller)
+    assert set(found) == {"SIMC PI", "SIMC PI, dead zone compensated", "fixed PID"}
+    gain, theta = np.array([30.0, 20.0]), 0.064 + 0.005
+    simc = found["SIMC PI"]
+    np.testing.assert_allclose(simc.proportional, 1 / (gain * 2 * (0.08 + theta)), rtol=1e-6)
+    np.testing.assert_allclose(simc.integral_s, 8 * (0.08 + theta), rtol=1e-9)
+    np.testing.assert_array_equal(simc.derivative_s, 0.0)
+    np.testing.assert_array_equal(simc.offset_a, 0.0)
+    np.testing.assert_array_equal(found["SIMC PI, dead zone compensated"].offset_a, [0.35, 0.25])
+    fixed = found["fixed PID"]
+    np.testing.assert_allclose(fixed.proportional, 1 / (25.0 * 2 * theta), rtol=1e-6)
+    np.testing.assert_allclose(fixed.derivative_s, 0.08, rtol=1e-9)

@@ -1,0 +1,141 @@
+"""Tuning of a controller, and its proof on the virtual bench, from a model that is identified quickly."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+import hitchid
+from hitchid.cli import app
+from hitchid.control import Tuning, load_controller, save_controller, tune
+from hitchid.control.limits import check_drive, read_drive_limits
+from hitchid.control.tuning import MAX_SENSITIVITY, MIN_DEAD_TIMES, MIN_GAIN_DB, MIN_PHASE_DEG
+from hitchid.errors import InputError, SettingsError
+from hitchid.identification import read_settings
+
+SETTINGS = """
+[lifting]
+structure = "integrator-second-order"
+[lowering]
+structure = "integrator-first-order"
+[search]
+evaluations = 200
+compare = false
+[training]
+epochs = 2
+free_run = false
+baselines = false
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a model of the nominal bench that was identified quickly."""
+    place = tmp_path_factory.mktemp("tuning")
+    (place / "quick.toml").write_text(SETTINGS)
+    runner = CliRunner()
+    assert runner.invoke(app, ["bench", str(place / "logs"), "--tests", "8"]).exit_code == 0
+    identification = hitchid.identify(hitchid.read(place / "logs"), **read_settings(place / "quick.toml"))
+    identification.save(place / "model")
+    return place
+
+
+@pytest.fixture(scope="module")
+def model(folder: Path) -> hitchid.Hitch:
+    return hitchid.load(folder / "model")
+
+
+@pytest.fixture(scope="module")
+def tuning(model: hitchid.Hitch) -> Tuning:
+    return tune(model, draws=40)
+
+
+def test_margins_are_those_that_were_asked_for(tuning: Tuning):
+    for margins in tuning.margins.values():
+        assert margins.passed
+        assert margins.worst.gain_db >= MIN_GAIN_DB
+        assert margins.worst.phase_deg >= MIN_PHASE_DEG
+        assert margins.worst.sensitivity <= MAX_SENSITIVITY
+        assert margins.worst.delay_s >= MIN_DEAD_TIMES * margins.dead_time_s
+        assert margins.nominal.gain_db >= margins.worst.gain_db - 1e-9
+
+
+def test_the_bandwidth_is_the_largest_with_these_margins(tuning: Tuning):
+    for margins in tuning.margins.values():
+        slack = [
+            margins.worst.gain_db / MIN_GAIN_DB,
+            margins.worst.phase_deg / MIN_PHASE_DEG,
+            MAX_SENSITIVITY / margins.worst.sensitivity,
+            margins.worst.delay_s / max(MIN_DEAD_TIMES * margins.dead_time_s, 1e-6),
+        ]
+        assert min(slack) < 1.05
+
+
+def test_a_model_without_standard_errors_is_refused(model: hitchid.Hitch):
+    with pytest.raises(InputError, match="no standard errors"):
+        tune(replace(model, uncertainty={}), draws=20)
+
+
+def test_a_model_of_one_direction_is_refused(model: hitchid.Hitch):
+    with pytest.raises(InputError, match="no lowering channel"):
+        tune(replace(model, channels={"lifting": model.channels["lifting"]}), draws=20)
+
+
+def test_a_model_in_other_units_is_refused(model: hitchid.Hitch):
+    with pytest.raises(InputError, match="unit is m, expected mm"):
+        tune(replace(model, units={**model.units, "displacement": "m"}), draws=20)
+
+
+def test_the_commands_tune_and_drive_with_limits(folder: Path):
+    runner, file, out = CliRunner(), folder / "controller.toml", folder / "drive"
+    tuned = runner.invoke(app, ["tune", str(folder / "model"), "--out", str(file), "--draws", "40", "--json"])
+    assert tuned.exit_code == 0, tuned.output
+    assert load_controller(file).model == "model"
+    (folder / "limits.toml").write_text(
+        "both_valves_samples = 0\ndiverged = 0\n[steps.100]\novershoot = 0.001\n"
+    )
+    arguments = ["drive", str(file), "--out", str(out), "--draws", "1", "--quiet"]
+    driven = runner.invoke(app, [*arguments, "--accept", str(folder / "limits.toml")])
+    assert driven.exit_code == 1, driven.output
+    assert "fail  steps.100.overshoot" in driven.output
+    metrics = json.loads((out / "metrics.json").read_text())
+    assert metrics["both_valves_samples"] == 0
+    assert metrics["diverged"] == 0
+    assert set(metrics["steps"]) == {"5", "-5", "20", "-20", "100", "-100"}
+    assert metrics["sensor_lost"]["samples_until_closed"] <= 2
+    assert metrics["iae_ratio"] < 0.8
+    assert set(metrics["iae"]) >= {"controller", "SIMC PI", "fixed PID"}
+    assert metrics["band"]["scenarios"]
+    assert metrics["acceptance"]["passed"] is False
+    assert (out / "report.html").stat().st_size > 10_000
+
+
+def test_limits_of_unknown_figures_are_refused(tmp_path: Path):
+    with pytest.raises(SettingsError, match=r"no figure 'steps\.7\.overshoot'; expected one of"):
+        check_drive({"steps": {"100": {"overshoot": 1.0}}}, {"steps.7.overshoot": 1.0})
+    (tmp_path / "limits.toml").write_text('iae_ratio = "1"')
+    with pytest.raises(SettingsError, match="iae_ratio: got '1', expected a finite number"):
+        read_drive_limits(tmp_path / "limits.toml")
+    (tmp_path / "limits.toml").write_text("")
+    with pytest.raises(SettingsError, match="has no limit"):
+        read_drive_limits(tmp_path / "limits.toml")
+
+
+def test_a_figure_at_its_limit_passes_and_a_missing_one_fails():
+    figures = {"iae_ratio": 0.6, "steps": {"100": {"settling_s": None}}, "band": {"inside": 0.9}}
+    limits = {"iae_ratio": 0.6, "steps.100.settling_s": 6.6, "band.inside": 0.85}
+    assert [check.passed for check in check_drive(figures, limits).checks] == [True, False, True]
+
+
+@pytest.mark.parametrize("name", ["json", "json:missing", "json:dumps", "nowhere:thing", ":x"])
+def test_a_controller_that_is_none_is_refused(folder: Path, tuning: Tuning, name: str):
+    file = folder / "for-refusal.toml"
+    if not file.exists():
+        save_controller(tuning, hitchid.load(folder / "model"), file)
+    result = CliRunner().invoke(
+        app, ["drive", str(file), "--controller", name, "--out", str(folder / "none")]
+    )
+    assert isinstance(result.exception, InputError)
+    assert "--controller" in str(result.exception)
