@@ -10,10 +10,11 @@ from typer.testing import CliRunner
 import hitchid
 from hitchid.cli import app
 from hitchid.control import Tuning, load_controller, save_controller, tune
+from hitchid.control.direction_loops import MAX_SENSITIVITY, MIN_DEAD_TIMES, MIN_GAIN_DB, MIN_PHASE_DEG
 from hitchid.control.limits import check_drive, read_drive_limits
-from hitchid.control.tuning import MAX_SENSITIVITY, MIN_DEAD_TIMES, MIN_GAIN_DB, MIN_PHASE_DEG
 from hitchid.errors import InputError, SettingsError
 from hitchid.identification import read_settings
+from hitchid.report import tune_report
 
 SETTINGS = """
 [lifting]
@@ -90,7 +91,20 @@ def test_a_model_in_other_units_is_refused(model: hitchid.Hitch):
 
 def test_the_commands_tune_and_drive_with_limits(folder: Path):
     runner, file, out = CliRunner(), folder / "controller.toml", folder / "drive"
-    tuned = runner.invoke(app, ["tune", str(folder / "model"), "--out", str(file), "--draws", "40", "--json"])
+    tuned = runner.invoke(
+        app,
+        [
+            "tune",
+            str(folder / "model"),
+            "--out",
+            str(file),
+            "--draws",
+            "40",
+            "--json",
+            "--report",
+            str(folder / "report"),
+        ],
+    )
     assert tuned.exit_code == 0, tuned.output
     assert load_controller(file).model == "model"
     (folder / "limits.toml").write_text(
@@ -139,3 +153,18 @@ def test_a_controller_that_is_none_is_refused(folder: Path, tuning: Tuning, name
     )
     assert isinstance(result.exception, InputError)
     assert "--controller" in str(result.exception)
+
+
+def test_the_report_of_a_tuning_shows_its_margins(tuning: Tuning):
+    document = tune_report(tuning, command="hitchid tune")
+    (margins,) = (table for table in document.tables if table.title == "Margins")
+    assert [row[0] for row in margins.rows] == [
+        "gain margin / dB",
+        "phase margin / °",
+        "Ms",
+        "delay margin / ms",
+        "disk margin",
+    ]
+    assert {picture.name for picture in document.pictures} == {"bode", "nichols", "sensitivity", "steps"}
+    for loop in tuning.loops.values():
+        assert loop.response.shape == (41, loop.omega.size)

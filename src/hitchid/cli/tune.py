@@ -9,11 +9,16 @@ import typer
 
 from hitchid.cli.cache import prepare_jax
 from hitchid.cli.options import AsJson, Force, Loads, Quiet, loads_of
+from hitchid.cli.program import command_line
 
 
 def tune(
     model: Annotated[Path, typer.Argument(help="Model folder.", show_default=False)],
     out: Annotated[Path, typer.Option("--out", help="Controller file to write, TOML.")],
+    report_folder: Annotated[
+        Path | None,
+        typer.Option("--report", help="Folder to write: report.html with margins, Bode and Nichols plots."),
+    ] = None,
     load: Loads = None,
     draws: Annotated[
         int, typer.Option("--draws", min=20, max=10000, help="Drawn parameter vectors of the margins.")
@@ -24,20 +29,27 @@ def tune(
     as_json: AsJson = False,
 ) -> None:
     """Tune a position controller: the fastest that keeps its margins over draws of the parameters."""
-    from hitchid._support.storage import check_file, check_inputs
+    from hitchid._support.storage import check_file, check_folder, check_inputs
     from hitchid.cli import terminal as display
 
     check_file(out, force=force)
     check_inputs(out, [model])
+    if report_folder is not None:
+        check_folder(report_folder, result_kind=out.name, force=force)
+        check_inputs(report_folder, [model])
     prepare_jax()
     from hitchid.control import load_controller, save_controller
     from hitchid.control import tune as run
     from hitchid.model import load as load_model
+    from hitchid.report import tune_report, write_report
 
     hitch = load_model(model)
     with display.progress(quiet=quiet) as report:
         tuning = run(hitch, load=loads_of(load), draws=draws, seed=seed, progress=report)
     save_controller(tuning, hitch, out, model_folder=_relative(model, out), force=force)
+    if report_folder is not None:
+        document = tune_report(tuning, command=command_line())
+        write_report(report_folder, document, {out.name: out.read_bytes()}, mark=out.name, force=force)
     if as_json:
         margins = load_controller(out).margins
         typer.echo(json.dumps({"method": tuning.method, "margins": margins}, indent=1))

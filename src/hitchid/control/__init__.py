@@ -8,6 +8,7 @@ from hitchid.control.controller import ControllerState as ControllerState
 from hitchid.control.controller import Gains as Gains
 from hitchid.control.controller import HitchController as HitchController
 from hitchid.control.controller import HoldWindow as HoldWindow
+from hitchid.control.direction_loops import DirectionMargins as DirectionMargins
 from hitchid.control.drive import Drive as Drive
 from hitchid.control.drive import drive as drive
 from hitchid.control.figures import Figures as Figures
@@ -21,7 +22,8 @@ from hitchid.control.pid import baselines as baselines
 from hitchid.control.scenarios import Kind as Kind
 from hitchid.control.scenarios import Scenario as Scenario
 from hitchid.control.scenarios import scenarios as scenarios
-from hitchid.control.tuning import DirectionMargins as DirectionMargins
+from hitchid.control.tuning import OpenLoop as OpenLoop
+from hitchid.control.tuning import TrialRun as TrialRun
 from hitchid.control.tuning import Tuning as Tuning
 from hitchid.control.tuning import tune as tune
 
@@ -37,10 +39,12 @@ __all__ = [
     "HoldWindow",
     "Kind",
     "Margins",
+    "OpenLoop",
     "PidController",
     "PositionController",
     "Scenario",
     "Surroundings",
+    "TrialRun",
     "Tuning",
     "baselines",
     "drive",

@@ -19,6 +19,7 @@ from hitchid.report.renderers import registered_renderers as registered_renderer
 from hitchid.report.renderers import render as render
 from hitchid.report.trace_file import ChannelTraceFile as ChannelTraceFile
 from hitchid.report.trace_file import read_trace as read_trace
+from hitchid.report.tune_report import tune_report as tune_report
 from hitchid.report.validation_report import all_tables as all_tables
 from hitchid.report.validation_report import direction_sections as direction_sections
 from hitchid.report.validation_report import validation_report as validation_report

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from hitchid._support.data_table import DataTable
 from hitchid.control import Drive, Kind, Scenario
 from hitchid.control.drive import BASELINE, TESTED
-from hitchid.report import figures, numbers, sections
+from hitchid.report import numbers, sections
 from hitchid.report.document import (
     Document,
     Finding,
@@ -17,6 +17,7 @@ from hitchid.report.document import (
     Text,
     sentence,
 )
+from hitchid.report.figures import closed_loop
 from hitchid.validation import Acceptance
 
 MARGIN_ROWS = {
@@ -189,7 +190,7 @@ def _picture(result: Drive, name: str, scenario: Scenario) -> Picture:
         .replace("°", "")
         .replace("+", "plus-")
         .replace("--", "-minus-"),
-        figures.closed_loop(scenario, loops, baseline, band, BASELINE),
+        closed_loop.closed_loop(scenario, loops, baseline, band, BASELINE),
         f"{name}: displacement, error and currents of the first loop.{beneath}",
         f"Displacement, its error and the currents over time, {name}.",
         data={

@@ -1,6 +1,5 @@
 """Figures: functions of a result that return matplotlib figures, in one style."""
 
-from hitchid.report.figures.closed_loop import closed_loop as closed_loop
 from hitchid.report.figures.errors import error_distribution as error_distribution
 from hitchid.report.figures.errors import errors_by_test as errors_by_test
 from hitchid.report.figures.errors import horizons as horizons

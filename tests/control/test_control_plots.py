@@ -1,0 +1,81 @@
+"""Figures of closed and open loops: what is drawn is what was given, with a unit on every axis."""
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from hitchid.control import ClosedLoops, Kind, OpenLoop, Scenario, TrialRun
+from hitchid.control.prediction import Band
+from hitchid.plots.style import PAGE_IN
+from hitchid.report.figures import closed_loop, open_loop
+from hitchid.report.svg import svg
+
+OMEGA = np.geomspace(0.1, 100.0, 50)
+TIME_S = 0.01 * np.arange(300)
+
+
+def loops() -> dict[str, OpenLoop]:
+    gains = np.array([[2.0], [1.8], [2.2]])
+    response = gains * np.exp(-0.05j * OMEGA) / (1j * OMEGA)
+    return {"lifting": OpenLoop(OMEGA, response), "lowering": OpenLoop(OMEGA, 0.5 * response)}
+
+
+def scenario() -> Scenario:
+    target = np.where(TIME_S < 1, 100.0, 105.0)
+    return Scenario("step +5 mm", Kind.STEP, target, 100.0, 100, amplitude_mm=5.0)
+
+
+def runs() -> ClosedLoops:
+    displacement = np.stack([np.where(TIME_S < 1.2, 100.0, 105.1), np.where(TIME_S < 1.3, 100.0, 104.9)])
+    currents = np.zeros((2, 300, 2))
+    currents[:, 100:120, 0] = 0.7
+    return ClosedLoops(scenario().target_mm, displacement, displacement + 0.01, currents)
+
+
+def drawn(name: str) -> Figure:
+    match name:
+        case "bode":
+            return open_loop.bode(loops())
+        case "nichols":
+            return open_loop.nichols(loops(), 1.7)
+        case "sensitivity":
+            return open_loop.sensitivity(loops(), 1.7)
+        case "steps":
+            target = scenario().target_mm
+            return open_loop.step_fan([TrialRun(TIME_S, target, runs().measured_mm)] * 2)
+        case _:
+            band = Band(scenario().target_mm - 1, scenario().target_mm + 1)
+            return closed_loop.closed_loop(scenario(), runs(), runs(), band, "SIMC PI")
+
+
+EVERY = ["bode", "nichols", "sensitivity", "steps", "closed loop"]
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_a_figure_has_the_width_of_a_page_and_becomes_an_svg(name: str):
+    figure = drawn(name)
+    assert figure.get_figwidth() == PAGE_IN
+    assert "<svg" in svg(figure)
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_every_named_axis_has_a_unit(name: str):
+    labels = {label for axes in drawn(name).axes for label in (axes.get_xlabel(), axes.get_ylabel()) if label}
+    assert labels
+    assert all("/" in label for label in labels - {"sensitivity"})
+
+
+def test_the_magnitude_is_that_of_the_model():
+    magnitude, phase = drawn("bode").axes
+    line = next(line for line in magnitude.lines if line.get_label() == "lifting")
+    np.testing.assert_allclose(line.get_ydata(), 20 * np.log10(2.0 / OMEGA))
+    line = next(line for line in phase.lines if line.get_label() == "lifting")
+    np.testing.assert_allclose(line.get_ydata(), -90 - np.rad2deg(0.05 * OMEGA))
+
+
+def test_displacement_and_error_are_those_of_the_loops():
+    displacement, error, current = drawn("closed loop").axes
+    line = next(line for line in displacement.lines if line.get_label() == "controller")
+    np.testing.assert_array_equal(line.get_ydata(), runs().displacement_mm[0])
+    np.testing.assert_allclose(error.lines[0].get_ydata(), runs().displacement_mm[0] - scenario().target_mm)
+    assert {line.get_label() for line in current.lines} == {"lifting current", "lowering current"}
