@@ -13,7 +13,7 @@ from hitchid.data.record import DIRECTIONS
 
 DEAD_TIME_S = 0.064
 LAG_S = 0.08
-PRESSURE = jnp.array([125.0])
+PRESSURE = {"pressure": 125.0}
 
 
 def made_up_model(*, shape: bool):

@@ -8,6 +8,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from hitchid.control.axis import Axis
+from hitchid.errors import InputError
+from hitchid.structures import (
+    CovariateScales,
+    PhysicalModel,
+    Scales,
+    Scheduling,
+    StaticNonlinearity,
+    scheduled_quantities,
+    structure_named,
+)
+
 SAMPLES = 60
 START = 100.0
 positions = st.one_of(st.floats(60, 140), st.just(float("nan")), st.just(START))
@@ -148,3 +160,32 @@ def test_a_jump_faster_than_the_hitch_is_no_speed_of_the_target(answers) -> None
     targets = np.where(np.arange(SAMPLES) < 10, START, START + 20)
     states, _ = answers(targets, np.full(SAMPLES, START))
     assert np.all(states.target_speed_mm_s == 0)
+
+
+def test_a_controller_takes_the_speed_of_another_load() -> None:
+    with jax.enable_x64(True):
+        structure = structure_named("integrator-first-order").require_linear()
+        quantities = scheduled_quantities(structure)
+        effects = np.zeros((len(quantities), 1, 2))
+        effects[quantities.index("gain"), 0, 0] = -0.2  # per standard deviation of the covariate
+        covariates = CovariateScales(jnp.asarray([10.0]), jnp.asarray([2.0]))
+        values = jnp.asarray([0.0, 1.0, 1e4, 0.0, 1e-15, 0.0, 0.0])
+        scales = Scales(jnp.asarray(0.6), jnp.asarray(100.0), jnp.asarray(50.0), covariates)
+        benchmark = PhysicalModel(
+            structure,
+            jnp.asarray([20.0, 0.1]),
+            jnp.asarray(0.03),
+            StaticNonlinearity(values, scales),
+            Scheduling(("pressure",), quantities, jnp.asarray(effects)),
+        )
+        axis = Axis.of(benchmark, sign=1, dead_zone=0.3, step_s=0.01, largest_a=0.9)
+        place = jnp.asarray(100.0)
+        mean, heavy = axis.fastest(place), axis.at_load({"pressure": 12.0}).fastest(place)
+        again = axis.at_load({"pressure": 12.0}).at_load({"pressure": 10.0}).fastest(place)
+    np.testing.assert_allclose(heavy / mean, np.exp(-0.2), rtol=1e-12)
+    np.testing.assert_allclose(again, mean, rtol=1e-12)
+
+
+def test_a_load_that_the_model_does_not_know_is_refused(controller) -> None:
+    with pytest.raises(InputError, match="load"):
+        controller.at_load({"mass": 10.0})

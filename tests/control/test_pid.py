@@ -78,5 +78,7 @@ def test_baselines_follow_the_simc_rules(linear_controller) -> None:
     np.testing.assert_array_equal(simc.offset_a, 0.0)
     np.testing.assert_array_equal(found["SIMC PI, dead zone compensated"].offset_a, [0.35, 0.25])
     fixed = found["fixed PID"]
-    np.testing.assert_allclose(fixed.proportional, 1 / (25.0 * 2 * theta), rtol=1e-6)
-    np.testing.assert_allclose(fixed.derivative_s, 0.08, rtol=1e-9)
+    parallel = 1 + 0.08 / (8 * theta)  # series form to parallel form
+    np.testing.assert_allclose(fixed.proportional, parallel / (25.0 * 2 * theta), rtol=1e-6)
+    np.testing.assert_allclose(fixed.integral_s, parallel * 8 * theta, rtol=1e-9)
+    np.testing.assert_allclose(fixed.derivative_s, 0.08 / parallel, rtol=1e-9)

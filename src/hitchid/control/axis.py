@@ -1,6 +1,7 @@
 """One direction of a hitch as its controller sees it: speed to current, and travel not yet measured."""
 
 import math
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import equinox as eqx
@@ -40,12 +41,14 @@ class Axis(eqx.Module):
     """Model of one direction in a controller: what it does now shows in the measurement a dead time later.
 
     Attributes:
-        model: discrete model without its dead time.
+        identified: physical model without its dead time, with what covariates change in it.
+        model: discrete model of it at one load.
         dead_time_samples: dead time T over the sampling time.
         largest_a: largest current of the identification tests, A.
         buffer: samples of travel that are kept, more than the dead time.
     """
 
+    identified: PhysicalModel
     model: DiscretePhysicalModel
     dead_time_samples: Scalar
     largest_a: float = eqx.field(static=True)
@@ -55,12 +58,17 @@ class Axis(eqx.Module):
     def of(
         cls, benchmark: PhysicalModel, *, sign: int, dead_zone: float, step_s: float, largest_a: float
     ) -> "Axis":
-        """Return the axis of a physical model of a linear structure with an integrator."""
+        """Return the axis of a physical model of a linear structure with an integrator, at its mean load."""
+        identified = undelayed(benchmark)
         model = DiscretePhysicalModel.of(
-            undelayed(benchmark), dead_zone=dead_zone, min_command=0.0, sign=sign, step_s=step_s
+            identified.at_load(identified.mean_load),
+            dead_zone=dead_zone,
+            min_command=0.0,
+            sign=sign,
+            step_s=step_s,
         )
         samples = float(benchmark.dead_time_s) / step_s
-        return cls(model, jnp.asarray(samples), largest_a, buffer_of(samples))
+        return cls(identified, model, jnp.asarray(samples), largest_a, buffer_of(samples))
 
     @property
     def step_s(self) -> float:
@@ -72,9 +80,17 @@ class Axis(eqx.Module):
         """Sign of its speed."""
         return self.model.sign
 
-    def at_load(self, load: Float[Array, " c"]) -> "Axis":
-        """Return the axis at values of its covariates."""
-        return eqx.tree_at(lambda axis: axis.model, self, self.model.at_load(load))
+    @property
+    def covariates(self) -> tuple[str, ...]:
+        """Names of the covariates that its parameters vary with."""
+        return self.identified.covariates
+
+    def at_load(self, load: Mapping[str, float]) -> "Axis":
+        """Return the axis at values of its covariates, by name; one that is not given has its mean."""
+        means = self.identified.mean_load
+        row = [load.get(name, mean) for name, mean in zip(self.covariates, means, strict=False)]
+        at_load = self.identified.at_load(jnp.asarray(row or means))
+        return eqx.tree_at(lambda axis: axis.model, self, self.model.with_benchmark(at_load))
 
     def with_benchmark(self, benchmark: PhysicalModel) -> "Axis":
         """Return the axis with the numbers of another benchmark, which may be traced.

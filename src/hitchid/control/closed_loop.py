@@ -13,6 +13,7 @@ from hitchid._support.precision import double_precision
 from hitchid._support.short_repr import short_repr
 from hitchid.errors import InputError
 from hitchid.rig import Disturbance, Rig
+from hitchid.rig.simulation import SAMPLE_S
 from hitchid.rig.test_bench import at_temperature
 
 CHUNK = 500  # samples of a compiled run: scenarios of any length share one program; chosen
@@ -22,8 +23,8 @@ CHUNK = 500  # samples of a compiled run: scenarios of any length share one prog
 class PositionController(Protocol):
     """Anything that brings a hitch to a position, once every 10 ms.
 
-    An Equinox module that JAX can trace runs many loops at once; any other runs loop by loop, with plain
-    numbers.
+    An Equinox module is traced by JAX and runs many loops at once; any other object runs loop by loop, with
+    plain numbers.
     """
 
     def initial_state(self, displacement_mm: object, /) -> object:
@@ -73,7 +74,7 @@ class ClosedLoops(NamedTuple):
     @property
     def time_s(self) -> Float[np.ndarray, " n"]:
         """Time since the start, s."""
-        return 0.01 * np.arange(self.target_mm.size)
+        return SAMPLE_S * np.arange(self.target_mm.size)
 
 
 class _Sample(NamedTuple):
@@ -141,7 +142,7 @@ def run_closed_loops(
     factors = jnp.asarray(implement_factors, jnp.float64)
     keys = jax.random.split(key, factors.size)
     starts = jax.vmap(lambda own, factor: _start(rig, own, factor, first, start_mm))(keys, factors)
-    if _is_traceable(controller, start_mm):
+    if isinstance(controller, eqx.Module):
         readings = _run_traced(controller, rig, starts, factors, inputs, start_mm)
     else:
         inputs = jax.tree.map(lambda rows: rows[:samples], inputs)
@@ -173,18 +174,6 @@ def _advance(
     force = _soil_n(sample, 1e3 * state.plant.displacement)
     disturbance = Disturbance(load_force_n=force, sensor_lost=sample.sensor_lost)
     return bench.step(_rig_at(rig, factor, sample), state, currents, disturbance)
-
-
-def _is_traceable(controller: PositionController, start_mm: float) -> bool:
-    """Return whether JAX can trace a controller; any error of a foreign one means that it cannot."""
-    try:
-        jax.eval_shape(
-            lambda measured: controller.step(controller.initial_state(measured), measured, measured)[1],
-            jnp.asarray(start_mm, jnp.float64),
-        )
-    except Exception:
-        return False
-    return isinstance(controller, eqx.Module)
 
 
 def _run_traced(

@@ -1,6 +1,6 @@
 """Position controller of a hitch: reference, inverse of each valve, predicted position, hold window."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import equinox as eqx
@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from hitchid._support import checks
 from hitchid._support.precision import double_precision
 from hitchid._support.short_repr import short_repr
 from hitchid.control.axis import Axis, AxisState
@@ -156,11 +157,22 @@ class HitchController(eqx.Module):
         fastest = jnp.stack([axis.fastest(displacement) for axis in self.axes])
         return ReferenceLimits(self.speed_share * fastest, self.acceleration)
 
-    def at_load(self, load: Sequence[float] | Float[Array, " c"]) -> "HitchController":
-        """Return the controller with its models at values of their covariates, in the order of the model."""
-        row = jnp.asarray(load, jnp.float64)
-        axes = tuple(axis.at_load(row) for axis in self.axes)
-        return eqx.tree_at(lambda controller: controller.axes, self, axes)
+    @double_precision
+    def at_load(self, load: Mapping[str, float]) -> "HitchController":
+        """Return the controller with models and lags at values of their covariates.
+
+        Args:
+            load: covariate to value, in the model's unit; one that is not given has the mean of the tests.
+
+        Raises:
+            InputError: the model has no such covariate.
+        """
+        known = {name for axis in self.axes for name in axis.covariates}
+        for name in load:
+            checks.one_of(name, known, "load")
+        axes = tuple(axis.at_load(load) for axis in self.axes)
+        lags_s = jnp.asarray([axis.lags[0] for axis in axes])
+        return eqx.tree_at(lambda controller: (controller.axes, controller.lags_s), self, (axes, lags_s))
 
 
 @eqx.filter_jit
@@ -199,7 +211,7 @@ def _step(
         lowering.step(lowering_state, currents[1], position),
     )
     reference = jax.tree.map(
-        lambda now, standing: jnp.where(is_holding, standing, now),
+        lambda moving, at_rest: jnp.where(is_holding, at_rest, moving),
         reference,
         Reference.at_rest(reference.position),
     )

@@ -145,6 +145,7 @@ def operating_points(channel: Channel) -> Iterator[tuple[float, float]]:
 
 
 def axis_of(model: Hitch, channel: Channel, row: Float[np.ndarray, " c"]) -> Axis:
+    """Return the axis of a channel at values of its covariates, up to the largest current of its tests."""
     largest_a = channel.dead_zone + float(channel.operating_range.command.highest)
     axis = Axis.of(
         channel.benchmark,
@@ -153,4 +154,4 @@ def axis_of(model: Hitch, channel: Channel, row: Float[np.ndarray, " c"]) -> Axi
         step_s=model.step_s,
         largest_a=largest_a,
     )
-    return axis.at_load(jnp.asarray(row))
+    return axis.at_load(dict(zip(channel.benchmark.covariates, row.tolist(), strict=False)))

@@ -16,7 +16,7 @@ from hitchid.control.controller import HitchController
 from hitchid.control.figures import Figures, iae_ratios
 from hitchid.control.pid import baselines
 from hitchid.control.prediction import Band, band_of, drawn_hitches, run_on_model
-from hitchid.control.scenarios import Kind, Scenario, least_time_s, scenarios
+from hitchid.control.scenarios import Kind, Scenario, least_time_s, scenarios, step_name
 from hitchid.model import Hitch
 from hitchid.model.loads import Load
 from hitchid.rig import Rig
@@ -40,7 +40,6 @@ class Drive:
         figures: controller to scenario to figures.
         bands: scenario to the band predicted from the identified model; empty without a model.
         least_times_s: step to the least time of the bench at the largest current, s.
-        step_s: sampling time, s.
     """
 
     scenarios: Mapping[str, Scenario]
@@ -48,7 +47,6 @@ class Drive:
     figures: Mapping[str, Mapping[str, Figures]]
     bands: Mapping[str, Band]
     least_times_s: Mapping[str, float]
-    step_s: float = 0.01
 
     @property
     def draws(self) -> int:
@@ -128,11 +126,6 @@ class Drive:
         }
 
 
-def step_name(amplitude_mm: float) -> str:
-    """Return the name of the scenario of a step."""
-    return f"step {amplitude_mm:+g} mm"
-
-
 @double_precision
 def drive(
     controller: HitchController,
@@ -194,7 +187,7 @@ def drive(
         for scenario in todo
         if scenario.kind is Kind.STEP
     }
-    return Drive(by_name, loops, figures, bands, times_s, controller.step_s)
+    return Drive(by_name, loops, figures, bands, times_s)
 
 
 def _bands(

@@ -27,7 +27,7 @@ class Figures(NamedTuple):
         rmse_mm: of the tracking.
         overshoot_mm: beyond the end of a step; None without one.
         settling_s: until the displacement stays within the tolerance of a step; None without one.
-        final_error_mm: mean distance of the measured displacement to the target over the last second.
+        final_error_mm: distance of the mean measured displacement of the last second to the target.
         valve_actions_per_10_s: how often a valve opens.
         both_valves_samples: samples of all loops with current in both valves.
         samples_until_closed: samples with current after the sensor was lost, the longest; None otherwise.

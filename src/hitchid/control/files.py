@@ -167,11 +167,7 @@ def _read(content: dict[str, Any]) -> ControllerFile:
             step_s=step_s,
             largest_a=_number(row, "largest_current_A"),
         )
-        given = [
-            load.get(name, float(mean))
-            for name, mean in zip(benchmark.covariates, benchmark.mean_load, strict=False)
-        ]
-        axes.append(axis.at_load(jnp.asarray(given or [0.0])))
+        axes.append(axis.at_load(load))
     column = lambda name: jnp.asarray([_number(row, name) for row in rows])  # noqa: E731
     controller = HitchController(
         axes=(axes[0], axes[1]),

@@ -98,7 +98,8 @@ def baselines(controller: HitchController) -> dict[str, PidController]:
 
     For K e^(−θs)/(s (τs + 1)): K_p = 1/(K 2θ'), T_i = 8 θ' with τ_c = θ' = θ + τ (SIMC, Skogestad 2003,
     PI); K is the slope of the speed over the current at half the fastest speed in mid stroke. The fixed PID
-    has the mean gains of both directions with T_d = τ and τ_c = θ (SIMC, PID).
+    has the mean K, τ and θ of both directions, τ_c = θ, and the series form of SIMC, K_c = 1/(2 K θ),
+    τ_I = 8 θ, τ_D = τ, as the parallel form K_p = K_c f, T_i = τ_I f, T_d = τ_D/f, f = 1 + τ_D/τ_I.
     """
     rows = [_simc(controller, number) for number in range(2)]
     gain, lag_s, dead_time_s = (jnp.stack(column) for column in zip(*rows, strict=True))
@@ -109,8 +110,14 @@ def baselines(controller: HitchController) -> dict[str, PidController]:
     simc = PidController(1 / (gain * 2 * total_s), 8 * total_s, none, none, largest, controller.step_s)
     both = jnp.ones(2)
     mean_gain, mean_lag, mean_dead = (jnp.mean(column) * both for column in (gain, lag_s, dead_time_s))
+    parallel = 1 + mean_lag / (8 * mean_dead)
     fixed = PidController(
-        1 / (mean_gain * 2 * mean_dead), 8 * mean_dead, mean_lag, none, largest, controller.step_s
+        parallel / (mean_gain * 2 * mean_dead),
+        8 * mean_dead * parallel,
+        mean_lag / parallel,
+        none,
+        largest,
+        controller.step_s,
     )
     return {
         "SIMC PI": simc,

@@ -81,6 +81,11 @@ def scenarios(rig: Rig, slowest_mm_s: float) -> list[Scenario]:
     ]
 
 
+def step_name(amplitude_mm: float) -> str:
+    """Return the name of the scenario of a step."""
+    return f"step {amplitude_mm:+g} mm"
+
+
 def least_time_s(rig: Rig, currents_a: Float[np.ndarray, "2"], scenario: Scenario) -> float:
     """Return the least time in which the bench goes the way of a step: at the largest current, s.
 
@@ -106,7 +111,7 @@ def _step(middle: float, size: float, slowest_mm_s: float) -> Scenario:
     start = middle - 0.5 * size
     way = _count(abs(size) / slowest_mm_s + AFTER_S)
     target = np.concatenate([np.full(_count(BEFORE_S), start), np.full(way, start + size)])
-    return Scenario(f"step {size:+g} mm", Kind.STEP, target, start, _count(BEFORE_S), amplitude_mm=size)
+    return Scenario(step_name(size), Kind.STEP, target, start, _count(BEFORE_S), amplitude_mm=size)
 
 
 def _ramp(middle: float, sign: int) -> Scenario:

@@ -34,9 +34,7 @@ from hitchid.model.parameter_draws import DRAWS
 
 LOWEST_RAD_S, HIGHEST_RAD_S = 0.5, 30.0  # bandwidths searched; below, a plant of 0.1 s lag needs no model
 BISECTIONS = 12  # of the bandwidth: its resolution is a thousandth
-SPEED_SHARE = (
-    0.985  # of the reference's speed limit: the rest corrects errors of the gain up to 1.5 %; chosen
-)
+SPEED_SHARE = 0.985  # of the largest speed for the reference: 1.5 % are left to correct errors; chosen
 ACCELERATION_LAGS = 1.0  # the reference takes so many lags to full speed; chosen
 # Standard deviations of the sensor noise: half widths of the hold window, and the error below which a current
 # falls to zero; the smoothed position has a sixth of the noise.

@@ -82,8 +82,8 @@ def drive_report(
 EXPLANATION = (
     "Every figure is the worst of 95 % of the loops, the IAE their mean. A step has settled when the "
     "displacement stays within 2 mm (5 mm step: 1 mm) of its end; the least time is that of the bench at the "
-    "largest current of the identification tests. The final error is that of the measured displacement over "
-    "the last second."
+    "largest current of the identification tests. The final error is the distance of the mean "
+    "measured displacement of the last second to the target."
 )
 MARGINS = (
     "Margins that 95 % of the models with drawn parameters keep at nine operating points, as written by "
