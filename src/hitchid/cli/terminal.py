@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from hitchid.control import Tuning
     from hitchid.data.campaign import Campaign
     from hitchid.design.next_test import Advice
+    from hitchid.export import Export
     from hitchid.identification import ChannelTrace, Identification
     from hitchid.inspection import Inspection
     from hitchid.model import Hitch
@@ -212,6 +213,18 @@ def show_tuning(tuning: "Tuning", out: Path) -> None:
     _print_wrapped(f"margins: met by 95 % of {tuning.draws} draws of the parameters at nine operating points")
     _print_wrapped(f"method: {tuning.method}")
     _print_wrapped(f"controller: {out}")
+
+
+def show_export(done: "Export") -> None:
+    """Print how far the exported code differs from the model, notices, and its place."""
+    if done.parity is not None:
+        _print_wrapped(
+            f"replayed {done.parity.samples} samples with {done.compiler}: the displacement differs by at "
+            f"most {done.parity.measured:.1e} of its range with measured displacements and "
+            f"{done.parity.free_run:.1e} in free run, mode and flags in {done.parity.modes} samples"
+        )
+    write_messages("notice", done.notices)
+    _print_wrapped(f"export: {done.place}")
 
 
 def show_study(study: "Study", out: Path) -> None:

@@ -78,7 +78,10 @@ class DiscreteStateSpace(NamedTuple):
         if self.friction is None:
             return next_state
         gains = self.friction.gains.reshape(gamma0.shape)
-        return next_state + gains * jnp.clip(-next_state[1] / gains[1], -1.0, 1.0)
+        share = -next_state[1] / gains[1]
+        next_state = next_state + gains * jnp.clip(share, -1.0, 1.0)
+        # Exactly at rest: rounding must not decide what a load at rest is taken to have come from.
+        return next_state.at[1].set(jnp.where(jnp.abs(share) < 1, 0.0, next_state[1]))
 
 
 class StrokeModel(NamedTuple):

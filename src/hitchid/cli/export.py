@@ -1,0 +1,65 @@
+"""`hitchid export`: a model as code that runs without Python."""
+
+import json
+from dataclasses import asdict
+from enum import Enum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hitchid.cli.cache import prepare_jax
+from hitchid.cli.options import AsJson, Force, Quiet
+
+
+class Target(Enum):
+    """What a model is exported to."""
+
+    C = "c"
+
+
+class Numbers(Enum):
+    """Precision of the generated code."""
+
+    MIXED = "mixed"
+    DOUBLE = "double"
+    SINGLE = "single"
+
+
+def export(
+    model: Annotated[Path, typer.Argument(help="Model folder.", show_default=False)],
+    to: Annotated[Target, typer.Option("--to", help="c: C99 sources with self-test and a Python wrapper.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder to write.")],
+    name: Annotated[str, typer.Option("--name", help="Prefix of all names in the code.")] = "hitch",
+    precision: Annotated[
+        Numbers,
+        typer.Option(
+            "--precision", help="Physics in double and networks in single precision, or all in one."
+        ),
+    ] = Numbers.MIXED,
+    no_compensators: Annotated[
+        bool, typer.Option("--no-compensators", help="The physical model and its filter alone.")
+    ] = False,
+    force: Force = False,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Export a model to code that runs without Python, and prove that it computes what the model does."""
+    from hitchid._support.storage import check_inputs
+    from hitchid.cli import terminal as display
+
+    check_inputs(out, [model])
+    prepare_jax()
+    from hitchid.export import to_c
+    from hitchid.model import load
+
+    done = to_c(
+        load(model), out, name=name, precision=precision.value, compensators=not no_compensators, force=force
+    )
+    if as_json:
+        parity = None if done.parity is None else asdict(done.parity)
+        typer.echo(
+            json.dumps({"parity": parity, "compiler": done.compiler, "notices": done.notices}, indent=1)
+        )
+    elif not quiet:
+        display.show_export(done)

@@ -1,0 +1,9 @@
+"""Export of models to where they are used: C99, FMU, ONNX, each proved against the model."""
+
+from hitchid.export.c99 import Export as Export
+from hitchid.export.c99 import to_c as to_c
+from hitchid.export.c_templates import Precision as Precision
+from hitchid.export.verification import Parity as Parity
+from hitchid.export.verification import ParityError as ParityError
+
+__all__ = ["Export", "Parity", "ParityError", "Precision", "to_c"]

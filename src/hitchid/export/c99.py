@@ -1,0 +1,282 @@
+"""Export to C99: sources that need nothing, proved against the model before anything is written."""
+
+import tempfile
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from hitchid._support import checks
+from hitchid._support.precision import double_precision
+from hitchid._support.storage import canonical_json, check_folder, write_files, write_folder
+from hitchid._support.versions import installed_versions
+from hitchid.errors import InputError
+from hitchid.export.c_templates import CTemplates, Precision, c_templates
+from hitchid.export.compiler import Compiler, find_compiler
+from hitchid.export.constants import ModelConstants, constants_of
+from hitchid.export.reference import ReferenceRun, displacement_range, reference_runs
+from hitchid.export.verification import TOLERANCES, Parity, verify
+from hitchid.model import Hitch
+
+MANIFEST = "manifest.json"
+REPLAY = "replay.c"
+SELF_TEST_SAMPLES = 300  # chosen: free run, measured displacements and changes of direction; 30 kB of source
+SELF_TEST_MARGIN = 10  # on the tolerance of the proof: another compiler and C library round otherwise
+SAMPLES = 3000  # of each reference run, 30 s at 100 Hz; chosen: all changes of direction occur
+KEYWORDS = frozenset(
+    [
+        "auto",
+        "break",
+        "case",
+        "char",
+        "const",
+        "continue",
+        "default",
+        "do",
+        "double",
+        "else",
+        "enum",
+        "extern",
+        "float",
+        "for",
+        "goto",
+        "if",
+        "inline",
+        "int",
+        "long",
+        "register",
+        "restrict",
+        "return",
+        "short",
+        "signed",
+        "sizeof",
+        "static",
+        "struct",
+        "switch",
+        "typedef",
+        "union",
+        "unsigned",
+        "void",
+        "volatile",
+        "while",
+        "class",
+        "new",
+        "delete",
+        "template",
+        "this",
+        "try",
+        "catch",
+        "throw",
+        "public",
+        "private",
+        "protected",
+        "virtual",
+        "namespace",
+        "using",
+        "operator",
+        "bool",
+        "true",
+        "false",
+        "main",
+    ]
+)
+MAX_NAME = 24  # characters: the longest generated identifier stays within the 63 that C99 distinguishes
+UNVERIFIED = "not verified: there is no C compiler (cc, gcc, clang, or pip install 'hitchid[fmu]')"
+
+
+@dataclass(frozen=True)
+class Export:
+    """What was exported.
+
+    Attributes:
+        place: folder or file that was written.
+        parity: differences from the model; None where nothing could be compiled.
+        compiler: version of the compiler; empty without one.
+        notices: what the user must know.
+    """
+
+    place: Path
+    parity: Parity | None
+    compiler: str
+    notices: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class VerifiedSource:
+    """Source of a model, and its proof.
+
+    Attributes:
+        model: that was exported, without compensators where they were not wanted.
+        constants: its numbers.
+        name: prefix of all names in the code.
+        templates: with those numbers.
+        files: header, source and replay program, name to text.
+        runs: the reference runs, free and with measured displacements.
+        parity: differences from the model; None where nothing could be compiled.
+        compiler: that was used; None where there was none.
+    """
+
+    model: Hitch
+    constants: ModelConstants
+    name: str
+    templates: CTemplates
+    files: Mapping[str, str]
+    runs: tuple[ReferenceRun, ReferenceRun]
+    parity: Parity | None
+    compiler: Compiler | None
+
+    @property
+    def travel_range(self) -> float:
+        """Range of displacement in the tests, of which tolerances are shares."""
+        return displacement_range(self.model)
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """What the user must know of the proof."""
+        return () if self.parity else (UNVERIFIED,)
+
+
+@double_precision
+def to_c(
+    model: Hitch,
+    folder: str | Path,
+    *,
+    name: str = "hitch",
+    precision: Precision = "mixed",
+    compensators: bool = True,
+    force: bool = False,
+) -> Export:
+    """Write a model as C99: header, source, self-test, a Python wrapper, manifest and README.
+
+    The source is compiled and replays random commands; nothing is written where it differs from the model by
+    more than rounding.
+
+    Args:
+        model: the model.
+        folder: folder to write.
+        name: prefix of all names in the code, a C identifier.
+        precision: `mixed`: physics in double, networks in single precision; `double` or `single`: all of it.
+        compensators: False for the physical model and its filter alone.
+        force: replace an earlier export.
+
+    Raises:
+        InputError: the name is no C identifier, or the model has a structure that the export does not know.
+        ParityError: the compiled code differs from the model.
+        OutputError: the folder exists, or cannot be written.
+    """
+    place = checks.path(folder, "folder")
+    check_folder(place, result_kind=MANIFEST, force=force)
+    verified = verified_source(model, name, precision=precision, compensators=compensators)
+    files = {**c_files(verified), MANIFEST: canonical_json(manifest(verified, "c", precision))}
+    write_folder(place, lambda target: write_files(target, files), result_kind=MANIFEST, force=force)
+    version = "" if verified.compiler is None else verified.compiler.version
+    return Export(place, verified.parity, version, verified.notices)
+
+
+def verified_source(
+    model: Hitch, name: str, *, precision: Precision, compensators: bool, samples: int = SAMPLES
+) -> VerifiedSource:
+    """Return the source of a model that was compiled and compared with it; raises as `to_c`."""
+    checks.instance(model, Hitch, "model", "a model as hitchid.load returns it")
+    check_name(name)
+    checks.one_of(precision, ("mixed", "double", "single"), "precision")
+    exported = model if compensators else without_compensators(model)
+    constants = constants_of(exported)
+    runs = reference_runs(exported, samples)
+    templates = c_templates(constants, name, precision)
+    files = {
+        f"{name}.h": templates.render("model.h"),
+        f"{name}.c": templates.render("model.c"),
+        REPLAY: templates.render("replay.c"),
+    }
+    compiler = find_compiler()
+    parity = None
+    if compiler is not None:
+        with tempfile.TemporaryDirectory() as place:
+            target = Path(place)
+            write_files(target, {file: text.encode() for file, text in files.items()})
+            parity = verify(
+                compiler,
+                [target / f"{name}.c", target / REPLAY],
+                runs,
+                displacement_range(exported),
+                precision=precision,
+                has_networks=constants.has_networks,
+            )
+    return VerifiedSource(exported, constants, name, templates, files, runs, parity, compiler)
+
+
+def c_files(verified: VerifiedSource) -> dict[str, bytes]:
+    """Return the files of an export to C, name to content."""
+    name, templates = verified.name, verified.templates
+    texts = {file: text for file, text in verified.files.items() if file != REPLAY}
+    run, reached = (
+        verified.runs[1],
+        TOLERANCES[templates.context["precision"], verified.constants.has_networks],
+    )
+    tolerance = SELF_TEST_MARGIN * reached[0] * verified.travel_range
+    texts[f"{name}_selftest.c"] = templates.render(
+        "selftest.c", rows=_self_test_rows(run), start=run.start, load=run.load, tolerance=tolerance
+    )
+    texts[f"{name}.py"] = templates.render("library.py")
+    version = "" if verified.compiler is None else verified.compiler.version
+    texts["README.md"] = templates.render("README.md", parity=verified.parity, compiler=version)
+    return {file: text.encode() for file, text in texts.items()}
+
+
+def _self_test_rows(run: ReferenceRun) -> tuple[tuple[float, ...], ...]:
+    """Return commands, measured displacement, whether it is valid, and the result, without NaN.
+
+    A command that is missing is its last value, which is what the model takes.
+    """
+    rows, last = [], np.zeros(run.inputs.shape[1] - 1)
+    for inputs, displacement in zip(run.inputs[:SELF_TEST_SAMPLES], run.displacement, strict=False):
+        last = np.where(np.isfinite(inputs[:-1]), inputs[:-1], last)
+        valid = bool(np.isfinite(inputs[-1]))
+        rows.append((*last.tolist(), float(inputs[-1]) if valid else 0.0, float(valid), float(displacement)))
+    return tuple(rows)
+
+
+def manifest(verified: VerifiedSource, target: str, precision: Precision) -> dict[str, object]:
+    """Return what an export states about itself."""
+    return {
+        "target": target,
+        "model": verified.constants.digest,
+        "versions": {"hitchid": installed_versions()["hitchid"]},
+        "precision": precision,
+        "step_s": verified.constants.step_s,
+        "units": verified.constants.units,
+        "parity": None if verified.parity is None else asdict(verified.parity),
+        "compiler": None if verified.compiler is None else verified.compiler.version,
+        "memory_bytes": {
+            "state": verified.templates.state_bytes,
+            "saved_state": verified.templates.saved_bytes,
+            "constants": verified.templates.constant_bytes(verified.files[f"{verified.name}.c"]),
+        },
+        "license": "The generated code belongs to the user of hitchid, without any condition.",
+    }
+
+
+def without_compensators(model: Hitch) -> Hitch:
+    """Return a model with its physical part and filter alone, and no bands: they are those of the rest."""
+    channels = {
+        direction: replace(channel, compensator=None, speed_compensator=None)
+        for direction, channel in model.channels.items()
+    }
+    return replace(model, channels=channels, uncertainty={})
+
+
+def check_name(name: str) -> str:
+    """Return a name that is a C identifier.
+
+    Raises:
+        InputError: it is not, or is a keyword.
+    """
+    valid = name.isascii() and name.isidentifier() and not name.startswith("_")
+    if not valid or name in KEYWORDS or len(name) > MAX_NAME:
+        raise InputError(
+            f"name: expected a C identifier of at most {MAX_NAME} letters, digits and _, no keyword, "
+            f"got '{name}'"
+        )
+    return name

@@ -1,0 +1,135 @@
+"""Proof that generated code computes what the model does: reference runs, replayed through it."""
+
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from hitchid.errors import HitchError
+from hitchid.export.c_templates import Precision
+from hitchid.export.compiler import Compiler
+from hitchid.export.reference import ReferenceRun
+
+COLUMNS = 4  # of a replay: displacement, mode, flags, half width
+COMMAND_MISSING, BOTH_VALVES = 1, 4  # flags, as in the generated header
+TIMEOUT_S = 60.0
+# Largest difference of the displacement as a share of its range in the tests: with measurements, and
+# in free run. Double precision rounds at 1e-16, 3000 steps add up; networks in single precision round at 6e-8
+# of an innovation or of a factor on the speed.
+TOLERANCES: dict[tuple[Precision, bool], tuple[float, float]] = {
+    ("double", False): (1e-12, 1e-10),
+    ("mixed", False): (1e-12, 1e-10),
+    ("double", True): (4e-9, 4e-8),
+    ("mixed", True): (4e-9, 4e-8),
+    ("single", False): (1e-4, 1e-3),
+    ("single", True): (1e-4, 1e-3),
+}
+MODES_SHARE = 1e-5  # of samples whose mode or flags may differ: a command within rounding of its threshold
+
+
+class ParityError(HitchError):
+    """Generated code differs from its model."""
+
+
+@dataclass(frozen=True)
+class Parity:
+    """Largest differences between generated code and its model.
+
+    Attributes:
+        measured, free_run: of the displacement, as shares of its range in the tests.
+        modes: number of samples with another mode or other flags.
+        samples: compared.
+    """
+
+    measured: float
+    free_run: float
+    modes: int
+    samples: int
+
+
+def replay(program: Sequence[str], run: ReferenceRun, folder: Path) -> Float[np.ndarray, "n 4"]:
+    """Return displacement, mode, flags and half width of a run through a compiled replay program.
+
+    Raises:
+        ParityError: the program fails.
+    """
+    source, result = folder / "inputs.bin", folder / "outputs.bin"
+    head = np.array([len(run.inputs), run.start, *run.load], dtype="<f8")
+    source.write_bytes(head.tobytes() + np.ascontiguousarray(run.inputs, dtype="<f8").tobytes())
+    arguments = [*program, str(source), str(result)]
+    done = subprocess.run(arguments, capture_output=True, timeout=TIMEOUT_S, check=False)  # noqa: S603
+    if done.returncode:
+        raise ParityError(f"the generated code ended with code {done.returncode}; please report this model")
+    return np.fromfile(result, dtype="<f8").reshape(-1, COLUMNS)
+
+
+def compare(
+    runs: tuple[ReferenceRun, ReferenceRun],
+    replayed: tuple[Float[np.ndarray, "n 4"], Float[np.ndarray, "n 4"]],
+    travel_range: float,
+) -> Parity:
+    """Return the differences of a free run and a run with measured displacements."""
+    free, measured = (
+        float(np.max(np.abs(rows[:, 0] - run.displacement)) / travel_range)
+        for run, rows in zip(runs, replayed, strict=True)
+    )
+    modes = sum(
+        int(np.sum((rows[:, 1] != run.mode) | (_flags(rows) != _expected_flags(run))))
+        for run, rows in zip(runs, replayed, strict=True)
+    )
+    return Parity(measured, free, modes, sum(len(run.inputs) for run in runs))
+
+
+def verify(
+    compiler: Compiler,
+    sources: Sequence[Path],
+    runs: tuple[ReferenceRun, ReferenceRun],
+    travel_range: float,
+    *,
+    precision: Precision,
+    has_networks: bool,
+) -> Parity:
+    """Compile the sources of a replay program, run it, and return its differences from the model.
+
+    Raises:
+        ParityError: they are larger than rounding explains.
+        InputError: the compiler fails.
+    """
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        program = folder / "replay"
+        compiler.compile(sources, program)
+        free, measured = (replay([str(program)], run, folder) for run in runs)
+    parity = compare(runs, (free, measured), travel_range)
+    check(parity, precision=precision, has_networks=has_networks)
+    return parity
+
+
+def check(parity: Parity, *, precision: Precision, has_networks: bool) -> None:
+    """Raise `ParityError` where differences are larger than rounding explains."""
+    measured, free = TOLERANCES[precision, has_networks]
+    # Not "larger than": differences that are not numbers must not pass.
+    if parity.measured <= measured and parity.free_run <= free:
+        if precision == "single" or parity.modes <= MODES_SHARE * parity.samples:
+            return
+        raise ParityError(
+            f"the generated code differs from the model in mode or flags of {parity.modes} of "
+            f"{parity.samples} samples; nothing was written; please report this model"
+        )
+    raise ParityError(
+        f"the generated code differs from the model by {parity.measured:.2g} of the range with measured "
+        f"displacements (expected at most {measured:.2g}) and {parity.free_run:.2g} in free run (expected at "
+        f"most {free:.2g}); nothing was written; please report this model"
+    )
+
+
+def _flags(rows: Float[np.ndarray, "n 4"]) -> np.ndarray:
+    return rows[:, 2].astype(int) & (COMMAND_MISSING | BOTH_VALVES)
+
+
+def _expected_flags(run: ReferenceRun) -> np.ndarray:
+    return COMMAND_MISSING * run.command_missing + BOTH_VALVES * run.both_valves

@@ -1,0 +1,28 @@
+"""Models that the tests of the export share."""
+
+import pytest
+from export_models import MODELS
+
+from hitchid.export.compiler import find_compiler
+from hitchid.model import Hitch
+
+
+@pytest.fixture(scope="session")
+def compiler():
+    """Return the C compiler of this machine."""
+    found = find_compiler()
+    if found is None:
+        pytest.skip("no C compiler is installed")
+    return found
+
+
+@pytest.fixture(params=MODELS, scope="session")
+def model(request) -> Hitch:
+    """Return each hand-made model."""
+    return MODELS[request.param]
+
+
+@pytest.fixture(scope="session")
+def everything() -> Hitch:
+    """Return the model with all parts."""
+    return MODELS["everything"]

@@ -1,0 +1,106 @@
+"""Generated C code against the model's own step: every structure, every option, every precision."""
+
+import subprocess
+
+import numpy as np
+import pytest
+
+from hitchid.export.c99 import REPLAY, verified_source
+from hitchid.export.c_templates import c_templates
+from hitchid.export.constants import constants_of
+from hitchid.export.reference import displacement_range
+from hitchid.export.verification import TOLERANCES, compare, replay
+
+pytestmark = pytest.mark.usefixtures("compiler")
+SAMPLES = 3000
+
+
+def test_code_repeats_the_model(model) -> None:
+    verified = verified_source(model, "hitch", precision="mixed", compensators=True, samples=SAMPLES)
+    free, measured = verified.runs
+    assert np.isfinite(free.displacement).all()
+    assert np.isfinite(measured.displacement).all()
+    assert np.ptp(free.displacement) > 0.02 * displacement_range(model)  # it moves
+    assert set(free.mode) >= set(range(2)) or len(model.channels) == 1
+    assert verified.parity.modes == 0
+    limits = TOLERANCES["mixed", verified.constants.has_networks]
+    assert verified.parity.measured <= limits[0]
+    assert verified.parity.free_run <= limits[1]
+
+
+@pytest.mark.parametrize("precision", ["double", "single"])
+def test_other_precisions_repeat_the_model(everything, precision: str) -> None:
+    parity = verified_source(everything, "hitch", precision=precision, compensators=True).parity
+    assert parity.measured <= TOLERANCES[precision, True][0]
+    assert parity.free_run <= TOLERANCES[precision, True][1]
+
+
+def test_optimisation_changes_nothing_beyond_rounding(everything, compiler, tmp_path) -> None:
+    verified = verified_source(everything, "hitch", precision="mixed", compensators=False)
+    for name, text in verified.files.items():
+        (tmp_path / name).write_text(text)
+    for level in ("-O0", "-O3"):
+        program = tmp_path / f"replay{level}"
+        compiler.compile([tmp_path / "hitch.c", tmp_path / REPLAY], program, level)
+        rows = tuple(replay([str(program)], run, tmp_path) for run in verified.runs)
+        parity = compare(verified.runs, rows, displacement_range(everything))
+        assert parity.modes == 0
+        assert parity.measured <= TOLERANCES["mixed", False][0]
+        assert parity.free_run <= TOLERANCES["mixed", False][1]
+
+
+def test_the_band_is_that_of_the_model(everything, compiler, tmp_path) -> None:
+    verified = verified_source(everything, "hitch", precision="mixed", compensators=True)
+    run = verified.runs[1]
+    first = int(np.flatnonzero(np.isfinite(run.inputs[:, -1]))[0])
+    program = tmp_path / "replay"
+    for name, text in verified.files.items():
+        (tmp_path / name).write_text(text)
+    compiler.compile([tmp_path / "hitch.c", tmp_path / REPLAY], program)
+    rows = replay([str(program)], run, tmp_path)
+    assert (rows[:first, 3] < 0).all()
+    # One sample ahead of a measured displacement, beside the model's own half width.
+    at = np.flatnonzero(np.isfinite(run.inputs[:, -1]) & (run.mode >= 0))[:200]
+    bands = [everything.uncertainty[name].bands for name in everything.channels]
+    expected = [
+        float(bands[run.mode[k]].half_width(0.9, 1, np.array(run.displacement[k] - run.inputs[k, -1])))
+        for k in at
+    ]
+    np.testing.assert_allclose(rows[at, 3], expected, rtol=1e-6)
+
+
+LANGUAGES = {"c99": [], "c11": [], "c++17": ["-x", "c++"]}
+WARNINGS = "-Wall -Wextra -Wpedantic -Wconversion -Wdouble-promotion -Werror -fsyntax-only"
+
+
+def warnings_of(compiler, folder, standard: str) -> str:
+    """Return what a compiler has to say about the code in a folder."""
+    command = [
+        *compiler.command,
+        f"-std={standard}",
+        *WARNINGS.split(),
+        *LANGUAGES[standard],
+        "hitch.c",
+        REPLAY,
+    ]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False).stderr  # noqa: S603
+
+
+def write_sources(model, precision: str, folder) -> None:
+    """Write the generated code of a model."""
+    templates = c_templates(constants_of(model), "hitch", precision)
+    (folder / "hitch.h").write_text(templates.render("model.h"))
+    (folder / "hitch.c").write_text(templates.render("model.c"))
+    (folder / REPLAY).write_text(templates.render("replay.c"))
+
+
+@pytest.mark.parametrize("precision", ["mixed", "double", "single"])
+def test_code_compiles_without_a_warning(model, precision: str, compiler, tmp_path) -> None:
+    write_sources(model, precision, tmp_path)
+    assert warnings_of(compiler, tmp_path, "c99") == ""
+
+
+@pytest.mark.parametrize("standard", ["c11", "c++17"])
+def test_code_is_c11_and_cpp17_too(everything, standard: str, compiler, tmp_path) -> None:
+    write_sources(everything, "mixed", tmp_path)
+    assert warnings_of(compiler, tmp_path, standard) == ""
