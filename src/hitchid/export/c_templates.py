@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, Literal
 
@@ -105,6 +105,11 @@ def c_templates(model: ModelConstants, name: str, precision: Precision) -> CTemp
         name: prefix of all names, a C identifier.
         precision: `mixed`: physics in double, networks in single precision; or all in one.
     """
+    model = replace(
+        model,
+        units={_plain(role): _plain(unit) for role, unit in model.units.items()},
+        covariates=tuple(_plain(covariate) for covariate in model.covariates),
+    )
     real = "float" if precision == "single" else "double"
     net = "double" if precision == "double" else "float"
     types = {"real": f"{name}_real", "net": f"{name}_net", "int": "int32_t"}
@@ -132,8 +137,6 @@ def c_templates(model: ModelConstants, name: str, precision: Precision) -> CTemp
     header = MAGIC + LAYOUT.to_bytes(4, "little") + bytes.fromhex(model.digest[:16].ljust(16, "0"))
     context = {
         **vars(model),
-        "units": {role: _plain(unit) for role, unit in model.units.items()},
-        "covariates": tuple(_plain(covariate) for covariate in model.covariates),
         "name": name,
         "guard": name.upper(),
         "version": installed_versions()["hitchid"],
@@ -233,7 +236,13 @@ def _centred(covered: Range | None, value: str, real: str) -> str:
 
 def _plain(text: str) -> str:
     """Return text that may stand in a comment of C: ASCII, and no end of a comment."""
-    text = text.replace("°", "deg").replace("µ", "u").replace("Ω", "Ohm").replace("*/", "* /")
+    text = (
+        text.replace("°", "deg")
+        .replace("µ", "u")
+        .replace("Ω", "Ohm")
+        .replace("*/", "* /")
+        .replace("/*", "/ *")
+    )
     return " ".join(text.encode("ascii", "replace").decode().replace("\\", "/").split())
 
 

@@ -1,0 +1,168 @@
+"""Export to C: files, names, refusals, and what happens without a compiler."""
+
+import json
+import os
+import subprocess
+from dataclasses import replace
+
+import jax.numpy as jnp
+import pytest
+
+import handmade
+from hitchid.errors import InputError, OutputError
+from hitchid.export import ParityError, c99, to_c, verification
+from hitchid.export.c_templates import number
+from hitchid.export.constants import constants_of
+from hitchid.structures import LinearStructure, Parameter, PhysicalModel
+
+
+def test_two_exports_are_the_same_bytes(everything, compiler, tmp_path) -> None:
+    folders = [tmp_path / "a", tmp_path / "b and ü"]
+    for folder in folders:
+        to_c(everything, folder)
+    first, second = ({path.name: path.read_bytes() for path in folder.iterdir()} for folder in folders)
+    assert first == second
+    assert set(first) == {
+        ".hitchid.json",
+        "README.md",
+        "hitch.c",
+        "hitch.h",
+        "hitch.py",
+        "hitch_selftest.c",
+        "manifest.json",
+    }
+    manifest = json.loads(first["manifest.json"])
+    assert manifest["parity"]["samples"] == 2 * c99.SAMPLES
+    assert manifest["memory_bytes"]["state"] < 4096
+    for name in ("hitch.c", "hitch.h", "hitch_selftest.c"):
+        assert first[name].isascii()
+        assert b"nan" not in first[name].lower().replace(b"nan: ", b"").replace(b"for nan", b"")
+
+
+@pytest.mark.parametrize("name", ["", "9lives", "a-b", "int", "_hidden", "ä", "a" * 25, "x y", "class"])
+def test_a_name_that_is_no_identifier_is_refused(everything, name: str, tmp_path) -> None:
+    with pytest.raises(InputError, match="name: expected a C identifier"):
+        to_c(everything, tmp_path / "out", name=name)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_precision_that_is_not_known_is_refused(everything, tmp_path) -> None:
+    with pytest.raises(Exception, match="precision"):
+        to_c(everything, tmp_path / "out", precision="half")
+
+
+def test_an_export_replaces_only_an_export(everything, compiler, tmp_path) -> None:
+    to_c(everything, tmp_path / "out", compensators=False)
+    with pytest.raises(OutputError, match="exists already"):
+        to_c(everything, tmp_path / "out")
+    to_c(everything, tmp_path / "out", name="lift", force=True)
+    assert (tmp_path / "out" / "lift.c").exists()
+    assert not (tmp_path / "out" / "hitch.c").exists()
+
+
+def test_nothing_is_written_where_the_code_differs(everything, compiler, tmp_path, monkeypatch) -> None:
+    strict = dict.fromkeys(verification.TOLERANCES, (-1.0, -1.0))
+    monkeypatch.setattr(verification, "TOLERANCES", strict)
+    with pytest.raises(ParityError, match="nothing was written"):
+        to_c(everything, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_without_a_compiler_there_are_sources_and_a_notice(everything, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(c99, "find_compiler", lambda: None)
+    done = to_c(everything, tmp_path / "out")
+    assert done.parity is None
+    assert "not verified" in done.notices[0]
+    assert "Not verified" in (tmp_path / "out" / "README.md").read_text()
+    assert json.loads((tmp_path / "out" / "manifest.json").read_text())["parity"] is None
+
+
+def test_a_compiler_that_fails_is_named(everything, tmp_path, monkeypatch) -> None:
+    script = tmp_path / "broken cc"
+    script.write_text(
+        '#!/bin/sh\n[ "$1" = --version ] && echo broken 1 && exit 0\necho error: no >&2; exit 1\n'
+    )
+    script.chmod(0o755)
+    monkeypatch.setenv("CC", f"'{script}'")
+    with pytest.raises(InputError, match="cannot compile"):
+        to_c(everything, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_first_working_compiler_is_taken(compiler, monkeypatch) -> None:
+    monkeypatch.setenv("CC", "no-such-compiler")
+    found = c99.find_compiler()
+    assert found is not None
+    assert os.path.isabs(found.command[0])
+
+
+@pytest.mark.parametrize("value", [0.1, 1 / 3, 1e-300, 123456789.123456789, -2.0, 1e22, 0.0, 5e-324])
+def test_numbers_are_written_with_all_their_digits(value: float) -> None:
+    text = number(value, "double")
+    assert float(text) == value
+    assert "." in text or "e" in text
+    single = number(value, "float")
+    assert single.endswith("f")
+    assert float(single[:-1]) == pytest.approx(value, rel=1e-7, abs=1.2e-38)
+
+
+class Unknown(LinearStructure):
+    """A structure of another package."""
+
+    name = "unknown"
+    formula = "K / s"
+    parameters = (Parameter("gain", "{x}/(s·{u})", 0.01, 100.0),)
+
+    def state_space(self, values):
+        return jnp.zeros((1, 1)), values[:1]
+
+    def transfer_function(self, values):
+        return [values[0]], [1.0, 0.0]
+
+
+Unknown.__module__ = "another.package"
+
+
+def test_a_linear_structure_of_another_package_is_exported(compiler, tmp_path) -> None:
+    model = handmade.hitch(modes=("lifting",), filtered=True)
+    other = PhysicalModel(Unknown(), jnp.array([30.0]), jnp.asarray(0.02))
+    channel = replace(model.channels["lifting"], benchmark=other)
+    done = to_c(replace(model, channels={"lifting": channel}), tmp_path / "out")
+    assert done.parity is not None
+
+
+def test_one_with_covariates_is_refused(tmp_path) -> None:
+    model = handmade.hitch_of(handmade.channel("lifting", "integrator", shape=True))
+    known = model.channels["lifting"].benchmark
+    other = PhysicalModel(Unknown(), known.values, known.dead_time_s, known.nonlinearity, known.scheduling)
+    channel = replace(model.channels["lifting"], benchmark=other)
+    with pytest.raises(InputError, match="structure unknown: expected one whose equations"):
+        to_c(replace(model, channels={"lifting": channel}), tmp_path / "out")
+
+
+def test_text_in_comments_is_harmless(compiler, tmp_path) -> None:
+    units = {"displacement": "mm */ int x; /*", "lifting_command": "°C µ \\"}
+    model = replace(handmade.hitch(modes=("lifting",)), units=units)
+    assert to_c(model, tmp_path / "out").parity is not None
+
+
+def test_parameters_change_the_code_as_they_change_the_model(compiler, tmp_path) -> None:
+    model = handmade.hitch("integrator-first-order", filtered=True)
+    constants = constants_of(model)
+    assert [channel.may_scale_gain for channel in constants.channels] == [True, True]
+    changed = model.with_parameters(lifting={"gain": 33.0})
+    state, expected = changed.init_state(100.0), []
+    for _ in range(200):
+        state, displacement = changed.step(state, [0.8, 0.0])
+        expected.append(float(displacement))
+    to_c(model, tmp_path / "out")
+    source = tmp_path / "main.c"
+    source.write_text(
+        '#include "hitch.h"\n#include <stdio.h>\n'
+        "int main(void) { hitch_state s; hitch_input i = { 0.8, 0, 0, 0 }; hitch_output o; int k;\n"
+        "hitch_init(&s, 100); s.parameters.lifting_gain_factor = 1.1;\n"
+        'for (k = 0; k < 200; k++) { hitch_step(&s, &i, &o); printf("%.17g\\n", o.displacement); } return 0; }\n'
+    )
+    compiler.compile([source, tmp_path / "out" / "hitch.c"], tmp_path / "main", f"-I{tmp_path / 'out'}")
+    done = subprocess.run([tmp_path / "main"], capture_output=True, text=True, check=True)  # noqa: S603
+    assert [float(line) for line in done.stdout.split()] == pytest.approx(expected, rel=1e-12)
