@@ -161,7 +161,8 @@ def test_parameters_change_the_code_as_they_change_the_model(compiler, tmp_path)
         '#include "hitch.h"\n#include <stdio.h>\n'
         "int main(void) { hitch_state s; hitch_input i = { 0.8, 0, 0, 0 }; hitch_output o; int k;\n"
         "hitch_init(&s, 100); s.parameters.lifting_gain_factor = 1.1;\n"
-        'for (k = 0; k < 200; k++) { hitch_step(&s, &i, &o); printf("%.17g\\n", o.displacement); } return 0; }\n'
+        'for (k = 0; k < 200; k++) { hitch_step(&s, &i, &o); printf("%.17g\\n", o.displacement); }\n'
+        "return 0; }\n"
     )
     compiler.compile([source, tmp_path / "out" / "hitch.c"], tmp_path / "main", f"-I{tmp_path / 'out'}")
     done = subprocess.run([tmp_path / "main"], capture_output=True, text=True, check=True)  # noqa: S603

@@ -21,7 +21,9 @@ static uint64_t seed = 88172645463325252u;
 static uint64_t next(void) { seed ^= seed << 13; seed ^= seed >> 7; seed ^= seed << 17; return seed; }
 static hitch_real odd(void)
 {
-    static const hitch_real values[] = { 0, -0.0, 1, -1, 0.5, 1e-310, 1e9, -1e9, 1e8, 1e308, -1e308, INFINITY, -INFINITY, NAN, 100, 350 };
+    static const hitch_real values[] = {
+        0, -0.0, 1, -1, 0.5, 1e-310, 1e9, -1e9, 1e8, 1e308, -1e308, INFINITY, -INFINITY, NAN, 100, 350
+    };
     const uint64_t kind = next();
     return kind % 3 ? (hitch_real)((double)(next() % 2000000) / 1e6 - 0.5) : values[next() % 16];
 }

@@ -16,6 +16,9 @@ class Target(Enum):
     """What a model is exported to."""
 
     C = "c"
+    FMU2 = "fmu2"
+    FMU3 = "fmu3"
+    ONNX = "onnx"
 
 
 class Numbers(Enum):
@@ -28,8 +31,10 @@ class Numbers(Enum):
 
 def export(
     model: Annotated[Path, typer.Argument(help="Model folder.", show_default=False)],
-    to: Annotated[Target, typer.Option("--to", help="c: C99 sources with self-test and a Python wrapper.")],
-    out: Annotated[Path, typer.Option("--out", help="Folder to write.")],
+    to: Annotated[
+        Target, typer.Option("--to", help="C99 sources, FMI 2.0 or 3.0 unit, or the networks as ONNX.")
+    ],
+    out: Annotated[Path, typer.Option("--out", help="Folder to write; of an FMU the file, NAME.fmu.")],
     name: Annotated[str, typer.Option("--name", help="Prefix of all names in the code.")] = "hitch",
     precision: Annotated[
         Numbers,
@@ -40,6 +45,14 @@ def export(
     no_compensators: Annotated[
         bool, typer.Option("--no-compensators", help="The physical model and its filter alone.")
     ] = False,
+    platforms: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--platforms",
+            help="Of the FMU's binaries, once each: linux64, win64, darwin64, aarch64-linux, aarch64-darwin "
+            "[all with hitchid[fmu\\]; else this one].",
+        ),
+    ] = None,
     force: Force = False,
     quiet: Quiet = False,
     as_json: AsJson = False,
@@ -50,12 +63,18 @@ def export(
 
     check_inputs(out, [model])
     prepare_jax()
-    from hitchid.export import to_c
+    from hitchid.export import to_c, to_fmu, to_onnx
     from hitchid.model import load
 
-    done = to_c(
-        load(model), out, name=name, precision=precision.value, compensators=not no_compensators, force=force
-    )
+    hitch = load(model)
+    code = {"name": name, "precision": precision.value, "compensators": not no_compensators, "force": force}
+    if to is Target.C:
+        done = to_c(hitch, out, **code)
+    elif to is Target.ONNX:
+        done = to_onnx(hitch, out, name=name, force=force)
+    else:
+        version = "fmi2" if to is Target.FMU2 else "fmi3"
+        done = to_fmu(hitch, out, version=version, platforms=platforms, **code)
     if as_json:
         parity = None if done.parity is None else asdict(done.parity)
         typer.echo(

@@ -36,8 +36,9 @@ class Compiler:
             InputError: the compiler fails; its first message is shown.
         """
         place = sources[0].parent
-        names = [source.name if source.parent == place else str(source) for source in sources]
-        arguments = [*self.command, *STANDARD, *options, "-o", str(out), *names, "-lm"]
+        # Relative names: libraries for some platforms hold them, and must not depend on the folder.
+        names = [path.name if path.parent == place else str(path) for path in (*sources, out)]
+        arguments = [*self.command, *STANDARD, *options, "-o", names[-1], *names[:-1], "-lm"]
         # The sources are our own, the compiler is the user's.
         done = subprocess.run(  # noqa: S603
             arguments, cwd=place, capture_output=True, text=True, timeout=TIMEOUT_S, check=False
@@ -64,6 +65,12 @@ def find_compiler() -> Compiler | None:
 def zig() -> list[str] | None:
     """Return the command of ziglang's C compiler; None where the package is not installed."""
     return [sys.executable, "-m", "ziglang", "cc"] if find_spec("ziglang") else None
+
+
+def zig_compiler() -> Compiler | None:
+    """Return ziglang's compiler, which compiles for other platforms; None where it is not installed."""
+    command = zig()
+    return None if command is None else Compiler(tuple(command), "ziglang")
 
 
 def _version(command: Sequence[str]) -> str:

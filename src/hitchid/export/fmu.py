@@ -1,0 +1,217 @@
+"""Export to FMI 2.0 and 3.0: the proved C code behind a thin adapter, as sources and as binaries."""
+
+import io
+import platform
+import sys
+import tempfile
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from hitchid._support import checks
+from hitchid._support.precision import double_precision
+from hitchid._support.storage import canonical_json, check_file, digest, write_bytes, write_files
+from hitchid.errors import InputError
+from hitchid.export.c99 import Export, VerifiedSource, c_files, manifest, verified_source
+from hitchid.export.c_templates import Precision
+from hitchid.export.compiler import Compiler, zig_compiler
+from hitchid.export.fmu_variables import fmu_variables
+from hitchid.export.model_description import Version, build_description, model_description
+from hitchid.model import Hitch
+
+EPOCH = (1980, 1, 1, 0, 0, 0)  # date of all files in the archive: equal content gives equal bytes
+SMALLEST = ("-fvisibility=hidden", "-g0", "-s")  # no names but the interface's, nothing of this machine
+
+
+class Platform(NamedTuple):
+    """A platform that an FMU may hold a binary for.
+
+    Attributes:
+        target: of ziglang's compiler.
+        suffix: of a shared library.
+        folders: in the archive, of FMI 2.0 and 3.0.
+    """
+
+    target: str
+    suffix: str
+    folders: dict[Version, str]
+
+
+PLATFORMS = {
+    "linux64": Platform("x86_64-linux-gnu.2.17", ".so", {"fmi2": "linux64", "fmi3": "x86_64-linux"}),
+    "win64": Platform("x86_64-windows-gnu", ".dll", {"fmi2": "win64", "fmi3": "x86_64-windows"}),
+    "darwin64": Platform("x86_64-macos.11.0", ".dylib", {"fmi2": "darwin64", "fmi3": "x86_64-darwin"}),
+    "aarch64-linux": Platform(
+        "aarch64-linux-gnu.2.17", ".so", {"fmi2": "aarch64-linux", "fmi3": "aarch64-linux"}
+    ),
+    "aarch64-darwin": Platform(
+        "aarch64-macos.11.0", ".dylib", {"fmi2": "aarch64-darwin", "fmi3": "aarch64-darwin"}
+    ),
+}
+
+
+@double_precision
+def to_fmu(
+    model: Hitch,
+    path: str | Path,
+    *,
+    version: Version = "fmi2",
+    name: str = "hitch",
+    precision: Precision = "mixed",
+    compensators: bool = True,
+    platforms: Sequence[str] | None = None,
+    force: bool = False,
+) -> Export:
+    """Write a model as a Functional Mock-up Unit for Co-Simulation and Model Exchange, without Python inside.
+
+    The C code in it replays random commands and must repeat the model, as in `to_c`. Binaries are made by the
+    package ziglang for every platform, else by the C compiler for this one; the sources are always inside.
+
+    Args:
+        model: the model.
+        path: file to write, `NAME.fmu`.
+        version: `fmi2` or `fmi3`.
+        name: model identifier, a C identifier.
+        precision, compensators: as in `to_c`.
+        platforms: names in `PLATFORMS`; by default all with ziglang, otherwise this one.
+        force: replace an existing file.
+
+    Raises:
+        InputError: as `to_c`; or a platform is not known, or cannot be compiled for.
+        ParityError: the compiled code differs from the model.
+        OutputError: the file exists, or cannot be written.
+    """
+    place = checks.path(path, "path")
+    checks.one_of(version, ("fmi2", "fmi3"), "version")
+    chosen = None if platforms is None else [checks.one_of(each, PLATFORMS, "platform") for each in platforms]
+    check_file(place, force=force)
+    verified = verified_source(model, name, precision=precision, compensators=compensators)
+    sources = fmu_sources(verified, version)
+    binaries, notices = _binaries(verified, version, sources, chosen)
+    content = {**sources.files(version), **binaries}
+    content["resources/manifest.json"] = canonical_json(
+        {**manifest(verified, version, precision), "platforms": sorted(binaries)}
+    )
+    readme = c_files(verified)["README.md"]
+    content["documentation/README.md" if version == "fmi3" else "documentation/index.md"] = readme
+    write_bytes(place, _archive(content), force=force)
+    compiler = "" if verified.compiler is None else verified.compiler.version
+    return Export(place, verified.parity, compiler, (*verified.notices, *notices))
+
+
+class FmuSources(NamedTuple):
+    """Sources of an FMU.
+
+    Attributes:
+        description: modelDescription.xml.
+        code: name to text of the C files and headers.
+        compiled: names of the files that are compiled.
+        build: buildDescription.xml of FMI 3.0.
+    """
+
+    description: bytes
+    code: dict[str, bytes]
+    compiled: tuple[str, ...]
+    build: bytes
+
+    def files(self, version: Version) -> dict[str, bytes]:
+        """Return the files of the archive, path to content."""
+        files = {"modelDescription.xml": self.description}
+        files |= {f"sources/{name}": text for name, text in self.code.items()}
+        return files | ({"sources/buildDescription.xml": self.build} if version == "fmi3" else {})
+
+
+def fmu_sources(verified: VerifiedSource, version: Version) -> FmuSources:
+    """Return the sources of an FMU with the token of the model and its code."""
+    name, templates = verified.name, verified.templates
+    start = verified.runs[0].start
+    parameters = templates.context["parameters"]
+    variables = fmu_variables(verified.constants, parameters, start, with_time=version == "fmi3")
+    adapter = f"{name}_{version}.c"
+    code = {file: verified.files[file].encode() for file in (f"{name}.h", f"{name}.c")}
+    text = templates.render(f"{version}.c", variables=variables, token="", **_state_header(b"", variables))
+    identity = digest(b"\0".join([text.encode(), *code.values(), verified.constants.digest.encode()]))
+    token = f"{{{identity[:8]}-{identity[8:12]}-{identity[12:16]}-{identity[16:20]}-{identity[20:32]}}}"
+    header = _state_header(bytes.fromhex(identity[:24]), variables)
+    code[adapter] = templates.render(f"{version}.c", variables=variables, token=token, **header).encode()
+    described = (
+        f"Displacement of {templates.context['directions']}, sampled every {verified.constants.step_s} s; "
+        f"hitchid model {verified.constants.digest[:12] or 'not saved'}"
+    )
+    compiled = (f"{name}.c", adapter)
+    step_s = verified.constants.step_s
+    return FmuSources(
+        model_description(version, name, token, variables, step_s, compiled, described),
+        code,
+        compiled,
+        build_description(name, compiled),
+    )
+
+
+def _state_header(identity: bytes, variables: Sequence[object]) -> dict[str, object]:
+    magic = b"HFMU" + identity.ljust(12, b"\0")
+    symbols = [getattr(each, "symbol", "") for each in variables]
+    loads = [symbol for symbol in symbols if symbol.startswith("LOAD_")]
+    return {"state_magic": list(magic), "load_symbols": loads}
+
+
+def _binaries(
+    verified: VerifiedSource, version: Version, sources: FmuSources, platforms: Sequence[str] | None
+) -> tuple[dict[str, bytes], list[str]]:
+    """Return path in the archive to shared library, and notices."""
+    cross = zig_compiler()
+    here = _this_platform()
+    if platforms is None:
+        platforms = list(PLATFORMS) if cross else [here] if verified.compiler and here else []
+    others = [each for each in platforms if each != here]
+    if others and cross is None:
+        raise InputError(
+            f"platform {others[0]}: this machine compiles for {here or 'no platform'} only; "
+            "run: pip install 'hitchid[fmu]'"
+        )
+    if not platforms:
+        return {}, ["no binary: there is no C compiler; the FMU holds its sources only"]
+    binaries = {}
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        write_files(folder, sources.code)
+        paths = [folder / file for file in sources.compiled]
+        for each in platforms:
+            target = PLATFORMS[each]
+            out = folder / f"{verified.name}{target.suffix}"
+            if cross is not None:
+                cross.compile(paths, out, "-target", target.target, "-shared", "-fPIC", *SMALLEST)
+            elif verified.compiler is not None:
+                _compile_here(verified.compiler, paths, out)
+            binaries[f"binaries/{target.folders[version]}/{out.name}"] = out.read_bytes()
+    return binaries, []
+
+
+def _compile_here(compiler: Compiler, sources: Sequence[Path], out: Path) -> None:
+    compiler.compile(sources, out, "-shared", "-fPIC", *SMALLEST)
+
+
+def _this_platform() -> str | None:
+    """Return the name of the platform that this process runs on; None for one that is not known."""
+    machine = {"amd64": "x86_64", "arm64": "aarch64"}.get(
+        platform.machine().lower(), platform.machine().lower()
+    )
+    system = {"linux": "linux", "darwin": "darwin", "win32": "windows"}.get(sys.platform, sys.platform)
+    for name, known in PLATFORMS.items():
+        if known.folders["fmi3"] == f"{machine}-{system}":
+            return name
+    return None
+
+
+def _archive(files: dict[str, bytes]) -> bytes:
+    """Return a ZIP archive with fixed dates and order."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in sorted(files, key=lambda each: (each != "modelDescription.xml", each)):
+            entry = zipfile.ZipInfo(name, EPOCH)
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            entry.external_attr = 0o644 << 16
+            entry.create_system = 3  # the same on all platforms
+            archive.writestr(entry, files[name])
+    return buffer.getvalue()
