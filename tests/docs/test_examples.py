@@ -5,6 +5,7 @@ import os
 import re
 import shlex
 import shutil
+import subprocess
 import tomllib
 from collections.abc import Iterator
 from functools import partial
@@ -113,7 +114,7 @@ def run_block(block: Block, names: dict[str, object]) -> None:
         case "json":
             for line in block.text.splitlines():
                 json.loads(line)
-        case "text":
+        case "text" | "c":
             pass
         case other:
             pytest.fail(f"{block.place}: a block of a kind that is not run: '{other}'")
@@ -134,6 +135,9 @@ def run_command(command: Command, place: str) -> None:
     if command.line.startswith(NOT_RUN):
         return
     program, *arguments = shlex.split(command.line)
+    if program == "cc" or program.startswith("./"):
+        run_program(command, place)
+        return
     assert program == "hitchid", f"{place}: a command that is not run: '{command.line}'"
     standard_input = None
     if "<" in arguments:
@@ -147,6 +151,17 @@ def run_command(command: Command, place: str) -> None:
     for line in command.shown:
         matched = line in ("", OMITTED) or any(alike(line, printed_line) for printed_line in remaining)
         assert matched, f"{context}\ndid not print: {line}\n{printed}"
+
+
+def run_program(command: Command, place: str) -> None:
+    """Run the C compiler, or a program it made, and compare its output; without a compiler nothing is run."""
+    if shutil.which("cc") is None:
+        return
+    done = subprocess.run(shlex.split(command.line), capture_output=True, text=True, check=False)  # noqa: S603
+    assert done.returncode == command.code, f"{place}: $ {command.line}\n{done.stderr}"
+    for line in command.shown:
+        matched = any(alike(line, printed_line) for printed_line in done.stdout.splitlines())
+        assert matched, f"{place}: $ {command.line}\ndid not print: {line}\n{done.stdout}"
 
 
 def call(arguments: list[str], standard_input: str | None) -> tuple[int, str]:

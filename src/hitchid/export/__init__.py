@@ -3,10 +3,9 @@
 from hitchid.export.c99 import Export as Export
 from hitchid.export.c99 import to_c as to_c
 from hitchid.export.c_templates import Precision as Precision
-from hitchid.export.fmu import PLATFORMS as PLATFORMS
 from hitchid.export.fmu import to_fmu as to_fmu
 from hitchid.export.onnx_network import to_onnx as to_onnx
 from hitchid.export.verification import Parity as Parity
 from hitchid.export.verification import ParityError as ParityError
 
-__all__ = ["PLATFORMS", "Export", "Parity", "ParityError", "Precision", "to_c", "to_fmu", "to_onnx"]
+__all__ = ["Export", "Parity", "ParityError", "Precision", "to_c", "to_fmu", "to_onnx"]

@@ -16,7 +16,7 @@ from hitchid.export.c_templates import CTemplates, Precision, c_templates
 from hitchid.export.compiler import Compiler, find_compiler
 from hitchid.export.constants import ModelConstants, constants_of
 from hitchid.export.reference import ReferenceRun, displacement_range, reference_runs
-from hitchid.export.verification import TOLERANCES, Parity, verify
+from hitchid.export.verification import Parity, Tolerance, tolerance_of, verify
 from hitchid.model import Hitch
 
 MANIFEST = "manifest.json"
@@ -129,7 +129,13 @@ class VerifiedSource:
     @property
     def travel_range(self) -> float:
         """Range of displacement in the tests, of which tolerances are shares."""
-        return displacement_range(self.model)
+        return displacement_range(self.model, self.runs[0])
+
+    @property
+    def tolerance(self) -> Tolerance:
+        """Largest differences that rounding explains."""
+        precision = self.templates.context["precision"]
+        return tolerance_of(precision, self.constants.error_steps, self.travel_range)
 
     @property
     def notices(self) -> tuple[str, ...]:
@@ -191,31 +197,29 @@ def verified_source(
         REPLAY: templates.render("replay.c"),
     }
     compiler = find_compiler()
-    parity = None
-    if compiler is not None:
-        with tempfile.TemporaryDirectory() as place:
-            target = Path(place)
-            write_files(target, {file: text.encode() for file, text in files.items()})
-            parity = verify(
-                compiler,
-                [target / f"{name}.c", target / REPLAY],
-                runs,
-                displacement_range(exported),
-                precision=precision,
-                has_networks=constants.has_networks,
-            )
-    return VerifiedSource(exported, constants, name, templates, files, runs, parity, compiler)
+    source = VerifiedSource(exported, constants, name, templates, files, runs, None, compiler)
+    if compiler is None:
+        return source
+    with tempfile.TemporaryDirectory() as place:
+        target = Path(place)
+        write_files(target, {file: text.encode() for file, text in files.items()})
+        parity = verify(
+            compiler,
+            [target / f"{name}.c", target / REPLAY],
+            runs,
+            source.travel_range,
+            source.tolerance,
+            compare_modes=precision != "single",
+        )
+    return replace(source, parity=parity)
 
 
 def c_files(verified: VerifiedSource) -> dict[str, bytes]:
     """Return the files of an export to C, name to content."""
     name, templates = verified.name, verified.templates
     texts = {file: text for file, text in verified.files.items() if file != REPLAY}
-    run, reached = (
-        verified.runs[1],
-        TOLERANCES[templates.context["precision"], verified.constants.has_networks],
-    )
-    tolerance = SELF_TEST_MARGIN * reached[0] * verified.travel_range
+    run = verified.runs[1]
+    tolerance = SELF_TEST_MARGIN * verified.tolerance.measured * verified.travel_range
     texts[f"{name}_selftest.c"] = templates.render(
         "selftest.c", rows=_self_test_rows(run), start=run.start, load=run.load, tolerance=tolerance
     )

@@ -165,9 +165,11 @@ class ModelConstants:
     stroke_range: float = STROKE_RANGE
 
     @property
-    def has_networks(self) -> bool:
-        """Whether a channel has a compensator."""
-        return any(channel.compensator or channel.speed_compensator for channel in self.channels)
+    def error_steps(self) -> tuple[float, ...] | None:
+        """Spread of the innovations of each network; None where no channel has a compensator."""
+        if not any(channel.compensator or channel.speed_compensator for channel in self.channels):
+            return None
+        return tuple(each.compensator["error_step"] for each in self.channels if each.compensator)
 
 
 @double_precision

@@ -74,7 +74,8 @@ def to_fmu(
         version: `fmi2` or `fmi3`.
         name: model identifier, a C identifier.
         precision, compensators: as in `to_c`.
-        platforms: names in `PLATFORMS`; by default all with ziglang, otherwise this one.
+        platforms: of linux64, win64, darwin64, aarch64-linux, aarch64-darwin; by default all with
+            ziglang, otherwise this machine's.
         force: replace an existing file.
 
     Raises:

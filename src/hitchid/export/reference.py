@@ -67,14 +67,12 @@ def reference_runs(model: Hitch, samples: int, *, seed: int = SEED) -> tuple[Ref
     return free, _run(model, start, load, np.column_stack([commands, measured]))
 
 
-def displacement_range(model: Hitch) -> float:
-    """Return the widest range of displacement in the identification tests, or 1 where it is not bounded."""
-    widths = []
-    for channel in model.channels.values():
-        covered = channel.operating_range.displacement
-        widths.append(float(covered.highest) - float(covered.lowest))
-    finite = [width for width in widths if np.isfinite(width) and width > 0]
-    return max(finite, default=1.0)
+def displacement_range(model: Hitch, run: ReferenceRun) -> float:
+    """Return the widest range of displacement in the tests; that of a run where it is not known."""
+    ranges = [channel.operating_range.displacement for channel in model.channels.values()]
+    widths = [float(each.highest) - float(each.lowest) for each in ranges]
+    known = [width for width in widths if np.isfinite(width) and width > 0]
+    return max(known, default=float(np.ptp(run.displacement)) or 1.0)
 
 
 def _commands(model: Hitch, samples: int, rng: np.random.Generator) -> Float[np.ndarray, "n c"]:

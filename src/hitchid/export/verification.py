@@ -5,6 +5,7 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -17,17 +18,16 @@ from hitchid.export.reference import ReferenceRun
 COLUMNS = 4  # of a replay: displacement, mode, flags, half width
 COMMAND_MISSING, BOTH_VALVES = 1, 4  # flags, as in the generated header
 TIMEOUT_S = 60.0
-# Largest difference of the displacement as a share of its range in the tests: with measurements, and
-# in free run. Double precision rounds at 1e-16, 3000 steps add up; networks in single precision round at 6e-8
-# of an innovation or of a factor on the speed.
-TOLERANCES: dict[tuple[Precision, bool], tuple[float, float]] = {
-    ("double", False): (1e-12, 1e-10),
-    ("mixed", False): (1e-12, 1e-10),
-    ("double", True): (4e-9, 4e-8),
-    ("mixed", True): (4e-9, 4e-8),
-    ("single", False): (1e-4, 1e-3),
-    ("single", True): (1e-4, 1e-3),
+# Largest difference of the displacement as a share of its range in the tests, with measurements and in free
+# run: double precision rounds at 1e-16, and 3000 steps add up. Networks in single precision round at 6e-8 of an
+# innovation or of a factor on the speed.
+ROUNDING: dict[Precision, tuple[float, float]] = {
+    "double": (1e-12, 1e-10),
+    "mixed": (1e-12, 1e-10),
+    "single": (1e-4, 1e-3),
 }
+NETWORK_ROUNDING = (4e-9, 4e-8)
+INNOVATION_ROUNDING = 1e-5  # of the spread of innovations: 1e-6 each, and up to ten of them add up
 MODES_SHARE = 1e-5  # of samples whose mode or flags may differ: a command within rounding of its threshold
 
 
@@ -49,6 +49,29 @@ class Parity:
     free_run: float
     modes: int
     samples: int
+
+
+class Tolerance(NamedTuple):
+    """Largest differences that rounding explains, as shares of the range: with measurements, in free run."""
+
+    measured: float
+    free_run: float
+
+
+def tolerance_of(precision: Precision, error_steps: Sequence[float] | None, travel_range: float) -> Tolerance:
+    """Return the largest differences that rounding explains.
+
+    Args:
+        precision: of the code.
+        error_steps: spread of the innovations of each network, in the displacement's unit; None for a model
+            without networks.
+        travel_range: range of displacement, in its unit.
+    """
+    measured, free_run = ROUNDING[precision]
+    if error_steps is None:
+        return Tolerance(measured, free_run)
+    innovation = INNOVATION_ROUNDING * max(error_steps, default=0.0) / travel_range
+    return Tolerance(max(measured, NETWORK_ROUNDING[0], innovation), max(free_run, NETWORK_ROUNDING[1]))
 
 
 def replay(program: Sequence[str], run: ReferenceRun, folder: Path) -> Float[np.ndarray, "n 4"]:
@@ -89,14 +112,22 @@ def verify(
     sources: Sequence[Path],
     runs: tuple[ReferenceRun, ReferenceRun],
     travel_range: float,
+    tolerance: Tolerance,
     *,
-    precision: Precision,
-    has_networks: bool,
+    compare_modes: bool = True,
 ) -> Parity:
     """Compile the sources of a replay program, run it, and return its differences from the model.
 
+    Args:
+        compiler: that compiles it.
+        sources: its files.
+        runs: a free run, and one with measured displacements.
+        travel_range: range of displacement, of which differences are shares.
+        tolerance: the largest admissible ones.
+        compare_modes: whether mode and flags must agree; in single precision a threshold may be elsewhere.
+
     Raises:
-        ParityError: they are larger than rounding explains.
+        ParityError: the differences are larger.
         InputError: the compiler fails.
     """
     with tempfile.TemporaryDirectory() as place:
@@ -105,26 +136,19 @@ def verify(
         compiler.compile(sources, program)
         free, measured = (replay([str(program)], run, folder) for run in runs)
     parity = compare(runs, (free, measured), travel_range)
-    check(parity, precision=precision, has_networks=has_networks)
-    return parity
-
-
-def check(parity: Parity, *, precision: Precision, has_networks: bool) -> None:
-    """Raise `ParityError` where differences are larger than rounding explains."""
-    measured, free = TOLERANCES[precision, has_networks]
     # Not "larger than": differences that are not numbers must not pass.
-    if parity.measured <= measured and parity.free_run <= free:
-        if precision == "single" or parity.modes <= MODES_SHARE * parity.samples:
-            return
+    if not (parity.measured <= tolerance.measured and parity.free_run <= tolerance.free_run):
+        raise ParityError(
+            f"the generated code differs from the model by {parity.measured:.2g} of the range with "
+            f"measurements (expected at most {tolerance.measured:.2g}) and {parity.free_run:.2g} in free run "
+            f"(expected at most {tolerance.free_run:.2g}); nothing was written; please report this model"
+        )
+    if compare_modes and parity.modes > MODES_SHARE * parity.samples:
         raise ParityError(
             f"the generated code differs from the model in mode or flags of {parity.modes} of "
             f"{parity.samples} samples; nothing was written; please report this model"
         )
-    raise ParityError(
-        f"the generated code differs from the model by {parity.measured:.2g} of the range with measured "
-        f"displacements (expected at most {measured:.2g}) and {parity.free_run:.2g} in free run (expected at "
-        f"most {free:.2g}); nothing was written; please report this model"
-    )
+    return parity
 
 
 def _flags(rows: Float[np.ndarray, "n 4"]) -> np.ndarray:

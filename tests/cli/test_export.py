@@ -1,0 +1,87 @@
+"""`hitchid export`: every target, refusals with exit code 2 and one line, nothing half written."""
+
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+import handmade
+import hitchid
+from hitchid import cli
+from hitchid.errors import HitchError
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    """Return the folder of a model."""
+    folder = tmp_path_factory.mktemp("export") / "model with ü"
+    hitchid.save(handmade.hitch("integrator-first-order", compensated=True, filtered=True), folder)
+    return folder
+
+
+def run(*arguments) -> tuple[int, str]:
+    """Return exit code and output, errors as `hitchid.cli.main` prints them."""
+    result = CliRunner().invoke(cli.app, ["export", *map(str, arguments)])
+    if isinstance(result.exception, HitchError):
+        return 2, str(result.exception)
+    return result.exit_code, result.output
+
+
+@pytest.mark.parametrize(
+    ("target", "name"), [("c", "code"), ("fmu2", "a.fmu"), ("fmu3", "b.fmu"), ("onnx", "nets")]
+)
+def test_every_target_is_written(model, target: str, name: str, tmp_path) -> None:
+    pytest.importorskip("onnx")
+    platforms = ("--platforms", "linux64") if "fmu" in target else ()
+    code, printed = run(model, "--to", target, "--out", tmp_path / name, *platforms)
+    assert code == 0, printed
+    assert "export:" in printed
+    assert (tmp_path / name).exists()
+    again, message = run(model, "--to", target, "--out", tmp_path / name)
+    assert again == 2
+    assert "exists already" in message
+
+
+def test_json_states_the_differences(model, tmp_path) -> None:
+    code, printed = run(model, "--to", "c", "--out", tmp_path / "code", "--no-compensators", "--json")
+    assert code == 0, printed
+    content = json.loads(printed)
+    if content["parity"] is not None:
+        assert content["parity"]["measured"] <= 1e-12
+    assert not any("lstm" in path.read_text().lower() for path in (tmp_path / "code").glob("hitch.c"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--to", "simulink", "--out", "x"), "simulink"),
+        (("--to", "fmu2", "--out", "x.fmu", "--platforms", "atari"), "platform"),
+        (("--to", "c", "--out", "x", "--name", "3d"), "C identifier"),
+        (("--to", "c", "--out", "x", "--precision", "half"), "half"),
+    ],
+)
+def test_what_cannot_be_is_refused_with_exit_code_2(
+    model, arguments, words: str, tmp_path, monkeypatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, message = run(model, *arguments)
+    assert code == 2
+    assert words in message
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_damaged_model_is_refused(model, tmp_path) -> None:
+    damaged = tmp_path / "damaged"
+    damaged.mkdir()
+    for path in model.iterdir():
+        (damaged / path.name).write_bytes(path.read_bytes()[:-10])
+    code, message = run(damaged, "--to", "c", "--out", tmp_path / "code")
+    assert code == 2
+    assert "damaged" in message
+    assert not (tmp_path / "code").exists()
+
+
+def test_the_model_itself_is_not_replaced(model) -> None:
+    code, message = run(model, "--to", "c", "--out", model, "--force")
+    assert code == 2
+    assert "contains the input" in message
