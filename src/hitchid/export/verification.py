@@ -19,13 +19,13 @@ COLUMNS = 4  # of a replay: displacement, mode, flags, half width
 COMMAND_MISSING, BOTH_VALVES = 1, 4  # flags, as in the generated header
 TIMEOUT_S = 60.0
 # Largest difference of the displacement as a share of its range in the tests, with measurements and in free
-# run: double precision rounds at 1e-16, and 3000 steps add up. Networks in single precision round at 6e-8 of an
-# innovation or of a factor on the speed.
+# run: double precision rounds at 1e-16, and 3000 steps add up.
 ROUNDING: dict[Precision, tuple[float, float]] = {
     "double": (1e-12, 1e-10),
     "mixed": (1e-12, 1e-10),
     "single": (1e-4, 1e-3),
 }
+# Single precision rounds an innovation, or a factor on the speed, at 6e-8 of it.
 NETWORK_ROUNDING = (4e-9, 4e-8)
 INNOVATION_ROUNDING = 1e-5  # of the spread of innovations: 1e-6 each, and up to ten of them add up
 MODES_SHARE = 1e-5  # of samples whose mode or flags may differ: a command within rounding of its threshold
