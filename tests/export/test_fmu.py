@@ -2,8 +2,12 @@
 
 import ctypes
 import hashlib
+import os
+import shutil
+import sys
 import threading
 import zipfile
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -13,6 +17,7 @@ from hitchid.errors import InputError, OutputError
 from hitchid.export import fmu, to_fmu
 
 fmpy = pytest.importorskip("fmpy")
+from fmpy.build import build_platform_binary  # noqa: E402
 from fmpy.fmi2 import FMU2Slave  # noqa: E402
 from fmpy.fmi3 import FMU3Slave  # noqa: E402
 from fmpy.validation import validate_fmu  # noqa: E402
@@ -326,3 +331,24 @@ def test_the_sources_inside_compile(units, compiler, version: str, tmp_path) -> 
     compiler.compile([sources / "hitch.c", sources / f"hitch_{version}.c"], sources / "built.so", *warnings)
     for name in ("hitch.c", "hitch.h", f"hitch_{version}.c"):
         assert (sources / name).read_bytes().isascii()
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_tool_builds_a_unit_that_holds_sources_only(
+    units, commands, expected, version: str, tmp_path, monkeypatch
+) -> None:
+    monkeypatch.setenv("PATH", str(Path(sys.executable).parent), prepend=os.pathsep)  # cmake, of fmpy
+    unzipped = Path(fmpy.extract(str(units[version]), str(tmp_path / "unit")))
+    shutil.rmtree(unzipped / "binaries")
+    build_platform_binary(unzipped)
+    assert list((unzipped / "binaries").rglob("hitch.*"))
+    result = fmpy.simulate_fmu(
+        str(unzipped),
+        start_values={"displacement_start": START},
+        input=commands,
+        output=OUTPUTS,
+        stop_time=1.5,
+        step_size=STEP_S,
+        output_interval=STEP_S,
+    )
+    np.testing.assert_allclose(result["displacement"], expected[: len(result)], atol=1e-6)
