@@ -3,7 +3,7 @@
     python -m benchmarks.export MODEL
 
 Uses what is installed of gcc, clang, ziglang, cross compilers for ARM with qemu-user, arm-none-eabi-gcc with
-the package unicorn, and cppcheck; the rest is left out and named. Debian: clang gcc-arm-none-eabi
+the package unicorn, and cppcheck; the rest is left out and named. Debian: clang wine64 gcc-arm-none-eabi
 libnewlib-arm-none-eabi qemu-user-static gcc-aarch64-linux-gnu gcc-arm-linux-gnueabihf cppcheck.
 """
 
@@ -28,6 +28,7 @@ COMPILERS = {
     "zig": ([sys.executable, "-m", "ziglang", "cc"], []),
     "aarch64": (["aarch64-linux-gnu-gcc", "-static"], ["qemu-aarch64-static"]),
     "armhf": (["arm-linux-gnueabihf-gcc", "-static"], ["qemu-arm-static"]),
+    "win64": ([sys.executable, "-m", "ziglang", "cc", "-target", "x86_64-windows-gnu"], ["wine"]),
 }
 LEVELS = ("-O0", "-O2", "-O3")
 FLAGS = ("-std=c99", "-ffp-contract=off")
@@ -109,7 +110,7 @@ def of_compiler(
     with tempfile.TemporaryDirectory() as place:
         folder = write(verified, Path(place))
         for level in LEVELS:
-            program = folder / f"replay{level}"
+            program = folder / f"replay{level}.exe"
             arguments = [*command, *FLAGS, level, "hitch.c", REPLAY, "-lm", "-o", program.name]
             done = subprocess.run(arguments, cwd=folder, capture_output=True, text=True, check=False)  # noqa: S603
             if done.returncode:
