@@ -10,6 +10,7 @@ import typer
 
 from hitchid.cli.cache import prepare_jax
 from hitchid.cli.options import AsJson, Force, Quiet
+from hitchid.errors import InputError
 
 
 class Target(Enum):
@@ -45,6 +46,12 @@ def export(
     no_compensators: Annotated[
         bool, typer.Option("--no-compensators", help="The physical model and its filter alone.")
     ] = False,
+    controller: Annotated[
+        Path | None,
+        typer.Option(
+            "--controller", help="Controller file of `hitchid tune`, written as C too; with --to c."
+        ),
+    ] = None,
     platforms: Annotated[
         list[str] | None,
         typer.Option(
@@ -61,15 +68,20 @@ def export(
     from hitchid._support.storage import check_inputs
     from hitchid.cli import terminal as display
 
-    check_inputs(out, [model])
+    check_inputs(out, [model, controller])
+    if controller is not None and to is not Target.C:
+        raise InputError(f"--controller: expected --to c, got --to {to.value}; a controller is exported as C")
     prepare_jax()
+    from hitchid.control import load_controller
     from hitchid.export import to_c, to_fmu, to_onnx
     from hitchid.model import load
 
     hitch = load(model)
     code = {"name": name, "precision": precision.value, "compensators": not no_compensators, "force": force}
     if to is Target.C:
-        done = to_c(hitch, out, **code)
+        done = to_c(
+            hitch, out, controller=None if controller is None else load_controller(controller), **code
+        )
     elif to is Target.ONNX:
         done = to_onnx(hitch, out, name=name, force=force)
     else:

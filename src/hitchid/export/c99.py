@@ -11,10 +11,12 @@ from hitchid._support import checks
 from hitchid._support.precision import double_precision
 from hitchid._support.storage import canonical_json, check_folder, write_files, write_folder
 from hitchid._support.versions import installed_versions
+from hitchid.control import ControllerFile
 from hitchid.errors import InputError
 from hitchid.export.c_templates import CTemplates, Precision, c_templates
 from hitchid.export.compiler import Compiler, find_compiler
 from hitchid.export.constants import ModelConstants, constants_of
+from hitchid.export.controller_code import controller_files
 from hitchid.export.reference import ReferenceRun, displacement_range, reference_runs
 from hitchid.export.verification import Parity, Tolerance, tolerance_of, verify
 from hitchid.model import Hitch
@@ -151,6 +153,7 @@ def to_c(
     name: str = "hitch",
     precision: Precision = "mixed",
     compensators: bool = True,
+    controller: ControllerFile | None = None,
     force: bool = False,
 ) -> Export:
     """Write a model as C99: header, source, self-test, a Python wrapper, manifest and README.
@@ -164,17 +167,25 @@ def to_c(
         name: prefix of all names in the code, a C identifier.
         precision: `mixed`: physics in double, networks in single precision; `double` or `single`: all of it.
         compensators: False for the physical model and its filter alone.
+        controller: a position controller for the model, as `hitchid.control.load_controller` reads it, to be
+            written beside it.
         force: replace an earlier export.
 
     Raises:
-        InputError: the name is no C identifier, or the model has a structure that the export does not know.
+        InputError: the name is no C identifier, the controller is for another model, or the model has a
+            structure that the export does not know.
         ParityError: the compiled code differs from the model.
         OutputError: the folder exists, or cannot be written.
     """
     place = checks.path(folder, "folder")
     check_folder(place, result_kind=MANIFEST, force=force)
     verified = verified_source(model, name, precision=precision, compensators=compensators)
-    files = {**c_files(verified), MANIFEST: canonical_json(manifest(verified, "c", precision))}
+    stated, files = manifest(verified, "c", precision), c_files(verified)
+    if controller is not None:
+        code, difference = controller_files(controller, model, name, precision, verified.compiler)
+        files |= code
+        stated |= {"controller": {"current_difference": difference, "load": dict(controller.load)}}
+    files[MANIFEST] = canonical_json(stated)
     write_folder(place, lambda target: write_files(target, files), result_kind=MANIFEST, force=force)
     version = "" if verified.compiler is None else verified.compiler.version
     return Export(place, verified.parity, version, verified.notices)

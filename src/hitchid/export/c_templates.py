@@ -67,6 +67,15 @@ class Typed:
     count: int
     access: str
 
+    @classmethod
+    def of(cls, field: Field, owner: str, name: str) -> "Typed":
+        """Return a field of a structure in the state, `owner` with its dot, in code with a prefix."""
+        types = {"real": f"{name}_real", "net": f"{name}_net", "int": "int32_t"}
+        access = f"&state->{owner}{field.name}" + "[0]" * len(field.shape)
+        return cls(
+            field.name, field.kind, types[field.kind], field.dimensions, field.comment, field.count, access
+        )
+
 
 @dataclass(frozen=True)
 class CTemplates:
@@ -112,23 +121,13 @@ def c_templates(model: ModelConstants, name: str, precision: Precision) -> CTemp
     )
     real = "float" if precision == "single" else "double"
     net = "double" if precision == "double" else "float"
-    types = {"real": f"{name}_real", "net": f"{name}_net", "int": "int32_t"}
     sizes = {"real": BYTES[real], "net": BYTES[net], "int": 4}
     parameters = list(_parameters(model))
     common = list(_common_fields(model))
     by_channel = {channel.name: list(_channel_fields(channel)) for channel in model.channels}
 
     def typed(field: Field, owner: str) -> Typed:
-        zeros = "[0]" * len(field.shape)
-        return Typed(
-            field.name,
-            field.kind,
-            types[field.kind],
-            field.dimensions,
-            field.comment,
-            field.count,
-            f"&state->{owner}{field.name}{zeros}",
-        )
+        return Typed.of(field, owner, name)
 
     saved = [typed(field, "parameters.") for field in parameters]
     saved += [typed(field, "") for field in common]
@@ -159,6 +158,7 @@ def c_templates(model: ModelConstants, name: str, precision: Precision) -> CTemp
         "hidden": _hidden(model),
         "scheduled": any(channel.scheduling for channel in model.channels),
         "coverage": COVERAGE,
+        "is_controller": False,
         "fn": lambda function: f"{function}f" if real == "float" else function,
         "net_fn": lambda function: f"{function}f" if net == "float" else function,
         "trust": lambda covered, value: _trust(covered, value, real),
@@ -298,15 +298,8 @@ def _common_fields(model: ModelConstants) -> Iterable[Field]:
 
 
 def _channel_fields(channel: ChannelConstants) -> Iterable[Field]:
-    plant = channel.plant
     yield Field("command", "real", (), "last valid")
-    if channel.curves is not None:
-        yield Field("lagged", "real", (), "command after the lag of the spool")
-        yield Field("play", "real", (), "the same after play")
-    yield Field("effective", "real", (), "command beyond the dead zone")
-    yield Field("flows", "real", (plant.delay_samples + 2,), "through the valve, the newest first")
-    yield Field("demands", "int", (plant.delay_samples + 1,), "whether the command demanded motion")
-    yield Field("plant", "real", (plant.states,), "state of the physical model")
+    yield from valve_fields(channel)
     yield Field("samples_in_charge", "int")
     if channel.speed_compensator is not None:
         yield Field("speed", "real")
@@ -317,6 +310,18 @@ def _channel_fields(channel: ChannelConstants) -> Iterable[Field]:
     if channel.scheduling is not None:
         yield Field("opening", "real", (), "of the valve at the load")
         yield from _at_load_fields(channel)
+
+
+def valve_fields(channel: ChannelConstants) -> Iterable[Field]:
+    """Return the fields of the state of a valve and its plant."""
+    plant = channel.plant
+    if channel.curves is not None:
+        yield Field("lagged", "real", (), "command after the lag of the spool")
+        yield Field("play", "real", (), "the same after play")
+    yield Field("effective", "real", (), "command beyond the dead zone")
+    yield Field("flows", "real", (plant.delay_samples + 2,), "through the valve, the newest first")
+    yield Field("demands", "int", (plant.delay_samples + 1,), "whether the command demanded motion")
+    yield Field("plant", "real", (plant.states,), "state of the physical model")
 
 
 def _at_load_fields(channel: ChannelConstants) -> Iterable[Field]:

@@ -184,7 +184,7 @@ def constants_of(model: Hitch) -> ModelConstants:
     bands = {name: known.bands for name, known in model.uncertainty.items() if known.bands is not None}
     has_bands = all(direction in bands for direction in model.channels)
     channels = tuple(
-        _channel(
+        channel_constants(
             index,
             channel,
             discrete,
@@ -208,14 +208,26 @@ def constants_of(model: Hitch) -> ModelConstants:
     )
 
 
-def _channel(
+def channel_constants(
     index: int,
     channel: Channel,
     discrete: DiscretePhysicalModel,
-    covariates: Sequence[str],
+    covariates: Sequence[str] = (),
     *,
-    bands: Bands | None,
+    bands: Bands | None = None,
 ) -> ChannelConstants:
+    """Return the numbers of a channel, and of its benchmark at the sampling time.
+
+    Args:
+        index: of the channel in its model.
+        channel: the channel.
+        discrete: its benchmark, discretised.
+        covariates: names of those of the model.
+        bands: around its predictions.
+
+    Raises:
+        InputError: as `constants_of`.
+    """
     benchmark = channel.benchmark
     load = channel.operating_range.load
     return ChannelConstants(

@@ -80,9 +80,26 @@ def replay(program: Sequence[str], run: ReferenceRun, folder: Path) -> Float[np.
     Raises:
         ParityError: the program fails.
     """
+    return run_replay(program, np.array([len(run.inputs), run.start, *run.load]), run.inputs, folder)
+
+
+def run_replay(
+    program: Sequence[str], head: Float[np.ndarray, " h"], inputs: Float[np.ndarray, "n c"], folder: Path
+) -> Float[np.ndarray, "n 4"]:
+    """Return the four numbers that a compiled replay program answers to each row of inputs.
+
+    Args:
+        program: and its first arguments.
+        head: that it reads before the rows.
+        inputs: the rows.
+        folder: for its files.
+
+    Raises:
+        ParityError: the program fails.
+    """
     source, result = folder / "inputs.bin", folder / "outputs.bin"
-    head = np.array([len(run.inputs), run.start, *run.load], dtype="<f8")
-    source.write_bytes(head.tobytes() + np.ascontiguousarray(run.inputs, dtype="<f8").tobytes())
+    numbers = (np.ascontiguousarray(each, dtype="<f8").tobytes() for each in (head, inputs))
+    source.write_bytes(b"".join(numbers))
     arguments = [*program, str(source), str(result)]
     done = subprocess.run(arguments, capture_output=True, timeout=TIMEOUT_S, check=False)  # noqa: S603
     if done.returncode:

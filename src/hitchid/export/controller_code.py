@@ -1,0 +1,210 @@
+"""C99 code of a position controller, proved against the controller itself in closed loop with its model."""
+
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from hitchid._support.storage import write_files
+from hitchid.control import ControllerFile, HitchController
+from hitchid.control.axis import REACHABLE, Axis
+from hitchid.control.controller import SMOOTHING_S, TARGET_SPEED_S, TRACKING_MM_S
+from hitchid.data.record import COMMAND, DIRECTIONS, DISPLACEMENT
+from hitchid.errors import InputError
+from hitchid.export.c_templates import CTemplates, Field, Precision, Typed, c_templates, valve_fields
+from hitchid.export.compiler import Compiler
+from hitchid.export.constants import ModelConstants, channel_constants
+from hitchid.export.verification import ParityError, run_replay
+from hitchid.model import Channel, Hitch
+from hitchid.networks.operating_range import OperatingRange
+from hitchid.structures import opening_command
+
+SAMPLES = 3000  # of the run that the code must repeat, 30 s; chosen: some ten targets
+TARGET_S = (0.5, 4.0)  # shortest and longest time of a target, s
+MISSING = 0.002  # share of samples where the sensor begins to be lost, for a tenth of a second
+NOISE_MM = 0.01
+STROKE_SHARE = 0.4  # of the range of displacement, half the distance of the farthest targets
+# Of the largest current: rounding of the curves, which a division by the time squared amplifies, see `_step`.
+TOLERANCES: dict[Precision, float] = {"double": 1e-7, "mixed": 1e-7, "single": 1e-2}
+HOLDING_SHARE = 1e-3  # of samples in which a threshold may be passed a sample earlier or later
+
+
+class ControllerRun(NamedTuple):
+    """A run of a controller in closed loop with its model.
+
+    Attributes:
+        start: displacement before, mm.
+        inputs: target and measured displacement, NaN where there is none, mm, shape [N, 2].
+        currents: lifting and lowering, A, shape [N, 2].
+    """
+
+    start: float
+    inputs: Float[np.ndarray, "n 2"]
+    currents: Float[np.ndarray, "n 2"]
+
+
+def controller_files(
+    content: ControllerFile, model: Hitch, name: str, precision: Precision, compiler: Compiler | None
+) -> tuple[dict[str, bytes], float | None]:
+    """Return header and source of a controller, and its largest difference as a share of the largest current.
+
+    Raises:
+        InputError: the controller is for another model.
+        ParityError: the compiled code differs from the controller.
+    """
+    if content.digest != model.provenance.digest:
+        raise InputError(
+            f"controller: was tuned for model {content.digest[:12]}, expected "
+            f"{model.provenance.digest[:12]}; tune one for this model"
+        )
+    name = f"{name}_controller"
+    templates, more = controller_templates(content.controller, name, precision, content.digest)
+    files = {
+        f"{name}.h": templates.render("controller.h", **more).encode(),
+        f"{name}.c": templates.render("controller.c", **more).encode(),
+    }
+    if compiler is None:
+        return files, None
+    run = controller_run(content.controller, model)
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        replay = templates.render("controller_replay.c", **more).encode()
+        write_files(folder, {**files, "replay.c": replay})
+        program = folder / "replay"
+        compiler.compile([folder / f"{name}.c", folder / "replay.c"], program)
+        rows = run_replay([str(program)], np.array([len(run.inputs), run.start]), run.inputs, folder)
+    largest = max(axis.largest_a for axis in content.controller.axes)
+    differences = np.max(np.abs(rows[:, :2] - run.currents), axis=1) / largest
+    share = float(np.mean(~(differences <= TOLERANCES[precision])))
+    if share > HOLDING_SHARE and precision != "single":
+        raise ParityError(
+            f"the generated controller differs by {np.max(differences):.2g} of the largest current in "
+            f"{share:.1%} of the samples; nothing was written; please report this controller"
+        )
+    return files, float(np.quantile(differences, 1 - HOLDING_SHARE))
+
+
+def controller_templates(
+    controller: HitchController, name: str, precision: Precision, digest: str
+) -> tuple[CTemplates, dict[str, Any]]:
+    """Return the templates of a controller, and what they name beside the numbers of its two models."""
+    channels = tuple(
+        channel_constants(
+            number,
+            Channel(
+                direction,
+                axis.sign,
+                axis.model.dead_zone,
+                None,
+                axis.model.benchmark,
+                OperatingRange.unbounded(),
+            ),
+            axis.model,
+        )
+        for number, (direction, axis) in enumerate(zip(DIRECTIONS, controller.axes, strict=True))
+    )
+    units = {DISPLACEMENT: "mm", **{COMMAND[direction]: "A" for direction in DIRECTIONS}}
+    constants = ModelConstants(channels, controller.step_s, 0.0, None, units, (), (), False, digest)
+    step_s = controller.step_s
+    axes = [_axis(controller, number) for number in range(len(channels))]
+    owned = {
+        channel.name: [
+            *valve_fields(channel),
+            Field("increments", "real", (len(axis["shares"]),), "mm, of the last samples"),
+        ]
+        for channel, axis in zip(channels, axes, strict=True)
+    }
+    more = {
+        "is_controller": True,
+        "axes": axes,
+        "fields": [Typed.of(field, "", name) for field in _fields()],
+        "channel_fields": {
+            owner: [Typed.of(field, f"{owner}.", name) for field in fields] for owner, fields in owned.items()
+        },
+        "speed_share": float(controller.speed_share),
+        "target_share": step_s / TARGET_SPEED_S,
+        "smoothing_share": step_s / SMOOTHING_S,
+        "tracking": TRACKING_MM_S,
+        "inner": float(controller.hold.inner_mm),
+        "outer": float(controller.hold.outer_mm),
+        "most_rise": float(controller.rate_a_s) * step_s,
+        "reachable": REACHABLE,
+    }
+    return c_templates(constants, name, precision), more
+
+
+def controller_run(controller: HitchController, model: Hitch, *, seed: int = 0) -> ControllerRun:
+    """Return a run in closed loop with the model: steps, ramps, noise, a sensor that is lost."""
+    rng = np.random.default_rng(seed)
+    ranges = [channel.operating_range.displacement for channel in model.channels.values()]
+    low = min(float(each.lowest) for each in ranges)
+    high = max(float(each.highest) for each in ranges)
+    middle, reach = (0.5 * (low + high), STROKE_SHARE * (high - low)) if high - low < 1e6 else (100.0, 30.0)
+    targets = _targets(middle, reach, controller.step_s, rng)
+    lost = np.convolve(rng.random(SAMPLES) < MISSING, np.ones(round(0.1 / controller.step_s)))[:SAMPLES] > 0
+    state, plant = controller.initial_state(middle), model.init_state(middle)
+    displacement, inputs, currents = middle, [], []
+    for target, is_lost in zip(targets, lost, strict=True):
+        measured = np.nan if is_lost else displacement + NOISE_MM * rng.standard_normal()
+        state, current = controller.step(state, float(target), float(measured))
+        plant, after = model.step(plant, np.asarray(current))
+        displacement = float(after)
+        inputs.append((target, measured))
+        currents.append(np.asarray(current))
+    return ControllerRun(middle, np.array(inputs), np.array(currents))
+
+
+def _targets(middle: float, reach: float, step_s: float, rng: np.random.Generator) -> Float[np.ndarray, " n"]:
+    """Return steps and ramps about the middle, with some targets that are not finite."""
+    targets = np.empty(0)
+    last = middle
+    while targets.size < SAMPLES:
+        count = round(float(rng.uniform(*TARGET_S)) / step_s)
+        goal = middle + float(rng.uniform(-reach, reach)) * float(rng.choice([1.0, 0.1]))
+        is_ramp = rng.random() < 0.3
+        piece = np.linspace(last, goal, count) if is_ramp else np.full(count, goal)
+        targets, last = np.concatenate([targets, piece]), goal
+    targets = targets[:SAMPLES]
+    targets[rng.random(SAMPLES) < MISSING] = np.nan
+    return targets
+
+
+def _fields() -> Sequence[Field]:
+    return (
+        Field("reference", "real", (), "mm, shaped"),
+        Field("reference_speed", "real", (), "mm/s"),
+        Field("integral", "real", (), "mm/s, speed that the integral part asks for"),
+        Field("smoothed", "real", (), "mm, predicted position without most of its noise"),
+        Field("measured", "real", (), "mm, last valid"),
+        Field("target", "real", (), "mm, last valid"),
+        Field("target_speed", "real", (), "mm/s, of a moving target"),
+        Field("currents", "real", (2,), "A, last"),
+        Field("holding", "int", (), "whether the hitch is held with closed valves"),
+        Field("lost", "int", (), "whether the last measurement was missing"),
+    )
+
+
+def _axis(controller: HitchController, number: int) -> dict[str, Any]:
+    """Return what the templates name of one direction."""
+    axis: Axis = controller.axes[number]
+    gains = controller.gains[number]
+    samples = float(axis.dead_time_samples)
+    return {
+        "gain": float(axis.model.benchmark.gain),
+        "largest": axis.largest_a,
+        "largest_effective": max(axis.largest_a - axis.model.dead_zone, 0.0),
+        "opening": float(opening_command(axis.model.benchmark, jnp.asarray(axis.model.dead_zone))),
+        "shares": tuple(float(np.clip(samples - index, 0.0, 1.0)) for index in range(axis.buffer)),
+        "dead_time_s": samples * controller.step_s,
+        "acceleration": float(controller.acceleration[number]),
+        "lag_s": float(controller.lags_s[number]),
+        "crossing": float(controller.crossing_mm_s[number]),
+        "proportional": float(gains.proportional),
+        "integral": float(gains.integral),
+        "speed": float(gains.speed),
+        "acceleration_gain": float(gains.acceleration),
+    }

@@ -1,0 +1,44 @@
+"""Hand-made controllers of hand-made hitches."""
+
+import jax.numpy as jnp
+import numpy as np
+
+import handmade
+from hitchid.control.axis import Axis
+from hitchid.control.controller import Gains, HitchController, HoldWindow
+from hitchid.data.record import DIRECTIONS
+
+DEAD_TIME_S = 0.064
+LAG_S = 0.08
+PRESSURE = {"pressure": 125.0}
+
+
+def made_up_model(*, shape: bool):
+    """Return a hitch of which the speed lags, with a dead time of a fraction of a sample."""
+    return handmade.hitch("integrator-first-order", dead_time_s=DEAD_TIME_S, shape=shape)
+
+
+def made_up_controller(model) -> HitchController:
+    """Return a controller of a hand-made hitch."""
+    axes = []
+    for direction in DIRECTIONS:
+        channel = model.channels[direction]
+        axis = Axis.of(
+            channel.benchmark,
+            sign=channel.sign,
+            dead_zone=channel.dead_zone,
+            step_s=0.01,
+            largest_a=channel.dead_zone + 0.5,
+        )
+        axes.append(axis.at_load(PRESSURE) if channel.benchmark.covariates else axis)
+    fastest = np.array([float(axis.fastest(jnp.asarray(100.0))) for axis in axes])
+    return HitchController(
+        axes=(axes[0], axes[1]),
+        gains=(Gains(3.0, 1.1), Gains(2.5, 0.8, 0.1, 0.01)),
+        acceleration=jnp.asarray(fastest / LAG_S),
+        speed_share=jnp.asarray(0.98),
+        lags_s=jnp.asarray([axis.lags[0] for axis in axes]),
+        crossing_mm_s=jnp.asarray([0.45, 0.4]),
+        hold=HoldWindow(0.075, 0.3),
+        rate_a_s=jnp.asarray(40.0),
+    )
