@@ -57,7 +57,7 @@ def export(
         typer.Option(
             "--platforms",
             help="Of the FMU's binaries, once each: linux64, win64, darwin64, aarch64-linux, aarch64-darwin "
-            "[all with hitchid[fmu\\]; else this one].",
+            "[all with hitchid[fmu]; else this one].",
         ),
     ] = None,
     force: Force = False,
