@@ -47,6 +47,7 @@ study: setup
 	$(BIN)/python benchmarks/fuzz.py
 	$(BIN)/python benchmarks/resume.py
 	$(BIN)/python -m benchmarks.position_control --draws 200
+	$(BIN)/python -m benchmarks.export
 
 # For maintainers; needs uv in PATH.
 pins:

@@ -1,6 +1,6 @@
 """Exported code on other compilers and processors, and its cost on a Cortex-M4F.
 
-    python -m benchmarks.export MODEL
+    python -m benchmarks.export [MODEL]
 
 Uses what is installed of gcc, clang, ziglang, cross compilers for ARM with qemu-user, arm-none-eabi-gcc with
 the package unicorn, and cppcheck; the rest is left out and named. Debian: clang wine64 gcc-arm-none-eabi
@@ -21,6 +21,9 @@ import numpy as np
 import hitchid
 from hitchid.export.c99 import REPLAY, VerifiedSource, verified_source
 from hitchid.export.verification import compare, replay
+from hitchid.identification import CompensatorConfig
+
+from .gauntlet.measured import DATA
 
 COMPILERS = {
     "gcc": (["gcc"], []),
@@ -75,8 +78,11 @@ void bench_step(void)
 def main() -> int:
     """Print one line for each compiler, precision and check."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.export")
-    parser.add_argument("model", help="model folder")
-    model = hitchid.load(parser.parse_args().model)
+    parser.add_argument(
+        "model", nargs="?", help="model folder; by default rig-a is identified without rivals"
+    )
+    folder = parser.parse_args().model
+    model = rig_a() if folder is None else hitchid.load(folder)
     for compensators in (False, True):
         verified = verified_source(model, "hitch", precision="mixed", compensators=compensators)
         what = "with networks" if compensators else "physics alone"
@@ -92,6 +98,12 @@ def main() -> int:
         f"cppcheck with MISRA: {misra(verified_source(model, 'hitch', precision='mixed', compensators=True))}"
     )
     return 0
+
+
+def rig_a() -> hitchid.Hitch:
+    """Return the default model of rig-a."""
+    training = CompensatorConfig(baselines=False)
+    return hitchid.identify(hitchid.read(DATA / "rig-a"), training=training).model
 
 
 def say(line: str) -> None:

@@ -13,15 +13,16 @@ from hitchid._support import checks
 from hitchid._support.precision import double_precision
 from hitchid._support.storage import canonical_json, check_file, digest, write_bytes, write_files
 from hitchid.errors import InputError
-from hitchid.export.c99 import Export, VerifiedSource, c_files, manifest, verified_source
+from hitchid.export.c99 import Export, VerifiedSource, manifest, verified_source
 from hitchid.export.c_templates import Precision
-from hitchid.export.compiler import Compiler, zig_compiler
-from hitchid.export.fmu_variables import fmu_variables
+from hitchid.export.compiler import zig_compiler
+from hitchid.export.fmu_variables import Variable, fmu_variables
 from hitchid.export.model_description import Version, build_description, model_description
 from hitchid.model import Hitch
 
 EPOCH = (1980, 1, 1, 0, 0, 0)  # date of all files in the archive: equal content gives equal bytes
-SMALLEST = ("-fvisibility=hidden", "-g0", "-s")  # no names but the interface's, nothing of this machine
+# A library with no names but those of the interface, and nothing of this machine.
+LIBRARY = ("-shared", "-fPIC", "-fvisibility=hidden", "-g0", "-s")
 
 
 class Platform(NamedTuple):
@@ -90,14 +91,15 @@ def to_fmu(
     verified = verified_source(model, name, precision=precision, compensators=compensators)
     sources = fmu_sources(verified, version)
     binaries, notices = _binaries(verified, version, sources, chosen)
-    content = {**sources.files(version), **binaries}
+    compiler = "" if verified.compiler is None else verified.compiler.version
+    page = verified.templates.render(
+        "documentation.html", variables=sources.variables, parity=verified.parity, compiler=compiler
+    )
+    content = {**sources.files(version), **binaries, "documentation/index.html": page.encode()}
     content["resources/manifest.json"] = canonical_json(
         {**manifest(verified, version, precision), "platforms": sorted(binaries)}
     )
-    readme = c_files(verified)["README.md"]
-    content["documentation/README.md" if version == "fmi3" else "documentation/index.md"] = readme
     write_bytes(place, _archive(content), force=force)
-    compiler = "" if verified.compiler is None else verified.compiler.version
     return Export(place, verified.parity, compiler, (*verified.notices, *notices))
 
 
@@ -105,12 +107,14 @@ class FmuSources(NamedTuple):
     """Sources of an FMU.
 
     Attributes:
+        variables: of the FMU.
         description: modelDescription.xml.
         code: name to text of the C files and headers.
         compiled: names of the files that are compiled.
         build: buildDescription.xml of FMI 3.0.
     """
 
+    variables: tuple[Variable, ...]
     description: bytes
     code: dict[str, bytes]
     compiled: tuple[str, ...]
@@ -143,6 +147,7 @@ def fmu_sources(verified: VerifiedSource, version: Version) -> FmuSources:
     compiled = (f"{name}.c", adapter)
     step_s = verified.constants.step_s
     return FmuSources(
+        variables,
         model_description(version, name, token, variables, step_s, compiled, described),
         code,
         compiled,
@@ -150,10 +155,10 @@ def fmu_sources(verified: VerifiedSource, version: Version) -> FmuSources:
     )
 
 
-def _state_header(identity: bytes, variables: Sequence[object]) -> dict[str, object]:
+def _state_header(identity: bytes, variables: Sequence[Variable]) -> dict[str, object]:
+    """Return the first bytes of a saved state, and the symbols of the covariates."""
     magic = b"HFMU" + identity.ljust(12, b"\0")
-    symbols = [getattr(each, "symbol", "") for each in variables]
-    loads = [symbol for symbol in symbols if symbol.startswith("LOAD_")]
+    loads = [variable.symbol for variable in variables if variable.symbol.startswith("LOAD_")]
     return {"state_magic": list(magic), "load_symbols": loads}
 
 
@@ -182,15 +187,11 @@ def _binaries(
             target = PLATFORMS[each]
             out = folder / f"{verified.name}{target.suffix}"
             if cross is not None:
-                cross.compile(paths, out, "-target", target.target, "-shared", "-fPIC", *SMALLEST)
+                cross.compile(paths, out, "-target", target.target, *LIBRARY)
             elif verified.compiler is not None:
-                _compile_here(verified.compiler, paths, out)
+                verified.compiler.compile(paths, out, *LIBRARY)
             binaries[f"binaries/{target.folders[version]}/{out.name}"] = out.read_bytes()
     return binaries, []
-
-
-def _compile_here(compiler: Compiler, sources: Sequence[Path], out: Path) -> None:
-    compiler.compile(sources, out, "-shared", "-fPIC", *SMALLEST)
 
 
 def _this_platform() -> str | None:

@@ -145,7 +145,8 @@ def _value(variable: Variable) -> str:
     return str(round(variable.start)) if variable.kind == "integer" else repr(variable.start)
 
 
-def _variable_2(reference: int, variable: Variable) -> Element:
+def _attributes(reference: int, variable: Variable) -> dict[str, str]:
+    """Return what both versions of the standard state of a variable alike."""
     attributes = {
         "name": variable.name,
         "valueReference": str(reference),
@@ -157,6 +158,11 @@ def _variable_2(reference: int, variable: Variable) -> Element:
         attributes["initial"] = "calculated"
     elif variable.causality == "parameter":
         attributes["initial"] = "exact"
+    return attributes
+
+
+def _variable_2(reference: int, variable: Variable) -> Element:
+    attributes = _attributes(reference, variable)
     element = Element("ScalarVariable", attributes)
     typed = ElementTree.SubElement(element, TYPES["fmi2"][variable.kind])
     if variable.unit:
@@ -167,17 +173,7 @@ def _variable_2(reference: int, variable: Variable) -> Element:
 
 
 def _variable_3(reference: int, variable: Variable) -> Element:
-    attributes = {
-        "name": variable.name,
-        "valueReference": str(reference),
-        "description": variable.description,
-        "causality": variable.causality,
-        "variability": variable.variability,
-    }
-    if variable.causality == "output":
-        attributes["initial"] = "calculated"
-    elif variable.causality == "parameter":
-        attributes["initial"] = "exact"
+    attributes = _attributes(reference, variable)
     if variable.unit:
         attributes["unit"] = variable.unit
     if variable.causality not in ("output", "independent"):
