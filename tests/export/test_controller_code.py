@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import handmade
 import hitchid
 from hitchid.control import ControllerFile
 from hitchid.errors import InputError
@@ -131,4 +130,3 @@ def test_model_and_controller_are_written_together(tuned, compiler, tmp_path) ->
     sources = [tmp_path / "loop.c", folder / "lift.c", folder / "lift_controller.c"]
     compiler.compile(sources, tmp_path / "loop", f"-I{folder}")
     assert subprocess.run([tmp_path / "loop"], check=False).returncode == 0  # noqa: S603
-    assert model.step_s == handmade.STEP_S
