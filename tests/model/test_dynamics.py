@@ -609,7 +609,7 @@ def test_an_hour_with_wrong_gains_leaves_the_place_on_the_stroke_right():
     commands = jnp.asarray(np.tile(np.stack([up, down], axis=1), (minutes, 1)))
     noise = noise_mm * np.random.default_rng(6).standard_normal(len(commands))
 
-    own_dynamics, dynamics = model._dynamics, plant._dynamics
+    own_dynamics, dynamics = model.dynamics, plant.dynamics
 
     @jax.jit
     def run(noise):

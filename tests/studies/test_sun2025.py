@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from hitchid.data.record import DIRECTIONS, LIFTING
-from hitchid.experiments.virtual_campaign import DYNAMIC_S, HIGH, LOW, STROKE_FRACTION
+from hitchid.experiments.drawn_commands import HIGH, LOW
+from hitchid.experiments.virtual_campaign import DYNAMIC_S, STROKE_FRACTION
 from hitchid.identification import AdamConfig, CompensatorConfig, MultiStart, SpeedCompensatorConfig
 from hitchid.identification.identify import PAPER_SPECS
 from hitchid.rig import load_rig, simulate

@@ -13,11 +13,12 @@ import numpy as np
 from hitchid._support import checks
 from hitchid._support.parallel import parallel
 from hitchid._support.storage import write_folder
-from hitchid.data.record import COMMAND, DIRECTIONS, DISPLACEMENT, LIFTING, LOWERING, RAMP, Record
+from hitchid.data.record import COMMAND, DIRECTIONS, DISPLACEMENT, LIFTING, RAMP, Record
 from hitchid.errors import InputError
 from hitchid.experiments import excitation
 from hitchid.experiments.conditions import COVARIATES, Condition, Conditions
-from hitchid.identification.dead_zone import from_ramps
+from hitchid.experiments.drawn_commands import binary_command, cycle_commands
+from hitchid.experiments.static_test import RAMP_TRAVEL_M, StaticResult, evaluate_ramps
 from hitchid.readers import write_table
 from hitchid.rig import Rig, load_rig, measure, rig_limits, simulate
 
@@ -28,13 +29,8 @@ TESTS: Mapping[Protocol, int] = MappingProxyType({"prbs": 20})
 RAMP_S = 30.0  # s, length of a ramp (chosen)
 DYNAMIC_S = 10.0  # s, length of a dynamic test (chosen)
 CYCLE_S = 60.0  # s, length of a mixed test (chosen)
-RAMP_TRAVEL_M = 0.02  # m, travel at which a ramp ends (chosen, as an operator would end it)
-RAMP_TAIL_S = 1.0  # s, end of a ramp used for its speed (chosen)
 FLOW_FRACTION = 0.9  # of the pump flow; above it, the pressure compensator has too little pressure
 STROKE_FRACTION = 0.6  # of the stroke that a dynamic test may travel (chosen)
-LOW = (0.03, 0.25)  # low level over the highest command, limits of a random draw (chosen)
-HIGH = (0.5, 1.0)  # high level over the highest command, limits of a random draw (chosen)
-CLOCK_S = (0.15, 0.4)  # s, shortest hold of a level, limits of a random draw (chosen)
 TRUTH = "truth"  # folder of the true displacements
 COLUMNS = """[signals]
 time = "time_s"
@@ -42,19 +38,6 @@ lifting_command = "current_up_A"
 lowering_command = "current_down_A"
 displacement = "displacement_mm"
 """
-
-
-@dataclass(frozen=True)
-class StaticResult:
-    """Result of the static test of one direction.
-
-    Attributes:
-        dead_zone: mean over the ramps, A.
-        speed_per_command: speed at the end of the ramps over the effective command there, mm/(s·A).
-    """
-
-    dead_zone: float
-    speed_per_command: float
 
 
 @dataclass(frozen=True)
@@ -114,7 +97,10 @@ def run(
         ]
     excited = DIRECTIONS if "cycle" in tests else directions
     ramps = {direction: _ramps(rig, direction, tests.get("ramp", REPEATS), seed) for direction in excited}
-    static = {direction: _evaluate_ramps(logs, direction) for direction, logs in ramps.items()}
+    static = {
+        direction: evaluate_ramps([_record(log) for log in logs], direction)
+        for direction, logs in ramps.items()
+    }
     jobs = {}
     if "prbs" in tests:
         jobs = {
@@ -204,16 +190,6 @@ def _ramps(rig: Rig, direction: str, repeats: int, seed: int) -> list[Log]:
     return _logs(rig, names, [_two_channel_command(direction, command)] * repeats, [start] * repeats, seed)
 
 
-def _evaluate_ramps(ramps: Sequence[Log], direction: str) -> StaticResult:
-    records = [_record(log) for log in ramps]
-    sign = 1 if direction == LIFTING else -1
-    zone = from_ramps(records, direction, sign).value
-    tail = slice(-round(RAMP_TAIL_S / records[0].step_s), None)
-    speeds = [sign * np.polyfit(record.time_s[tail], record.displacement[tail], 1)[0] for record in records]
-    effective = np.mean([record.command(direction)[tail].mean() - zone for record in records])
-    return StaticResult(zone, float(np.mean(speeds) / effective))
-
-
 def _highest_command(rig: Rig, direction: str, static: StaticResult, travel_mm: float) -> float:
     """Return the largest effective current within pump flow, valve range and travel of one test, A."""
     limits = rig_limits(rig)
@@ -234,18 +210,10 @@ def _saturation(rig: Rig, direction: str) -> float:
 def _dynamic(rig: Rig, direction: str, static: StaticResult, tests: int, seed: int) -> list[Log]:
     highest = _highest_command(rig, direction, static, STROKE_FRACTION * 1e3 * rig_limits(rig).stroke_m)
     rng = np.random.default_rng([seed, DIRECTIONS.index(direction)])
-    commands = []
-    for _ in range(tests):
-        signal = excitation.prbs(
-            low=rng.uniform(*LOW) * highest,
-            high=rng.uniform(*HIGH) * highest,
-            clock_s=rng.uniform(*CLOCK_S),
-            duration_s=DYNAMIC_S,
-            seed=int(rng.integers(2**31)),
-        )
-        commands.append(
-            _two_channel_command(direction, excitation.precompensated(signal.command, static.dead_zone))
-        )
+    commands = [
+        _two_channel_command(direction, binary_command(highest, static.dead_zone, DYNAMIC_S, rng))
+        for _ in range(tests)
+    ]
     names = [f"{direction}-{number:02d}" for number in range(1, tests + 1)]
     return _logs(rig, names, commands, [_start(rig, direction)] * tests, seed + 1)
 
@@ -255,24 +223,20 @@ def _cycles(rig: Rig, static: Mapping[str, StaticResult], tests: int, seed: int)
     highest = {
         direction: _highest_command(rig, direction, static[direction], stroke_mm) for direction in DIRECTIONS
     }
-    ranges = {direction: (LOW[1] * maximum, HIGH[1] * maximum) for direction, maximum in highest.items()}
     rng = np.random.default_rng([seed, len(DIRECTIONS)])
     commands, starts = [], []
     for _ in range(tests):
         start = rng.uniform(0.3, 0.7) * stroke_mm
-        pair = excitation.duty_cycle(
-            levels=(ranges[LIFTING], ranges[LOWERING]),
-            speeds=(static[LIFTING].speed_per_command, static[LOWERING].speed_per_command),
-            start=start,
-            displacement_range=(0.15 * stroke_mm, 0.85 * stroke_mm),
-            duration_s=CYCLE_S,
-            seed=int(rng.integers(2**31)),
+        commands.append(
+            cycle_commands(
+                static,
+                highest,
+                start_mm=start,
+                displacement_range=(0.15 * stroke_mm, 0.85 * stroke_mm),
+                duration_s=CYCLE_S,
+                seed=int(rng.integers(2**31)),
+            )
         )
-        columns = [
-            excitation.precompensated(signal.command, static[direction].dead_zone)
-            for direction, signal in zip(DIRECTIONS, pair, strict=True)
-        ]
-        commands.append(np.column_stack(columns))
         starts.append(1e-3 * start)
     return _logs(rig, [f"cycle-{number:02d}" for number in range(1, tests + 1)], commands, starts, seed + 2)
 

@@ -1,6 +1,7 @@
 """Ensemble of perturbed channels, and the spread of its free runs around that of the model."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -66,15 +67,53 @@ def hitch_half_width(
     Returns:
         Half width at every sample, shape [N] or [M, N].
     """
-    members, weights, owners = [], [], []
+    members = ensemble_members(dynamics, bands)
+    deviations = ensemble_free_runs([member.dynamics for member in members], inputs) - run.displacement
+    return ensemble_half_width(members, bands, deviations, coverage)
+
+
+class HitchMember(NamedTuple):
+    """A hitch of which one channel is perturbed.
+
+    Attributes:
+        dynamics: of the hitch.
+        weight: factor on the deviation of its free run.
+        channel: number of the perturbed channel.
+    """
+
+    dynamics: HitchDynamics
+    weight: float
+    channel: int
+
+
+def ensemble_members(dynamics: HitchDynamics, bands: Sequence[Bands]) -> list[HitchMember]:
+    """Return the hitches with one perturbed channel, of the ensembles of all channels."""
+    members = []
     for number, (channel, channel_bands) in enumerate(zip(dynamics.channels, bands, strict=True)):
         for member in channel_bands.ensemble:
             channels = list(dynamics.channels)
             channels[number] = perturbed_channel(channel, member)
-            members.append(HitchDynamics.of(channels, dynamics.step_s, dynamics.drift))
-            weights.append(member.weight)
-            owners.append(number)
-    deviations = ensemble_free_runs(members, inputs) - run.displacement
-    squares = (np.array(weights).reshape(-1, *[1] * run.displacement.ndim) * deviations) ** 2
-    spreads = [np.sqrt(squares[np.array(owners) == number].sum(axis=0)) for number in range(len(bands))]
+            perturbed = HitchDynamics.of(channels, dynamics.step_s, dynamics.drift)
+            members.append(HitchMember(perturbed, member.weight, number))
+    return members
+
+
+def ensemble_half_width(
+    members: Sequence[HitchMember],
+    bands: Sequence[Bands],
+    deviations: Float[np.ndarray, "a *b n"],
+    coverage: float,
+) -> Float[np.ndarray, "*b n"]:
+    """Return the half width of the band around a free run from the deviations of the ensemble's.
+
+    Args:
+        members: of the ensembles of all channels.
+        bands: of each channel.
+        deviations: free run of each member less that of the model, in the displacement's unit.
+        coverage: share of samples within the band.
+    """
+    weights = np.array([member.weight for member in members]).reshape(-1, *[1] * (deviations.ndim - 1))
+    owners = np.array([member.channel for member in members])
+    squares = (weights * deviations) ** 2
+    spreads = [np.sqrt(squares[owners == number].sum(axis=0)) for number in range(len(bands))]
     return free_run_half_width(bands, spreads, coverage)

@@ -205,8 +205,8 @@ class Hitch(Value, Summarised, Handover):
             InputError: an argument is missing or cannot be used, or the record cannot be converted to the
                 model's units, see `to_model_units`.
         """
-        dynamics = self._free_run_dynamics(compensated=compensated)
-        model = SimulatedModel(dynamics, dict(self.units), self._bands if compensated else {})
+        dynamics = self.free_run_dynamics(compensated=compensated)
+        model = SimulatedModel(dynamics, dict(self.units), self.bands if compensated else {})
         return simulate(model, commands, step_s=step_s, initial=initial, load=load)
 
     def predict(self, record: Record, *, horizon: int = 1) -> np.ndarray:
@@ -243,7 +243,7 @@ class Hitch(Value, Summarised, Handover):
         checks.integer(stride, "stride", minimum=1)
         model_record = self.to_model_units(record)
         initial = conversion.initial_condition(model_record, self.channels)
-        rows = multi_step_predictions(self._dynamics, model_record, initial, horizons, stride)
+        rows = multi_step_predictions(self.dynamics, model_record, initial, horizons, stride)
         return np.stack([self._to_record_units(row, model_record, record) for row in rows])
 
     @double_precision
@@ -262,10 +262,10 @@ class Hitch(Value, Summarised, Handover):
         """
         checks.number(coverage, "coverage")
         checks.integer(horizon, "horizon", minimum=1)
-        bands = bands_by_channel(self._bands, tuple(self.channels))
+        bands = bands_by_channel(self.bands, tuple(self.channels))
         model_record = self.to_model_units(record)
         initial = conversion.initial_condition(model_record, self.channels)
-        (predicted,) = multi_step_predictions(self._dynamics, model_record, initial, (horizon,), 1)
+        (predicted,) = multi_step_predictions(self.dynamics, model_record, initial, (horizon,), 1)
         movement = predicted - last_measured(model_record.displacement, float(initial.displacement), horizon)
         half_widths = np.stack([each.half_width(coverage, horizon, movement) for each in bands])
         active_channel = self.simulate(record).run.active_channel
@@ -279,10 +279,11 @@ class Hitch(Value, Summarised, Handover):
     @property
     def has_bands(self) -> bool:
         """Whether every channel has bands around its predictions."""
-        return len(self._bands) == len(self.channels)
+        return len(self.bands) == len(self.channels)
 
     @property
-    def _bands(self) -> dict[str, Bands]:
+    def bands(self) -> dict[str, Bands]:
+        """Direction to the bands of its channel; without those that have none."""
         return {
             direction: known.bands
             for direction, known in self.uncertainty.items()
@@ -326,10 +327,11 @@ class Hitch(Value, Summarised, Handover):
     plot_bode = plotting.plot_bode
 
     @cached_property
-    def _dynamics(self) -> HitchDynamics:
+    def dynamics(self) -> HitchDynamics:
+        """Dynamics of the whole model, with the compensators for predictions."""
         return HitchDynamics.of(tuple(self.channels.values()), self.step_s, self.drift)
 
-    def _free_run_dynamics(self, *, compensated: bool = True) -> HitchDynamics:
+    def free_run_dynamics(self, *, compensated: bool = True) -> HitchDynamics:
         """Return the dynamics without the compensator for predictions, or without any compensator."""
         removed = {"compensator": None} if compensated else {"compensator": None, "speed_compensator": None}
         channels = [replace(channel, **removed) for channel in self.channels.values()]
@@ -337,7 +339,7 @@ class Hitch(Value, Summarised, Handover):
 
     @cached_property
     def _step_functions(self) -> StepFunctions:
-        return StepFunctions(self._dynamics)
+        return StepFunctions(self.dynamics)
 
     def _to_record_units(self, displacement: np.ndarray, model_record: Record, record: Record) -> np.ndarray:
         return conversion.to_record_units(displacement, self.units, model_record, record)

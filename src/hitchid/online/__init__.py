@@ -2,3 +2,5 @@
 
 from hitchid.online.live import Live as Live
 from hitchid.online.live import Output as Output
+from hitchid.online.monitor import Monitor as Monitor
+from hitchid.online.monitor import Predictions as Predictions

@@ -8,7 +8,8 @@ import numpy as np
 
 from hitchid._support.precision import double_precision
 from hitchid.data.record import LIFTING
-from hitchid.experiments.virtual_campaign import DYNAMIC_S, HIGH, LOW, STROKE_FRACTION
+from hitchid.experiments.drawn_commands import HIGH, LOW
+from hitchid.experiments.virtual_campaign import DYNAMIC_S, STROKE_FRACTION
 from hitchid.rig import (
     OperatingPoint,
     Rig,

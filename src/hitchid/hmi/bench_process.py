@@ -1,0 +1,156 @@
+"""The process of the bench loop: deadline clock, and the link to the server.
+
+It never waits for the server. A server that is gone closes the valves, the log and the process.
+"""
+
+import contextlib
+import gc
+import json
+import queue
+import signal
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import numpy as np
+
+from hitchid.errors import HitchError
+from hitchid.hmi.bench_loop import BenchLoop
+from hitchid.hmi.safety import State
+from hitchid.hmi.source import Reading
+
+BLOCK_S = 0.04  # s between blocks of samples to the server: 25 a second
+STATUS_S = 0.5  # s between states to the server where nothing changes
+MOST_WAITING = 200  # messages to the server that wait; later ones are dropped, the log is complete; chosen
+LATE_TICKS = 5  # ticks behind, after which the clock starts anew instead of catching up; chosen
+JSON_MARK, BLOCK_MARK = b"j", b"b"
+
+
+class Link:
+    """Messages to and from the server, neither of which blocks the loop.
+
+    Args:
+        connection: to the server.
+    """
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+        self._waiting: queue.Queue[bytes] = queue.Queue(MOST_WAITING)
+        threading.Thread(target=self._send_all, daemon=True).start()
+
+    def requests(self) -> list[dict]:
+        """Return the requests that have arrived.
+
+        Raises:
+            EOFError: the server is gone.
+        """
+        requests = []
+        try:
+            while self._connection.poll():
+                requests.append(json.loads(self._connection.recv_bytes()))
+        except OSError as error:
+            raise EOFError from error
+        return requests
+
+    def send(self, content: dict[str, object]) -> None:
+        """Send a message."""
+        self._put(JSON_MARK + json.dumps(content).encode())
+
+    def send_block(self, readings: Sequence[Reading]) -> None:
+        """Send samples, and the wall clock of the newest one, ms."""
+        rows = np.array([(reading.time_s, *reading.values) for reading in readings])
+        self._put(BLOCK_MARK + np.array([1e3 * time.time(), rows.shape[1]]).tobytes() + rows.tobytes())
+
+    def _put(self, message: bytes) -> None:
+        with contextlib.suppress(queue.Full):
+            self._waiting.put_nowait(message)
+
+    def _send_all(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                self._connection.send_bytes(self._waiting.get())
+
+
+def run(loop: BenchLoop, link: Link) -> None:
+    """Tick until the server is gone."""
+    readings: list[Reading] = []
+    due_s = block_s = status_s = time.monotonic()
+    late_ticks, shown = 0, None
+    loop.server_alive(due_s)
+    while True:
+        try:
+            requests = link.requests()
+        except EOFError:
+            loop.close()
+            return
+        for request in requests:
+            _answer(loop, link, request)
+        now_s = time.monotonic()
+        readings += loop.tick(now_s)
+        if now_s - block_s >= BLOCK_S and readings:
+            link.send_block(readings)
+            readings, block_s = [], now_s
+        state = (loop.state, loop.commands.any())
+        if requests or state != shown or now_s - status_s >= STATUS_S:
+            link.send({"type": "status", "late_ticks": late_ticks, **loop.describe()})
+            status_s, shown = now_s, state
+        due_s += loop.tick_s
+        ahead_s = due_s - time.monotonic()
+        if ahead_s > 0:
+            time.sleep(ahead_s)
+        elif ahead_s < -LATE_TICKS * loop.tick_s:
+            late_ticks += 1
+            due_s = time.monotonic()
+
+
+def _answer(loop: BenchLoop, link: Link, request: dict) -> None:
+    """Carry out one request; a source that takes long to open does not count as silence of the server."""
+    kind, error = request.get("type"), None
+    if kind == "server_alive":
+        loop.server_alive(time.monotonic())
+        return
+    if kind == "page_alive":
+        loop.page_alive(time.monotonic())
+        return
+    try:
+        loop.handle(request, time.monotonic())
+    except HitchError as problem:
+        error = str(problem)
+    except Exception as problem:  # a source or controller of a user; the loop goes on with closed valves
+        error = f"{type(problem).__name__}: {problem}"
+    loop.server_alive(time.monotonic())
+    loop.page_alive(time.monotonic())
+    link.send({"type": "reply", "id": request.get("id"), "error": error})
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Run the bench loop of a server.
+
+    Args:
+        arguments: file descriptor of the connection, settings as JSON.
+    """
+    from hitchid.cli.cache import prepare_jax
+
+    prepare_jax()
+    descriptor, settings = int(arguments[0]), json.loads(arguments[1])
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the server, which ends this process
+    limits = settings["limits_file"]
+    loop = BenchLoop(
+        Path(settings["root"]),
+        allow_output=settings["allow_output"],
+        limits_file=Path(limits) if limits else None,
+        longest_silence_s=settings["longest_silence_s"],
+    )
+    gc.freeze()
+    try:
+        run(loop, Link(Connection(descriptor)))
+    finally:
+        if loop.state is not State.DISCONNECTED:
+            loop.close()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

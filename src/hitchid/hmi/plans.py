@@ -1,0 +1,159 @@
+"""Plans of the operator: a campaign, a file of commands, a closed loop."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, TypeAdapter, ValidationError, field_validator
+
+from hitchid.data.record import COMMAND, DIRECTIONS
+from hitchid.data.settings_errors import describe
+from hitchid.data.signal_map import DEFAULT_SIGNALS, Strict
+from hitchid.errors import InputError
+from hitchid.hmi.project import NAME_PATTERN
+
+POSITIONING_S = 12.0  # s, of a move between two tests, for the estimate of the time left; chosen
+MOST_SAMPLES = 1_000_000  # of a file of commands, to bound its memory; chosen
+Name = Annotated[str, Field(pattern=f"^{NAME_PATTERN}$")]
+
+
+class CampaignPlan(Strict):
+    """Ramps that find the dead zones, then PRBS tests of each direction, then cycles of both.
+
+    Attributes:
+        name: of the folder in `campaigns`.
+        directions: to excite; cycles excite both.
+        ramps, ramp_s: number for each direction, and length, s.
+        tests, test_s: PRBS tests for each direction, and length, s.
+        cycles, cycle_s: mixed tests, and length, s.
+        seed: of all random draws.
+        unattended: go on without the operator's page; of a virtual bench only.
+    """
+
+    kind: Literal["campaign"] = "campaign"
+    name: Name
+    directions: tuple[Literal["lifting", "lowering"], ...] = DIRECTIONS
+    ramps: int = Field(default=2, ge=1, le=20)
+    ramp_s: float = Field(default=20.0, ge=2, le=600)
+    tests: int = Field(default=4, ge=0, le=1000)
+    test_s: float = Field(default=10.0, ge=2, le=600)
+    cycles: int = Field(default=0, ge=0, le=1000)
+    cycle_s: float = Field(default=60.0, ge=5, le=3600)
+    seed: int = Field(default=0, ge=0, le=2**31 - 1)
+    unattended: bool = False
+
+    @field_validator("directions")
+    @classmethod
+    def _distinct(cls, directions: tuple[str, ...]) -> tuple[str, ...]:
+        if not directions:
+            raise ValueError("expected lifting, lowering or both")
+        return tuple(direction for direction in DIRECTIONS if direction in directions)
+
+    @property
+    def excited(self) -> tuple[str, ...]:
+        """Directions whose ramps are needed."""
+        return DIRECTIONS if self.cycles else self.directions
+
+    @property
+    def total(self) -> int:
+        """Number of logs."""
+        return len(self.excited) * self.ramps + len(self.directions) * self.tests + self.cycles
+
+    @property
+    def duration_s(self) -> float:
+        """Estimated time of the whole, s."""
+        ramps = len(self.excited) * self.ramps * self.ramp_s
+        tests = len(self.directions) * self.tests * self.test_s
+        return ramps + tests + self.cycles * self.cycle_s + self.total * POSITIONING_S
+
+
+class FilePlan(Strict):
+    """Commands from a file, from the present displacement: `time_s, lifting_command, lowering_command`.
+
+    Attributes:
+        name: of the log.
+        campaign: folder in `campaigns`, which may exist; by default of the same name.
+        file: in the project.
+    """
+
+    kind: Literal["file"] = "file"
+    name: Name
+    campaign: Name | None = None
+    file: str
+    unattended: Literal[False] = False
+    total: Literal[1] = 1
+
+
+class DrivePlan(Strict):
+    """Closed loop with a tuned controller; its target is set while it runs.
+
+    Attributes:
+        name: of the log in `drives`.
+        controller: file in the project.
+    """
+
+    kind: Literal["drive"] = "drive"
+    name: Name
+    controller: str
+    unattended: Literal[False] = False
+    total: Literal[1] = 1
+
+
+Plan = CampaignPlan | FilePlan | DrivePlan
+_PLAN: TypeAdapter[Plan] = TypeAdapter(Annotated[Plan, Field(discriminator="kind")])
+
+
+def read_plan(content: object) -> Plan:
+    """Return the plan of a message.
+
+    Raises:
+        InputError: a key is missing, unknown or wrong.
+    """
+    try:
+        return _PLAN.validate_python(content)
+    except ValidationError as error:
+        raise InputError(f"plan: {describe(error)}") from error
+
+
+def read_commands(path: Path, step_s: float) -> np.ndarray:
+    """Return the commands of a file on a clock, each held until the next, shape [N, 2].
+
+    Args:
+        path: CSV with `time_s` and the columns of one or both commands: `lifting_command`, the same with a
+            unit, or the default column of logs, as `hitchid design` writes it.
+        step_s: sampling time, s.
+
+    Raises:
+        InputError: the file cannot be read, or a column is missing, negative, not finite or not rising in
+            time.
+    """
+    try:
+        with path.open(encoding="utf-8") as file:
+            names = [name.strip() for name in file.readline().split(",")]
+            rows = np.loadtxt(file, delimiter=",", ndmin=2)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path.name}: cannot be read: {error}; expected a CSV of numbers") from error
+    found = [_column(names, COMMAND[direction]) for direction in DIRECTIONS]
+    if names[:1] != ["time_s"] or found == [None, None] or rows.shape[1] != len(names) or len(rows) < 2:
+        raise InputError(
+            f"{path.name}: has the columns {', '.join(names)}; expected time_s first, then lifting_command, "
+            "lowering_command or both"
+        )
+    time_s = rows[:, 0]
+    commands = np.column_stack(
+        [np.zeros(len(rows)) if column is None else rows[:, column] for column in found]
+    )
+    if not np.all(np.isfinite(rows)) or np.any(np.diff(time_s) <= 0) or np.any(commands < 0):
+        raise InputError(f"{path.name}: expected finite numbers, rising times and commands of at least zero")
+    count = round((time_s[-1] - time_s[0]) / step_s) + 1
+    if count > MOST_SAMPLES:
+        raise InputError(f"{path.name}: has {count} samples; expected at most {MOST_SAMPLES}")
+    clock = np.arange(count) * step_s + time_s[0]
+    held = np.searchsorted(time_s, clock + 1e-6 * step_s, side="right") - 1  # against rounding of the times
+    return commands[held]
+
+
+def _column(names: list[str], role: str) -> int | None:
+    default = getattr(DEFAULT_SIGNALS, role).column
+    matching = [number for number, name in enumerate(names) if name == default or name.startswith(role)]
+    return matching[0] if matching else None

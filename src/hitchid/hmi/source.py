@@ -1,0 +1,110 @@
+"""What a source of signals is: the virtual bench, a log, a bus, or an operator's own device."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+
+from hitchid.data.signal_map import DEFAULT_SIGNALS, Column
+
+LIFTING_COMMAND, LOWERING_COMMAND, DISPLACEMENT = "lifting_command", "lowering_command", "displacement"
+REQUIRED = (LIFTING_COMMAND, LOWERING_COMMAND, DISPLACEMENT)  # signals that every source has
+CLOSED = np.zeros(2)  # commands of closed valves
+
+
+@dataclass(frozen=True)
+class Signal:
+    """A signal of a source.
+
+    Attributes:
+        name: in logs and messages.
+        label: for the operator.
+        unit: of its values.
+        group: the plot it is drawn in: command, displacement, speed, pressure or other.
+    """
+
+    name: str
+    label: str
+    unit: str
+    group: str = "other"
+
+    @property
+    def column(self) -> str:
+        """Column of a log: the default of its role where it has that unit, else name and unit."""
+        default = getattr(DEFAULT_SIGNALS, self.name, None)
+        is_default = isinstance(default, Column) and default.unit == self.unit
+        return default.column if is_default else f"{self.name}_{self.unit}"
+
+
+class Reading(NamedTuple):
+    """One sample of a source.
+
+    Attributes:
+        time_s: on the clock of the source, s; rises from sample to sample.
+        values: of its signals in their order, NaN where there is none.
+    """
+
+    time_s: float
+    values: tuple[float, ...]
+
+
+@runtime_checkable
+class Source(Protocol):
+    """A source of signals: in each tick the bench loop reads it, decides, and writes to it.
+
+    Attributes:
+        label: for the operator.
+        signals: at least lifting and lowering command and displacement, by these names.
+        step_s: sampling time, s.
+        virtual: whether it is no real machine.
+        can_move: whether it takes commands.
+    """
+
+    label: str
+    signals: tuple[Signal, ...]
+    step_s: float
+    virtual: bool
+    can_move: bool
+
+    def open(self) -> None:
+        """Connect; raises `InputError` with what to do where that fails."""
+        ...
+
+    def read(self) -> Sequence[Reading]:
+        """Return the samples that have arrived since the last call; must not block.
+
+        A command that is NaN is filled in by the bench loop with what it commands.
+
+        Raises:
+            InputError: the source is lost.
+        """
+        ...
+
+    def write(self, commands: np.ndarray) -> None:
+        """Send the commands until the next sample; must not block.
+
+        Args:
+            commands: lifting and lowering, shape [2]; zero where nothing may move.
+
+        Raises:
+            InputError: the source is lost.
+        """
+        ...
+
+    def close(self) -> None:
+        """Close the valves and disconnect."""
+        ...
+
+
+def describe(source: Source, name: str, speed: int) -> dict[str, object]:
+    """Return what the page needs to know of a source, as content for JSON."""
+    return {
+        "name": name,
+        "label": source.label,
+        "step_s": source.step_s,
+        "speed": speed,
+        "can_move": source.can_move,
+        "virtual": source.virtual,
+        "signals": [asdict(signal) for signal in source.signals],
+    }

@@ -1,0 +1,173 @@
+"""A CAN bus with a DBC as a source; needs hitchid[can]."""
+
+import contextlib
+import math
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+
+from hitchid.data.signal_map import Strict, parse_settings
+from hitchid.errors import InputError
+from hitchid.hmi.source import REQUIRED, Reading, Signal
+
+MOST_FRAMES = 1000  # taken in one tick, so that a flooded bus cannot hold up the loop; chosen
+GROUPS = {"displacement": "displacement", "lifting_command": "command", "lowering_command": "command"}
+
+
+class OutputMessage(Strict):
+    """`[output]`: the message that carries the commands, sent each tick."""
+
+    message: str
+    lifting_command: str
+    lowering_command: str
+
+
+class BusFile(Strict):
+    """The file of a CAN source.
+
+    Attributes:
+        interface: of python-can, such as socketcan.
+        channel: of the interface, such as can0.
+        database: DBC file, relative to this file.
+        step_s: sampling time, s.
+        signals: name to `Message/Signal`; at least both commands and the displacement.
+        output: message of the commands; none where nothing may be moved.
+    """
+
+    interface: str = "socketcan"
+    channel: str
+    database: str
+    step_s: float = Field(default=0.01, gt=0)
+    signals: dict[str, str]
+    output: OutputMessage | None = None
+
+
+class CanBus:
+    """The newest values of signals on a CAN bus, sampled each tick.
+
+    Args:
+        path: TOML file with bus, database, signals and output; see `BusFile`.
+    """
+
+    virtual = False
+
+    def __init__(self, path: str) -> None:
+        self._settings = parse_settings(Path(path), BusFile)
+        missing = [name for name in REQUIRED if name not in self._settings.signals]
+        if missing:
+            raise InputError(
+                f"{path}: signals lacks {', '.join(missing)}; expected 'Message/Signal' for each"
+            )
+        self._database = _database(Path(path).parent / self._settings.database)
+        located = {name: self._located(path, text) for name, text in self._settings.signals.items()}
+        names = (*REQUIRED, *(name for name in located if name not in REQUIRED))
+        self.signals = tuple(_signal(name, located[name][1].unit) for name in names)
+        self._columns: dict[int, list[tuple[int, str]]] = {}
+        for column, name in enumerate(names):
+            message, signal = located[name]
+            self._columns.setdefault(message.frame_id, []).append((column, signal.name))
+        self.label = f"CAN {self._settings.interface} {self._settings.channel}"
+        self.step_s = self._settings.step_s
+        self.can_move = self._settings.output is not None
+
+    def open(self) -> None:
+        """Open the bus.
+
+        Raises:
+            InputError: python-can is not installed, or the bus cannot be opened.
+        """
+        try:
+            import can
+        except ImportError as error:
+            raise InputError("CAN needs python-can; install hitchid[can]") from error
+        try:
+            self._bus: Any = can.Bus(interface=self._settings.interface, channel=self._settings.channel)
+        except Exception as error:  # drivers raise what they like
+            raise InputError(f"{self.label}: cannot be opened: {error}") from error
+        self._message_class = can.Message
+        self._begin_s = time.monotonic()
+        self._values = [math.nan] * len(self.signals)
+
+    def read(self) -> Sequence[Reading]:
+        """Return the newest values.
+
+        Raises:
+            InputError: the bus is lost.
+        """
+        for _ in range(MOST_FRAMES):
+            frame = self._on_bus(self._bus.recv, timeout=0)
+            if frame is None:
+                break
+            self._take(frame)
+        return (Reading(time.monotonic() - self._begin_s, tuple(self._values)),)
+
+    def write(self, commands: np.ndarray) -> None:
+        """Send the commands, where there is a message for them.
+
+        Raises:
+            InputError: the bus is lost.
+        """
+        self._on_bus(self._send, commands)
+
+    def close(self) -> None:
+        """Close the valves and the bus."""
+        with contextlib.suppress(Exception):
+            self._send(np.zeros(2))
+        self._bus.shutdown()
+
+    def _located(self, path: str, text: str) -> tuple[Any, Any]:
+        message_name, _, signal_name = text.partition("/")
+        try:
+            message = self._database.get_message_by_name(message_name)
+            return message, message.get_signal_by_name(signal_name)
+        except KeyError as error:
+            raise InputError(f"{path}: '{text}' is not in the database; expected 'Message/Signal'") from error
+
+    def _on_bus(self, call: Callable[..., Any], *arguments: object, **named: object) -> Any:
+        try:
+            return call(*arguments, **named)
+        except Exception as error:  # drivers raise what they like
+            raise InputError(f"{self.label}: {error}; check the bus and connect again") from error
+
+    def _send(self, commands: np.ndarray) -> None:
+        output = self._settings.output
+        if output is None:
+            return
+        message = self._database.get_message_by_name(output.message)
+        values = dict.fromkeys((signal.name for signal in message.signals), 0.0)
+        values |= {output.lifting_command: float(commands[0]), output.lowering_command: float(commands[1])}
+        self._bus.send(
+            self._message_class(
+                arbitration_id=message.frame_id,
+                is_extended_id=message.is_extended_frame,
+                data=message.encode(values, strict=False),
+            )
+        )
+
+    def _take(self, frame: Any) -> None:
+        columns = self._columns.get(frame.arbitration_id)
+        if not columns:
+            return
+        message = self._database.get_message_by_frame_id(frame.arbitration_id)
+        decoded = message.decode(frame.data, decode_choices=False, allow_truncated=True)
+        for column, name in columns:
+            self._values[column] = float(decoded.get(name, math.nan))
+
+
+def _database(path: Path) -> Any:
+    try:
+        import cantools
+    except ImportError as error:
+        raise InputError("a DBC needs cantools; install hitchid[can]") from error
+    try:
+        return cantools.database.load_file(path)
+    except Exception as error:  # parsers raise what they like
+        raise InputError(f"{path}: cannot be read: {error}; expected a DBC") from error
+
+
+def _signal(name: str, unit: str | None) -> Signal:
+    return Signal(name, name.replace("_", " ").capitalize(), unit or "1", GROUPS.get(name, "other"))

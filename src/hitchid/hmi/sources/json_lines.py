@@ -1,0 +1,215 @@
+"""JSON lines as a source: from standard input, a serial device, or UDP on this machine."""
+
+import json
+import math
+import os
+import socket
+import sys
+import tty
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+
+from hitchid.errors import InputError
+from hitchid.hmi.source import DISPLACEMENT, LIFTING_COMMAND, LOWERING_COMMAND, REQUIRED, Reading, Signal
+
+LOOPBACK = "127.0.0.1"
+MOST_BYTES = 65536  # read at once, and of an unfinished line; chosen
+CAN_BE_BUSY = (BlockingIOError, InterruptedError)
+
+
+class Transport(Protocol):
+    """Where lines come from and go to."""
+
+    def open(self) -> None:
+        """Connect without blocking."""
+        ...
+
+    def read(self) -> bytes | None:
+        """Return what has arrived, empty for nothing yet, None at the end."""
+        ...
+
+    def write(self, line: bytes) -> None:
+        """Send one line."""
+        ...
+
+    def close(self) -> None:
+        """Disconnect."""
+        ...
+
+
+class FileTransport:
+    """Standard input, or a device such as a serial port, which is set to raw bytes and also written to.
+
+    Args:
+        path: of the device, empty for standard input.
+    """
+
+    def __init__(self, path: str = "") -> None:
+        self._path = path
+
+    def open(self) -> None:
+        """Open the device.
+
+        Raises:
+            InputError: there is none, or it may not be used.
+        """
+        if not self._path:
+            self._file = os.dup(sys.stdin.fileno())
+        else:
+            try:
+                self._file = os.open(self._path, os.O_RDWR | os.O_NOCTTY)
+            except OSError as error:
+                raise InputError(
+                    f"{self._path}: cannot be opened: {error.strerror}; expected a device"
+                ) from error
+            if os.isatty(self._file):
+                tty.setraw(self._file)
+        os.set_blocking(self._file, False)
+
+    def read(self) -> bytes | None:
+        """Return the bytes that have arrived."""
+        try:
+            return os.read(self._file, MOST_BYTES) or None
+        except CAN_BE_BUSY:
+            return b""
+        except OSError:  # the other end of a terminal has gone
+            return None
+
+    def write(self, line: bytes) -> None:
+        """Send one line to the device; standard input takes none."""
+        if self._path:
+            os.write(self._file, line)
+
+    def close(self) -> None:
+        """Close the device."""
+        os.close(self._file)
+
+
+class UdpTransport:
+    """UDP on the loopback interface; answers go to the last sender.
+
+    Args:
+        port: to listen at.
+    """
+
+    def __init__(self, port: int) -> None:
+        self._port = port
+        self._sender: tuple[str, int] | None = None
+
+    def open(self) -> None:
+        """Listen.
+
+        Raises:
+            InputError: the port is taken.
+        """
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        try:
+            self._socket.bind((LOOPBACK, self._port))
+        except OSError as error:
+            raise InputError(f"udp port {self._port}: {error.strerror}; choose a free port") from error
+
+    def read(self) -> bytes | None:
+        """Return the next datagram, ended by a line feed."""
+        try:
+            data, self._sender = self._socket.recvfrom(MOST_BYTES)
+        except CAN_BE_BUSY:
+            return b""
+        return data + b"\n"
+
+    def write(self, line: bytes) -> None:
+        """Send one datagram."""
+        if self._sender is not None:
+            self._socket.sendto(line, self._sender)
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+
+class JsonLines:
+    """Lines like `{"time_s": 0.01, "lifting_command": 0.5, "lowering_command": 0, "displacement": 120.1}`.
+
+    With commands allowed every tick sends `{"lifting_command": 0.5, "lowering_command": 0}`. Lines that are
+    not understood, and samples whose time does not rise, are left out.
+
+    Args:
+        transport: of the lines.
+        label: for the operator.
+        step_s: sampling time, s.
+        can_move: whether commands are sent.
+        covariates: further signals, name to unit.
+    """
+
+    virtual = False
+
+    def __init__(
+        self,
+        transport: Transport,
+        label: str,
+        *,
+        step_s: float = 0.01,
+        can_move: bool = False,
+        covariates: dict[str, str] | None = None,
+    ) -> None:
+        self._transport, self.label, self.step_s, self.can_move = transport, label, step_s, can_move
+        further = tuple(
+            Signal(name, name.replace("_", " ").capitalize(), unit, "pressure" if unit == "bar" else "other")
+            for name, unit in (covariates or {}).items()
+        )
+        self.signals = (
+            Signal(LIFTING_COMMAND, "Lifting command", "A", "command"),
+            Signal(LOWERING_COMMAND, "Lowering command", "A", "command"),
+            Signal(DISPLACEMENT, "Displacement", "mm", "displacement"),
+            *further,
+        )
+
+    def open(self) -> None:
+        """Connect."""
+        self._transport.open()
+        self._pending, self._latest_s = b"", -math.inf
+
+    def read(self) -> Sequence[Reading]:
+        """Return the samples that have arrived.
+
+        Raises:
+            InputError: the input has ended.
+        """
+        data = self._transport.read()
+        if data is None:
+            raise InputError(f"{self.label}: the input has ended; connect again when it is back")
+        *lines, self._pending = (self._pending + data).split(b"\n")
+        self._pending = self._pending[-MOST_BYTES:]
+        return tuple(filter(None, map(self._reading, lines)))
+
+    def write(self, commands: np.ndarray) -> None:
+        """Send the commands, where they are allowed."""
+        if self.can_move:
+            values = dict(zip(REQUIRED[:2], map(float, commands), strict=True))
+            self._transport.write(f"{json.dumps(values)}\n".encode())
+
+    def close(self) -> None:
+        """Disconnect."""
+        self._transport.close()
+
+    def _reading(self, line: bytes) -> Reading | None:
+        try:
+            content = json.loads(line)
+        except (ValueError, RecursionError):
+            return None
+        if not isinstance(content, dict):
+            return None
+        time_s = _number(content.get("time_s"))
+        if not time_s > self._latest_s or math.isinf(time_s):
+            return None
+        self._latest_s = time_s
+        return Reading(time_s, tuple(_number(content.get(signal.name)) for signal in self.signals))
+
+
+def _number(value: object) -> float:
+    """Return a finite number, NaN for anything else."""
+    if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300:
+        return float(value)
+    return math.nan
