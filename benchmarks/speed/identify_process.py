@@ -4,7 +4,7 @@ import json
 import sys
 from pathlib import Path
 
-from hitchid.cli.cache import prepare_jax
+from hitchid._support.compilation_cache import prepare_jax
 
 
 def main(folders: list[Path]) -> None:

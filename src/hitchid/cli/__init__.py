@@ -6,6 +6,7 @@ from hitchid.cli import (
     design,
     drive,
     export,
+    hmi,
     identify,
     inspect,
     reproduce,
@@ -28,6 +29,7 @@ for _command, _example in (
     (drive.drive, "hitchid drive controller.toml --rig nominal --out drive"),
     (export.export, "hitchid export model --to c --out code"),
     (run.run, "recorder | hitchid run model | controller"),
+    (hmi.hmi, "hitchid hmi project"),
     (bench.bench, "hitchid bench logs --protocol prbs --tests 20"),
     (reproduce.reproduce, "hitchid reproduce --out study --quick"),
 ):

@@ -1,47 +1,16 @@
-"""User cache of compiled programs and finished searches."""
+"""User cache of finished searches."""
 
-import os
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
+
+from hitchid._support.compilation_cache import cache_folder
 
 if TYPE_CHECKING:
     from hitchid.estimation import SearchComparison
-
-MAX_PROGRAMS = 10_000  # compiled programs kept, about 100 MB (chosen)
-
-
-def prepare_jax() -> None:
-    """Enable JAX's compilation cache in the user's cache folder, unless another folder is set."""
-    import jax
-
-    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-        compiled_folder = _cache_folder() / "compiled"
-        _evict_oldest(compiled_folder)
-        jax.config.update("jax_compilation_cache_dir", str(compiled_folder))
-        # Small programs too: hundreds of them take longer to compile than the large ones.
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-        jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
 
 def with_search_cache(comparison: "SearchComparison | None") -> "SearchComparison | None":
     """Return a comparison that caches finished searches for the user, to resume a stopped run."""
     from hitchid._support.checkpoints import Checkpoints
 
-    return comparison and replace(comparison, checkpoints=Checkpoints(_cache_folder() / "searches"))
-
-
-def _evict_oldest(programs: Path) -> None:
-    """Keep only the newest half of `MAX_PROGRAMS` programs if there are more than that."""
-    try:
-        entries = list(os.scandir(programs)) if programs.is_dir() else []
-        if len(entries) > MAX_PROGRAMS:
-            entries.sort(key=lambda entry: entry.stat().st_mtime)
-            for entry in entries[: -MAX_PROGRAMS // 2]:
-                Path(entry).unlink(missing_ok=True)
-    except OSError:
-        return  # another process evicts, or removal is not permitted
-
-
-def _cache_folder() -> Path:
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hitchid"
+    return comparison and replace(comparison, checkpoints=Checkpoints(cache_folder() / "searches"))

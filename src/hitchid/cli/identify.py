@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from hitchid.cli.cache import prepare_jax, with_search_cache
+from hitchid._support.compilation_cache import prepare_jax
+from hitchid.cli.cache import with_search_cache
 from hitchid.cli.options import AsJson, Force, Logs, Quiet, Signals, Strict
 from hitchid.errors import InputError, OutputError
 

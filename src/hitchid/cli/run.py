@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from hitchid.cli.cache import prepare_jax
+from hitchid._support.compilation_cache import prepare_jax
 from hitchid.cli.options import Loads, loads_of
 
 

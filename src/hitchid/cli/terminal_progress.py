@@ -1,6 +1,12 @@
-"""Progress output: on a terminal a bar and sparklines of the minimised figures, else one line per stage."""
+"""Progress output: on a terminal a bar and sparklines of the minimised figures, else one line per stage.
 
+With `HITCHID_PROGRESS=json` in the environment it is lines of JSON, for programs that show it themselves.
+"""
+
+import json
+import os
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from math import isfinite, log
@@ -13,6 +19,8 @@ from rich.text import Text
 
 from hitchid._support.progress import ProgressCallback, ProgressUpdate, silent
 
+FORMAT_VARIABLE = "HITCHID_PROGRESS"
+SHORTEST_S = 0.1  # s between lines of JSON of one stage; chosen: faster than anyone reads
 BLOCKS = "▁▂▃▄▅▆▇█"
 WIDTH, NAME = 36, 28  # characters of a sparkline and of its name, for 80 columns
 
@@ -22,6 +30,9 @@ def progress(*, quiet: bool = False) -> Iterator[ProgressCallback]:
     """Yield a callback that shows progress on stderr: live on a terminal, else one line per stage."""
     if quiet:
         yield silent
+        return
+    if os.environ.get(FORMAT_VARIABLE) == "json":
+        yield _JsonLines().report
         return
     if not sys.stderr.isatty():
         lines = _Lines()
@@ -87,6 +98,24 @@ def sparkline(values: list[float]) -> str:
     low, high = min(shown), max(shown)
     scale = (len(BLOCKS) - 1) / ((high - low) or 1.0)
     return "".join(BLOCKS[round((height - low) * scale)] for height in shown)
+
+
+class _JsonLines:
+    """Prints updates as JSON, `{"progress": {...}}` a line; those of one stage ten times a second at most."""
+
+    def __init__(self) -> None:
+        self._last: dict[str, tuple[str, float]] = {}
+
+    def report(self, step: ProgressUpdate) -> None:
+        stage, printed_s = self._last.get(step.task, ("", 0.0))
+        now_s = time.monotonic()
+        if step.stage == stage and now_s - printed_s < SHORTEST_S:
+            return
+        self._last[step.task] = step.stage, now_s
+        figures = {name: value for name, value in step.figures.items() if isfinite(value)}
+        content = {**step._asdict(), "figures": figures}
+        sys.stderr.write(f"{json.dumps({'progress': content})}\n")
+        sys.stderr.flush()
 
 
 class _Lines:

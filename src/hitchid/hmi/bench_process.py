@@ -3,13 +3,10 @@
 It never waits for the server. A server that is gone closes the valves, the log and the process.
 """
 
-import contextlib
 import gc
 import json
-import queue
 import signal
 import sys
-import threading
 import time
 from collections.abc import Sequence
 from multiprocessing.connection import Connection
@@ -19,12 +16,12 @@ import numpy as np
 
 from hitchid.errors import HitchError
 from hitchid.hmi.bench_loop import BenchLoop
+from hitchid.hmi.outbox import Outbox
 from hitchid.hmi.safety import State
 from hitchid.hmi.source import Reading
 
 BLOCK_S = 0.04  # s between blocks of samples to the server: 25 a second
 STATUS_S = 0.5  # s between states to the server where nothing changes
-MOST_WAITING = 200  # messages to the server that wait; later ones are dropped, the log is complete; chosen
 LATE_TICKS = 5  # ticks behind, after which the clock starts anew instead of catching up; chosen
 JSON_MARK, BLOCK_MARK = b"j", b"b"
 
@@ -38,8 +35,7 @@ class Link:
 
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
-        self._waiting: queue.Queue[bytes] = queue.Queue(MOST_WAITING)
-        threading.Thread(target=self._send_all, daemon=True).start()
+        self._outbox = Outbox(connection)
 
     def requests(self) -> list[dict]:
         """Return the requests that have arrived.
@@ -57,21 +53,12 @@ class Link:
 
     def send(self, content: dict[str, object]) -> None:
         """Send a message."""
-        self._put(JSON_MARK + json.dumps(content).encode())
+        self._outbox.put(JSON_MARK + json.dumps(content).encode())
 
     def send_block(self, readings: Sequence[Reading]) -> None:
         """Send samples, and the wall clock of the newest one, ms."""
         rows = np.array([(reading.time_s, *reading.values) for reading in readings])
-        self._put(BLOCK_MARK + np.array([1e3 * time.time(), rows.shape[1]]).tobytes() + rows.tobytes())
-
-    def _put(self, message: bytes) -> None:
-        with contextlib.suppress(queue.Full):
-            self._waiting.put_nowait(message)
-
-    def _send_all(self) -> None:
-        with contextlib.suppress(OSError):
-            while True:
-                self._connection.send_bytes(self._waiting.get())
+        self._outbox.put(BLOCK_MARK + np.array([1e3 * time.time(), rows.shape[1]]).tobytes() + rows.tobytes())
 
 
 def run(loop: BenchLoop, link: Link) -> None:
@@ -132,7 +119,7 @@ def main(arguments: Sequence[str]) -> None:
     Args:
         arguments: file descriptor of the connection, settings as JSON.
     """
-    from hitchid.cli.cache import prepare_jax
+    from hitchid._support.compilation_cache import prepare_jax
 
     prepare_jax()
     descriptor, settings = int(arguments[0]), json.loads(arguments[1])

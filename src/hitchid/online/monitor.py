@@ -26,7 +26,7 @@ class Predictions(NamedTuple):
     """Predictions over a block of samples, in the model's unit; half widths are NaN without bands.
 
     Attributes:
-        free_run: displacement at each sample of the block, from the commands since the start alone, shape [B].
+        free_run: displacement at each sample, from the commands since the start alone, shape [B].
         free_run_half_width: of its band, shape [B].
         ahead: displacement a horizon after the last sample of the block, with its commands held.
         ahead_half_width: of its band.
@@ -83,7 +83,7 @@ class Monitor:
         self._runs = [_started(stacked, start, self._load) for _, stacked in self._groups]
 
     @double_precision
-    def advance(self, commands: Float[np.ndarray, "b 2"], measured: Float[np.ndarray, " b"]) -> Predictions:
+    def advance(self, commands: np.ndarray, measured: np.ndarray) -> Predictions:
         """Return the predictions of the next block.
 
         Args:
@@ -105,21 +105,20 @@ class Monitor:
         self._state, ahead = _ahead(
             self._dynamics, self._state, jnp.asarray(commands), jnp.asarray(measured), self.horizon
         )
-        return Predictions(
-            rows[0], self._half_width(rows), float(ahead), self._ahead_half_width(ahead, measured)
-        )
+        half_width = self._ahead_half_width(float(ahead), measured)
+        return Predictions(rows[0], self._half_width(rows), float(ahead), half_width)
 
     def _half_width(self, rows: Float[np.ndarray, "a b"]) -> Float[np.ndarray, " b"]:
         if not self._bands:
             return np.full(self.block, np.nan)
         return ensemble_half_width(self._members, self._bands, rows[1:] - rows[0], self._coverage)
 
-    def _ahead_half_width(self, ahead: Array, measured: np.ndarray) -> float:
+    def _ahead_half_width(self, ahead: float, measured: np.ndarray) -> float:
         valid = measured[np.isfinite(measured)]
         if not self._bands or not valid.size:
             return np.nan
         bands = self._bands[max(int(self._state.mode), 0)]
-        return float(bands.half_width(self._coverage, self.horizon, np.asarray(ahead) - valid[-1]))
+        return float(bands.half_width(self._coverage, self.horizon, np.asarray(ahead - valid[-1])))
 
 
 def _grouped(dynamics: Sequence[HitchDynamics]) -> list[tuple[list[int], HitchDynamics]]:
@@ -168,7 +167,7 @@ def _ahead(
 
     state, _ = jax.lax.scan(advance, state, (commands, measured))
 
-    def coast(_: int, later: HitchState) -> HitchState:
+    def coast(_: Array, later: HitchState) -> HitchState:
         return dynamics.step(later, commands[-1], jnp.asarray(jnp.nan))[0]
 
     return state, jax.lax.fori_loop(1, horizon, coast, state).displacement

@@ -2,7 +2,7 @@
 
 import os
 
-from hitchid.cli import cache
+from hitchid._support import compilation_cache
 
 
 def test_of_too_many_programs_the_newer_half_stays(tmp_path, monkeypatch):
@@ -11,10 +11,10 @@ def test_of_too_many_programs_the_newer_half_stays(tmp_path, monkeypatch):
         (tmp_path / f"{age}-cache").touch()
         os.utime(tmp_path / f"{age}-cache", (1000 - age, 1000 - age))
 
-    cache._evict_oldest(tmp_path)
+    compilation_cache._evict_oldest(tmp_path)
 
     assert sorted(path.name for path in tmp_path.iterdir()) == ["0-cache", "1-cache"]
 
 
 def test_no_folder_of_programs_is_no_error(tmp_path):
-    cache._evict_oldest(tmp_path / "none")
+    compilation_cache._evict_oldest(tmp_path / "none")

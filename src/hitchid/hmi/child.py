@@ -1,0 +1,68 @@
+"""A process of the server, and the messages to and from it; neither side waits for the other."""
+
+import asyncio
+import contextlib
+import json
+import os
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Mapping
+from multiprocessing.connection import Connection
+
+from hitchid.hmi.outbox import Outbox
+
+
+class Child:
+    """A module that runs in its own process, connected by a pair of sockets.
+
+    Args:
+        module: that is run; its first argument is the file descriptor of the connection.
+        settings: its second argument, as JSON.
+        on_message: called in the event loop with each message of the child.
+        on_end: called in the event loop when the child has ended.
+    """
+
+    def __init__(
+        self,
+        module: str,
+        settings: Mapping[str, object],
+        on_message: Callable[[bytes], None],
+        on_end: Callable[[], None],
+    ) -> None:
+        own, other = socket.socketpair()
+        with other:
+            self.process = subprocess.Popen(  # noqa: S603 - this Python, a module of this package
+                [sys.executable, "-m", module, str(other.fileno()), json.dumps(settings)],
+                pass_fds=(other.fileno(),),
+                env={**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
+            )
+        self._connection = Connection(own.detach())
+        self.outbox = Outbox(self._connection)
+        arguments = (asyncio.get_running_loop(), on_message, on_end)
+        threading.Thread(target=self._receive, args=arguments, daemon=True).start()
+
+    def send(self, content: Mapping[str, object]) -> None:
+        """Send a message as JSON; one to a child that has ended is dropped."""
+        self.outbox.put(json.dumps(content).encode())
+
+    def end(self, longest_s: float = 5.0) -> None:
+        """Close the connection, after which the child ends by itself, and wait; then kill it."""
+        with contextlib.suppress(OSError):
+            # A shut-down socket ends the reading thread here and the child there; closing alone does neither.
+            socket.socket(fileno=os.dup(self._connection.fileno())).shutdown(socket.SHUT_RDWR)
+        try:
+            self.process.wait(longest_s)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+
+    def _receive(
+        self, loop: asyncio.AbstractEventLoop, on_message: Callable[[bytes], None], on_end: Callable[[], None]
+    ) -> None:
+        with contextlib.suppress(EOFError, OSError, RuntimeError):  # RuntimeError: the event loop is closed
+            while True:
+                loop.call_soon_threadsafe(on_message, self._connection.recv_bytes())
+        with contextlib.suppress(RuntimeError):
+            loop.call_soon_threadsafe(on_end)

@@ -1,0 +1,310 @@
+"""What connects pages, bench loop, model and jobs; all in one event loop."""
+
+import asyncio
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import hitchid
+from hitchid.errors import HitchError, InputError
+from hitchid.hmi import project
+from hitchid.hmi.child import Child
+from hitchid.hmi.clients import Client, Clients
+from hitchid.hmi.history import History, block_of, packed_rows
+from hitchid.hmi.jobs import Jobs
+from hitchid.hmi.source import DISPLACEMENT, LIFTING_COMMAND
+from hitchid.rig.parameter_files import parameter_sets
+
+ALIVE_S = 0.1  # s between signs of life to the bench loop
+MEASURED = 0  # kind of the message with samples
+LOG_FILE = "hmi.log"
+OPERATED = ("connect", "disconnect", "arm", "start", "reset", "target", "record")  # by the bench loop
+SPEEDS = (1, 2, 5, 10, 20)
+MOST_MARKERS = 200
+ENDED = {
+    "state": "disconnected",
+    "source": None,
+    "run": None,
+    "recording": None,
+    "limits": None,
+    "mode": "hold",
+}
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Settings of a session.
+
+    Attributes:
+        root: folder of the project.
+        source: given at the command line, beside the virtual bench and replay; empty for none.
+        allow_output: whether a real machine may be moved.
+        limits_file: limits of a real machine.
+        longest_silence_s: without a sign of life of the operator's page, s.
+    """
+
+    root: Path
+    source: str = ""
+    allow_output: bool = False
+    limits_file: Path | None = None
+    longest_silence_s: float = 0.5
+
+
+class Console:
+    """State of a session, and what its pages ask for.
+
+    Args:
+        settings: of the session.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        self.clients = Clients()
+        self.jobs = Jobs(settings.root, self.clients.publish, self._project_changed)
+        self.history: History | None = None
+        self._bench: Child | None = None
+        self._monitor: Child | None = None
+        self._model: str | None = None
+        self._status: dict[str, Any] = {**ENDED, "reason": ""}
+        self._markers: list[dict[str, object]] = []
+        self._replies: dict[int, tuple[Client, object]] = {}
+        self._number = 0
+
+    async def keep_alive(self) -> None:
+        """Start the bench loop, and give it signs of life until cancelled."""
+        self._start_bench()
+        while True:
+            await asyncio.sleep(ALIVE_S)
+            if self._bench is not None:
+                self._bench.send({"type": "server_alive"})
+
+    async def end(self) -> None:
+        """End all processes; the bench loop closes valves and logs."""
+        await self.jobs.end()
+        for child in (self._monitor, self._bench):
+            if child is not None:
+                await asyncio.to_thread(child.end)
+
+    def greet(self, client: Client) -> None:
+        """Send a new page what it needs to know."""
+        rig = {
+            "name": "rig",
+            "label": "virtual bench",
+            "options": {"rig": list(parameter_sets()), "speed": list(SPEEDS)},
+        }
+        replay = {"name": "replay", "label": "replay of a log", "options": {"log": [], "speed": list(SPEEDS)}}
+        given = self.settings.source
+        extra = [{"name": given, "label": given, "options": {}}] if given else []
+        client.put(
+            {
+                "type": "hello",
+                "version": hitchid.__version__,
+                "you": client.name,
+                "allow_output": self.settings.allow_output,
+                "sources": [*extra, rig, replay],
+            }
+        )
+        client.put(self.status())
+        for job in self.jobs.describe():
+            client.put(job)
+
+    def status(self) -> dict[str, object]:
+        """Return the state of the session as a message."""
+        return {
+            "type": "status",
+            "late_ticks": 0,
+            "target_mm": None,
+            "now_s": 0.0,
+            **self._status,
+            "operator": self.clients.operator,
+            "viewers": max(0, len(self.clients) - (self.clients.operator is not None)),
+            "model": self._model,
+            "markers": self._markers,
+        }
+
+    def publish_status(self) -> None:
+        """Send the state to all pages."""
+        self.clients.publish(self.status())
+
+    def handle(self, client: Client, request: Mapping[str, Any]) -> None:
+        """Carry out a request of a page, or pass it on to the bench loop; each is answered.
+
+        Raises:
+            InputError: the request is not understood, or not allowed to this page.
+        """
+        kind = request.get("type")
+        is_operator = self.clients.operator == client.name
+        if kind == "heartbeat":
+            if is_operator and self._bench is not None:
+                self._bench.send({"type": "page_alive"})
+            return
+        if kind == "stop":
+            self._to_bench(
+                client,
+                {**request, "reason": "stopped by the operator" if is_operator else "stopped by a viewer"},
+            )
+            return
+        if kind == "claim":
+            if not self.clients.claim(client):
+                raise InputError("another page is the operator; it must be released there first")
+            self.log("claim", client)
+            self.publish_status()
+        elif not is_operator:
+            raise InputError("this page only watches; become the operator first")
+        elif kind == "release":
+            self.clients.release(client)
+            self.publish_status()
+        elif kind in OPERATED:
+            self._operate(client, request)
+            return
+        elif kind == "monitor":
+            self._start_monitor(request.get("model"))
+        elif kind == "monitor_restart":
+            if self._monitor is None:
+                raise InputError("monitor: there is no model beside the machine; choose one first")
+            self._monitor.outbox.put(b"")
+        elif kind == "marker":
+            self._mark(str(request.get("text", ""))[:80])
+        else:
+            raise InputError(f"{kind!r:.40} is no request")
+        client.put({"type": "reply", "id": request.get("id"), "error": None})
+
+    def log(self, event: str, client: Client, **content: object) -> None:
+        """Append who did what to the log of the project."""
+        entry = {"time": datetime.now(UTC).isoformat(timespec="milliseconds"), "event": event}
+        try:
+            with (self.settings.root / LOG_FILE).open("a", encoding="utf-8") as file:
+                file.write(f"{json.dumps({**entry, 'page': client.name, **content})}\n")
+        except OSError as error:
+            self.clients.publish({"type": "problem", "text": f"{LOG_FILE}: {error.strerror}"})
+
+    def _operate(self, client: Client, request: Mapping[str, Any]) -> None:
+        kind = request["type"]
+        if kind != "target":
+            content = {name: request[name] for name in ("source", "options", "plan", "on") if name in request}
+            self.log(kind, client, **content)
+        if kind == "connect":
+            if self._bench is None:
+                self._start_bench()
+            given = request.get("source")
+            if given not in ("rig", "replay", self.settings.source):
+                raise InputError(f"source: expected rig, replay or the one of --source, got {given!r:.60}")
+        self._to_bench(client, request)
+
+    def _to_bench(self, client: Client, request: Mapping[str, Any]) -> None:
+        if self._bench is None:
+            raise InputError("the bench loop has ended; connect a source to start it again")
+        if request["type"] == "stop":
+            self.log("stop", client)
+        self._number += 1
+        self._replies[self._number] = client, request.get("id")
+        self._bench.send({**request, "id": self._number})
+
+    def _start_bench(self) -> None:
+        limits = self.settings.limits_file
+        settings = {
+            "root": str(self.settings.root),
+            "allow_output": self.settings.allow_output,
+            "limits_file": str(limits) if limits else None,
+            "longest_silence_s": self.settings.longest_silence_s,
+        }
+        self._bench = Child("hitchid.hmi.bench_process", settings, self._from_bench, self._bench_ended)
+
+    def _bench_ended(self) -> None:
+        self._bench = None
+        reason = "the bench loop has ended: valves are closed, its logs are complete to the last second"
+        self._status = {**ENDED, "reason": reason}
+        for client, number in self._replies.values():
+            client.put({"type": "reply", "id": number, "error": reason})
+        self._replies.clear()
+        self.publish_status()
+
+    def _from_bench(self, message: bytes) -> None:
+        if message[:1] == b"b":
+            self._take_block(message[1:])
+            return
+        content = json.loads(message[1:])
+        if content["type"] == "reply":
+            client, number = self._replies.pop(content["id"], (None, None))
+            if client is not None:
+                client.put({"type": "reply", "id": number, "error": content["error"]})
+            return
+        before, self._status = (
+            self._status,
+            {name: value for name, value in content.items() if name != "type"},
+        )
+        if before["source"] != self._status["source"]:
+            self._source_changed()
+        if before["run"] and not self._status["run"]:
+            self._project_changed()
+        self.publish_status()
+
+    def _source_changed(self) -> None:
+        source = self._status["source"]
+        self.history = source and History(1 + len(source["signals"]), source["step_s"])
+        self._markers = []
+        self._end_monitor()
+
+    def _take_block(self, message: bytes) -> None:
+        wall_ms, rows = block_of(message)
+        if self.history is not None and rows.shape[1] == self.history.columns:
+            self.history.append(rows)
+            self.clients.publish(packed_rows(MEASURED, rows, wall_ms))
+        if self._monitor is not None:
+            columns = [np.full(len(rows), wall_ms), *rows[:, :4].T]
+            self._monitor.outbox.put(np.column_stack(columns).tobytes())
+
+    def _start_monitor(self, model: object) -> None:
+        self._end_monitor()
+        if model is None:
+            return
+        source = self._status["source"]
+        if source is None:
+            raise InputError("monitor: there is no source; connect one first")
+        units = {signal["name"]: signal["unit"] for signal in source["signals"]}
+        settings = {
+            "model": str(project.inside(self.settings.root, model)),
+            "units": [units[LIFTING_COMMAND], units[DISPLACEMENT]],
+            "step_s": source["step_s"],
+        }
+        child = Child(
+            "hitchid.hmi.monitor_process", settings, self._from_monitor, lambda: self._monitor_ended(child)
+        )
+        self._monitor, self._model = child, str(model)
+        self.publish_status()
+
+    def _end_monitor(self) -> None:
+        if self._monitor is not None:
+            child, self._monitor, self._model = self._monitor, None, None
+            asyncio.get_running_loop().run_in_executor(None, child.end)
+            self.publish_status()
+
+    def _from_monitor(self, message: bytes) -> None:
+        if message[:1] == b"{":
+            self.clients.publish({"type": "problem", "text": f"monitor: {json.loads(message)['error']}"})
+        else:
+            self.clients.publish(message)
+
+    def _monitor_ended(self, child: Child) -> None:
+        if self._monitor is child:
+            self._monitor, self._model = None, None
+            self.publish_status()
+
+    def _mark(self, text: str) -> None:
+        if self._status["source"] is None:
+            raise InputError("marker: there is no source; connect one first")
+        self._markers = [*self._markers, {"time_s": self._status["now_s"], "text": text}][-MOST_MARKERS:]
+        self.publish_status()
+
+    def _project_changed(self) -> None:
+        self.clients.publish({"type": "project_changed"})
+
+
+def error_of(error: HitchError) -> dict[str, str]:
+    """Return an error as content for JSON."""
+    return {"error": str(error)}

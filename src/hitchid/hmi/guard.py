@@ -1,0 +1,130 @@
+"""Guard of the server: one-time links, session cookies, hosts and origins, headers of every answer."""
+
+import http.cookies
+import secrets
+import time
+from collections.abc import Awaitable, Callable, MutableMapping
+from typing import Any
+
+from starlette.responses import JSONResponse, Response
+
+LINK_S = 3600.0  # s for which a link that was not used yet can be used; chosen
+MOST_SESSIONS = 64  # at the same time; the oldest ends with one more; chosen
+TOKEN_BYTES = 32  # 256 bits: not to be guessed
+PROTECTED = ("/api/", "/ws", "/files/")
+SESSION_PATH = "/api/session"
+PAGE_POLICY = "default-src 'self'; frame-ancestors 'self'; base-uri 'none'; form-action 'none'"
+FILE_POLICY = (
+    "default-src 'none'; style-src 'unsafe-inline'; img-src data: 'self'; frame-ancestors 'self'; sandbox"
+)
+
+Message = MutableMapping[str, Any]
+Receive = Callable[[], Awaitable[Message]]
+Send = Callable[[Message], Awaitable[None]]
+Application = Callable[[Message, Receive, Send], Awaitable[None]]
+
+
+class Sessions:
+    """Links that can be used once, and the sessions that came of them."""
+
+    def __init__(self) -> None:
+        self._links: dict[str, float] = {}
+        self._sessions: dict[str, None] = {}
+
+    def new_link(self) -> str:
+        """Return the token of a new link."""
+        token = secrets.token_urlsafe(TOKEN_BYTES)
+        self._links[token] = time.monotonic() + LINK_S
+        return token
+
+    def redeem(self, token: object) -> str | None:
+        """Return a new session for a token, which is used up by that; None for a wrong or old one."""
+        matching = [known for known in self._links if isinstance(token, str) and _is_equal(known, token)]
+        if not matching or self._links.pop(matching[0]) < time.monotonic():
+            return None
+        session = secrets.token_urlsafe(TOKEN_BYTES)
+        self._sessions[session] = None
+        if len(self._sessions) > MOST_SESSIONS:
+            del self._sessions[next(iter(self._sessions))]
+        return session
+
+    def is_known(self, session: str) -> bool:
+        """Return whether a session exists."""
+        return any(_is_equal(known, session) for known in self._sessions)
+
+
+def _is_equal(known: str, given: str) -> bool:
+    return secrets.compare_digest(known.encode(), given.encode())
+
+
+class Guard:
+    """Lets through what comes from this page, on this machine, with a session.
+
+    Args:
+        application: that is guarded.
+        sessions: that are known.
+        port: of the server, on the loopback interface.
+    """
+
+    def __init__(self, application: Application, sessions: Sessions, port: int) -> None:
+        self._application, self._sessions = application, sessions
+        self._hosts = {f"127.0.0.1:{port}", f"localhost:{port}"}
+        self.cookie = cookie_name(port)
+
+    async def __call__(self, scope: Message, receive: Receive, send: Send) -> None:
+        """Answer a request, or refuse it with 401 or 403."""
+        if scope["type"] not in ("http", "websocket"):
+            await self._application(scope, receive, send)
+            return
+        status, problem = self._refusal(scope)
+        if not problem:
+            await self._application(scope, receive, _with_headers(send, scope["path"]))
+        elif scope["type"] == "websocket":
+            await send({"type": "websocket.close", "code": 1008, "reason": problem})
+        else:
+            refusal: Response = JSONResponse({"error": problem}, status)
+            await refusal(scope, receive, _with_headers(send, scope["path"]))
+
+    def _refusal(self, scope: Message) -> tuple[int, str]:
+        headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
+        host, origin, path = headers.get("host", ""), headers.get("origin"), scope["path"]
+        if host not in self._hosts:
+            return 403, "the page is open at 127.0.0.1 and localhost only"
+        is_change = scope["type"] == "websocket" or scope["method"] not in ("GET", "HEAD")
+        if (origin is not None or is_change) and origin != f"http://{host}":
+            return 403, "the request comes from another page"
+        if not path.startswith(PROTECTED) or path == SESSION_PATH:
+            return 200, ""
+        cookies = http.cookies.SimpleCookie()
+        try:
+            cookies.load(headers.get("cookie", ""))
+        except http.cookies.CookieError:
+            return 401, "open the link that hitchid printed"
+        morsel = cookies.get(self.cookie)
+        if morsel is None or not self._sessions.is_known(morsel.value):
+            return 401, "open the link that hitchid printed"
+        return 200, ""
+
+
+def cookie_name(port: int) -> str:
+    """Return the name of the session's cookie; cookies do not distinguish ports."""
+    return f"hitchid_{port}"
+
+
+def _with_headers(send: Send, path: str) -> Send:
+    policy = FILE_POLICY if path.startswith("/files/") else PAGE_POLICY
+    headers = [
+        (b"content-security-policy", policy.encode()),
+        (b"x-content-type-options", b"nosniff"),
+        (b"referrer-policy", b"no-referrer"),
+        (b"cross-origin-opener-policy", b"same-origin"),
+        (b"cross-origin-resource-policy", b"same-origin"),
+        (b"cache-control", b"no-store"),
+    ]
+
+    async def send_with_headers(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            message["headers"] = [*message.get("headers", []), *headers]
+        await send(message)
+
+    return send_with_headers

@@ -1,0 +1,69 @@
+"""The samples of the last hour, in memory that is reserved at once."""
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+
+HISTORY_S = 3600.0  # s that are kept; older samples are in the logs; chosen
+
+
+class History:
+    """Samples of a source in the order of time.
+
+    Args:
+        columns: numbers in a sample, the first of which is the time, s.
+        step_s: sampling time, s.
+    """
+
+    def __init__(self, columns: int, step_s: float) -> None:
+        self._rows = np.zeros((max(1, round(HISTORY_S / step_s)), columns))
+        self.columns, self._count = columns, 0
+
+    def append(self, rows: np.ndarray) -> None:
+        """Append samples, shape [N, columns]; the oldest are overwritten."""
+        places = (self._count + np.arange(len(rows))) % len(self._rows)
+        self._rows[places] = rows
+        self._count += len(rows)
+
+    def decimated(self, begin_s: float, end_s: float, points: int) -> np.ndarray:
+        """Return lowest and highest value of each signal in equal bins, or every sample where it fits.
+
+        Args:
+            begin_s, end_s: interval, s.
+            points: largest number of rows.
+
+        Returns:
+            Samples, shape [M, columns]; a bin gives two rows at its ends.
+        """
+        rows = self._ordered()
+        inside = rows[(rows[:, 0] >= begin_s) & (rows[:, 0] <= end_s)]
+        if len(inside) <= points:
+            return inside
+        edges = np.linspace(0, len(inside), max(1, points // 2) + 1).astype(int)
+        bins = [inside[start:stop] for start, stop in pairwise(edges)]
+        return np.concatenate([_extremes(samples) for samples in bins])
+
+    def _ordered(self) -> np.ndarray:
+        if self._count <= len(self._rows):
+            return self._rows[: self._count]
+        return np.roll(self._rows, -(self._count % len(self._rows)), axis=0)
+
+
+def _extremes(samples: np.ndarray) -> np.ndarray:
+    """Return lowest and highest value of each column; NaN where it has none."""
+    extremes = np.stack([np.fmin.reduce(samples), np.fmax.reduce(samples)])
+    extremes[:, 0] = samples[[0, -1], 0]
+    return extremes
+
+
+def packed_rows(kind: int, rows: np.ndarray, wall_ms: float) -> bytes:
+    """Return samples as the page reads them: four unsigned numbers, the wall clock, the rows."""
+    header = np.array([kind, *rows.shape, 0], "<u4").tobytes() + np.array([wall_ms], "<f8").tobytes()
+    return header + np.ascontiguousarray(rows, "<f8").tobytes()
+
+
+def block_of(message: Sequence[int] | bytes) -> tuple[float, np.ndarray]:
+    """Return wall clock, ms, and rows of a block of the bench loop."""
+    numbers = np.frombuffer(message, dtype=float)
+    return float(numbers[0]), numbers[2:].reshape(-1, int(numbers[1]))

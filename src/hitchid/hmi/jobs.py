@@ -1,0 +1,290 @@
+"""Jobs: commands of the command line, run as processes in the project folder, with their progress."""
+
+import asyncio
+import contextlib
+import json
+import os
+import shlex
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, TypeAdapter, ValidationError
+
+from hitchid.data.settings_errors import describe
+from hitchid.data.signal_map import Strict
+from hitchid.errors import InputError
+from hitchid.hmi import project
+
+BRIEF = "brief.toml"  # settings of a brief identification, written into the project
+LINES = 200  # of standard error that are kept
+POINTS = 1000  # of a curve; above it every second one is dropped
+MOST_RESULT = 4_000_000  # characters of a result; a longer one is not shown
+LINE_BYTES = 2**20  # longest line of standard error
+NICE = 5  # lower priority than the bench loop
+SHORTEST_S = 0.2  # s between messages about a running job: five a second
+MOST_JOBS = 50  # that are remembered
+INSPECT_FOUND_PROBLEMS = 1  # exit code of `hitchid inspect`, whose result is complete nevertheless
+
+Name = Annotated[str, Field(pattern=f"^{project.NAME_PATTERN}$")]
+
+
+class Inspect(Strict):
+    """Audit of the logs of a campaign."""
+
+    kind: Literal["inspect"]
+    logs: str
+
+
+class Identify(Strict):
+    """A model from the logs of a campaign."""
+
+    kind: Literal["identify"]
+    logs: str
+    name: Name
+    brief: bool = False
+
+
+class Validate(Strict):
+    """A report of a model on tests that were not used for it."""
+
+    kind: Literal["validate"]
+    model: str
+    logs: str
+    name: Name
+
+
+class Design(Strict):
+    """The test that helps a model most."""
+
+    kind: Literal["design"]
+    model: str
+    direction: Literal["lifting", "lowering"]
+    name: Name
+
+
+class Tune(Strict):
+    """A position controller for a model."""
+
+    kind: Literal["tune"]
+    model: str
+    name: Name
+
+
+Request = Inspect | Identify | Validate | Design | Tune
+_REQUEST: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="kind")])
+
+
+def read_request(content: object, root: Path) -> tuple[Request, list[str], str]:
+    """Return a request, the arguments of its command, and what it writes, relative to the project.
+
+    Raises:
+        InputError: a key is missing, unknown or wrong, or a path is not in the project.
+    """
+    try:
+        request = _REQUEST.validate_python(content)
+    except ValidationError as error:
+        raise InputError(f"job: {describe(error)}") from error
+    for name in ("logs", "model"):
+        if hasattr(request, name):
+            project.inside(root, getattr(request, name))
+    arguments, out = _command(request)
+    return request, [*arguments, "--json"], out
+
+
+def _command(request: Request) -> tuple[list[str], str]:
+    """Return the arguments of the command of a request, and what it writes."""
+    match request:
+        case Inspect():
+            return ["inspect", request.logs], ""
+        case Identify():
+            out = f"{project.MODELS}/{request.name}"
+            config = ["--config", BRIEF] if request.brief else []
+            return ["identify", request.logs, "--out", out, *config], out
+        case Validate():
+            out = f"{project.REPORTS}/{request.name}"
+            return ["validate", request.model, request.logs, "--out", out], out
+        case Design():
+            out = f"{project.UPLOADS}/{request.name}.csv"
+            return ["design", request.model, "--direction", request.direction, "--out", out], out
+        case Tune():
+            out = f"{project.CONTROLLERS}/{request.name}.toml"
+            report = f"{project.CONTROLLERS}/{request.name}-report"
+            return ["tune", request.model, "--out", out, "--report", report], out
+
+
+@dataclass
+class Job:
+    """A command while it runs and after it.
+
+    Attributes:
+        number: of the job.
+        kind: of its request.
+        arguments: of the command.
+        out: what it writes, relative to the project.
+        state: running, done, failed or stopped.
+    """
+
+    number: int
+    kind: str
+    arguments: list[str]
+    out: str
+    state: str = "running"
+    exit_code: int | None = None
+    fraction: float = 0.0
+    stage: str = ""
+    result: object = None
+    begin_s: float = field(default_factory=time.monotonic)
+    lines: deque[str] = field(default_factory=lambda: deque(maxlen=LINES))
+    curves: dict[str, list[tuple[int, float]]] = field(default_factory=dict)
+    process: asyncio.subprocess.Process | None = None
+
+    def describe(self) -> dict[str, object]:
+        """Return the job as a message to the page; the time left is estimated."""
+        elapsed_s = time.monotonic() - self.begin_s
+        is_known = self.state == "running" and self.fraction > 0.02
+        return {
+            "type": "job",
+            "id": self.number,
+            "kind": self.kind,
+            "command": shlex.join(["hitchid", *self.arguments]),
+            "state": self.state,
+            "exit_code": self.exit_code,
+            "fraction": self.fraction,
+            "left_s": elapsed_s * (1 - self.fraction) / self.fraction if is_known else None,
+            "stage": self.stage,
+            "lines": list(self.lines),
+            "curves": self.curves,
+            "result": self.result,
+            "out": self.out,
+        }
+
+    def take_line(self, line: str) -> None:
+        """Take a line of standard error: progress as JSON, or a message."""
+        with contextlib.suppress(ValueError, TypeError, KeyError):
+            self._take_progress(json.loads(line)["progress"])
+            return
+        if line.strip():
+            self.lines.append(line.rstrip())
+
+    def _take_progress(self, update: Mapping[str, object]) -> None:
+        self.fraction = max(self.fraction, min(1.0, float(update["fraction"])))  # pyright: ignore[reportArgumentType]
+        self.stage = str(update["stage"])
+        iteration = str(update["iteration"]).rpartition(" ")[2]
+        figures = update["figures"]
+        for name, value in figures.items() if isinstance(figures, dict) else ():
+            curve = self.curves.setdefault(f"{self.stage}: {name}", [])
+            curve.append((int(iteration) if iteration.isdecimal() else len(curve), float(value)))
+            if len(curve) > POINTS:
+                del curve[::2]
+
+
+class Jobs:
+    """All jobs of a session, one running at a time beside the bench.
+
+    Args:
+        root: folder of the project.
+        publish: called with each message about a job.
+        on_written: called when a job has written something.
+    """
+
+    def __init__(
+        self, root: Path, publish: Callable[[Mapping[str, object]], None], on_written: Callable[[], None]
+    ) -> None:
+        self._root, self._publish, self._on_written = root, publish, on_written
+        self._jobs: dict[int, Job] = {}
+        self._tasks: set[asyncio.Task] = set()
+        self._number = 0
+
+    def describe(self) -> list[dict[str, object]]:
+        """Return all jobs as messages."""
+        return [job.describe() for job in self._jobs.values()]
+
+    def start(self, content: object) -> int:
+        """Start a job and return its number.
+
+        Raises:
+            InputError: the request is wrong, or another job is running.
+        """
+        request, arguments, out = read_request(content, self._root)
+        running = [job for job in self._jobs.values() if job.state == "running"]
+        if running:
+            raise InputError(f"hitchid {running[0].kind} is still running; wait for its end, or stop it")
+        if isinstance(request, Identify) and request.brief and not (self._root / BRIEF).exists():
+            settings = resources.files("hitchid.hmi").joinpath(BRIEF).read_bytes()
+            (self._root / BRIEF).write_bytes(settings)
+        (self._root / out).parent.mkdir(parents=True, exist_ok=True)
+        self._number += 1
+        job = self._jobs[self._number] = Job(self._number, request.kind, arguments, out)
+        if len(self._jobs) > MOST_JOBS:
+            del self._jobs[next(iter(self._jobs))]
+        task = asyncio.get_running_loop().create_task(self._run(job))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        return job.number
+
+    def stop(self, number: int) -> None:
+        """Stop a running job.
+
+        Raises:
+            InputError: there is none of this number.
+        """
+        job = self._jobs.get(number)
+        if job is None or job.state != "running" or job.process is None:
+            raise InputError(f"job {number}: is not running")
+        job.state = "stopped"
+        job.process.terminate()
+
+    async def end(self) -> None:
+        """Stop what runs, and wait for it."""
+        for job in self._jobs.values():
+            if job.state == "running" and job.process is not None:
+                self.stop(job.number)
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+
+    async def _run(self, job: Job) -> None:
+        environment = {**os.environ, "HITCHID_PROGRESS": "json", "NO_COLOR": "1"}
+        environment["PYTHONPATH"] = os.pathsep.join(path for path in sys.path if path)
+        job.process = await asyncio.create_subprocess_exec(
+            sys.executable,
+            "-m",
+            "hitchid",
+            *job.arguments,
+            cwd=self._root,
+            env=environment,
+            stdin=asyncio.subprocess.DEVNULL,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.PIPE,
+            limit=LINE_BYTES,
+        )
+        with contextlib.suppress(OSError):
+            os.setpriority(os.PRIO_PROCESS, job.process.pid, NICE)
+        assert job.process.stdout is not None  # noqa: S101 - both are pipes
+        output, _, _ = await asyncio.gather(
+            job.process.stdout.read(), self._read_progress(job), job.process.wait()
+        )
+        job.exit_code = job.process.returncode
+        has_result = job.exit_code == 0 or (job.kind == "inspect" and job.exit_code == INSPECT_FOUND_PROBLEMS)
+        if has_result and len(output) < MOST_RESULT:
+            with contextlib.suppress(ValueError):
+                job.result = json.loads(output)
+        if job.state == "running":
+            job.state = "done" if has_result else "failed"
+        job.fraction = 1.0 if job.state == "done" else job.fraction
+        self._publish(job.describe())
+        self._on_written()
+
+    async def _read_progress(self, job: Job) -> None:
+        assert job.process is not None  # noqa: S101 - called for a job that runs
+        assert job.process.stderr is not None  # noqa: S101
+        published_s = 0.0
+        while line := await job.process.stderr.readline():
+            job.take_line(line.decode(errors="replace"))
+            if time.monotonic() - published_s >= SHORTEST_S:
+                self._publish(job.describe())
+                published_s = time.monotonic()

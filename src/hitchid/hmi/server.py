@@ -1,0 +1,258 @@
+"""The server of the page: HTTP and websocket on the loopback interface."""
+
+import asyncio
+import contextlib
+import json
+import socket
+import time
+from collections.abc import AsyncIterator, Callable
+from importlib import resources
+from mimetypes import guess_type
+from typing import Any
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import FileResponse, JSONResponse, Response
+from starlette.routing import Route, WebSocketRoute
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from hitchid.errors import HitchError, InputError, OutputError
+from hitchid.hmi import project
+from hitchid.hmi.console import MEASURED, Console, Settings
+from hitchid.hmi.guard import Guard, Sessions, cookie_name
+from hitchid.hmi.history import packed_rows
+
+HOST = "127.0.0.1"
+MOST_JSON = 65_536  # bytes of a request, and of a message of a page; chosen
+MOST_UPLOAD = 5_000_000  # bytes of an uploaded file
+MOST_WRONG = 20  # messages of a page that are not understood, after which it is disconnected; chosen
+MOST_POINTS = 20_000  # rows of an answer with history; chosen
+PAGE = resources.files("hitchid.hmi") / "page"
+INDEX = "index.html"
+
+Endpoint = Callable[[Request], Any]
+
+
+class Server:
+    """The server of one session.
+
+    Args:
+        settings: of the session.
+        port: to listen at; 0 for a free one.
+
+    Raises:
+        InputError: the port is taken.
+    """
+
+    def __init__(self, settings: Settings, port: int = 0) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            self._socket.bind((HOST, port))
+            self._socket.listen()  # from now on: whoever opens the link early waits instead of being refused
+        except OSError as error:
+            raise InputError(f"port {port}: {error.strerror}; choose another --port") from error
+        self.port = self._socket.getsockname()[1]
+        self._sessions = Sessions()
+        self._console = Console(settings)
+        self._pages = _page_files()
+
+    def new_link(self) -> str:
+        """Return a link that opens the page once."""
+        return f"http://{HOST}:{self.port}/#token={self._sessions.new_link()}"
+
+    def run(self) -> None:
+        """Serve until interrupted."""
+        application = Starlette(
+            routes=[
+                Route("/api/session", self._open_session, methods=["POST"]),
+                Route("/api/project", self._project),
+                Route("/api/history", self._history),
+                Route("/api/jobs", self._start_job, methods=["POST"]),
+                Route("/api/jobs/{number:int}", self._stop_job, methods=["DELETE"]),
+                Route("/api/upload", self._upload, methods=["POST"]),
+                Route("/api/link", self._link, methods=["POST"]),
+                Route("/files/{path:path}", self._file),
+                WebSocketRoute("/ws", self._websocket),
+                Route("/{path:path}", self._page),
+            ],
+            lifespan=self._lifespan,
+            exception_handlers={InputError: _refused},
+        )
+        config = uvicorn.Config(
+            Guard(application, self._sessions, self.port),  # pyright: ignore[reportArgumentType]
+            log_level="warning",
+            access_log=False,
+            ws="websockets-sansio",
+            ws_max_size=MOST_JSON,
+            ws_per_message_deflate=False,
+            timeout_graceful_shutdown=2,
+            server_header=False,
+        )
+        uvicorn.Server(config).run(sockets=[self._socket])
+
+    @contextlib.asynccontextmanager
+    async def _lifespan(self, _: Starlette) -> AsyncIterator[None]:
+        alive = asyncio.create_task(self._console.keep_alive())
+        try:
+            yield
+        finally:
+            alive.cancel()
+            await self._console.end()
+
+    async def _open_session(self, request: Request) -> Response:
+        content = await _json(request)
+        session = self._sessions.redeem(content.get("token"))
+        if session is None:
+            error = "this link was used already or is too old; ask for another, or start hitchid hmi again"
+            return JSONResponse({"error": error}, 401)
+        response = Response(status_code=204)
+        response.set_cookie(cookie_name(self.port), session, httponly=True, samesite="strict")
+        return response
+
+    async def _project(self, _: Request) -> Response:
+        return JSONResponse(project.contents(self._console.settings.root))
+
+    async def _history(self, request: Request) -> Response:
+        begin_s, end_s, points = (_number(request, name) for name in ("from", "to", "points"))
+        history = self._console.history
+        if history is None:
+            raise InputError("history: there is no source; connect one first")
+        rows = history.decimated(begin_s, end_s, int(min(max(points, 2), MOST_POINTS)))
+        return Response(packed_rows(MEASURED, rows, 1e3 * time.time()), media_type="application/octet-stream")
+
+    async def _start_job(self, request: Request) -> Response:
+        return JSONResponse({"id": self._console.jobs.start(await _json(request))})
+
+    async def _stop_job(self, request: Request) -> Response:
+        self._console.jobs.stop(request.path_params["number"])
+        return Response(status_code=204)
+
+    async def _upload(self, request: Request) -> Response:
+        name = project.checked_name(request.query_params.get("name"))
+        content = await _body(request, MOST_UPLOAD)
+        place = self._console.settings.root / project.UPLOADS / name
+        try:
+            place.parent.mkdir(parents=True, exist_ok=True)
+            with place.open("xb") as file:
+                file.write(content)
+        except FileExistsError as error:
+            raise InputError(f"{name}: exists already; choose another name") from error
+        except OSError as error:
+            raise OutputError(f"{name}: cannot be written: {error.strerror}") from error
+        self._console.clients.publish({"type": "project_changed"})
+        return JSONResponse({"path": f"{project.UPLOADS}/{name}"})
+
+    async def _link(self, _: Request) -> Response:
+        return JSONResponse({"link": self.new_link()})
+
+    async def _file(self, request: Request) -> Response:
+        place = project.inside(self._console.settings.root, request.path_params["path"])
+        if not place.is_file():
+            raise InputError("path: expected a file")
+        return FileResponse(place)
+
+    async def _page(self, request: Request) -> Response:
+        name = request.path_params["path"] or INDEX
+        if name not in self._pages:
+            return JSONResponse({"error": "there is no such page"}, 404)
+        return Response(self._pages[name], media_type=guess_type(name)[0] or "text/plain")
+
+    async def _websocket(self, websocket: WebSocket) -> None:
+        await websocket.accept()
+        client = self._console.clients.add()
+        self._console.greet(client)
+        self._console.publish_status()
+
+        async def send() -> None:
+            while True:
+                message = await client.next()
+                if isinstance(message, bytes):
+                    await websocket.send_bytes(message)
+                else:
+                    await websocket.send_text(message)
+
+        sending = asyncio.create_task(send())
+        try:
+            await self._receive(websocket, client)
+        except (WebSocketDisconnect, RuntimeError):  # RuntimeError: closed while a message was sent
+            pass
+        finally:
+            sending.cancel()
+            self._console.clients.remove(client)
+            self._console.publish_status()
+
+    async def _receive(self, websocket: WebSocket, client: Any) -> None:
+        wrong = 0
+        while wrong < MOST_WRONG:
+            request = _parsed(await websocket.receive())
+            try:
+                if request is None:
+                    wrong += 1
+                    raise InputError("not understood: expected JSON with a type")
+                self._console.handle(client, request)
+            except HitchError as error:
+                number = request.get("id") if request else None
+                client.put({"type": "reply", "id": number, "error": str(error)})
+        await websocket.close(1008, "too many messages that are not understood")
+
+
+def _page_files() -> dict[str, bytes]:
+    """Return the files of the page, by their path in it."""
+    files, folders = {}, [("", PAGE)]
+    while folders:
+        prefix, folder = folders.pop()
+        for child in folder.iterdir():
+            if child.is_dir():
+                folders.append((f"{prefix}{child.name}/", child))
+            else:
+                files[f"{prefix}{child.name}"] = child.read_bytes()
+    return files
+
+
+def _parsed(message: Any) -> dict[str, Any] | None:
+    if message["type"] == "websocket.disconnect":
+        raise WebSocketDisconnect(message.get("code", 1000))
+    try:
+        content = json.loads(message.get("text") or "")
+    except (ValueError, RecursionError):
+        return None
+    return content if isinstance(content, dict) and isinstance(content.get("type"), str) else None
+
+
+async def _body(request: Request, most: int) -> bytes:
+    content = bytearray()
+    try:
+        async for chunk in request.stream():
+            content += chunk
+            if len(content) > most:
+                raise InputError(f"the request is larger than {most / 1e6:g} MB")
+    except ClientDisconnect as error:
+        raise InputError("the request ended early; send it again") from error
+    return bytes(content)
+
+
+async def _json(request: Request) -> dict[str, Any]:
+    try:
+        content = json.loads(await _body(request, MOST_JSON))
+    except (ValueError, RecursionError) as error:
+        raise InputError("the request is no JSON") from error
+    if not isinstance(content, dict):
+        raise InputError("the request is no JSON object")
+    return content
+
+
+def _number(request: Request, name: str) -> float:
+    text = request.query_params.get(name, "")
+    try:
+        number = float(text)
+    except ValueError:
+        number = float("nan")
+    if not abs(number) < 1e12:
+        raise InputError(f"{name}: expected a number, got {text!r:.40}")
+    return number
+
+
+async def _refused(_: Request, error: Exception) -> Response:
+    return JSONResponse({"error": str(error)}, 400)
