@@ -47,7 +47,7 @@ function makeFields() {
   const fields = FIELDS.map(({ name, label, ...attributes }) =>
     element("label", {}, `${label} `, element("input", { type: "number", required: true, step: 1, ...attributes, id: `plan-${name}`, "data-testid": `plan-${name}` })));
   const directions = element("select", { id: "plan-directions", "data-testid": "plan-directions" },
-    element("option", { value: "lifting lowering" }, "lifting and lowering"), element("option", {}, "lifting"), element("option", {}, "lowering"));
+    element("option", { value: "lifting lowering" }, "both"), element("option", {}, "lifting"), element("option", {}, "lowering"));
   const unattended = element("label", { class: "check", id: "plan-unattended-label" },
     element("input", { type: "checkbox", id: "plan-unattended", "data-testid": "plan-unattended" }),
     " Goes on when this page is closed (virtual bench only)");

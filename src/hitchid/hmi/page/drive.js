@@ -39,7 +39,10 @@ function bindTune(project, jobs) {
     jobs.start({ kind: "tune", model: byId("tune-model").value, name: byId("tune-name").value.trim() });
   });
   jobs.show("tune", byId("tune-job"), "Tuning", (job, ended) => {
-    if (ended && job.state === "done") choose(byId("drive-controller"), job.out, project);
+    const done = job.state === "done";
+    byId("tune-report").hidden = !done;
+    if (done) byId("tune-report").href = `/files/${job.out.replace(/\.toml$/, "")}-report/report.html`;
+    if (ended && done) choose(byId("drive-controller"), job.out, project);
   });
 }
 

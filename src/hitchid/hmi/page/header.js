@@ -6,7 +6,7 @@ const WORDS = {
   disconnected: ["○", "No source connected"],
   idle: ["●", "Idle: nothing moves"],
   armed: ["▲", "Armed: ready to start"],
-  running: ["▶", "Running: the hitch moves"],
+  running: ["▶", "Running: it moves"],
   stopped: ["■", "Stopped"],
 };
 
