@@ -83,7 +83,7 @@ function showPlan(connection) {
   const { status } = connection;
   const asked = plan();
   const isFile = asked.kind === "file";
-  byId("plan-campaign").hidden = isFile;
+  byId("plan-campaign").hidden = isFile || status?.state === "running"; // room for the progress
   byId("plan-own").hidden = !isFile;
   for (const field of byId("plan-campaign").querySelectorAll("input, select")) field.disabled = isFile;
   byId("plan-unattended").disabled = isFile || !status?.source?.virtual;
@@ -122,7 +122,7 @@ function bindRun(connection, jobs, project) {
   let last = null;
   connection.addEventListener("change", () => {
     const { status } = connection;
-    const run = status?.run?.kind === "drive" ? null : status?.run;
+    const run = connection.online && status?.run?.kind !== "drive" ? status?.run : null;
     byId("run-progress").hidden = !run;
     if (run) showRun(run, status);
     if (last && status?.state !== "running" && connection.online) {

@@ -46,7 +46,7 @@ export class Curves {
     this.box.append(figure);
     const axis = { stroke: () => colour("muted"), font: FONT, grid: { stroke: () => colour("grid"), width: 1 }, ticks: { show: false } };
     const plot = new uPlot({
-      width: Math.max(host.clientWidth, 100), height: HEIGHT, legend: { show: false }, cursor: { show: false }, padding: [6, 10, 0, 0],
+      width: Math.max(host.clientWidth, 100), height: HEIGHT, legend: { show: false }, cursor: { show: false }, padding: [6, 16, 0, 0],
       scales: { x: { time: false }, y: { distr: 3 } },
       axes: [{ ...axis, size: 22, gap: 3 }, { ...axis, size: 56, gap: 4, values: (_, ticks) => ticks.map((tick) => (tick == null ? "" : String(Number(tick.toPrecision(3))))) }],
       series: [{}, ...lines.map((_, index) => ({ stroke: () => colour(SERIES[index % SERIES.length]), width: 1.5, spanGaps: true, points: { show: false } }))],

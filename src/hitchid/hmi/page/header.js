@@ -6,7 +6,7 @@ const WORDS = {
   disconnected: ["○", "No source connected"],
   idle: ["●", "Idle: nothing moves"],
   armed: ["▲", "Armed: ready to start"],
-  running: ["▶", "Running: it moves"],
+  running: ["▶", "Running"],
   stopped: ["■", "Stopped"],
 };
 
@@ -23,7 +23,8 @@ export function bindHeader(connection, project) {
 function showHeader(connection) {
   const { status, online, isOperator } = connection;
   const state = online && status ? status.state : "offline";
-  const [sign, word] = WORDS[state] ?? ["?", state];
+  const [sign, plain] = WORDS[state] ?? ["?", state];
+  const word = state === "running" ? `Running: ${whatMoves(status)} moves` : plain;
   byId("state").dataset.state = state;
   write(byId("state-sign"), sign);
   write(byId("state-word"), word);

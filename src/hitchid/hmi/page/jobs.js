@@ -55,7 +55,11 @@ export class Jobs extends EventTarget {
   }
 }
 
-const ENDINGS = { done: "Done.", failed: "Failed: the last lines say why.", stopped: "Stopped before its end." };
+/** @param {any} job */
+function ending({ state, out }) {
+  if (state === "done") return out ? `Done: ${out}` : "Done.";
+  return state === "failed" ? "Failed: the last lines say why." : "Stopped before its end.";
+}
 
 class JobView {
   #id = 0;
@@ -78,7 +82,7 @@ class JobView {
     this.#id = job.id;
     const running = job.state === "running";
     this.box.dataset.state = job.state;
-    write(this.stage, running ? job.stage || "Starting …" : ENDINGS[job.state]);
+    write(this.stage, running ? job.stage || "Starting …" : ending(job));
     this.bar.parentElement.hidden = !running;
     if (job.fraction == null) this.bar.removeAttribute("value");
     else this.bar.value = job.fraction;

@@ -137,6 +137,8 @@ export class LivePlots {
 
   #drawn() {
     this.stats.frames += 1;
+    const { plot } = this.#plots[0];
+    if (this.cursor != null) this.cursor = plot.posToVal(plot.cursor.left, "x"); // it stays in its place while the axis moves
     const { wallMs } = this.data;
     if (wallMs === this.#drawnWallMs || Number.isNaN(wallMs)) return;
     this.#drawnWallMs = wallMs;

@@ -41,7 +41,7 @@ export function makePlot(content, host) {
     width: Math.max(host.clientWidth, 100),
     height: Math.max(host.clientHeight, 60),
     legend: { show: false },
-    padding: [6, 10, 0, 0],
+    padding: [6, 16, 0, 0],
     scales: {
       x: { time: false },
       y: { range: (_, low, high) => (range = low == null ? [0, 1] : calmRange(low, high, range, LEAST[content.unit] ?? 0.01)) },
