@@ -3,7 +3,7 @@ import { byId, element, write } from "./dom.js";
 import { MEASURED, readFrame } from "./frames.js";
 import { request } from "./http.js";
 import { LiveData } from "./live_data.js";
-import { AHEAD_S, LivePlots, showSpan } from "./live_plots.js";
+import { LivePlots, showSpan } from "./live_plots.js";
 import { number, unitText } from "./words.js";
 import { View } from "./view.js";
 
@@ -15,7 +15,8 @@ const HISTORY_WAIT_MS = 200;
 export function bindLive(connection) {
   const view = new View();
   const plots = new LivePlots(view, () => connection.status, () => showValues(plots));
-  let shown = "";
+  let shown = null;
+  connection.addEventListener("greeted", () => (shown = null)); // what was missed is read again
   connection.addEventListener("change", () => {
     const { source } = connection.status ?? {};
     const key = source ? JSON.stringify([source.name, source.signals, source.step_s]) : "";
@@ -25,6 +26,7 @@ export function bindLive(connection) {
       listValues(source);
       view.follow();
     }
+    write(byId("mode"), connection.status?.mode ?? "");
     byId("live-empty").hidden = Boolean(source);
     byId("live").dataset.empty = String(!source);
   });
@@ -41,7 +43,7 @@ function receive(plots, connection, frame) {
   if (!data) return;
   if (frame.kind === MEASURED && data.measured.length === 0 && frame.values[0] > 1) fillUp(data, frame.values[0]);
   data.add(frame, connection.status?.target_mm ?? NaN);
-  if (!plots.view.fixed) plots.ask();
+  if (frame.kind === MEASURED && !plots.view.fixed) plots.ask(); // predictions are drawn with the next measurement
 }
 
 /** A page that was opened later asks for what it missed. @param {LiveData} data @param {number} to s */
@@ -83,8 +85,9 @@ function bindHistory(plots, view) {
 
 /** @param {any} source */
 function listValues(source) {
-  byId("values").replaceChildren(...(source?.signals ?? []).map(({ label, unit }) =>
-    element("div", {}, element("dt", {}, label), element("dd", {}, element("span", {}, "–"), " ", element("small", {}, unitText(unit))))));
+  const tiles = (source?.signals ?? []).map(({ label, unit }) =>
+    element("div", {}, element("dt", {}, label), element("dd", {}, element("span", {}, "–"), " ", element("small", {}, unitText(unit)))));
+  byId("values").replaceChildren(...tiles, element("div", {}, element("dt", {}, "Mode"), element("dd", { id: "mode" })));
 }
 
 /** The values at the cursor, else the newest ones. @param {LivePlots} plots */
@@ -147,6 +150,6 @@ const around = (plots) => plots.cursor ?? undefined;
 function moveCursor(plots, way) {
   const { from, to } = plots.span();
   const step = Math.max(plots.data?.step ?? 0, (to - from) / 200);
-  const start = plots.cursor ?? to - (plots.view.fixed ? 0 : AHEAD_S);
+  const start = plots.cursor ?? Math.min(to, plots.data?.measured.last ?? to);
   plots.setCursor(Math.min(to, Math.max(from, start + way * step)));
 }
