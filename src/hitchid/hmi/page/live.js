@@ -98,13 +98,13 @@ function showValues(plots) {
     return;
   }
   const ring = (plots.view.fixed && plots.past ? plots.past : data).measured;
-  const row = cursor == null ? ring.length - 1 : Math.min(ring.rowAt(cursor - data.step / 2), ring.length - 1);
-  if (row < 0) return;
-  const at = ring.place(row) * ring.columns;
+  const row = cursor == null ? ring.length - 1 : ring.rowAt(cursor - data.step / 2);
+  const at = row >= 0 && row < ring.length ? ring.place(row) * ring.columns : NaN; // beyond the samples there is no value
   byId("values").querySelectorAll("dd > span").forEach((node, index) => {
     write(node, number(ring.values[at + index + 1], data.signals[index].unit));
   });
-  write(byId("values-at"), cursor == null ? `newest, at ${ring.values[at].toFixed(1)} s` : `at the cursor, ${ring.values[at].toFixed(2)} s`);
+  const time = cursor ?? ring.last;
+  write(byId("values-at"), Number.isNaN(time) ? "" : cursor == null ? `newest, at ${time.toFixed(1)} s` : `at the cursor, ${time.toFixed(2)} s`);
 }
 
 /** @param {LivePlots} plots @param {View} view */
