@@ -28,7 +28,14 @@ bindDrive(connection, project, jobs);
 bindProject(connection, project);
 
 /** What tests of the page read. */
-const probe = { stats: plots.stats, samples: 0, connection, plots };
+const probe = {
+  stats: plots.stats,
+  samples: 0,
+  plots,
+  get jobs() {
+    return [...jobs.all.values()];
+  },
+};
 connection.addEventListener("frame", ({ detail }) => {
   if (detail.kind === MEASURED) probe.samples += detail.rows;
 });

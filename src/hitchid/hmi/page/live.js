@@ -26,7 +26,7 @@ export function bindLive(connection) {
       listValues(source);
       view.follow();
     }
-    write(byId("mode"), connection.status?.mode ?? "");
+    write(byId("mode"), connection.status?.mode ? `Mode: ${connection.status.mode}` : "");
     byId("live-empty").hidden = Boolean(source);
     byId("live").dataset.empty = String(!source);
   });
@@ -85,9 +85,8 @@ function bindHistory(plots, view) {
 
 /** @param {any} source */
 function listValues(source) {
-  const tiles = (source?.signals ?? []).map(({ label, unit }) =>
-    element("div", {}, element("dt", {}, label), element("dd", {}, element("span", {}, "–"), " ", element("small", {}, unitText(unit)))));
-  byId("values").replaceChildren(...tiles, element("div", {}, element("dt", {}, "Mode"), element("dd", { id: "mode" })));
+  byId("values").replaceChildren(...(source?.signals ?? []).map(({ label, unit }) =>
+    element("div", {}, element("dt", {}, label), element("dd", {}, element("span", {}, "–"), " ", element("small", {}, unitText(unit))))));
 }
 
 /** The values at the cursor, else the newest ones. @param {LivePlots} plots */
