@@ -15,6 +15,7 @@ export function bindBench(connection, project) {
     showBench(connection);
   });
   bindOrders(connection);
+  showBench(connection);
 }
 
 /** @param {import("./connection.js").Connection} connection */

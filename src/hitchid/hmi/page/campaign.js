@@ -42,6 +42,7 @@ export function bindCampaign(connection, project, jobs) {
   bindDesign(project, jobs);
   bindRun(connection, jobs, project);
   bindAudit(jobs);
+  update();
 }
 
 function makeFields() {
