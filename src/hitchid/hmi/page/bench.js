@@ -15,6 +15,7 @@ export function bindBench(connection, project) {
     showBench(connection);
   });
   bindOrders(connection);
+  showBench(connection);
 }
 
 /** @param {import("./connection.js").Connection} connection */
@@ -49,7 +50,7 @@ function showOptions(connection) {
   byId("source-options").replaceChildren(...Object.entries(options).map(([name, value]) => {
     const attributes = { "data-testid": `option-${name}`, "data-option": name };
     const field = Array.isArray(value)
-      ? element("select", attributes, ...value.map((choice) => element("option", { value: choice }, choice)))
+      ? element("select", attributes, ...(value.length ? value.map((choice) => element("option", { value: choice }, choice)) : [element("option", { value: "" }, "none yet")]))
       : element("input", { ...attributes, type: typeof value === "number" ? "number" : "text", value: value ?? "" });
     return element("label", {}, `${OPTION_LABELS[name] ?? name} `, field);
   }));

@@ -2,6 +2,7 @@
 import { auditTable } from "./audit.js";
 import { byId, choices, element, fill, write } from "./dom.js";
 import { whatMoves, whyNot } from "./header.js";
+import { choose } from "./identify.js";
 import { duration, freshName, number, today } from "./words.js";
 
 const BETWEEN_TESTS_S = 8; // positioning and settling before a test, about
@@ -41,6 +42,7 @@ export function bindCampaign(connection, project, jobs) {
   bindDesign(project, jobs);
   bindRun(connection, jobs, project);
   bindAudit(jobs);
+  update();
 }
 
 function makeFields() {
@@ -128,8 +130,8 @@ function bindRun(connection, jobs, project) {
     if (last && status?.state !== "running" && connection.online) {
       if (connection.isOperator) jobs.start({ kind: "inspect", logs: last });
       byId("plan-name").dataset.changed = "";
+      for (const id of ["audit-logs", "identify-logs", "validate-logs"]) choose(byId(id), last, project);
       last = null;
-      project.read();
     }
     if (run && status.state === "running") last = run.folder;
   });
@@ -141,8 +143,9 @@ const PHASES = { positioning: "moving to the start", settling: "waiting for rest
 function showRun(run, status) {
   write(byId("run-title"), status.state === "armed" ? `Armed: ${run.name}` : `Run: ${run.name}`);
   byId("run-bar").value = run.fraction ?? 0;
-  const test = run.test ? `Test ${run.number} of ${run.total}, ${run.test}: ${PHASES[run.phase] ?? run.phase ?? ""}. ` : "";
-  write(byId("run-text"), `${test}${run.left_s == null ? "" : `${duration(run.left_s)} left.`}`);
+  const test = run.test ? `Test ${run.number} of ${run.total}, ${run.test}` : "";
+  const step = [test, PHASES[run.phase] ?? run.phase].filter(Boolean).join(": ");
+  write(byId("run-text"), [step, run.left_s == null ? "" : `${duration(run.left_s)} left`].filter(Boolean).join(". "));
 }
 
 /** @param {import("./jobs.js").Jobs} jobs */

@@ -11,6 +11,7 @@ const HEARTBEAT_MS = 150; // the bench stops when it hears nothing for 500 ms
 const FIRST_WAIT_MS = 250;
 const LONGEST_WAIT_MS = 4000;
 const LOST = "The connection to hitchid is lost. The bench stops by itself within half a second when it was armed or running. Connecting again …";
+const SILENT = "hitchid does not answer. Check that the command hitchid hmi is still running. Connecting again …";
 const BACK = "The connection to hitchid was lost and is back. Nothing was armed or started again by itself.";
 const OFFLINE = "Not sent: there is no connection to hitchid. Use the machine's own emergency stop if it moves.";
 
@@ -104,6 +105,7 @@ export class Connection extends EventTarget {
   }
 
   #later() {
+    if (this.hello == null) this.problem(SILENT, "connection");
     setTimeout(() => this.#connect(), this.#wait);
     this.#wait = Math.min(2 * this.#wait, LONGEST_WAIT_MS);
   }
@@ -138,7 +140,7 @@ export class Connection extends EventTarget {
     this.hello = hello;
     this.online = true;
     this.#wait = FIRST_WAIT_MS;
-    if (again) this.problem(BACK, "connection");
+    this.problem(again ? BACK : "", "connection");
     this.#emit("change");
     this.#emit("greeted", hello);
     this.#emit("project_changed");

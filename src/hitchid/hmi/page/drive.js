@@ -22,6 +22,7 @@ export function bindDrive(connection, project, jobs) {
   bindTune(project, jobs);
   bindOrders(connection);
   bindTarget(connection);
+  showDrive(connection);
 }
 
 /** @param {import("./project.js").Project} project */

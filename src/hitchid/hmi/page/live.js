@@ -26,7 +26,7 @@ export function bindLive(connection) {
       listValues(source);
       view.follow();
     }
-    write(byId("mode"), connection.status?.mode ?? "");
+    write(byId("mode"), connection.status?.mode ? `Mode: ${connection.status.mode}` : "");
     byId("live-empty").hidden = Boolean(source);
     byId("live").dataset.empty = String(!source);
   });
@@ -85,9 +85,8 @@ function bindHistory(plots, view) {
 
 /** @param {any} source */
 function listValues(source) {
-  const tiles = (source?.signals ?? []).map(({ label, unit }) =>
-    element("div", {}, element("dt", {}, label), element("dd", {}, element("span", {}, "–"), " ", element("small", {}, unitText(unit)))));
-  byId("values").replaceChildren(...tiles, element("div", {}, element("dt", {}, "Mode"), element("dd", { id: "mode" })));
+  byId("values").replaceChildren(...(source?.signals ?? []).map(({ label, unit }) =>
+    element("div", {}, element("dt", {}, label), element("dd", {}, element("span", {}, "–"), " ", element("small", {}, unitText(unit))))));
 }
 
 /** The values at the cursor, else the newest ones. @param {LivePlots} plots */
@@ -98,13 +97,13 @@ function showValues(plots) {
     return;
   }
   const ring = (plots.view.fixed && plots.past ? plots.past : data).measured;
-  const row = cursor == null ? ring.length - 1 : Math.min(ring.rowAt(cursor - data.step / 2), ring.length - 1);
-  if (row < 0) return;
-  const at = ring.place(row) * ring.columns;
+  const row = cursor == null ? ring.length - 1 : ring.rowAt(cursor - data.step / 2);
+  const at = row >= 0 && row < ring.length ? ring.place(row) * ring.columns : NaN; // beyond the samples there is no value
   byId("values").querySelectorAll("dd > span").forEach((node, index) => {
     write(node, number(ring.values[at + index + 1], data.signals[index].unit));
   });
-  write(byId("values-at"), cursor == null ? `newest, at ${ring.values[at].toFixed(1)} s` : `at the cursor, ${ring.values[at].toFixed(2)} s`);
+  const time = cursor ?? ring.last;
+  write(byId("values-at"), Number.isNaN(time) ? "" : cursor == null ? `newest, at ${time.toFixed(1)} s` : `at the cursor, ${time.toFixed(2)} s`);
 }
 
 /** @param {LivePlots} plots @param {View} view */

@@ -19,7 +19,7 @@ export function calmRange(low, high, before, least) {
   const from = middle - height * (0.5 + PAD);
   const to = middle + height * (0.5 + PAD);
   if (before && low >= before[0] && high <= before[1] && to - from > SHRINK * (before[1] - before[0])) return before;
-  const step = 10 ** Math.floor(Math.log10(to - from)) / 2;
+  const step = 10 ** Math.floor(Math.log10(to - from)) / 5;
   return [Math.floor(from / step) * step, Math.ceil(to / step) * step];
 }
 
