@@ -26,7 +26,7 @@ def operator(project):
     with chromium() as browser, served(project) as (link, _):
         page = browser.new_page(viewport={"width": 1280, "height": 800})
         operator = Operator(page, link)
-        operator.wait_for_state("not connected")
+        operator.wait_for_state("no source")
         yield operator
         assert operator.outside == []
         assert operator.messages == []
