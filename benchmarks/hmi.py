@@ -35,6 +35,31 @@ BARS = {
 }
 LONG_TEST = "time_s,lifting_command,lowering_command\n0,0.45,0\n600,0.45,0\n"
 
+# In the page: arm and start slow lifting, click stop at a random time, return the time until the first sample
+# with zero commands, ms. A frame has the wall clock of its newest sample; samples are 10 ms apart.
+CLICK_TO_ZERO = """async (name) => {
+  const { connection } = window.hitchid;
+  const plan = { kind: "file", name, campaign: "stops", file: "uploads/hold.csv" };
+  await connection.send("arm", { plan });
+  await connection.send("start");
+  const frames = [];
+  const take = ({ detail }) => { if (detail.kind === 0) frames.push(detail); };
+  connection.addEventListener("frame", take);
+  const wait = (ms) => new Promise((done) => setTimeout(done, ms));
+  while (!frames.some((frame) => frame.values[1] > 0)) await wait(10);
+  await wait(37 * Math.random());
+  const clicked = Date.now();
+  document.querySelector("[data-testid=stop]").click();
+  const last = (frame) => frame.values[(frame.rows - 1) * frame.columns + 1];
+  let frame;
+  while (!(frame = frames.find((each) => each.wallMs >= clicked && last(each) === 0))) await wait(5);
+  connection.removeEventListener("frame", take);
+  let zeros = 0;
+  while (zeros < frame.rows && frame.values[(frame.rows - 1 - zeros) * frame.columns + 1] === 0) zeros += 1;
+  await connection.send("reset");
+  return frame.wallMs - 10 * (zeros - 1) - clicked;
+}"""
+
 
 def show(text: str) -> None:
     """Write a line to standard output at once."""
@@ -79,34 +104,8 @@ def stops(operator, project: Path) -> dict[str, float]:
     (project / "uploads" / "hold.csv").write_text(LONG_TEST)
     operator.page.reload()
     operator.wait_for_state("idle")
-    waits = []
-    for number in range(STOPS):
-        waits.append(
-            operator.page.evaluate(
-                """async (name) => {
-                    const { connection } = window.hitchid;
-                    await connection.send("arm", { plan: { kind: "file", name, campaign: "stops", file: "uploads/hold.csv" } });
-                    await connection.send("start");
-                    const frames = [];
-                    const take = ({ detail }) => { if (detail.kind === 0) frames.push(detail); };
-                    connection.addEventListener("frame", take);
-                    const moves = (frame) => frame.values[1] > 0;
-                    while (!frames.some(moves)) await new Promise((done) => setTimeout(done, 10));
-                    await new Promise((done) => setTimeout(done, 37 * Math.random()));
-                    const clicked = Date.now();
-                    document.querySelector("[data-testid=stop]").click();
-                    const stopped = () => frames.find((frame) => frame.wallMs >= clicked && frame.values.at(1 - frame.columns) === 0);
-                    while (!stopped()) await new Promise((done) => setTimeout(done, 5));
-                    connection.removeEventListener("frame", take);
-                    const frame = stopped();
-                    let zero = 0;
-                    for (let row = 0; row < frame.rows; row += 1) if (frame.values[row * frame.columns + 1] === 0) zero += 1;
-                    await connection.send("reset");
-                    return frame.wallMs - 10 * (zero - 1) - clicked;
-                }""",
-                f"stop-{number:02d}",
-            )
-        )
+    names = [f"stop-{number:02d}" for number in range(STOPS)]
+    waits = [operator.page.evaluate(CLICK_TO_ZERO, name) for name in names]
     return {"click to zero, p99 / ms": float(np.percentile(waits, 99))}
 
 

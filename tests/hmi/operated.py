@@ -29,7 +29,9 @@ baselines = false
 def served(project, *options):
     """Yield the link and the process of a server of a project folder."""
     command = [sys.executable, "-m", "hitchid", "hmi", str(project), "--quiet", *options]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=project)
+    process = subprocess.Popen(  # noqa: S603 - this Python, the command under test
+        command, stdout=subprocess.PIPE, text=True, cwd=project
+    )
     try:
         yield process.stdout.readline().strip(), process
     finally:

@@ -1,4 +1,4 @@
-"""The page in a browser: on a screen and a telephone, in light and dark, by keyboard, with viewers, closed and frozen."""
+"""The page in a browser: small and large, light and dark, by keyboard, with viewers, closed and frozen."""
 
 import csv
 import time
@@ -6,9 +6,9 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+from operated import Operator, served
 
 from browser import chromium
-from operated import Operator, served
 
 LIMITS = """
 lifting_command = 1.0

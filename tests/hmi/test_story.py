@@ -1,12 +1,12 @@
-"""The whole story of an operator in a real browser: bench, campaign, audit, model, report, controller, drive."""
+"""The whole story of an operator in a browser: campaign, audit, model, report, controller, drive."""
 
 import json
 import time
 
 import pytest
+from operated import BRIEFEST, Operator, served
 
 from browser import chromium
-from operated import BRIEFEST, Operator, served
 
 LONGEST_S = 100  # s that one command may take on a machine with other tests beside it
 SIZES = ((390, 844), (1280, 800), (1920, 1080))

@@ -13,6 +13,7 @@ FOLDERS = (CAMPAIGNS, MODELS, REPORTS, CONTROLLERS, DRIVES, RECORDINGS, UPLOADS)
 NAME_PATTERN = r"[A-Za-z0-9][A-Za-z0-9_.-]{0,59}"
 NAME = re.compile(NAME_PATTERN)
 CAMPAIGN_FILE, REPORT_FILE = "campaign.toml", "report.html"
+MOST_LOGS = 200  # that are offered for a replay; chosen
 LOG_FORMATS = (".csv", ".csv.gz", ".mf4", ".parquet", ".tdms", ".mat", ".h5", ".lvm", ".tsv")
 
 
@@ -77,7 +78,19 @@ def contents(project: Path) -> dict[str, object]:
 
 
 def _count_logs(folder: Path) -> int:
-    return sum(child.name.endswith(LOG_FORMATS) for child in folder.iterdir())
+    return sum(map(_is_log, folder.iterdir()))
+
+
+def logs(project: Path) -> list[str]:
+    """Return the newest logs of campaigns, drives and recordings, relative to the project."""
+    patterns = (f"{CAMPAIGNS}/*/*", f"{DRIVES}/*", f"{RECORDINGS}/*")
+    places = [place for pattern in patterns for place in project.glob(pattern) if _is_log(place)]
+    places.sort(key=lambda place: place.lstat().st_mtime, reverse=True)
+    return [place.relative_to(project).as_posix() for place in places[:MOST_LOGS]]
+
+
+def _is_log(place: Path) -> bool:
+    return place.name.endswith(LOG_FORMATS) and all(NAME.fullmatch(part) for part in place.parts[-2:])
 
 
 def _entries(project: Path, folder: str) -> list[dict[str, str]]:

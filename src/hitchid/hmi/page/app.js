@@ -32,6 +32,7 @@ const probe = {
   stats: plots.stats,
   samples: 0,
   plots,
+  connection,
   get jobs() {
     return [...jobs.all.values()];
   },

@@ -7,6 +7,7 @@ const OPTION_LABELS = { rig: "Machine", speed: "Speed, times real time", seed: "
 /** @param {import("./connection.js").Connection} connection @param {import("./project.js").Project} project */
 export function bindBench(connection, project) {
   connection.addEventListener("greeted", () => listSources(connection));
+  connection.addEventListener("sources", () => listSources(connection));
   byId("source").addEventListener("change", () => showOptions(connection));
   connection.addEventListener("change", () => showBench(connection));
   project.addEventListener("change", () => {
@@ -44,14 +45,17 @@ function listSources(connection) {
   showOptions(connection);
 }
 
-/** @param {import("./connection.js").Connection} connection */
+/** Show the options of the chosen source; what was chosen before stays. @param {import("./connection.js").Connection} connection */
 function showOptions(connection) {
   const options = sourceOf(connection)?.options ?? {};
+  const before = new Map([...byId("source-options").querySelectorAll("[data-option]")].map((field) => [field.dataset.option, field.value]));
   byId("source-options").replaceChildren(...Object.entries(options).map(([name, value]) => {
     const attributes = { "data-testid": `option-${name}`, "data-option": name };
     const field = Array.isArray(value)
       ? element("select", attributes, ...(value.length ? value.map((choice) => element("option", { value: choice }, choice)) : [element("option", { value: "" }, "none yet")]))
       : element("input", { ...attributes, type: typeof value === "number" ? "number" : "text", value: value ?? "" });
+    const isOffered = !Array.isArray(value) || value.some((choice) => String(choice) === before.get(name));
+    if (before.has(name) && isOffered) field.value = before.get(name);
     return element("label", {}, `${OPTION_LABELS[name] ?? name} `, field);
   }));
 }

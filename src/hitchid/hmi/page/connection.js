@@ -1,7 +1,7 @@
 /**
  * The one connection to the server: session, websocket, requests with replies, heartbeat.
  *
- * Events: `change` (state of the connection, `status` or `hello`), `frame`, `job`, `project_changed`, `problem`.
+ * Events: `change` (state of the connection, `status` or `hello`), `frame`, `job`, `project_changed`, `sources`, `problem`.
  * After a loss it connects again by itself; it never arms or starts by itself.
  */
 import { get, post } from "./http.js";
@@ -126,6 +126,9 @@ export class Connection extends EventTarget {
       this.#replies.delete(message.id);
     } else if (message.type === "hello") {
       this.#greeted(message);
+    } else if (message.type === "sources") {
+      this.hello.sources = message.sources;
+      this.#emit("sources");
     } else if (message.type === "status") {
       this.status = message;
       this.#emit("change");
