@@ -99,7 +99,7 @@ def soak(operator, server: int, minutes: float) -> dict[str, float]:
 
 
 def stops(operator, project: Path) -> dict[str, float]:
-    """Return the time from a click on stop to the first sample with zero commands, from the log of the test."""
+    """Return the time from a click on stop to the first sample with zero commands."""
     (project / "uploads").mkdir(exist_ok=True)
     (project / "uploads" / "hold.csv").write_text(LONG_TEST)
     operator.page.reload()
@@ -136,7 +136,8 @@ def measure(minutes: float) -> dict[str, float]:
             (recording,) = (project / "recordings").glob("*.csv")
             figures["samples missing or twice in the recording"] = gaps(recording)
             host = urllib.parse.urlsplit(link).netloc
-            figures["requests to other machines"] = len([url for url in operator.outside if host not in url])
+            others = [url for url in operator.outside if host not in url]
+            figures["requests to other machines"] = len(others)
     return figures
 
 
