@@ -22,12 +22,19 @@
 import hitchid
 from hitchid.experiments.conditions import Conditions
 from hitchid.experiments.virtual_campaign import write_campaign
+from hitchid.identification import ModelSpec
+from hitchid.structures import CovariateEffects, structure_named
 
 write_campaign("logs", tests={"prbs": 6}, conditions=Conditions(implements_kg=(450.0, 1300.0)), force=True)
-structures = {"lifting": "integrator-first-order", "lowering": "integrator-first-order"}
+spec = ModelSpec(
+    structure_named("integrator-first-order"),
+    valve_curve=True,
+    covariates=(CovariateEffects("pressure"),),
+)
+structures = {"lifting": spec, "lowering": spec}
 model = hitchid.identify(hitchid.read("logs"), structure=structures, training=None, comparison=None).model
 for direction, channel in model.channels.items():
-    print(direction, "varies with", channel.benchmark.covariates or "nothing")
+    print(direction, "varies with", *channel.benchmark.covariates)
 
 # %% [markdown]
 # ## Tuned for one load, scheduled to others

@@ -94,7 +94,7 @@ def test_a_parameter_that_alone_is_uncertain_limits_alone(model: hitchid.Hitch):
     changed = replace(
         model, uncertainty={**model.uncertainty, "lowering": replace(known, benchmark=benchmark)}
     )
-    shares = limitation(replace(model, uncertainty=changed), "lowering", draws=40).shares
+    shares = limitation(changed, "lowering", draws=40).shares
     assert set(shares) == {"gain"}
     assert shares["gain"] > 0.8
 

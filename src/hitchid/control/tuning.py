@@ -42,8 +42,9 @@ ACCELERATION_LAGS = 2.0
 INNER_NOISE, OUTER_NOISE, CROSSING_NOISE = 1.5, 6.0, 3.0
 MIN_NOISE_MM = 0.02  # mm, for a sensor without noise: a window of 0.12 mm; chosen
 RISE_SAMPLES = 2.0  # shortest rise of a current to its largest; chosen
-TRIAL_DRAWS, TRIAL_STEPS_MM = 16, (20.0, -20.0)  # draws and steps on which methods are compared
-TRIAL_S, TRIAL_START_S = 8.0, 0.5  # s, of a trial run
+# Draws, steps and ramps on which methods are compared; chosen.
+TRIAL_DRAWS, TRIAL_STEPS_MM, TRIAL_RAMPS_MM_S = 16, (20.0, -20.0), (8.0, -8.0)
+TRIAL_S, TRIAL_START_S, TRIAL_RAMP_S = 8.0, 0.5, 2.5  # s, of a trial run, and of its ramp: as far as a step
 
 
 @short_repr
@@ -87,7 +88,7 @@ class Tuning:
     Attributes:
         controller: tuned.
         method: `PI` or `LQI`, whichever has the smaller error in trial runs.
-        trials: method to its mean IAE over steps and draws, mm·s.
+        trials: method to its IAE over draws, the geometric mean of steps and ramps both ways, mm·s.
         margins: direction to its margins.
         load: covariates that it is tuned for, by name; empty without.
         draws: number of parameter vectors of the margins.
@@ -148,7 +149,10 @@ def tune(
         trials[method] = controller, _trial_runs(controller, model, load, seed)
     if not trials:
         raise InputError(_refusal(loops))
-    errors = {name: float(np.mean([run.iae_mm_s for run in runs])) for name, (_, runs) in trials.items()}
+    errors = {
+        name: float(np.exp(np.mean([np.log(run.iae_mm_s) for run in runs])))
+        for name, (_, runs) in trials.items()
+    }
     method = min(errors, key=lambda name: errors[name])
     controller, runs = trials[method]
     return Tuning(
@@ -162,7 +166,7 @@ def tune(
             loop.direction: OpenLoop(loop.omega, loop.responses(gains)[MIDDLE])
             for loop, gains in zip(loops, controller.gains, strict=True)
         },
-        runs,
+        runs[: len(TRIAL_STEPS_MM)],
     )
 
 
@@ -207,15 +211,20 @@ def _controller(
 def _trial_runs(
     controller: HitchController, model: Hitch, load: Load | None, seed: int
 ) -> tuple[TrialRun, ...]:
-    """Return steps on drawn models."""
+    """Return steps, then ramps, on drawn models."""
     hitches = drawn_hitches(controller, model, load, TRIAL_DRAWS, seed)
     if hitches is None:
         raise InputError("model: its parameters have no standard errors")
     middle = float(np.mean([place for _, place in operating_points(model.channels[DIRECTIONS[0]])]))
     time_s = np.arange(0.0, TRIAL_S, model.step_s)
+    moving_s = time_s - TRIAL_START_S
+    ways = [
+        *(np.where(moving_s < 0, 0.0, step_mm) for step_mm in TRIAL_STEPS_MM),
+        *(speed_mm_s * np.clip(moving_s, 0.0, TRIAL_RAMP_S) for speed_mm_s in TRIAL_RAMPS_MM_S),
+    ]
     found = []
-    for number, step_mm in enumerate(TRIAL_STEPS_MM):
-        target = middle + np.where(time_s < TRIAL_START_S, 0.0, step_mm)
+    for number, way in enumerate(ways):
+        target = middle + way
         runs = run_on_model(controller, hitches, jax.random.key(seed + number), target, start_mm=middle)
         found.append(TrialRun(time_s, target, runs))
     return tuple(found)
