@@ -29,7 +29,7 @@ write_campaign("logs", tests={"prbs": 6}, conditions=Conditions(implements_kg=(4
 spec = ModelSpec(
     structure_named("integrator-first-order"),
     valve_curve=True,
-    covariates=(CovariateEffects("pressure"),),
+    covariates=(CovariateEffects("pressure_bar"),),
 )
 structures = {"lifting": spec, "lowering": spec}
 model = hitchid.identify(hitchid.read("logs"), structure=structures, training=None, comparison=None).model
@@ -53,7 +53,7 @@ lightest, heaviest = float(jnp.min(pressure.lowest)), float(jnp.max(pressure.hig
 middle_mm = jnp.asarray(125.0)
 scheduled = {}
 for name, bar in (("light", lightest), ("heavy", heaviest)):
-    scheduled[name] = controller.at_load({"pressure": bar})
+    scheduled[name] = controller.at_load({"pressure_bar": bar})
     lifting = scheduled[name].axes[0]
     current = float(lifting.current_for(jnp.asarray(10.0), middle_mm))
     print(f"{name}, {bar:.0f} bar: lag {float(scheduled[name].lags_s[0]):.3f} s, 10 mm/s at {current:.3f} A")

@@ -158,6 +158,20 @@ def run_closed_loops(
     return ClosedLoops(np.asarray(target_mm, float), displacement, measured, currents)
 
 
+@double_precision
+def measured_at_rest(rig: Rig, key: PRNGKeyArray, displacement_mm: float, readings: int) -> float:
+    """Return what the bench's sensor measures of a hitch that is held, the mean of some readings, mm.
+
+    Args:
+        rig: the bench.
+        key: random key of the noise.
+        displacement_mm: true.
+        readings: number.
+    """
+    held = lambda own: bench.reset(rig, own, initial_displacement_m=1e-3 * displacement_mm)[1]  # noqa: E731
+    return float(jax.vmap(held)(jax.random.split(key, readings)).displacement_mm.mean())
+
+
 def _start(rig: Rig, key: PRNGKeyArray, factor: Array, sample: _Sample, start_mm: float) -> tuple:
     force = _soil_n(sample, jnp.asarray(start_mm))
     here = _rig_at(rig, factor, sample)
