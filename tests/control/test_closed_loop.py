@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hitchid.control.closed_loop import Surroundings, run_closed_loops
+from hitchid.control.closed_loop import Surroundings, measured_at_rest, run_closed_loops
 from hitchid.errors import InputError
 from hitchid.rig import load_rig, simulate
 
@@ -90,6 +90,13 @@ def test_a_controller_of_plain_numbers_gives_the_same_signals(traced, brisk) -> 
     np.testing.assert_allclose(plain.displacement_mm, traced.displacement_mm, rtol=0, atol=1e-6)
     np.testing.assert_allclose(plain.measured_mm, traced.measured_mm, rtol=0, atol=1e-6)
     np.testing.assert_allclose(plain.currents_a, traced.currents_a, rtol=0, atol=1e-6)
+
+
+def test_a_held_hitch_is_measured_with_the_error_of_the_sensors_curve(traced) -> None:
+    """The loops hold for 20 samples first; the means of 100 and of 40 readings differ by their noise."""
+    held = traced.measured_mm[:, :20]
+    measured = measured_at_rest(load_rig("nominal"), jax.random.key(5), START, 100)
+    assert measured == pytest.approx(held.mean(), abs=5 * held.std() / np.sqrt(30))
 
 
 def test_loops_have_noise_of_their_own_and_the_same_with_the_same_key(brisk) -> None:
