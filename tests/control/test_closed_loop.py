@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hitchid.control.closed_loop import Surroundings, run_closed_loops
+from hitchid.control.closed_loop import Surroundings, measured_at_rest, run_closed_loops
 from hitchid.errors import InputError
-from hitchid.rig import load_rig
+from hitchid.rig import load_rig, simulate
 
 SAMPLES, START = 150, 120.0
 TARGET = START + np.where(np.arange(SAMPLES) < 20, 0.0, 6.0)
@@ -92,6 +92,13 @@ def test_a_controller_of_plain_numbers_gives_the_same_signals(traced, brisk) -> 
     np.testing.assert_allclose(plain.currents_a, traced.currents_a, rtol=0, atol=1e-6)
 
 
+def test_a_held_hitch_is_measured_with_the_error_of_the_sensors_curve(traced) -> None:
+    """The loops hold for 20 samples first; the means of 100 and of 40 readings differ by their noise."""
+    held = traced.measured_mm[:, :20]
+    measured = measured_at_rest(load_rig("nominal"), jax.random.key(5), START, 100)
+    assert measured == pytest.approx(held.mean(), abs=5 * held.std() / np.sqrt(30))
+
+
 def test_loops_have_noise_of_their_own_and_the_same_with_the_same_key(brisk) -> None:
     first, again = closed(brisk, factors=np.ones(2)), closed(brisk, factors=np.ones(2))
     np.testing.assert_array_equal(first.measured_mm, again.measured_mm)
@@ -114,6 +121,50 @@ def test_currents_are_zero_without_a_measurement(brisk) -> None:
     assert np.any(found.currents_a[:, LOST.argmax() - 1] > 0)
     assert np.all(found.currents_a[np.isnan(found.measured_mm)] == 0)
     assert np.all(np.isfinite(found.displacement_mm))
+
+
+@pytest.mark.parametrize(
+    ("name", "oil_c"),
+    [("heavy-cold", None), ("light-warm-worn", None), ("nominal", 5.0)],
+)
+def test_the_bench_of_a_loop_is_that_of_the_campaigns_at_any_oil_temperature(name: str, oil_c) -> None:
+    rig, currents = load_rig(name), jnp.array([0.8, 0.0])
+    closed_loop = run_closed_loops(
+        TracedReturning(currents),
+        rig,
+        jax.random.key(0),
+        TARGET,
+        start_mm=START,
+        implement_factors=np.ones(1),
+        surroundings=Surroundings(oil_c=oil_c),
+    )
+    open_loop = simulate(
+        rig,
+        np.tile(np.asarray(currents), (1, SAMPLES, 1)),
+        initial_displacement_m=1e-3 * START,
+        oil_temperature_c=oil_c,
+    )
+    expected_mm = 1e3 * np.asarray(open_loop.displacement_m)
+    assert np.ptp(expected_mm) > 5.0
+    np.testing.assert_allclose(closed_loop.displacement_mm, expected_mm, rtol=0, atol=1e-6)
+
+
+def test_a_leak_that_grows_in_a_loop_lets_a_held_hitch_sink_faster() -> None:
+    idle = TracedReturning(jnp.zeros(2))
+    worn = np.where(np.arange(SAMPLES) < 75, 1.0, 20.0)
+    sound = closed(idle).displacement_mm
+    leaking = closed(idle, leakage_factor=worn).displacement_mm
+    np.testing.assert_array_equal(leaking[:, :76], sound[:, :76])
+    assert np.all(leaking[:, -1] < sound[:, -1] - 0.01)
+
+
+@pytest.mark.parametrize("change_a", [-0.05, 0.05])
+def test_a_dead_zone_that_wear_changes_shifts_the_current_of_a_speed(change_a: float) -> None:
+    """The opening is that of i/i_s − i₀/i_s over 1 − i₀/i_s: a longer dead zone slows the same current."""
+    driven = TracedReturning(jnp.array([0.8, 0.0]))
+    same, changed = closed(driven), closed(driven, dead_zone_change_a=change_a)
+    travel = [each.displacement_mm[:, -1] - START for each in (same, changed)]
+    assert np.all(np.sign(travel[0] - travel[1]) == np.sign(change_a))
 
 
 def test_cold_oil_and_soil_change_the_motion(traced, brisk) -> None:

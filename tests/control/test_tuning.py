@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 import hitchid
 from hitchid.cli import app
-from hitchid.control import Tuning, load_controller, save_controller, tune
+from hitchid.control import Tuning, limitation, load_controller, save_controller, tune
 from hitchid.control.direction_loops import MAX_SENSITIVITY, MIN_DEAD_TIMES, MIN_GAIN_DB, MIN_PHASE_DEG
 from hitchid.control.limits import check_drive, read_drive_limits
 from hitchid.errors import InputError, SettingsError
@@ -72,6 +72,42 @@ def test_the_bandwidth_is_the_largest_with_these_margins(tuning: Tuning):
             margins.worst.delay_s / max(MIN_DEAD_TIMES * margins.dead_time_s, 1e-6),
         ]
         assert min(slack) < 1.05
+
+
+def test_what_limits_the_controller_is_what_its_margins_depend_on(model: hitchid.Hitch):
+    found = limitation(model, "lifting", draws=40)
+    assert found.direction == "lifting"
+    assert found.worst == pytest.approx(MAX_SENSITIVITY, rel=0.05)
+    assert all(0 <= share <= 1 for share in found.shares.values())
+    assert list(found.shares.values()) == sorted(found.shares.values(), reverse=True)
+    assert found.parameter == next(iter(found.shares))
+
+
+def test_a_parameter_that_alone_is_uncertain_limits_alone(model: hitchid.Hitch):
+    """Ms rises with the gain: over draws of the gain alone, nearly all of its variance goes with it."""
+    known = model.uncertainty["lowering"]
+    alone = tuple(
+        replace(estimate, error=estimate.error if estimate.name == "gain" else 0.0)
+        for estimate in known.benchmark.parameters
+    )
+    benchmark = replace(known.benchmark, parameters=alone)
+    changed = replace(
+        model, uncertainty={**model.uncertainty, "lowering": replace(known, benchmark=benchmark)}
+    )
+    shares = limitation(changed, "lowering", draws=40).shares
+    assert set(shares) == {"gain"}
+    assert shares["gain"] > 0.8
+
+
+def test_the_design_command_proposes_a_test_for_control(folder: Path):
+    runner, model = CliRunner(), str(folder / "model")
+    found = runner.invoke(app, ["design", model, "--for", "control", "--json"])
+    assert found.exit_code == 0, found.output
+    content = json.loads(found.stdout)
+    assert content["mode"] == content["control"]["direction"]
+    assert content["parameter"] == next(iter(content["control"]["shares"]))
+    refused = runner.invoke(app, ["design", model, "--for", "control", "--parameter", "gain"])
+    assert isinstance(refused.exception, SettingsError)
 
 
 def test_a_model_without_standard_errors_is_refused(model: hitchid.Hitch):

@@ -1,6 +1,7 @@
 """`hitchid design`: experiment design for the next test."""
 
 import json
+from dataclasses import asdict
 from enum import Enum
 from pathlib import Path
 from typing import Annotated
@@ -18,6 +19,12 @@ class OneDirection(Enum):
     LOWERING = "lowering"
 
 
+class Purpose(Enum):
+    """What the test is for."""
+
+    CONTROL = "control"
+
+
 def design(
     model: Annotated[Path, typer.Argument(help="Model folder.", show_default=False)],
     direction: Annotated[
@@ -28,6 +35,12 @@ def design(
         str | None,
         typer.Option(
             "--parameter", help="Parameter whose error to reduce, such as time_constant [least determined]."
+        ),
+    ] = None,
+    purpose: Annotated[
+        Purpose | None,
+        typer.Option(
+            "--for", help="Test for a controller: of the parameter that its margins depend on most."
         ),
     ] = None,
     highest: Annotated[
@@ -51,7 +64,10 @@ def design(
     force: Force = False,
     as_json: AsJson = False,
 ) -> None:
-    """Propose the next test: the one that most reduces the error of the least determined parameter."""
+    """Propose the next test: the one that most reduces the error of the least determined parameter.
+
+    For a controller, it is that of the parameter on which its stability margins depend most.
+    """
     from hitchid._support.storage import check_file, check_inputs
     from hitchid.cli import terminal as display
 
@@ -59,12 +75,20 @@ def design(
         check_file(out, force=force)
         check_inputs(out, [model])
     prepare_jax()
+    from hitchid.control import limitation
     from hitchid.design.next_test import ExcitationLimits, write_command
     from hitchid.design.next_test import design as run
+    from hitchid.errors import SettingsError
     from hitchid.model import load
 
     hitch = load(model)
     direction_name = None if direction is None else direction.value
+    limits_control = None
+    if purpose is Purpose.CONTROL:
+        if parameter is not None:
+            raise SettingsError("--for control: chooses the parameter itself; leave out --parameter")
+        limits_control = limitation(hitch, direction_name, seed=seed)
+        direction_name, parameter = limits_control.direction, limits_control.parameter
     advice = run(
         hitch,
         direction_name,
@@ -75,6 +99,9 @@ def design(
     if out is not None:
         write_command(hitch, advice, out, force=force)
     if as_json:
-        typer.echo(json.dumps(advice.describe(), indent=1))
+        control = {} if limits_control is None else {"control": asdict(limits_control)}
+        typer.echo(json.dumps({**advice.describe(), **control}, indent=1))
     else:
+        if limits_control is not None:
+            display.show_limitation(limits_control)
         display.show_advice(advice, hitch)

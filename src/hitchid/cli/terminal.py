@@ -15,7 +15,7 @@ from hitchid.data.segmentation import LABELS
 
 if TYPE_CHECKING:
     from hitchid.audit import AuditFinding
-    from hitchid.control import Tuning
+    from hitchid.control import Limitation, Tuning
     from hitchid.data.campaign import Campaign
     from hitchid.design.next_test import Advice
     from hitchid.export import Export
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 COLUMNS = 80  # characters, width of narrow output (chosen)
 MAX_SPANS = 3  # intervals listed for one finding (chosen)
+SHOWN_PARAMETERS = 3  # that a controller depends on most (chosen)
 
 
 def show_inspection(inspection: "Inspection") -> None:
@@ -213,6 +214,18 @@ def show_tuning(tuning: "Tuning", out: Path) -> None:
     _print_wrapped(f"margins: met by 95 % of {tuning.draws} draws of the parameters at nine operating points")
     _print_wrapped(f"method: {tuning.method}")
     _print_wrapped(f"controller: {out}")
+
+
+def show_limitation(found: "Limitation") -> None:
+    """Print what limits a controller and which parameters it depends on."""
+    most = [f"{name.replace('_', ' ')} {share:.0%}" for name, share in found.shares.items()][
+        :SHOWN_PARAMETERS
+    ]
+    _print_wrapped(
+        f"{found.direction}: at {found.bandwidth_rad_s:.3g} rad/s Ms is {found.nominal:.3f} with the "
+        f"identified parameters and {found.worst:.3f} for 95 % of the draws; of its variance is due to "
+        f"{', '.join(most)}"
+    )
 
 
 def show_export(done: "Export") -> None:

@@ -15,6 +15,8 @@ from hitchid.control.figures import Figures as Figures
 from hitchid.control.files import ControllerFile as ControllerFile
 from hitchid.control.files import load_controller as load_controller
 from hitchid.control.files import save_controller as save_controller
+from hitchid.control.limitation import Limitation as Limitation
+from hitchid.control.limitation import limitation as limitation
 from hitchid.control.margins import Margins as Margins
 from hitchid.control.margins import margins as margins
 from hitchid.control.pid import PidController as PidController
@@ -38,6 +40,7 @@ __all__ = [
     "HitchController",
     "HoldWindow",
     "Kind",
+    "Limitation",
     "Margins",
     "OpenLoop",
     "PidController",
@@ -48,6 +51,7 @@ __all__ = [
     "Tuning",
     "baselines",
     "drive",
+    "limitation",
     "load_controller",
     "margins",
     "run_closed_loops",

@@ -14,7 +14,6 @@ from hitchid._support.short_repr import short_repr
 from hitchid.errors import InputError
 from hitchid.rig import Disturbance, Rig
 from hitchid.rig.simulation import SAMPLE_S
-from hitchid.rig.test_bench import at_temperature
 
 CHUNK = 500  # samples of a compiled run: scenarios of any length share one program; chosen
 
@@ -46,6 +45,8 @@ class Surroundings(NamedTuple):
         surface_mm: displacement at which the implement touches the soil.
         soil_n_per_mm: downward force of the soil over depth; zero without soil.
         sensor_lost: whether the angle sensor gives no reading.
+        leakage_factor: on the leakage past piston and valves, which grows with wear.
+        dead_zone_change_a: of both valves' dead zones, which wear shortens or lengthens, A.
     """
 
     implement_kg: Float[np.ndarray, "*n"] | float | None = None
@@ -53,6 +54,8 @@ class Surroundings(NamedTuple):
     surface_mm: Float[np.ndarray, "*n"] | float = 0.0
     soil_n_per_mm: Float[np.ndarray, "*n"] | float = 0.0
     sensor_lost: np.ndarray | bool = False
+    leakage_factor: Float[np.ndarray, "*n"] | float = 1.0
+    dead_zone_change_a: Float[np.ndarray, "*n"] | float = 0.0
 
 
 @short_repr
@@ -86,6 +89,8 @@ class _Sample(NamedTuple):
     surface_mm: Array
     soil_n_per_mm: Array
     sensor_lost: Array
+    leakage_factor: Array
+    dead_zone_change_a: Array
 
 
 class _Readings(NamedTuple):
@@ -131,6 +136,8 @@ def run_closed_loops(
         jnp.asarray(around.surface_mm, jnp.float64),
         jnp.asarray(around.soil_n_per_mm, jnp.float64),
         jnp.asarray(around.sensor_lost),
+        jnp.asarray(around.leakage_factor, jnp.float64),
+        jnp.asarray(around.dead_zone_change_a, jnp.float64),
     )
     inputs = jax.tree.map(
         lambda rows: jnp.pad(jnp.broadcast_to(rows, (samples,)), (0, padded - samples), mode="edge"), signals
@@ -151,6 +158,20 @@ def run_closed_loops(
     return ClosedLoops(np.asarray(target_mm, float), displacement, measured, currents)
 
 
+@double_precision
+def measured_at_rest(rig: Rig, key: PRNGKeyArray, displacement_mm: float, readings: int) -> float:
+    """Return what the bench's sensor measures of a hitch that is held, the mean of some readings, mm.
+
+    Args:
+        rig: the bench.
+        key: random key of the noise.
+        displacement_mm: true.
+        readings: number.
+    """
+    held = lambda own: bench.reset(rig, own, initial_displacement_m=1e-3 * displacement_mm)[1]  # noqa: E731
+    return float(jax.vmap(held)(jax.random.split(key, readings)).displacement_mm.mean())
+
+
 def _start(rig: Rig, key: PRNGKeyArray, factor: Array, sample: _Sample, start_mm: float) -> tuple:
     force = _soil_n(sample, jnp.asarray(start_mm))
     here = _rig_at(rig, factor, sample)
@@ -159,9 +180,24 @@ def _start(rig: Rig, key: PRNGKeyArray, factor: Array, sample: _Sample, start_mm
 
 
 def _rig_at(rig: Rig, factor: Array, sample: _Sample) -> Rig:
-    mass = factor * sample.implement_kg
-    loaded = eqx.tree_at(lambda r: r.linkage.implement_mass, rig, mass)
-    return at_temperature(loaded, sample.oil_c)
+    change = sample.dead_zone_change_a
+    return eqx.tree_at(
+        lambda r: (
+            r.linkage.implement_mass,
+            r.oil.temperature,
+            r.cylinder.leakage,
+            r.lifting_valve.spool.dead_zone,
+            r.lowering_valve.spool.dead_zone,
+        ),
+        rig,
+        (
+            factor * sample.implement_kg,
+            sample.oil_c,
+            sample.leakage_factor * rig.cylinder.leakage,
+            rig.lifting_valve.spool.dead_zone + change,
+            rig.lowering_valve.spool.dead_zone + change,
+        ),
+    )
 
 
 def _soil_n(sample: _Sample, displacement_mm: Array) -> Array:

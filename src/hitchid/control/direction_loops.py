@@ -67,6 +67,7 @@ class DirectionLoops:
         models: of the controller, at each operating point.
         plants: drawn, at each operating point.
         dead_time_s: upper end of the dead time's interval, s.
+        vectors: drawn parameters, shape [S, R].
     """
 
     direction: str
@@ -76,6 +77,7 @@ class DirectionLoops:
     models: Sequence[PlantResponse]
     plants: Sequence[PlantResponse]
     dead_time_s: float
+    vectors: Float[np.ndarray, "s r"]
 
     @classmethod
     def of(
@@ -104,7 +106,8 @@ class DirectionLoops:
             plants.append(plant_response(_with_nominal(drawn, nominal), omega, model.step_s))
         dead_times_s = vectors[:, channel.benchmark.values.size]
         upper = float(np.quantile(dead_times_s, 0.975))
-        return cls(direction, axis_of(model, channel, row).lags, model.step_s, omega, models, plants, upper)
+        lags = axis_of(model, channel, row).lags
+        return cls(direction, lags, model.step_s, omega, models, plants, upper, vectors)
 
     def responses(self, gains: Gains) -> list[Complex[np.ndarray, "s f"]]:
         """Return the open loop at each operating point, the model's own first, then those of the draws."""
@@ -113,9 +116,13 @@ class DirectionLoops:
             for model, plant in zip(self.models, self.plants, strict=True)
         ]
 
+    def margins_at_points(self, gains: Gains) -> list[Margins]:
+        """Return the margins at each operating point, of the model first, then of each draw, [1 + S]."""
+        return [margins(response, self.omega) for response in self.responses(gains)]
+
     def margins(self, gains: Gains) -> DirectionMargins:
         """Return the worst margins over operating points, of the model and of 95 % of the draws."""
-        at_points = [margins(response, self.omega) for response in self.responses(gains)]
+        at_points = self.margins_at_points(gains)
         gain, phase, delay, sensitivity, disk = map(np.stack, zip(*at_points, strict=True))
         low = lambda rows: np.quantile(rows[:, 1:], 1 - SHARE, axis=1).min()  # noqa: E731
         worst = Margins(

@@ -11,7 +11,7 @@ from hitchid._support import checks
 from hitchid._support.precision import double_precision
 from hitchid._support.progress import ProgressCallback, ProgressUpdate, silent
 from hitchid._support.short_repr import short_repr
-from hitchid.control.closed_loop import ClosedLoops, PositionController, run_closed_loops
+from hitchid.control.closed_loop import ClosedLoops, PositionController, measured_at_rest, run_closed_loops
 from hitchid.control.controller import HitchController
 from hitchid.control.figures import Figures, iae_ratios
 from hitchid.control.pid import baselines
@@ -24,6 +24,7 @@ from hitchid.rig import Rig
 DRAWS = 20  # closed loops of a scenario by default; chosen
 LOAD_SPREAD = 0.1  # the implement's mass is drawn within ±10 %; chosen
 BAND_DRAWS = 60  # runs on drawn models of a band; chosen
+READINGS = 100  # of the sensor before a run, of which the band starts at the mean; chosen: one second
 BAND_KINDS = (Kind.STEP, Kind.RAMP, Kind.SINE)
 INSIDE_SHARE = 0.9  # of a run's samples that must be inside the band of 90 % for it to count as inside
 TESTED, BASELINE = "controller", "SIMC PI"  # names among the controllers
@@ -160,7 +161,7 @@ def drive(
     slowest = min(float(axis.fastest(middle)) for axis in controller.axes)
     todo = scenarios(rig, slowest)
     factors = np.random.default_rng(seed).uniform(1 - LOAD_SPREAD, 1 + LOAD_SPREAD, draws)
-    bands = {} if model is None else _bands(controller, model, load, todo, seed, progress)
+    bands = {} if model is None else _bands(controller, rig, model, load, todo, seed, progress)
     loops: dict[str, dict[str, ClosedLoops]] = {}
     all_controllers = {TESTED: controller if tested is None else tested, **baselines(controller)}
     for number, (name, each) in enumerate(all_controllers.items()):
@@ -192,21 +193,28 @@ def drive(
 
 def _bands(
     controller: HitchController,
+    rig: Rig,
     model: Hitch,
     load: Load | None,
     todo: list[Scenario],
     seed: int,
     progress: ProgressCallback,
 ) -> dict[str, Band]:
-    hitches = drawn_hitches(controller, model, load, BAND_DRAWS, seed)
+    hitches = drawn_hitches(controller, model, load, BAND_DRAWS, seed, load_spread=LOAD_SPREAD)
     if hitches is None:
         return {}
     progress(ProgressUpdate("prediction by the identified model", 0.05))
     bands = {}
     for scenario in todo:
         if scenario.kind in BAND_KINDS:
+            key = jax.random.key(seed)
             runs = run_on_model(
-                controller, hitches, jax.random.key(seed), scenario.target_mm, start_mm=scenario.start_mm
+                controller,
+                hitches,
+                key,
+                scenario.target_mm,
+                start_mm=scenario.start_mm,
+                measured_start_mm=measured_at_rest(rig, key, scenario.start_mm, READINGS),
             )
             bands[scenario.name] = band_of(runs)
     return bands

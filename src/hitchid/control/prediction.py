@@ -21,6 +21,9 @@ from hitchid.model.loads import Load, channel_load, load_row
 from hitchid.model.parameter_draws import draws_of
 
 MOVING_MM_S = 0.5  # mm/s, slowest motion during which transients arise; chosen
+# Of the speed, by that of the load: the flow of an orifice goes with the root of the pressure (Merritt 1967,
+# Hydraulic Control Systems, sec. 3.2); a compensated valve takes less.
+SPEED_EXPONENT = 0.5
 COVERAGE = 0.90  # share of the runs on drawn models inside a band, each over its whole length
 
 
@@ -80,7 +83,13 @@ def loads_of_channels(model: Hitch, load: Load | None) -> list[Float[np.ndarray,
 
 @double_precision
 def drawn_hitches(
-    controller: HitchController, model: Hitch, load: Load | None, draws: int, seed: int
+    controller: HitchController,
+    model: Hitch,
+    load: Load | None,
+    draws: int,
+    seed: int,
+    *,
+    load_spread: float = 0.0,
 ) -> DrawnHitch | None:
     """Return models with parameters drawn from the distribution of their estimates; None without such.
 
@@ -90,8 +99,11 @@ def drawn_hitches(
         load: covariates of the runs, as for `Hitch.simulate`; None for their mean in the tests.
         draws: S.
         seed: of the draws.
+        load_spread: loads of the runs are within ± this share of that of the tests, each as likely, beside
+            the scatter between tests.
     """
     axes, filters = [], []
+    spread = SPEED_EXPONENT * load_spread / 3**0.5
     rows = loads_of_channels(model, load)
     for axis, (direction, channel), row in zip(controller.axes, model.channels.items(), rows, strict=True):
         vectors = draws_of(model, direction, seed, draws)
@@ -104,7 +116,9 @@ def drawn_hitches(
             return axis.with_benchmark(channel.benchmark.with_parameter_vector(vector).at_load(row))
 
         axes.append(jax.vmap(drawn, (0, None))(jnp.asarray(vectors), jnp.asarray(row)))
-        filters.append(jax.tree.map(lambda value: jnp.broadcast_to(value, (draws,)), channel.load_filter))
+        known = channel.load_filter
+        scattered = replace(known, load_scatter=jnp.hypot(known.load_scatter, spread))
+        filters.append(jax.tree.map(lambda value: jnp.broadcast_to(value, (draws,)), scattered))
     return DrawnHitch(tuple(axes), tuple(filters), jnp.full(draws, model.drift))
 
 
@@ -116,6 +130,7 @@ def run_on_model(
     target_mm: Float[np.ndarray, " n"],
     *,
     start_mm: float,
+    measured_start_mm: float | None = None,
 ) -> Float[np.ndarray, "s n"]:
     """Return the measured displacement of closed loops on drawn models, mm, shape [S, N].
 
@@ -127,12 +142,14 @@ def run_on_model(
         hitches: S of them.
         key: random key.
         target_mm: of all runs, shape [N].
-        start_mm: displacement at which the hitch is held at first.
+        start_mm: displacement at which the hitch is held at first, as the controller is told.
+        measured_start_mm: the same as the sensor measures it; by default they are equal.
     """
+    measured_mm = start_mm if measured_start_mm is None else measured_start_mm
     keys = jax.random.split(key, hitches.drift.size)
     samples = target_mm.size
     padded = np.pad(target_mm, (0, -samples % CHUNK), mode="edge")
-    carry = jax.vmap(lambda hitch, own: _start(controller, hitch, own, start_mm))(hitches, keys)
+    carry = jax.vmap(lambda hitch, own: _start(controller, hitch, own, start_mm, measured_mm))(hitches, keys)
     chunks = []
     for part in padded.reshape(-1, CHUNK):
         carry, rows = _run_chunk(controller, hitches, carry, jnp.asarray(part))
@@ -153,14 +170,14 @@ def band_of(runs: Float[np.ndarray, "s n"]) -> Band:
 
 
 def _start(
-    controller: HitchController, hitch: DrawnHitch, key: PRNGKeyArray, start_mm: float
+    controller: HitchController, hitch: DrawnHitch, key: PRNGKeyArray, start_mm: float, measured_mm: float
 ) -> tuple[_State, ControllerState]:
     key, own = jax.random.split(key)
     scatters = jnp.stack([filter_.load_scatter for filter_ in hitch.filters])
-    displacement = jnp.asarray(start_mm)
+    displacement = jnp.asarray(measured_mm)
     axes = (hitch.axes[0].initial_state(displacement), hitch.axes[1].initial_state(displacement))
     loads = scatters * jax.random.normal(own, (2,))
-    return _State(axes, displacement, loads, jnp.zeros(2), key), controller.initial_state(displacement)
+    return _State(axes, displacement, loads, jnp.zeros(2), key), controller.initial_state(start_mm)
 
 
 @eqx.filter_jit

@@ -22,6 +22,8 @@ LOAD_TAKEN_S = 1.0  # s, for which the load changes in the middle of a motion; c
 CHANGED_STEP_MM = 100.0
 WORKING_DEPTH_MM, RIDE_S = 40.0, 12.0  # mm below the surface and s at this depth; chosen
 SOIL_N_PER_MM, BUMPS_MM, BUMPS_HZ = 80.0, 6.0, 0.3  # 3.2 kN at the working depth; ±6 mm of surface; chosen
+WORN_S = 3.0  # s from the start of the step, within which a life's wear comes; chosen
+WORN_LEAKAGE, WORN_DEAD_ZONE_A = 5.0, 0.02  # factor on the leakage, change of both dead zones, A; chosen
 LOST_S = 0.5  # s, for which the sensor is lost in the middle of a step; chosen
 
 
@@ -35,6 +37,7 @@ class Kind(Enum):
     PLOUGHING = "ploughing"
     LOAD_CHANGE = "load change"
     COLD_OIL = "cold oil"
+    WEAR = "wear"
     SENSOR_LOST = "sensor lost"
 
 
@@ -77,6 +80,7 @@ def scenarios(rig: Rig, slowest_mm_s: float) -> list[Scenario]:
         Scenario("hold", Kind.HOLD, np.full(_count(HOLD_S), middle), middle),
         _ploughing(middle, slowest_mm_s),
         *_changes(middle, slowest_mm_s),
+        _wear(middle, slowest_mm_s),
         _sensor_lost(middle, slowest_mm_s),
     ]
 
@@ -154,6 +158,15 @@ def _changes(middle: float, slowest_mm_s: float) -> Iterator[Scenario]:
 
 def _changed(step: Scenario, name: str, kind: Kind, around: Surroundings) -> Scenario:
     return Scenario(name, kind, step.target_mm, step.start_mm, step.begin, around, step.amplitude_mm)
+
+
+def _wear(middle: float, slowest_mm_s: float) -> Scenario:
+    step = _step(middle, STEPS_MM[1], slowest_mm_s)
+    grown = np.clip((SAMPLE_S * (np.arange(step.target_mm.size) - step.begin)) / WORN_S, 0.0, 1.0)
+    around = Surroundings(
+        leakage_factor=1.0 + (WORN_LEAKAGE - 1.0) * grown, dead_zone_change_a=WORN_DEAD_ZONE_A * grown
+    )
+    return _changed(step, f"wear, {step.name}", Kind.WEAR, around)
 
 
 def _sensor_lost(middle: float, slowest_mm_s: float) -> Scenario:

@@ -81,7 +81,8 @@ def _gain_table(result: Tuning) -> Table:
 
 def _trial_table(result: Tuning) -> Table:
     rows = tuple((method, f"{error:.2f}") for method, error in result.trials.items())
-    return Table("IAE of steps of 20 mm on drawn models, mm·s", ("method", "mean"), rows)
+    title = "IAE on drawn models, geometric mean of steps of 20 mm and ramps of 8 mm/s, mm·s"
+    return Table(title, ("method", "mean"), rows)
 
 
 def _pictures(result: Tuning) -> list[Picture]:

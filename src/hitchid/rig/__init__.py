@@ -1,6 +1,7 @@
 """Virtual test bench: simulator of a tractor's electro-hydraulic hitch, the ground truth for models."""
 
 from hitchid.rig.measurement import measure as measure
+from hitchid.rig.pacing import real_time as real_time
 from hitchid.rig.parameter_files import load_rig as load_rig
 from hitchid.rig.parameter_files import parameter_sets as parameter_sets
 from hitchid.rig.simulation import RigMotion as RigMotion
@@ -31,6 +32,7 @@ __all__ = [
     "lowering_small_signal",
     "measure",
     "parameter_sets",
+    "real_time",
     "reset",
     "rig_limits",
     "simulate",

@@ -1,0 +1,112 @@
+"""What limits a position controller: the parameter of which the tests leave open what its margins need."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from hitchid._support import checks
+from hitchid._support.precision import double_precision
+from hitchid._support.short_repr import short_repr
+from hitchid.control.controller import Gains
+from hitchid.control.direction_loops import SHARE, DirectionLoops
+from hitchid.control.gain_design import pi_gains
+from hitchid.control.prediction import loads_of_channels
+from hitchid.control.tuning import LOWEST_RAD_S, check_tunable, fastest_gains
+from hitchid.data.record import DIRECTIONS
+from hitchid.errors import InputError
+from hitchid.model import Hitch
+from hitchid.model.loads import Load
+from hitchid.model.parameter_draws import DRAWS
+
+
+@short_repr
+@dataclass(frozen=True)
+class Limitation:
+    """What the tests of one direction leave open, as far as it limits the controller.
+
+    Attributes:
+        direction: lifting or lowering.
+        bandwidth_rad_s: largest of PI control with all margins.
+        nominal: Ms at the worst operating point with the identified parameters.
+        worst: Ms that 95 % of the draws keep there.
+        shares: parameter to the share of the variance of log Ms over draws that would vanish with this
+            parameter known, to first order; the largest first.
+    """
+
+    direction: str
+    bandwidth_rad_s: float
+    nominal: float
+    worst: float
+    shares: Mapping[str, float]
+
+    @property
+    def parameter(self) -> str:
+        """The parameter with the largest share."""
+        return next(iter(self.shares))
+
+
+@double_precision
+def limitation(
+    model: Hitch,
+    direction: str | None = None,
+    *,
+    load: Load | None = None,
+    draws: int = DRAWS,
+    seed: int = 0,
+) -> Limitation:
+    """Return what limits the controller in the direction where the parameters' spread costs Ms the most.
+
+    At the largest bandwidth of PI control that keeps its margins, log Ms of a draw is correlated with each of
+    its parameters over all draws; the squared correlation is the share of its variance that goes with the
+    parameter. Ms bounds gain and phase margin (Skogestad & Postlethwaite 2005, sec. 2.4.3).
+
+    Args:
+        model: of both directions, in mm, A and s, sampled every 10 ms.
+        direction: only this one.
+        load: covariates that the controller is tuned for; their mean in the tests by default.
+        draws: parameter vectors.
+        seed: of the draws.
+
+    Raises:
+        InputError: the model cannot be tuned, or has no parameter with a standard error.
+    """
+    check_tunable(model)
+    if direction is not None:
+        checks.one_of(direction, DIRECTIONS, "direction")
+    found = [
+        _limitation(model, name, row, draws, seed)
+        for name, row in zip(DIRECTIONS, loads_of_channels(model, load), strict=True)
+        if direction in (None, name)
+    ]
+    return max(found, key=lambda each: each.worst / each.nominal)
+
+
+def _limitation(
+    model: Hitch, direction: str, row: Float[np.ndarray, " c"], draws: int, seed: int
+) -> Limitation:
+    loops = DirectionLoops.of(model, direction, row, draws, seed)
+    gains = fastest_gains(loops, pi_gains) or pi_gains(LOWEST_RAD_S, loops.lags, loops.step_s)
+    sensitivity = _worst_sensitivity(loops, gains)
+    names = [parameter.name for parameter in model.channels[direction].benchmark.parameters]
+    logs = np.log(np.minimum(sensitivity[1:], np.finfo(float).max))
+    shares = {
+        name: float(np.corrcoef(column, logs)[0, 1] ** 2)
+        for name, column in zip(names, loops.vectors.T, strict=True)
+        if np.ptp(column) > 0 and np.ptp(logs) > 0
+    }
+    if not shares:
+        raise InputError(f"model: no {direction} parameter changes the margins; no test helps the controller")
+    return Limitation(
+        direction,
+        float(gains.proportional),
+        float(sensitivity[0]),
+        float(np.quantile(sensitivity[1:], SHARE)),
+        dict(sorted(shares.items(), key=lambda item: -item[1])),
+    )
+
+
+def _worst_sensitivity(loops: DirectionLoops, gains: Gains) -> Float[np.ndarray, " s"]:
+    """Return Ms of the model and of each draw at its worst operating point, shape [1 + S]."""
+    return np.max([found.sensitivity for found in loops.margins_at_points(gains)], axis=0)
