@@ -50,13 +50,13 @@ class LoadBank(eqx.Module):
     A model with its load filter runs at each of B loads. The probability w of a load follows from the
     displacements y that were measured (multiple-model estimation; Magill 1965, IEEE TAC 10(4), 434-439)::
 
-        log w(k+1) = log w(k) − ½ (log S + min(ε²/S, J²)),   ŷ = Σ w ŷ(load) / Σ w
+        log w(k+1) = log w(k) − ½ (log S + ε²/S),   ŷ = Σ w ŷ(load) / Σ w
 
-    with the error ε of the prediction by the filter at that load, its variance S, and the number J of
-    standard deviations beyond which an error is not due to the load. Before motion all loads are equally
-    probable. They are those of a uniform distribution with the mean and the standard deviations of the
-    identification tests, evenly spread (Sobol 1967), of each channel's own tests: a pressure at rest differs
-    between the ends of the stroke.
+    with the error ε of the prediction by the filter at that load, and its variance S. A displacement that is
+    a jump to the filters at all loads says nothing of the load; see `LoadFilter.correct`. Before motion all
+    loads are equally probable. They are those of a uniform distribution with the mean and the standard
+    deviations of the identification tests, evenly spread (Sobol 1967), of each channel's own tests: a
+    pressure at rest differs between the ends of the stroke.
 
     Attributes:
         dynamics: of the hitch.
@@ -89,9 +89,11 @@ class LoadBank(eqx.Module):
         self, state: LoadBankState, commands: Float[Array, "2"], measured: Float[Array, ""]
     ) -> tuple[LoadBankState, Float[Array, ""]]:
         """Return the state and the expected displacement at the next sample; see `HitchDynamics.step`."""
-        likelihood = jax.vmap(self._log_likelihood, in_axes=(0, None))(state.hitches, measured)
+        variance, error = jax.vmap(self._prediction_error, in_axes=(0, None))(state.hitches, measured)
+        tells_load = (jnp.abs(measured) < MAX_MAGNITUDE) & (jnp.min(error**2 / variance) <= JUMP**2)
+        likelihood = -0.5 * (jnp.log(variance) + error**2 / variance)
+        log_weights = state.log_weights + jnp.where(tells_load, likelihood, 0.0)
         hitches, _ = jax.vmap(self.dynamics.step, in_axes=(0, None, None))(state.hitches, commands, measured)
-        log_weights = state.log_weights + jnp.where(jnp.abs(measured) < MAX_MAGNITUDE, likelihood, 0.0)
         next_state = LoadBankState(hitches, log_weights - jnp.max(log_weights))
         return next_state, next_state.displacement
 
@@ -115,10 +117,11 @@ class LoadBank(eqx.Module):
         plant = at_load.init_state(displacement, jnp.zeros(()))
         return channel_state._replace(at_load=at_load, plant=plant)
 
-    def _log_likelihood(self, state: HitchState, measured: Float[Array, ""]) -> Float[Array, ""]:
-        """Return the log-likelihood of a measured displacement, from the filter of the active channel."""
+    def _prediction_error(
+        self, state: HitchState, measured: Float[Array, ""]
+    ) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        """Return variance and error of the displacement that the filter of the active channel expects."""
         channels, active = self.dynamics.channels, jnp.maximum(state.mode, 0)
         noise = jnp.stack([channel.load_filter.noise for channel in channels])[active]
-        variance = jnp.maximum(state.estimates.variance[active] + noise**2, TINY)
         expected = clip_at_end_stops(channels, state, state.benchmark) + state.estimates.error[active]
-        return -0.5 * (jnp.log(variance) + jnp.minimum((measured - expected) ** 2 / variance, JUMP**2))
+        return jnp.maximum(state.estimates.variance[active] + noise**2, TINY), measured - expected
