@@ -141,6 +141,12 @@ def report(rig: str) -> None:
         without = free_run_errors(unscheduled, plain, direction)
         gain = 1 - rms(with_load) / rms(without)
         show(
+            *(
+                f"  {each.held_out_rmse:.2f} mm held out: {each.name}"
+                for each in scheduled.channels[direction].candidates
+            )
+        )
+        show(
             f"{rig}, {direction}: {chosen.name}; {' '.join(chosen.spec.covariate_names)}",
             f"  free run, {len(with_load)} unseen tests: with covariates {rms(with_load):.3f} mm, without "
             f"{rms(without):.3f} mm: {100 * gain:.0f} % less",
