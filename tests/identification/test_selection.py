@@ -10,10 +10,11 @@ from hitchid._support.metrics import better_on_held_out_tests
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import SettingsError
 from hitchid.identification import AutoStructure, MultiStart, read_settings
-from hitchid.identification.candidates import operating_point_folds
+from hitchid.identification.candidates import Candidate, best_candidate, operating_point_folds
 from hitchid.identification.identify import DEFAULT_STRUCTURES
-from hitchid.identification.selection import choose_spec
-from hitchid.structures import Batch, ModelSpec, Scales, structure_named
+from hitchid.identification.nested_specs import covariate_specs
+from hitchid.identification.selection import choose_spec, covariate_candidates
+from hitchid.structures import Batch, CovariateEffects, ModelSpec, Scales, structure_named
 from truth import levels
 
 SAMPLES = 250
@@ -201,3 +202,33 @@ def test_covariates_are_kept_where_they_change_something_and_what_they_change_is
     # Noise of 0.02 mm; without the covariates a speed that differs by 20 % from test to test.
     assert found.rmse == pytest.approx(0.02, rel=0.1)
     assert tried[0].held_out_rmse > 1.0
+
+
+def test_a_covariate_taken_before_is_widened_once_another_is_known():
+    # The square of the pressure is hidden as long as the oil is not known: 1 % of the error then, half after.
+    def error(spec):
+        by_name = {effects.covariate: effects for effects in spec.covariates}
+        pressure, oil = by_name.get("pressure"), by_name.get("oil")
+        if pressure is None:
+            return 1.0
+        return 0.5 if oil is None else 0.1 if pressure.quadratic else 0.2
+
+    def candidate(name, spec):
+        errors = error(spec) * np.exp(0.01 * np.random.default_rng(0).standard_normal(12))
+        return Candidate(name, spec, np.zeros(1), 1.0, 0.0, errors, errors, np.arange(12) % 4)
+
+    def fit(base, specs):
+        return [candidate(name, spec) for name, spec in specs]
+
+    found = covariate_candidates([candidate("plain", PLAIN)], ["oil", "pressure"], fit)
+    best = found[best_candidate(found)].spec
+    assert {each.covariate: each.quadratic for each in best.covariates} == {"pressure": True, "oil": False}
+    assert len({each.spec for each in found}) == len(found)
+
+
+def test_a_covariate_with_all_effects_has_no_larger_form():
+    largest = ModelSpec(
+        structure_named("integrator-second-order"), covariates=(CovariateEffects("oil", True, True),)
+    )
+    assert covariate_specs(largest, "oil") == []
+    assert len(covariate_specs(largest, "pressure")) == 3

@@ -92,13 +92,15 @@ def nested_specs(largest: ModelSpec) -> list[tuple[str, ModelSpec]]:
 
 
 def covariate_specs(spec: ModelSpec, covariate: str) -> list[tuple[str, ModelSpec]]:
-    """Return names and specifications of a form with the effects of one more covariate, few to many."""
+    """Return names and specifications of a form with more effects of a covariate than it has, few to many."""
     steps = (
         (f"with {covariate} on speed and opening", CovariateEffects(covariate)),
         (f"with {covariate} on dynamics, too", CovariateEffects(covariate, dynamics=True)),
         (f"with {covariate} and its square", CovariateEffects(covariate, dynamics=True, quadratic=True)),
     )
-    return [(name, replace(spec, covariates=(*spec.covariates, effects))) for name, effects in steps]
+    others = tuple(effects for effects in spec.covariates if effects.covariate != covariate)
+    first = next((number for number, (_, effects) in enumerate(steps, 1) if effects in spec.covariates), 0)
+    return [(name, replace(spec, covariates=(*others, effects))) for name, effects in steps[first:]]
 
 
 def starts(spec: ModelSpec, previous: Sequence[Parameter]) -> Sequence[Mapping[str, float]]:

@@ -1,6 +1,6 @@
 """Choice of the form of one direction: free run on operating points held out in turn decides."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -85,7 +85,8 @@ def choose_spec(
     search and least squares.
 
     Covariates are tried one after the other on top of the best form, each with its effect on speed and
-    opening, on the dynamics, too, and with its square; the best of them stays, and the rest are tried again.
+    opening, on the dynamics, too, and with its square; the best of them stays, and the rest are tried again,
+    with larger effects of those taken before.
 
     Args:
         batch: identification tests.
@@ -115,7 +116,7 @@ def choose_spec(
         return assessed(baseline), ()
     largest = largest_spec(baseline_spec, opening_known=opening_known)
     candidates = choice.nested_candidates(baseline, largest, revised=revised)
-    candidates = choice.covariate_candidates(candidates, covariates)
+    candidates = covariate_candidates(candidates, covariates, choice.with_covariate)
     chosen = best_candidate(candidates)
     while following := choice.next_structure(candidates[chosen]):
         candidates += following
@@ -128,6 +129,34 @@ def choose_spec(
     candidates[chosen] = replace(candidates[chosen], chosen=True)
     fit = choice.final_fit(candidates[chosen], candidates[0].dead_zone) if chosen else baseline
     return assessed(fit), tuple(candidates)
+
+
+def covariate_candidates(
+    candidates: Sequence[Candidate],
+    covariates: Sequence[str],
+    fit: Callable[[Candidate, Sequence[tuple[str, ModelSpec]]], list[Candidate]],
+) -> list[Candidate]:
+    """Return the candidates with those that covariates are added to, until none is better.
+
+    The load of a test that nobody measured hides what other options add. The first covariate is therefore
+    added to the form with all options, and judged against the best. In the same way one covariate hides what
+    another changes: each time one has been added, larger effects of those before it are tried again.
+
+    Args:
+        candidates: without covariates; the last has all options.
+        covariates: names of the covariates.
+        fit: returns the candidates of named specifications, which extend that of a candidate.
+    """
+    everything, base = list(candidates), candidates[-1]
+    while True:
+        before, tried = len(everything), {candidate.spec for candidate in everything}
+        for name in covariates:
+            specs = [each for each in covariate_specs(base.spec, name) if each[1] not in tried]
+            everything += fit(base, specs) if specs else []
+        chosen = best_candidate(everything)
+        if chosen < before:
+            return everything
+        base = everything[chosen]
 
 
 @dataclass(frozen=True)
@@ -215,30 +244,8 @@ class _Choice:
             self._report("candidates", candidates[-1], (number + 1) / len(specs))
         return candidates
 
-    def covariate_candidates(
-        self, candidates: Sequence[Candidate], covariates: Sequence[str]
-    ) -> list[Candidate]:
-        """Return the candidates with those that covariates are added to, until none is better.
-
-        The load of a test that nobody measured hides what other options add. The first covariate is
-        therefore added to the form with all options, and judged against the best.
-        """
-        everything, remaining = list(candidates), list(covariates)
-        base = candidates[-1]
-        while remaining:
-            before = len(everything)
-            for name in remaining:
-                everything += self._with_covariate(base, name)
-            chosen = best_candidate(everything)
-            if chosen < before:
-                break
-            base = everything[chosen]
-            remaining = [name for name in remaining if name not in base.spec.covariate_names]
-        return everything
-
-    def _with_covariate(self, base: Candidate, covariate: str) -> list[Candidate]:
-        """Return a candidate with the effects of one more covariate, few to many."""
-        specs = covariate_specs(base.spec, covariate)
+    def with_covariate(self, base: Candidate, specs: Sequence[tuple[str, ModelSpec]]) -> list[Candidate]:
+        """Return candidates with more effects of one covariate than a form has, few to many."""
         objective = Objective.of(self.coarse.with_dead_zone(base.dead_zone), specs[-1][1])
         names = [parameter.name for parameter in objective.spec.parameters]
         positions = _positions_of(objective, names, base.named_values)
@@ -251,7 +258,7 @@ class _Choice:
             except FitError:
                 continue
             positions = evaluation.positions
-            others = "".join(f"{known}, " for known in base.spec.covariate_names)
+            others = "".join(f"{known}, " for known in spec.covariate_names[:-1])
             found.append(evaluation.candidate(f"{others}{name}", spec, objective, free))
             self._report("candidates", found[-1], 1.0)
         return found

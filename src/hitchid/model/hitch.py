@@ -26,14 +26,14 @@ from hitchid.model.dynamics import MAX_MAGNITUDE, HitchDynamics
 from hitchid.model.free_run import last_measured, multi_step_predictions
 from hitchid.model.handover import Handover
 from hitchid.model.limits import TravelLimits
-from hitchid.model.loads import Load, load_row
+from hitchid.model.loads import Load, covariates_of, load_to_estimate
 from hitchid.model.packing import Packed
 from hitchid.model.parameters import ParameterTable, parameter_table
 from hitchid.model.provenance import Provenance, TwoModes
 from hitchid.model.set_by_hand import with_parameters
 from hitchid.model.simulation import SimulatedModel, Simulation, simulate
 from hitchid.model.state import HitchState
-from hitchid.model.step import StepFunctions, join_inputs
+from hitchid.model.step import LOAD_BANK_NDIM, STATE_REQUIRED, StepFunctions, join_inputs
 from hitchid.model.uncertainty import Uncertainty
 
 
@@ -118,25 +118,30 @@ class Hitch(Value, Summarised, Handover):
         return thresholds.in_log_units(dead_zones, self.units, units)
 
     @double_precision
-    def init_state(self, displacement: float, load: Load | None = None) -> Packed:
+    def init_state(
+        self, displacement: float, load: Load | Mapping[str, Numbers | None] | None = None
+    ) -> Packed:
         """Return the state of a hitch at rest with closed valves.
 
         Args:
             displacement: initial displacement, in the model's unit.
             load: covariate before motion, in the model's unit, or several by name; by default the mean of the
-                identification tests.
+                identification tests. None, by name, for one that is not measured: `step` then estimates it
+                from the measured displacements.
 
         Raises:
-            InputError: a value is not finite, or beyond 1e9, or there is no such covariate.
+            InputError: a value is beyond 1e9, the displacement is not finite, or there is no such covariate.
         """
         initial = checks.number(displacement, "displacement")
-        row = load_row(load, tuple(self.channels.values()), "model")
+        row = load_to_estimate(load, tuple(self.channels.values()), "model")
         if row.ndim > 1:
             raise checks.input_error("load", "one load", load)
-        for name, value in (("displacement", initial), *(("load", value) for value in row)):
+        measured = row[~np.isnan(row)]
+        for name, value in (("displacement", initial), *(("load", value) for value in measured)):
             if not abs(value) < MAX_MAGNITUDE:
                 raise InputError(f"{name}: expected a number within ±{MAX_MAGNITUDE:g}, got {value}")
-        return self._step_functions.init_state(initial, row)
+        functions = self._step_functions if measured.size == row.size else self._load_bank_functions
+        return functions.init_state(initial, row)
 
     def step(
         self, state: Packed, commands: ArrayLike | Sequence[ArrayLike], measured: ArrayLike | None = None
@@ -159,21 +164,22 @@ class Hitch(Value, Summarised, Handover):
         Raises:
             InputError: the state is not of this model, or commands or measurement have another shape.
         """
-        functions = self._step_functions
         with jax.enable_x64(True):
-            functions.check(state)
+            functions = self._functions_of(state)
             inputs = join_inputs(commands, np.nan if measured is None else measured, tuple(self.channels))
             return functions.step(state, inputs)
 
     def unpack_state(self, state: Packed) -> HitchState:
         """Return a packed state as a record: displacement, channel in charge, missing inputs.
 
+        Where a covariate is not measured it is the state at its most probable value, with the expected
+        displacement.
+
         Raises:
             InputError: the state is not of this model.
         """
         with jax.enable_x64(True):
-            self._step_functions.check(state)
-            return self._step_functions.unpack(state)
+            return self._functions_of(state).unpack(state)
 
     @double_precision
     def simulate(
@@ -339,7 +345,20 @@ class Hitch(Value, Summarised, Handover):
 
     @cached_property
     def _step_functions(self) -> StepFunctions:
-        return StepFunctions(self.dynamics)
+        return StepFunctions.of(self.dynamics)
+
+    @cached_property
+    def _load_bank_functions(self) -> StepFunctions:
+        return StepFunctions.at_unknown_load(self.dynamics)
+
+    def _functions_of(self, state: Packed) -> StepFunctions:
+        """Return the functions that a state is of; raises InputError where it is not of this model."""
+        checks.instance(state, Packed, "state", STATE_REQUIRED)
+        at_many_loads = np.ndim(state.hidden) == LOAD_BANK_NDIM and covariates_of(self.channels.values())
+        functions = self._load_bank_functions if at_many_loads else self._step_functions
+        if not functions.accepts(state):
+            raise checks.input_error("state", STATE_REQUIRED, tuple(map(np.shape, state)))
+        return functions
 
     def _to_record_units(self, displacement: np.ndarray, model_record: Record, record: Record) -> np.ndarray:
         return conversion.to_record_units(displacement, self.units, model_record, record)

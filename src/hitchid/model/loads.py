@@ -77,6 +77,22 @@ def load_row(load: Load | None, channels: Sequence["Channel"], owner: str) -> Fl
     return stacked([given[name] for name in names])
 
 
+def load_to_estimate(
+    load: "Load | Mapping[str, Numbers | None] | None", channels: Sequence["Channel"], owner: str
+) -> Float[np.ndarray, "*m l"]:
+    """Return `load_row`, with NaN for each covariate that is given as None: it is not measured.
+
+    Raises:
+        InputError: as `load_row`.
+    """
+    if not isinstance(load, Mapping):
+        return load_row(load, channels, owner)
+    row = load_row({name: 0.0 if value is None else value for name, value in load.items()}, channels, owner)
+    names = covariates_of(channels)
+    not_measured = np.array([name in load and load[name] is None for name in names])
+    return np.where(not_measured, np.nan, row) if names else row
+
+
 def stacked(columns: Sequence[ArrayLike]) -> Float[np.ndarray, "*m l"]:
     """Return the values of covariates as rows; one zero for none.
 

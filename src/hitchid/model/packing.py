@@ -35,7 +35,7 @@ class Packing:
     """
 
     def __init__(self, like: HitchState) -> None:
-        self._unravel = _unravel(like._replace(hidden=None))
+        self._unravel = unravel(like._replace(hidden=None))
 
     def pack(self, state: HitchState) -> Packed:
         """Return a state in packed form."""
@@ -52,7 +52,7 @@ class Packing:
         as two functions: XLA runs a single one, with small arrays and the weights of a network, on several
         threads whose synchronisation takes several times as long as the computation.
         """
-        unravel_input = _unravel(
+        unravel_input = unravel(
             jax.eval_shape(
                 lambda: dynamics.advance_physics(dynamics.standing_state(), jnp.zeros(2), jnp.zeros(()))[1]
             )
@@ -77,6 +77,6 @@ class Packing:
         return step
 
 
-def _unravel(like: PyTree) -> Callable[[Float[Array, " n"]], Any]:
+def unravel(like: PyTree) -> Callable[[Float[Array, " n"]], Any]:
     """Return the function from concatenated numbers back to arrays of one structure."""
     return ravel_pytree(jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), like))[1]

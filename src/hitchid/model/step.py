@@ -1,11 +1,12 @@
 """Compiled step function of a hitch, with its state packed into two arrays."""
 
-from collections.abc import Sequence
-from functools import cached_property
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.flatten_util import ravel_pytree
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
@@ -14,41 +15,75 @@ from hitchid.data.record import DIRECTIONS
 from hitchid.errors import InputError
 from hitchid.model.dynamics import HitchDynamics
 from hitchid.model.loads import mean_load
-from hitchid.model.packing import Packed, Packing
+from hitchid.model.packing import Packed, Packing, unravel
+from hitchid.model.state import HitchState
+from hitchid.model.unknown_load import LoadBank, LoadBankState
+
+LOAD_BANK_NDIM = 4  # axes of `Packed.hidden` where a hitch is simulated at many loads
+STATE_REQUIRED = "a state of this model, from `init_state` or `step`"
 
 
-class StepFunctions:
-    """Compiled functions of one hitch: `init_state`, `step` and `unpack`, each compiled at its first call.
+class StepFunctions(NamedTuple):
+    """Compiled functions of one hitch, each compiled at its first call.
 
-    Args:
-        dynamics: dynamics of the hitch.
+    Attributes:
+        init_state: displacement and load to state.
+        step: state and inputs to state and displacement.
+        unpack: state to its record.
+        shapes: of the arrays of a state.
     """
 
-    def __init__(self, dynamics: HitchDynamics) -> None:
-        self._dynamics = dynamics
+    init_state: Callable[[float, ArrayLike], Packed]
+    step: Callable[[Packed, ArrayLike], tuple[Packed, Array]]
+    unpack: Callable[[Packed], HitchState]
+    shapes: tuple[tuple[int, ...], ...]
+
+    @classmethod
+    def of(cls, dynamics: HitchDynamics) -> "StepFunctions":
+        """Return the functions of a hitch at a given load."""
         packing = Packing(jax.eval_shape(dynamics.standing_state))
-        self.init_state = jax.jit(
-            lambda displacement, load: packing.pack(dynamics.init_state(displacement, load))
+        init_state = jax.jit(lambda displacement, load: packing.pack(dynamics.init_state(displacement, load)))
+        shapes = _shapes(init_state, dynamics)
+        return cls(init_state, packing.step(dynamics), jax.jit(packing.unpack), shapes)
+
+    @classmethod
+    def at_unknown_load(cls, dynamics: HitchDynamics) -> "StepFunctions":
+        """Return the functions of a hitch of whose load a part is not measured."""
+        bank = LoadBank(dynamics)
+        load = jnp.asarray(mean_load(dynamics.channels))
+        unravel_state = unravel(_without_hidden(jax.eval_shape(bank.init_state, jnp.zeros(()), load)))
+
+        def pack(state: LoadBankState) -> Packed:
+            return Packed(ravel_pytree(_without_hidden(state))[0], state.hitches.hidden)
+
+        def unpack(packed: Packed) -> LoadBankState:
+            state = unravel_state(packed.numbers)
+            return state._replace(hitches=state.hitches._replace(hidden=packed.hidden))
+
+        def step(packed: Packed, inputs: Array) -> tuple[Packed, Array]:
+            state, displacement = bank.step(unpack(packed), inputs[:2], inputs[2])
+            return pack(state), displacement
+
+        init_state = jax.jit(lambda displacement, load: pack(bank.init_state(displacement, load)))
+        return cls(
+            init_state,
+            jax.jit(step),
+            jax.jit(lambda packed: unpack(packed).most_probable),
+            _shapes(init_state, dynamics),
         )
-        self.unpack = jax.jit(packing.unpack)
-        self.step = packing.step(dynamics)
 
-    def check(self, state: Packed) -> None:
-        """Check that a state is of this model; only shapes are compared, so that it may be traced.
+    def accepts(self, state: Packed) -> bool:
+        """Return whether a state is of these functions; only shapes are compared: it may be traced."""
+        return tuple(map(np.shape, state)) == self.shapes
 
-        Raises:
-            InputError: the state is not of this model.
-        """
-        required = "a state of this model, from `init_state` or `step`"
-        checks.instance(state, Packed, "state", required)
-        if tuple(map(np.shape, state)) != self._shapes:
-            raise checks.input_error("state", required, tuple(map(np.shape, state)))
 
-    @cached_property
-    def _shapes(self) -> tuple[tuple[int, ...], ...]:
-        return tuple(
-            array.shape for array in jax.eval_shape(self.init_state, 0.0, mean_load(self._dynamics.channels))
-        )
+def _shapes(init_state: Callable, dynamics: HitchDynamics) -> tuple[tuple[int, ...], ...]:
+    like = jax.eval_shape(init_state, 0.0, mean_load(dynamics.channels))
+    return tuple(array.shape for array in like)
+
+
+def _without_hidden(state: LoadBankState) -> LoadBankState:
+    return state._replace(hitches=state.hitches._replace(hidden=None))
 
 
 def join_inputs(
