@@ -76,10 +76,6 @@ def contents(project: Path) -> dict[str, object]:
     }
 
 
-def _count_logs(folder: Path) -> int:
-    return sum(child.name.endswith(LOG_FORMATS) for child in folder.iterdir())
-
-
 def _entries(project: Path, folder: str) -> list[dict[str, str]]:
     place = project / folder
     if not place.is_dir():
