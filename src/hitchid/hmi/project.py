@@ -80,7 +80,12 @@ def _entries(project: Path, folder: str) -> list[dict[str, str]]:
     place = project / folder
     if not place.is_dir():
         return []
-    children = [child for child in place.iterdir() if NAME.fullmatch(child.name)]
+    root = os.path.realpath(project)
+    children = [
+        child
+        for child in place.iterdir()
+        if NAME.fullmatch(child.name) and Path(os.path.realpath(child)).is_relative_to(root)
+    ]
     children.sort(key=lambda child: child.lstat().st_mtime, reverse=True)
     return [
         {
