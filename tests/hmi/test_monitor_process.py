@@ -111,7 +111,7 @@ def test_a_model_of_one_direction_has_the_other_at_rest():
 
 
 def test_a_band_lies_around_the_free_run_and_scales_with_the_unit():
-    model = handmade.with_bands(MODEL, "lifting")
+    model = handmade.with_bands(MODEL, "lifting", "lowering")
     in_mm, in_cm = MonitorLoop(model, A_MM, STEP_S), MonitorLoop(model, ("A", "cm"), STEP_S)
     rows = samples(8)
     found = predicted(in_mm, rows)

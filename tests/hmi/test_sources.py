@@ -1,5 +1,6 @@
 """Sources: what arrives is a sample, whatever else is said is left out, and commands go where they belong."""
 
+import contextlib
 import json
 import os
 import socket
@@ -12,6 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hitchid.errors import InputError
+from hitchid.hmi.bench_loop import BenchLoop
+from hitchid.hmi.safety import State
 from hitchid.hmi.source import Source
 from hitchid.hmi.sources import make_source
 from hitchid.hmi.sources.json_lines import MOST_BYTES, FileTransport, JsonLines, UdpTransport
@@ -161,10 +164,8 @@ def test_a_serial_device_is_read_and_written_without_waiting():
         source.close()
     finally:
         for descriptor in (device, end):
-            try:
+            with contextlib.suppress(OSError):
                 os.close(descriptor)
-            except OSError:
-                pass
 
 
 def test_a_device_that_is_none_is_refused():
@@ -276,9 +277,7 @@ def test_a_log_that_is_none_is_refused(tmp_path):
 
 
 def test_a_replay_through_the_bench_loop_moves_nothing_and_ends(tmp_path):
-    from hitchid.hmi.bench_loop import BenchLoop
-    from hitchid.hmi.safety import State
-
+    (tmp_path / "campaigns").mkdir()
     folder = write_bench(tmp_path / "campaigns" / "a", tests=2, samples=60)
     log = next(folder.glob("*.csv"))
     loop = BenchLoop(tmp_path)

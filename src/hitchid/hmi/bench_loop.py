@@ -236,7 +236,7 @@ class BenchLoop:
 
     def _connect(self, request: Request, _: float) -> None:
         connected = self._safety.connect()
-        name, options = request.get("source"), request.get("options") or {}
+        name, options = request.get("source"), request.get("options", {})
         text = self._source_text(str(name), checks.instance(options, dict, "options", "a table"))
         source = make_source(text)
         names = tuple(signal.name for signal in source.signals)

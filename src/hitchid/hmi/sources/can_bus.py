@@ -72,7 +72,10 @@ class CanBus:
             self._columns.setdefault(message.frame_id, []).append((column, signal.name))
         self.label = f"CAN {self._settings.interface} {self._settings.channel}"
         self.step_s = self._settings.step_s
-        self.can_move = self._settings.output is not None
+        output = self._settings.output
+        self.can_move = output is not None
+        for name in (output.lifting_command, output.lowering_command) if output else ():
+            self._located(path, f"{output.message}/{name}")
 
     def open(self) -> None:
         """Open the bus.
