@@ -1,9 +1,9 @@
 """Bench loops on a plant in plain Python."""
 
-import fake_bench
 import pytest
-from fake_bench import LIMITS_FILE, Bench, Plant
 
+import fake_bench
+from fake_bench import LIMITS_FILE, Bench, Plant
 from hitchid.hmi.bench_loop import BenchLoop
 
 

@@ -8,13 +8,13 @@ import re
 import time
 from pathlib import Path
 
-import fake_bench
 import numpy as np
 import pytest
-from fake_bench import STEP_S, Machine, Plant
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import fake_bench
+from fake_bench import STEP_S, Machine, Plant
 from hitchid.errors import InputError
 from hitchid.hmi import bench_loop, recorder
 from hitchid.hmi.bench_loop import BenchLoop

@@ -1,10 +1,10 @@
 """The model beside the machine: in the units of the source, and never a free run over samples it lacks."""
 
-import handmade
 import numpy as np
 import pytest
-from handmade import DEAD_ZONES, GAINS, STEP_S
 
+import handmade
+from handmade import DEAD_ZONES, GAINS, STEP_S
 from hitchid.errors import InputError
 from hitchid.hmi.monitor_process import AHEAD, FREE_RUN, HORIZON_S, MonitorLoop
 

@@ -42,7 +42,10 @@ JSON = st.recursive(
         ({"kind": "file", "name": "a", "file": "uploads/a.csv", "unattended": True}, "unattended"),
         ({"kind": "file", "name": "a", "file": "uploads/a.csv", "campaign": "../b"}, "campaign"),
         ({"kind": "drive", "name": "a"}, "controller"),
-        ({"kind": "drive", "name": "a", "controller": "controllers/a.toml", "unattended": True}, "unattended"),
+        (
+            {"kind": "drive", "name": "a", "controller": "controllers/a.toml", "unattended": True},
+            "unattended",
+        ),
     ],
 )
 def test_a_wrong_plan_is_refused_with_the_name_of_its_key(content, key):

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from fake_bench import DEAD_ZONES, GAINS, LIMITS, STEP_S, STROKE, Plant
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fake_bench import DEAD_ZONES, GAINS, LIMITS, STEP_S, STROKE, Plant
 from hitchid.data.record import DIRECTIONS
 from hitchid.errors import InputError
 from hitchid.hmi import campaign as campaigns

@@ -9,10 +9,10 @@ import time
 
 import numpy as np
 import pytest
-from fake_bench import STEP_S, Plant
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fake_bench import STEP_S, Plant
 from hitchid.errors import OutputError
 from hitchid.hmi.recorder import DIGITS, FLUSH_S, Recorder
 from hitchid.hmi.source import Reading

@@ -13,7 +13,9 @@ SILENCE_S = 0.5
 times = st.floats(0.0, 100.0)
 EVENTS = st.one_of(
     st.sampled_from(["connect", "finish"]).map(lambda name: (name, {})),
-    st.tuples(st.sampled_from(["stop", "disconnect"]), st.fixed_dictionaries({"reason": st.text(max_size=5)})),
+    st.tuples(
+        st.sampled_from(["stop", "disconnect"]), st.fixed_dictionaries({"reason": st.text(max_size=5)})
+    ),
     st.tuples(st.just("arm"), st.fixed_dictionaries({"is_attended": st.booleans(), "now_s": times})),
     st.tuples(st.just("start"), st.fixed_dictionaries({"now_s": times})),
     st.tuples(st.just("reset"), st.fixed_dictionaries({"is_connected": st.booleans()})),

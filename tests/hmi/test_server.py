@@ -14,17 +14,18 @@ import time
 from pathlib import Path
 
 import pytest
+
 from fake_bench import LIMITS_FILE
 
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
 pytest.importorskip("websockets")
 
-from websockets.exceptions import ConnectionClosed, InvalidStatus  # noqa: E402
-from websockets.sync.client import connect  # noqa: E402
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
 
 TESTS = Path(__file__).parents[1]
-LONGEST_S = 60.0  # for a start on a machine that does much else
+LONGEST_S = 60.0  # s, for a start on a machine that does much else
 PLAN = {
     "kind": "campaign",
     "name": "monday",
@@ -57,7 +58,10 @@ class Session:
         command += ["--source", "fake_bench:Plant", "--limits", str(root.parent / "limits.toml")]
         paths = [str(TESTS), str(TESTS.parent / "src")]
         self.process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
+            command,
+            stdout=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
         )
         self.link = self.process.stdout.readline().strip()
         self.token = self.link.partition("#token=")[2]
@@ -85,9 +89,8 @@ class Session:
         given = {"Cookie": self.cookie, **headers}
         origin = given.pop("Origin", self.origin)
         address = f"ws://127.0.0.1:{self.port}/ws"
-        return connect(
-            address, origin=origin, additional_headers=given, proxy=None, open_timeout=LONGEST_S, max_size=None
-        )
+        options = {"open_timeout": LONGEST_S, "close_timeout": 0.2, "proxy": None, "max_size": None}
+        return connect(address, origin=origin, additional_headers=given, **options)
 
     def children(self, module):
         """Return the processes of the server that run a module."""
@@ -288,7 +291,9 @@ def test_no_path_leads_out_of_the_project(session, path):
     assert b"root:" not in content
 
 
-@pytest.mark.parametrize("path", ["/../secret.txt", "/%2e%2e/server.py", "/..%2fserver.py", "//etc/passwd", "/x"])
+@pytest.mark.parametrize(
+    "path", ["/../secret.txt", "/%2e%2e/server.py", "/..%2fserver.py", "//etc/passwd", "/x"]
+)
 def test_the_page_is_its_own_files_alone(session, path):
     assert session.ask("GET", path)[0] == 404
 
@@ -392,7 +397,10 @@ JUNK = [
 
 @pytest.mark.parametrize("junk", JUNK, ids=range(len(JUNK)))
 def test_junk_is_refused(session, junk):
-    with socket.create_connection(("127.0.0.1", session.port), timeout=5) as raw, contextlib.suppress(OSError):
+    with (
+        socket.create_connection(("127.0.0.1", session.port), timeout=5) as raw,
+        contextlib.suppress(OSError),
+    ):
         raw.sendall(junk.replace(b"{host}", b"127.0.0.1:%d" % session.port))
         raw.shutdown(socket.SHUT_WR)
         answer = raw.recv(1000)
@@ -414,7 +422,8 @@ def test_history_without_numbers_is_refused(session, query):
 
 
 @pytest.mark.parametrize(
-    "content", [{}, {"kind": "rm"}, {"kind": "inspect", "logs": "../.."}, {"kind": "inspect", "logs": "--help"}]
+    "content",
+    [{}, {"kind": "rm"}, {"kind": "inspect", "logs": "../.."}, {"kind": "inspect", "logs": "--help"}],
 )
 def test_a_job_that_is_none_is_refused(session, content):
     status, _, answer = session.ask("POST", "/api/jobs", json.dumps(content))
@@ -429,12 +438,11 @@ def test_a_job_that_does_not_run_cannot_be_stopped(session, number):
 
 def test_ten_thousand_junk_frames_are_refused_and_nothing_moves(session):
     before = session.memory()
-    with session.page() as page:
-        with pytest.raises(ConnectionClosed) as closed:
-            for number in range(10_000):
-                page.send([b"\0\xff", "nonsense", "[]", '{"type": 3}', '{"id": 1}', "[" * 30_000][number % 6])
-            while True:
-                page.recv(timeout=LONGEST_S)
+    with session.page() as page, pytest.raises(ConnectionClosed) as closed:
+        for number in range(10_000):
+            page.send([b"\0\xff", "nonsense", "[]", '{"type": 3}', '{"id": 1}', "[" * 30_000][number % 6])
+        while True:
+            page.recv(timeout=LONGEST_S)
     assert closed.value.rcvd is None or closed.value.rcvd.code == 1008
     assert session.memory() - before < 2 * 10**7
     with session.page() as page:
@@ -489,7 +497,17 @@ def test_a_viewer_can_stop_but_nothing_else(session):
         assert said(operator, lambda message: message["type"] == "hello")
         assert asked(operator, "connect", source="fake_bench:Plant") is None
         in_state(viewer, "idle")
-        for kind in ("connect", "disconnect", "arm", "start", "reset", "target", "record", "monitor", "marker"):
+        for kind in (
+            "connect",
+            "disconnect",
+            "arm",
+            "start",
+            "reset",
+            "target",
+            "record",
+            "monitor",
+            "marker",
+        ):
             assert asked(viewer, kind, plan=PLAN) == "this page only watches; become the operator first"
         assert "another page is the operator" in asked(viewer, "claim")
         assert asked(operator, "arm", plan=PLAN) is None

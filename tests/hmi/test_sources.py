@@ -8,10 +8,10 @@ import time
 
 import numpy as np
 import pytest
-from benches import write_bench
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benches import write_bench
 from hitchid.errors import InputError
 from hitchid.hmi.bench_loop import BenchLoop
 from hitchid.hmi.safety import State

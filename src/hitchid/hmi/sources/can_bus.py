@@ -74,8 +74,9 @@ class CanBus:
         self.step_s = self._settings.step_s
         output = self._settings.output
         self.can_move = output is not None
-        for name in (output.lifting_command, output.lowering_command) if output else ():
-            self._located(path, f"{output.message}/{name}")
+        if output is not None:
+            for name in (output.lifting_command, output.lowering_command):
+                self._located(path, f"{output.message}/{name}")
 
     def open(self) -> None:
         """Open the bus.
