@@ -22,6 +22,7 @@ test: setup lint
 
 gauntlet: setup
 	$(BIN)/python -m benchmarks.gauntlet
+	$(BIN)/python -m benchmarks.hmi
 
 gauntlet-full: setup
 	$(BIN)/python -m benchmarks.gauntlet --full
@@ -48,6 +49,7 @@ study: setup
 	$(BIN)/python benchmarks/resume.py
 	$(BIN)/python -m benchmarks.position_control --draws 200
 	$(BIN)/python -m benchmarks.export
+	$(BIN)/python -m benchmarks.hmi --minutes 60
 
 # For maintainers; needs uv in PATH.
 pins:

@@ -6,7 +6,7 @@ from hitchid._support import compilation_cache
 
 
 def test_of_too_many_programs_the_newer_half_stays(tmp_path, monkeypatch):
-    monkeypatch.setattr(cache, "MAX_PROGRAMS", 4)
+    monkeypatch.setattr(compilation_cache, "MAX_PROGRAMS", 4)
     for age in range(5):
         (tmp_path / f"{age}-cache").touch()
         os.utime(tmp_path / f"{age}-cache", (1000 - age, 1000 - age))

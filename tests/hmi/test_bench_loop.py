@@ -399,13 +399,30 @@ def test_a_name_that_is_taken_is_refused_when_armed(make_bench, write_test):
         bench.ask("arm", plan=write_test())
 
 
-def test_a_faster_bench_takes_more_samples_a_tick_and_none_twice(make_bench):
+def test_a_faster_bench_takes_more_samples_a_tick_of_a_run_and_none_twice(make_bench, write_test, tmp_path):
     bench = make_bench()
     bench.ask("disconnect")
-    bench.plant.sample = 0
     bench.ask("connect", source="fake_bench:made", options={"speed": 20})
+    assert len(bench.tick()) == 1
+    bench.run(**write_test())
     times = [reading.time_s for reading in bench.tick(10)]
-    np.testing.assert_allclose(times, STEP_S * np.arange(200), atol=1e-12)
+    np.testing.assert_allclose(times, STEP_S * (2 + np.arange(200)), atol=1e-12)
+    bench.ask("stop")
+    assert len(bench.tick()) == 1
+    time_s = rows_of(tmp_path / "campaigns" / "next" / "next.csv")[1][:, 0]
+    np.testing.assert_allclose(time_s, STEP_S * np.arange(200), atol=1e-9)
+
+
+@pytest.mark.parametrize("fault", ["is_lost", "is_silent"])
+def test_a_faster_bench_stops_at_the_sample_of_a_fault(make_bench, write_test, fault):
+    bench = make_bench()
+    bench.ask("disconnect")
+    bench.ask("connect", source="fake_bench:made", options={"speed": 20})
+    bench.run(**write_test())
+    setattr(bench.plant, fault, True)
+    bench.tick()
+    assert sum(sent != CLOSED for sent in bench.plant.sent) <= 0.05 / STEP_S
+    assert_closed(bench)
 
 
 @pytest.mark.parametrize("speed", [0, -1, 21, "fast", 1.5, None, True])

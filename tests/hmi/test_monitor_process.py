@@ -94,7 +94,9 @@ def test_it_waits_for_a_displacement(loop):
 
 
 def test_a_sampling_time_that_is_not_the_model_s_is_refused():
-    with pytest.raises(InputError, match="sampling time of 0.01 s, the source of 0.02 s; identify a model"):
+    with pytest.raises(
+        InputError, match=r"sampling time of 0\.01 s, the source of 0\.02 s; identify a model"
+    ):
         MonitorLoop(MODEL, A_MM, 2 * STEP_S)
 
 

@@ -44,7 +44,7 @@ def test_a_file_of_the_project_is_found(root):
         "uploads/a.csv\n",
         "uploads/%2e%2e/secret.csv",
         "uploads/..%2f..%2fsecret.csv",
-        "uploads/．．/secret.csv",
+        "uploads/\uff0e\uff0e/secret.csv",
         "hmi.log",
         "UPLOADS/a.csv",
         "uploads/none.csv",

@@ -1,4 +1,4 @@
-"""A log holds every sample once, and whole lines only, also after its writer was killed or the disk is full."""
+"""A log holds every sample once and whole lines only, also when its writer is killed or the disk is full."""
 
 import os
 import resource
@@ -95,7 +95,8 @@ def test_what_was_appended_can_be_read_after_two_tenths_of_a_second(tmp_path):
 
 def test_a_killed_writer_leaves_whole_lines_to_the_last_two_tenths_of_a_second(tmp_path):
     path = tmp_path / "log.csv"
-    with subprocess.Popen([sys.executable, "-c", WRITER, str(path)], stdout=subprocess.PIPE) as writer:
+    command = [sys.executable, "-c", WRITER, str(path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as writer:  # noqa: S603 - this Python
         told = [int(writer.stdout.readline()) for _ in range(150)]
         os.kill(writer.pid, signal.SIGKILL)
         told += list(map(int, writer.stdout.read().split(b"\n")[:-1]))
@@ -112,9 +113,9 @@ def test_a_full_disk_leaves_whole_lines(tmp_path):
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))  # a limit of 1 kB that splits a line
     try:
+        readings = [Reading(k * STEP_S, (0.0, 0.0, 100.0 + k)) for k in range(200)]
         with pytest.raises(OutputError, match=r"log\.csv: cannot be written: File too large"):
-            for k in range(200):
-                recorder.append([Reading(k * STEP_S, (0.0, 0.0, 100.0 + k))])
+            recorder.append(readings)
         recorder.close()
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))

@@ -57,7 +57,7 @@ class Session:
         command = [sys.executable, "-m", "hitchid", "hmi", str(root), "--quiet"]
         command += ["--source", "fake_bench:Plant", "--limits", str(root.parent / "limits.toml")]
         paths = [str(TESTS), str(TESTS.parent / "src")]
-        self.process = subprocess.Popen(
+        self.process = subprocess.Popen(  # noqa: S603 - this Python, the command under test
             command,
             stdout=subprocess.PIPE,
             text=True,
@@ -436,14 +436,24 @@ def test_a_job_that_does_not_run_cannot_be_stopped(session, number):
     assert session.ask("DELETE", f"/api/jobs/{number}")[0] in (400, 404, 405)
 
 
-def test_ten_thousand_junk_frames_are_refused_and_nothing_moves(session):
-    before = session.memory()
-    with session.page() as page, pytest.raises(ConnectionClosed) as closed:
-        for number in range(10_000):
-            page.send([b"\0\xff", "nonsense", "[]", '{"type": 3}', '{"id": 1}', "[" * 30_000][number % 6])
+def code_after(page, *messages):
+    """Return with which code a page is disconnected because of messages; None where there was none."""
+    try:
+        for message in messages:
+            page.send(message)
         while True:
             page.recv(timeout=LONGEST_S)
-    assert closed.value.rcvd is None or closed.value.rcvd.code == 1008
+    except ConnectionClosed as closed:
+        return closed.rcvd and closed.rcvd.code
+
+
+JUNK_FRAMES = [b"\0\xff", "nonsense", "[]", '{"type": 3}', '{"id": 1}', "[" * 30_000]
+
+
+def test_ten_thousand_junk_frames_are_refused_and_nothing_moves(session):
+    before = session.memory()
+    with session.page() as page:
+        assert code_after(page, *(JUNK_FRAMES[number % 6] for number in range(10_000))) in (1008, None)
     assert session.memory() - before < 2 * 10**7
     with session.page() as page:
         assert said(page, lambda message: message["type"] == "status")["state"] == "disconnected"
@@ -451,11 +461,7 @@ def test_ten_thousand_junk_frames_are_refused_and_nothing_moves(session):
 
 def test_a_message_that_is_too_large_ends_its_page_alone(session):
     with session.page() as other, session.page() as page:
-        with pytest.raises(ConnectionClosed) as closed:
-            page.send(json.dumps({"type": "marker", "text": "x" * 10**6}))
-            while True:
-                page.recv(timeout=LONGEST_S)
-        assert closed.value.rcvd is None or closed.value.rcvd.code == 1009
+        assert code_after(page, json.dumps({"type": "marker", "text": "x" * 10**6})) in (1009, None)
         assert asked(other, "nothing") == "'nothing' is no request"
 
 
@@ -529,6 +535,8 @@ def test_a_viewer_can_stop_but_nothing_else(session):
 def test_a_page_that_does_not_read_does_not_hold_up_the_others(session):
     with session.page() as operator, session.page(), session.page():
         assert asked(operator, "connect", source="fake_bench:Plant", options={"speed": 20}) is None
+        assert asked(operator, "arm", plan={**PLAN, "name": "fast"}) is None
+        assert asked(operator, "start") is None
         before, newest, end_s = session.memory(), 0.0, time.monotonic() + 3.0
         while time.monotonic() < end_s:
             message = operator.recv(timeout=LONGEST_S)
@@ -536,7 +544,8 @@ def test_a_page_that_does_not_read_does_not_hold_up_the_others(session):
                 newest = struct.unpack_from("<d", message, 24)[0]
         assert newest > 20.0  # of 60 s in which the bench has run; on a slow machine it runs slower
         assert session.memory() - before < 3 * 10**7
-        asked(operator, "disconnect")
+        for kind in ("stop", "reset", "disconnect"):
+            assert asked(operator, kind) is None
 
 
 def test_the_loop_stops_when_the_operator_s_page_falls_silent(session):

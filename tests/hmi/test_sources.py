@@ -170,7 +170,7 @@ def test_a_serial_device_is_read_and_written_without_waiting():
 
 def test_a_device_that_is_none_is_refused():
     source = make_source("serial:/dev/nothing-here")
-    with pytest.raises(InputError, match="/dev/nothing-here: cannot be opened: .*expected a device"):
+    with pytest.raises(InputError, match=r"/dev/nothing-here: cannot be opened: .*expected a device"):
         source.open()
 
 
@@ -283,8 +283,8 @@ def test_a_replay_through_the_bench_loop_moves_nothing_and_ends(tmp_path):
     loop = BenchLoop(tmp_path)
     options = {"log": f"campaigns/a/{log.name}"}
     loop.handle({"type": "connect", "source": "replay", "options": options}, 0.0)
+    loop.tick(0.0)
     with pytest.raises(InputError, match="takes no commands"):
-        loop.tick(0.0)
         loop.handle({"type": "arm", "plan": {"kind": "campaign", "name": "b"}}, 0.0)
     count = 1
     while loop.state is State.IDLE and count < 10_000:

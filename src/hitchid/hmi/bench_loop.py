@@ -103,10 +103,10 @@ class BenchLoop:
         self._requests[kind](request, now_s)
 
     def tick(self, now_s: float) -> list[Reading]:
-        """Check the signs of life, and exchange one sample with the source; several at a higher speed."""
+        """Check the signs of life, and exchange a sample with the source; in a fast run several."""
         self._settle(self._safety.check(now_s, self._longest_silence_s))
         readings: list[Reading] = []
-        for _ in range(self._speed):
+        for _ in range(self._speed if self.state is State.RUNNING else 1):
             readings += self._sample()
         return readings
 

@@ -92,26 +92,29 @@ class Console:
 
     def greet(self, client: Client) -> None:
         """Send a new page what it needs to know."""
-        rig = {
-            "name": "rig",
-            "label": "virtual bench",
-            "options": {"rig": list(parameter_sets()), "speed": list(SPEEDS)},
-        }
-        replay = {"name": "replay", "label": "replay of a log", "options": {"log": [], "speed": list(SPEEDS)}}
-        given = self.settings.source
-        extra = [{"name": given, "label": given, "options": {}}] if given else []
         client.put(
             {
                 "type": "hello",
                 "version": hitchid.__version__,
                 "you": client.name,
                 "allow_output": self.settings.allow_output,
-                "sources": [*extra, rig, replay],
+                "sources": self._sources(),
             }
         )
         client.put(self.status())
         for job in self.jobs.describe():
             client.put(job)
+
+    def _sources(self) -> list[dict[str, object]]:
+        """Return the sources that may be connected, and their options."""
+        speed, given = list(SPEEDS), self.settings.source
+        rigs = {"rig": list(parameter_sets()), "speed": speed}
+        replays = {"log": project.logs(self.settings.root), "speed": speed}
+        return [
+            *([{"name": given, "label": given, "options": {}}] if given else []),
+            {"name": "rig", "label": "virtual bench", "options": rigs},
+            {"name": "replay", "label": "replay of a log", "options": replays},
+        ]
 
     def status(self) -> dict[str, object]:
         """Return the state of the session as a message."""
@@ -303,6 +306,7 @@ class Console:
 
     def _project_changed(self) -> None:
         self.clients.publish({"type": "project_changed"})
+        self.clients.publish({"type": "sources", "sources": self._sources()})
 
 
 def error_of(error: HitchError) -> dict[str, str]:

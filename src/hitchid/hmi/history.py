@@ -1,6 +1,5 @@
 """The samples of the last hour, in memory that is reserved at once."""
 
-from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -63,7 +62,7 @@ def packed_rows(kind: int, rows: np.ndarray, wall_ms: float) -> bytes:
     return header + np.ascontiguousarray(rows, "<f8").tobytes()
 
 
-def block_of(message: Sequence[int] | bytes) -> tuple[float, np.ndarray]:
+def block_of(message: bytes) -> tuple[float, np.ndarray]:
     """Return wall clock, ms, and rows of a block of the bench loop."""
     numbers = np.frombuffer(message, dtype=float)
     return float(numbers[0]), numbers[2:].reshape(-1, int(numbers[1]))

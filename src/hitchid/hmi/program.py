@@ -31,7 +31,7 @@ class Step(NamedTuple):
     left_s: float = 0.0
 
 
-Program = Generator[Step, float, None]
+Program = Generator[Step, float, object]
 """Yields the step of a sample and is sent the displacement of the next one; NaN where there is none."""
 
 

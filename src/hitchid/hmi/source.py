@@ -33,8 +33,9 @@ class Signal:
     def column(self) -> str:
         """Column of a log: the default of its role where it has that unit, else name and unit."""
         default = getattr(DEFAULT_SIGNALS, self.name, None)
-        is_default = isinstance(default, Column) and default.unit == self.unit
-        return default.column if is_default else f"{self.name}_{self.unit}"
+        if isinstance(default, Column) and default.unit == self.unit:
+            return default.column
+        return f"{self.name}_{self.unit}"
 
 
 class Reading(NamedTuple):

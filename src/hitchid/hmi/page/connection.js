@@ -1,7 +1,7 @@
 /**
  * The one connection to the server: session, websocket, requests with replies, heartbeat.
  *
- * Events: `change` (state of the connection, `status` or `hello`), `frame`, `job`, `project_changed`, `problem`.
+ * Events: `change` (state of the connection, `status` or `hello`), `frame`, `job`, `project_changed`, `sources`, `problem`.
  * After a loss it connects again by itself; it never arms or starts by itself.
  */
 import { get, post } from "./http.js";
@@ -11,6 +11,7 @@ const HEARTBEAT_MS = 150; // the bench stops when it hears nothing for 500 ms
 const FIRST_WAIT_MS = 250;
 const LONGEST_WAIT_MS = 4000;
 const LOST = "The connection to hitchid is lost. The bench stops by itself within half a second when it was armed or running. Connecting again …";
+const SILENT = "hitchid does not answer. Check that the command hitchid hmi is still running. Connecting again …";
 const BACK = "The connection to hitchid was lost and is back. Nothing was armed or started again by itself.";
 const OFFLINE = "Not sent: there is no connection to hitchid. Use the machine's own emergency stop if it moves.";
 
@@ -104,6 +105,7 @@ export class Connection extends EventTarget {
   }
 
   #later() {
+    if (this.hello == null) this.problem(SILENT, "connection");
     setTimeout(() => this.#connect(), this.#wait);
     this.#wait = Math.min(2 * this.#wait, LONGEST_WAIT_MS);
   }
@@ -124,6 +126,9 @@ export class Connection extends EventTarget {
       this.#replies.delete(message.id);
     } else if (message.type === "hello") {
       this.#greeted(message);
+    } else if (message.type === "sources") {
+      this.hello.sources = message.sources;
+      this.#emit("sources");
     } else if (message.type === "status") {
       this.status = message;
       this.#emit("change");
@@ -138,7 +143,7 @@ export class Connection extends EventTarget {
     this.hello = hello;
     this.online = true;
     this.#wait = FIRST_WAIT_MS;
-    if (again) this.problem(BACK, "connection");
+    this.problem(again ? BACK : "", "connection");
     this.#emit("change");
     this.#emit("greeted", hello);
     this.#emit("project_changed");

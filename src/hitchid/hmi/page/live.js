@@ -3,7 +3,7 @@ import { byId, element, write } from "./dom.js";
 import { MEASURED, readFrame } from "./frames.js";
 import { request } from "./http.js";
 import { LiveData } from "./live_data.js";
-import { AHEAD_S, LivePlots, showSpan } from "./live_plots.js";
+import { LivePlots, showSpan } from "./live_plots.js";
 import { number, unitText } from "./words.js";
 import { View } from "./view.js";
 
@@ -15,7 +15,8 @@ const HISTORY_WAIT_MS = 200;
 export function bindLive(connection) {
   const view = new View();
   const plots = new LivePlots(view, () => connection.status, () => showValues(plots));
-  let shown = "";
+  let shown = null;
+  connection.addEventListener("greeted", () => (shown = null)); // what was missed is read again
   connection.addEventListener("change", () => {
     const { source } = connection.status ?? {};
     const key = source ? JSON.stringify([source.name, source.signals, source.step_s]) : "";
@@ -25,6 +26,7 @@ export function bindLive(connection) {
       listValues(source);
       view.follow();
     }
+    write(byId("mode"), connection.status?.mode ? `Mode: ${connection.status.mode}` : "");
     byId("live-empty").hidden = Boolean(source);
     byId("live").dataset.empty = String(!source);
   });
@@ -41,7 +43,7 @@ function receive(plots, connection, frame) {
   if (!data) return;
   if (frame.kind === MEASURED && data.measured.length === 0 && frame.values[0] > 1) fillUp(data, frame.values[0]);
   data.add(frame, connection.status?.target_mm ?? NaN);
-  if (!plots.view.fixed) plots.ask();
+  if (frame.kind === MEASURED && !plots.view.fixed) plots.ask(); // predictions are drawn with the next measurement
 }
 
 /** A page that was opened later asks for what it missed. @param {LiveData} data @param {number} to s */
@@ -95,13 +97,13 @@ function showValues(plots) {
     return;
   }
   const ring = (plots.view.fixed && plots.past ? plots.past : data).measured;
-  const row = cursor == null ? ring.length - 1 : Math.min(ring.rowAt(cursor - data.step / 2), ring.length - 1);
-  if (row < 0) return;
-  const at = ring.place(row) * ring.columns;
+  const row = cursor == null ? ring.length - 1 : ring.rowAt(cursor - data.step / 2);
+  const at = row >= 0 && row < ring.length ? ring.place(row) * ring.columns : NaN; // beyond the samples there is no value
   byId("values").querySelectorAll("dd > span").forEach((node, index) => {
     write(node, number(ring.values[at + index + 1], data.signals[index].unit));
   });
-  write(byId("values-at"), cursor == null ? `newest, at ${ring.values[at].toFixed(1)} s` : `at the cursor, ${ring.values[at].toFixed(2)} s`);
+  const time = cursor ?? ring.last;
+  write(byId("values-at"), Number.isNaN(time) ? "" : cursor == null ? `newest, at ${time.toFixed(1)} s` : `at the cursor, ${time.toFixed(2)} s`);
 }
 
 /** @param {LivePlots} plots @param {View} view */
@@ -147,6 +149,6 @@ const around = (plots) => plots.cursor ?? undefined;
 function moveCursor(plots, way) {
   const { from, to } = plots.span();
   const step = Math.max(plots.data?.step ?? 0, (to - from) / 200);
-  const start = plots.cursor ?? to - (plots.view.fixed ? 0 : AHEAD_S);
+  const start = plots.cursor ?? Math.min(to, plots.data?.measured.last ?? to);
   plots.setCursor(Math.min(to, Math.max(from, start + way * step)));
 }

@@ -12,8 +12,15 @@ const GROUPS = [
   { group: "pressure", title: "Pressures" },
   { group: "other", title: "Other signals" },
 ];
+/** Drawn in this order, beneath the measurement. */
+const PREDICTIONS = [
+  { label: "", stroke: "band", width: 0, of: "freeRun", column: 3 },
+  { label: "", stroke: "band", width: 0, of: "freeRun", column: 2 },
+  { label: "free run", stroke: "teal", of: "freeRun", column: 1 },
+  { label: "one second ahead", stroke: "accent", of: "ahead", column: 1 },
+];
 const LATENCIES = 500;
-export const AHEAD_S = 1; // the prediction one second ahead reaches beyond the newest sample
+const AHEAD_S = 1; // the prediction one second ahead reaches beyond the newest sample
 
 export class LivePlots {
   stats = { frames: 0, latency_ms: /** @type {number[]} */ ([]) };
@@ -43,9 +50,10 @@ export class LivePlots {
     this.past = null;
     this.data = source && new LiveData(source);
     if (!source) return;
-    for (const { group, title } of GROUPS) {
-      const signals = source.signals.map((signal, index) => ({ ...signal, column: index + 1 })).filter((signal) => signal.group === group);
-      if (signals.length) this.#add(group, title, signals);
+    const signals = source.signals.map((signal, index) => ({ ...signal, column: index + 1 }));
+    const groups = GROUPS.filter(({ group }) => signals.some((signal) => signal.group === group));
+    for (const { group, title } of groups) {
+      this.#add(group, title, signals.filter((signal) => signal.group === group), group === groups.at(-1).group);
     }
     this.#resize();
     this.ask();
@@ -80,20 +88,15 @@ export class LivePlots {
     this.moved(time);
   }
 
-  /** @param {string} group @param {string} title @param {any[]} signals */
-  #add(group, title, signals) {
-    const lines = signals.map(({ label }, index) => ({ label: signals.length > 1 ? label : "measured", stroke: SERIES[index % SERIES.length] }));
-    const traces = signals.map(({ column }) => ({ of: "measured", column }));
-    const isDisplacement = group === "displacement";
-    if (isDisplacement) {
-      lines.push({ label: "free run", stroke: "teal" }, { label: "", stroke: "band", width: 0 }, { label: "", stroke: "band", width: 0 },
-        { label: "one second ahead", stroke: "accent" }, { label: "target", stroke: "rose", dash: [6, 4] });
-      traces.push({ of: "freeRun", column: 1 }, { of: "freeRun", column: 3 }, { of: "freeRun", column: 2 },
-        { of: "ahead", column: 1 }, { of: "measured", column: this.data.targetColumn });
-    }
-    const upper = signals.length + 2;
+  /** @param {string} group @param {string} title @param {any[]} signals @param {boolean} lowest: it has the time axis of all */
+  #add(group, title, signals, lowest) {
+    const main = group === "displacement";
+    const measured = signals.map(({ label, column }, index) => ({
+      label: signals.length > 1 ? label : "measured", stroke: SERIES[index % SERIES.length], of: "measured", column,
+    })).reverse();
+    const traces = main ? [...PREDICTIONS, { label: "target", stroke: "rose", dash: [6, 4], of: "measured", column: this.data.targetColumn }, ...measured] : measured;
     const content = {
-      title, unit: signals[0].unit, lines, band: isDisplacement ? [upper, upper + 1] : undefined,
+      title, unit: signals[0].unit, lines: traces.map(({ of, column, ...line }) => line), band: main ? [1, 2] : undefined, main, lowest,
       zoomed: (from, to) => this.view.show({ from, to }),
       reset: () => this.view.follow(),
       moved: (time) => this.#moved(time),
@@ -134,6 +137,8 @@ export class LivePlots {
 
   #drawn() {
     this.stats.frames += 1;
+    const { plot } = this.#plots[0];
+    if (this.cursor != null) this.cursor = plot.posToVal(plot.cursor.left, "x"); // it stays in its place while the axis moves
     const { wallMs } = this.data;
     if (wallMs === this.#drawnWallMs || Number.isNaN(wallMs)) return;
     this.#drawnWallMs = wallMs;

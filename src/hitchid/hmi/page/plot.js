@@ -19,7 +19,7 @@ export function calmRange(low, high, before, least) {
   const from = middle - height * (0.5 + PAD);
   const to = middle + height * (0.5 + PAD);
   if (before && low >= before[0] && high <= before[1] && to - from > SHRINK * (before[1] - before[0])) return before;
-  const step = 10 ** Math.floor(Math.log10(to - from)) / 2;
+  const step = 10 ** Math.floor(Math.log10(to - from)) / 5;
   return [Math.floor(from / step) * step, Math.ceil(to / step) * step];
 }
 
@@ -28,7 +28,7 @@ const LEAST = { mm: 4, A: 0.2, "mm/s": 4, bar: 4, percent: 5, deg: 2 };
 
 /**
  * @typedef {{label: string, stroke: string, width?: number, dash?: number[]}} Line
- * @typedef {{title: string, unit: string, lines: Line[], band?: [number, number], bandColour?: string,
+ * @typedef {{title: string, unit: string, lines: Line[], band?: [number, number], main: boolean, lowest: boolean,
  *   zoomed: (from: number, to: number) => void, reset: () => void, moved: (time: number|null) => void,
  *   markers: () => {time_s: number, text: string}[]}} Content
  */
@@ -41,13 +41,13 @@ export function makePlot(content, host) {
     width: Math.max(host.clientWidth, 100),
     height: Math.max(host.clientHeight, 60),
     legend: { show: false },
-    padding: [6, 10, 0, 0],
+    padding: [6, 16, 0, 0],
     scales: {
       x: { time: false },
       y: { range: (_, low, high) => (range = low == null ? [0, 1] : calmRange(low, high, range, LEAST[content.unit] ?? 0.01)) },
     },
     axes: [
-      { ...axis, size: 22, gap: 3, values: (_, ticks) => ticks.map((tick) => `${tick} s`) },
+      { ...axis, size: content.lowest ? 22 : 4, gap: 3, values: (_, ticks) => ticks.map((tick) => (content.lowest ? `${tick} s` : "")) },
       { ...axis, size: 52, gap: 4, space: 26 },
     ],
     cursor: {
@@ -58,11 +58,11 @@ export function makePlot(content, host) {
       bind: { dblclick: () => () => { content.reset(); return null; } },
     },
     series: [{}, ...content.lines.map((line) => ({ width: 1.5, ...line, stroke: () => colour(line.stroke), points: { show: false } }))],
-    bands: content.band ? [{ series: content.band, fill: () => colour(content.bandColour ?? "band") }] : [],
+    bands: content.band ? [{ series: content.band, fill: () => colour("band") }] : [],
     hooks: {
       setSelect: [(u) => select(u, content)],
       setCursor: [(u) => content.moved(u.cursor.left >= 0 ? u.posToVal(u.cursor.left, "x") : null)],
-      draw: [(u) => drawMarkers(u, content.markers())],
+      draw: [(u) => drawMarkers(u, content.markers(), content.main)],
     },
   }, [[], ...content.lines.map(() => [])], host);
   return plot;
@@ -76,12 +76,14 @@ function select(u, content) {
   u.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
 }
 
-/** @param {any} u @param {{time_s: number, text: string}[]} markers */
-function drawMarkers(u, markers) {
+/** @param {any} u @param {{time_s: number, text: string}[]} markers @param {boolean} named */
+function drawMarkers(u, markers, named) {
   const { ctx, bbox } = u;
   ctx.save();
   ctx.strokeStyle = ctx.fillStyle = colour("marker");
   ctx.lineWidth = devicePixelRatio;
+  ctx.textAlign = "left";
+  ctx.textBaseline = "top";
   ctx.font = FONT.replace("12px", `${12 * devicePixelRatio}px`);
   ctx.setLineDash([3 * devicePixelRatio, 3 * devicePixelRatio]);
   for (const { time_s, text } of markers) {
@@ -91,7 +93,7 @@ function drawMarkers(u, markers) {
     ctx.moveTo(x, bbox.top);
     ctx.lineTo(x, bbox.top + bbox.height);
     ctx.stroke();
-    ctx.fillText(text, x + 4 * devicePixelRatio, bbox.top + 12 * devicePixelRatio);
+    if (named) ctx.fillText(text, x + 4 * devicePixelRatio, bbox.top + 2 * devicePixelRatio);
   }
   ctx.restore();
 }
@@ -99,7 +101,7 @@ function drawMarkers(u, markers) {
 /** A box with title, legend and place of a plot. @param {Content} content @param {string} kind */
 export function plotBox(content, kind) {
   const host = element("div", { class: "host" });
-  const keys = content.lines.filter(({ label }) => label).map(({ label, stroke, dash }) =>
+  const keys = [...content.lines].reverse().filter(({ label }) => label).map(({ label, stroke, dash }) =>
     element("li", { class: `key ${stroke}${dash ? " dashed" : ""}` }, label));
   if (content.band) keys.push(element("li", { class: "key area" }, "90 % band"));
   const unit = unitText(content.unit);

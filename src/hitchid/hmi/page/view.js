@@ -11,7 +11,7 @@ export class View extends EventTarget {
   /** @param {number} newest s @param {number} ahead s that predictions reach beyond it */
   span(newest, ahead) {
     if (this.fixed) return this.fixed;
-    const to = (Number.isFinite(newest) ? newest : 0) + ahead;
+    const to = Math.max(this.window, (Number.isFinite(newest) ? newest : 0) + ahead); // a short log begins at the left
     return { from: to - this.window, to };
   }
 

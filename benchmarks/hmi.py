@@ -1,0 +1,161 @@
+"""The operator's page in a real browser: delay of the picture, load, memory, stop, recording; against bars.
+
+Run: python -m benchmarks.hmi [--minutes 1]; exit code 1 where a bar is missed.
+"""
+
+import argparse
+import csv
+import sys
+import tempfile
+import time
+import urllib.parse
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # the operator of the tests
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "hmi"))
+
+from operated import Operator, process_time_s, resident_mb, served
+
+from browser import chromium
+
+STOPS = 40  # stops of a running bench, each a click in the page
+WARM_UP_S = 15  # after which buffers have their size
+BARS = {
+    "start to first picture / s": 4.0,
+    "sample to pixel, p95 / ms": 150.0,
+    "time between frames, mean / ms": 50.0,  # 20 frames a second
+    "server, share of a core / %": 20.0,
+    "page heap, growth / MB": 20.0,
+    "server memory, growth / MB": 10.0,
+    "click to zero, p99 / ms": 100.0,
+    "samples missing or twice in the recording": 0.0,
+    "requests to other machines": 0.0,
+}
+LONG_TEST = "time_s,lifting_command,lowering_command\n0,0.45,0\n600,0.45,0\n"
+
+# In the page: arm and start slow lifting, click stop at a random time, return the time until the first sample
+# with zero commands, ms. A frame has the wall clock of its newest sample; samples are 10 ms apart.
+CLICK_TO_ZERO = """async (name) => {
+  const { connection } = window.hitchid;
+  const plan = { kind: "file", name, campaign: "stops", file: "uploads/hold.csv" };
+  await connection.send("arm", { plan });
+  await connection.send("start");
+  const frames = [];
+  const take = ({ detail }) => { if (detail.kind === 0) frames.push(detail); };
+  connection.addEventListener("frame", take);
+  const wait = (ms) => new Promise((done) => setTimeout(done, ms));
+  while (!frames.some((frame) => frame.values[1] > 0)) await wait(10);
+  await wait(37 * Math.random());
+  const clicked = Date.now();
+  document.querySelector("[data-testid=stop]").click();
+  const last = (frame) => frame.values[(frame.rows - 1) * frame.columns + 1];
+  let frame;
+  while (!(frame = frames.find((each) => each.wallMs >= clicked && last(each) === 0))) await wait(5);
+  connection.removeEventListener("frame", take);
+  let zeros = 0;
+  while (zeros < frame.rows && frame.values[(frame.rows - 1 - zeros) * frame.columns + 1] === 0) zeros += 1;
+  await connection.send("reset");
+  return frame.wallMs - 10 * (zeros - 1) - clicked;
+}"""
+
+
+def show(text: str) -> None:
+    """Write a line to standard output at once."""
+    sys.stdout.write(f"{text}\n")
+    sys.stdout.flush()
+
+
+def heap_mb(page) -> float:
+    """Return the memory of the page's objects after a collection, MB."""
+    session = page.context.new_cdp_session(page)
+    session.send("HeapProfiler.collectGarbage")
+    used = session.send("Runtime.getHeapUsage")["usedSize"]
+    session.detach()
+    return used / 1e6
+
+
+def soak(operator, server: int, minutes: float) -> dict[str, float]:
+    """Return delay, frame rate, load and growth over minutes of live signals in a window of 60 s."""
+    page = operator.page
+    page.wait_for_timeout(1000 * WARM_UP_S)
+    heap, memory = heap_mb(page), resident_mb(server)
+    used_s, begin_s = process_time_s(server), time.monotonic()
+    frames = page.evaluate("window.hitchid.stats.frames")
+    delays = []
+    while time.monotonic() - begin_s < 60 * minutes:
+        page.wait_for_timeout(5000)
+        delays += page.evaluate("window.hitchid.stats.latency_ms.slice(-100)")
+    elapsed_s = time.monotonic() - begin_s
+    drawn = page.evaluate("window.hitchid.stats.frames") - frames
+    return {
+        "sample to pixel, p95 / ms": float(np.percentile(delays, 95)),
+        "time between frames, mean / ms": 1e3 * elapsed_s / max(drawn, 1),
+        "server, share of a core / %": 100 * (process_time_s(server) - used_s) / elapsed_s,
+        "page heap, growth / MB": heap_mb(page) - heap,
+        "server memory, growth / MB": resident_mb(server) - memory,
+    }
+
+
+def stops(operator, project: Path) -> dict[str, float]:
+    """Return the time from a click on stop to the first sample with zero commands."""
+    (project / "uploads").mkdir(exist_ok=True)
+    (project / "uploads" / "hold.csv").write_text(LONG_TEST)
+    operator.page.reload()
+    operator.wait_for_state("idle")
+    names = [f"stop-{number:02d}" for number in range(STOPS)]
+    waits = [operator.page.evaluate(CLICK_TO_ZERO, name) for name in names]
+    return {"click to zero, p99 / ms": float(np.percentile(waits, 99))}
+
+
+def gaps(recording: Path) -> int:
+    """Return the number of samples that are missing or there twice."""
+    with recording.open() as file:
+        times_s = np.array([float(row["time_s"]) for row in csv.DictReader(file)])
+    return int(np.sum(np.abs(np.diff(np.round(times_s / 0.01)) - 1)))
+
+
+def measure(minutes: float) -> dict[str, float]:
+    """Return all figures."""
+    with tempfile.TemporaryDirectory() as folder, chromium() as browser:
+        project = Path(folder)
+        begin_s = time.monotonic()
+        with served(project) as (link, process):
+            page = browser.new_page(viewport={"width": 1280, "height": 800})
+            operator = Operator(page, link)
+            operator.wait_for_state("no source")
+            figures = {"start to first picture / s": time.monotonic() - begin_s}
+            operator.connect(speed=1)
+            operator.record.click()
+            figures |= soak(operator, process.pid, minutes)
+            operator.record.click()
+            figures |= stops(operator, project)
+            page.close()
+            time.sleep(1)
+            (recording,) = (project / "recordings").glob("*.csv")
+            figures["samples missing or twice in the recording"] = gaps(recording)
+            host = urllib.parse.urlsplit(link).netloc
+            others = [url for url in operator.outside if host not in url]
+            figures["requests to other machines"] = len(others)
+    return figures
+
+
+def main() -> None:
+    """Print each figure beside its bar."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--minutes", type=float, default=1.0, help="of live signals")
+    try:
+        figures = measure(parser.parse_args().minutes)
+    except pytest.skip.Exception as reason:  # of what drives the browser
+        show(f"the operator's page is not measured: {reason}")
+        return
+    missed = [name for name, bar in BARS.items() if figures[name] > bar]
+    for name, bar in BARS.items():
+        show(f"{name:45s} {figures[name]:8.3g}   bar {bar:g}{'   MISSED' if name in missed else ''}")
+    sys.exit(bool(missed))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,178 @@
+"""The page in a browser: small and large, light and dark, by keyboard, with viewers, closed and frozen."""
+
+import csv
+import time
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+from operated import Operator, served
+
+from browser import chromium
+
+LIMITS = """
+lifting_command = 1.0
+lowering_command = 1.0
+lowest_displacement = 0.0
+highest_displacement = 250.0
+"""
+HOLD = "time_s,lifting_command,lowering_command\n0,0.31,0\n30,0.31,0\n"
+SIZES = ((390, 844), (1280, 800), (1920, 1080))
+SECTIONS = ("bench", "campaign", "identify", "drive", "project")
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """Return Chromium, or skip what needs it."""
+    with chromium() as driven:
+        yield driven
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory):
+    """Return a project folder with limits and a test of slow lifting."""
+    folder = tmp_path_factory.mktemp("project")
+    (folder / "limits.toml").write_text(LIMITS)
+    (folder / "uploads").mkdir()
+    (folder / "uploads" / "hold.csv").write_text(HOLD)
+    (folder / "simple_bench.py").write_text((Path(__file__).parent / "simple_bench.py").read_text())
+    return folder
+
+
+@pytest.fixture(scope="module")
+def operator(browser, project):
+    """Return an operator whose page shows the simple bench."""
+    options = ("--source", "simple_bench:SimpleBench", "--limits", "limits.toml")
+    with served(project, *options) as (link, _):
+        operator = Operator(browser.new_page(viewport={"width": 1280, "height": 800}), link)
+        operator.wait_for_state("no source")
+        operator.page.get_by_test_id("connect").click()
+        operator.wait_for_state("idle")
+        yield operator
+
+
+@pytest.fixture
+def name(request):
+    """Return a name that no other test uses."""
+    return f"{abs(hash(request.node.name)) % 10**8}"
+
+
+def start_hold(operator, name):
+    """Start slow lifting from a file."""
+    operator.tab_campaign.click()
+    operator.plan_kind.select_option("file")
+    operator.plan_name.fill(name)
+    operator.plan_file.select_option("uploads/hold.csv")
+    operator.arm.click()
+    operator.wait_for_state("armed")
+    operator.start.click()
+    operator.wait_for_state("running")
+
+
+def times_s(log):
+    """Return the times of a log, s."""
+    with log.open() as file:
+        return [float(row["time_s"]) for row in csv.DictReader(file)]
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_every_section_fits_and_has_no_serious_finding_of_accessibility(operator, scheme):
+    if find_spec("axe_playwright_python") is None:
+        pytest.skip("axe-playwright-python is not installed; it judges accessibility")
+    from axe_playwright_python import sync_playwright as axe
+
+    page = operator.page
+    page.emulate_media(color_scheme=scheme)
+    page.evaluate((Path(axe.__file__).parent / "axe.min.js").read_text())
+    for section in SECTIONS:
+        getattr(operator, f"tab_{section}").click()
+        for width, height in SIZES:
+            page.set_viewport_size({"width": width, "height": height})
+            assert page.evaluate("document.documentElement.scrollWidth") <= width, (section, width)
+        found = page.evaluate("async () => (await axe.run()).violations.map(v => [v.impact, v.id])")
+        assert [each for each in found if each[0] in ("serious", "critical")] == [], section
+    page.set_viewport_size({"width": 1280, "height": 800})
+
+
+def test_a_test_is_armed_started_and_stopped_by_keyboard_alone(operator, name):
+    page = operator.page
+
+    def reach(control):
+        """Press Tab until a control has the focus."""
+        for _ in range(80):
+            if page.evaluate("document.activeElement?.dataset?.testid") == control:
+                return
+            page.keyboard.press("Tab")
+        pytest.fail(f"{control} is not reached by Tab")
+
+    page.evaluate("document.activeElement?.blur()")
+    reach("tab-campaign")
+    page.keyboard.press("Enter")
+    reach("plan-kind")
+    page.keyboard.press("C")  # the plan whose name begins so: commands from a file
+    reach("plan-name")
+    page.keyboard.press("Control+A")
+    page.keyboard.type(name)
+    reach("arm")
+    page.keyboard.press("Enter")
+    operator.wait_for_state("armed")
+    reach("start")
+    page.keyboard.press("Enter")
+    operator.wait_for_state("running")
+    reach("stop")
+    page.keyboard.press("Escape")
+    operator.wait_for_state("stopped by the operator")
+    reach("reset")
+    page.keyboard.press("Enter")
+    operator.wait_for_state("idle")
+
+
+def test_a_viewer_sees_all_may_stop_and_may_not_start(operator, browser, name):
+    link = operator.page.evaluate(
+        "async () => (await (await fetch('/api/link', { method: 'POST' })).json()).link"
+    )
+    viewer = Operator(browser.new_page(), link)
+    viewer.wait_for_state("idle")
+    start_hold(operator, name)
+    viewer.wait_for_state("running")
+    refusal = viewer.page.evaluate("window.hitchid.connection.send('reset').catch((error) => error.message)")
+    assert refusal == "this page only watches; become the operator first"
+    viewer.stop.click()
+    operator.wait_for_state("stopped by a viewer")
+    operator.reset.click()
+    viewer.page.close()
+
+
+def test_a_frozen_page_stops_the_machine_and_the_log_has_every_sample(operator, project, name):
+    start_hold(operator, name)
+    operator.page.evaluate("const end = Date.now() + 1500; while (Date.now() < end);")
+    operator.wait_for_state("the operator's page gave no sign of life")
+    operator.reset.click()
+    operator.wait_for_state("idle")
+    times = times_s(project / "campaigns" / name / f"{name}.csv")
+    assert [round(100 * time_s) for time_s in times] == list(range(len(times)))
+    assert times[-1] < 3
+
+
+def test_an_unattended_campaign_goes_on_while_the_page_is_away(operator, project, name):
+    operator.tab_campaign.click()
+    operator.plan_kind.select_option("campaign")
+    operator.plan_name.fill(name)
+    for field, value in {"ramps": 1, "ramp_s": 2, "tests": 0}.items():
+        operator.page.get_by_test_id(f"plan-{field}").fill(str(value))
+    operator.page.get_by_test_id("plan-directions").select_option(index=1)
+    operator.plan_unattended.check()
+    operator.arm.click()
+    operator.wait_for_state("armed")
+    operator.start.click()
+    operator.wait_for_state("running")
+    operator.page.goto("about:blank")
+    log = project / "campaigns" / name / "ramp-lifting-01.csv"
+    end_s = time.monotonic() + 40
+    while not log.exists() or len(log.read_text().splitlines()) < 50:
+        assert time.monotonic() < end_s
+        time.sleep(0.2)
+    operator.page.goto(operator.origin)
+    operator.wait_for_state("idle", 40)
+    times = times_s(log)
+    assert [round(100 * time_s) for time_s in times] == list(range(len(times)))

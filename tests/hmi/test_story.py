@@ -1,0 +1,108 @@
+"""The whole story of an operator in a browser: campaign, audit, model, report, controller, drive."""
+
+import json
+import time
+
+import pytest
+from operated import BRIEFEST, Operator, served
+
+from browser import chromium
+
+LONGEST_S = 100  # s that one command may take on a machine with other tests beside it
+SIZES = ((390, 844), (1280, 800), (1920, 1080))
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory):
+    """Return a project folder with the settings of the briefest identification."""
+    folder = tmp_path_factory.mktemp("project")
+    (folder / "brief.toml").write_text(BRIEFEST)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def operator(project):
+    """Return an operator before a fresh page; at the end nothing was asked of any other machine."""
+    with chromium() as browser, served(project) as (link, _):
+        page = browser.new_page(viewport={"width": 1280, "height": 800})
+        operator = Operator(page, link)
+        operator.wait_for_state("no source")
+        yield operator
+        assert operator.outside == []
+        assert operator.messages == []
+
+
+def finished(operator, kind, project):
+    """Wait until the newest command of a kind has ended well."""
+    operator.page.wait_for_function(
+        "kind => window.hitchid.jobs.some(job => job.kind === kind && job.state !== 'running')",
+        arg=kind,
+        timeout=1000 * LONGEST_S,
+    )
+    job = operator.page.evaluate("kind => window.hitchid.jobs.findLast(job => job.kind === kind)", kind)
+    assert job["state"] == "done", "\n".join(job["lines"])
+    return job
+
+
+def last_displacement(log):
+    """Return the last displacement of a log that is being written, mm."""
+    lines = log.read_text().splitlines()
+    return float(lines[-1].split(",")[3]) if len(lines) > 1 else float("nan")
+
+
+def wait_until(holds):
+    """Wait until something holds."""
+    end_s = time.monotonic() + LONGEST_S
+    while not holds():
+        assert time.monotonic() < end_s
+        time.sleep(0.1)
+
+
+def test_from_the_bench_to_a_driven_hitch(operator, project):
+    operator.connect(speed=20)
+    operator.tab_campaign.click()
+    operator.plan_name.fill("monday")
+    for field, value in {"ramps": 1, "ramp_s": 8, "tests": 3, "test_s": 5}.items():
+        operator.page.get_by_test_id(f"plan-{field}").fill(str(value))
+    operator.plan_unattended.check()
+    operator.arm.click()
+    operator.wait_for_state("armed")
+    operator.start.click()
+    operator.wait_for_state("running")
+    operator.wait_for_state("idle", LONGEST_S)
+    logs = sorted(path.name for path in (project / "campaigns" / "monday").glob("*.csv"))
+    assert len(logs) == 8
+
+    finished(operator, "inspect", project)
+    operator.tab_identify.click()
+    operator.identify_logs.select_option("campaigns/monday")
+    operator.identify_name.fill("first")
+    operator.identify_brief.check()
+    operator.identify_start.click()
+    job = finished(operator, "identify", project)
+    assert any("whale" in name for name in job["curves"])
+    operator.validate_name.fill("first")
+    operator.validate_start.click()
+    finished(operator, "validate", project)
+    report = operator.page.frame_locator("[data-testid=report-frame]")
+    report.get_by_role("heading").first.wait_for()
+
+    operator.tab_drive.click()
+    operator.tune_name.fill("first")
+    operator.tune_start.click()
+    finished(operator, "tune", project)
+    operator.drive_name.fill("evening")
+    operator.drive_arm.click()
+    operator.wait_for_state("armed", LONGEST_S)
+    operator.drive_start.click()
+    operator.wait_for_state("running")
+    operator.target_number.fill("60")
+    operator.target_number.press("Enter")
+    wait_until(lambda: abs(last_displacement(project / "drives" / "evening.csv") - 60) < 2)
+    operator.page.keyboard.press("Escape")
+    operator.wait_for_state("stopped")
+    operator.reset.click()
+    operator.wait_for_state("idle")
+    assert (project / "drives" / "evening.csv").stat().st_size > 10_000
+    events = [json.loads(line)["event"] for line in (project / "hmi.log").read_text().splitlines()]
+    assert events == ["connect", "arm", "start", "arm", "start", "stop", "reset"]
