@@ -106,12 +106,6 @@ def test_units_that_cannot_be_converted_are_refused(units):
         MonitorLoop(MODEL, units, STEP_S)
 
 
-def test_a_model_of_one_direction_has_the_other_at_rest():
-    loop = MonitorLoop(handmade.hitch(modes=("lifting",)), A_MM, STEP_S)
-    free_run = predicted(loop, samples(8))
-    np.testing.assert_allclose(free_run[:, 1], samples(8)[:, 3], rtol=1e-9)
-
-
 def test_a_band_lies_around_the_free_run_and_scales_with_the_unit():
     model = handmade.with_bands(MODEL, "lifting", "lowering")
     in_mm, in_cm = MonitorLoop(model, A_MM, STEP_S), MonitorLoop(model, ("A", "cm"), STEP_S)

@@ -96,7 +96,8 @@ def test_what_was_appended_can_be_read_after_two_tenths_of_a_second(tmp_path):
 def test_a_killed_writer_leaves_whole_lines_to_the_last_two_tenths_of_a_second(tmp_path):
     path = tmp_path / "log.csv"
     command = [sys.executable, "-c", WRITER, str(path)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE) as writer:  # noqa: S603 - this Python
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment) as writer:  # noqa: S603
         told = [int(writer.stdout.readline()) for _ in range(150)]
         os.kill(writer.pid, signal.SIGKILL)
         told += list(map(int, writer.stdout.read().split(b"\n")[:-1]))
