@@ -1,6 +1,7 @@
 """Links open once and for an hour; sessions are bounded; the command says what it needs."""
 
 import socket
+import sys
 
 import pytest
 
@@ -49,7 +50,10 @@ def refused(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
 
     def message(*arguments):
-        assert cli.run(["hmi", *arguments]) == 2
+        monkeypatch.setattr(sys, "argv", ["hitchid", "hmi", *arguments])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        assert ended.value.code == 2
         output = capsys.readouterr()
         assert output.out == ""
         return output.err

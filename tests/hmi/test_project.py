@@ -59,7 +59,7 @@ def test_a_file_of_the_project_is_found(root):
     ],
 )
 def test_any_other_path_is_refused(root, path):
-    with pytest.raises(InputError, match="^path: "):
+    with pytest.raises(InputError, match=r"^path: "):
         inside(root, path)
 
 
@@ -92,7 +92,7 @@ def test_whatever_is_asked_for_nothing_outside_is_found(tmp_path_factory, text, 
     "name", ["", ".", "..", "a..b", ".a", "-a", "a/b", "a b", "a\n", "a\0", "é", 61 * "a", None, 3, ["a"]]
 )
 def test_a_name_that_is_none_is_refused(name):
-    with pytest.raises(InputError, match="^name: expected at most 60 letters"):
+    with pytest.raises(InputError, match=r"^name: expected at most 60 letters"):
         checked_name(name)
 
 

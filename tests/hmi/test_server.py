@@ -359,7 +359,8 @@ def test_an_upload_of_a_hundred_megabytes_is_refused_early_and_costs_no_memory(s
     with socket.create_connection(("127.0.0.1", session.port), timeout=20) as raw:
         raw.sendall(
             f"POST /api/upload?name=b.csv HTTP/1.1\r\nHost: 127.0.0.1:{session.port}\r\n"
-            f"Origin: {session.origin}\r\nCookie: {session.cookie}\r\nContent-Length: {10**8}\r\n\r\n".encode()
+            f"Origin: {session.origin}\r\nCookie: {session.cookie}\r\n"
+            f"Content-Length: {10**8}\r\n\r\n".encode()
         )
         raw.settimeout(0.5)
         with contextlib.suppress(OSError):
