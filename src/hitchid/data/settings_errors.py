@@ -33,6 +33,8 @@ EXPECTED: Mapping[str, str] = MappingProxyType(
         "too_long": "at most {max_length} entries",
         "too_short": "at least {min_length} entries",
         "tuple_type": "a list",
+        "union_tag_invalid": "{discriminator} to be one of {expected_tags}",
+        "union_tag_not_found": "the key {discriminator}",
     }
 )
 """Type of a pydantic error to what was expected, with fields of its context."""

@@ -14,7 +14,7 @@ CLOCK_S = (0.15, 0.4)  # s, shortest hold of a level, limits of a random draw (c
 
 
 def binary_command(
-    highest: float, dead_zone: float, duration_s: float, rng: np.random.Generator
+    highest: float, dead_zone: float, duration_s: float, rng: np.random.Generator, step_s: float = 0.01
 ) -> np.ndarray:
     """Return the command of one PRBS test, with levels and clock drawn at random, shape [N].
 
@@ -23,6 +23,7 @@ def binary_command(
         dead_zone: of the direction; it is added to every level.
         duration_s: length, s.
         rng: draws levels, clock and phase.
+        step_s: sampling time, s.
     """
     signal = excitation.prbs(
         low=rng.uniform(*LOW) * highest,
@@ -30,6 +31,7 @@ def binary_command(
         clock_s=rng.uniform(*CLOCK_S),
         duration_s=duration_s,
         seed=int(rng.integers(2**31)),
+        step_s=step_s,
     )
     return excitation.precompensated(signal.command, dead_zone)
 
@@ -42,6 +44,7 @@ def cycle_commands(
     displacement_range: tuple[float, float],
     duration_s: float,
     seed: int,
+    step_s: float = 0.01,
 ) -> np.ndarray:
     """Return the commands of one mixed cycle, lifting and lowering, shape [N, 2].
 
@@ -52,6 +55,7 @@ def cycle_commands(
         displacement_range: lowest and highest displacement, mm.
         duration_s: length, s.
         seed: of directions, levels and times.
+        step_s: sampling time, s.
     """
     lifting, lowering = (
         (LOW[1] * highest[direction], HIGH[1] * highest[direction]) for direction in DIRECTIONS
@@ -64,6 +68,7 @@ def cycle_commands(
         displacement_range=displacement_range,
         duration_s=duration_s,
         seed=seed,
+        step_s=step_s,
     )
     return np.column_stack(
         [

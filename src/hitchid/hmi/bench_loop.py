@@ -1,5 +1,6 @@
 """The bench loop: owns source, recorder and safety; one `tick` for each sampling time."""
 
+import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
@@ -17,6 +18,7 @@ from hitchid.hmi.run import Run
 from hitchid.hmi.safety import Safety, State
 from hitchid.hmi.source import CLOSED, DISPLACEMENT, REQUIRED, Reading, Source, describe
 from hitchid.hmi.sources import make_source
+from hitchid.rig.parameter_files import parameter_sets
 
 LONGEST_SILENCE_S = 0.5  # s without a sign of life of server or page, after which the loop stops
 FASTEST = 20  # samples of a virtual source in a tick at most; chosen: more than two cores reach
@@ -142,23 +144,33 @@ class BenchLoop:
             return ()
         try:
             readings = self._source.read()
+            self._take(readings)
         except Exception as error:  # of a source from outside the package it may be any
             self._lose_source(_sentence(error))
             return ()
-        self._take(readings)
-        try:
-            if self.state is State.RUNNING and self._run and not self._run.advance(self._displacement):
-                self._settle(self._safety.finish())
-        except Exception as error:  # whatever a program or a controller raises closes the valves
-            self.stop(_sentence(error))
-        self._commands = self._allowed_commands()
+        self._commands = self._decide()
         readings = [_with_commands(reading, self._commands) for reading in readings]
         self._record_samples(readings)
         try:
-            self._source.write(self._commands)
+            self._write(self._source, self._commands)
         except Exception as error:
             self._lose_source(_sentence(error))
         return readings
+
+    def _decide(self) -> np.ndarray:
+        """Advance the run by one sample, and return the commands that may be sent."""
+        try:
+            if self.state is State.RUNNING and self._run and not self._run.advance(self._displacement):
+                self._settle(self._safety.finish())
+            return self._allowed_commands()
+        except Exception as error:  # whatever a program or a controller raises closes the valves
+            self.stop(_sentence(error))
+            return CLOSED
+
+    def _write(self, source: Source, commands: np.ndarray) -> None:
+        """Send commands; to a machine only where that is allowed, zero as well."""
+        if source.virtual or self._allow_output:
+            source.write(commands)
 
     def _record_samples(self, readings: Sequence[Reading]) -> None:
         try:
@@ -167,9 +179,10 @@ class BenchLoop:
             if self._run is not None:
                 self._run.record(readings)
         except OutputError as error:
-            self._recorder = None
             self._commands = CLOSED
             self.stop(str(error))
+            with contextlib.suppress(OutputError):
+                self._end_recording()
 
     def _allowed_commands(self) -> np.ndarray:
         """Return the commands of the running program within their limits; zero in any other state."""
@@ -184,8 +197,9 @@ class BenchLoop:
     def _take(self, readings: Sequence[Reading]) -> None:
         """Take the newest displacement; stop where there is none, or one outside the limits."""
         assert self._source is not None  # noqa: S101 - called with a source only
-        names = [signal.name for signal in self._source.signals]
-        measured = [reading.values[names.index(DISPLACEMENT)] for reading in readings]
+        if any(len(reading.values) != len(self._source.signals) for reading in readings):
+            raise InputError(f"{self._source.label}: expected a value for each signal in a sample")
+        measured = [reading.values[REQUIRED.index(DISPLACEMENT)] for reading in readings]
         valid = [value for value in measured if np.isfinite(value)]
         self._time_s = readings[-1].time_s if readings else self._time_s
         self._silent_s = 0.0 if valid else self._silent_s + self._source.step_s
@@ -199,29 +213,36 @@ class BenchLoop:
             self.stop(f"displacement {self._displacement:.4g} is outside {low:g} to {high:g}")
 
     def _lose_source(self, reason: str) -> None:
-        """Close a source; a run is stopped by that, and the reason is kept."""
-        if self.state in (State.ARMED, State.RUNNING):
-            self.stop(reason)
+        """Close valves, source and logs; a run is stopped by that, and the reason is kept."""
+        source, self._source, self._commands, self._limits = self._source, None, CLOSED, None
+        if source is not None:
+            with contextlib.suppress(Exception):  # it may be gone
+                self._write(source, CLOSED)
+            with contextlib.suppress(Exception):
+                source.close()
         self._settle(self._safety.disconnect(reason))
-        self._end_recording()
-        if self._source is not None:
-            source, self._source = self._source, None
-            source.close()
-        self._commands, self._limits = CLOSED, None
+        with contextlib.suppress(OutputError):
+            self._end_recording()
 
     def _settle(self, safety: Safety) -> None:
         """Take a state; what moves or records for a run ends with it."""
         self._safety = safety
         if safety.state not in (State.ARMED, State.RUNNING) and self._run is not None:
             run, self._run = self._run, None
-            run.end()
+            try:
+                run.end()
+            except OutputError as error:
+                self._safety = safety.stop(str(error))
 
     def _connect(self, request: Request, _: float) -> None:
         connected = self._safety.connect()
-        name, options = request.get("source"), request.get("options") or {}
+        name, options = request.get("source"), request.get("options", {})
         text = self._source_text(str(name), checks.instance(options, dict, "options", "a table"))
         source = make_source(text)
-        speed = checks.integer(int(options.get("speed", 1)), "speed", minimum=1)
+        names = tuple(signal.name for signal in source.signals)
+        if names[: len(REQUIRED)] != REQUIRED:
+            raise InputError(f"{source.label}: expected the signals {', '.join(REQUIRED)} first, got {names}")
+        speed = checks.integer(options.get("speed", 1), "speed", minimum=1)
         if speed > (FASTEST if source.virtual else 1):
             raise InputError(f"speed: expected at most {FASTEST if source.virtual else 1} here, got {speed}")
         limits = self._limits_of(text)
@@ -232,7 +253,7 @@ class BenchLoop:
 
     def _source_text(self, name: str, options: Mapping[str, Any]) -> str:
         if name == "rig":
-            return f"rig:{options.get('rig', 'nominal')}"
+            return f"rig:{checks.one_of(options.get('rig', 'nominal'), parameter_sets(), 'rig')}"
         if name == "replay":
             return f"replay:{project.inside(self._root, options.get('log'))}"
         return name

@@ -56,7 +56,7 @@ def campaign(
         for direction in plan.directions:
             displacement = yield from move(displacement, _start(direction, limits), limits, step_s)
             highest = _highest(direction, static, limits, TEST_TRAVEL * limits.travel / plan.test_s)
-            command = binary_command(highest, static[direction].dead_zone, plan.test_s, rng)
+            command = binary_command(highest, static[direction].dead_zone, plan.test_s, rng, step_s)
             rows = _both(direction, command)
             measured = yield from apply(displacement, rows, f"{direction}-{number:02d}", limits, step_s)
             displacement = measured[-1]
@@ -70,6 +70,7 @@ def campaign(
             displacement_range=(low, high),
             duration_s=plan.cycle_s,
             seed=int(rng.integers(2**31)),
+            step_s=step_s,
         )
         measured = yield from apply(displacement, rows, f"cycle-{number:02d}", limits, step_s)
         displacement = measured[-1]

@@ -166,7 +166,7 @@ class Job:
 
     def take_line(self, line: str) -> None:
         """Take a line of standard error: progress as JSON, or a message."""
-        with contextlib.suppress(ValueError, TypeError, KeyError):
+        with contextlib.suppress(ValueError, TypeError, KeyError, OverflowError):
             self._take_progress(json.loads(line)["progress"])
             return
         if line.strip():
@@ -283,8 +283,9 @@ class Jobs:
         assert job.process is not None  # noqa: S101 - called for a job that runs
         assert job.process.stderr is not None  # noqa: S101
         published_s = 0.0
-        while line := await job.process.stderr.readline():
-            job.take_line(line.decode(errors="replace"))
+        while not job.process.stderr.at_eof():
+            with contextlib.suppress(ValueError):  # longer than LINE_BYTES: left out
+                job.take_line((await job.process.stderr.readline()).decode(errors="replace"))
             if time.monotonic() - published_s >= SHORTEST_S:
                 self._publish(job.describe())
                 published_s = time.monotonic()

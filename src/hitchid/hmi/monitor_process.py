@@ -50,7 +50,7 @@ class MonitorLoop:
         self._model, self._step_s = model, step_s
         self._block = max(1, round(BLOCK_S / step_s))
         self._monitor: Monitor | None = None
-        self._waiting = np.empty((0, 4))
+        self._waiting, self._latest_s = np.empty((0, 4)), np.inf
 
     def restart(self) -> None:
         """Start the free run anew at the next measured displacement."""
@@ -62,15 +62,17 @@ class MonitorLoop:
         Args:
             rows: time, s; lifting command, lowering command, displacement; shape [N, 4].
         """
-        times_s = np.concatenate([self._waiting[-1:, 0], rows[:, 0]])
-        if np.any(np.diff(times_s) > LONGEST_GAP * self._step_s):
-            self.restart()  # samples were lost on the way here, so that the free run would lack commands
-            self._waiting = rows[:0]
-        self._waiting = np.concatenate([self._waiting, rows])
+        gaps = np.diff(rows[:, 0], prepend=self._latest_s) > LONGEST_GAP * self._step_s
         messages = []
-        while len(self._waiting) >= self._block:
-            block, self._waiting = self._waiting[: self._block], self._waiting[self._block :]
-            messages += self._predict(block)
+        for number, piece in enumerate(np.split(rows, np.flatnonzero(gaps))):
+            if number:
+                self.restart()  # samples were lost on the way here, so that the free run would lack commands
+                self._waiting = rows[:0]
+            self._waiting = np.concatenate([self._waiting, piece])
+            while len(self._waiting) >= self._block:
+                block, self._waiting = self._waiting[: self._block], self._waiting[self._block :]
+                messages += self._predict(block)
+        self._latest_s = rows[-1, 0] if len(rows) else self._latest_s
         return messages
 
     def _predict(self, block: np.ndarray) -> list[tuple[int, np.ndarray]]:

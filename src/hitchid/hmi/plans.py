@@ -145,6 +145,8 @@ def read_commands(path: Path, step_s: float) -> np.ndarray:
     )
     if not np.all(np.isfinite(rows)) or np.any(np.diff(time_s) <= 0) or np.any(commands < 0):
         raise InputError(f"{path.name}: expected finite numbers, rising times and commands of at least zero")
+    if np.any(np.all(commands > 0, axis=1)):
+        raise InputError(f"{path.name}: commands both valves at once; expected one of them to be zero")
     count = round((time_s[-1] - time_s[0]) / step_s) + 1
     if count > MOST_SAMPLES:
         raise InputError(f"{path.name}: has {count} samples; expected at most {MOST_SAMPLES}")

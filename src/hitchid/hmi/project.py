@@ -50,10 +50,7 @@ def inside(project: Path, path: object) -> Path:
 def contents(project: Path) -> dict[str, object]:
     """Return what the project holds, as content for JSON; newest first."""
     campaigns = [
-        {
-            **entry,
-            "logs": sum(child.name.endswith(LOG_FORMATS) for child in (project / entry["path"]).iterdir()),
-        }
+        {**entry, "logs": sum(map(_is_log, (project / entry["path"]).iterdir()))}
         for entry in _entries(project, CAMPAIGNS)
         if (project / entry["path"]).is_dir()
     ]
@@ -77,14 +74,11 @@ def contents(project: Path) -> dict[str, object]:
     }
 
 
-def _count_logs(folder: Path) -> int:
-    return sum(map(_is_log, folder.iterdir()))
-
-
 def logs(project: Path) -> list[str]:
     """Return the newest logs of campaigns, drives and recordings, relative to the project."""
     patterns = (f"{CAMPAIGNS}/*/*", f"{DRIVES}/*", f"{RECORDINGS}/*")
-    places = [place for pattern in patterns for place in project.glob(pattern) if _is_log(place)]
+    found = [place for pattern in patterns for place in project.glob(pattern)]
+    places = [place for place in found if _is_log(place) and _is_inside(project, place)]
     places.sort(key=lambda place: place.lstat().st_mtime, reverse=True)
     return [place.relative_to(project).as_posix() for place in places[:MOST_LOGS]]
 
@@ -93,11 +87,18 @@ def _is_log(place: Path) -> bool:
     return place.name.endswith(LOG_FORMATS) and all(NAME.fullmatch(part) for part in place.parts[-2:])
 
 
+def _is_inside(project: Path, place: Path) -> bool:
+    """Return whether a place is in the project, also where links lead to."""
+    return Path(os.path.realpath(place)).is_relative_to(os.path.realpath(project))
+
+
 def _entries(project: Path, folder: str) -> list[dict[str, str]]:
     place = project / folder
     if not place.is_dir():
         return []
-    children = [child for child in place.iterdir() if NAME.fullmatch(child.name)]
+    children = [
+        child for child in place.iterdir() if NAME.fullmatch(child.name) and _is_inside(project, child)
+    ]
     children.sort(key=lambda child: child.lstat().st_mtime, reverse=True)
     return [
         {

@@ -1,6 +1,8 @@
 """Recorder: appends every sample to a CSV log that is readable at any time."""
 
+import contextlib
 import os
+import threading
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -51,23 +53,36 @@ class Recorder:
                 self._flushed_s = reading.time_s
 
     def close(self) -> None:
-        """Write what waits, and hand the log to the disk."""
+        """Write what waits, and hand the log to the disk, which nobody waits for.
+
+        Raises:
+            OutputError: the disk is full or fails.
+        """
         try:
             self._flush()
-            os.fsync(self._file)
         finally:
-            os.close(self._file)
+            threading.Thread(target=_sync, args=(self._file,)).start()
 
     def _flush(self) -> None:
         if not self._pending:
             return
         data = memoryview("".join(f"{line}\n" for line in self._pending).encode())
         self._pending.clear()
+        whole = os.fstat(self._file).st_size
         try:
             while data:
                 data = data[os.write(self._file, data) :]
         except OSError as error:
+            with contextlib.suppress(OSError):
+                os.ftruncate(self._file, whole)  # of a line that did not fit
             raise OutputError(f"{self.path}: cannot be written: {error.strerror}") from error
+
+
+def _sync(file: int) -> None:
+    """Hand a file to the disk and close it; a disk may take longer for it than a sampling time."""
+    with contextlib.suppress(OSError):
+        os.fsync(file)
+    os.close(file)
 
 
 def _cell(value: float) -> str:

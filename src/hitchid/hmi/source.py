@@ -56,7 +56,7 @@ class Source(Protocol):
 
     Attributes:
         label: for the operator.
-        signals: at least lifting and lowering command and displacement, by these names.
+        signals: lifting command, lowering command and displacement, by these names, then any others.
         step_s: sampling time, s.
         virtual: whether it is no real machine.
         can_move: whether it takes commands.
@@ -94,7 +94,7 @@ class Source(Protocol):
         ...
 
     def close(self) -> None:
-        """Close the valves and disconnect."""
+        """Disconnect; where commands are allowed, zero was written before."""
         ...
 
 

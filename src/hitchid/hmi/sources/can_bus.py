@@ -1,6 +1,5 @@
 """A CAN bus with a DBC as a source; needs hitchid[can]."""
 
-import contextlib
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -14,6 +13,7 @@ from hitchid.data.signal_map import Strict, parse_settings
 from hitchid.errors import InputError
 from hitchid.hmi.source import REQUIRED, Reading, Signal
 
+HELD_S = 0.1  # s, age at which a value counts as missing, not as measured again; chosen: a slow cycle time
 MOST_FRAMES = 1000  # taken in one tick, so that a flooded bus cannot hold up the loop; chosen
 GROUPS = {"displacement": "displacement", "lifting_command": "command", "lowering_command": "command"}
 
@@ -72,7 +72,11 @@ class CanBus:
             self._columns.setdefault(message.frame_id, []).append((column, signal.name))
         self.label = f"CAN {self._settings.interface} {self._settings.channel}"
         self.step_s = self._settings.step_s
-        self.can_move = self._settings.output is not None
+        output = self._settings.output
+        self.can_move = output is not None
+        if output is not None:
+            for name in (output.lifting_command, output.lowering_command):
+                self._located(path, f"{output.message}/{name}")
 
     def open(self) -> None:
         """Open the bus.
@@ -91,9 +95,10 @@ class CanBus:
         self._message_class = can.Message
         self._begin_s = time.monotonic()
         self._values = [math.nan] * len(self.signals)
+        self._taken_s = [-math.inf] * len(self.signals)
 
     def read(self) -> Sequence[Reading]:
-        """Return the newest values.
+        """Return the newest values; NaN for one that was not sent for `HELD_S`.
 
         Raises:
             InputError: the bus is lost.
@@ -103,7 +108,12 @@ class CanBus:
             if frame is None:
                 break
             self._take(frame)
-        return (Reading(time.monotonic() - self._begin_s, tuple(self._values)),)
+        now_s = time.monotonic()
+        values = (
+            value if now_s - taken_s < HELD_S else math.nan
+            for value, taken_s in zip(self._values, self._taken_s, strict=True)
+        )
+        return (Reading(now_s - self._begin_s, tuple(values)),)
 
     def write(self, commands: np.ndarray) -> None:
         """Send the commands, where there is a message for them.
@@ -114,9 +124,7 @@ class CanBus:
         self._on_bus(self._send, commands)
 
     def close(self) -> None:
-        """Close the valves and the bus."""
-        with contextlib.suppress(Exception):
-            self._send(np.zeros(2))
+        """Close the bus."""
         self._bus.shutdown()
 
     def _located(self, path: str, text: str) -> tuple[Any, Any]:
@@ -156,6 +164,7 @@ class CanBus:
         decoded = message.decode(frame.data, decode_choices=False, allow_truncated=True)
         for column, name in columns:
             self._values[column] = float(decoded.get(name, math.nan))
+            self._taken_s[column] = time.monotonic()
 
 
 def _database(path: Path) -> Any:

@@ -1,5 +1,6 @@
 """JSON lines as a source: from standard input, a serial device, or UDP on this machine."""
 
+import contextlib
 import json
 import math
 import os
@@ -7,7 +8,7 @@ import socket
 import sys
 import tty
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -19,6 +20,7 @@ MOST_BYTES = 65536  # read at once, and of an unfinished line; chosen
 CAN_BE_BUSY = (BlockingIOError, InterruptedError)
 
 
+@runtime_checkable
 class Transport(Protocol):
     """Where lines come from and go to."""
 
@@ -112,12 +114,13 @@ class UdpTransport:
             raise InputError(f"udp port {self._port}: {error.strerror}; choose a free port") from error
 
     def read(self) -> bytes | None:
-        """Return the next datagram, ended by a line feed."""
-        try:
-            data, self._sender = self._socket.recvfrom(MOST_BYTES)
-        except CAN_BE_BUSY:
-            return b""
-        return data + b"\n"
+        """Return the datagrams that have arrived, each ended by a line feed."""
+        lines = b""
+        with contextlib.suppress(*CAN_BE_BUSY):
+            while len(lines) < MOST_BYTES:
+                data, self._sender = self._socket.recvfrom(MOST_BYTES)
+                lines += data + b"\n"
+        return lines
 
     def write(self, line: bytes) -> None:
         """Send one datagram."""

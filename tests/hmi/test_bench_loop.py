@@ -1,0 +1,510 @@
+"""The bench loop: only a run moves anything, and whatever goes wrong closes the valves and stays so."""
+
+import csv
+import errno
+import json
+import os
+import re
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import fake_bench
+from fake_bench import STEP_S, Machine, Plant
+from hitchid.errors import InputError
+from hitchid.hmi import bench_loop, recorder
+from hitchid.hmi.bench_loop import BenchLoop
+from hitchid.hmi.program import Step
+from hitchid.hmi.safety import State
+
+CLOSED = (0.0, 0.0)
+WITHIN = {"kind": "campaign", "name": "monday", "ramps": 1, "ramp_s": 5, "tests": 1, "test_s": 3}
+
+
+def rows_of(path):
+    with path.open() as file:
+        header, *rows = csv.reader(file)
+    return header, np.array([[float(cell or "nan") for cell in row] for row in rows])
+
+
+def assert_closed(bench, *, ticks=20):
+    """Nothing but zero is sent in further ticks, and the state stays stopped."""
+    sent = len(bench.plant.sent)
+    bench.tick(ticks)
+    assert bench.state is State.STOPPED
+    assert set(bench.plant.sent[sent:]) <= {CLOSED}
+    assert not bench.loop.commands.any()
+
+
+def open_logs(folder):
+    """Return the logs below a folder that this process holds open."""
+    held = {os.path.realpath(f"/proc/self/fd/{number}") for number in os.listdir("/proc/self/fd")}
+    return {path for path in held if path.startswith(str(folder)) and path.endswith(".csv")}
+
+
+def test_a_connected_bench_sends_zero_and_moves_nothing(make_bench):
+    bench = make_bench()
+    readings = bench.tick(50)
+    assert bench.plant.sent == [CLOSED] * 50
+    assert [reading.time_s for reading in readings] == [STEP_S * k for k in range(50)]
+    assert readings[0].values == (0.0, 0.0, 100.0)
+
+
+def test_an_armed_bench_sends_zero(make_bench, write_test):
+    bench = make_bench()
+    bench.tick()
+    bench.ask("arm", plan=write_test())
+    bench.tick(100)
+    assert bench.state is State.ARMED
+    assert set(bench.plant.sent) == {CLOSED}
+
+
+def test_a_run_sends_the_commands_of_its_file_then_zero_and_is_idle(make_bench, write_test, tmp_path):
+    bench = make_bench()
+    bench.run(**write_test(lifting=0.6, duration_s=0.5))
+    bench.tick(100)
+    assert bench.plant.sent == [CLOSED] + 51 * [(0.6, 0.0)] + 49 * [CLOSED]
+    assert bench.state is State.IDLE
+    header, rows = rows_of(tmp_path / "campaigns" / "next" / "next.csv")
+    assert len(rows) == 51
+    assert header[0] == "time_s"
+
+
+def test_the_command_of_a_row_acts_from_its_sample_to_the_next(make_bench, write_test, tmp_path):
+    bench = make_bench(Plant(dead_zones=(0.0, 0.0)))
+    plan = write_test()
+    times = 0.03 * np.arange(60)
+    levels = np.random.default_rng(0).uniform(0.0, 0.5, 60)
+    rows = "".join(f"{time:.2f},{level:.3f},0\n" for time, level in zip(times, levels, strict=True))
+    (tmp_path / plan["file"]).write_text(f"time_s,lifting_command,lowering_command\n{rows}")
+    bench.run(**plan)
+    bench.tick(250)
+    _, log = rows_of(tmp_path / "campaigns" / "next" / "next.csv")
+    time_s, lifting, _, displacement = log.T
+    np.testing.assert_allclose(np.diff(time_s), STEP_S, atol=1e-9)
+    # Ten significant digits are written: 1e-7 mm of a displacement of a few hundred.
+    np.testing.assert_allclose(np.diff(displacement), STEP_S * 100.0 * lifting[:-1], atol=2e-7)
+
+
+@settings(max_examples=30)
+@given(st.lists(st.tuples(*[st.floats(allow_nan=True, allow_infinity=True)] * 2), min_size=1, max_size=20))
+def test_whatever_a_program_asks_for_is_sent_within_limits_and_to_one_valve_only(asked):
+    plant = Plant()
+    with pytest.MonkeyPatch.context() as patch:
+        bench = bench_with(patch, plant, [np.array(pair) for pair in asked])
+        bench.tick(len(asked) + 5)
+    for lifting, lowering in plant.sent:
+        assert 0.0 <= lifting <= 0.9
+        assert 0.0 <= lowering <= 0.8
+        assert lifting == 0 or lowering == 0
+
+
+def bench_with(patch, plant, commands):
+    """Return a bench whose run asks for given commands, or raises one that is an error; nothing is logged."""
+
+    class Asked:
+        step, plan = Step(np.zeros(2), "test"), None
+
+        def __init__(self, *_):
+            self.target, self._rest = None, list(commands)
+
+        def begin(self):
+            pass
+
+        def advance(self, _):
+            if not self._rest:
+                return False
+            wanted = self._rest.pop(0)
+            if isinstance(wanted, Exception):
+                raise wanted
+            self.step = Step(wanted, "test")
+            return True
+
+        def record(self, readings):
+            pass
+
+        def end(self):
+            pass
+
+    patch.setattr(fake_bench, "made", lambda: plant, raising=False)
+    patch.setattr(bench_loop, "Run", Asked)
+    patch.setattr(BenchLoop, "_limits_of", lambda *_: fake_bench.LIMITS)
+    bench = fake_bench.Bench(BenchLoop(Path("/nonexistent")), plant)
+    bench.ask("connect", source="fake_bench:made")
+    bench.run(**WITHIN)
+    return bench
+
+
+@pytest.mark.parametrize(
+    ("wanted", "reason"),
+    [
+        (np.array([0.5, 0.5]), "both valves"),
+        (np.array([0.5, 1e-9]), "both valves"),
+        (InputError("no more"), "^no more$"),
+        (ZeroDivisionError("by zero"), "^ZeroDivisionError: by zero$"),
+        (np.zeros(3), "shape|broadcast"),
+    ],
+)
+def test_a_program_that_errs_closes_the_valves_in_the_same_sample(monkeypatch, wanted, reason):
+    plant = Plant()
+    bench = bench_with(monkeypatch, plant, [np.array([0.6, 0.0])] * 3 + [wanted] + [np.array([0.6, 0.0])] * 9)
+    bench.tick(4)
+    assert plant.sent == [CLOSED] + 3 * [(0.6, 0.0)] + [CLOSED]
+    assert re.search(reason, bench.reason)
+    assert_closed(bench)
+
+
+@pytest.mark.parametrize("who", ["server", "page"])
+def test_half_a_second_without_a_sign_of_life_closes_the_valves_and_latches(make_bench, write_test, who):
+    bench = make_bench()
+    bench.run(**write_test())
+    bench.tick(20)
+    begun = len(bench.plant.sent)
+    bench.tick(60, **{who: False})
+    moved = sum(sent != CLOSED for sent in bench.plant.sent[begun:])
+    assert 49 <= moved <= 50
+    assert who in bench.reason
+    assert_closed(bench, ticks=100)
+
+
+def test_an_armed_bench_whose_page_is_gone_is_stopped(make_bench, write_test):
+    bench = make_bench()
+    bench.tick()
+    bench.ask("arm", plan=write_test())
+    bench.tick(60, page=False)
+    assert_closed(bench)
+    with pytest.raises(InputError, match="reset"):
+        bench.ask("start")
+
+
+def test_a_stop_takes_effect_at_the_next_sample_and_closes_the_log(make_bench, write_test, tmp_path):
+    bench = make_bench()
+    bench.run(**write_test())
+    bench.tick(30)
+    assert bench.plant.sent[-1] == (0.6, 0.0)
+    sent = len(bench.plant.sent)
+    bench.ask("stop", reason="operator")
+    bench.tick()
+    assert bench.plant.sent[sent:] == [CLOSED]
+    assert bench.reason == "operator"
+    assert len(rows_of(tmp_path / "campaigns" / "next" / "next.csv")[1]) == 30
+    assert_closed(bench)
+    assert not bench.loop.describe()["run"]
+
+
+def test_after_a_stop_only_reset_arm_and_start_move_again(make_bench, write_test):
+    bench = make_bench()
+    bench.run(**write_test())
+    bench.ask("stop")
+    for kind in ("start", "connect", "arm"):
+        with pytest.raises(InputError, match="reset"):
+            bench.ask(kind, plan={**write_test(), "name": "again"}, source="fake_bench:made")
+    bench.ask("reset")
+    bench.tick(5)
+    assert set(bench.plant.sent[1:]) == {CLOSED}
+    bench.run(**{**write_test(), "name": "again"})
+    bench.tick()
+    assert bench.plant.sent[-1] == (0.6, 0.0)
+
+
+def test_a_silent_sensor_stops_within_its_limit(make_bench, write_test):
+    bench = make_bench()
+    bench.run(**write_test())
+    bench.tick(20)
+    bench.plant.is_silent = True
+    sent = len(bench.plant.sent)
+    bench.tick(20)
+    moved = sum(commands != CLOSED for commands in bench.plant.sent[sent:])
+    assert moved <= 0.05 / STEP_S
+    assert "no displacement" in bench.reason
+    assert_closed(bench)
+
+
+def test_a_displacement_outside_the_limits_stops_in_its_sample(make_bench, write_test):
+    bench = make_bench()
+    bench.run(**write_test())
+    bench.tick(20)
+    bench.plant.displacement = 256.0  # the margin is 2 % of 250 mm
+    bench.tick()
+    assert bench.plant.sent[-1] == CLOSED
+    assert "256 is outside 0 to 250" in bench.reason
+    assert_closed(bench)
+
+
+def test_a_lost_source_is_sent_zero_closed_and_latched(make_bench, write_test, tmp_path):
+    bench = make_bench()
+    bench.run(**write_test())
+    bench.tick(20)
+    bench.plant.is_lost = True
+    bench.tick()
+    assert bench.plant.sent[-1] == CLOSED
+    assert not bench.plant.is_open
+    assert (bench.state, bench.reason) == (State.STOPPED, "the plug was pulled")
+    assert len(rows_of(tmp_path / "campaigns" / "next" / "next.csv")[1]) == 20
+    bench.ask("reset")
+    assert bench.state is State.DISCONNECTED
+
+
+@pytest.mark.parametrize("end", [lambda bench: bench.ask("disconnect"), lambda bench: bench.loop.close()])
+def test_zero_is_the_last_command_before_a_source_is_closed(make_bench, write_test, end):
+    bench = make_bench()
+    bench.run(**write_test())
+    bench.tick(20)
+    end(bench)
+    assert bench.plant.sent[-2:] == [(0.6, 0.0), CLOSED]
+    assert not bench.plant.is_open
+    assert bench.state is State.STOPPED
+
+
+@pytest.mark.parametrize("raised", [InputError("bus off"), OSError("gone"), ZeroDivisionError("driver")])
+@pytest.mark.parametrize("call", ["read", "write"])
+def test_a_source_that_raises_is_lost_and_the_loop_goes_on(make_bench, write_test, monkeypatch, call, raised):
+    bench = make_bench()
+    bench.run(**write_test())
+    bench.tick(5)
+
+    def fail(*_):
+        raise raised
+
+    monkeypatch.setattr(bench.plant, call, fail)
+    bench.tick(5)
+    assert bench.state is State.STOPPED
+    assert str(raised) in bench.reason
+    assert not bench.plant.is_open
+
+
+def test_a_sample_that_lacks_a_value_loses_the_source(make_bench, monkeypatch):
+    bench = make_bench()
+    monkeypatch.setattr(bench.plant, "read", lambda: [bench_loop.Reading(0.0, (0.0, 0.0))])
+    bench.tick()
+    assert "a value for each signal" in bench.reason
+    assert bench.state is State.DISCONNECTED
+
+
+def full_disk(*_):
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+@pytest.mark.parametrize("is_recording", [False, True])
+def test_a_full_disk_stops_the_run_and_closes_its_logs(
+    make_bench, write_test, monkeypatch, tmp_path, is_recording
+):
+    bench = make_bench()
+    bench.tick()
+    if is_recording:
+        bench.ask("record", on=True)
+    bench.run(**write_test())
+    bench.tick(40)
+    held = open_logs(tmp_path)
+    assert len(held) == 1 + is_recording
+    monkeypatch.setattr(recorder.os, "write", full_disk)
+    bench.tick(25)  # FLUSH_S later something was written
+    monkeypatch.undo()
+    assert bench.plant.sent[-1] == CLOSED
+    assert "No space left on device" in bench.reason
+    assert_closed(bench)
+    assert bench.loop.describe()["recording"] is None
+    assert wait_until(lambda: not open_logs(tmp_path))
+
+
+def wait_until(condition, longest_s=10.0):
+    end_s = time.monotonic() + longest_s
+    while not condition() and time.monotonic() < end_s:
+        time.sleep(0.01)
+    return condition()
+
+
+def test_a_disk_that_is_full_at_the_end_of_a_log_is_told_and_latches(make_bench, write_test, monkeypatch):
+    bench = make_bench()
+    bench.run(**write_test(duration_s=0.1))
+    bench.tick(5)
+    monkeypatch.setattr(recorder.os, "write", full_disk)
+    bench.tick(10)
+    assert "No space left on device" in bench.reason
+    assert_closed(bench)
+
+
+def test_a_stop_with_a_full_disk_keeps_the_reason_of_the_stop(make_bench, write_test, monkeypatch):
+    bench = make_bench()
+    bench.run(**write_test())
+    bench.tick(5)
+    monkeypatch.setattr(recorder.os, "write", full_disk)
+    bench.ask("stop", reason="operator")
+    assert bench.reason == "operator"
+    assert_closed(bench)
+
+
+def test_a_machine_is_sent_nothing_without_permission(make_bench, write_test):
+    bench = make_bench(Machine())
+    bench.tick(5)
+    with pytest.raises(InputError, match="--allow-output"):
+        bench.ask("arm", plan=write_test())
+    assert bench.state is State.IDLE
+    bench.loop.close()
+    assert bench.plant.sent == []
+
+
+def test_a_machine_without_limits_is_not_moved(make_bench, write_test):
+    bench = make_bench(Machine(), limits=False, allow_output=True)
+    bench.tick()
+    with pytest.raises(InputError, match=r"has no limits.*--limits"):
+        bench.ask("arm", plan=write_test())
+
+
+def test_a_machine_with_permission_and_limits_moves_but_not_unattended(make_bench, write_test):
+    bench = make_bench(Machine(), allow_output=True)
+    bench.tick()
+    with pytest.raises(InputError, match="unattended"):
+        bench.ask("arm", plan={**WITHIN, "unattended": True})
+    bench.run(**write_test())
+    bench.tick(2)
+    assert bench.plant.sent[-1] == (0.6, 0.0)
+
+
+def test_an_unattended_campaign_goes_on_without_its_page_but_not_without_the_server(make_bench):
+    bench = make_bench()
+    bench.run(**{**WITHIN, "unattended": True})
+    bench.tick(200, page=False)
+    assert bench.state is State.RUNNING
+    bench.tick(60, page=False, server=False)
+    assert "server" in bench.reason
+    assert_closed(bench)
+
+
+def test_nothing_is_armed_before_a_displacement_was_measured(make_bench, write_test):
+    bench = make_bench()
+    bench.plant.is_silent = True
+    bench.tick(5)
+    with pytest.raises(InputError, match="no displacement was measured yet"):
+        bench.ask("arm", plan=write_test())
+    assert bench.state is State.IDLE
+
+
+def test_commands_above_the_limits_are_refused_when_armed(make_bench, write_test):
+    bench = make_bench()
+    bench.tick()
+    with pytest.raises(InputError, match=r"lifting_command reaches 1\.2 A; the limit is 0\.9"):
+        bench.ask("arm", plan=write_test(lifting=1.2))
+
+
+def test_a_name_that_is_taken_is_refused_when_armed(make_bench, write_test):
+    bench = make_bench()
+    bench.run(**write_test(duration_s=0.1))
+    bench.tick(20)
+    with pytest.raises(InputError, match="exists already; choose another name"):
+        bench.ask("arm", plan=write_test())
+
+
+def test_a_faster_bench_takes_more_samples_a_tick_of_a_run_and_none_twice(make_bench, write_test, tmp_path):
+    bench = make_bench()
+    bench.ask("disconnect")
+    bench.ask("connect", source="fake_bench:made", options={"speed": 20})
+    assert len(bench.tick()) == 1
+    bench.run(**write_test())
+    times = [reading.time_s for reading in bench.tick(10)]
+    np.testing.assert_allclose(times, STEP_S * (3 + np.arange(200)), atol=1e-12)
+    bench.ask("stop")
+    assert len(bench.tick()) == 1
+    time_s = rows_of(tmp_path / "campaigns" / "next" / "next.csv")[1][:, 0]
+    np.testing.assert_allclose(time_s, STEP_S * np.arange(200), atol=1e-9)
+
+
+@pytest.mark.parametrize("fault", ["is_lost", "is_silent"])
+def test_a_faster_bench_stops_at_the_sample_of_a_fault(make_bench, write_test, fault):
+    bench = make_bench()
+    bench.ask("disconnect")
+    bench.ask("connect", source="fake_bench:made", options={"speed": 20})
+    bench.run(**write_test())
+    setattr(bench.plant, fault, True)
+    bench.tick()
+    assert sum(sent != CLOSED for sent in bench.plant.sent) <= 0.05 / STEP_S
+    assert_closed(bench)
+
+
+@pytest.mark.parametrize("speed", [0, -1, 21, "fast", 1.5, None, True])
+def test_a_speed_that_is_none_is_refused_and_nothing_is_opened(make_bench, speed):
+    bench = make_bench()
+    bench.ask("disconnect")
+    with pytest.raises(InputError, match="speed"):
+        bench.ask("connect", source="fake_bench:made", options={"speed": speed})
+    assert (bench.state, bench.plant.is_open) == (State.DISCONNECTED, False)
+
+
+def test_a_machine_has_no_other_speed(make_bench):
+    bench = make_bench(Machine())
+    bench.ask("disconnect")
+    with pytest.raises(InputError, match="speed: expected at most 1 here"):
+        bench.ask("connect", source="fake_bench:made", options={"speed": 2})
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        ("", "expected one of rig, replay"),
+        ("nothing", "expected one of rig, replay"),
+        ("nowhere:Source", "cannot be imported"),
+        ("fake_bench:nothing", "cannot be imported"),
+        ("fake_bench:Bench", "cannot be imported"),
+        ("math:gcd", "is no source"),
+        ("udp:0", "a port"),
+        ("udp:99999", "a port"),
+        (None, "expected one of"),
+    ],
+)
+def test_a_source_that_is_none_is_refused(tmp_path, source, message):
+    with pytest.raises(InputError, match=message):
+        BenchLoop(tmp_path).handle({"type": "connect", "source": source}, 0.0)
+
+
+def test_a_source_with_signals_in_another_order_is_refused(make_bench):
+    plant = Plant()
+    plant.signals = plant.signals[::-1]
+    with pytest.raises(InputError, match="expected the signals lifting_command, lowering_command, displ"):
+        make_bench(plant)
+
+
+@pytest.mark.parametrize("rig", ["/etc/passwd.toml", "../other.toml", "nowhere", None, {}])
+def test_a_rig_is_one_of_the_package(tmp_path, rig):
+    with pytest.raises(InputError, match="rig"):
+        BenchLoop(tmp_path).handle({"type": "connect", "source": "rig", "options": {"rig": rig}}, 0.0)
+
+
+@pytest.mark.parametrize("log", ["../a.csv", "/etc/passwd", "uploads/none.csv", None, 3])
+def test_a_log_to_replay_is_one_of_the_project(tmp_path, log):
+    with pytest.raises(InputError, match="path"):
+        BenchLoop(tmp_path).handle({"type": "connect", "source": "replay", "options": {"log": log}}, 0.0)
+
+
+@pytest.mark.parametrize("request_", [{}, {"type": None}, {"type": "tick"}, {"type": ["stop"]}])
+def test_what_is_no_request_is_refused(tmp_path, request_):
+    with pytest.raises(InputError, match="is no request"):
+        BenchLoop(tmp_path).handle(request_, 0.0)
+
+
+@pytest.mark.parametrize("target", [None, "high", float("nan"), float("inf"), []])
+def test_a_target_that_is_none_is_refused(make_bench, target):
+    with pytest.raises(InputError, match="mm"):
+        make_bench().ask("target", mm=target)
+
+
+def test_a_target_without_a_closed_loop_is_refused(make_bench):
+    with pytest.raises(InputError, match="there is no closed loop"):
+        make_bench().ask("target", mm=100.0)
+
+
+def test_the_state_is_content_for_json_whatever_happens(make_bench, write_test):
+    bench = make_bench()
+    bench.plant.is_silent = True
+    bench.tick()
+    json.dumps(bench.loop.describe(), allow_nan=False)
+    bench.plant.is_silent = False
+    bench.run(**write_test())
+    bench.tick()
+    told = json.loads(json.dumps(bench.loop.describe(), allow_nan=False))
+    assert (told["state"], told["mode"]) == ("running", "lifting")
+    assert told["limits"]["units"] == {"command": "A", "displacement": "mm"}
+    assert told["run"]["folder"] == "campaigns/next"

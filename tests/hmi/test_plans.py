@@ -1,0 +1,190 @@
+"""What an operator asks for is understood, or refused with the name of what is wrong."""
+
+import contextlib
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hitchid.errors import InputError, SettingsError
+from hitchid.hmi.limits import Limits, read_limits
+from hitchid.hmi.plans import MOST_SAMPLES, read_commands, read_plan
+
+CAMPAIGN = {"kind": "campaign", "name": "monday"}
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=10),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=10), inner, max_size=3),
+    max_leaves=10,
+)
+
+
+@pytest.mark.parametrize(
+    ("content", "key"),
+    [
+        ({}, "kind"),
+        ({"kind": "dance"}, "kind"),
+        ({"kind": "campaign"}, "name"),
+        ({**CAMPAIGN, "name": "../up"}, "name"),
+        ({**CAMPAIGN, "name": ".hidden"}, "name"),
+        ({**CAMPAIGN, "name": "a/b"}, "name"),
+        ({**CAMPAIGN, "name": "a\n"}, "name"),
+        ({**CAMPAIGN, "name": ""}, "name"),
+        ({**CAMPAIGN, "name": 61 * "a"}, "name"),
+        ({**CAMPAIGN, "ramps": 0}, "ramps"),
+        ({**CAMPAIGN, "ramp_s": float("nan")}, "ramp_s"),
+        ({**CAMPAIGN, "tests": 1001}, "tests"),
+        ({**CAMPAIGN, "test_s": "ten"}, "test_s"),
+        ({**CAMPAIGN, "cycles": -1}, "cycles"),
+        ({**CAMPAIGN, "directions": []}, "directions"),
+        ({**CAMPAIGN, "directions": ["sideways"]}, "directions"),
+        ({**CAMPAIGN, "seed": 2**31}, "seed"),
+        ({**CAMPAIGN, "speed": 2}, "speed"),
+        ({"kind": "file", "name": "a"}, "file"),
+        ({"kind": "file", "name": "a", "file": "uploads/a.csv", "unattended": True}, "unattended"),
+        ({"kind": "file", "name": "a", "file": "uploads/a.csv", "campaign": "../b"}, "campaign"),
+        ({"kind": "drive", "name": "a"}, "controller"),
+        (
+            {"kind": "drive", "name": "a", "controller": "controllers/a.toml", "unattended": True},
+            "unattended",
+        ),
+    ],
+)
+def test_a_wrong_plan_is_refused_with_the_name_of_its_key(content, key):
+    with pytest.raises(InputError, match=rf"^plan: .*{key}"):
+        read_plan(content)
+
+
+@given(JSON | st.fixed_dictionaries({"kind": st.sampled_from(["campaign", "file", "drive"]), "name": JSON}))
+def test_anything_is_a_plan_or_refused(content):
+    with contextlib.suppress(InputError):
+        assert read_plan(content).name == content["name"]
+
+
+def test_a_campaign_counts_its_logs_and_its_time():
+    plan = read_plan(
+        {**CAMPAIGN, "ramps": 2, "ramp_s": 10, "tests": 3, "test_s": 5, "cycles": 1, "cycle_s": 30}
+    )
+    assert plan.total == 2 * 2 + 2 * 3 + 1
+    assert plan.duration_s > 4 * 10 + 6 * 5 + 30
+    alone = read_plan({**CAMPAIGN, "directions": ["lifting"], "ramps": 2, "tests": 3})
+    assert (alone.excited, alone.total) == (("lifting",), 5)
+    mixed = read_plan({**CAMPAIGN, "directions": ["lifting"], "ramps": 2, "tests": 3, "cycles": 1})
+    assert (mixed.excited, mixed.total) == (("lifting", "lowering"), 8)
+
+
+def written(tmp_path, text):
+    path = tmp_path / "next.csv"
+    path.write_text(text)
+    return path
+
+
+def test_commands_are_held_until_the_next_row(tmp_path):
+    path = written(tmp_path, "time_s,lifting_command,lowering_command\n5,0.1,0\n5.03,0,0.2\n5.05,0.3,0\n")
+    expected = [[0.1, 0.0]] * 3 + [[0.0, 0.2]] * 2 + [[0.3, 0.0]]
+    np.testing.assert_array_equal(read_commands(path, 0.01), expected)
+
+
+@given(st.lists(st.integers(1, 9), min_size=1, max_size=30), st.sampled_from([0.01, 0.004, 0.02]))
+def test_on_the_clock_of_the_source_each_row_is_held_as_long_as_it_says(tmp_path_factory, holds, step_s):
+    starts = np.concatenate([[0], np.cumsum(holds)])
+    rows = "".join(f"{start * step_s:.9g},{1 + number}\n" for number, start in enumerate(starts))
+    path = written(tmp_path_factory.mktemp("file"), f"time_s,lifting_command\n{rows}")
+    lifting, lowering = read_commands(path, step_s).T
+    expected = np.concatenate([np.repeat(np.arange(len(holds)), holds), [len(holds)]]) + 1.0
+    np.testing.assert_array_equal(lifting, expected)
+    assert not lowering.any()
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "time_s,lifting_command,lowering_command",
+        "time_s,current_up_A,current_down_A",
+        "time_s,lifting_command_A,lowering_command_A",
+        "time_s, lifting_command , lowering_command ",
+        "time_s,lowering_command,lifting_command",
+    ],
+)
+def test_columns_are_found_by_name(tmp_path, header):
+    swapped = header.index("low") < header.index("lif") if "lif" in header else False
+    path = written(tmp_path, f"{header}\n0,0.5,0\n0.01,0.5,0\n")
+    assert read_commands(path, 0.01)[0].tolist() == ([0.0, 0.5] if swapped else [0.5, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("", "expected time_s first"),
+        ("time_s,lifting_command\n", "expected time_s first"),
+        ("time_s,lifting_command\n0,0.5\n", "expected time_s first"),
+        ("lifting_command,time_s\n0,0\n1,0\n", "expected time_s first"),
+        ("time_s,position\n0,0\n1,0\n", "expected time_s first"),
+        ("time_s,lifting_command\n0,0.5\n1,0.5,0.5\n", "cannot be read"),
+        ("time_s,lifting_command\n0,high\n1,0.5\n", "cannot be read"),
+        ("time_s,lifting_command\n0,\n1,0.5\n", "cannot be read"),
+        ("time_s,lifting_command\n0,nan\n1,0.5\n", "finite numbers"),
+        ("time_s,lifting_command\n0,0.5\ninf,0.5\n", "finite numbers"),
+        ("time_s,lifting_command\n0,0.5\n0,0.5\n", "rising times"),
+        ("time_s,lifting_command\n0,0.5\n1,-0.5\n", "at least zero"),
+        ("time_s,lifting_command\n0,0.5\n1e9,0.5\n", f"at most {MOST_SAMPLES}"),
+        ("time_s,lifting_command\n0,0.5\n1e300,0.5\n", f"at most {MOST_SAMPLES}"),
+        ("time_s,lifting_command,lowering_command\n0,0.5,0.1\n1,0,0\n", "both valves at once"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:loadtxt")
+def test_a_file_that_is_none_of_commands_is_refused(tmp_path, text, problem):
+    with pytest.raises(InputError, match=rf"^next\.csv: .*{problem}"):
+        read_commands(written(tmp_path, text), 0.01)
+
+
+def test_a_file_of_bytes_is_refused(tmp_path):
+    (tmp_path / "next.csv").write_bytes(bytes(range(256)))
+    with pytest.raises(InputError, match="cannot be read"):
+        read_commands(tmp_path / "next.csv", 0.01)
+
+
+LIMITS = {
+    "lifting_command": "0.9",
+    "lowering_command": "0.8",
+    "lowest_displacement": "10",
+    "highest_displacement": "210",
+}
+
+
+def limits_file(tmp_path, **changed):
+    path = tmp_path / "limits.toml"
+    entries = {name: value for name, value in {**LIMITS, **changed}.items() if value}
+    path.write_text("".join(f"{name} = {value}\n" for name, value in entries.items()))
+    return path
+
+
+def test_a_limits_file_is_read(tmp_path):
+    limits = read_limits(limits_file(tmp_path, sensor_silence_s="0.2"))
+    assert limits == Limits((0.9, 0.8), (10.0, 210.0), 0.2)
+    assert limits.travel == 200.0
+
+
+@pytest.mark.parametrize(
+    ("changed", "key"),
+    [
+        ({"lifting_command": ""}, "lifting_command"),
+        ({"lifting_command": "0"}, "lifting_command"),
+        ({"lowering_command": "inf"}, "lowering_command"),
+        ({"lowering_command": "nan"}, "lowering_command"),
+        ({"lowest_displacement": "210"}, "lowest_displacement"),
+        ({"highest_displacement": "'high'"}, "highest_displacement"),
+        ({"sensor_silence_s": "0"}, "sensor_silence_s"),
+        ({"sensor_silence_s": "2"}, "sensor_silence_s"),
+        ({"watchdog_s": "2"}, "watchdog_s"),
+    ],
+)
+def test_a_wrong_limits_file_is_refused_with_the_name_of_its_key(tmp_path, changed, key):
+    with pytest.raises(SettingsError, match=key):
+        read_limits(limits_file(tmp_path, **changed))
+
+
+@given(st.floats(allow_nan=True, allow_infinity=True))
+def test_only_what_is_inside_the_travel_and_its_margin_is_not_beyond(displacement):
+    limits = Limits((1.0, 1.0), (10.0, 210.0))
+    assert limits.is_beyond(displacement) == (not 6.0 <= displacement <= 214.0)

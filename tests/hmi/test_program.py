@@ -1,0 +1,220 @@
+"""Moves, tests and campaigns on a plant whose dead zones, gains and stops are known."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fake_bench import DEAD_ZONES, GAINS, LIMITS, STEP_S, STROKE, Plant
+from hitchid.data.record import DIRECTIONS
+from hitchid.errors import InputError
+from hitchid.hmi import campaign as campaigns
+from hitchid.hmi.campaign import START, campaign
+from hitchid.hmi.limits import MARGIN, Limits
+from hitchid.hmi.plans import CampaignPlan
+from hitchid.hmi.program import COAST_S, MOVE_STROKES_PER_S, RISE_S, SETTLE_S, STALLED_S, apply, move
+
+UNITS = ("A", "mm")
+SPEED = MOVE_STROKES_PER_S * STROKE  # mm/s, wanted speed of a move
+
+
+def carried_out(program, plant, *, measured=None, longest=200_000):
+    """Run a program on a plant; return steps, displacement at each, and what it returns."""
+    steps, displacements = [], []
+    try:
+        step = next(program)
+        for sample in range(longest):
+            steps.append(step)
+            displacements.append(plant.displacement)
+            plant.advance(step.commands)
+            step = program.send(measured(sample) if measured else plant.displacement)
+    except StopIteration as end:
+        return steps, np.array(displacements), end.value
+    raise AssertionError("the program does not end")
+
+
+@settings(max_examples=30)
+@given(st.floats(10.0, 240.0), st.floats(10.0, 240.0), st.floats(0.0, 0.3))
+def test_a_move_comes_to_rest_at_its_target(start, target, lag_s):
+    plant = Plant(start, lag_s=lag_s)
+    _, _, reached = carried_out(move(start, target, LIMITS, STEP_S), plant)
+    assert reached == plant.displacement
+    # While the speed is still found (0.1 s) and follows its command (lag), the command rises on.
+    rise = max(gain * top / RISE_S for gain, top in zip(GAINS, LIMITS.commands, strict=True))
+    fastest = SPEED + rise * (0.1 + lag_s + STEP_S)
+    wrong_coast_s = abs(COAST_S - lag_s) + 0.1 + 2 * STEP_S
+    assert abs(reached - target) <= fastest * wrong_coast_s
+
+
+@pytest.mark.parametrize("target", [20.0, 230.0])
+def test_a_move_of_a_plant_that_coasts_as_expected_ends_within_a_millimetre(target):
+    plant = Plant(lag_s=COAST_S)
+    _, _, reached = carried_out(move(100.0, target, LIMITS, STEP_S), plant)
+    # The distance of two samples at the speed of the move.
+    assert reached == pytest.approx(target, abs=2 * 1.2 * SPEED * STEP_S)
+
+
+@given(st.floats(0.0, STROKE), st.floats(0.0, STROKE))
+@settings(max_examples=30)
+def test_a_move_drives_one_valve_within_its_limit_and_settles_with_both_closed(start, target):
+    steps, _, _ = carried_out(move(start, target, LIMITS, STEP_S), Plant(start))
+    commands = np.array([step.commands for step in steps])
+    driven = 0 if target > start else 1
+    assert commands[:, driven].max() <= LIMITS.commands[driven]
+    assert not commands[:, 1 - driven].any()
+    assert not commands[-round(SETTLE_S / STEP_S) :].any()
+
+
+def test_a_move_that_is_blocked_ends():
+    plant = Plant(100.0, dead_zones=(2.0, 2.0))
+    steps, _, reached = carried_out(move(100.0, 200.0, LIMITS, STEP_S), plant)
+    assert reached == 100.0
+    assert len(steps) * STEP_S == pytest.approx(RISE_S + STALLED_S + SETTLE_S, abs=0.1)
+
+
+def test_a_move_goes_on_over_samples_that_are_missing():
+    program, plant = move(100.0, 100.0 + SPEED, LIMITS, STEP_S), Plant(100.0)
+    _, _, reached = carried_out(program, plant, measured=lambda k: plant.displacement if k % 3 else np.nan)
+    assert reached == plant.displacement
+    assert reached == pytest.approx(100.0 + SPEED, abs=1.5 * SPEED * COAST_S)
+
+
+def test_apply_returns_the_displacement_at_each_command():
+    plant = Plant(dead_zones=(0.0, 0.0))
+    commands = np.column_stack([np.linspace(0.0, 0.5, 40), np.zeros(40)])
+    steps, displacements, measured = carried_out(apply(100.0, commands, "log", LIMITS, STEP_S), plant)
+    np.testing.assert_array_equal([step.commands for step in steps], commands)
+    np.testing.assert_array_equal(measured, displacements)
+    np.testing.assert_allclose(np.diff(measured), STEP_S * GAINS[0] * commands[:-1, 0], rtol=1e-9)
+    assert {step.log for step in steps} == {"log"}
+    assert steps[0].left_s == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize(("channel", "start"), [(0, 200.0), (1, 50.0)])
+def test_a_test_ends_near_the_end_of_travel_that_it_is_driven_to(channel, start):
+    plant, commands = Plant(start), np.zeros((5000, 2))
+    commands[:, channel] = LIMITS.commands[channel]
+    steps, displacements, _ = carried_out(apply(start, commands, "log", LIMITS, STEP_S), plant)
+    assert len(steps) < 5000
+    fastest = STEP_S * GAINS[channel] * LIMITS.commands[channel]
+    assert displacements.min() >= MARGIN * STROKE - fastest
+    assert displacements.max() <= STROKE - MARGIN * STROKE + fastest
+    assert 0.0 < plant.displacement < STROKE
+
+
+def test_a_test_at_an_end_of_travel_may_be_driven_away_from_it():
+    commands = np.zeros((50, 2))
+    commands[:, 0] = 0.6
+    steps, _, _ = carried_out(apply(0.0, commands, "log", LIMITS, STEP_S), Plant(0.0))
+    assert len(steps) == 50
+
+
+def test_a_ramp_ends_after_its_travel():
+    commands = np.column_stack([np.linspace(0.0, 0.9, 2000), np.zeros(2000)])
+    _, displacements, _ = carried_out(apply(100.0, commands, "log", LIMITS, STEP_S, 20.0), Plant())
+    assert 19.0 < displacements[-1] - 100.0 <= 20.0
+
+
+@pytest.fixture(scope="module", params=[0.0, 0.1])
+def done(request):
+    """Return a campaign that was carried out: plan, steps, displacements, results of its ramps."""
+    found, evaluate = {}, campaigns.evaluate_ramps
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            campaigns,
+            "evaluate_ramps",
+            lambda ramps, direction: found.setdefault(direction, evaluate(ramps, direction)),
+        )
+        plan = CampaignPlan(name="monday", ramps=2, ramp_s=20, tests=3, test_s=8, cycles=1, cycle_s=30)
+        plant = Plant(20.0, lag_s=request.param)
+        steps, displacements, _ = carried_out(campaign(plan, 20.0, LIMITS, STEP_S, UNITS), plant)
+    return plan, steps, displacements, found, request.param
+
+
+def logs_of(steps):
+    """Return the samples of each log, in their order."""
+    logs = {}
+    for sample, step in enumerate(steps):
+        if step.log:
+            logs.setdefault(step.log, []).append(sample)
+    return logs
+
+
+def test_a_campaign_makes_each_of_its_logs_in_one_piece(done):
+    plan, steps, *_ = done
+    logs = logs_of(steps)
+    assert len(logs) == plan.total
+    for samples in logs.values():
+        assert samples == list(range(samples[0], samples[-1] + 1))
+    assert list(logs)[:4] == [f"ramp-{direction}-{n:02d}" for direction in DIRECTIONS for n in (1, 2)]
+    assert set(list(logs)[4:10]) == {f"{direction}-{n:02d}" for direction in DIRECTIONS for n in (1, 2, 3)}
+    assert list(logs)[10:] == ["cycle-01"]
+
+
+@pytest.mark.parametrize("direction", DIRECTIONS)
+def test_a_campaign_finds_the_dead_zones_and_speeds(done, direction):
+    _, _, _, found, lag_s = done
+    channel = DIRECTIONS.index(direction)
+    slope = LIMITS.commands[channel] / 20.0  # A/s
+    # The lag delays motion by about itself, and motion is seen a few tenths of a second after it began.
+    assert found[direction].dead_zone == pytest.approx(DEAD_ZONES[channel], abs=slope * (lag_s + 0.3))
+    assert found[direction].speed_per_command == pytest.approx(GAINS[channel], rel=0.15)
+
+
+def test_a_campaign_stays_inside_the_travel_and_the_limits(done):
+    _, steps, displacements, *_ = done
+    commands = np.array([step.commands for step in steps])
+    assert np.all(commands >= 0)
+    assert np.all(commands.max(axis=0) <= LIMITS.commands)
+    assert not np.any(np.all(commands > 0, axis=1))
+    assert displacements.min() > 0.0
+    assert displacements.max() < STROKE
+
+
+def test_each_test_begins_at_rest_at_its_end_of_travel(done):
+    _, steps, displacements, _, lag_s = done
+    rise = GAINS[0] * LIMITS.commands[0] / RISE_S
+    near = (SPEED + rise * (0.1 + lag_s + STEP_S)) * (abs(COAST_S - lag_s) + 0.1)
+    for name, samples in logs_of(steps).items():
+        begin = samples[0]
+        assert displacements[begin] == pytest.approx(displacements[begin - 10], abs=1e-3)
+        assert not steps[begin - 1].commands.any()
+        if "cycle" not in name:
+            wanted = START * STROKE if "lifting" in name else (1 - START) * STROKE
+            assert displacements[begin] == pytest.approx(wanted, abs=near)
+
+
+def test_levels_of_the_tests_are_above_the_dead_zone_or_zero(done):
+    _, steps, _, found, _ = done
+    for name, samples in logs_of(steps).items():
+        direction = name.split("-")[0]
+        if direction in DIRECTIONS:
+            channel = DIRECTIONS.index(direction)
+            driven = np.array([steps[k].commands[channel] for k in samples])
+            assert driven[driven > 0].min() > found[direction].dead_zone
+            assert np.ptp(driven) > 0
+
+
+def test_a_campaign_is_the_same_for_the_same_seed_and_another_for_another():
+    def commands(seed):
+        plan = CampaignPlan(name="a", ramps=1, ramp_s=10, tests=1, test_s=3, seed=seed)
+        steps, *_ = carried_out(campaign(plan, 20.0, LIMITS, STEP_S, UNITS), Plant(20.0))
+        return [tuple(step.commands) for step in steps]
+
+    assert commands(1) == commands(1) != commands(2)
+
+
+def test_a_plant_that_does_not_move_says_what_to_raise():
+    plan = CampaignPlan(name="a", ramps=1, ramp_s=5, tests=1)
+    plant = Plant(20.0, dead_zones=(2.0, 2.0))
+    with pytest.raises(InputError, match="raise the largest command in the limits file, or make ramps lon"):
+        carried_out(campaign(plan, 20.0, LIMITS, STEP_S, UNITS), plant)
+
+
+@pytest.mark.parametrize("step_s", [0.005, 0.02])
+def test_a_test_takes_the_time_that_was_asked_for_at_any_sampling_time(step_s):
+    plan = CampaignPlan(name="a", ramps=1, ramp_s=5, tests=1, test_s=4, directions=("lifting",))
+    slow = Limits((0.9, 0.8), (0.0, STROKE))
+    plant = Plant(20.0)
+    steps, *_ = carried_out(campaign(plan, 20.0, slow, step_s, UNITS), plant)
+    assert len(logs_of(steps)["lifting-01"]) * step_s == pytest.approx(4.0, abs=2 * step_s)

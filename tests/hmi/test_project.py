@@ -1,0 +1,142 @@
+"""Names from an operator never leave the project folder, and its content is told as it is."""
+
+import os
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hitchid.errors import InputError
+from hitchid.hmi.project import FOLDERS, checked_name, contents, inside
+
+
+@pytest.fixture
+def root(tmp_path):
+    """Return a project beside a file that is nobody's business."""
+    (tmp_path / "secret.csv").write_text("secret")
+    root = tmp_path / "project"
+    for folder in FOLDERS:
+        (root / folder).mkdir(parents=True)
+    (root / "hmi.log").write_text("log")
+    (root / "uploads" / "a.csv").write_text("a")
+    return root
+
+
+def test_a_file_of_the_project_is_found(root):
+    assert inside(root, "uploads/a.csv").read_text() == "a"
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "uploads/../../secret.csv",
+        "../secret.csv",
+        "uploads/..",
+        "uploads/.",
+        "uploads/",
+        "uploads",
+        "uploads//a.csv",
+        "/uploads/a.csv",
+        "./uploads/a.csv",
+        "uploads/a.csv/",
+        "uploads\\a.csv",
+        "uploads/a.csv\0",
+        "uploads/a.csv\n",
+        "uploads/%2e%2e/secret.csv",
+        "uploads/..%2f..%2fsecret.csv",
+        "uploads/\uff0e\uff0e/secret.csv",
+        "hmi.log",
+        "UPLOADS/a.csv",
+        "uploads/none.csv",
+        "uploads/-rf",
+        "--out/a.csv",
+        "/etc/passwd",
+        "",
+        None,
+        3,
+        ["uploads", "a.csv"],
+        b"uploads/a.csv",
+    ],
+)
+def test_any_other_path_is_refused(root, path):
+    with pytest.raises(InputError, match=r"^path: "):
+        inside(root, path)
+
+
+@pytest.mark.parametrize("target", ["../../secret.csv", "/etc/passwd", ".."])
+def test_a_link_that_leads_out_is_refused(root, target):
+    (root / "uploads" / "link").symlink_to(target if target != ".." else "../..")
+    with pytest.raises(InputError, match="there is no"):
+        inside(root, "uploads/link")
+    with pytest.raises(InputError, match="there is no"):
+        inside(root, "uploads/link/secret.csv")
+
+
+def test_a_project_that_is_itself_a_link_works(root, tmp_path):
+    (tmp_path / "link").symlink_to(root)
+    assert inside(tmp_path / "link", "uploads/a.csv").read_text() == "a"
+
+
+@given(st.text(alphabet="a./\\%2e-~\0 :é", max_size=20), st.sampled_from(["", *FOLDERS]))
+def test_whatever_is_asked_for_nothing_outside_is_found(tmp_path_factory, text, folder):
+    root = tmp_path_factory.getbasetemp() / "found"
+    (root / "uploads").mkdir(parents=True, exist_ok=True)
+    try:
+        found = inside(root, f"{folder}/{text}")
+    except InputError:
+        return
+    assert os.path.realpath(found).startswith(f"{os.path.realpath(root)}/{folder}/")
+
+
+@pytest.mark.parametrize(
+    "name", ["", ".", "..", "a..b", ".a", "-a", "a/b", "a b", "a\n", "a\0", "é", 61 * "a", None, 3, ["a"]]
+)
+def test_a_name_that_is_none_is_refused(name):
+    with pytest.raises(InputError, match=r"^name: expected at most 60 letters"):
+        checked_name(name)
+
+
+@pytest.mark.parametrize("name", ["a", "lifting-01.csv", "2026_05.toml", 60 * "a"])
+def test_a_name_is_a_name(name):
+    assert checked_name(name) == name
+
+
+def test_the_content_of_a_project_is_told_newest_first(root):
+    for number, name in enumerate(["old", "new"]):
+        (root / "campaigns" / name).mkdir()
+        (root / "campaigns" / name / "campaign.toml").touch()
+        for log in range(number + 1):
+            (root / "campaigns" / name / f"lifting-{log}.csv").touch()
+        os.utime(root / "campaigns" / name, (1e9 + number, 1e9 + number))
+    (root / "models" / "a").mkdir()
+    (root / "models" / "a" / "model.json").touch()
+    (root / "models" / "half").mkdir()
+    (root / "reports" / "r").mkdir()
+    (root / "reports" / "r" / "report.html").touch()
+    (root / "controllers" / "c.toml").touch()
+    (root / "controllers" / "c-report").mkdir()
+    (root / "controllers" / "c-report" / "report.html").touch()
+    (root / "drives" / ".hidden").touch()
+    told = contents(root)
+    assert told["folder"] == "project"
+    assert [(entry["name"], entry["logs"]) for entry in told["campaigns"]] == [("new", 2), ("old", 1)]
+    assert told["campaigns"][1]["changed"] == "2001-09-09T01:46:40+00:00"
+    assert [entry["path"] for entry in told["models"]] == ["models/a"]
+    assert [entry["report"] for entry in told["reports"]] == [
+        "/files/reports/r/report.html",
+        "/files/controllers/c-report/report.html",
+    ]
+    assert [entry["name"] for entry in told["controllers"]] == ["c.toml"]
+    assert [entry["name"] for entry in told["uploads"]] == ["a.csv"]
+    assert told["drives"] == told["recordings"] == []
+
+
+def test_an_empty_folder_is_a_project(tmp_path):
+    told = contents(tmp_path)
+    assert all(told[folder] == [] for folder in FOLDERS)
+
+
+def test_a_link_to_elsewhere_among_campaigns_does_not_tell_what_is_there(root, tmp_path):
+    (root / "campaigns" / "out").symlink_to(tmp_path)
+    (root / "models" / "broken").symlink_to("nowhere")
+    assert contents(root)["campaigns"] == contents(root)["models"] == []

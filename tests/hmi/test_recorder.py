@@ -1,0 +1,136 @@
+"""A log holds every sample once and whole lines only, also when its writer is killed or the disk is full."""
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fake_bench import STEP_S, Plant
+from hitchid.errors import OutputError
+from hitchid.hmi.recorder import DIGITS, FLUSH_S, Recorder
+from hitchid.hmi.source import Reading
+
+HEADER = "time_s,current_up_A,current_down_A,displacement_mm"
+WRITER = """
+import itertools, sys, time
+from pathlib import Path
+from fake_bench import STEP_S, Plant
+from hitchid.hmi.recorder import Recorder
+from hitchid.hmi.source import Reading
+
+recorder = Recorder(Path(sys.argv[1]), Plant.signals)
+for k in itertools.count():
+    recorder.append([Reading(k * STEP_S, (0.1, 0.0, 100.0 + k))])
+    print(k, flush=True)
+    time.sleep(0.001)
+"""
+
+
+def lines_of(path):
+    header, *lines = path.read_text().splitlines()
+    return header, lines
+
+
+@settings(max_examples=30)
+@given(
+    st.integers(0, 10**6),
+    st.lists(st.integers(0, 7), max_size=40),
+    st.lists(st.floats(-1e6, 1e6), min_size=3, max_size=3),
+)
+def test_every_sample_is_there_once(tmp_path_factory, begin, sizes, values):
+    path = tmp_path_factory.mktemp("log") / "log.csv"
+    recorder, sample = Recorder(path, Plant.signals), begin
+    for size in sizes:
+        recorder.append([Reading(STEP_S * (sample + k), tuple(values)) for k in range(size)])
+        sample += size
+    recorder.close()
+    lines = lines_of(path)[1]
+    assert len(lines) == recorder.samples == sum(sizes)
+    rows = np.array([[float(cell) for cell in line.split(",")] for line in lines]).reshape(-1, 4)
+    # Times of up to 10⁴ s carry a rounding of 1e-12 s, and are written with ten digits from zero on.
+    np.testing.assert_allclose(rows[:, 0], STEP_S * np.arange(len(rows)), atol=1e-10, rtol=10.0**-DIGITS)
+    np.testing.assert_allclose(rows[:, 1:], np.tile(values, (len(rows), 1)), rtol=10.0 ** (1 - DIGITS))
+
+
+def test_the_columns_are_those_that_the_command_line_reads(tmp_path):
+    Recorder(tmp_path / "log.csv", Plant.signals).close()
+    assert lines_of(tmp_path / "log.csv")[0] == HEADER
+
+
+def test_a_missing_value_is_an_empty_cell(tmp_path):
+    recorder = Recorder(tmp_path / "log.csv", Plant.signals)
+    recorder.append([Reading(3.0, (0.5, float("nan"), float("nan")))])
+    recorder.close()
+    assert lines_of(tmp_path / "log.csv")[1] == ["0,0.5,,"]
+
+
+def test_a_log_that_exists_is_refused_and_left_as_it_is(tmp_path):
+    (tmp_path / "log.csv").write_text("mine")
+    with pytest.raises(OutputError, match=r"log\.csv: cannot be written: File exists; choose another name"):
+        Recorder(tmp_path / "log.csv", Plant.signals)
+    assert (tmp_path / "log.csv").read_text() == "mine"
+
+
+def test_a_link_to_elsewhere_is_not_followed(tmp_path):
+    (tmp_path / "log.csv").symlink_to(tmp_path / "elsewhere.csv")
+    with pytest.raises(OutputError, match="File exists"):
+        Recorder(tmp_path / "log.csv", Plant.signals)
+    assert not (tmp_path / "elsewhere.csv").exists()
+
+
+def test_what_was_appended_can_be_read_after_two_tenths_of_a_second(tmp_path):
+    recorder = Recorder(tmp_path / "log.csv", Plant.signals)
+    for k in range(500):
+        recorder.append([Reading(k * STEP_S, (0.0, 0.0, 1.0))])
+        assert len(lines_of(tmp_path / "log.csv")[1]) >= k - FLUSH_S / STEP_S
+    recorder.close()
+
+
+def test_a_killed_writer_leaves_whole_lines_to_the_last_two_tenths_of_a_second(tmp_path):
+    path = tmp_path / "log.csv"
+    command = [sys.executable, "-c", WRITER, str(path)]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment) as writer:  # noqa: S603
+        told = [int(writer.stdout.readline()) for _ in range(150)]
+        os.kill(writer.pid, signal.SIGKILL)
+        told += list(map(int, writer.stdout.read().split(b"\n")[:-1]))
+    assert path.read_bytes().endswith(b"\n")
+    header, lines = lines_of(path)
+    assert header == HEADER
+    assert [line.split(",")[3] for line in lines] == [str(100 + k) for k in range(len(lines))]
+    # One more sample may have been appended and not told.
+    assert told[-1] - FLUSH_S / STEP_S <= len(lines) <= told[-1] + 2
+
+
+def test_a_full_disk_leaves_whole_lines(tmp_path):
+    recorder = Recorder(tmp_path / "log.csv", Plant.signals)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))  # a limit of 1 kB that splits a line
+    try:
+        readings = [Reading(k * STEP_S, (0.0, 0.0, 100.0 + k)) for k in range(200)]
+        with pytest.raises(OutputError, match=r"log\.csv: cannot be written: File too large"):
+            recorder.append(readings)
+        recorder.close()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert path_ends_whole(tmp_path / "log.csv")
+
+
+def path_ends_whole(path):
+    lines = lines_of(path)[1]
+    return path.read_bytes().endswith(b"\n") and all(line.count(",") == 3 for line in lines) and lines
+
+
+def test_closing_does_not_wait_for_the_disk(tmp_path, monkeypatch):
+    recorder = Recorder(tmp_path / "log.csv", Plant.signals)
+    monkeypatch.setattr("hitchid.hmi.recorder.os.fsync", lambda _: time.sleep(0.5))
+    begin_s = time.monotonic()
+    recorder.close()
+    assert time.monotonic() - begin_s < 0.4

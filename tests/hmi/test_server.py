@@ -1,0 +1,603 @@
+"""The server: who may, may; everybody else is refused, and whatever is sent, nothing moves by itself."""
+
+import contextlib
+import http.client
+import json
+import os
+import re
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from fake_bench import LIMITS_FILE
+
+pytest.importorskip("starlette")
+pytest.importorskip("uvicorn")
+pytest.importorskip("websockets")
+
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
+
+TESTS = Path(__file__).parents[1]
+LONGEST_S = 60.0  # s, for a start on a machine that does much else
+PLAN = {
+    "kind": "campaign",
+    "name": "monday",
+    "ramps": 1,
+    "ramp_s": 600,
+    "tests": 0,
+    "unattended": True,
+}
+HEADERS = {
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "no-referrer",
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+    "cache-control": "no-store",
+}
+
+
+class Session:
+    """A server in its own process, and a browser that it knows."""
+
+    def __init__(self, root):
+        self.root = root
+        for folder in ("uploads", "reports/r"):
+            (root / folder).mkdir(parents=True)
+        (root / "uploads" / "a.csv").write_text("a")
+        (root / "reports" / "r" / "report.html").write_text("<script>alert(1)</script>")
+        (root.parent / "secret.txt").write_text("secret")
+        (root.parent / "limits.toml").write_text(LIMITS_FILE)
+        command = [sys.executable, "-m", "hitchid", "hmi", str(root), "--quiet"]
+        command += ["--source", "fake_bench:Plant", "--limits", str(root.parent / "limits.toml")]
+        paths = [str(TESTS), str(TESTS.parent / "src")]
+        self.process = subprocess.Popen(  # noqa: S603 - this Python, the command under test
+            command,
+            stdout=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+        )
+        self.link = self.process.stdout.readline().strip()
+        self.token = self.link.partition("#token=")[2]
+        self.port = int(re.search(r":(\d+)/", self.link)[1])
+        self.origin = f"http://127.0.0.1:{self.port}"
+        self.cookie = self.opened(self.token)
+
+    def ask(self, method, path, body=None, **headers):
+        """Return status, headers and content of an answer to this page, or to what other headers say."""
+        given = {"Origin": self.origin, "Cookie": getattr(self, "cookie", ""), **headers}
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=LONGEST_S)
+        with contextlib.closing(connection):
+            given = {name.replace("_", "-"): value for name, value in given.items() if value is not None}
+            connection.request(method, path, body, given)
+            answer = connection.getresponse()
+            return answer.status, {name.lower(): value for name, value in answer.getheaders()}, answer.read()
+
+    def opened(self, token):
+        """Return the cookie that a token is given."""
+        status, headers, _ = self.ask("POST", "/api/session", json.dumps({"token": token}))
+        return headers["set-cookie"].partition(";")[0] if status == 204 else None
+
+    def page(self, **headers):
+        """Return a connected page."""
+        given = {"Cookie": self.cookie, **headers}
+        origin = given.pop("Origin", self.origin)
+        address = f"ws://127.0.0.1:{self.port}/ws"
+        options = {"open_timeout": LONGEST_S, "close_timeout": 0.2, "proxy": None, "max_size": None}
+        return connect(address, origin=origin, additional_headers=given, **options)
+
+    def children(self, module):
+        """Return the processes of the server that run a module."""
+        found = []
+        for entry in Path("/proc").iterdir():
+            with contextlib.suppress(OSError, IndexError):
+                parent = int((entry / "stat").read_text().rpartition(")")[2].split()[1])
+                if parent == self.process.pid and module in (entry / "cmdline").read_text():
+                    found.append(int(entry.name))
+        return found
+
+    def memory(self):
+        """Return the server's memory, bytes."""
+        pages = int(Path(f"/proc/{self.process.pid}/statm").read_text().split()[1])
+        return pages * os.sysconf("SC_PAGE_SIZE")
+
+
+def said(page, wanted, longest_s=LONGEST_S):
+    """Return the next message of a page that is wanted."""
+    end_s = time.monotonic() + longest_s
+    while True:
+        message = page.recv(timeout=max(0.0, end_s - time.monotonic()))
+        if isinstance(message, str) and wanted(content := json.loads(message)):
+            return content
+
+
+def asked(page, kind, **content):
+    """Return the error that a request is answered with, or None."""
+    asked.number += 1
+    page.send(json.dumps({"id": asked.number, "type": kind, **content}))
+    return said(page, lambda message: message.get("id") == asked.number)["error"]
+
+
+asked.number = 0
+
+
+def in_state(page, state):
+    return said(page, lambda message: message["type"] == "status" and message["state"] == state)
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory):
+    started = Session(tmp_path_factory.mktemp("hmi") / "project")
+    yield started
+    started.process.terminate()
+    try:
+        started.process.wait(20)
+    except subprocess.TimeoutExpired:
+        started.process.kill()
+        raise
+
+
+@pytest.fixture(autouse=True)
+def server_lives(session):
+    """The server is alive after each test, and nothing was armed by it that was not asked for."""
+    yield
+    if session.process.poll() is None:
+        status, _, content = session.ask("GET", "/api/project")
+        assert status == 200
+        assert json.loads(content)["folder"] == "project"
+
+
+def test_a_link_can_be_used_once(session):
+    assert session.opened(session.token) is None
+    status, _, content = session.ask("POST", "/api/link")
+    assert status == 200
+    token = json.loads(content)["link"].partition("#token=")[2]
+    assert len(token) >= 40
+    assert session.opened(token)
+    assert session.opened(token) is None
+
+
+def test_the_cookie_is_neither_for_scripts_nor_for_other_sites(session):
+    token = json.loads(session.ask("POST", "/api/link")[2])["link"].partition("#token=")[2]
+    _, headers, _ = session.ask("POST", "/api/session", json.dumps({"token": token}))
+    assert "httponly" in headers["set-cookie"].lower()
+    assert "samesite=strict" in headers["set-cookie"].lower()
+
+
+@pytest.mark.parametrize("token", ["", "guess", "0" * 43, None, 3, [], {}, "é", "\ud800", "a" * 60_000])
+def test_a_guessed_token_is_refused(session, token):
+    status, headers, content = session.ask("POST", "/api/session", json.dumps({"token": token}))
+    assert status == 401
+    assert "set-cookie" not in headers
+    assert "link" in json.loads(content)["error"]
+
+
+@pytest.mark.parametrize("body", ["", "nonsense", "[]", "3", "[" * 50_000, b"\xff\xfe", '{"token"'])
+def test_a_request_that_is_no_json_is_refused(session, body):
+    status, _, content = session.ask("POST", "/api/session", body)
+    assert status == 400
+    assert json.loads(content)["error"]
+
+
+@pytest.mark.parametrize(
+    ("method", "path"),
+    [
+        ("GET", "/api/project"),
+        ("GET", "/api/history?from=0&to=1&points=2"),
+        ("POST", "/api/jobs"),
+        ("DELETE", "/api/jobs/1"),
+        ("POST", "/api/upload?name=b.csv"),
+        ("POST", "/api/link"),
+        ("GET", "/api/nothing"),
+        ("GET", "/files/uploads/a.csv"),
+        ("GET", "/ws"),
+    ],
+)
+@pytest.mark.parametrize("cookie", [None, "", "wrong", "{name}=wrong", "{name}=", "a=b; {name}=\x7f", ";=;,"])
+def test_nothing_is_told_without_the_cookie(session, method, path, cookie):
+    name = session.cookie.partition("=")[0]
+    cookie = cookie and cookie.format(name=name)
+    status, _, content = session.ask(method, path, "{}", Cookie=cookie)
+    assert status == 401
+    assert json.loads(content) == {"error": "open the link that hitchid printed"}
+    assert not (session.root / "uploads" / "b.csv").exists()
+
+
+FOREIGN = ["evil.example", "127.0.0.1", "localhost", "127.0.0.1:1", "evil.example:{port}", "[::1]:{port}", ""]
+
+
+@pytest.mark.parametrize("host", [*FOREIGN, "127.0.0.1:{port}.evil.example", "0.0.0.0:{port}"])
+@pytest.mark.parametrize("path", ["/", "/api/project", "/api/session"])
+def test_another_host_is_refused_also_one_that_a_name_server_led_here(session, host, path):
+    host = host.format(port=session.port)
+    for origin in (None, f"http://{host}"):
+        status, _, content = session.ask("GET", path, Host=host, Origin=origin)
+        assert status == 403
+        assert "127.0.0.1 and localhost" in json.loads(content)["error"]
+
+
+EVIL = [
+    "http://evil.example",
+    "null",
+    "",
+    "http://127.0.0.1",
+    "http://127.0.0.1:1",
+    "https://127.0.0.1:{port}",
+    "http://127.0.0.1:{port}.evil.example",
+    "http://localhost:{port}",
+    "file://",
+]
+
+
+@pytest.mark.parametrize("origin", EVIL)
+def test_a_request_of_another_page_is_refused(session, origin):
+    origin = origin.format(port=session.port)
+    for method, path in (("POST", "/api/link"), ("DELETE", "/api/jobs/1"), ("GET", "/api/project")):
+        assert session.ask(method, path, Origin=origin)[0] == 403
+
+
+def test_a_change_without_an_origin_is_refused(session):
+    assert session.ask("POST", "/api/link", Origin=None)[0] == 403
+    assert session.ask("POST", "/api/upload?name=b.csv", "x", Origin=None)[0] == 403
+
+
+@pytest.mark.parametrize("origin", [*EVIL, None])
+def test_a_websocket_of_another_page_is_refused(session, origin):
+    origin = origin and origin.format(port=session.port)
+    with pytest.raises(InvalidStatus) as refused, session.page(Origin=origin):
+        pass
+    assert refused.value.response.status_code == 403
+
+
+@pytest.mark.parametrize("cookie", ["", "a=b", "{name}=wrong"])
+def test_a_websocket_without_the_cookie_is_refused(session, cookie):
+    cookie = cookie.format(name=session.cookie.partition("=")[0])
+    with pytest.raises(InvalidStatus) as refused, session.page(Cookie=cookie):
+        pass
+    assert refused.value.response.status_code in (401, 403)
+
+
+PATHS = [
+    "/files/../secret.txt",
+    "/files/uploads/../../secret.txt",
+    "/files/uploads/..%2f..%2fsecret.txt",
+    "/files/uploads/%2e%2e/%2e%2e/secret.txt",
+    "/files/%2e%2e/secret.txt",
+    "/files/uploads/..%252f..%252fsecret.txt",
+    "/files/uploads/..%5c..%5csecret.txt",
+    "/files/uploads/%c0%ae%c0%ae/%c0%ae%c0%ae/secret.txt",
+    "/files/uploads/a.csv%00",
+    "/files//etc/passwd",
+    "/files/%2fetc%2fpasswd",
+    "/files/hmi.log",
+    "/files/uploads",
+    "/files/uploads/",
+    "/files/",
+    "/files/link",
+]
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_no_path_leads_out_of_the_project(session, path):
+    status, _, content = session.ask("GET", path)
+    assert status in (400, 404)
+    assert b"secret" not in content.replace(b"secret.txt", b"")
+    assert b"root:" not in content
+
+
+@pytest.mark.parametrize(
+    "path", ["/../secret.txt", "/%2e%2e/server.py", "/..%2fserver.py", "//etc/passwd", "/x"]
+)
+def test_the_page_is_its_own_files_alone(session, path):
+    assert session.ask("GET", path)[0] == 404
+
+
+def test_files_of_the_project_are_sent_without_scripts(session):
+    status, headers, content = session.ask("GET", "/files/reports/r/report.html")
+    assert (status, content) == (200, b"<script>alert(1)</script>")
+    policy = headers["content-security-policy"]
+    assert "default-src 'none'" in policy
+    assert "sandbox" in policy
+    assert "script" not in policy
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "headers"),
+    [
+        ("GET", "/", {}),
+        ("GET", "/nothing", {}),
+        ("GET", "/api/project", {}),
+        ("GET", "/api/project", {"Cookie": None}),
+        ("GET", "/", {"Host": "evil.example"}),
+        ("POST", "/api/link", {"Origin": "http://evil.example"}),
+        ("PUT", "/api/project", {}),
+        ("POST", "/api/jobs", {}),
+        ("GET", "/files/uploads/a.csv", {}),
+        ("GET", "/files/uploads/b.csv", {}),
+    ],
+)
+def test_every_answer_has_its_headers(session, method, path, headers):
+    _, given, _ = session.ask(method, path, "{}", **headers)
+    assert {name: given.get(name) for name in HEADERS} == HEADERS
+    assert "content-security-policy" in given
+    assert "access-control-allow-origin" not in given
+    assert "server" not in given
+
+
+def test_the_page_asks_for_nothing_from_outside_and_runs_no_script_in_line(session):
+    status, headers, _ = session.ask("GET", "/")
+    policy = headers["content-security-policy"]
+    assert status == 200
+    assert "default-src 'self'" in policy
+    assert "unsafe" not in policy
+    assert "http" not in policy
+
+
+@pytest.mark.parametrize("name", ["", "../b.csv", "a/b.csv", ".b", "b.csv%00", "%2e%2e%2fb.csv", 70 * "b"])
+def test_an_upload_is_a_name_in_its_folder(session, name):
+    status, _, content = session.ask("POST", f"/api/upload?name={name}", "time_s\n")
+    assert status == 400
+    assert json.loads(content)["error"].startswith("name: ")
+    assert {path.name for path in (session.root / "uploads").iterdir()} == {"a.csv"}
+
+
+def test_an_upload_never_replaces_a_file(session):
+    status, _, content = session.ask("POST", "/api/upload?name=a.csv", "b")
+    assert status == 400
+    assert "exists already" in json.loads(content)["error"]
+    assert (session.root / "uploads" / "a.csv").read_text() == "a"
+
+
+def test_an_upload_of_a_hundred_megabytes_is_refused_early_and_costs_no_memory(session):
+    before, piece, sent, answer = session.memory(), b"x" * 2**16, 0, b""
+    with socket.create_connection(("127.0.0.1", session.port), timeout=20) as raw:
+        raw.sendall(
+            f"POST /api/upload?name=b.csv HTTP/1.1\r\nHost: 127.0.0.1:{session.port}\r\n"
+            f"Origin: {session.origin}\r\nCookie: {session.cookie}\r\n"
+            f"Content-Length: {10**8}\r\n\r\n".encode()
+        )
+        raw.settimeout(0.5)
+        with contextlib.suppress(OSError):
+            while sent < 10**8 and not answer:
+                sent += raw.send(piece)
+                raw.setblocking(False)
+                with contextlib.suppress(BlockingIOError):
+                    answer = raw.recv(1000)
+                raw.settimeout(0.5)
+        raw.settimeout(20)
+        with contextlib.suppress(OSError):
+            answer = answer or raw.recv(1000)
+    assert answer.startswith(b"HTTP/1.1 4")
+    assert sent < 3 * 10**7
+    assert session.memory() - before < 2 * 10**7
+    assert not (session.root / "uploads" / "b.csv").exists()
+
+
+JUNK = [
+    b"\r\n\r\n",
+    b"\0" * 1000,
+    b"GET\r\n\r\n",
+    b"GET / HTTP/9.9\r\n\r\n",
+    b"GET / HTTP/1.1\r\n\r\n",
+    b"GET / HTTP/1.1\r\nHost: a\r\nHost: b\r\n\r\n",
+    b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03",
+    b"POST /api/session HTTP/1.1\r\nHost: {host}\r\nContent-Length: -1\r\n\r\n",
+    b"POST /api/session HTTP/1.1\r\nHost: {host}\r\nTransfer-Encoding: chunked\r\n\r\nzz\r\n",
+    b"POST / HTTP/1.1\r\nHost: {host}\r\nContent-Length: 5\r\nTransfer-Encoding: chunked\r\n\r\n0\r\n",
+    b"GET /" + b"a" * 100_000 + b" HTTP/1.1\r\n\r\n",
+    b"GET / HTTP/1.1\r\n" + b"A: b\r\n" * 20_000 + b"\r\n",
+    b"GET /ws HTTP/1.1\r\nHost: {host}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n\r\n",
+]
+
+
+@pytest.mark.parametrize("junk", JUNK, ids=range(len(JUNK)))
+def test_junk_is_refused(session, junk):
+    with (
+        socket.create_connection(("127.0.0.1", session.port), timeout=5) as raw,
+        contextlib.suppress(OSError),
+    ):
+        raw.sendall(junk.replace(b"{host}", b"127.0.0.1:%d" % session.port))
+        raw.shutdown(socket.SHUT_WR)
+        answer = raw.recv(1000)
+        assert not answer.startswith(b"HTTP/1.1 2")
+
+
+def test_only_this_machine_can_connect(session):
+    listening = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
+    port = f"{session.port:04X}"
+    addresses = {entry[1] for entry in listening if entry[3] == "0A" and entry[1].endswith(f":{port}")}
+    assert addresses == {f"0100007F:{port}"}
+
+
+@pytest.mark.parametrize("query", ["", "from=a&to=1&points=2", "from=0&to=nan&points=2", "from=0&to=1"])
+def test_history_without_numbers_is_refused(session, query):
+    status, _, content = session.ask("GET", f"/api/history?{query}")
+    assert status == 400
+    assert "expected a number" in json.loads(content)["error"]
+
+
+@pytest.mark.parametrize(
+    "content",
+    [{}, {"kind": "rm"}, {"kind": "inspect", "logs": "../.."}, {"kind": "inspect", "logs": "--help"}],
+)
+def test_a_job_that_is_none_is_refused(session, content):
+    status, _, answer = session.ask("POST", "/api/jobs", json.dumps(content))
+    assert status == 400
+    assert json.loads(answer)["error"]
+
+
+@pytest.mark.parametrize("number", ["1", "99999999999999999999", "-1", "a"])
+def test_a_job_that_does_not_run_cannot_be_stopped(session, number):
+    assert session.ask("DELETE", f"/api/jobs/{number}")[0] in (400, 404, 405)
+
+
+def code_after(page, *messages):
+    """Return with which code a page is disconnected because of messages; None where there was none."""
+    try:
+        for message in messages:
+            page.send(message)
+        while True:
+            page.recv(timeout=LONGEST_S)
+    except ConnectionClosed as closed:
+        return closed.rcvd and closed.rcvd.code
+
+
+JUNK_FRAMES = [b"\0\xff", "nonsense", "[]", '{"type": 3}', '{"id": 1}', "[" * 30_000]
+
+
+def test_ten_thousand_junk_frames_are_refused_and_nothing_moves(session):
+    before = session.memory()
+    with session.page() as page:
+        assert code_after(page, *(JUNK_FRAMES[number % 6] for number in range(10_000))) in (1008, None)
+    assert session.memory() - before < 2 * 10**7
+    with session.page() as page:
+        assert said(page, lambda message: message["type"] == "status")["state"] == "disconnected"
+
+
+def test_a_message_that_is_too_large_ends_its_page_alone(session):
+    with session.page() as other, session.page() as page:
+        assert code_after(page, json.dumps({"type": "marker", "text": "x" * 10**6})) in (1009, None)
+        assert asked(other, "nothing") == "'nothing' is no request"
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {"type": "connect"},
+        {"type": "connect", "source": "os:getcwd"},
+        {"type": "connect", "source": "udp:9999"},
+        {"type": "connect", "source": ["rig"]},
+        {"type": "connect", "source": "rig", "options": {"rig": "/etc/passwd.toml"}},
+        {"type": "connect", "source": "rig", "options": []},
+        {"type": "connect", "source": "replay", "options": {"log": "../secret.txt"}},
+        {"type": "arm"},
+        {"type": "arm", "plan": PLAN},
+        {"type": "start"},
+        {"type": "reset"},
+        {"type": "target", "mm": "NaN"},
+        {"type": "record", "on": True},
+        {"type": "monitor", "model": "../secret.txt"},
+        {"type": "monitor", "model": {"a": 1}},
+        {"type": "monitor_restart"},
+        {"type": "marker", "text": {"a": []}},
+        {"type": "server_alive"},
+        {"type": "page_alive"},
+        {"type": "__init__"},
+    ],
+)
+def test_what_cannot_be_done_is_refused_with_a_sentence(session, content):
+    with session.page() as page:
+        kind, *_ = content.values()
+        error = asked(page, kind, **{name: value for name, value in content.items() if name != "type"})
+        assert len(error) > 9
+        assert said(page, lambda message: message["type"] == "status")["state"] == "disconnected"
+
+
+def test_a_viewer_can_stop_but_nothing_else(session):
+    with session.page() as operator, session.page() as viewer:
+        assert said(operator, lambda message: message["type"] == "hello")
+        assert asked(operator, "connect", source="fake_bench:Plant") is None
+        in_state(viewer, "idle")
+        for kind in (
+            "connect",
+            "disconnect",
+            "arm",
+            "start",
+            "reset",
+            "target",
+            "record",
+            "monitor",
+            "marker",
+        ):
+            assert asked(viewer, kind, plan=PLAN) == "this page only watches; become the operator first"
+        assert "another page is the operator" in asked(viewer, "claim")
+        assert asked(operator, "arm", plan=PLAN) is None
+        assert asked(operator, "start") is None
+        in_state(viewer, "running")
+        assert asked(viewer, "stop") is None
+        assert in_state(operator, "stopped")["reason"] == "stopped by a viewer"
+        assert asked(operator, "arm", plan={**PLAN, "name": "tuesday"}).endswith("then reset")
+        assert asked(operator, "reset") is None
+        assert asked(operator, "disconnect") is None
+        in_state(operator, "disconnected")
+    entries = [json.loads(line) for line in (session.root / "hmi.log").read_text().splitlines()]
+    told = [(entry["event"], entry["page"]) for entry in entries][-7:]
+    assert [event for event, _ in told] == ["connect", "arm", "start", "stop", "arm", "reset", "disconnect"]
+    assert len({page for _, page in told}) == 2
+    assert told[3][1] != told[0][1]
+
+
+def test_a_page_that_does_not_read_does_not_hold_up_the_others(session):
+    with session.page() as operator, session.page(), session.page():
+        assert asked(operator, "connect", source="fake_bench:Plant", options={"speed": 20}) is None
+        assert asked(operator, "arm", plan={**PLAN, "name": "fast"}) is None
+        assert asked(operator, "start") is None
+        before, newest, end_s = session.memory(), 0.0, time.monotonic() + 3.0
+        while time.monotonic() < end_s:
+            message = operator.recv(timeout=LONGEST_S)
+            if isinstance(message, bytes):
+                newest = struct.unpack_from("<d", message, 24)[0]
+        assert newest > 20.0  # of 60 s in which the bench has run; on a slow machine it runs slower
+        assert session.memory() - before < 3 * 10**7
+        for kind in ("stop", "reset", "disconnect"):
+            assert asked(operator, kind) is None
+
+
+def test_the_loop_stops_when_the_operator_s_page_falls_silent(session):
+    plan = {**PLAN, "name": "attended", "unattended": False}
+    with session.page() as operator:
+        assert asked(operator, "connect", source="fake_bench:Plant") is None
+        assert asked(operator, "arm", plan=plan) is None
+        assert asked(operator, "start") is None
+        begin_s = time.monotonic()
+        assert "page gave no sign of life" in in_state(operator, "stopped")["reason"]
+        assert time.monotonic() - begin_s > 0.3
+        asked(operator, "reset")
+        asked(operator, "disconnect")
+
+
+def test_a_killed_bench_loop_is_told_and_another_can_be_started(session):
+    with session.page() as operator:
+        assert asked(operator, "connect", source="fake_bench:Plant") is None
+        assert asked(operator, "arm", plan={**PLAN, "name": "killed"}) is None
+        assert asked(operator, "start") is None
+        in_state(operator, "running")
+        time.sleep(1.0)
+        (bench,) = session.children("bench_process")
+        os.kill(bench, signal.SIGKILL)
+        told = in_state(operator, "disconnected")
+        assert "the bench loop has ended" in told["reason"]
+        assert "connect a source to start it again" in asked(operator, "start")
+        assert asked(operator, "connect", source="fake_bench:Plant") is None
+        assert in_state(operator, "idle")["source"]["label"] == "plant"
+        assert asked(operator, "disconnect") is None
+
+
+def test_a_killed_server_takes_the_bench_loop_with_it_and_leaves_the_log_whole(session):
+    with session.page() as operator:
+        assert asked(operator, "connect", source="fake_bench:Plant") is None
+        assert asked(operator, "record", on=True) is None
+        assert asked(operator, "arm", plan={**PLAN, "name": "orphan"}) is None
+        assert asked(operator, "start") is None
+        in_state(operator, "running")
+        (bench,) = session.children("bench_process")
+        time.sleep(1.0)
+        os.kill(session.process.pid, signal.SIGKILL)
+        session.process.wait()
+        end_s = time.monotonic() + 2.0
+        while Path(f"/proc/{bench}").exists() and time.monotonic() < end_s:
+            time.sleep(0.02)
+        with contextlib.suppress(OSError):  # it may wait for whoever adopted it to take note
+            assert (Path(f"/proc/{bench}") / "stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    (log,) = (session.root / "recordings").iterdir()
+    text = log.read_text()
+    assert text.endswith("\n")
+    times = [float(line.partition(",")[0]) for line in text.splitlines()[1:]]
+    assert len(times) > 50
+    assert times == pytest.approx([0.01 * k for k in range(len(times))], abs=1e-9)
