@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from hitchid.hmi import history as module
 from hitchid.hmi.clients import MOST_WAITING, Client, Clients
-from hitchid.hmi.history import History, block_of, packed_rows
+from hitchid.hmi.history import History, SpeedEstimate, block_of, packed_rows
 
 STEP_S = 0.01
 
@@ -126,3 +126,12 @@ def test_a_page_that_does_not_read_costs_a_bounded_number_of_messages():
     waiting, is_empty = asyncio.run(main())
     assert is_empty
     assert waiting[-1] == f'{{"number": {10 * MOST_WAITING - 1}}}'
+
+
+def test_the_speed_is_that_of_a_steady_motion_after_its_span_and_zero_at_rest():
+    times_s = 0.01 * np.arange(100)
+    rows = np.column_stack([times_s, np.zeros((100, 2)), np.maximum(times_s - 0.5, 0) * 30.0])
+    estimate = SpeedEstimate(3, 0.01)
+    speeds = np.concatenate([estimate.advance(rows[k : k + 7]) for k in range(0, 100, 7)])
+    np.testing.assert_allclose(speeds[:51], 0)
+    np.testing.assert_allclose(speeds[61:], 30.0, rtol=1e-9)

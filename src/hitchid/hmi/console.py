@@ -3,7 +3,7 @@
 import asyncio
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 import hitchid
-from hitchid.errors import HitchError, InputError
+from hitchid.errors import InputError
 from hitchid.hmi import project
 from hitchid.hmi.child import Child
 from hitchid.hmi.clients import Client, Clients
-from hitchid.hmi.history import History, block_of, packed_rows
+from hitchid.hmi.history import History, SpeedEstimate, block_of, packed_rows
 from hitchid.hmi.jobs import Jobs
-from hitchid.hmi.source import DISPLACEMENT, LIFTING_COMMAND
+from hitchid.hmi.source import DISPLACEMENT, LIFTING_COMMAND, REQUIRED, Signal
 from hitchid.rig.parameter_files import parameter_sets
 
 ALIVE_S = 0.1  # s between signs of life to the bench loop
@@ -67,6 +67,7 @@ class Console:
         self.clients = Clients()
         self.jobs = Jobs(settings.root, self.clients.publish, self._project_changed)
         self.history: History | None = None
+        self._speed = SpeedEstimate(1, 1.0)
         self._bench: Child | None = None
         self._monitor: Child | None = None
         self._model: str | None = None
@@ -237,10 +238,7 @@ class Console:
             if client is not None:
                 client.put({"type": "reply", "id": number, "error": content["error"]})
             return
-        before, self._status = (
-            self._status,
-            {name: value for name, value in content.items() if name != "type"},
-        )
+        before, self._status = self._status, _with_speed(content)
         if before["source"] != self._status["source"]:
             self._source_changed()
         if before["run"] and not self._status["run"]:
@@ -249,13 +247,18 @@ class Console:
 
     def _source_changed(self) -> None:
         source = self._status["source"]
-        self.history = source and History(1 + len(source["signals"]), source["step_s"])
+        if source is None:
+            self.history = None
+        else:
+            self.history = History(1 + len(source["signals"]), source["step_s"])
+            self._speed = SpeedEstimate(1 + REQUIRED.index(DISPLACEMENT), source["step_s"])
         self._markers = []
         self._end_monitor()
 
     def _take_block(self, message: bytes) -> None:
         wall_ms, rows = block_of(message)
-        if self.history is not None and rows.shape[1] == self.history.columns:
+        if self.history is not None and rows.shape[1] + 1 == self.history.columns:
+            rows = np.column_stack([rows, self._speed.advance(rows)])
             self.history.append(rows)
             self.clients.publish(packed_rows(MEASURED, rows, wall_ms))
         if self._monitor is not None:
@@ -309,6 +312,11 @@ class Console:
         self.clients.publish({"type": "sources", "sources": self._sources()})
 
 
-def error_of(error: HitchError) -> dict[str, str]:
-    """Return an error as content for JSON."""
-    return {"error": str(error)}
+def _with_speed(status: dict[str, Any]) -> dict[str, Any]:
+    """Return the state of the bench loop with the speed, which the server adds, among the signals."""
+    source = status["source"]
+    if source is None:
+        return status
+    units = {signal["name"]: signal["unit"] for signal in source["signals"]}
+    speed = asdict(Signal("speed", "Speed", f"{units[DISPLACEMENT]}/s", "speed"))
+    return {**status, "source": {**source, "signals": [*source["signals"], speed]}}

@@ -176,9 +176,10 @@ class Job:
         self.fraction = max(self.fraction, min(1.0, float(update["fraction"])))  # pyright: ignore[reportArgumentType]
         self.stage = str(update["stage"])
         iteration = str(update["iteration"]).rpartition(" ")[2]
-        figures = update["figures"]
+        figures, task = update["figures"], str(update["task"])
+        prefix = f"{task} {self.stage.removeprefix(f'{task}: ')}" if task else self.stage
         for name, value in figures.items() if isinstance(figures, dict) else ():
-            curve = self.curves.setdefault(f"{self.stage}: {name}", [])
+            curve = self.curves.setdefault(f"{prefix}: {name}", [])
             curve.append((int(iteration) if iteration.isdecimal() else len(curve), float(value)))
             if len(curve) > POINTS:
                 del curve[::2]

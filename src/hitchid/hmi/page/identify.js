@@ -25,7 +25,10 @@ export function bindIdentify(connection, project, jobs) {
   });
   jobs.show("validate", byId("validate-job"), "Validation", (job) => {
     started();
-    if (job.state === "done" && job.out) showReport(byId("report"), `/files/${job.out}/report.html`, job.out);
+    if (job.state === "done" && job.out) {
+      showReport(byId("report"), `/files/${job.out}/report.html`, job.out);
+      byId("report").scrollIntoView({ block: "start" });
+    }
   });
 }
 
