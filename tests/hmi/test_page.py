@@ -8,15 +8,11 @@ from pathlib import Path
 import pytest
 from operated import Operator, served
 
+import fake_bench
 from browser import chromium
+from fake_bench import LIMITS_FILE
 
-LIMITS = """
-lifting_command = 1.0
-lowering_command = 1.0
-lowest_displacement = 0.0
-highest_displacement = 250.0
-"""
-HOLD = "time_s,lifting_command,lowering_command\n0,0.31,0\n30,0.31,0\n"
+HOLD = "time_s,lifting_command,lowering_command\n0,0.4,0\n30,0.4,0\n"
 SIZES = ((390, 844), (1280, 800), (1920, 1080))
 SECTIONS = ("bench", "campaign", "identify", "drive", "project")
 
@@ -32,17 +28,17 @@ def browser():
 def project(tmp_path_factory):
     """Return a project folder with limits and a test of slow lifting."""
     folder = tmp_path_factory.mktemp("project")
-    (folder / "limits.toml").write_text(LIMITS)
+    (folder / "limits.toml").write_text(LIMITS_FILE)
     (folder / "uploads").mkdir()
     (folder / "uploads" / "hold.csv").write_text(HOLD)
-    (folder / "simple_bench.py").write_text((Path(__file__).parent / "simple_bench.py").read_text())
+    (folder / "fake_bench.py").write_text(Path(fake_bench.__file__).read_text())
     return folder
 
 
 @pytest.fixture(scope="module")
 def operator(browser, project):
-    """Return an operator whose page shows the simple bench."""
-    options = ("--source", "simple_bench:SimpleBench", "--limits", "limits.toml")
+    """Return an operator whose page shows a bench in plain Python."""
+    options = ("--source", "fake_bench:Plant", "--limits", "limits.toml")
     with served(project, *options) as (link, _):
         operator = Operator(browser.new_page(viewport={"width": 1280, "height": 800}), link)
         operator.wait_for_state("no source")

@@ -90,7 +90,7 @@ class FileTransport:
 
 
 class UdpTransport:
-    """UDP on the loopback interface; answers go to the last sender.
+    """UDP on the loopback interface; the first sender is heard and answered, no other until `close`.
 
     Args:
         port: to listen at.
@@ -98,7 +98,6 @@ class UdpTransport:
 
     def __init__(self, port: int) -> None:
         self._port = port
-        self._sender: tuple[str, int] | None = None
 
     def open(self) -> None:
         """Listen.
@@ -106,6 +105,7 @@ class UdpTransport:
         Raises:
             InputError: the port is taken.
         """
+        self._sender: tuple[str, int] | None = None
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         try:
@@ -118,8 +118,9 @@ class UdpTransport:
         lines = b""
         with contextlib.suppress(*CAN_BE_BUSY):
             while len(lines) < MOST_BYTES:
-                data, self._sender = self._socket.recvfrom(MOST_BYTES)
-                lines += data + b"\n"
+                data, sender = self._socket.recvfrom(MOST_BYTES)
+                self._sender = self._sender or sender
+                lines += data + b"\n" if sender == self._sender else b""
         return lines
 
     def write(self, line: bytes) -> None:
