@@ -16,9 +16,10 @@ from hypothesis import strategies as st
 import fake_bench
 from fake_bench import STEP_S, Machine, Plant
 from hitchid.errors import InputError
-from hitchid.hmi import bench_loop, recorder
+from hitchid.hmi import bench_loop, connected_source, recorder
 from hitchid.hmi.bench_loop import BenchLoop
 from hitchid.hmi.program import Step
+from hitchid.hmi.recorder import Recorder
 from hitchid.hmi.safety import State
 
 CLOSED = (0.0, 0.0)
@@ -107,7 +108,7 @@ def bench_with(patch, plant, commands):
     """Return a bench whose run asks for given commands, or raises one that is an error; nothing is logged."""
 
     class Asked:
-        step, plan = Step(np.zeros(2), "test"), None
+        step, plan, displacement = Step(np.zeros(2), "test"), None, 100.0
 
         def __init__(self, *_):
             self.target, self._rest = None, list(commands)
@@ -132,7 +133,7 @@ def bench_with(patch, plant, commands):
 
     patch.setattr(fake_bench, "made", lambda: plant, raising=False)
     patch.setattr(bench_loop, "Run", Asked)
-    patch.setattr(BenchLoop, "_limits_of", lambda *_: fake_bench.LIMITS)
+    patch.setattr(connected_source, "_limits", lambda *_: fake_bench.LIMITS)
     bench = fake_bench.Bench(BenchLoop(Path("/nonexistent")), plant)
     bench.ask("connect", source="fake_bench:made")
     bench.run(**WITHIN)
@@ -379,9 +380,85 @@ def test_nothing_is_armed_before_a_displacement_was_measured(make_bench, write_t
     bench = make_bench()
     bench.plant.is_silent = True
     bench.tick(5)
-    with pytest.raises(InputError, match="no displacement was measured yet"):
+    with pytest.raises(InputError, match="no displacement is measured now"):
         bench.ask("arm", plan=write_test())
     assert bench.state is State.IDLE
+
+
+def test_nothing_starts_with_a_sensor_that_fell_silent_after_arming(make_bench, write_test):
+    bench = make_bench()
+    bench.tick()
+    bench.ask("arm", plan=write_test())
+    bench.plant.is_silent = True
+    bench.tick(20)
+    with pytest.raises(InputError, match="no displacement is measured now"):
+        bench.ask("start")
+    bench.tick(20)
+    assert set(bench.plant.sent) == {CLOSED}
+
+
+def test_nothing_starts_after_the_hitch_has_sunk_since_it_was_armed(make_bench, write_test):
+    bench = make_bench()
+    bench.tick()
+    bench.ask("arm", plan=write_test())
+    bench.plant.displacement -= 10.0
+    bench.tick()
+    with pytest.raises(InputError, match="has moved since it was armed"):
+        bench.ask("start")
+    bench.tick(20)
+    assert set(bench.plant.sent) == {CLOSED}
+
+
+def test_the_run_of_an_operator_who_leaves_is_stopped(make_bench, write_test):
+    bench = make_bench()
+    bench.run(**write_test())
+    bench.tick(5)
+    bench.loop.operator_left()
+    bench.tick()
+    assert (bench.state, bench.reason) == (State.STOPPED, "the operator left")
+    assert_closed(bench)
+
+
+def test_zero_is_sent_before_the_log_of_a_stopped_run_is_closed(make_bench, write_test, monkeypatch):
+    bench = make_bench()
+    bench.run(**write_test())
+    bench.tick(10)
+    assert bench.plant.sent[-1] != (0.0, 0.0)
+    sent_at_close = []
+    close = Recorder.close
+    monkeypatch.setattr(
+        Recorder, "close", lambda self: (sent_at_close.append(bench.plant.sent[-1]), close(self))
+    )
+    bench.ask("stop")
+    assert sent_at_close == []
+    bench.tick()
+    assert sent_at_close == [(0.0, 0.0)]
+
+
+def test_a_source_that_takes_no_zero_is_told_to_the_operator(make_bench, write_test, monkeypatch):
+    bench = make_bench()
+    bench.run(**write_test())
+    bench.tick(5)
+
+    def refuse(commands):
+        raise OSError("the plug was pulled")
+
+    monkeypatch.setattr(bench.plant, "write", refuse)
+    bench.tick()
+    assert bench.state is State.STOPPED
+    assert "zero could not be sent" in bench.reason
+
+
+def test_a_source_that_is_read_too_seldom_to_be_stopped_is_refused(make_bench, monkeypatch):
+    monkeypatch.setattr(fake_bench.Plant, "step_s", 0.5)
+    with pytest.raises(InputError, match=r"expected a sampling time of 0\.001 to 0\.1 s, got 0\.5 s"):
+        make_bench()
+
+
+def test_limits_in_other_units_than_the_source_are_refused(make_bench, tmp_path):
+    (tmp_path / "limits.toml").write_text(fake_bench.LIMITS_FILE + 'command_unit = "mA"\n')
+    with pytest.raises(InputError, match="lifting_command is in mA, in plant in A"):
+        make_bench()
 
 
 def test_commands_above_the_limits_are_refused_when_armed(make_bench, write_test):

@@ -1,14 +1,11 @@
 """The closed loop follows the target of the operator, inside the travel."""
 
-from pathlib import Path
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
 from fake_bench import LIMITS
-from hitchid.hmi import drive_program
-from hitchid.hmi.drive_program import Target, drive
+from hitchid.errors import InputError
+from hitchid.hmi.drive_program import Target, check_clock_and_units, drive
 from hitchid.hmi.limits import Limits
 
 
@@ -24,12 +21,9 @@ class Proportional:
 
 
 @pytest.fixture
-def loop(monkeypatch):
-    monkeypatch.setattr(
-        drive_program, "load_controller", lambda _: SimpleNamespace(controller=Proportional())
-    )
+def loop():
     target = Target(100.0)
-    return drive(Path("a.toml"), "evening", 100.0, target, LIMITS), target
+    return drive(Proportional(), "evening", 100.0, target, LIMITS), target
 
 
 def test_it_holds_until_the_target_moves(loop):
@@ -43,8 +37,24 @@ def test_it_holds_until_the_target_moves(loop):
 
 
 @pytest.mark.parametrize(("target_mm", "reached_mm"), [(1e6, 210.0), (-1e6, 10.0)])
-def test_a_target_outside_the_travel_is_its_end(monkeypatch, loop, target_mm, reached_mm):
+def test_a_target_outside_the_travel_is_its_end(target_mm, reached_mm):
     limits = Limits((0.9, 0.8), (10.0, 210.0))
-    program = drive(Path("a.toml"), "evening", 100.0, Target(target_mm), limits)
+    program = drive(Proportional(), "evening", 100.0, Target(target_mm), limits)
     commands = next(program).commands
     assert commands[0] - commands[1] == pytest.approx(0.01 * (reached_mm - 100.0))
+
+
+@pytest.mark.parametrize(
+    ("step_s", "changed", "problem"),
+    [
+        (0.02, {}, "sampling time of 0.01 s, the source of 0.02 s"),
+        (0.01, {"displacement": "m"}, "expected displacement in mm, the source has m"),
+        (0.01, {"lowering_command": "mA"}, "expected commands in A, the source has mA"),
+    ],
+)
+def test_a_controller_does_not_drive_a_source_with_another_clock_or_other_units(step_s, changed, problem):
+    units = {"lifting_command": "A", "lowering_command": "A", "displacement": "mm"}
+    check_clock_and_units(0.01, 0.01, units)
+    with pytest.raises(InputError) as error:
+        check_clock_and_units(0.01, step_s, {**units, **changed})
+    assert problem in str(error.value)

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hitchid.hmi import history as module
-from hitchid.hmi.clients import MOST_WAITING, Client, Clients
+from hitchid.hmi.clients import MOST_TEXTS, MOST_WAITING, Client, Clients
 from hitchid.hmi.history import History, SpeedEstimate, block_of, packed_rows
 
 STEP_S = 0.01
@@ -121,11 +121,14 @@ def test_a_page_that_does_not_read_costs_a_bounded_number_of_messages():
         client = Client()
         for k in range(10 * MOST_WAITING):
             client.put({"number": k})
-        return [await client.next() for _ in range(MOST_WAITING)], client._waiting.empty()
+            client.put(b"%d" % k)
+        client.put({"type": "last"})
+        texts = [await client.next() for _ in range(MOST_TEXTS)]
+        return texts, [await client.next() for _ in range(MOST_WAITING)]
 
-    waiting, is_empty = asyncio.run(main())
-    assert is_empty
-    assert waiting[-1] == f'{{"number": {10 * MOST_WAITING - 1}}}'
+    texts, frames = asyncio.run(main())
+    assert texts[-1] == '{"type": "last"}'
+    assert [int(frame) for frame in frames] == list(range(9 * MOST_WAITING, 10 * MOST_WAITING))
 
 
 def test_the_speed_is_that_of_a_steady_motion_after_its_span_and_zero_at_rest():

@@ -527,10 +527,13 @@ def test_a_viewer_can_stop_but_nothing_else(session):
         assert asked(operator, "disconnect") is None
         in_state(operator, "disconnected")
     entries = [json.loads(line) for line in (session.root / "hmi.log").read_text().splitlines()]
-    told = [(entry["event"], entry["page"]) for entry in entries][-7:]
-    assert [event for event, _ in told] == ["connect", "arm", "start", "stop", "arm", "reset", "disconnect"]
-    assert len({page for _, page in told}) == 2
-    assert told[3][1] != told[0][1]
+    told = [(entry["event"], entry["page"]) for entry in entries][-8:]
+    events = ["connect", "arm", "start", "stop", "stopped", "arm", "reset", "disconnect"]
+    assert [event for event, _ in told] == events
+    pages = dict(told)
+    assert pages["stopped"] is None  # said by the bench loop itself
+    assert pages["stop"] not in (None, pages["connect"])
+    assert len({page for _, page in told if page}) == 2
 
 
 def test_a_page_that_does_not_read_does_not_hold_up_the_others(session):

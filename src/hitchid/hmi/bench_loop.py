@@ -12,16 +12,14 @@ import numpy as np
 from hitchid._support import checks
 from hitchid.errors import HitchError, InputError, OutputError
 from hitchid.hmi import plans, project
-from hitchid.hmi.limits import Limits, limits_of_rig, read_limits
+from hitchid.hmi.connected_source import ConnectedSource, connect
+from hitchid.hmi.limits import MARGIN, Limits
 from hitchid.hmi.recorder import Recorder
 from hitchid.hmi.run import Run
 from hitchid.hmi.safety import Safety, State
-from hitchid.hmi.source import CLOSED, DISPLACEMENT, REQUIRED, Reading, Source, describe
-from hitchid.hmi.sources import make_source
-from hitchid.rig.parameter_files import parameter_sets
+from hitchid.hmi.source import CLOSED, DISPLACEMENT, REQUIRED, Reading, describe
 
 LONGEST_SILENCE_S = 0.5  # s without a sign of life of server or page, after which the loop stops
-FASTEST = 20  # samples of a virtual source in a tick at most; chosen: more than two cores reach
 TICK_S = 0.01  # s between ticks without a source
 
 Request = Mapping[str, Any]
@@ -50,12 +48,11 @@ class BenchLoop:
         self._root, self._allow_output, self._limits_file = root, allow_output, limits_file
         self._longest_silence_s = longest_silence_s
         self._safety = Safety()
-        self._source: Source | None = None
-        self._source_name, self._speed = "", 1
-        self._limits: Limits | None = None
+        self._connected: ConnectedSource | None = None
         self._run: Run | None = None
+        self._ended_runs: list[Run] = []
         self._recorder: Recorder | None = None
-        self._displacement, self._time_s, self._silent_s = np.nan, 0.0, 0.0
+        self._displacement, self._time_s, self._silent_s, self._measured_s = np.nan, 0.0, 0.0, 0.0
         self._commands = CLOSED
         self._requests: Mapping[str, Callable[[Request, float], None]] = {
             "connect": self._connect,
@@ -81,7 +78,7 @@ class BenchLoop:
     @property
     def tick_s(self) -> float:
         """Time between ticks, s."""
-        return self._source.step_s if self._source else TICK_S
+        return self._connected.source.step_s if self._connected else TICK_S
 
     def server_alive(self, now_s: float) -> None:
         """Take a sign of life of the server."""
@@ -105,9 +102,11 @@ class BenchLoop:
     def tick(self, now_s: float) -> list[Reading]:
         """Check the signs of life, and exchange a sample with the source; in a fast run several."""
         self._settle(self._safety.check(now_s, self._longest_silence_s))
+        speed = self._connected.speed if self._connected and self.state is State.RUNNING else 1
         readings: list[Reading] = []
-        for _ in range(self._speed if self.state is State.RUNNING else 1):
-            readings += self._sample()
+        for _ in range(speed):
+            readings += self._sample(now_s)
+        self._close_ended_run()
         return readings
 
     def stop(self, reason: str) -> None:
@@ -118,43 +117,48 @@ class BenchLoop:
         """End the run and the recording, and close the source."""
         self._lose_source("the bench loop was ended")
 
+    def operator_left(self) -> None:
+        """Stop an attended run whose operator has gone, or has handed over."""
+        if self._safety.is_attended and self.state in (State.ARMED, State.RUNNING):
+            self.stop("the operator left")
+
     def describe(self) -> dict[str, object]:
         """Return the state as content for JSON."""
-        run, recorder, limits = self._run, self._recorder, self._limits
-        units = {signal.name: signal.unit for signal in self._source.signals} if self._source else {}
+        run, recorder, connected = self._run, self._recorder, self._connected
         return {
             "state": self.state,
             "reason": self._safety.reason,
-            "source": describe(self._source, self._source_name, self._speed) if self._source else None,
-            "run": run.describe(self._speed) if run else None,
+            "source": connected and describe(connected.source, connected.name, connected.speed),
+            "run": run.describe(connected.speed) if run and connected else None,
             "recording": {"file": recorder.path.name, "samples": recorder.samples} if recorder else None,
-            "limits": limits
-            and {
-                **limits.describe(),
-                "units": {"command": units.get(REQUIRED[0]), "displacement": units.get(DISPLACEMENT)},
-            },
+            "limits": connected.limits.describe() if connected and connected.limits else None,
             "target_mm": run.target.displacement if run and run.plan.kind == "drive" else None,
             "mode": ("lifting" if self._commands[0] else "lowering") if self._commands.any() else "hold",
             "now_s": self._time_s,
         }
 
-    def _sample(self) -> Sequence[Reading]:
-        """Read, decide, record and write: the commands of a sample follow from its own displacement."""
-        if self._source is None:
+    def _sample(self, now_s: float) -> Sequence[Reading]:
+        """Read, decide, write and record: the commands of a sample follow from its own displacement.
+
+        No file is touched before the commands were sent.
+        """
+        connected = self._connected
+        if connected is None:
             return ()
         try:
-            readings = self._source.read()
-            self._take(readings)
+            readings = connected.read()
         except Exception as error:  # of a source from outside the package it may be any
             self._lose_source(_sentence(error))
             return ()
+        self._take(connected, readings, now_s)
         self._commands = self._decide()
-        readings = [_with_commands(reading, self._commands) for reading in readings]
-        self._record_samples(readings)
         try:
-            self._write(self._source, self._commands)
+            connected.write(self._commands)
         except Exception as error:
             self._lose_source(_sentence(error))
+            return ()
+        readings = [_with_commands(reading, self._commands) for reading in readings]
+        self._record_samples(readings)
         return readings
 
     def _decide(self) -> np.ndarray:
@@ -167,11 +171,6 @@ class BenchLoop:
             self.stop(_sentence(error))
             return CLOSED
 
-    def _write(self, source: Source, commands: np.ndarray) -> None:
-        """Send commands; to a machine only where that is allowed, zero as well."""
-        if source.virtual or self._allow_output:
-            source.write(commands)
-
     def _record_samples(self, readings: Sequence[Reading]) -> None:
         try:
             if self._recorder is not None:
@@ -179,93 +178,72 @@ class BenchLoop:
             if self._run is not None:
                 self._run.record(readings)
         except OutputError as error:
-            self._commands = CLOSED
             self.stop(str(error))
             with contextlib.suppress(OutputError):
                 self._end_recording()
 
     def _allowed_commands(self) -> np.ndarray:
         """Return the commands of the running program within their limits; zero in any other state."""
-        if self.state is not State.RUNNING or self._run is None or self._limits is None:
+        limits = self._connected.limits if self._connected else None
+        if self.state is not State.RUNNING or self._run is None or limits is None:
             return CLOSED
         wanted = np.nan_to_num(self._run.step.commands, nan=0.0, posinf=0.0, neginf=0.0)
         if np.all(wanted > 0):
             self.stop("both valves were commanded at once")
             return CLOSED
-        return np.clip(wanted, 0.0, self._limits.commands)
+        return np.clip(wanted, 0.0, limits.commands)
 
-    def _take(self, readings: Sequence[Reading]) -> None:
+    def _take(self, connected: ConnectedSource, readings: Sequence[Reading], now_s: float) -> None:
         """Take the newest displacement; stop where there is none, or one outside the limits."""
-        assert self._source is not None  # noqa: S101 - called with a source only
-        if any(len(reading.values) != len(self._source.signals) for reading in readings):
-            raise InputError(f"{self._source.label}: expected a value for each signal in a sample")
         measured = [reading.values[REQUIRED.index(DISPLACEMENT)] for reading in readings]
         valid = [value for value in measured if np.isfinite(value)]
         self._time_s = readings[-1].time_s if readings else self._time_s
-        self._silent_s = 0.0 if valid else self._silent_s + self._source.step_s
+        clock_s = self._time_s if connected.source.virtual else now_s
+        self._measured_s = clock_s if valid else self._measured_s
+        self._silent_s = clock_s - self._measured_s
         self._displacement = valid[-1] if valid else self._displacement
-        if self._limits is None or self.state is not State.RUNNING:
+        limits = connected.limits
+        if limits is None or self.state is not State.RUNNING:
             return
-        if self._silent_s > self._limits.sensor_silence_s:
+        if self._silent_s > limits.sensor_silence_s:
             self.stop(f"no displacement for {self._silent_s:.2g} s")
-        elif self._limits.is_beyond(self._displacement):
-            low, high = self._limits.displacement
+        elif limits.is_beyond(self._displacement):
+            low, high = limits.displacement
             self.stop(f"displacement {self._displacement:.4g} is outside {low:g} to {high:g}")
 
     def _lose_source(self, reason: str) -> None:
         """Close valves, source and logs; a run is stopped by that, and the reason is kept."""
-        source, self._source, self._commands, self._limits = self._source, None, CLOSED, None
-        if source is not None:
-            with contextlib.suppress(Exception):  # it may be gone
-                self._write(source, CLOSED)
-            with contextlib.suppress(Exception):
-                source.close()
+        connected, self._connected, self._commands = self._connected, None, CLOSED
+        if connected is not None and not connected.close():
+            reason = f"{reason}; zero could not be sent: close the valves of the machine by hand"
         self._settle(self._safety.disconnect(reason))
+        self._close_ended_run()
         with contextlib.suppress(OutputError):
             self._end_recording()
 
     def _settle(self, safety: Safety) -> None:
-        """Take a state; what moves or records for a run ends with it."""
+        """Take a state; a run ends with it, and its log is closed after zero was sent."""
         self._safety = safety
         if safety.state not in (State.ARMED, State.RUNNING) and self._run is not None:
-            run, self._run = self._run, None
+            self._ended_runs, self._run = [*self._ended_runs, self._run], None
+
+    def _close_ended_run(self) -> None:
+        runs, self._ended_runs = self._ended_runs, []
+        for run in runs:
             try:
                 run.end()
             except OutputError as error:
-                self._safety = safety.stop(str(error))
+                self._safety = self._safety.stop(str(error))
 
-    def _connect(self, request: Request, _: float) -> None:
+    def _connect(self, request: Request, now_s: float) -> None:
         connected = self._safety.connect()
-        name, options = request.get("source"), request.get("options", {})
-        text = self._source_text(str(name), checks.instance(options, dict, "options", "a table"))
-        source = make_source(text)
-        names = tuple(signal.name for signal in source.signals)
-        if names[: len(REQUIRED)] != REQUIRED:
-            raise InputError(f"{source.label}: expected the signals {', '.join(REQUIRED)} first, got {names}")
-        speed = checks.integer(options.get("speed", 1), "speed", minimum=1)
-        if speed > (FASTEST if source.virtual else 1):
-            raise InputError(f"speed: expected at most {FASTEST if source.virtual else 1} here, got {speed}")
-        limits = self._limits_of(text)
-        source.open()
-        self._source, self._source_name, self._speed = source, str(name), speed
-        self._limits, self._displacement, self._silent_s, self._time_s = limits, np.nan, 0.0, 0.0
+        self._connected = connect(
+            request, self._root, limits_file=self._limits_file, allow_output=self._allow_output
+        )
+        self._displacement, self._silent_s, self._time_s, self._measured_s = np.nan, 0.0, 0.0, now_s
+        if self._connected.source.virtual:
+            self._measured_s = 0.0
         self._settle(connected)
-
-    def _source_text(self, name: str, options: Mapping[str, Any]) -> str:
-        if name == "rig":
-            return f"rig:{checks.one_of(options.get('rig', 'nominal'), parameter_sets(), 'rig')}"
-        if name == "replay":
-            return f"replay:{project.inside(self._root, options.get('log'))}"
-        return name
-
-    def _limits_of(self, text: str) -> Limits | None:
-        if self._limits_file is not None:
-            return read_limits(self._limits_file)
-        if not text.startswith("rig:"):
-            return None
-        from hitchid.rig import load_rig
-
-        return limits_of_rig(load_rig(text.removeprefix("rig:")))
 
     def _disconnect(self, *_: object) -> None:
         self._lose_source("")
@@ -273,34 +251,44 @@ class BenchLoop:
     def _arm(self, request: Request, now_s: float) -> None:
         plan = plans.read_plan(request.get("plan"))
         armed = self._safety.arm(is_attended=not plan.unattended, now_s=now_s)
-        source = self._source
-        assert source is not None  # noqa: S101 - idle has a source
+        connected = self._connected
+        assert connected is not None  # noqa: S101 - idle has a source
+        source = connected.source
         if not source.can_move:
             raise InputError(f"{source.label}: takes no commands; connect the virtual bench or a machine")
-        if not source.virtual and not self._allow_output:
+        if not connected.takes_output:
             raise InputError(
                 f"{source.label}: is a machine; start hitchid hmi with --allow-output and --limits"
             )
-        if self._limits is None:
+        if connected.limits is None:
             raise InputError(f"{source.label}: has no limits; start hitchid hmi with --limits FILE")
         if plan.unattended and not source.virtual:
             raise InputError("unattended: expected false; only the virtual bench runs without its operator")
-        if not np.isfinite(self._displacement):
-            raise InputError("no displacement was measured yet; check the sensor")
-        self._run = Run(self._root, plan, source, self._limits, self._displacement)
+        self._check_sensor(connected.limits)
+        self._run = Run(self._root, plan, source, connected.limits, self._displacement)
         self._safety = armed
+
+    def _check_sensor(self, limits: Limits) -> None:
+        if not np.isfinite(self._displacement) or self._silent_s > limits.sensor_silence_s:
+            raise InputError("no displacement is measured now; check the sensor")
 
     def _start(self, _: Request, now_s: float) -> None:
         running = self._safety.start(now_s)
-        assert self._run is not None  # noqa: S101 - armed has a run
-        self._run.begin()
-        self._silent_s, self._safety = 0.0, running
+        connected, run = self._connected, self._run
+        assert connected is not None  # noqa: S101 - armed has a source, its limits and a run
+        assert connected.limits is not None  # noqa: S101
+        assert run is not None  # noqa: S101
+        self._check_sensor(connected.limits)
+        if abs(self._displacement - run.displacement) > MARGIN * connected.limits.travel:
+            raise InputError("the hitch has moved since it was armed; stop, reset and arm again")
+        run.begin()
+        self._safety = running
 
     def _stop(self, request: Request, _: float) -> None:
         self.stop(str(request.get("reason", "stopped by the operator"))[:200])
 
     def _reset(self, *_: object) -> None:
-        self._settle(self._safety.reset(is_connected=self._source is not None))
+        self._settle(self._safety.reset(is_connected=self._connected is not None))
 
     def _set_target(self, request: Request, _: float) -> None:
         target = checks.number(request.get("mm"), "mm")
@@ -311,11 +299,11 @@ class BenchLoop:
     def _record(self, request: Request, _: float) -> None:
         if not request.get("on"):
             self._end_recording()
-        elif self._source is None:
+        elif self._connected is None:
             raise InputError("record: there is no source; connect one first")
         elif self._recorder is None:
             name = f"{datetime.now().astimezone():%Y-%m-%d_%H-%M-%S}.csv"
-            self._recorder = Recorder(self._root / project.RECORDINGS / name, self._source.signals)
+            self._recorder = Recorder(self._root / project.RECORDINGS / name, self._connected.source.signals)
 
     def _end_recording(self) -> None:
         if self._recorder is not None:

@@ -58,7 +58,8 @@ class Link:
     def send_block(self, readings: Sequence[Reading]) -> None:
         """Send samples, and the wall clock of the newest one, ms."""
         rows = np.array([(reading.time_s, *reading.values) for reading in readings])
-        self._outbox.put(BLOCK_MARK + np.array([1e3 * time.time(), rows.shape[1]]).tobytes() + rows.tobytes())
+        header = np.array([1e3 * time.time(), rows.shape[1]]).tobytes()
+        self._outbox.put(BLOCK_MARK + header + rows.tobytes(), is_block=True)
 
 
 def run(loop: BenchLoop, link: Link) -> None:
@@ -96,11 +97,12 @@ def run(loop: BenchLoop, link: Link) -> None:
 def _answer(loop: BenchLoop, link: Link, request: dict) -> None:
     """Carry out one request; a source that takes long to open does not count as silence of the server."""
     kind, error = request.get("type"), None
-    if kind == "server_alive":
-        loop.server_alive(time.monotonic())
+    if kind in ("server_alive", "page_alive"):  # of the time it was given, not of the time it is read
+        given_s = min(float(request["at_s"]), time.monotonic())
+        (loop.server_alive if kind == "server_alive" else loop.page_alive)(given_s)
         return
-    if kind == "page_alive":
-        loop.page_alive(time.monotonic())
+    if kind == "operator_left":
+        loop.operator_left()
         return
     try:
         loop.handle(request, time.monotonic())
@@ -108,8 +110,9 @@ def _answer(loop: BenchLoop, link: Link, request: dict) -> None:
         error = str(problem)
     except Exception as problem:  # a source or controller of a user; the loop goes on with closed valves
         error = f"{type(problem).__name__}: {problem}"
-    loop.server_alive(time.monotonic())
-    loop.page_alive(time.monotonic())
+    if kind in ("connect", "arm"):  # which take long: what waited meanwhile is no silence
+        loop.server_alive(time.monotonic())
+        loop.page_alive(time.monotonic())
     link.send({"type": "reply", "id": request.get("id"), "error": error})
 
 
@@ -123,7 +126,9 @@ def main(arguments: Sequence[str]) -> None:
 
     prepare_jax()
     descriptor, settings = int(arguments[0]), json.loads(arguments[1])
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the server, which ends this process
+    for number in (signal.SIGINT, signal.SIGHUP):  # they end the server, which ends this process
+        signal.signal(number, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # by way of the end below, which closes the valves
     limits = settings["limits_file"]
     loop = BenchLoop(
         Path(settings["root"]),

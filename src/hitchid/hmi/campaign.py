@@ -11,6 +11,7 @@ from hitchid.experiments.static_test import StaticResult, evaluate_ramps
 from hitchid.hmi.limits import Limits
 from hitchid.hmi.plans import CampaignPlan
 from hitchid.hmi.program import Step, apply, move
+from hitchid.hmi.source import CLOSED
 
 START = 0.04  # of the travel, distance of the start of a test from the end of travel; chosen
 RAMP_TRAVEL = 0.08  # of the travel, at which a ramp ends; chosen: 20 mm of the bench's 250
@@ -45,6 +46,7 @@ def campaign(
             measured = yield from apply(displacement, command, name, limits, step_s, ramp_travel)
             ramps.append(_record(name, direction, command, measured, step_s, units))
             displacement = measured[-1]
+        yield Step(CLOSED, "settling")  # the valves are closed while the ramps are evaluated
         try:
             static[direction] = evaluate_ramps(ramps, direction)
         except LogError as error:

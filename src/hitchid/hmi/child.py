@@ -34,8 +34,9 @@ class Child:
         own, other = socket.socketpair()
         with other:
             self.process = subprocess.Popen(  # noqa: S603 - this Python, a module of this package
-                [sys.executable, "-m", module, str(other.fileno()), json.dumps(settings)],
+                [sys.executable, "-P", "-m", module, str(other.fileno()), json.dumps(settings)],
                 pass_fds=(other.fileno(),),
+                start_new_session=True,  # a closed terminal or Ctrl-Z must not take it along
                 env={**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
             )
         self._connection = Connection(own.detach())
@@ -64,5 +65,7 @@ class Child:
         with contextlib.suppress(EOFError, OSError, RuntimeError):  # RuntimeError: the event loop is closed
             while True:
                 loop.call_soon_threadsafe(on_message, self._connection.recv_bytes())
+        self.outbox.close()
         with contextlib.suppress(RuntimeError):
             loop.call_soon_threadsafe(on_end)
+        self.process.wait()

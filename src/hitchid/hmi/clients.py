@@ -3,9 +3,11 @@
 import asyncio
 import json
 import secrets
+from collections import deque
 from collections.abc import Iterator, Mapping
 
-MOST_WAITING = 100  # messages to a page that does not read; then samples are dropped: four seconds; chosen
+MOST_WAITING = 100  # frames to a page that does not read, then the oldest is dropped: four seconds; chosen
+MOST_TEXTS = 1000  # messages likewise: minutes; chosen
 
 
 class Client:
@@ -17,17 +19,24 @@ class Client:
 
     def __init__(self) -> None:
         self.name = secrets.token_hex(4)
-        self._waiting: asyncio.Queue[str | bytes] = asyncio.Queue(MOST_WAITING)
+        self._texts: deque[str] = deque(maxlen=MOST_TEXTS)
+        self._frames: deque[bytes] = deque(maxlen=MOST_WAITING)
+        self._is_waiting = asyncio.Event()
 
-    def put(self, message: Mapping[str, object] | bytes) -> None:
-        """Send a message as soon as the page reads; of one that does not, the oldest are dropped."""
-        if self._waiting.full():
-            self._waiting.get_nowait()
-        self._waiting.put_nowait(message if isinstance(message, bytes) else json.dumps(message))
+    def put(self, message: Mapping[str, object] | str | bytes) -> None:
+        """Send a message as soon as the page reads: a frame, or text, or content that becomes JSON."""
+        if isinstance(message, bytes):
+            self._frames.append(message)
+        else:
+            self._texts.append(message if isinstance(message, str) else json.dumps(message))
+        self._is_waiting.set()
 
     async def next(self) -> str | bytes:
-        """Return the next message to send."""
-        return await self._waiting.get()
+        """Return the next message to send: texts first."""
+        while not self._texts and not self._frames:
+            self._is_waiting.clear()
+            await self._is_waiting.wait()
+        return self._texts.popleft() if self._texts else self._frames.popleft()
 
 
 class Clients:
@@ -43,11 +52,11 @@ class Clients:
     def __len__(self) -> int:
         return len(self._clients)
 
-    def add(self) -> Client:
-        """Return a new client; the first one is the operator."""
+    def add(self, *, may_operate: bool = True) -> Client:
+        """Return a new client; where nothing may move and nobody operates it becomes the operator."""
         client = Client()
         self._clients[client.name] = client
-        if self.operator is None:
+        if self.operator is None and may_operate:
             self.operator = client.name
         return client
 
@@ -69,5 +78,6 @@ class Clients:
 
     def publish(self, message: Mapping[str, object] | bytes) -> None:
         """Send a message to all pages."""
+        encoded = message if isinstance(message, bytes) else json.dumps(message)
         for client in self:
-            client.put(message)
+            client.put(encoded)

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
@@ -82,14 +83,29 @@ class Console:
         while True:
             await asyncio.sleep(ALIVE_S)
             if self._bench is not None:
-                self._bench.send({"type": "server_alive"})
+                self._bench.send({"type": "server_alive", "at_s": time.monotonic()})
 
     async def end(self) -> None:
         """End all processes; the bench loop closes valves and logs."""
-        await self.jobs.end()
-        for child in (self._monitor, self._bench):
+        for child in (self._bench, self._monitor):
             if child is not None:
                 await asyncio.to_thread(child.end)
+        await self.jobs.end()
+
+    def welcome(self) -> Client:
+        """Return a client for a new page; the operator's where there is none and nothing may move."""
+        client = self.clients.add(may_operate=self._status["state"] not in ("armed", "running"))
+        if self.clients.operator == client.name:
+            self.log("claim", client)
+        return client
+
+    def part(self, client: Client) -> None:
+        """Remove a page that has gone."""
+        was_operator = self.clients.operator == client.name
+        self.clients.remove(client)
+        if was_operator:
+            self._operator_left()
+        self.publish_status()
 
     def greet(self, client: Client) -> None:
         """Send a new page what it needs to know."""
@@ -145,13 +161,11 @@ class Console:
         is_operator = self.clients.operator == client.name
         if kind == "heartbeat":
             if is_operator and self._bench is not None:
-                self._bench.send({"type": "page_alive"})
+                self._bench.send({"type": "page_alive", "at_s": time.monotonic()})
             return
         if kind == "stop":
-            self._to_bench(
-                client,
-                {**request, "reason": "stopped by the operator" if is_operator else "stopped by a viewer"},
-            )
+            reason = f"stopped by {'the operator' if is_operator else 'a viewer'}"
+            self._to_bench(client, {"type": "stop", "id": request.get("id"), "reason": reason})
             return
         if kind == "claim":
             if not self.clients.claim(client):
@@ -161,8 +175,8 @@ class Console:
         elif not is_operator:
             raise InputError("this page only watches; become the operator first")
         elif kind == "release":
-            self.clients.release(client)
-            self.publish_status()
+            self.log("release", client)
+            self._end_operation(client)
         elif kind in OPERATED:
             self._operate(client, request)
             return
@@ -178,14 +192,23 @@ class Console:
             raise InputError(f"{kind!r:.40} is no request")
         client.put({"type": "reply", "id": request.get("id"), "error": None})
 
-    def log(self, event: str, client: Client, **content: object) -> None:
+    def log(self, event: str, client: Client | None, **content: object) -> None:
         """Append who did what to the log of the project."""
         entry = {"time": datetime.now(UTC).isoformat(timespec="milliseconds"), "event": event}
         try:
             with (self.settings.root / LOG_FILE).open("a", encoding="utf-8") as file:
-                file.write(f"{json.dumps({**entry, 'page': client.name, **content})}\n")
+                file.write(f"{json.dumps({**entry, 'page': client and client.name, **content})}\n")
         except OSError as error:
             self.clients.publish({"type": "problem", "text": f"{LOG_FILE}: {error.strerror}"})
+
+    def _end_operation(self, client: Client) -> None:
+        self.clients.release(client)
+        self._operator_left()
+        self.publish_status()
+
+    def _operator_left(self) -> None:
+        if self._bench is not None:
+            self._bench.send({"type": "operator_left"})
 
     def _operate(self, client: Client, request: Mapping[str, Any]) -> None:
         kind = request["type"]
@@ -203,11 +226,11 @@ class Console:
     def _to_bench(self, client: Client, request: Mapping[str, Any]) -> None:
         if self._bench is None:
             raise InputError("the bench loop has ended; connect a source to start it again")
-        if request["type"] == "stop":
-            self.log("stop", client)
         self._number += 1
         self._replies[self._number] = client, request.get("id")
         self._bench.send({**request, "id": self._number})
+        if request["type"] == "stop" and self._status["state"] != "stopped":
+            self.log("stop", client)
 
     def _start_bench(self) -> None:
         limits = self.settings.limits_file
@@ -241,9 +264,11 @@ class Console:
         before, self._status = self._status, _with_speed(content)
         if before["source"] != self._status["source"]:
             self._source_changed()
+        self.publish_status()
         if before["run"] and not self._status["run"]:
             self._project_changed()
-        self.publish_status()
+        if self._status["state"] == "stopped" and before["state"] != "stopped":
+            self.log("stopped", None, reason=self._status["reason"])
 
     def _source_changed(self) -> None:
         source = self._status["source"]
@@ -263,11 +288,11 @@ class Console:
             self.clients.publish(packed_rows(MEASURED, rows, wall_ms))
         if self._monitor is not None:
             columns = [np.full(len(rows), wall_ms), *rows[:, :4].T]
-            self._monitor.outbox.put(np.column_stack(columns).tobytes())
+            self._monitor.outbox.put(np.column_stack(columns).tobytes(), is_block=True)
 
     def _start_monitor(self, model: object) -> None:
-        self._end_monitor()
         if model is None:
+            self._end_monitor()
             return
         source = self._status["source"]
         if source is None:
@@ -278,6 +303,7 @@ class Console:
             "units": [units[LIFTING_COMMAND], units[DISPLACEMENT]],
             "step_s": source["step_s"],
         }
+        self._end_monitor()
         child = Child(
             "hitchid.hmi.monitor_process", settings, self._from_monitor, lambda: self._monitor_ended(child)
         )

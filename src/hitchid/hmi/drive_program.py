@@ -1,38 +1,63 @@
 """Program of a closed loop: a tuned controller, whose target the operator moves."""
 
-import dataclasses
-from pathlib import Path
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
-from hitchid.control import load_controller
+from hitchid.control import HitchController, PositionController
+from hitchid.errors import InputError
 from hitchid.hmi.limits import Limits
 from hitchid.hmi.program import Program, Step
+from hitchid.hmi.source import DISPLACEMENT, REQUIRED
+
+UNITS = dict(zip(REQUIRED, ("A", "A", "mm"), strict=True))  # of every controller
+SAME_STEP = 0.01  # relative difference of sampling times that still counts as none
 
 
-@dataclasses.dataclass
+@dataclass
 class Target:
     """Where the hitch shall be, in the displacement's unit; set while a loop runs."""
 
     displacement: float
 
 
-def drive(path: Path, log: str, displacement: float, target: Target, limits: Limits) -> Program:
+def check_clock_and_units(controller_step_s: float, step_s: float, units: Mapping[str, str]) -> None:
+    """Check that a controller fits the sampling time, s, and the units of a source.
+
+    Raises:
+        InputError: the source has another sampling time, or other units.
+    """
+    if abs(step_s / controller_step_s - 1) > SAME_STEP:
+        raise InputError(
+            f"controller: has a sampling time of {controller_step_s:g} s, the source of {step_s:g} s; "
+            "tune a controller for that of the source"
+        )
+    for name, unit in UNITS.items():
+        if units[name] != unit:
+            kind = "displacement" if name == DISPLACEMENT else "commands"
+            raise InputError(f"controller: expected {kind} in {unit}, the source has {units[name]}")
+
+
+def drive(
+    controller: HitchController | PositionController,
+    log: str,
+    displacement: float,
+    target: Target,
+    limits: Limits,
+) -> Program:
     """Return the program of a closed loop, compiled; it ends only when it is stopped.
 
     Args:
-        path: controller file.
+        controller: tuned.
         log: name of its log.
-        displacement: now.
+        displacement: now, mm.
         target: read at each sample.
         limits: of travel; the target is kept inside.
-
-    Raises:
-        SettingsError: the controller file cannot be used.
     """
-    controller = load_controller(path).controller
     initial = controller.initial_state(displacement)
-    controller.step(initial, displacement, displacement)
+    stepped, _ = controller.step(initial, displacement, displacement)
+    controller.step(stepped, displacement, displacement)  # a state that was stepped may compile anew
 
     def run() -> Program:
         state, measured = initial, displacement

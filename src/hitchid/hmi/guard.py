@@ -9,7 +9,7 @@ from typing import Any
 from starlette.responses import JSONResponse, Response
 
 LINK_S = 3600.0  # s for which a link that was not used yet can be used; chosen
-MOST_SESSIONS = 64  # at the same time; the oldest ends with one more; chosen
+MOST_SESSIONS = 64  # and links, at the same time; the oldest ends with one more; chosen
 TOKEN_BYTES = 32  # 256 bits: not to be guessed
 PROTECTED = ("/api/", "/ws", "/files/")
 SESSION_PATH = "/api/session"
@@ -35,6 +35,8 @@ class Sessions:
         """Return the token of a new link."""
         token = secrets.token_urlsafe(TOKEN_BYTES)
         self._links[token] = time.monotonic() + LINK_S
+        if len(self._links) > MOST_SESSIONS:
+            del self._links[next(iter(self._links))]
         return token
 
     def redeem(self, token: object) -> str | None:

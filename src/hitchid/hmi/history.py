@@ -1,7 +1,5 @@
 """The samples of the last hour, in memory that is reserved at once."""
 
-from itertools import pairwise
-
 import numpy as np
 
 SPEED_SPAN_S = 0.1  # s; chosen: the noise of a sensor of 0.05 mm is 0.7 mm/s then
@@ -17,7 +15,7 @@ class History:
     """
 
     def __init__(self, columns: int, step_s: float) -> None:
-        self._rows = np.zeros((max(1, round(HISTORY_S / step_s)), columns))
+        self._rows = np.full((max(1, round(HISTORY_S / step_s)), columns), np.nan)
         self.columns, self._count = columns, 0
 
     def append(self, rows: np.ndarray) -> None:
@@ -37,24 +35,21 @@ class History:
             Samples, shape [M, columns]; a bin gives two rows at its ends.
         """
         rows = self._ordered()
-        inside = rows[(rows[:, 0] >= begin_s) & (rows[:, 0] <= end_s)]
+        first, last = np.searchsorted(rows[:, 0], [begin_s, end_s], side="left")
+        inside = rows[first : last + (last < len(rows) and rows[last, 0] == end_s)]
         if len(inside) <= points:
             return inside
         edges = np.linspace(0, len(inside), max(1, points // 2) + 1).astype(int)
-        bins = [inside[start:stop] for start, stop in pairwise(edges)]
-        return np.concatenate([_extremes(samples) for samples in bins])
+        extremes = np.empty((2 * (len(edges) - 1), inside.shape[1]))
+        extremes[::2] = np.fmin.reduceat(inside, edges[:-1])
+        extremes[1::2] = np.fmax.reduceat(inside, edges[:-1])
+        extremes[::2, 0], extremes[1::2, 0] = inside[edges[:-1], 0], inside[edges[1:] - 1, 0]
+        return extremes
 
     def _ordered(self) -> np.ndarray:
         if self._count <= len(self._rows):
             return self._rows[: self._count]
         return np.roll(self._rows, -(self._count % len(self._rows)), axis=0)
-
-
-def _extremes(samples: np.ndarray) -> np.ndarray:
-    """Return lowest and highest value of each column; NaN where it has none."""
-    extremes = np.stack([np.fmin.reduce(samples), np.fmax.reduce(samples)])
-    extremes[:, 0] = samples[[0, -1], 0]
-    return extremes
 
 
 class SpeedEstimate:

@@ -28,6 +28,7 @@ MOST_RESULT = 4_000_000  # characters of a result; a longer one is not shown
 LINE_BYTES = 2**20  # longest line of standard error
 NICE = 5  # lower priority than the bench loop
 SHORTEST_S = 0.2  # s between messages about a running job: five a second
+LONGEST_END_S = 5.0  # s that a command may take to end when it is asked to; chosen
 MOST_JOBS = 50  # that are remembered
 INSPECT_FOUND_PROBLEMS = 1  # exit code of `hitchid inspect`, whose result is complete nevertheless
 
@@ -242,17 +243,33 @@ class Jobs:
         job.process.terminate()
 
     async def end(self) -> None:
-        """Stop what runs, and wait for it."""
-        for job in self._jobs.values():
-            if job.state == "running" and job.process is not None:
-                self.stop(job.number)
-        await asyncio.gather(*self._tasks, return_exceptions=True)
+        """Stop what runs, and wait for it; kill what does not end."""
+        running = [job for job in self._jobs.values() if job.state == "running" and job.process is not None]
+        for job in running:
+            self.stop(job.number)
+        if self._tasks:
+            _, unfinished = await asyncio.wait(self._tasks, timeout=LONGEST_END_S)
+            for process in (job.process for job in running if unfinished):
+                if process is not None:
+                    with contextlib.suppress(ProcessLookupError):
+                        process.kill()
+            for task in unfinished:
+                task.cancel()
 
     async def _run(self, job: Job) -> None:
+        try:
+            await self._carry_out(job)
+        except OSError as error:
+            job.state = "failed"
+            job.lines.append(f"hitchid {job.kind}: cannot be started: {error.strerror}")
+            self._publish(job.describe())
+
+    async def _carry_out(self, job: Job) -> None:
         environment = {**os.environ, "HITCHID_PROGRESS": "json", "NO_COLOR": "1"}
         environment["PYTHONPATH"] = os.pathsep.join(path for path in sys.path if path)
         job.process = await asyncio.create_subprocess_exec(
             sys.executable,
+            "-P",  # files of the project are no modules
             "-m",
             "hitchid",
             *job.arguments,

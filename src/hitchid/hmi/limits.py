@@ -18,6 +18,8 @@ class LimitsFile(Strict):
     lowering_command: float = Field(gt=0, allow_inf_nan=False)
     lowest_displacement: float = Field(allow_inf_nan=False)
     highest_displacement: float = Field(allow_inf_nan=False)
+    command_unit: str = "A"
+    displacement_unit: str = "mm"
     sensor_silence_s: float = Field(default=0.05, gt=0, le=1)
 
     @model_validator(mode="after")
@@ -29,17 +31,20 @@ class LimitsFile(Strict):
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits, in the units of the source.
+    """Limits of a source.
 
     Attributes:
         commands: largest lifting and lowering command.
         displacement: lowest and highest displacement.
         sensor_silence_s: longest time without a displacement while something moves, s.
+        command_unit, displacement_unit: of both.
     """
 
     commands: tuple[float, float]
     displacement: tuple[float, float]
     sensor_silence_s: float = 0.05
+    command_unit: str = "A"
+    displacement_unit: str = "mm"
 
     @property
     def travel(self) -> float:
@@ -58,6 +63,7 @@ class Limits:
             "lifting_command": lifting,
             "lowering_command": lowering,
             "displacement": list(self.displacement),
+            "units": {"command": self.command_unit, "displacement": self.displacement_unit},
         }
 
 
@@ -78,4 +84,6 @@ def read_limits(path: Path) -> Limits:
         (content.lifting_command, content.lowering_command),
         (content.lowest_displacement, content.highest_displacement),
         content.sensor_silence_s,
+        content.command_unit,
+        content.displacement_unit,
     )

@@ -5,11 +5,14 @@ import queue
 import threading
 from multiprocessing.connection import Connection
 
-MOST_WAITING = 200  # messages; later ones are dropped: eight seconds of blocks; chosen
+MOST_BLOCKS = 200  # messages that wait before blocks of samples are dropped: eight seconds of them; chosen
+MOST_WAITING = (
+    2000  # messages that wait before any are dropped: a process that has not read for minutes; chosen
+)
 
 
 class Outbox:
-    """Messages that wait to be sent; those that find it full are dropped.
+    """Messages that wait to be sent, in their order.
 
     Args:
         connection: to the other process.
@@ -17,15 +20,24 @@ class Outbox:
 
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
-        self._waiting: queue.Queue[bytes] = queue.Queue(MOST_WAITING)
+        self._waiting: queue.Queue[bytes | None] = queue.Queue(MOST_WAITING)
         threading.Thread(target=self._send_all, daemon=True).start()
 
-    def put(self, message: bytes) -> None:
-        """Send a message as soon as the other process takes it."""
+    def put(self, message: bytes, *, is_block: bool = False) -> None:
+        """Send a message as soon as the other process takes it; blocks of samples are dropped first."""
+        if is_block and self._waiting.qsize() > MOST_BLOCKS:
+            return
         with contextlib.suppress(queue.Full):
             self._waiting.put_nowait(message)
 
+    def close(self) -> None:
+        """End the thread and close the connection, after what waits or when the other process is gone."""
+        with contextlib.suppress(queue.Full):  # then the thread is sending, and fails
+            self._waiting.put_nowait(None)
+
     def _send_all(self) -> None:
         with contextlib.suppress(OSError):  # the other process has ended
-            while True:
-                self._connection.send_bytes(self._waiting.get())
+            while (message := self._waiting.get()) is not None:
+                self._connection.send_bytes(message)
+        with contextlib.suppress(OSError):
+            self._connection.close()

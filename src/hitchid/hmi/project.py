@@ -79,7 +79,7 @@ def logs(project: Path) -> list[str]:
     patterns = (f"{CAMPAIGNS}/*/*", f"{DRIVES}/*", f"{RECORDINGS}/*")
     found = [place for pattern in patterns for place in project.glob(pattern)]
     places = [place for place in found if _is_log(place) and _is_inside(project, place)]
-    places.sort(key=lambda place: place.lstat().st_mtime, reverse=True)
+    places.sort(key=_changed_s, reverse=True)
     return [place.relative_to(project).as_posix() for place in places[:MOST_LOGS]]
 
 
@@ -92,6 +92,14 @@ def _is_inside(project: Path, place: Path) -> bool:
     return Path(os.path.realpath(place)).is_relative_to(os.path.realpath(project))
 
 
+def _changed_s(place: Path) -> float:
+    """Return when a file was changed, s; 0 where it has gone meanwhile."""
+    try:
+        return place.lstat().st_mtime
+    except OSError:
+        return 0.0
+
+
 def _entries(project: Path, folder: str) -> list[dict[str, str]]:
     place = project / folder
     if not place.is_dir():
@@ -99,12 +107,12 @@ def _entries(project: Path, folder: str) -> list[dict[str, str]]:
     children = [
         child for child in place.iterdir() if NAME.fullmatch(child.name) and _is_inside(project, child)
     ]
-    children.sort(key=lambda child: child.lstat().st_mtime, reverse=True)
+    children.sort(key=_changed_s, reverse=True)
     return [
         {
             "name": child.name,
             "path": f"{folder}/{child.name}",
-            "changed": datetime.fromtimestamp(child.lstat().st_mtime, UTC).isoformat(timespec="seconds"),
+            "changed": datetime.fromtimestamp(_changed_s(child), UTC).isoformat(timespec="seconds"),
         }
         for child in children
     ]

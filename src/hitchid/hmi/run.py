@@ -6,11 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
+from hitchid.control import load_controller
 from hitchid.data.record import DISPLACEMENT
 from hitchid.errors import InputError, OutputError
 from hitchid.hmi import plans, project
 from hitchid.hmi.campaign import campaign
-from hitchid.hmi.drive_program import Target, drive
+from hitchid.hmi.drive_program import Target, check_clock_and_units, drive
 from hitchid.hmi.limits import Limits
 from hitchid.hmi.program import Program, Step, apply
 from hitchid.hmi.recorder import Recorder
@@ -29,6 +30,13 @@ class Run:
         limits: of commands and travel.
         displacement: now.
 
+    Attributes:
+        plan: of the operator.
+        step: that the program asks for at this sample.
+        number: of the present log.
+        displacement: at which the plan was armed.
+        target: of a closed loop.
+
     Raises:
         InputError: a file of the plan cannot be used, or its place is taken.
     """
@@ -37,12 +45,13 @@ class Run:
         self, root: Path, plan: plans.Plan, source: Source, limits: Limits, displacement: float
     ) -> None:
         self.plan, self.step, self.number = plan, CLOSED_STEP, 0
+        self.displacement = displacement
         self.target = Target(displacement)
         self._signals = source.signals
         units = {signal.name: signal.unit for signal in source.signals}
         self._folder, self._program = self._prepare(root, source.step_s, limits, units)
         self._recorder: Recorder | None = None
-        self._has_begun = False
+        self._has_begun, self._log = False, ""
 
     @property
     def folder(self) -> str:
@@ -69,7 +78,7 @@ class Run:
         """Take the step of a sample from its displacement; False at the end of the plan.
 
         Raises:
-            HitchError: the plan cannot go on, or a log cannot be written.
+            HitchError: the plan cannot go on.
         """
         try:
             step = self._program.send(displacement) if self._has_begun else next(self._program)
@@ -77,20 +86,21 @@ class Run:
             self.step = CLOSED_STEP
             return False
         self._has_begun = True
-        if step.log != self.step.log:
-            self._close_log()
-            if step.log:
-                self.number += 1
-                self._recorder = Recorder(self._folder / f"{step.log}.csv", self._signals)
         self.step = step
         return True
 
     def record(self, readings: Sequence[Reading]) -> None:
-        """Append the samples of the present step to its log.
+        """Append the samples of the present step to its log; called after its commands were sent.
 
         Raises:
             OutputError: it cannot be written.
         """
+        if self.step.log != self._log:
+            self._close_log()
+            self._log = self.step.log
+            if self._log:
+                self.number += 1
+                self._recorder = Recorder(self._folder / f"{self._log}.csv", self._signals)
         if self._recorder is not None:
             self._recorder.append(readings)
 
@@ -129,7 +139,8 @@ class Run:
         if isinstance(plan, plans.DrivePlan):
             folder = root / project.DRIVES
             _check_free(folder / f"{plan.name}.csv")
-            controller = project.inside(root, plan.controller)
+            controller = load_controller(project.inside(root, plan.controller)).controller
+            check_clock_and_units(controller.step_s, step_s, units)
             return folder, drive(controller, plan.name, displacement, self.target, limits)
         if isinstance(plan, plans.FilePlan):
             folder = root / project.CAMPAIGNS / (plan.campaign or plan.name)

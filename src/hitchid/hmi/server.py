@@ -161,9 +161,7 @@ class Server:
 
     async def _websocket(self, websocket: WebSocket) -> None:
         await websocket.accept()
-        client = self._console.clients.add()
-        self._console.greet(client)
-        self._console.publish_status()
+        client = self._console.welcome()
 
         async def send() -> None:
             while True:
@@ -175,13 +173,14 @@ class Server:
 
         sending = asyncio.create_task(send())
         try:
+            self._console.greet(client)
+            self._console.publish_status()
             await self._receive(websocket, client)
         except (WebSocketDisconnect, RuntimeError):  # RuntimeError: closed while a message was sent
             pass
         finally:
             sending.cancel()
-            self._console.clients.remove(client)
-            self._console.publish_status()
+            self._console.part(client)
 
     async def _receive(self, websocket: WebSocket, client: Any) -> None:
         wrong = 0

@@ -2,7 +2,7 @@
 import { byId, choices, element, fill, write } from "./dom.js";
 import { duration } from "./words.js";
 
-const OPTION_LABELS = { rig: "Machine", speed: "Speed, times real time", seed: "Seed of noise and disturbances", log: "Log" };
+const OPTION_LABELS = { rig: "Machine", speed: "Speed, times real time", log: "Log" };
 
 /** @param {import("./connection.js").Connection} connection @param {import("./project.js").Project} project */
 export function bindBench(connection, project) {

@@ -13,7 +13,7 @@ const FIELDS = [
   { name: "test_s", label: "Length of a test, s", value: 10, min: 2, max: 600 },
   { name: "cycles", label: "Cycles of both", value: 0, min: 0, max: 50 },
   { name: "cycle_s", label: "Length of a cycle, s", value: 60, min: 10, max: 600 },
-  { name: "seed", label: "Seed of the commands", value: 0, min: 0, max: 4294967295 },
+  { name: "seed", label: "Seed of the commands", value: 0, min: 0, max: 2147483647 },
 ];
 
 /**

@@ -31,7 +31,11 @@ def _stdin(_: str) -> Source:
 def _serial(path: str) -> Source:
     from hitchid.hmi.sources.json_lines import FileTransport, JsonLines
 
-    return JsonLines(FileTransport(path), f"serial {path}", can_move=True)
+    device, _, baud = path.partition("@")
+    if baud and not baud.isdecimal():
+        raise InputError(f"serial: expected DEVICE@BAUD, got '{path}'")
+    transport = FileTransport(device, int(baud)) if baud else FileTransport(device)
+    return JsonLines(transport, f"serial {device}", can_move=True)
 
 
 def _udp(port: str) -> Source:

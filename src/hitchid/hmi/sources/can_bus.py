@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -77,6 +77,15 @@ class CanBus:
         if output is not None:
             for name in (output.lifting_command, output.lowering_command):
                 self._located(path, f"{output.message}/{name}")
+            self._check_output_units(path, output, located)
+
+    def _check_output_units(
+        self, path: str, output: OutputMessage, located: Mapping[str, tuple[Any, Any]]
+    ) -> None:
+        for role, name in zip(REQUIRED, (output.lifting_command, output.lowering_command), strict=False):
+            sent = self._located(path, f"{output.message}/{name}")[1].unit
+            if sent != located[role][1].unit:
+                raise InputError(f"{path}: {name} is in {sent}, {role} in {located[role][1].unit}")
 
     def open(self) -> None:
         """Open the bus.
@@ -152,7 +161,7 @@ class CanBus:
             self._message_class(
                 arbitration_id=message.frame_id,
                 is_extended_id=message.is_extended_frame,
-                data=message.encode(values, strict=False),
+                data=message.encode(values, strict=True),
             )
         )
 

@@ -1,11 +1,14 @@
 """JSON lines as a source: from standard input, a serial device, or UDP on this machine."""
 
 import contextlib
+import fcntl
 import json
 import math
 import os
 import socket
+import struct
 import sys
+import termios
 import tty
 from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
@@ -17,6 +20,7 @@ from hitchid.hmi.source import DISPLACEMENT, LIFTING_COMMAND, LOWERING_COMMAND, 
 
 LOOPBACK = "127.0.0.1"
 MOST_BYTES = 65536  # read at once, and of an unfinished line; chosen
+MOST_LINES_WAITING = 3  # commands that may wait in a serial port: 30 ms of them; chosen
 CAN_BE_BUSY = (BlockingIOError, InterruptedError)
 
 
@@ -46,10 +50,13 @@ class FileTransport:
 
     Args:
         path: of the device, empty for standard input.
+        baud: of a serial port, bit/s.
     """
 
-    def __init__(self, path: str = "") -> None:
-        self._path = path
+    def __init__(self, path: str = "", baud: int = 115_200) -> None:
+        if not hasattr(termios, f"B{baud}"):
+            raise InputError(f"serial: {baud} bit/s is no baud rate of this system; expected such as 115200")
+        self._path, self._baud = path, baud
 
     def open(self) -> None:
         """Open the device.
@@ -67,7 +74,7 @@ class FileTransport:
                     f"{self._path}: cannot be opened: {error.strerror}; expected a device"
                 ) from error
             if os.isatty(self._file):
-                tty.setraw(self._file)
+                self._set_up_terminal()
         os.set_blocking(self._file, False)
 
     def read(self) -> bytes | None:
@@ -81,12 +88,27 @@ class FileTransport:
 
     def write(self, line: bytes) -> None:
         """Send one line to the device; standard input takes none."""
-        if self._path:
-            os.write(self._file, line)
+        if not self._path:
+            return
+        if os.isatty(self._file) and self._waiting_bytes() > MOST_LINES_WAITING * len(line):
+            termios.tcflush(self._file, termios.TCOFLUSH)  # or the zero to come would queue behind it
+            raise InputError(f"{self._path}: takes commands slower than they come; raise its baud rate")
+        if os.write(self._file, line) != len(line):
+            raise InputError(f"{self._path}: took a part of a command only; raise its baud rate")
 
     def close(self) -> None:
         """Close the device."""
         os.close(self._file)
+
+    def _set_up_terminal(self) -> None:
+        tty.setraw(self._file)
+        attributes = termios.tcgetattr(self._file)
+        attributes[4] = attributes[5] = getattr(termios, f"B{self._baud}")  # input and output speed
+        termios.tcsetattr(self._file, termios.TCSANOW, attributes)
+
+    def _waiting_bytes(self) -> int:
+        """Return the bytes that were written and are not sent yet."""
+        return struct.unpack("i", fcntl.ioctl(self._file, termios.TIOCOUTQ, b"\0\0\0\0"))[0]
 
 
 class UdpTransport:

@@ -1,0 +1,141 @@
+"""A source that the operator chose, checked and opened, with its limits."""
+
+import contextlib
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hitchid._support import checks
+from hitchid.errors import InputError
+from hitchid.hmi import project
+from hitchid.hmi.limits import Limits, limits_of_rig, read_limits
+from hitchid.hmi.source import CLOSED, DISPLACEMENT, REQUIRED, Reading, Source
+from hitchid.hmi.sources import make_source
+from hitchid.rig.parameter_files import load_rig, parameter_sets
+
+FASTEST = 20  # samples of a virtual source in a tick at most; chosen: more than two cores reach
+# s, sampling times: the largest of a source that is moved bounds the delay of a stop; chosen.
+SHORTEST_STEP_S, LONGEST_STEP_S, LONGEST_MOVED_STEP_S = 0.001, 10.0, 0.1
+ZERO_TRIES, ZERO_WAIT_S = 5, 0.01  # times that zero is sent to a source that fails, s between them; chosen
+
+
+@dataclass(frozen=True)
+class ConnectedSource:
+    """A source that is open.
+
+    Attributes:
+        source: that is read and written to.
+        name: that the operator chose.
+        speed: samples in a tick of a run; above 1 of a virtual source only.
+        limits: of commands and travel; None where nothing may be moved.
+        takes_output: whether anything is written to it.
+    """
+
+    source: Source
+    name: str
+    speed: int
+    limits: Limits | None
+    takes_output: bool
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Signal to its unit."""
+        return {signal.name: signal.unit for signal in self.source.signals}
+
+    def read(self) -> list[Reading]:
+        """Return the samples that have arrived, as numbers.
+
+        Raises:
+            InputError: a sample has not a number for each signal.
+        """
+        readings = []
+        for time_s, values in self.source.read():
+            if len(values) != len(self.source.signals):
+                raise InputError(f"{self.source.label}: expected a value for each signal in a sample")
+            readings.append(Reading(float(time_s), tuple(map(float, values))))
+        return readings
+
+    def write(self, commands: np.ndarray) -> None:
+        """Send commands; to a machine only where that is allowed, zero as well."""
+        if self.takes_output:
+            self.source.write(commands)
+
+    def close(self) -> bool:
+        """Send zero, several times where that fails, and disconnect; return whether zero was sent."""
+        sent = False
+        for _ in range(ZERO_TRIES):
+            with contextlib.suppress(Exception):  # the source may be gone
+                self.write(CLOSED)
+                sent = True
+                break
+            time.sleep(ZERO_WAIT_S)
+        with contextlib.suppress(Exception):
+            self.source.close()
+        return sent
+
+
+def connect(
+    request: Mapping[str, Any], root: Path, *, limits_file: Path | None, allow_output: bool
+) -> ConnectedSource:
+    """Return the source of a request, open.
+
+    Args:
+        request: `source` and its `options`.
+        root: folder of the project, for a log that is replayed.
+        limits_file: of a real machine; the virtual bench has its own limits.
+        allow_output: whether a real machine may be moved.
+
+    Raises:
+        InputError: there is no such source, or it, its options or its limits cannot be used.
+    """
+    name, options = str(request.get("source")), request.get("options", {})
+    text = _text(name, checks.instance(options, dict, "options", "a table"), root)
+    source = make_source(text)
+    _check_signals(source)
+    speed = checks.integer(options.get("speed", 1), "speed", minimum=1)
+    fastest = FASTEST if source.virtual else 1
+    if speed > fastest:
+        raise InputError(f"speed: expected at most {fastest} here, got {speed}")
+    limits = _limits(text, limits_file)
+    _check_units(source, limits)
+    source.open()
+    return ConnectedSource(source, name, speed, limits, source.virtual or allow_output)
+
+
+def _text(name: str, options: Mapping[str, Any], root: Path) -> str:
+    if name == "rig":
+        return f"rig:{checks.one_of(options.get('rig', 'nominal'), parameter_sets(), 'rig')}"
+    if name == "replay":
+        return f"replay:{project.inside(root, options.get('log'))}"
+    return name
+
+
+def _limits(text: str, limits_file: Path | None) -> Limits | None:
+    if text.startswith("rig:"):
+        return limits_of_rig(load_rig(text.removeprefix("rig:")))
+    return None if limits_file is None else read_limits(limits_file)
+
+
+def _check_signals(source: Source) -> None:
+    names: Sequence[str] = tuple(signal.name for signal in source.signals)
+    if names[: len(REQUIRED)] != REQUIRED:
+        raise InputError(f"{source.label}: expected the signals {', '.join(REQUIRED)} first, got {names}")
+    longest_s = LONGEST_MOVED_STEP_S if source.can_move else LONGEST_STEP_S
+    if not SHORTEST_STEP_S <= source.step_s <= longest_s:
+        raise InputError(
+            f"{source.label}: expected a sampling time of {SHORTEST_STEP_S:g} to {longest_s:g} s, "
+            f"got {source.step_s:g} s"
+        )
+
+
+def _check_units(source: Source, limits: Limits | None) -> None:
+    if limits is None:
+        return
+    for signal in source.signals[: len(REQUIRED)]:
+        unit = limits.displacement_unit if signal.name == DISPLACEMENT else limits.command_unit
+        if signal.unit != unit:
+            raise InputError(f"limits: {signal.name} is in {unit}, in {source.label} in {signal.unit}")
