@@ -25,6 +25,7 @@ ALIVE_S = 0.1  # s between signs of life to the bench loop
 MEASURED = 0  # kind of the message with samples
 LOG_FILE = "hmi.log"
 OPERATED = ("connect", "disconnect", "arm", "start", "reset", "target", "record")  # by the bench loop
+NOMINAL = "nominal"  # the rig that is offered first
 SPEEDS = (1, 2, 5, 10, 20)
 MOST_MARKERS = 200
 ENDED = {
@@ -125,7 +126,7 @@ class Console:
     def _sources(self) -> list[dict[str, object]]:
         """Return the sources that may be connected, and their options."""
         speed, given = list(SPEEDS), self.settings.source
-        rigs = {"rig": list(parameter_sets()), "speed": speed}
+        rigs = {"rig": sorted(parameter_sets(), key=lambda name: name != NOMINAL), "speed": speed}
         replays = {"log": project.logs(self.settings.root), "speed": speed}
         return [
             *([{"name": given, "label": given, "options": {}}] if given else []),

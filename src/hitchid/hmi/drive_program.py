@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hitchid.control import HitchController, PositionController
+from hitchid.control import PositionController
 from hitchid.errors import InputError
 from hitchid.hmi.limits import Limits
 from hitchid.hmi.program import Program, Step
@@ -40,7 +40,7 @@ def check_clock_and_units(controller_step_s: float, step_s: float, units: Mappin
 
 
 def drive(
-    controller: HitchController | PositionController,
+    controller: PositionController,
     log: str,
     displacement: float,
     target: Target,

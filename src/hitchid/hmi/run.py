@@ -3,10 +3,11 @@
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
-from hitchid.control import load_controller
+from hitchid.control import PositionController, load_controller
 from hitchid.data.record import DISPLACEMENT
 from hitchid.errors import InputError, OutputError
 from hitchid.hmi import plans, project
@@ -141,7 +142,9 @@ class Run:
             _check_free(folder / f"{plan.name}.csv")
             controller = load_controller(project.inside(root, plan.controller)).controller
             check_clock_and_units(controller.step_s, step_s, units)
-            return folder, drive(controller, plan.name, displacement, self.target, limits)
+            return folder, drive(
+                cast(PositionController, controller), plan.name, displacement, self.target, limits
+            )
         if isinstance(plan, plans.FilePlan):
             folder = root / project.CAMPAIGNS / (plan.campaign or plan.name)
             _check_free(folder / f"{plan.name}.csv")
