@@ -6,7 +6,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
-from scipy.stats import qmc
 
 from hitchid._support.short_repr import short_repr
 from hitchid.model.dynamics import MAX_MAGNITUDE, HitchDynamics
@@ -73,6 +72,8 @@ class LoadBank(eqx.Module):
         """
         means = jnp.asarray(mean_load(self.dynamics.channels))
         state = self.dynamics.init_state(displacement, jnp.where(jnp.isnan(load), means, load))
+        from scipy.stats import qmc  # where it is needed: a model is loaded without it
+
         points = jnp.asarray(qmc.Sobol(load.size, scramble=False).random_base2(LOADS_LOG2))
         centred = 2 * points - 1 + 1 / len(points)
 
