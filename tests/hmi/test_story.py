@@ -105,4 +105,4 @@ def test_from_the_bench_to_a_driven_hitch(operator, project):
     operator.wait_for_state("idle")
     assert (project / "drives" / "evening.csv").stat().st_size > 10_000
     events = [json.loads(line)["event"] for line in (project / "hmi.log").read_text().splitlines()]
-    assert events == ["connect", "arm", "start", "arm", "start", "stop", "reset"]
+    assert events == ["claim", "connect", "arm", "start", "arm", "start", "stop", "stopped", "reset"]
