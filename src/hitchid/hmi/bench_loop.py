@@ -82,11 +82,11 @@ class BenchLoop:
 
     def server_alive(self, now_s: float) -> None:
         """Take a sign of life of the server."""
-        self._safety = replace(self._safety, server_s=now_s)
+        self._safety = replace(self._safety, server_s=max(self._safety.server_s, now_s))
 
     def page_alive(self, now_s: float) -> None:
         """Take a sign of life of the operator's page."""
-        self._safety = replace(self._safety, page_s=now_s)
+        self._safety = replace(self._safety, page_s=max(self._safety.page_s, now_s))
 
     def handle(self, request: Request, now_s: float) -> None:
         """Carry out a request of the operator.

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hitchid.errors import HitchError
+from hitchid.errors import HitchError, InputError
 from hitchid.hmi.bench_loop import BenchLoop
 from hitchid.hmi.outbox import Outbox
 from hitchid.hmi.safety import State
@@ -22,6 +22,7 @@ from hitchid.hmi.source import Reading
 
 BLOCK_S = 0.04  # s between blocks of samples to the server: 25 a second
 STATUS_S = 0.5  # s between states to the server where nothing changes
+LONGEST_START_S = 0.5  # s that a start may wait; a later one would surprise whoever is at the machine; chosen
 LATE_TICKS = 5  # ticks behind, after which the clock starts anew instead of catching up; chosen
 JSON_MARK, BLOCK_MARK = b"j", b"b"
 
@@ -105,6 +106,8 @@ def _answer(loop: BenchLoop, link: Link, request: dict) -> None:
         loop.operator_left()
         return
     try:
+        if kind == "start" and time.monotonic() - float(request["at_s"]) > LONGEST_START_S:
+            raise InputError("start came too late; start again")
         loop.handle(request, time.monotonic())
     except HitchError as problem:
         error = str(problem)

@@ -229,7 +229,7 @@ class Console:
             raise InputError("the bench loop has ended; connect a source to start it again")
         self._number += 1
         self._replies[self._number] = client, request.get("id")
-        self._bench.send({**request, "id": self._number})
+        self._bench.send({**request, "id": self._number, "at_s": time.monotonic()})
         if request["type"] == "stop" and self._status["state"] != "stopped":
             self.log("stop", client)
 
