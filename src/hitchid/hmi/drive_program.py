@@ -9,10 +9,9 @@ from hitchid.control import PositionController
 from hitchid.errors import InputError
 from hitchid.hmi.limits import Limits
 from hitchid.hmi.program import Program, Step
-from hitchid.hmi.source import DISPLACEMENT, REQUIRED
+from hitchid.hmi.source import DISPLACEMENT, REQUIRED, is_same_sampling_time
 
 UNITS = dict(zip(REQUIRED, ("A", "A", "mm"), strict=True))  # of every controller
-SAME_STEP = 0.01  # relative difference of sampling times that still counts as none
 
 
 @dataclass
@@ -28,7 +27,7 @@ def check_clock_and_units(controller_step_s: float, step_s: float, units: Mappin
     Raises:
         InputError: the source has another sampling time, or other units.
     """
-    if abs(step_s / controller_step_s - 1) > SAME_STEP:
+    if not is_same_sampling_time(step_s, controller_step_s):
         raise InputError(
             f"controller: has a sampling time of {controller_step_s:g} s, the source of {step_s:g} s; "
             "tune a controller for that of the source"

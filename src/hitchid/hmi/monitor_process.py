@@ -13,6 +13,7 @@ from hitchid.data.record import COMMAND, DIRECTIONS, DISPLACEMENT
 from hitchid.data.units import conversion_factor
 from hitchid.errors import HitchError, InputError
 from hitchid.hmi.history import packed_rows
+from hitchid.hmi.source import is_same_sampling_time
 from hitchid.model import Hitch, load
 from hitchid.online import Monitor
 
@@ -20,7 +21,6 @@ FREE_RUN, AHEAD = 1, 2  # kinds of messages to the page
 HORIZON_S = 1.0  # s of the prediction ahead
 BLOCK_S = 0.04  # s of samples that are predicted at once
 LONGEST_GAP = 1.5  # sampling times between two samples, above which one is missing
-SAME_STEP = 0.01  # relative difference of sampling times that still counts as none
 
 
 class MonitorLoop:
@@ -36,7 +36,7 @@ class MonitorLoop:
     """
 
     def __init__(self, model: Hitch, units: tuple[str, str], step_s: float) -> None:
-        if abs(step_s / model.step_s - 1) > SAME_STEP:
+        if not is_same_sampling_time(step_s, model.step_s):
             raise InputError(
                 f"the model has a sampling time of {model.step_s:g} s, the source of {step_s:g} s; "
                 "identify a model at that of the source"

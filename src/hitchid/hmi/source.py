@@ -11,6 +11,7 @@ from hitchid.data.signal_map import DEFAULT_SIGNALS, Column
 LIFTING_COMMAND, LOWERING_COMMAND, DISPLACEMENT = "lifting_command", "lowering_command", "displacement"
 REQUIRED = (LIFTING_COMMAND, LOWERING_COMMAND, DISPLACEMENT)  # signals that every source has
 CLOSED = np.zeros(2)  # commands of closed valves
+SAME_STEP = 0.01  # relative difference of sampling times that still counts as none
 
 
 @dataclass(frozen=True)
@@ -96,6 +97,11 @@ class Source(Protocol):
     def close(self) -> None:
         """Disconnect; where commands are allowed, zero was written before."""
         ...
+
+
+def is_same_sampling_time(one_s: float, other_s: float) -> bool:
+    """Return whether two sampling times, s, differ by no more than a hundredth."""
+    return abs(one_s / other_s - 1) <= SAME_STEP
 
 
 def describe(source: Source, name: str, speed: int) -> dict[str, object]:
