@@ -3,12 +3,19 @@
 import sys
 from io import TextIOWrapper
 from pathlib import Path
-from typing import Annotated
+from typing import IO, TYPE_CHECKING, Annotated
 
 import typer
 
 from hitchid._support.compilation_cache import prepare_jax
-from hitchid.cli.options import Loads, loads_of
+from hitchid._support.storage import check_folder
+from hitchid.cli.options import Force, Loads, loads_of
+from hitchid.errors import InputError, OutputError
+
+if TYPE_CHECKING:
+    from hitchid.model import Hitch
+    from hitchid.model.loads import Load
+    from hitchid.online import OnlineAdaptation
 
 
 def run(
@@ -18,13 +25,38 @@ def run(
         typer.Option("--initial", help="Initial displacement, in the model's unit [first measured]."),
     ] = None,
     load: Loads = None,
+    adapt: Annotated[
+        bool, typer.Option("--adapt", help="Follow a machine that changes, stroke by stroke.")
+    ] = False,
+    changes: Annotated[
+        Path | None,
+        typer.Option(
+            "--changes", help="Change log (JSON lines); goes on from an existing one.", show_default=False
+        ),
+    ] = None,
+    save: Annotated[
+        Path | None,
+        typer.Option("--save", help="Folder for the adapted model at the end.", show_default=False),
+    ] = None,
+    force: Force = False,
 ) -> None:
     """Read samples from standard input, line by line; write the displacement one sample later (JSON)."""
+    if not adapt and (changes is not None or save is not None):
+        raise InputError("--changes and --save are for adaptation; give --adapt, too")
     prepare_jax()
     from hitchid.model import load as load_model
+    from hitchid.model import save as save_model
+    from hitchid.model.artifact import MODEL_FILE
     from hitchid.online.live import Live
 
-    live = Live(load_model(model), initial=initial, load=loads_of(load))
+    if save is not None:
+        check_folder(save, result_kind=MODEL_FILE, force=force)
+    identified, loads = load_model(model), loads_of(load)
+    adaptation, log = None, None
+    if adapt:
+        log = None if changes is None else _appended(changes)
+        adaptation = _adaptation(identified, loads, changes, log)
+    live = Live(identified, initial=initial, load=loads, adaptation=adaptation)
     if isinstance(sys.stdin, TextIOWrapper):
         sys.stdin.reconfigure(encoding="utf-8", errors="replace")
     sys.stderr.write("ready\n")
@@ -32,3 +64,34 @@ def run(
     for line in sys.stdin:
         sys.stdout.write(live.process(line).to_json() + "\n")
         sys.stdout.flush()
+    if adaptation is not None:
+        adaptation.finish()
+        if save is not None:
+            save_model(adaptation.model, save, force=force)
+    if log is not None:
+        log.close()
+
+
+def _adaptation(
+    model: "Hitch", load: "Load | None", changes: Path | None, log: IO[str] | None
+) -> "OnlineAdaptation":
+    """Return the adaptation, which goes on from the change log where it has entries."""
+    from hitchid.adaptation import Event, read_events
+    from hitchid.online import OnlineAdaptation
+
+    def write(event: Event) -> None:
+        if log is not None:
+            log.write(event.to_json() + "\n")
+            log.flush()
+
+    return OnlineAdaptation(
+        model, load=load, log=write, earlier=() if changes is None else read_events(changes)
+    )
+
+
+def _appended(path: Path) -> IO[str]:
+    """Return a file opened for writing at its end."""
+    try:
+        return path.open("a", encoding="utf-8")
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error.strerror}") from error

@@ -98,7 +98,7 @@ def controller_templates(
             Channel(
                 direction,
                 axis.sign,
-                axis.model.dead_zone,
+                float(axis.model.dead_zone),
                 None,
                 axis.model.benchmark,
                 OperatingRange.unbounded(),

@@ -50,7 +50,14 @@ def describe(hitch: Hitch) -> dict[str, object]:
         "settings": dict(provenance.settings),
         "versions": dict(provenance.versions),
         "set_by_hand": {direction: dict(values) for direction, values in provenance.set_by_hand.items()},
+        **_describe_adapted(provenance),
     }
+
+
+def _describe_adapted(provenance: Provenance) -> dict[str, object]:
+    """Return what adaptation changed; nothing of a model as identified, whose digest stays."""
+    adapted = {direction: dict(changes) for direction, changes in provenance.adapted.items()}
+    return {"adapted": adapted} if adapted else {}
 
 
 def deployed_tensors(hitch: Hitch) -> dict[str, np.ndarray]:
@@ -91,6 +98,7 @@ def read_hitch(content: dict[str, Any], tensors: Tensors) -> Hitch:
         settings=content["settings"],
         versions=content["versions"],
         set_by_hand=content["set_by_hand"],
+        adapted=content.get("adapted", {}),
         digest=content["digest"],
     )
     return Hitch(

@@ -1,9 +1,10 @@
 """Model of the whole plant: one channel for each direction, switched by the commands."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import jax
 import numpy as np
@@ -35,6 +36,9 @@ from hitchid.model.simulation import SimulatedModel, Simulation, simulate
 from hitchid.model.state import HitchState
 from hitchid.model.step import LOAD_BANK_NDIM, STATE_REQUIRED, StepFunctions, join_inputs
 from hitchid.model.uncertainty import Uncertainty
+
+if TYPE_CHECKING:
+    from hitchid.adaptation import Adaptation, AdaptationSettings, Event
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -318,6 +322,33 @@ class Hitch(Value, Summarised, Handover):
             InputError: the model has no such direction or parameter, or a value is not admissible.
         """
         return with_parameters(self, {"lifting": lifting, "lowering": lowering})
+
+    def adapt(
+        self,
+        records: Iterable[Record],
+        *,
+        settings: "AdaptationSettings | None" = None,
+        load: Load | None = None,
+        earlier: Sequence["Event"] = (),
+    ) -> "Adaptation":
+        """Return what the model learns from logs of a machine that has changed, one after the other.
+
+        From each stroke gain and dead zone are estimated; a change takes effect where it proved better on
+        strokes that came after it was made. See :doc:`/howto/adaptation`.
+
+        Args:
+            records: logs in the order of their time, such as `campaign.records`.
+            settings: of the adaptation; the defaults where None.
+            load: covariate before motion, or several by name; by default the mean of the tests.
+            earlier: events of a change log to go on from.
+
+        Raises:
+            InputError: the model was adapted already, a channel has no gain behind a dead zone, or a record
+                cannot be converted to the model's units.
+        """
+        from hitchid.adaptation.replay import adapt
+
+        return adapt(self, records, settings=settings, load=load, earlier=earlier)
 
     def to_model_units(self, record: Record) -> Record:
         """Return a record on the model's clock and in the model's units.

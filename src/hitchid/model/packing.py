@@ -1,8 +1,10 @@
 """State as two flat arrays and step as two compiled functions, to keep the cost of a call small."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
@@ -52,6 +54,42 @@ class Packing:
         as two functions: XLA runs a single one, with small arrays and the weights of a network, on several
         threads whose synchronisation takes several times as long as the computation.
         """
+        numbers_of_models, _ = ravel_pytree(dynamics.discrete_models)
+        run_physics = jax.jit(partial(self._physics, dynamics, numbers_of_models))
+        run_network = self._network(dynamics)
+
+        def step(state: Packed, inputs: ArrayLike) -> tuple[Packed, Array]:
+            numbers, network_input = run_physics(state.numbers, inputs)
+            return run_network(numbers, network_input, state.hidden)
+
+        return step
+
+    def adjustable_step(
+        self, dynamics: HitchDynamics
+    ) -> Callable[[Float[Array, " p"], Packed, ArrayLike], tuple[Packed, Array]]:
+        """Return `step` with the numbers of the physical models as its first argument, in one array."""
+        run_physics = jax.jit(partial(self._physics, dynamics))
+        run_network = self._network(dynamics)
+
+        def step(
+            numbers_of_models: Float[Array, " p"], state: Packed, inputs: ArrayLike
+        ) -> tuple[Packed, Array]:
+            numbers, network_input = run_physics(numbers_of_models, state.numbers, inputs)
+            return run_network(numbers, network_input, state.hidden)
+
+        return step
+
+    def _physics(
+        self, dynamics: HitchDynamics, numbers_of_models: Array, numbers: Array, inputs: Array
+    ) -> tuple[Array, Array]:
+        """Return the state without the network's prediction, and the inputs of the network."""
+        dynamics = with_numbers(dynamics, numbers_of_models)
+        state = self.unpack(Packed(numbers, dynamics.zero_lstm_state()))
+        next_state, network_input = dynamics.advance_physics(state, inputs[:2], inputs[2])
+        return self.pack(next_state).numbers, ravel_pytree(network_input)[0]
+
+    def _network(self, dynamics: HitchDynamics) -> Callable[[Array, Array, Array], tuple[Packed, Array]]:
+        """Return the compiled prediction of the network."""
         unravel_input = unravel(
             jax.eval_shape(
                 lambda: dynamics.advance_physics(dynamics.standing_state(), jnp.zeros(2), jnp.zeros(()))[1]
@@ -59,22 +97,21 @@ class Packing:
         )
 
         @jax.jit
-        def run_physics(numbers: Array, inputs: Array) -> tuple[Array, Array]:
-            state = self.unpack(Packed(numbers, dynamics.zero_lstm_state()))
-            next_state, network_input = dynamics.advance_physics(state, inputs[:2], inputs[2])
-            return self.pack(next_state).numbers, ravel_pytree(network_input)[0]
-
-        @jax.jit
-        def run_network(numbers: Array, hidden: Array, network_input: Array) -> tuple[Array, Array, Array]:
+        def run(numbers: Array, hidden: Array, network_input: Array) -> tuple[Array, Array, Array]:
             hidden, output = dynamics.advance_network(hidden, unravel_input(network_input))
             return numbers.at[: len(output)].set(jnp.stack(output)), hidden, output.displacement
 
-        def step(state: Packed, inputs: ArrayLike) -> tuple[Packed, Array]:
-            numbers, network_input = run_physics(state.numbers, inputs)
-            numbers, hidden, displacement = run_network(numbers, state.hidden, network_input)
+        def predict(numbers: Array, network_input: Array, hidden: Array) -> tuple[Packed, Array]:
+            numbers, hidden, displacement = run(numbers, hidden, network_input)
             return Packed(numbers, hidden), displacement
 
-        return step
+        return predict
+
+
+def with_numbers(dynamics: HitchDynamics, numbers: Float[Array, " p"]) -> HitchDynamics:
+    """Return dynamics whose physical models have other numbers, as `ravel_pytree` orders them."""
+    models = ravel_pytree(dynamics.discrete_models)[1](numbers)
+    return eqx.tree_at(lambda tree: tree.discrete_models, dynamics, models)
 
 
 def unravel(like: PyTree) -> Callable[[Float[Array, " n"]], Any]:

@@ -21,6 +21,7 @@ class Provenance:
         settings: settings of the identification as content for JSON.
         versions: package to version.
         set_by_hand: direction to name and value of the parameters that were set by hand since.
+        adapted: direction to name and value of the changes that adaptation made since.
         digest: digest of the folder the model was read from; empty before it is saved.
         name: name of that folder; empty before it is saved.
         date: day on which its `model.json` was last written, UTC, as `2025-03-31`; empty before it is saved.
@@ -35,6 +36,7 @@ class Provenance:
     settings: Mapping[str, object] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
     set_by_hand: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    adapted: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     digest: str = field(default="", compare=False)
     name: str = field(default="", compare=False)
     date: str = field(default="", compare=False)

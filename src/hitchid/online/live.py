@@ -9,10 +9,13 @@ from typing import NamedTuple
 import numpy as np
 
 from hitchid._support.short_repr import short_repr
+from hitchid.adaptation import REPORTED
 from hitchid.data.record import COMMAND, DIRECTIONS, DISPLACEMENT
 from hitchid.data.test_kinds import effective_command
 from hitchid.model import Channel, Hitch, Packed
+from hitchid.model.adjustable import AdjustableHitch
 from hitchid.model.loads import Load
+from hitchid.online.adaptation import OnlineAdaptation
 
 TIME = "time_s"
 FIELDS = (TIME, *COMMAND.values(), DISPLACEMENT)
@@ -59,13 +62,26 @@ class Live:
         model: an identified hitch.
         initial: initial displacement, in the model's unit; None for the first measured one.
         load: covariate before motion, or several by name; by default the mean of the identification tests.
+        adaptation: of the same model, at the same load; None for a model that stays as it is.
 
     Raises:
         InputError: initial displacement or load is not finite, or beyond 1e9.
     """
 
-    def __init__(self, model: Hitch, *, initial: float | None = None, load: Load | None = None) -> None:
+    def __init__(
+        self,
+        model: Hitch,
+        *,
+        initial: float | None = None,
+        load: Load | None = None,
+        adaptation: OnlineAdaptation | None = None,
+    ) -> None:
         self._model = model
+        self._stepped: Hitch | AdjustableHitch = model
+        self._adaptation = adaptation
+        if adaptation is not None:
+            self._stepped = AdjustableHitch(model)
+            self._numbers = adaptation.numbers
         self._load = load
         self._displacement = initial
         self._state = None if initial is None else model.init_state(initial, load)
@@ -75,7 +91,10 @@ class Live:
         self._history: deque[tuple[Packed | None, Sample]] = deque(maxlen=HISTORY_LENGTH)
         self._measured = False
         self._ranges = {direction: _ranges(channel) for direction, channel in model.channels.items()}
-        state, _ = model.step(model.init_state(0.0, load), np.zeros(len(DIRECTIONS)), math.nan)
+        state = model.init_state(0.0, load)
+        if isinstance(self._stepped, AdjustableHitch):
+            state = self._stepped.adjust(self._numbers, state)
+        state, _ = self._stepped.step(state, np.zeros(len(DIRECTIONS)), math.nan)
         model.unpack_state(state)
 
     def process(self, line: str) -> Output:
@@ -106,6 +125,8 @@ class Live:
             self._latest_s = stamp
         merged = {**replaced, **sample}
         self._step(merged)
+        if not replaced:
+            flags += self._adapt(merged)
         if self._state is not None:
             flags += self._input_flags(self._state, merged)
         return self._output(flags)
@@ -132,6 +153,7 @@ class Live:
             return
         for _ in range(samples):
             self._step({})
+            self._adapt({})
 
     def _undo_steps(self, samples: int) -> Sample:
         """Undo the latest steps; return the sample of the first of them."""
@@ -149,9 +171,22 @@ class Live:
             self._state = self._model.init_state(measured, self._load)
         if self._state is not None:
             commands = np.array([sample.get(COMMAND[direction], math.nan) for direction in DIRECTIONS])
-            self._state, displacement = self._model.step(self._state, commands, measured)
+            self._state, displacement = self._stepped.step(self._state, commands, measured)
             self._displacement = float(displacement)
             self._measured |= math.isfinite(measured)
+
+    def _adapt(self, sample: Sample) -> list[str]:
+        """Learn from a sample; return a sentence for each change that takes effect with it."""
+        if self._adaptation is None:
+            return []
+        commands = np.array([[sample.get(COMMAND[direction], math.nan) for direction in DIRECTIONS]])
+        events = self._adaptation.feed(commands, np.array([sample.get(DISPLACEMENT, math.nan)]))
+        numbers = self._adaptation.numbers
+        if numbers is not self._numbers and isinstance(self._stepped, AdjustableHitch):
+            self._numbers = numbers
+            if self._state is not None:
+                self._state = self._stepped.adjust(numbers, self._state)
+        return [event.sentence for event in events if event.kind in REPORTED]
 
     def _input_flags(self, state: Packed, sample: Sample) -> list[str]:
         roles = [COMMAND[direction] for direction in self._model.channels]

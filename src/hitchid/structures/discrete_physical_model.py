@@ -49,8 +49,8 @@ class DiscretePhysicalModel(eqx.Module):
     """
 
     benchmark: PhysicalModel
-    dead_zone: float = eqx.field(static=True)
-    min_command: float = eqx.field(static=True)
+    dead_zone: Float[Array, ""]
+    min_command: Float[Array, ""]
     sign: int = eqx.field(static=True)
     delay_samples: int = eqx.field(static=True)
     step_s: float = eqx.field(static=True)
@@ -60,12 +60,12 @@ class DiscretePhysicalModel(eqx.Module):
         cls, benchmark: PhysicalModel, *, dead_zone: float, min_command: float, sign: int, step_s: float
     ) -> "DiscretePhysicalModel":
         """Discretise a physical model."""
-        structure = benchmark.structure
+        structure, thresholds = benchmark.structure, (jnp.asarray(dead_zone), jnp.asarray(min_command))
         if isinstance(structure, NonlinearStructure):
-            return _NonlinearModel(benchmark, dead_zone, min_command, sign, 0, step_s, structure)
+            return _NonlinearModel(benchmark, *thresholds, sign, 0, step_s, structure)
         delay_samples = int(benchmark.discretised(step_s).delay_samples)
         discrete = benchmark.discretised_along_stroke(step_s)
-        return _LinearModel(benchmark, dead_zone, min_command, sign, delay_samples, step_s, discrete)
+        return _LinearModel(benchmark, *thresholds, sign, delay_samples, step_s, discrete)
 
     @property
     def is_scheduled(self) -> bool:
@@ -93,7 +93,7 @@ class DiscretePhysicalModel(eqx.Module):
         effective = jnp.sign(command) * jnp.maximum(jnp.abs(command) - self.dead_zone, 0.0)
         flow = command if self.benchmark.structure.uses_raw_command else effective
         if nonlinearity is not None:
-            spool, excess = nonlinearity.step_spool(spool, command, jnp.asarray(self.dead_zone), self.step_s)
+            spool, excess = nonlinearity.step_spool(spool, command, self.dead_zone, self.step_s)
             flow = nonlinearity.flow(excess)
         demanded = (flow != 0) & (jnp.abs(command) >= self.min_command)
         return ValveState(

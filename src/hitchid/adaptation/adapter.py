@@ -1,0 +1,181 @@
+"""Adaptation of a model: strokes in, changes of its parameters and events out."""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import jax.numpy as jnp
+import numpy as np
+
+from hitchid._support.precision import double_precision
+from hitchid._support.short_repr import short_repr
+from hitchid.adaptation.channel_adaptation import ChannelAdaptation, ChannelState
+from hitchid.adaptation.events import FAULT, REFUSED, Event
+from hitchid.adaptation.gates import Gate
+from hitchid.adaptation.parameters import Changes, changed_model, check_adaptable
+from hitchid.adaptation.settings import AdaptationSettings
+from hitchid.adaptation.stroke_errors import StrokeErrors
+from hitchid.adaptation.strokes import Stroke
+from hitchid.errors import InputError
+from hitchid.model import Hitch
+from hitchid.model.loads import Load, channel_load, load_row
+from hitchid.structures.batch import REST_SAMPLES
+
+LARGEST_AT_REST = 0.02  # share of the range of the tests that a piston at rest moves within a second; chosen
+LARGEST_CREEP = 0.02  # of that for each second of a pause: an implement sinks; chosen
+UNKNOWN = (0.05, 0.02)  # relative gain, dead zone as share of the command, without estimates; chosen
+
+
+@short_repr
+@dataclass(frozen=True)
+class AdapterState:
+    """State of the adaptation of a model.
+
+    Attributes:
+        channels: direction to the state of its channel.
+        strokes: of the machine so far.
+        ended_at: number of the sample at which the last stroke ended; 0 before any.
+        rested_at: displacement there; NaN before any.
+    """
+
+    channels: Mapping[str, ChannelState]
+    strokes: int = 0
+    ended_at: int = 0
+    rested_at: float = math.nan
+
+    @property
+    def changes(self) -> dict[str, Changes]:
+        """Direction to the changes in use."""
+        return {direction: state.deployed for direction, state in self.channels.items()}
+
+    @property
+    def band_factors(self) -> dict[str, float]:
+        """Direction to the factor on the half width of its bands."""
+        return {direction: state.band.factor for direction, state in self.channels.items()}
+
+
+class Adapter:
+    """Adaptation of one model.
+
+    Args:
+        model: identified hitch.
+        settings: of the adaptation.
+        load: covariates, as for `Hitch.simulate`; by default the means of the tests.
+
+    Raises:
+        InputError: the model was adapted, a channel has no gain behind a dead zone, or there is no such
+            covariate.
+    """
+
+    @double_precision
+    def __init__(self, model: Hitch, settings: AdaptationSettings, load: Load | None = None) -> None:
+        if model.provenance.adapted:
+            raise InputError(
+                "model: expected one as identified, got one that was adapted; adapt the identified model and "
+                "go on from its change log"
+            )
+        self.model, self.settings = model, settings
+        channels = tuple(model.channels.values())
+        row = jnp.asarray(load_row(load, channels, "model"))
+        self._channels = {}
+        for number, channel in enumerate(channels):
+            check_adaptable(channel)
+            uncertainty = model.uncertainty.get(channel.direction)
+            loads = np.asarray(channel_load(channels, number, row))
+            bands = None if uncertainty is None else uncertainty.bands
+            self._channels[channel.direction] = ChannelAdaptation(
+                StrokeErrors(channel, model.step_s, loads, settings.window, bands),
+                Gate(channel, model.step_s, settings),
+                settings,
+                len(model.provenance.identification.get(channel.direction, ())) or 4,
+                _identified(model, channel.direction),
+            )
+
+    def prepare(self) -> None:
+        """Compile all that a stroke needs."""
+        for learner in self._channels.values():
+            learner.prepare()
+
+    def initial_state(self) -> AdapterState:
+        """Return the state of the model as identified."""
+        return self.resumed(())
+
+    def resumed(self, events: Sequence[Event]) -> AdapterState:
+        """Return the state after the events of a change log; its model is that of the log, bit for bit."""
+        channels = {
+            direction: learner.resumed([event for event in events if event.direction == direction])
+            for direction, learner in self._channels.items()
+        }
+        return AdapterState(channels, max((event.stroke for event in events), default=0))
+
+    @double_precision
+    def learn(self, state: AdapterState, stroke: Stroke) -> tuple[AdapterState, tuple[Event, ...]]:
+        """Return the state after a stroke of the machine, and what happened.
+
+        Args:
+            state: before it.
+            stroke: of any direction.
+        """
+        number, channels = state.strokes + 1, dict(state.channels)
+        events = list(self._moved_at_rest(state, stroke, number))
+        learner = self._channels.get(stroke.direction)
+        if learner is None:
+            reason = "the model has no such channel" if stroke.direction else "both commands are active"
+            events.append(self._event(REFUSED, stroke, number, reason))
+        else:
+            channels[stroke.direction], happened = learner.learn(channels[stroke.direction], stroke, number)
+            events += happened
+        for direction, other in self._channels.items():
+            channels[direction], moved = other.moved(channels[direction], stroke, number)
+            events += moved
+        rested = stroke.displacement[-REST_SAMPLES // 5 :]
+        at = float(np.mean(rested[np.isfinite(rested)])) if np.isfinite(rested).any() else math.nan
+        return AdapterState(channels, number, stroke.end, at), tuple(events)
+
+    def _moved_at_rest(self, state: AdapterState, stroke: Stroke, number: int) -> Iterator[Event]:
+        """Yield a fault where the displacement changed without a command, more than a held piston drifts."""
+        before = stroke.displacement[: stroke.rest]
+        before = before[np.isfinite(before)]
+        if not before.size or math.isnan(state.rested_at):
+            return
+        pause_s = max(stroke.begin - state.ended_at, 0) * self.model.step_s
+        ranges = [each.operating_range.displacement for each in self.model.channels.values()]
+        largest = LARGEST_AT_REST * max(float(each.highest) - float(each.lowest) for each in ranges)
+        moved = float(before[-1] - state.rested_at) - self.model.drift * pause_s
+        if abs(moved) > largest + LARGEST_CREEP * largest * pause_s:
+            yield self._event(
+                FAULT,
+                stroke,
+                number,
+                f"the displacement changed by {moved:+.3g} at rest: sensor or implement",
+            )
+
+    def _event(self, kind: str, stroke: Stroke, number: int, reason: str) -> Event:
+        return Event(kind, stroke.end * self.model.step_s, number, stroke.direction, reason, Changes())
+
+    def rollback(
+        self, state: AdapterState, direction: str, reason: str = "asked for"
+    ) -> tuple[AdapterState, Event]:
+        """Return the state with the changes of one direction before its last promotion, bit for bit."""
+        channel, events = self._channels[direction].rolled_back(
+            state.channels[direction], None, state.strokes, reason
+        )
+        return replace(state, channels={**state.channels, direction: channel}), events[0]
+
+    def adapted(self, state: AdapterState) -> Hitch:
+        """Return the model with the changes in use, and with its bands as wide as they had to be."""
+        return changed_model(self.model, state.changes, state.band_factors)
+
+
+def _identified(model: Hitch, direction: str) -> list[float]:
+    """Return standard deviations of log gain, dead zone and log spool lag as identified."""
+    channel = model.channels[direction]
+    command = float(channel.operating_range.command.highest)
+    deviations = [UNKNOWN[0], UNKNOWN[1] * command, UNKNOWN[0]]
+    uncertainty = model.uncertainty.get(direction)
+    if uncertainty is None:
+        return deviations
+    for estimate in uncertainty.benchmark.parameters:
+        if estimate.name == channel.benchmark.structure.gain and estimate.error:
+            deviations[0] = estimate.error / estimate.value
+    return deviations

@@ -1,0 +1,74 @@
+"""Detection of a change of speed: a two-sided cumulative sum of the standardised errors of strokes."""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from hitchid._support.short_repr import short_repr
+
+# Of a stroke's error, standard deviations: what is subtracted from each, half a change of two; largest that
+# counts, so that no single stroke raises an alarm. Chosen.
+REFERENCE, LARGEST = 1.0, 6.0
+REPLICATES, STROKES = 64, 8_000  # simulated streams, and strokes of each; chosen: the error is below a tenth
+THRESHOLDS = np.linspace(2.0, 24.0, 45)  # that are tried, standard deviations
+
+
+@short_repr
+class ChangeDetector(NamedTuple):
+    """Cumulative sums of errors that are too large or too small (Page 1954, Biometrika 41, 100).
+
+    s⁺ = max(0, s⁺ + z − k) and s⁻ = max(0, s⁻ − z − k) with z within ±6; an alarm is s > h.
+
+    Attributes:
+        faster, slower: s⁺ and s⁻.
+        since: latest strokes in a row whose errors are beyond twice k on one side: those of a sudden change.
+    """
+
+    faster: float = 0.0
+    slower: float = 0.0
+    since: int = 0
+
+    def advance(self, error: float) -> "ChangeDetector":
+        """Return the sums after one more stroke, `error` being z."""
+        bounded = float(np.clip(error, -LARGEST, LARGEST))
+        faster, slower = (
+            max(0.0, self.faster + bounded - REFERENCE),
+            max(0.0, self.slower - bounded - REFERENCE),
+        )
+        continues = self.since if (faster > slower) == (self.faster > self.slower) else 0
+        return ChangeDetector(faster, slower, continues + 1 if abs(bounded) > 2 * REFERENCE else 0)
+
+    @property
+    def sum(self) -> float:
+        """The larger sum."""
+        return max(self.faster, self.slower)
+
+
+@lru_cache
+def alarm_threshold(strokes_between_alarms: float, degrees_of_freedom: int) -> float:
+    """Return h at which streams without a change have a mean number of strokes between alarms.
+
+    Textbook thresholds are for normal errors of known scale. Here the scale and the mean come from the tests
+    of the identification, so that each simulated stream has its own, and its errors are of Student's t.
+
+    Args:
+        strokes_between_alarms: mean over all streams, of a direction.
+        degrees_of_freedom: of the scale: tests minus one, at least 3.
+    """
+    freedom = max(degrees_of_freedom, 3)
+    rng = np.random.default_rng(0)
+    scale = np.sqrt(rng.chisquare(freedom, REPLICATES) / freedom)
+    mean = rng.standard_normal(REPLICATES) / np.sqrt(freedom + 1)
+    faster, slower = np.zeros((2, THRESHOLDS.size, REPLICATES))
+    alarms = np.zeros(THRESHOLDS.size)
+    for _ in range(STROKES):
+        error = np.clip((rng.standard_normal(REPLICATES) + mean) / scale, -LARGEST, LARGEST)
+        faster = np.maximum(0.0, faster + error - REFERENCE)
+        slower = np.maximum(0.0, slower - error - REFERENCE)
+        alarm = np.maximum(faster, slower) > THRESHOLDS[:, None]
+        alarms += alarm.sum(axis=1)
+        faster[alarm], slower[alarm] = 0.0, 0.0
+    between = REPLICATES * STROKES / np.maximum(alarms, 1.0)
+    enough = np.flatnonzero(between >= strokes_between_alarms)
+    return float(THRESHOLDS[enough[0] if enough.size else -1])

@@ -1,0 +1,70 @@
+"""What adaptation did and why, as records and as lines of JSON."""
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+
+from hitchid._support.short_repr import short_repr
+from hitchid.adaptation.parameters import Changes
+
+LEARNED, REFUSED, FAULT, CANDIDATE, DROPPED = "learned", "refused", "fault", "candidate", "dropped"
+PROMOTED, MOVED, ROLLED_BACK = "promoted", "moved", "rolled back"
+CHANGE_DETECTED, AT_LIMIT = "change detected", "at limit"
+# What a user is told at once.
+REPORTED = (PROMOTED, ROLLED_BACK, CHANGE_DETECTED, AT_LIMIT, FAULT)
+
+
+@short_repr
+@dataclass(frozen=True)
+class Event:
+    """One entry of the change log.
+
+    Attributes:
+        kind: `learned` or `refused` of a stroke; `fault` of a sensor; `candidate`, `dropped`, `promoted` and
+            `rolled back` of changes; `moved` of those in use; `change detected`; `at limit`.
+        time_s: at the end of the stroke after which it happened, since the start of the log, s.
+        stroke: number of that stroke of the machine, from 1.
+        direction: of the channel.
+        reason: in words.
+        changes: of the parameters in use after it; of a candidate its own.
+        strokes: numbers of the strokes that a candidate was fitted to.
+        figures: of a stroke that was learned from: errors, estimates, factor on the bands.
+    """
+
+    kind: str
+    time_s: float
+    stroke: int
+    direction: str
+    reason: str
+    changes: Changes
+    strokes: tuple[int, ...] = ()
+    figures: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def sentence(self) -> str:
+        """The entry in words."""
+        changed = (
+            f"gain {100 * math.expm1(self.changes.gain):+.2g} %, dead zone {self.changes.dead_zone:+.3g}"
+        )
+        shown = f" ({changed})" if self.kind in (PROMOTED, ROLLED_BACK, MOVED, AT_LIMIT) else ""
+        reason = f": {self.reason}" if self.reason else ""
+        return f"{self.direction} {self.kind}{shown}{reason}".lstrip()
+
+    def to_json(self) -> str:
+        """Return the entry as one line of JSON; its numbers are read back bit for bit."""
+        content = {each.name: getattr(self, each.name) for each in fields(self)}
+        return json.dumps(
+            {**content, "changes": self.changes._asdict(), "figures": dict(self.figures)}, allow_nan=False
+        )
+
+    @classmethod
+    def from_json(cls, line: str) -> "Event":
+        """Return the entry of a line.
+
+        Raises:
+            ValueError, KeyError, TypeError: the line is no entry.
+        """
+        content = json.loads(line)
+        changes = Changes(**{name: float(value) for name, value in content["changes"].items()})
+        return cls(**{**content, "changes": changes, "strokes": tuple(content["strokes"])})

@@ -1,0 +1,125 @@
+"""Why a stroke is not learned from: what spoils a test also spoils an adaptation."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from hitchid._support.short_repr import short_repr
+from hitchid.adaptation.settings import AdaptationSettings
+from hitchid.adaptation.stroke_errors import StrokeRuns
+from hitchid.adaptation.strokes import Stroke
+from hitchid.data.record import DIRECTIONS
+from hitchid.data.test_kinds import effective_command
+from hitchid.model import Channel
+
+LARGEST_MISSING = 0.1  # share of the samples of a stroke; chosen
+LEAST_REST_S = 0.1  # s at rest before a stroke; chosen
+NOISE_LIMIT = 8.0  # standard deviations of the sensor between two samples; chosen
+COMMAND_MARGIN = 0.05  # share of the range of commands beyond which a command is outside it; chosen
+STANDSTILL_S, STANDSTILL_SHARE = 0.4, 0.1  # s, and share of the simulated travel over it; chosen
+STOP_MARGIN = 0.02  # share of the range of displacements; chosen
+SHAPE_LIMIT = 0.04  # share of the travel that is left as error after gain and dead zone are fitted; chosen
+SPEED_LIMIT = 0.5  # share of the fastest simulated motion by which a sample may differ from it; chosen
+
+
+@short_repr
+@dataclass(frozen=True)
+class Gate:
+    """The checks of one channel.
+
+    Attributes:
+        channel: as identified.
+        step_s: sampling time of the strokes, s.
+        settings: of the adaptation.
+    """
+
+    channel: Channel
+    step_s: float
+    settings: AdaptationSettings
+
+    @property
+    def range_of_tests(self) -> float:
+        """Range of the displacement in the identification tests, in the model's unit."""
+        covered = self.channel.operating_range.displacement
+        return float(covered.highest) - float(covered.lowest)
+
+    def refusal(self, stroke: Stroke) -> str:
+        """Return why a stroke cannot be judged, from its samples alone; empty where it can."""
+        return next(self._refusals(stroke), "")
+
+    def _refusals(self, stroke: Stroke) -> Iterator[str]:
+        measured = np.isfinite(stroke.displacement)
+        missing = 1 - measured.mean()
+        if missing > LARGEST_MISSING:
+            yield f"{100 * missing:.0f} % of the displacement is missing"
+        rest = stroke.displacement[: stroke.rest][measured[: stroke.rest]]
+        noise = max(float(self.channel.load_filter.noise), np.finfo(float).tiny)
+        if len(rest) < max(2, round(LEAST_REST_S / self.step_s)):
+            yield "it does not start at rest"
+            return
+        half = len(rest) // 2
+        moved = abs(rest[half:].mean() - rest[:half].mean())
+        if moved > NOISE_LIMIT * noise / np.sqrt(half):
+            yield f"it does not start at rest: {moved:.3g} in {len(rest)} samples before the command"
+        travel = float(np.ptp(stroke.displacement[measured]))
+        if travel < self.settings.shortest_travel * self.range_of_tests:
+            yield f"the travel is too short: {travel:.3g}"
+        command = stroke.commands[:, DIRECTIONS.index(self.channel.direction)]
+        highest = float(self.channel.operating_range.command.highest)
+        largest = float(np.abs(effective_command(command, self.channel.dead_zone)).max())
+        if largest > (1 + COMMAND_MARGIN) * highest:
+            yield f"the command is outside the identified range: {largest:.3g} beyond the dead zone"
+        yield from self._at_limits(stroke.displacement[measured])
+
+    def _at_limits(self, displacement: Float[np.ndarray, " n"]) -> Iterator[str]:
+        channel, margin = self.channel, STOP_MARGIN * self.range_of_tests
+        limits = channel.limits
+        stops = [channel.end_stop] if channel.end_stop is not None else []
+        if limits is not None:
+            stops += [limits.lower] * limits.lower_stop + [limits.upper] * limits.upper_stop
+        for stop in stops:
+            if np.abs(displacement - stop).min() < margin:
+                yield f"it meets the end stop at {stop:.4g}"
+        if limits is not None and (displacement.min() < limits.lower or displacement.max() > limits.upper):
+            yield f"it leaves the range of the logs, {limits.lower:.4g} to {limits.upper:.4g}"
+
+    def misfit(self, runs: StrokeRuns, own: int) -> str:
+        """Return why a stroke is no motion of this plant, whatever its gain and dead zone; empty where it is.
+
+        Args:
+            runs: free runs of the stroke, with those of its own gain and dead zone.
+            own: number of that run.
+        """
+        return next(self._misfits(runs, own), "")
+
+    def _misfits(self, runs: StrokeRuns, own: int) -> Iterator[str]:
+        keep = np.flatnonzero(runs.measured)
+        simulated, errors = runs.displacement[own][keep], runs.errors[own][keep]
+        measured = simulated + errors
+        noise = float(self.channel.load_filter.noise)
+        steps, expected = np.diff(measured), np.diff(simulated)
+        if (measured[-1] - measured[0]) * (simulated[-1] - simulated[0]) <= 0:
+            yield "it moves against its command"
+        limit = SPEED_LIMIT * np.abs(expected).max() + NOISE_LIMIT * np.sqrt(2) * noise
+        if np.abs(steps - expected).max() > limit:
+            yield f"the displacement jumps by {np.abs(steps - expected).max():.3g} within a sample"
+        yield from self._standstill(measured, simulated, noise)
+        travel = float(np.ptp(simulated))
+        left = float(np.sqrt(np.mean(errors**2)))
+        if left > np.hypot(SHAPE_LIMIT * travel, 2 * noise):
+            yield f"an error of {left:.3g} is left that gain and dead zone do not explain"
+
+    def _standstill(
+        self, measured: Float[np.ndarray, " n"], simulated: Float[np.ndarray, " n"], noise: float
+    ) -> Iterator[str]:
+        """Stuck sensor or end stop: no motion over a while in which the model moves."""
+        width = max(2, round(STANDSTILL_S / self.step_s))
+        if len(measured) <= width:
+            return
+        expected = np.abs(simulated[width:] - simulated[:-width])
+        seen = np.abs(measured[width:] - measured[:-width])
+        stands = (expected > 2 * NOISE_LIMIT * noise) & (seen < STANDSTILL_SHARE * expected)
+        if stands.any():
+            yield "the displacement stands still while the model moves"

@@ -1,0 +1,87 @@
+"""Adaptation on logs, and the change log."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hitchid._support import checks
+from hitchid._support.short_repr import short_repr
+from hitchid.adaptation.adapter import Adapter, AdapterState
+from hitchid.adaptation.events import Event
+from hitchid.adaptation.settings import AdaptationSettings
+from hitchid.adaptation.strokes import Stroke, StrokeCutter
+from hitchid.data.record import COMMAND, DIRECTIONS, Record
+from hitchid.errors import InputError
+from hitchid.model import Hitch
+from hitchid.model.loads import Load
+
+
+@short_repr
+@dataclass(frozen=True)
+class Adaptation:
+    """What was learned from logs.
+
+    Attributes:
+        model: with the parameters in use after the last log.
+        events: the change log.
+        state: of the adaptation after the last log.
+    """
+
+    model: Hitch
+    events: tuple[Event, ...]
+    state: AdapterState
+
+
+def adapt(
+    model: Hitch,
+    records: Iterable[Record],
+    *,
+    settings: AdaptationSettings | None = None,
+    load: Load | None = None,
+    earlier: Sequence[Event] = (),
+) -> Adaptation:
+    """Return what a model learns from logs, one after the other; see `Hitch.adapt`."""
+    adapter = Adapter(model, settings or AdaptationSettings(), load)
+    state, events = adapter.resumed(earlier), list(earlier)
+    for stroke in _strokes(model, records):
+        state, happened = adapter.learn(state, stroke)
+        events += happened
+    return Adaptation(adapter.adapted(state), tuple(events), state)
+
+
+def _strokes(model: Hitch, records: Iterable[Record]) -> Iterable[Stroke]:
+    """Yield the strokes of logs in the model's units, the samples counted from log to log."""
+    before = 0
+    for record in records:
+        converted = model.to_model_units(checks.instance(record, Record, "records", "records of logs"))
+        commands = np.column_stack(
+            [converted.signals.get(COMMAND[direction], np.zeros(len(converted))) for direction in DIRECTIONS]
+        )
+        cutter = StrokeCutter(model)
+        found = cutter.feed(commands, converted.displacement) + cutter.finish()
+        yield from (stroke._replace(begin=before + stroke.begin) for stroke in found)
+        before += len(converted)
+
+
+def read_events(path: str | Path) -> tuple[Event, ...]:
+    """Return the entries of a change log; a last line that was cut short is left out.
+
+    Raises:
+        InputError: the file cannot be read, or a line is no entry.
+    """
+    file = checks.path(path, "path")
+    try:
+        lines = file.read_text(encoding="utf-8").splitlines(keepends=True)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{file}: cannot be read: {error}") from error
+    events = []
+    for number, line in enumerate(lines, 1):
+        try:
+            events.append(Event.from_json(line))
+        except (ValueError, KeyError, TypeError) as error:
+            if number == len(lines) and not line.endswith("\n"):
+                break
+            raise InputError(f"{file}, line {number}: is no entry of a change log: {error}") from error
+    return tuple(events)
