@@ -5,6 +5,7 @@ from hitchid.adaptation.adapter import AdapterState as AdapterState
 from hitchid.adaptation.events import REPORTED as REPORTED
 from hitchid.adaptation.events import Event as Event
 from hitchid.adaptation.parameters import Changes as Changes
+from hitchid.adaptation.parameters import changed_model as changed_model
 from hitchid.adaptation.replay import Adaptation as Adaptation
 from hitchid.adaptation.replay import adapt as adapt
 from hitchid.adaptation.replay import read_events as read_events

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 from jax.typing import ArrayLike
@@ -47,11 +48,11 @@ class AdjustableHitch:
             inputs = join_inputs(commands, np.nan if measured is None else measured, self._directions)
             return self._step(self._numbers, state, inputs)
 
-    def adjust(self, numbers: Float[Array, " p"], state: Packed) -> Packed:
+    def adjust(self, numbers: ArrayLike, state: Packed) -> Packed:
         """Go on with other numbers, see `numbers_of_models`; return the state with them at its load."""
-        self._numbers = numbers
         with jax.enable_x64(True):
-            return Packed(self._adjusted_state(numbers, state.numbers), state.hidden)
+            self._numbers = jnp.asarray(numbers)
+            return Packed(self._adjusted_state(self._numbers, state.numbers), state.hidden)
 
     def _at_load(self, numbers_of_models: Array, numbers: Array) -> Array:
         dynamics = with_numbers(self._dynamics, numbers_of_models)

@@ -1,40 +1,52 @@
-"""Adaptation beside a running model: strokes are learned from in another thread."""
+"""Adaptation beside a running model: strokes are learned from in a process of its own."""
 
+import contextlib
+import json
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+import time
 from collections import deque
-from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
-from hitchid._support.short_repr import short_repr
-from hitchid.adaptation import AdaptationSettings, Adapter, AdapterState, Event, Stroke, StrokeCutter
-from hitchid.model import Hitch
-from hitchid.model.adjustable import numbers_of_models
+from hitchid._support import checks
+from hitchid.adaptation import AdaptationSettings, Changes, Event, StrokeCutter, changed_model
+from hitchid.adaptation.events import FAULT, REFUSED
+from hitchid.adaptation.strokes import Stroke
+from hitchid.errors import InputError
+from hitchid.model import Hitch, save
 from hitchid.model.loads import Load
+from hitchid.online.adaptation_messages import stroke_message
+
+PROCESS = "hitchid.online.adaptation_process"
+# s after a stroke at which what was learned from it takes effect: longer than learning takes, so that this
+# does not depend on the speed of the machine; chosen.
+EFFECT_S = 0.5
+MOST_PENDING = 8  # strokes that wait; while there are more, further ones are refused; chosen
 
 
-@short_repr
-class Adapted(NamedTuple):
-    """What was learned from one stroke.
+class _Sent(NamedTuple):
+    """What the process was asked: the sample from which on the answer counts, and when, s."""
 
-    Attributes:
-        state: of the adaptation after it.
-        events: what happened.
-        numbers: of the physical models in use from now on; None where they stay.
-    """
-
-    state: AdapterState
-    events: tuple[Event, ...]
-    numbers: Float[Array, " p"] | None
+    due: int
+    sent_s: float
 
 
 class OnlineAdaptation:
-    """Cuts strokes from samples and learns from them in the background, one after the other.
+    """Cuts strokes from samples, and learns from them in another process, one after the other.
 
-    A sample never waits: what was learned takes effect with the first sample after it is there at which no
-    stroke is under way. What is learned depends on the samples alone, not on when.
+    What was learned takes effect half a second after the stroke, or with the first sample after that at which
+    no stroke is under way. A sample waits for it only where samples come faster than in real time, as from a
+    file. Where the process ends the model stays as it is, and says so once.
 
     Args:
         model: identified hitch, not one that was adapted.
@@ -44,10 +56,11 @@ class OnlineAdaptation:
         earlier: events of a change log to go on from.
 
     Attributes:
+        changes: direction to the changes in use.
         numbers: of the physical models in use, see `numbers_of_models`.
 
     Raises:
-        InputError: the model was adapted, or as `Adapter`.
+        InputError: the model was adapted already, has no gain behind a dead zone, or no such covariate.
     """
 
     def __init__(
@@ -59,24 +72,28 @@ class OnlineAdaptation:
         log: Callable[[Event], None] | None = None,
         earlier: Sequence[Event] = (),
     ) -> None:
-        self._adapter = Adapter(model, settings or AdaptationSettings(), load)
-        self._state = self._latest = self._adapter.resumed(earlier)
-        self._cutter = StrokeCutter(model)
-        self._log = log
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="adaptation")
-        self._pending: deque[Future[Adapted]] = deque()
-        self._adapter.prepare()
-        self.numbers = numbers_of_models(self._adapter.adapted(self._state))
-
-    @property
-    def state(self) -> AdapterState:
-        """State of the adaptation whose parameters are in use."""
-        return self._state
+        self._identified, self._log = model, log
+        self._cutter, self._samples = StrokeCutter(model), 0
+        self._pending: deque[_Sent] = deque()
+        self._ended = False
+        self.changes: dict[str, Changes] = {}
+        self._bands: dict[str, float] = {}
+        self._process, self._connection = _started()
+        with tempfile.TemporaryDirectory() as folder:
+            save(model, Path(folder) / "model")
+            given = {
+                "model": str(Path(folder) / "model"),
+                "settings": asdict(settings or AdaptationSettings()),
+                "load": _plain(load),
+                "earlier": [event.to_json() for event in earlier],
+            }
+            self._connection.send_bytes(json.dumps(given).encode())
+            self._receive()
 
     @property
     def model(self) -> Hitch:
-        """The model with the parameters in use."""
-        return self._adapter.adapted(self._state)
+        """The model with the parameters in use, and with its bands as wide as they had to be."""
+        return changed_model(self._identified, self.changes, self._bands)
 
     def feed(
         self, commands: Float[np.ndarray, "b 2"], displacement: Float[np.ndarray, " b"]
@@ -87,43 +104,92 @@ class OnlineAdaptation:
             commands: lifting and lowering, in the model's units.
             displacement: measured; NaN where there is none.
         """
+        events: list[Event] = []
+        self._samples += len(displacement)
         for stroke in self._cutter.feed(commands, displacement):
-            self._pending.append(self._thread.submit(self._learn, stroke))
-        return self._taken(wait=False)
+            events += self._learn(stroke)
+        if not self._cutter.moves:
+            while self._pending and self._samples >= self._pending[0].due:
+                if not self._is_answered(self._pending[0]):
+                    break
+                events += self._receive()
+        return self._logged(events)
 
     def rollback(self, direction: str) -> None:
-        """Return to the parameters of one direction before its last promotion, with the next sample."""
-        self._pending.append(self._thread.submit(self._rolled_back, direction))
+        """Return to the parameters of one direction before its last promotion, as soon as nothing moves."""
+        checks.one_of(direction, self._identified.channels, "direction")
+        self._ask(b"rollback " + direction.encode(), self._samples)
 
     def finish(self) -> tuple[Event, ...]:
         """Wait for what is being learned; return the events that then take effect."""
-        events = self._taken(wait=True)
-        self._thread.shutdown()
-        return events
-
-    def _taken(self, *, wait: bool) -> tuple[Event, ...]:
         events: list[Event] = []
-        while self._pending and (wait or (self._pending[0].done() and not self._cutter.moves)):
-            adapted = self._pending.popleft().result()
-            self._state = adapted.state
-            events += adapted.events
-            if adapted.numbers is not None:
-                self.numbers = adapted.numbers
+        for stroke in self._cutter.finish():
+            events += self._learn(stroke)
+        while self._pending and not self._ended:
+            events += self._receive()
+        self._connection.close()
+        self._process.wait()
+        return self._logged(events)
+
+    def _learn(self, stroke: Stroke) -> list[Event]:
+        if self._ended:
+            return []
+        if len(self._pending) >= MOST_PENDING:
+            return [self._event(REFUSED, "learning from earlier strokes has not ended", stroke.direction)]
+        self._ask(stroke_message(stroke), self._samples + round(EFFECT_S / self._identified.step_s))
+        return []
+
+    def _ask(self, message: bytes, due: int) -> None:
+        self._pending.append(_Sent(due, time.monotonic()))
+        with contextlib.suppress(OSError):  # its end is found where the answer is taken
+            self._connection.send_bytes(message)
+
+    def _is_answered(self, sent: _Sent) -> bool:
+        return self._connection.poll(max(0.0, EFFECT_S - (time.monotonic() - sent.sent_s)))
+
+    def _receive(self) -> list[Event]:
+        """Take an answer of the process; return its events."""
+        try:
+            header, numbers = self._connection.recv_bytes().split(b"\n", 1)
+        except (EOFError, OSError):
+            self._ended = True
+            self._pending.clear()
+            return [self._event(FAULT, "the process that learns has ended; the model stays as it is", "")]
+        content = json.loads(header)
+        if "error" in content:
+            raise InputError(content["error"])
+        if self._pending:
+            self._pending.popleft()
+        changes = {direction: Changes(*values) for direction, values in content["changes"].items()}
+        if changes != self.changes:
+            self.changes, self.numbers = changes, np.frombuffer(numbers)
+        self._bands = content["bands"]
+        return [Event.from_json(line) for line in content["events"]]
+
+    def _event(self, kind: str, reason: str, direction: str) -> Event:
+        return Event(kind, self._samples * self._identified.step_s, 0, direction, reason, Changes())
+
+    def _logged(self, events: Sequence[Event]) -> tuple[Event, ...]:
         if self._log is not None:
             for event in events:
                 self._log(event)
         return tuple(events)
 
-    def _learn(self, stroke: Stroke) -> Adapted:
-        return self._outcome(*self._adapter.learn(self._latest, stroke))
 
-    def _rolled_back(self, direction: str) -> Adapted:
-        state, event = self._adapter.rollback(self._latest, direction)
-        return self._outcome(state, (event,))
+def _started() -> tuple[subprocess.Popen, Connection]:
+    """Return the process that learns, and the connection to it."""
+    own, other = socket.socketpair()
+    with other:
+        process = subprocess.Popen(  # noqa: S603 - this Python, a module of this package
+            [sys.executable, "-P", "-m", PROCESS, str(other.fileno())],
+            pass_fds=(other.fileno(),),
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
+        )
+    return process, Connection(own.detach())
 
-    def _outcome(self, state: AdapterState, events: tuple[Event, ...]) -> Adapted:
-        """Return the outcome of a stroke; `_latest` is of the thread alone."""
-        changed = state.changes != self._latest.changes
-        self._latest = state
-        models = numbers_of_models(self._adapter.adapted(state)) if changed else None
-        return Adapted(state, events, models)
+
+def _plain(load: Load | None) -> object:
+    """Return a load as content for JSON."""
+    if isinstance(load, Mapping):
+        return {name: float(np.asarray(value)) for name, value in load.items()}
+    return None if load is None else float(np.asarray(load))

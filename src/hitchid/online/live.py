@@ -95,7 +95,7 @@ class Live:
         if isinstance(self._stepped, AdjustableHitch):
             state = self._stepped.adjust(self._numbers, state)
         state, _ = self._stepped.step(state, np.zeros(len(DIRECTIONS)), math.nan)
-        model.unpack_state(state)
+        self._mode = int(model.unpack_state(state).mode)
 
     def process(self, line: str) -> Output:
         """Advance the model by one line of JSON and return its output."""
@@ -195,9 +195,10 @@ class Live:
         if self._measured and not math.isfinite(sample.get(DISPLACEMENT, math.nan)):
             flags.append("no displacement was measured: the model simulates")
         hitch_state = self._model.unpack_state(state)
+        self._mode = int(hitch_state.mode)
         if bool(hitch_state.both_valves_active):
             flags.append("both commands are active: the lowering command is used")
-        return flags + self._out_of_range(sample, int(hitch_state.mode))
+        return flags + self._out_of_range(sample, self._mode)
 
     def _out_of_range(self, sample: Sample, active_channel: int) -> list[str]:
         """Return flags for commands outside their range, and a displacement outside all ranges that apply."""
@@ -224,8 +225,7 @@ class Live:
         time_s = round(self._next_sample_s, DIGITS)
         if self._state is None:
             return Output(time_s, None, STANDING, (*flags, "waiting for an initial displacement"))
-        active_channel = int(self._model.unpack_state(self._state).mode)
-        direction = STANDING if active_channel < 0 else tuple(self._model.channels)[active_channel]
+        direction = STANDING if self._mode < 0 else tuple(self._model.channels)[self._mode]
         return Output(time_s, self._displacement, direction, tuple(flags))
 
 
