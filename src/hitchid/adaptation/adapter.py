@@ -9,7 +9,8 @@ import numpy as np
 
 from hitchid._support.precision import double_precision
 from hitchid._support.short_repr import short_repr
-from hitchid.adaptation.channel_adaptation import ChannelAdaptation, ChannelState
+from hitchid.adaptation.channel_adaptation import ChannelAdaptation
+from hitchid.adaptation.channel_state import ChannelState
 from hitchid.adaptation.events import FAULT, REFUSED, Event
 from hitchid.adaptation.gates import Gate
 from hitchid.adaptation.parameters import Changes, changed_model, check_adaptable
@@ -168,7 +169,7 @@ class Adapter:
 
 
 def _identified(model: Hitch, direction: str) -> list[float]:
-    """Return standard deviations of log gain, dead zone and log spool lag as identified."""
+    """Return standard deviations of log gain, dead zone and log lag as identified."""
     channel = model.channels[direction]
     command = float(channel.operating_range.command.highest)
     deviations = [UNKNOWN[0], UNKNOWN[1] * command, UNKNOWN[0]]

@@ -22,12 +22,10 @@ class ChangeDetector(NamedTuple):
 
     Attributes:
         faster, slower: s⁺ and s⁻.
-        since: latest strokes in a row whose errors are beyond twice k on one side: those of a sudden change.
     """
 
     faster: float = 0.0
     slower: float = 0.0
-    since: int = 0
 
     def advance(self, error: float) -> "ChangeDetector":
         """Return the sums after one more stroke, `error` being z."""
@@ -36,8 +34,7 @@ class ChangeDetector(NamedTuple):
             max(0.0, self.faster + bounded - REFERENCE),
             max(0.0, self.slower - bounded - REFERENCE),
         )
-        continues = self.since if (faster > slower) == (self.faster > self.slower) else 0
-        return ChangeDetector(faster, slower, continues + 1 if abs(bounded) > 2 * REFERENCE else 0)
+        return ChangeDetector(faster, slower)
 
     @property
     def sum(self) -> float:

@@ -28,7 +28,7 @@ class Estimate(NamedTuple):
     """Changes of the parameters with the covariance of their error.
 
     Attributes:
-        mean: log gain, dead zone in the command's unit, log spool lag, shape [3].
+        mean: log gain, dead zone in the command's unit, log lag, shape [3].
         covariance: shape [3, 3].
     """
 

@@ -20,7 +20,9 @@ NOISE_LIMIT = 8.0  # standard deviations of the sensor between two samples; chos
 COMMAND_MARGIN = 0.05  # share of the range of commands beyond which a command is outside it; chosen
 STANDSTILL_S, STANDSTILL_SHARE = 0.4, 0.1  # s, and share of the simulated travel over it; chosen
 STOP_MARGIN = 0.02  # share of the range of displacements; chosen
-SHAPE_LIMIT = 0.04  # share of the travel that is left as error after gain and dead zone are fitted; chosen
+# Share of the travel that is left as error after gain and dead zone are fitted: multiple of what is usual,
+# and the largest. Chosen.
+MISFIT_FACTOR, LARGEST_MISFIT = 3.0, 0.1
 SPEED_LIMIT = 0.5  # share of the fastest simulated motion by which a sample may differ from it; chosen
 
 
@@ -85,16 +87,17 @@ class Gate:
         if limits is not None and (displacement.min() < limits.lower or displacement.max() > limits.upper):
             yield f"it leaves the range of the logs, {limits.lower:.4g} to {limits.upper:.4g}"
 
-    def misfit(self, runs: StrokeRuns, own: int) -> str:
+    def misfit(self, runs: StrokeRuns, own: int, usual: float) -> str:
         """Return why a stroke is no motion of this plant, whatever its gain and dead zone; empty where it is.
 
         Args:
             runs: free runs of the stroke, with those of its own gain and dead zone.
             own: number of that run.
+            usual: share of the travel that is usually left as error.
         """
-        return next(self._misfits(runs, own), "")
+        return next(self._misfits(runs, own, usual), "")
 
-    def _misfits(self, runs: StrokeRuns, own: int) -> Iterator[str]:
+    def _misfits(self, runs: StrokeRuns, own: int, usual: float) -> Iterator[str]:
         keep = np.flatnonzero(runs.measured)
         simulated, errors = runs.displacement[own][keep], runs.errors[own][keep]
         measured = simulated + errors
@@ -106,10 +109,10 @@ class Gate:
         if np.abs(steps - expected).max() > limit:
             yield f"the displacement jumps by {np.abs(steps - expected).max():.3g} within a sample"
         yield from self._standstill(measured, simulated, noise)
-        travel = float(np.ptp(simulated))
-        left = float(np.sqrt(np.mean(errors**2)))
-        if left > np.hypot(SHAPE_LIMIT * travel, 2 * noise):
-            yield f"an error of {left:.3g} is left that gain and dead zone do not explain"
+        left = runs.share_left(own)
+        limit = min(MISFIT_FACTOR * usual, LARGEST_MISFIT)
+        if left > np.hypot(limit, 2 * noise / max(float(np.ptp(simulated)), noise)):
+            yield f"{100 * left:.2g} % of the travel are left as error after gain and dead zone are fitted"
 
     def _standstill(
         self, measured: Float[np.ndarray, " n"], simulated: Float[np.ndarray, " n"], noise: float

@@ -17,9 +17,9 @@ from hitchid.model.bands import Bands, EnsembleMember
 from hitchid.model.uncertainty import Uncertainty
 from hitchid.structures import NONLINEARITY_PARAMETERS, PhysicalModel
 
-GAIN, DEAD_ZONE, SPOOL_LAG = range(3)
-NAMES = ("gain", "dead_zone", "spool_lag")
-LAG_INDEX = [parameter.name for parameter in NONLINEARITY_PARAMETERS].index("spool_lag")
+GAIN, DEAD_ZONE, LAG = range(3)
+NAMES = ("gain", "dead_zone", "lag")
+SPOOL_LAG = [parameter.name for parameter in NONLINEARITY_PARAMETERS].index("spool_lag")
 LEAST_LAG_S = 1e-4  # s; a spool without lag has a value far below, and nothing to move; chosen
 
 
@@ -30,12 +30,12 @@ class Changes(NamedTuple):
     Attributes:
         gain: natural logarithm of the factor on the gain.
         dead_zone: what is added to the dead zone, in the command's unit.
-        spool_lag: natural logarithm of the factor on the spool's lag.
+        lag: natural logarithm of the factor on the lag; see `lag_index`.
     """
 
     gain: float = 0.0
     dead_zone: float = 0.0
-    spool_lag: float = 0.0
+    lag: float = 0.0
 
 
 def check_adaptable(channel: Channel) -> None:
@@ -48,21 +48,36 @@ def check_adaptable(channel: Channel) -> None:
         )
 
 
+def lag_index(benchmark: PhysicalModel) -> int | None:
+    """Return the number of the structure's parameter that is a lag; None where it is that of the spool.
+
+    The time constant, or the damping ratio ξ: a second order follows the flow with a lag of 2 ξ/ωh, which
+    oil makes longer the colder it is, while the frequency ωh, of mass and oil column, stays.
+    """
+    structure = benchmark.structure
+    dynamics = () if structure.linear is None else structure.linear.load_dynamics
+    names = [parameter.name for parameter in structure.parameters]
+    return names.index(dynamics[-1]) if dynamics else None
+
+
 def changed_benchmark(benchmark: PhysicalModel, changes: Float[Array, "3"]) -> PhysicalModel:
-    """Return a benchmark with gain and spool lag multiplied; `changes` may be traced."""
-    gain = benchmark.structure.gain_index
-    changed = eqx.tree_at(
-        lambda tree: tree.values, benchmark, benchmark.values.at[gain].multiply(jnp.exp(changes[GAIN]))
-    )
-    if benchmark.nonlinearity is None:
+    """Return a benchmark with gain and lag multiplied; `changes` may be traced."""
+    gain, lag = benchmark.structure.gain_index, lag_index(benchmark)
+    values = benchmark.values.at[gain].multiply(jnp.exp(changes[GAIN]))
+    if lag is not None:
+        values = values.at[lag].multiply(jnp.exp(changes[LAG]))
+    changed = eqx.tree_at(lambda tree: tree.values, benchmark, values)
+    if lag is not None or benchmark.nonlinearity is None:
         return changed
-    curves = benchmark.nonlinearity.values.at[LAG_INDEX].multiply(jnp.exp(changes[SPOOL_LAG]))
+    curves = benchmark.nonlinearity.values.at[SPOOL_LAG].multiply(jnp.exp(changes[LAG]))
     return eqx.tree_at(lambda tree: tree.nonlinearity.values, changed, curves)
 
 
-def has_spool_lag(channel: Channel) -> bool:
-    """Return whether the spool of a channel has a lag."""
+def has_lag(channel: Channel) -> bool:
+    """Return whether structure or spool of a channel have a lag."""
     nonlinearity = channel.benchmark.nonlinearity
+    if lag_index(channel.benchmark) is not None:
+        return True
     return nonlinearity is not None and float(nonlinearity.named("spool_lag")[0]) > LEAST_LAG_S
 
 
@@ -115,8 +130,10 @@ def _changed_uncertainty(
     uncertainty: Uncertainty, channel: Channel, changes: Changes, band_factor: float
 ) -> Uncertainty:
     """Return estimates and bands of the changed parameters."""
-    estimates = uncertainty.benchmark
-    for number, name in ((GAIN, channel.benchmark.structure.gain), (SPOOL_LAG, NAMES[SPOOL_LAG])):
+    benchmark, estimates = channel.benchmark, uncertainty.benchmark
+    lag = lag_index(benchmark)
+    lag_name = "spool_lag" if lag is None else benchmark.structure.parameters[lag].name
+    for number, name in ((GAIN, benchmark.structure.gain), (LAG, lag_name)):
         estimates = estimates.scaled(name, float(np.exp(changes[number])))
     bands = uncertainty.bands
     changed = None if bands is None else _changed_bands(bands, channel, changes, band_factor)

@@ -16,7 +16,7 @@ class AdaptationSettings:
     Shares of the command refer to the largest effective command of the identification tests.
 
     Attributes:
-        parameters: that may move: `gain`, `dead_zone`, `spool_lag`.
+        parameters: that may move: `gain`, `dead_zone`, `lag`.
         window: strokes of a direction that are fitted together.
         largest_gain: largest change of the gain since the identification, relative.
         largest_dead_zone: largest change of the dead zone, share of the command; at most 0.15 A.
@@ -35,7 +35,7 @@ class AdaptationSettings:
         coverage: of the bands.
     """
 
-    parameters: tuple[str, ...] = ("gain", "dead_zone")
+    parameters: tuple[str, ...] = ("gain", "dead_zone", "lag")
     window: int = 8
     largest_gain: float = 0.5
     largest_dead_zone: float = 0.15
@@ -44,7 +44,7 @@ class AdaptationSettings:
     dead_zone_scatter: float = 0.004
     gain_drift: float = 0.005
     dead_zone_drift: float = 0.001
-    evidence: float = 1000.0
+    evidence: float = 100.0
     improvement: float = 0.05
     patience: int = 6
     shortest_travel: float = 0.04

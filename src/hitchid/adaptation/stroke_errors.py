@@ -1,4 +1,4 @@
-"""Errors of strokes in free run, standardised by the load filter: squares, gradient and curvature."""
+"""Errors of strokes in free run: squares, gradient and curvature in the changes of the parameters."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 from scipy.special import ndtri
 
 from hitchid._support.precision import double_precision
@@ -21,30 +21,42 @@ from hitchid.model.bands import Bands
 from hitchid.model.ensemble import perturbed_channel
 from hitchid.structures import Batch
 
+PIECES = 10  # of a stroke, whose errors are taken as independent of each other; chosen
 SAMPLES = 1024  # of a stroke on the clock of these errors; a power of two as in identification; chosen
 
 
 @short_repr
 class StrokeFit(NamedTuple):
-    """Standardised errors r of one stroke to second order in the changes θ.
+    """Errors of one stroke in free run to second order in the changes θ, summed over independent pieces.
+
+    With errors e(k), slopes J = ∂ŷ/∂θ and n samples that count the sums are (m/n) Σ e², (m/n) Jᵀe and
+    (m/n) JᵀJ: errors of neighbouring samples are alike, so that a stroke counts as m = 10 pieces.
 
     Attributes:
         at: θ, shape [3].
-        squares: rᵀr; that of errors as the model expects is `samples`.
-        gradient: −Jᵀr, J = ∂r/∂θ: the direction of descent, shape [3].
-        information: JᵀJ, shape [3, 3].
-        samples: that count.
+        squares: sum of the squared errors, in the displacement's unit squared.
+        gradient: direction of descent, shape [3].
+        information: curvature, shape [3, 3].
+        travel: of the simulated displacement, in its unit.
     """
 
     at: Float[np.ndarray, "3"]
     squares: float
     gradient: Float[np.ndarray, "3"]
     information: Float[np.ndarray, "3 3"]
-    samples: int
+    travel: float
+
+    def over(self, variance: float) -> "StrokeFit":
+        """Return the sums of errors in standard deviations: over their variance."""
+        return self._replace(
+            squares=self.squares / variance,
+            gradient=self.gradient / variance,
+            information=self.information / variance,
+        )
 
     @property
     def speed_error(self) -> float:
-        """How much faster the stroke is than the model, in standard deviations of strokes as identified."""
+        """How much faster the stroke is than the model, in standard deviations, of standardised sums."""
         return float(self.gradient[0] / np.sqrt(max(self.information[0, 0], np.finfo(float).tiny)))
 
 
@@ -107,12 +119,12 @@ class StrokeErrors:
 
     @double_precision
     def fits(self, strokes: Sequence[Stroke], changes: Changes) -> list[StrokeFit]:
-        """Return the standardised errors of strokes at changes of the parameters, to second order."""
+        """Return the errors of strokes at changes of the parameters, to second order."""
         at = np.asarray(changes, float)
         rows = _fits(self.channel, self.batch(strokes), jnp.asarray(at))
-        squares, gradients, information, counts = map(np.asarray, rows)
+        squares, gradients, information, travels = map(np.asarray, rows)
         return [
-            StrokeFit(at, float(squares[n]), gradients[n], information[n], int(counts[n]))
+            StrokeFit(at, float(squares[n]), gradients[n], information[n], float(travels[n]))
             for n in range(len(strokes))
         ]
 
@@ -173,7 +185,7 @@ class StrokeErrors:
 
 @short_repr
 class StrokeRuns(NamedTuple):
-    """Free runs of one stroke at M changes of the parameters, standardised as the first of them is.
+    """Free runs of one stroke at M changes of the parameters.
 
     Attributes:
         changes: of the parameters, shape [M, 3].
@@ -197,14 +209,20 @@ class StrokeRuns(NamedTuple):
         """Mean square error of each run, shape [M]."""
         return np.sum(self.errors**2, axis=1) / max(int(self.measured.sum()), 1)
 
+    def share_left(self, number: int) -> float:
+        """Return the root mean square error of one run, over its travel."""
+        travel = float(np.ptp(self.displacement[number][self.measured]))
+        return float(np.sqrt(self.mean_squares[number])) / max(travel, np.finfo(float).tiny)
+
     def fit(self, number: int) -> StrokeFit:
-        """Return the standardised errors of one run, with the slopes of the first."""
+        """Return the errors of one run, with the slopes of the first."""
+        travel = float(np.ptp(self.displacement[0][self.measured]))
         return StrokeFit(
             self.changes[number],
             float(self.squares[number]),
             self.gradients[number],
             self.information,
-            int(self.measured.sum()),
+            travel,
         )
 
 
@@ -221,58 +239,33 @@ def _simulated(channel: Channel, batch: Batch, changes: Float[Array, "3"]) -> Fl
     return changed.simulate(batch.with_dead_zones(batch.dead_zone + changes[DEAD_ZONE]))
 
 
-class _Sums(NamedTuple):
-    """Squares, gradients and information of T strokes, and the number of samples of each."""
-
-    squares: Float[Array, " t"]
-    gradients: Float[Array, "t 3"]
-    information: Float[Array, "t 3 3"]
-    samples: Int[Array, " t"]
-
-
 @eqx.filter_jit
-def _fits(channel: Channel, batch: Batch, changes: Float[Array, "3"]) -> _Sums:
+def _fits(channel: Channel, batch: Batch, changes: Float[Array, "3"]) -> tuple[Array, Array, Array, Array]:
+    """Return squares, gradients, curvatures and travels of T strokes, as in `StrokeFit`."""
     simulate = partial(_simulated, channel, batch)
-    simulated, slopes = simulate(changes), jax.jacfwd(simulate)(changes)
-    errors = batch.displacement - simulated
-    error, slope = _standardised(channel, batch, simulated, errors[None], slopes)
-    return _Sums(
-        jnp.sum(error[0] ** 2, axis=0),
-        jnp.einsum("knt,nt->tk", slope, error[0]),
-        jnp.einsum("knt,lnt->tkl", slope, slope),
-        jnp.sum(batch.loss_mask, axis=1),
+    simulated, mask = simulate(changes), batch.loss_mask
+    slopes = jnp.where(mask[..., None], jax.jacfwd(simulate)(changes), 0.0)
+    errors = jnp.where(mask, batch.displacement - simulated, 0.0)
+    weight = PIECES / jnp.maximum(jnp.sum(mask, axis=1), 1)
+    moved = jnp.where(mask, simulated - batch.initial[:, None], 0.0)
+    return (
+        weight * jnp.sum(errors**2, axis=1),
+        weight[:, None] * jnp.einsum("tnk,tn->tk", slopes, errors),
+        weight[:, None, None] * jnp.einsum("tnk,tnl->tkl", slopes, slopes),
+        jnp.max(moved, axis=1) - jnp.min(moved, axis=1),
     )
 
 
 @eqx.filter_jit
 def _runs(channel: Channel, batch: Batch, changes: Float[Array, "m 3"]) -> tuple[Array, ...]:
+    """Return displacements, errors, squares, gradients, curvature and mask; see `StrokeRuns`."""
     simulate = partial(_simulated, channel, batch)
-    simulated, slopes = jax.vmap(simulate)(changes), jax.jacfwd(simulate)(changes[0])
-    errors = jnp.where(batch.loss_mask, batch.displacement - simulated, 0.0)
-    error, slope = (rows[..., 0] for rows in _standardised(channel, batch, simulated[0], errors, slopes))
-    return (
-        simulated[:, 0],
-        errors[:, 0],
-        jnp.sum(error**2, axis=1),
-        error @ slope.T,
-        slope @ slope.T,
-        batch.loss_mask[0],
-    )
-
-
-def _standardised(
-    channel: Channel,
-    batch: Batch,
-    simulated: Float[Array, "t n"],
-    errors: Float[Array, "m t n"],
-    slopes: Float[Array, "t n 3"],
-) -> tuple[Float[Array, "m n t"], Float[Array, "3 n t"]]:
-    """Return errors and slopes as innovations of the load filter."""
-    sets = jnp.concatenate([errors, jnp.moveaxis(slopes, -1, 0)])
-    innovations = channel.load_filter.innovations(
-        simulated.T, jnp.swapaxes(sets, 1, 2), batch.loss_mask.T, batch.step_s
-    )
-    return innovations[: len(errors)], innovations[len(errors) :]
+    simulated, mask = jax.vmap(simulate)(changes)[:, 0], batch.loss_mask[0]
+    slopes = jnp.where(mask[:, None], jax.jacfwd(simulate)(changes[0])[0], 0.0)
+    errors = jnp.where(mask, batch.displacement[0] - simulated, 0.0)
+    weight = PIECES / jnp.maximum(jnp.sum(mask), 1)
+    squares = weight * jnp.sum(errors**2, axis=1)
+    return simulated, errors, squares, weight * errors @ slopes, weight * slopes.T @ slopes, mask
 
 
 @eqx.filter_jit

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from hitchid._support.precision import double_precision
 from hitchid._support.short_repr import short_repr
@@ -131,11 +131,14 @@ class LoadFilter(eqx.Module):
                 jnp.where(is_jump, 0.0, transient),
             ]
         )
+        offset, load, transient = gain
+        kept = [[1 - offset, 0.0, -offset], [-load, 1.0, -load], [-transient, 0.0, 1 - transient]]
+        added = [[self.noise**2 * row * column for column in gain] for row in gain]
         mean = [
             part + gain_of_part * error
-            for part, gain_of_part in zip(_product(_kept(gain), estimate.mean), gain, strict=True)
+            for part, gain_of_part in zip(_product(kept, estimate.mean), gain, strict=True)
         ]
-        return ErrorEstimate(jnp.stack(mean), _corrected(estimate.covariance, gain, self.noise), gain)
+        return ErrorEstimate(jnp.stack(mean), _transformed(estimate.covariance, kept, added), gain)
 
     def advance(self, estimate: ErrorEstimate, increment: Float[Array, "*b"], step_s: Time) -> ErrorEstimate:
         """Return the estimate at the next sample.
@@ -145,8 +148,9 @@ class LoadFilter(eqx.Module):
             increment: Δy_b, in the displacement's unit.
             step_s: sampling time, s.
         """
-        transition = self._transition(increment, step_s)
-        load_kept, transient_kept = transition[LOAD][LOAD], transition[TRANSIENT][TRANSIENT]
+        load_kept = jnp.exp(-jnp.abs(increment) / self.load_length)
+        transient_kept = jnp.exp(-step_s / self.transient_time)
+        transition = [[1.0, increment, 0.0], [0.0, load_kept, 0.0], [0.0, 0.0, transient_kept]]
         disturbances = [
             self.drift**2 * step_s,
             (1 - load_kept**2) * self.load_scatter**2,
@@ -157,11 +161,6 @@ class LoadFilter(eqx.Module):
             mean=jnp.stack(_product(transition, estimate.mean)),
             covariance=_transformed(estimate.covariance, transition, added),
         )
-
-    def _transition(self, increment: Float[Array, "*b"], step_s: Time) -> Matrix:
-        load_kept = jnp.exp(-jnp.abs(increment) / self.load_length)
-        transient_kept = jnp.exp(-step_s / self.transient_time)
-        return [[1.0, increment, 0.0], [0.0, load_kept, 0.0], [0.0, 0.0, transient_kept]]
 
     def estimates(
         self, benchmark: Float[Array, "n *t"], displacement: Float[Array, "n *t"], step_s: Time
@@ -183,42 +182,6 @@ class LoadFilter(eqx.Module):
         first = self.init_estimate(benchmark[0], step_s)
         _, (before, after) = jax.lax.scan(advance, first, (displacement - benchmark, increments))
         return _states_first(before), _states_first(after)
-
-    def innovations(
-        self,
-        benchmark: Float[Array, "n *t"],
-        errors: Float[Array, "e n *t"],
-        measured: Bool[Array, "n *t"],
-        step_s: Time,
-    ) -> Float[Array, "e n *t"]:
-        """Return the standardised innovations of errors: L⁻¹ e with L Lᵀ their covariance, a linear map of e.
-
-        Of errors that are as the filter assumes they are independent and of variance one, so that
-        eᵀ(L Lᵀ)⁻¹e is their sum of squares (Kailath 1968, IEEE Trans. Autom. Control 13, 646).
-
-        Args:
-            benchmark: simulated displacement, in its unit; time runs along the first axis.
-            errors: several sets of errors, all with the gains of this benchmark, in the displacement's unit.
-            measured: samples that have an error; zero is returned for the others.
-            step_s: sampling time, s.
-        """
-        increments = jnp.diff(benchmark, axis=0, append=benchmark[-1:])
-        first = self.init_estimate(benchmark[0], step_s)
-        means = jnp.zeros((3, *errors.shape[:1], *benchmark.shape[1:]))
-
-        def advance(state: tuple[ErrorEstimate, Array], samples: tuple) -> tuple[tuple, Array]:
-            estimate, means = state
-            increment, error, is_measured = samples
-            variance = jnp.maximum(estimate.variance + self.noise**2, TINY)
-            innovation = jnp.where(is_measured, error - means[OFFSET] - means[TRANSIENT], 0.0)
-            gain = jnp.where(is_measured, estimate.seen / variance, 0.0)
-            moved = _product(self._transition(increment, step_s), means + gain[:, None] * innovation)
-            corrected = _corrected(estimate.covariance, gain, self.noise)
-            later = self.advance(estimate._replace(covariance=corrected), increment, step_s)
-            return (later, jnp.stack(moved)), innovation / jnp.sqrt(variance)
-
-        samples = (increments, jnp.moveaxis(errors, 1, 0), measured)
-        return jnp.moveaxis(jax.lax.scan(advance, (first, means), samples)[1], 0, 1)
 
     def ahead(
         self, estimates: ErrorEstimate, increments: Float[Array, "h *b"], step_s: Time
@@ -253,21 +216,6 @@ def _product(matrix: Matrix, vector: Iterable[Array]) -> list[Float[Array, "*b"]
     return [
         reduce(add, (a * x for a, x in zip(row, vector, strict=True) if not _is_zero(a))) for row in matrix
     ]
-
-
-def _kept(gain: Float[Array, "3 *b"]) -> Matrix:
-    """Return I − K h, h = (1, 0, 1)."""
-    offset, load, transient = gain
-    return [[1 - offset, 0.0, -offset], [-load, 1.0, -load], [-transient, 0.0, 1 - transient]]
-
-
-def _corrected(
-    covariance: Float[Array, "3 3 *b"], gain: Float[Array, "3 *b"], noise: Float[Array, "*c"]
-) -> Float[Array, "3 3 *b"]:
-    """Return (I − K h) P (I − K h)ᵀ + K r² Kᵀ."""
-    return _transformed(
-        covariance, _kept(gain), [[noise**2 * row * column for column in gain] for row in gain]
-    )
 
 
 def _transformed(covariance: Float[Array, "3 3 *b"], matrix: Matrix, added: Matrix) -> Float[Array, "3 3 *b"]:
