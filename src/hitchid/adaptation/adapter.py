@@ -22,7 +22,7 @@ from hitchid.model import Hitch
 from hitchid.model.loads import Load, channel_load, load_row
 from hitchid.structures.batch import REST_SAMPLES
 
-LARGEST_AT_REST = 0.02  # share of the range of the tests that a piston at rest moves within a second; chosen
+LARGEST_AT_REST = 0.05  # share of the range of the tests that a piston at rest moves within a second; chosen
 LARGEST_CREEP = 0.02  # of that for each second of a pause: an implement sinks; chosen
 UNKNOWN = (0.05, 0.02)  # relative gain, dead zone as share of the command, without estimates; chosen
 

@@ -77,6 +77,11 @@ class ChannelAdaptation:
         """Compile what a stroke needs."""
         self._errors.prepare(OWN + 2, self._settings.coverage)
 
+    def free_run_error(self, stroke: Stroke) -> float:
+        """Return the root mean square error of the channel as identified over a stroke."""
+        runs = self._errors.runs(stroke, [Changes()] * (OWN + 2))
+        return float(np.sqrt(runs.mean_squares[0]))
+
     def resumed(self, events: Sequence[Event]) -> ChannelState:
         """Return the state after the events of this channel in a change log, with nothing else learned."""
         snapshots, deployed, band = [Changes()], Changes(), BandFactor()
@@ -125,7 +130,9 @@ class ChannelAdaptation:
         """Return the state after a stroke that passed the checks."""
         before, events = state, []
         misfit = state.misfit + MISFIT_RATE * (runs.share_left(own) - state.misfit)
-        state = replace(state, misfit=misfit, band=self._covered(state, stroke, runs))
+        outside = self._share_outside(state, stroke, runs)
+        band = state.band if outside is None else state.band.advance(outside, 1 - self._settings.coverage)
+        state = replace(state, misfit=misfit, band=band)
         fits = self._scattered(state, [runs.fit(run) for run in range(OWN)])
         state = self._compared(state, runs, fits)
         for decide in (self._watched, self._judged):
@@ -135,6 +142,7 @@ class ChannelAdaptation:
         events += happened
         state, happened = self._estimated(state, stroke, number, fits[TARGET_RUN])
         figures = self._figures(state, runs, fits[TARGET_RUN])
+        figures |= {} if outside is None else {"outside": outside}
         learned = replace(self._event(LEARNED, before, stroke, number, ""), figures=figures)
         return state, [learned, *events, *happened]
 
@@ -181,12 +189,13 @@ class ChannelAdaptation:
         own = fit.at + np.where(free, np.linalg.solve(information, gradient), 0.0)
         return [start, Changes(*map(float, own))]
 
-    def _covered(self, state: ChannelState, stroke: Stroke, runs: StrokeRuns) -> BandFactor:
+    def _share_outside(self, state: ChannelState, stroke: Stroke, runs: StrokeRuns) -> float | None:
+        """Return the share of a stroke's samples outside the band of its free run; None without bands."""
         half_width = self._errors.half_width(stroke, state.deployed, self._settings.coverage)
         if half_width is None:
-            return state.band
+            return None
         outside = np.abs(runs.errors[DEPLOYED_RUN]) > half_width(state.band.factor)
-        return state.band.advance(float(outside[runs.measured].mean()), 1 - self._settings.coverage)
+        return float(outside[runs.measured].mean())
 
     def _scattered(self, state: ChannelState, fits: Sequence[StrokeFit]) -> list[StrokeFit]:
         """Return fits over the variance of their errors: of sensor, usual misfit, and each stroke's own."""
