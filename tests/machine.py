@@ -57,19 +57,30 @@ def stroke(mode=LIFTING, levels=(0.2, 0.4), *, start=100.0, seed=None, begin=RES
     return Stroke(mode, begin, REST, commands, displacement)
 
 
-def strokes(count, *, seed=0, scatter=0.0, **machine):
-    """Return strokes up and down, in turn, at levels drawn anew for each; `scatter` of the gain, relative."""
+def strokes(count, *, seed=0, scatter=0.0, changed_at=0, first=0, start=100.0, **changed):
+    """Return strokes up and down, in turn, each at two levels of its own, without a pause between them.
+
+    Args:
+        count: number of strokes.
+        seed: of levels, noise and scatter.
+        scatter: of the gain from stroke to stroke, relative.
+        changed_at: number of the first stroke of the machine as `changed` says; before it is as the model.
+        first: number of the first stroke, which tells its place in the log.
+        start: displacement before it, mm.
+        changed: factor on the gains, and A on the dead zones.
+    """
     rng = np.random.default_rng(seed)
-    found, at, begin = [], 100.0, REST
+    found, at = [], start
     for number in range(count):
         levels = rng.uniform([0.1, 0.3], [0.2, 0.45])
-        gain = machine.get("gain", 1.0) * np.exp(scatter * rng.standard_normal())
+        now = changed if number >= changed_at else {}
+        gain = now.get("gain", 1.0) * np.exp(scatter * rng.standard_normal())
         mode = DIRECTIONS[number % 2]
-        each = stroke(mode, levels, start=at, begin=begin, **{**machine, "gain": gain})
+        each = stroke(mode, levels, start=at, **{**now, "gain": gain})
         at = float(each.displacement[-1])
         noisy = each.displacement + NOISE * rng.standard_normal(each.displacement.size)
-        found.append(each._replace(displacement=noisy))
-        begin += len(noisy)
+        begin = REST + (first + number) * len(noisy)
+        found.append(each._replace(begin=begin, displacement=noisy))
     return found
 
 
