@@ -213,6 +213,23 @@ def test_a_rollback_is_gone_on_from(adapter, run):
     assert resumed.channels[LOWERING].snapshots == state.channels[LOWERING].snapshots
 
 
+@pytest.mark.parametrize("seed", [7, 11])
+def test_a_promotion_that_loses_is_rolled_back_within_one_stroke(adapter, seed):
+    strokes = machine.strokes(20, seed=seed, scatter=SCATTER, changed_at=8, gain=1.15)
+    states, happened = learned(adapter, strokes)
+    at = kinds(happened, PROMOTED)[0].stroke
+    mode = strokes[at - 1].direction
+    assert states[at - 1].changes[mode] == Changes()
+    before, state = states[at - 1].changes, states[at]
+    assert state.changes[mode] != before[mode]
+    again = machine.strokes(3, seed=seed + 1, scatter=SCATTER)[DIRECTIONS.index(mode)]
+    state, events = adapter.learn(state, again)
+    (event,) = kinds([events], ROLLED_BACK)
+    assert (event.direction, event.reason) == (mode, "the model before the last promotion is better")
+    assert state.changes[mode] == before[mode]
+    assert adapter.adapted(state).channels[mode] == MODEL.channels[mode]
+
+
 def test_a_machine_that_changes_back_is_followed_back(adapter, run):
     states, _ = run
     back = machine.strokes(10, seed=9, scatter=SCATTER, first=len(CHANGED), start=CHANGED[-1].displacement[-1])
