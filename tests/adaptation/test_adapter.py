@@ -1,4 +1,4 @@
-"""Adaptation stroke by stroke: it follows a machine that changes, within bounds, and can be undone and redone."""
+"""Adaptation stroke by stroke: a machine that changes is followed, within bounds; undone, and done again."""
 
 from dataclasses import asdict
 
@@ -108,7 +108,10 @@ def assert_within(states, happened, limits):
         ]
         steps = np.abs(np.diff(changes, axis=0))[~np.array(back, bool)]
         assert np.all(steps <= step + rounding)
-        assert np.all(np.abs(np.expm1(np.diff(changes[:, 0])))[~np.array(back, bool)] <= limits.change_per_stroke + rounding)
+        assert np.all(
+            np.abs(np.expm1(np.diff(changes[:, 0])))[~np.array(back, bool)]
+            <= limits.change_per_stroke + rounding
+        )
 
 
 PIECES = st.lists(
@@ -131,9 +134,7 @@ def test_it_never_goes_beyond_its_bounds_whatever_the_strokes_are(pieces, limits
 
 @pytest.mark.parametrize("gain", [0.93, 1.08])
 def test_bounds_are_reached_in_small_steps(gain):
-    states, happened = learned(
-        Adapter(MODEL, TIGHT), machine.strokes(16, seed=3, gain=gain)
-    )
+    states, happened = learned(Adapter(MODEL, TIGHT), machine.strokes(16, seed=3, gain=gain))
     assert kinds(happened, PROMOTED)
     assert len(kinds(happened, MOVED)) > 4
     assert_within(states, happened, TIGHT)
@@ -147,7 +148,8 @@ def test_a_promotion_is_proved_on_strokes_that_came_after_the_candidate(run):
     assert {event.direction for event in promoted} == set(DIRECTIONS)
     for event in promoted:
         (candidate,) = (
-            each for each in kinds(happened, CANDIDATE)
+            each
+            for each in kinds(happened, CANDIDATE)
             if each.changes == event.changes and each.direction == event.direction
         )
         assert candidate.stroke < event.stroke
@@ -232,8 +234,10 @@ def test_a_promotion_that_loses_is_rolled_back_within_one_stroke(adapter, seed):
 
 def test_a_machine_that_changes_back_is_followed_back(adapter, run):
     states, _ = run
-    back = machine.strokes(10, seed=9, scatter=SCATTER, first=len(CHANGED), start=CHANGED[-1].displacement[-1])
-    later, happened = learned(adapter, back, states[-1])
+    back = machine.strokes(
+        10, seed=9, scatter=SCATTER, first=len(CHANGED), start=CHANGED[-1].displacement[-1]
+    )
+    later, _ = learned(adapter, back, states[-1])
     for found in gains(later[-1]).values():
         assert found == pytest.approx(1.0, rel=3 * SCATTER)
 

@@ -108,7 +108,9 @@ def test_ensembles_and_bands_follow():
         bands, before = changed.bands[mode], MODEL.bands[mode]
         (member,) = bands.ensemble
         benchmark = np.array(changed.channels[mode].benchmark.parameter_vector)
-        np.testing.assert_allclose(member.benchmark, benchmark * [FASTER, *np.ones(benchmark.size - 1)], rtol=1e-15)
+        np.testing.assert_allclose(
+            member.benchmark, benchmark * [FASTER, *np.ones(benchmark.size - 1)], rtol=1e-15
+        )
         np.testing.assert_allclose(bands.free_run, factor * np.array(before.free_run), rtol=1e-15)
         np.testing.assert_allclose(
             bands.predictions.multipliers, factor * np.array(before.predictions.multipliers), rtol=1e-15
@@ -157,5 +159,7 @@ def test_a_structure_without_a_gain_behind_a_dead_zone_is_refused():
     tanks = structure_named("cascaded-tanks")
     benchmark = PhysicalModel(tanks, jnp.array([0.1, 0.1, 0.1, 5.0]), jnp.zeros(()))
     model = handmade.hitch_of(replace(handmade.channel(LIFTING), benchmark=benchmark))
-    with pytest.raises(InputError, match=r"^lifting: structure 'cascaded-tanks' has no gain behind a dead zone"):
+    with pytest.raises(
+        InputError, match=r"^lifting: structure 'cascaded-tanks' has no gain behind a dead zone"
+    ):
         Adapter(model, AdaptationSettings())

@@ -148,11 +148,11 @@ def test_what_is_not_free_stays_and_the_rest_is_fitted_beside_it(free):
     free = np.array(free)
     _, measured, slopes = linear_strokes(seed=4)
     prior = Estimate(PRIOR.mean, np.diag([1.0, 0.8, 0.5]))
-    latest, _ = window_estimate(
-        linear_fits_at(measured, slopes), prior, np.zeros((3, 3)), lambda fits: free
-    )
+    latest, _ = window_estimate(linear_fits_at(measured, slopes), prior, np.zeros((3, 3)), lambda fits: free)
     np.testing.assert_array_equal(latest.mean[~free], prior.mean[~free])
-    np.testing.assert_allclose(np.diag(latest.covariance)[~free], np.diag(prior.covariance)[~free], rtol=1e-12)
+    np.testing.assert_allclose(
+        np.diag(latest.covariance)[~free], np.diag(prior.covariance)[~free], rtol=1e-12
+    )
     rows = slopes.reshape(-1, 3)
     rest = measured.ravel() - rows[:, ~free] @ prior.mean[~free]
     weight = np.linalg.inv(prior.covariance)[np.ix_(free, free)]

@@ -36,7 +36,9 @@ def stuck_for_a_while(stroke):
 
 
 def jumped(stroke):
-    return with_displacement(stroke, stroke.displacement + 10.0 * (np.arange(len(stroke.displacement)) >= DURING))
+    return with_displacement(
+        stroke, stroke.displacement + 10.0 * (np.arange(len(stroke.displacement)) >= DURING)
+    )
 
 
 def swapped(stroke):

@@ -109,7 +109,9 @@ def test_strokes_are_on_a_clock_on_which_the_longest_has_its_place(errors_of):
     assert batch.command.shape == (WINDOW, SAMPLES)
     used = len(stroke.displacement) // FACTOR
     command = np.asarray(batch.raw_command)[0]
-    np.testing.assert_allclose(command[:used], stroke.commands[:, 0].reshape(-1, FACTOR).mean(axis=1), rtol=1e-15)
+    np.testing.assert_allclose(
+        command[:used], stroke.commands[:, 0].reshape(-1, FACTOR).mean(axis=1), rtol=1e-15
+    )
     np.testing.assert_array_equal(np.asarray(batch.displacement)[0, :used], stroke.displacement[::FACTOR])
     assert np.asarray(batch.valid)[0].sum() == used
     assert float(batch.initial[0]) == pytest.approx(stroke.displacement[: REST + 1].mean(), rel=1e-12)
@@ -176,7 +178,8 @@ def test_bands_of_a_free_run_are_as_wide_as_those_of_the_model():
         # The only member of the ensemble is a tenth faster.
         spread = factor * bands.multiplier(0.9) * (handmade.FASTER - 1) * travel
         np.testing.assert_allclose(half_width(factor), np.hypot(floor, spread), rtol=1e-9)
-    assert StrokeErrors(MODEL.channels[LIFTING], STEP_S, np.zeros(0), WINDOW).half_width(
-        stroke, Changes(), 0.9
-    ) is None
-    assert NOISE == bands.noise
+    assert (
+        StrokeErrors(MODEL.channels[LIFTING], STEP_S, np.zeros(0), WINDOW).half_width(stroke, Changes(), 0.9)
+        is None
+    )
+    assert bands.noise == NOISE

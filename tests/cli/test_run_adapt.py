@@ -58,9 +58,7 @@ def run(*arguments, heard=""):
 
 def test_it_learns_writes_what_and_saves_the_model(folder, tmp_path, make_record):
     changes, saved = tmp_path / "changes.jsonl", tmp_path / "saved"
-    code, answers, said = run(
-        folder, "--adapt", "--changes", changes, "--save", saved, heard=lines(STROKES)
-    )
+    code, answers, said = run(folder, "--adapt", "--changes", changes, "--save", saved, heard=lines(STROKES))
     assert (code, said) == (0, "ready\n")
     assert len(answers) == len(STROKES) * SAMPLES
     commands, displacement = machine.stream(STROKES)
@@ -89,9 +87,7 @@ def test_it_goes_on_from_a_change_log(folder, tmp_path):
     ]
     text = "".join(event.to_json() + "\n" for event in earlier)
     changes.write_text(text)
-    code, answers, _ = run(
-        folder, "--adapt", "--changes", changes, "--save", saved, heard=lines(STROKES[:2])
-    )
+    code, answers, _ = run(folder, "--adapt", "--changes", changes, "--save", saved, heard=lines(STROKES[:2]))
     assert code == 0
     assert changes.read_text().startswith(text)
     later = read_events(changes)[2:]

@@ -1,4 +1,4 @@
-"""A hitch in a loop whose numbers are exchanged, against models that have had these numbers from the start."""
+"""A hitch in a loop whose numbers are exchanged, against models that have them from the start."""
 
 from dataclasses import replace
 

@@ -240,7 +240,9 @@ def test_innovations_of_several_strokes_at_once_are_those_of_each():
         each = innovations_of(
             known, benchmark[:, number], errors[..., number], measured[:, number], step_s=STEP_S
         )
-        np.testing.assert_allclose(both[..., number], each, rtol=0, atol=float(jnp.abs(each).max()) * ROUNDING)
+        np.testing.assert_allclose(
+            both[..., number], each, rtol=0, atol=float(jnp.abs(each).max()) * ROUNDING
+        )
 
 
 @settings(max_examples=25, deadline=None)

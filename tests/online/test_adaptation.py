@@ -8,7 +8,7 @@ import pytest
 
 import handmade
 import machine
-from hitchid.adaptation import Adapter, AdaptationSettings, Changes, changed_model
+from hitchid.adaptation import AdaptationSettings, Adapter, Changes, changed_model
 from hitchid.adaptation.events import FAULT, LEARNED, PROMOTED, ROLLED_BACK
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError
@@ -91,7 +91,9 @@ def test_a_running_model_follows_and_stays_as_it_is_where_learning_ends(replayed
         flags += answer.flags
     # The answer to the last stroke may have been on its way.
     faults = [event for event in events[before:] if event.kind == FAULT]
-    assert [event.reason for event in faults] == ["the process that learns has ended; the model stays as it is"]
+    assert [event.reason for event in faults] == [
+        "the process that learns has ended; the model stays as it is"
+    ]
     assert flags.count("fault: the process that learns has ended; the model stays as it is") == 1
     assert adaptation.changes == changes
     assert adaptation.finish() == ()
