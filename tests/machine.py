@@ -13,7 +13,7 @@ from hitchid.adaptation import Stroke
 from hitchid.data.record import LIFTING, LOWERING
 
 FILTER = handmade.LOAD_FILTERS[LIFTING]
-COVERED = handmade.envelope(displacement=(0.0, 200.0))
+COVERED = handmade.envelope(displacement=(40.0, 160.0))
 
 
 def model(**options):
@@ -57,7 +57,7 @@ def stroke(mode=LIFTING, levels=(0.2, 0.4), *, start=100.0, seed=None, begin=RES
     return Stroke(mode, begin, REST, commands, displacement)
 
 
-def strokes(count, *, seed=0, scatter=0.0, changed_at=0, first=0, start=100.0, **changed):
+def strokes(count, *, seed=0, scatter=0.0, changed_at=0, first=0, start=100.0, samples=100, **changed):
     """Return strokes up and down, in turn, each at two levels of its own, without a pause between them.
 
     Args:
@@ -67,6 +67,7 @@ def strokes(count, *, seed=0, scatter=0.0, changed_at=0, first=0, start=100.0, *
         changed_at: number of the first stroke of the machine as `changed` says; before it is as the model.
         first: number of the first stroke, which tells its place in the log.
         start: displacement before it, mm.
+        samples: of each level.
         changed: factor on the gains, and A on the dead zones.
     """
     rng = np.random.default_rng(seed)
@@ -76,7 +77,7 @@ def strokes(count, *, seed=0, scatter=0.0, changed_at=0, first=0, start=100.0, *
         now = changed if number >= changed_at else {}
         gain = now.get("gain", 1.0) * np.exp(scatter * rng.standard_normal())
         mode = DIRECTIONS[number % 2]
-        each = stroke(mode, levels, start=at, **{**now, "gain": gain})
+        each = stroke(mode, levels, start=at, samples=samples, **{**now, "gain": gain})
         at = float(each.displacement[-1])
         noisy = each.displacement + NOISE * rng.standard_normal(each.displacement.size)
         begin = REST + (first + number) * len(noisy)

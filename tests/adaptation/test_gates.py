@@ -134,7 +134,7 @@ def test_few_missing_samples_are_learned_from(adapter):
 
 @pytest.mark.parametrize("mode", DIRECTIONS)
 def test_a_short_travel_is_refused(adapter, mode):
-    shortest = AdaptationSettings().shortest_travel * 200.0
+    shortest = AdaptationSettings().shortest_travel * 120.0
     for share, reason in ((0.9, "the travel is too short: "), (1.1, "")):
         samples = round(share * shortest / (0.2 * GAINS[mode] * STEP_S))
         found = refusal(adapter, machine.stroke(mode, [0.2], samples=samples))

@@ -15,7 +15,7 @@ from hitchid.errors import HitchError
 from hitchid.model import load, save
 from machine import STEP_S
 
-STROKES = machine.strokes(8, seed=7, scatter=0.015, changed_at=2, gain=1.15)
+STROKES = machine.strokes(8, seed=7, scatter=0.015, changed_at=2, samples=60, gain=1.15)
 SAMPLES = len(STROKES[0].displacement)
 EARLIER = Changes(0.05, 0.01, 0.0)
 
@@ -98,7 +98,7 @@ def test_it_goes_on_from_a_change_log(folder, tmp_path):
     assert load(saved).provenance.adapted[LOWERING]["gain"] == EARLIER.gain
     # From the first sample on the model is that of the log.
     model = changed_model(machine.MODEL, {LOWERING: EARLIER})
-    last = SAMPLES + 100
+    last = SAMPLES + 80
     commands, displacement = machine.stream(STROKES[:2])
     state = model.init_state(float(displacement[0]))
     for command, measured in zip(commands[:last], displacement[:last], strict=True):

@@ -9,7 +9,7 @@ import pytest
 import handmade
 import machine
 from hitchid.adaptation import AdaptationSettings, Adapter, Changes, changed_model
-from hitchid.adaptation.events import FAULT, LEARNED, PROMOTED, ROLLED_BACK
+from hitchid.adaptation.events import FAULT, PROMOTED, ROLLED_BACK
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError
 from hitchid.online import OnlineAdaptation
@@ -18,7 +18,7 @@ from hitchid.online.live import Live
 from machine import DIRECTIONS, STEP_S
 
 MODEL = handmade.with_bands(machine.MODEL, *DIRECTIONS)
-STROKES = machine.strokes(16, seed=7, scatter=0.015, changed_at=6, gain=1.15)
+STROKES = machine.strokes(10, seed=7, scatter=0.015, changed_at=2, samples=60, gain=1.15)
 COMMANDS, DISPLACEMENT = machine.stream(STROKES)
 
 
@@ -65,15 +65,15 @@ def test_a_running_model_follows_and_stays_as_it_is_where_learning_ends(replayed
     events = []
     adaptation = OnlineAdaptation(MODEL, log=events.append)
     live, frozen = Live(MODEL, adaptation=adaptation), Live(MODEL)
-    learned_from = 14 * len(STROKES[0].displacement)
+    learned_from = 8 * len(STROKES[0].displacement)
     for number in range(learned_from):
-        answer, expected = live.process(line(number)), frozen.process(line(number))
+        answer = live.process(line(number))
         assert math.isfinite(answer.displacement)
-        assert (answer.mode, answer.time_s) == (expected.mode, expected.time_s)
-        if not events or all(event.kind == LEARNED for event in events):
+        if not adaptation.changes[LIFTING].gain and not adaptation.changes[LOWERING].gain:
             # The same numbers, in a program of their own.
+            expected = frozen.process(line(number))
+            assert (answer.mode, answer.time_s) == (expected.mode, expected.time_s)
             assert answer.displacement == pytest.approx(expected.displacement, rel=1e-12)
-            assert answer.flags == expected.flags
     assert [event.to_json() for event in events] == [
         event.to_json() for event in replayed.events[: len(events)]
     ]
@@ -100,7 +100,7 @@ def test_a_running_model_follows_and_stays_as_it_is_where_learning_ends(replayed
 
 
 def test_a_model_that_follows_predicts_better_than_one_that_does_not(replayed):
-    late = slice(14 * len(STROKES[0].displacement), None)
+    late = slice(8 * len(STROKES[0].displacement), None)
     commands, measured = COMMANDS[late], DISPLACEMENT[late]
     errors = [
         np.std(model.simulate(commands, step_s=STEP_S, initial=float(measured[0])).displacement - measured)
