@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import machine
-from hitchid.adaptation import AdaptationSettings, Adapter
-from hitchid.adaptation.events import LEARNED, REFUSED
-from hitchid.data.record import LIFTING
+from hitchid.adaptation import AdaptationSettings, Adapter, StrokeCutter
+from hitchid.adaptation.events import FAULT, LEARNED, REFUSED
+from hitchid.data.record import LIFTING, LOWERING
 from hitchid.model.limits import TravelLimits
 from machine import DIRECTIONS, GAINS, MODEL, REST, STEP_S
 
@@ -192,6 +192,34 @@ def test_a_stroke_of_both_commands_is_refused(adapter):
     assert state.changes == adapter.initial_state().changes
 
 
+def faults(adapter, strokes):
+    """Return the faults of strokes of both valves, which tell nothing but where the piston rests."""
+    state, found = adapter.initial_state(), []
+    for stroke in strokes:
+        state, events = adapter.learn(state, stroke._replace(direction=""))
+        found += [event for event in events if event.kind == FAULT]
+    return found
+
+
+def test_after_a_stroke_that_goes_on_beyond_what_is_kept_of_it_nothing_is_a_fault(adapter):
+    commands = np.concatenate([machine.command(LIFTING, [0.1], 2600), machine.command(LOWERING, [0.4])])
+    displacement = machine.moved(50.0, commands)
+    strokes = StrokeCutter(MODEL).feed(commands, displacement)
+    assert [len(stroke.displacement) for stroke in strokes] == [2000, 50 + 100 + machine.SETTLED]
+    assert faults(adapter, strokes) == []
+
+
+def test_at_a_slow_sampling_time_what_is_before_rest_is_no_fault():
+    slow = Adapter(replace(MODEL, step_s=0.1), AdaptationSettings())
+    commands = np.concatenate(
+        [machine.command(mode, [0.5], 20, rest=10, settled=3) for mode in (*DIRECTIONS, *DIRECTIONS)]
+    )
+    displacement = 100.0 + 10 * (machine.moved(100.0, commands) - 100.0)
+    strokes = StrokeCutter(slow.model).feed(commands, displacement)
+    assert len(strokes) == 4
+    assert faults(slow, strokes) == []
+
+
 def test_a_sensor_that_jumps_at_rest_is_a_fault(adapter):
     first = machine.stroke(seed=1)
     state, _ = adapter.learn(adapter.initial_state(), first)
@@ -199,4 +227,4 @@ def test_a_sensor_that_jumps_at_rest_is_a_fault(adapter):
     for jump, said in ((10.0, True), (0.0, False)):
         again = machine.stroke(start=after + jump, seed=2, begin=first.end + REST)
         _, events = adapter.learn(state, again)
-        assert any(event.kind == "fault" and f"{jump:+.1f}"[:2] in event.reason for event in events) == said
+        assert any(event.kind == FAULT and f"{jump:+.1f}"[:2] in event.reason for event in events) == said
