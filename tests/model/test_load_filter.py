@@ -176,3 +176,98 @@ def test_a_million_samples_with_gaps_leave_a_definite_covariance():
     assert float(smallest) > 0
     assert float(largest) < 1
     assert np.all(np.isfinite(np.asarray(estimate.mean)))
+
+
+ERRORS = 5  # sets of errors
+innovations_of = jax.jit(LoadFilter.innovations, static_argnames="step_s")
+
+
+def gaps(seed=0):
+    """Return which samples have an error: four fifths of them, and neither the first nor the last."""
+    measured = np.random.default_rng(seed).uniform(size=SAMPLES) < 0.8
+    measured[[0, -1]] = False
+    return measured
+
+
+@pytest.mark.parametrize("measured", [np.ones(SAMPLES, bool), gaps()], ids=["all", "with gaps"])
+@double_precision
+def test_innovations_are_the_errors_by_the_inverse_of_the_factor_of_their_covariance(measured):
+    known, (benchmark, _) = load_filter(), stroke()
+    errors = 0.1 * np.random.default_rng(4).standard_normal((ERRORS, SAMPLES))
+    among = joint(known, benchmark)[np.ix_(measured, measured)]
+    among = among + float(known.noise) ** 2 * np.eye(len(among))
+    expected = np.zeros_like(errors)
+    expected[:, measured] = np.linalg.solve(np.linalg.cholesky(among), errors[:, measured].T).T
+    found = innovations_of(known, benchmark, errors, measured, step_s=STEP_S)
+    rounding = np.linalg.cond(among) * ROUNDING
+    np.testing.assert_allclose(found, expected, rtol=0, atol=rounding)
+    squares = np.einsum("en,en->e", errors[:, measured], np.linalg.solve(among, errors[:, measured].T).T)
+    np.testing.assert_allclose(np.sum(np.square(found), axis=1), squares, rtol=rounding)
+
+
+@double_precision
+def test_innovations_are_a_linear_map_that_what_is_missing_has_no_part_in():
+    known, (benchmark, _), measured = load_filter(), stroke(), gaps(1)
+    one, other = np.random.default_rng(5).standard_normal((2, SAMPLES))
+    sets = np.stack([one, other, 3 * one - 2 * other, np.where(measured, one, 1e6), 0 * one])
+    found = np.asarray(innovations_of(known, benchmark, sets, measured, step_s=STEP_S))
+    scale = float(np.abs(found).max())
+    np.testing.assert_allclose(found[2], 3 * found[0] - 2 * found[1], rtol=0, atol=scale * ROUNDING)
+    np.testing.assert_array_equal(found[3], found[0])
+    np.testing.assert_array_equal(found[4], 0.0)
+    assert np.all(found[:, ~measured] == 0.0)
+
+
+@double_precision
+def test_innovations_of_errors_as_the_filter_assumes_them_are_white():
+    known, (benchmark, _) = load_filter(), stroke()
+    among = joint(known, benchmark) + float(known.noise) ** 2 * np.eye(SAMPLES)
+    draws = 4000
+    errors = np.random.default_rng(6).standard_normal((draws, SAMPLES)) @ np.linalg.cholesky(among).T
+    measured = np.ones(SAMPLES, bool)
+    found = np.asarray(innovations_of(known, benchmark, errors, measured, step_s=STEP_S))
+    # The largest of 40² entries of a sample covariance, each of standard deviation √(2/4000) or less.
+    np.testing.assert_allclose(found.T @ found / draws, np.eye(SAMPLES), rtol=0, atol=5 * np.sqrt(2 / draws))
+
+
+@double_precision
+def test_innovations_of_several_strokes_at_once_are_those_of_each():
+    known, measured = load_filter(), np.stack([gaps(2), np.ones(SAMPLES, bool)], axis=1)
+    benchmark = np.stack([stroke(7)[0], stroke(8)[0]], axis=1)
+    errors = np.random.default_rng(9).standard_normal((ERRORS, SAMPLES, 2))
+    both = innovations_of(known, benchmark, errors, measured, step_s=STEP_S)
+    for number in range(2):
+        each = innovations_of(
+            known, benchmark[:, number], errors[..., number], measured[:, number], step_s=STEP_S
+        )
+        np.testing.assert_allclose(
+            both[..., number], each, rtol=0, atol=float(jnp.abs(each).max()) * ROUNDING
+        )
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.tuples(
+        st.floats(1e-6, 1.0),
+        st.floats(0.0, 1.0),
+        st.floats(1e-3, 1e6),
+        st.floats(0.0, 10.0),
+        st.floats(1e-3, 1e3),
+        st.floats(1e-6, 1.0),
+    ),
+    st.integers(0, 2**16),
+)
+@double_precision
+def test_gradients_of_innovations_are_finite(parameters, seed):
+    benchmark, displacement = stroke(seed, 300)
+    measured = np.random.default_rng(seed).uniform(size=300) < 0.9
+    parts = gradients_of_squares(load_filter(*parameters), benchmark, displacement - benchmark, measured)
+    assert all(np.all(np.isfinite(part)) for part in parts)
+
+
+@jax.jit
+def gradients_of_squares(known, benchmark, errors, measured):
+    def squares(known, benchmark, errors):
+        return jnp.sum(known.innovations(benchmark, errors[None], measured, STEP_S) ** 2)
+
+    return jax.tree.leaves(jax.grad(squares, argnums=(0, 1, 2))(known, benchmark, errors))

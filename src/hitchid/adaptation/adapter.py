@@ -16,7 +16,7 @@ from hitchid.adaptation.gates import Gate
 from hitchid.adaptation.parameters import Changes, changed_model, check_adaptable
 from hitchid.adaptation.settings import AdaptationSettings
 from hitchid.adaptation.stroke_errors import StrokeErrors
-from hitchid.adaptation.strokes import Stroke
+from hitchid.adaptation.strokes import LONGEST_S, SETTLE_S, Stroke
 from hitchid.errors import InputError
 from hitchid.model import Hitch
 from hitchid.model.loads import Load, channel_load, load_row
@@ -129,9 +129,17 @@ class Adapter:
         for direction, other in self._channels.items():
             channels[direction], moved = other.moved(channels[direction], stroke, number)
             events += moved
-        rested = stroke.displacement[-REST_SAMPLES // 5 :]
-        at = float(np.mean(rested[np.isfinite(rested)])) if np.isfinite(rested).any() else math.nan
-        return AdapterState(channels, number, stroke.end, at), tuple(events)
+        return AdapterState(channels, number, stroke.end, self._rested_at(stroke)), tuple(events)
+
+    def _rested_at(self, stroke: Stroke) -> float:
+        """Return where the piston is at rest after a stroke; NaN where that is not in it."""
+        step_s = self.model.step_s
+        samples = min(REST_SAMPLES // 5, max(1, round(SETTLE_S / step_s)))
+        rested = stroke.displacement[-samples:]
+        rested = rested[np.isfinite(rested)]
+        if not rested.size or len(stroke.displacement) >= round(LONGEST_S / step_s):
+            return math.nan
+        return float(np.mean(rested))
 
     def _moved_at_rest(self, state: AdapterState, stroke: Stroke, number: int) -> Iterator[Event]:
         """Yield a fault where the displacement changed without a command, more than a held piston drifts."""

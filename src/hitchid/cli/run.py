@@ -13,6 +13,7 @@ from hitchid.cli.options import Force, Loads, loads_of
 from hitchid.errors import InputError, OutputError
 
 if TYPE_CHECKING:
+    from hitchid.adaptation import Event
     from hitchid.model import Hitch
     from hitchid.model.loads import Load
     from hitchid.online import OnlineAdaptation
@@ -54,8 +55,9 @@ def run(
     identified, loads = load_model(model), loads_of(load)
     adaptation, log = None, None
     if adapt:
-        log = None if changes is None else _appended(changes)
-        adaptation = _adaptation(identified, loads, changes, log)
+        earlier = _entries(changes)
+        log = None if changes is None else _appended(changes, len(earlier))
+        adaptation = _adaptation(identified, loads, earlier, log)
     live = Live(identified, initial=initial, load=loads, adaptation=adaptation)
     if isinstance(sys.stdin, TextIOWrapper):
         sys.stdin.reconfigure(encoding="utf-8", errors="replace")
@@ -72,26 +74,34 @@ def run(
         log.close()
 
 
+def _entries(changes: Path | None) -> "tuple[Event, ...]":
+    """Return the entries of a change log, none where there is no file yet."""
+    from hitchid.adaptation import read_events
+
+    return () if changes is None or not changes.exists() else read_events(changes)
+
+
 def _adaptation(
-    model: "Hitch", load: "Load | None", changes: Path | None, log: IO[str] | None
+    model: "Hitch", load: "Load | None", earlier: "tuple[Event, ...]", log: IO[str] | None
 ) -> "OnlineAdaptation":
-    """Return the adaptation, which goes on from the change log where it has entries."""
-    from hitchid.adaptation import Event, read_events
+    """Return the adaptation, which goes on from the entries of a change log."""
     from hitchid.online import OnlineAdaptation
 
-    def write(event: Event) -> None:
+    def write(event: "Event") -> None:
         if log is not None:
             log.write(event.to_json() + "\n")
             log.flush()
 
-    return OnlineAdaptation(
-        model, load=load, log=write, earlier=() if changes is None else read_events(changes)
-    )
+    return OnlineAdaptation(model, load=load, log=write, earlier=earlier)
 
 
-def _appended(path: Path) -> IO[str]:
-    """Return a file opened for writing at its end."""
+def _appended(path: Path, entries: int) -> IO[str]:
+    """Return a change log opened for writing after its entries; a last line cut short is taken away."""
     try:
+        text = path.read_text(encoding="utf-8") if path.exists() else ""
+        if text and not text.endswith("\n"):
+            kept = text.splitlines()[:entries]
+            path.write_text("".join(line + "\n" for line in kept), encoding="utf-8")
         return path.open("a", encoding="utf-8")
     except OSError as error:
         raise OutputError(f"{path}: cannot be written: {error.strerror}") from error

@@ -1,0 +1,325 @@
+"""Adaptation stroke by stroke: a machine that changes is followed, within bounds; undone, and done again."""
+
+from dataclasses import asdict
+
+import jax.monitoring
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import handmade
+import machine
+from hitchid.adaptation import AdaptationSettings, Adapter, Changes, Event, read_events
+from hitchid.adaptation.events import CANDIDATE, LEARNED, MOVED, PROMOTED, ROLLED_BACK
+from hitchid.data.record import LIFTING, LOWERING
+from hitchid.errors import InputError
+from machine import DEAD_ZONES, DIRECTIONS, LARGEST
+
+MODEL = handmade.with_bands(machine.MODEL, *DIRECTIONS)
+SCATTER = AdaptationSettings().gain_scatter
+TIGHT = AdaptationSettings(largest_gain=0.1, largest_dead_zone=0.02, change_per_stroke=0.02, evidence=2.0)
+EPSILON = float(np.finfo(np.float64).eps)
+
+
+@pytest.fixture(scope="module")
+def adapter():
+    found = Adapter(MODEL, AdaptationSettings())
+    found.prepare()
+    return found
+
+
+def learned(adapter, strokes, state=None):
+    """Return the states after each of some strokes, that before them first, and the events of each."""
+    states, happened = [adapter.initial_state() if state is None else state], []
+    for stroke in strokes:
+        state, events = adapter.learn(states[-1], stroke)
+        states.append(state)
+        happened.append(events)
+    return states, happened
+
+
+def kinds(happened, kind):
+    return [event for events in happened for event in events if event.kind == kind]
+
+
+def gains(state):
+    """Return direction to the factor on the gain in use."""
+    return {direction: float(np.exp(changes.gain)) for direction, changes in state.changes.items()}
+
+
+def assert_same_states(one, other):
+    np.testing.assert_equal(asdict(one), asdict(other))
+
+
+CHANGED = machine.strokes(20, seed=7, scatter=SCATTER, changed_at=8, gain=1.15)
+
+
+@pytest.fixture(scope="module")
+def run(adapter):
+    """Return states and events over strokes of a machine whose gain grows by 15 %."""
+    return learned(adapter, CHANGED)
+
+
+def test_a_stroke_compiles_nothing_once_it_is_prepared(adapter):
+    compiled = []
+    jax.monitoring.register_event_duration_secs_listener(
+        lambda name, *_, **__: compiled.append(name) if "compile" in name or "trace" in name else None
+    )
+    try:
+        learned(adapter, CHANGED[:2])
+        assert compiled == []
+    finally:
+        jax.monitoring.clear_event_listeners()
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("gain", [0.85, 1.15])
+def test_a_change_of_the_gain_is_followed_within_five_strokes_a_direction(adapter, gain, seed):
+    strokes = machine.strokes(18, seed=seed, scatter=SCATTER, changed_at=8, gain=gain)
+    states, _ = learned(adapter, strokes)
+    for found in gains(states[-1]).values():
+        # A candidate is fitted to one stroke or more, each of which is off by its scatter.
+        assert found == pytest.approx(gain, rel=3 * SCATTER)
+
+
+def test_a_machine_that_stays_is_left_as_it_is(adapter):
+    states, happened = learned(adapter, machine.strokes(60, seed=4, scatter=SCATTER))
+    assert len(kinds(happened, LEARNED)) == 60
+    assert kinds(happened, PROMOTED) == []
+    assert states[-1].changes == {mode: Changes() for mode in DIRECTIONS}
+
+
+def assert_within(states, happened, limits):
+    """Check the bounds of parameters and of their steps; a rollback is a step of its own."""
+    step = np.array([np.log1p(limits.change_per_stroke), limits.change_per_stroke * LARGEST, np.inf])
+    for mode in DIRECTIONS:
+        changes = np.array([state.changes[mode] for state in states])
+        factors = np.exp(changes[:, 0])
+        rounding = 4 * EPSILON
+        assert np.all(np.abs(factors - 1) <= limits.largest_gain + rounding)
+        assert np.all(np.abs(changes[:, 1]) <= limits.largest_dead_zone * LARGEST + rounding)
+        assert np.all(changes[:, 1] >= -DEAD_ZONES[mode])
+        assert np.all(changes[:, 2] == 0.0)
+        back = [
+            any(event.kind == ROLLED_BACK and event.direction == mode for event in events)
+            for events in happened
+        ]
+        steps = np.abs(np.diff(changes, axis=0))[~np.array(back, bool)]
+        assert np.all(steps <= step + rounding)
+        assert np.all(
+            np.abs(np.expm1(np.diff(changes[:, 0])))[~np.array(back, bool)]
+            <= limits.change_per_stroke + rounding
+        )
+
+
+PIECES = st.lists(
+    st.tuples(st.floats(0.3, 2.0), st.floats(-0.1, 0.1), st.integers(1, 6), st.integers(0, 2**16)),
+    min_size=1,
+    max_size=4,
+)
+
+
+@settings(max_examples=10)
+@given(PIECES, st.sampled_from([AdaptationSettings(), TIGHT]))
+def test_it_never_goes_beyond_its_bounds_whatever_the_strokes_are(pieces, limits):
+    strokes = [
+        stroke
+        for gain, dead_zone, count, seed in pieces
+        for stroke in machine.strokes(count, seed=seed, gain=gain, dead_zone=dead_zone)
+    ]
+    assert_within(*learned(Adapter(MODEL, limits), strokes), limits)
+
+
+@pytest.mark.parametrize("gain", [0.93, 1.08])
+def test_bounds_are_reached_in_small_steps(gain):
+    states, happened = learned(Adapter(MODEL, TIGHT), machine.strokes(16, seed=3, gain=gain))
+    assert kinds(happened, PROMOTED)
+    assert len(kinds(happened, MOVED)) > 4
+    assert_within(states, happened, TIGHT)
+    for found in gains(states[-1]).values():
+        assert found == pytest.approx(gain, rel=SCATTER)
+
+
+def test_a_promotion_is_proved_on_strokes_that_came_after_the_candidate(run):
+    _, happened = run
+    (first, *_) = promoted = kinds(happened, PROMOTED)
+    assert {event.direction for event in promoted} == set(DIRECTIONS)
+    for event in promoted:
+        (candidate,) = (
+            each
+            for each in kinds(happened, CANDIDATE)
+            if each.changes == event.changes and each.direction == event.direction
+        )
+        assert candidate.stroke < event.stroke
+        assert max(candidate.strokes) <= candidate.stroke
+    assert first.stroke > 8
+
+
+def test_the_log_says_what_is_in_use_after_each_stroke(run):
+    states, happened = run
+    known = {mode: Changes() for mode in DIRECTIONS}
+    for state, events in zip(states[1:], happened, strict=True):
+        for event in events:
+            if event.kind in (MOVED, ROLLED_BACK):
+                known[event.direction] = event.changes
+        assert state.changes == known
+
+
+def test_a_replay_gives_the_same_states_and_events_bit_for_bit(run):
+    states, happened = run
+    again, events = learned(Adapter(MODEL, AdaptationSettings()), CHANGED)
+    assert [[each.to_json() for each in those] for those in events] == [
+        [each.to_json() for each in those] for those in happened
+    ]
+    for one, other in zip(again, states, strict=True):
+        assert_same_states(one, other)
+
+
+def test_what_the_log_says_is_gone_on_from_bit_for_bit(adapter, run, tmp_path):
+    states, happened = run
+    lines = []
+    for state, events in zip(states[1:], happened, strict=True):
+        lines += [event.to_json() + "\n" for event in events]
+        (tmp_path / "changes.jsonl").write_text("".join(lines))
+        resumed = adapter.resumed(read_events(tmp_path / "changes.jsonl"))
+        assert resumed.changes == state.changes
+        assert resumed.band_factors == state.band_factors
+        assert resumed.strokes == state.strokes
+        assert [each.target for each in resumed.channels.values()] == [
+            each.target for each in state.channels.values()
+        ]
+        found, expected = (adapter.adapted(each) for each in (resumed, state))
+        assert found.provenance == expected.provenance
+
+
+def test_rolling_back_restores_what_was_before_bit_for_bit(adapter, run):
+    states, _ = run
+    state, snapshots = states[-1], states[-1].channels[LIFTING].snapshots
+    assert len(snapshots) >= 2
+    other = state.channels[LOWERING]
+    for expected in [*snapshots[-2::-1], Changes()]:
+        state, event = adapter.rollback(state, LIFTING)
+        assert (event.kind, event.direction, event.changes) == (ROLLED_BACK, LIFTING, expected)
+        assert state.changes[LIFTING] == state.channels[LIFTING].target == expected
+        assert state.channels[LOWERING] is other
+    assert adapter.adapted(state).channels[LIFTING] == MODEL.channels[LIFTING]
+
+
+def test_a_rollback_is_gone_on_from(adapter, run):
+    states, happened = run
+    state, event = adapter.rollback(states[-1], LOWERING)
+    resumed = adapter.resumed([*(each for events in happened for each in events), event])
+    assert resumed.changes == state.changes
+    assert resumed.channels[LOWERING].snapshots == state.channels[LOWERING].snapshots
+
+
+@pytest.mark.parametrize("seed", [7, 11])
+def test_a_promotion_that_loses_is_rolled_back_within_one_stroke(adapter, seed):
+    strokes = machine.strokes(20, seed=seed, scatter=SCATTER, changed_at=8, gain=1.15)
+    states, happened = learned(adapter, strokes)
+    at = kinds(happened, PROMOTED)[0].stroke
+    mode = strokes[at - 1].direction
+    assert states[at - 1].changes[mode] == Changes()
+    before, state = states[at - 1].changes, states[at]
+    assert state.changes[mode] != before[mode]
+    again = machine.strokes(3, seed=seed + 1, scatter=SCATTER)[DIRECTIONS.index(mode)]
+    state, events = adapter.learn(state, again)
+    (event,) = kinds([events], ROLLED_BACK)
+    assert (event.direction, event.reason) == (mode, "the model before the last promotion is better")
+    assert state.changes[mode] == before[mode]
+    assert adapter.adapted(state).channels[mode] == MODEL.channels[mode]
+
+
+def test_a_machine_that_changes_back_is_followed_back(adapter, run):
+    states, _ = run
+    back = machine.strokes(
+        10, seed=9, scatter=SCATTER, first=len(CHANGED), start=CHANGED[-1].displacement[-1]
+    )
+    later, _ = learned(adapter, back, states[-1])
+    for found in gains(later[-1]).values():
+        assert found == pytest.approx(1.0, rel=3 * SCATTER)
+
+
+def test_standing_still_changes_nothing(adapter, make_record):
+    commands, displacement = machine.stream(CHANGED[:4])
+    still, noise = np.zeros(100_000), machine.NOISE * np.random.default_rng(0).standard_normal(100_000)
+    moving = make_record(displacement, *commands.T)
+    standing = make_record(displacement[-1] + noise, 0.5 * DEAD_ZONES[LIFTING] + still, still)
+    first, second = (MODEL.adapt(records) for records in ([moving], [moving, standing]))
+    assert first.events == second.events
+    assert len(kinds([first.events], LEARNED)) == 4
+    assert_same_states(first.state, second.state)
+
+
+def test_logs_one_after_the_other_are_one_log(make_record):
+    halves = [machine.stream(each) for each in (CHANGED[:6], CHANGED[6:12])]
+    records = [make_record(displacement, *commands.T) for commands, displacement in halves]
+    commands, displacement = machine.stream(CHANGED[:12])
+    whole = MODEL.adapt([make_record(displacement, *commands.T)])
+    parts = MODEL.adapt(records)
+    assert [(event.kind, event.stroke, event.direction) for event in parts.events] == [
+        (event.kind, event.stroke, event.direction) for event in whole.events
+    ]
+    # Between two logs the rest before a stroke is that of its own log alone.
+    for mode in DIRECTIONS:
+        np.testing.assert_allclose(parts.state.changes[mode], whole.state.changes[mode], atol=1e-3)
+    assert parts.events[-1].time_s == whole.events[-1].time_s
+
+
+def test_a_change_log_is_gone_on_from_with_later_logs(make_record):
+    halves = [machine.stream(each) for each in (CHANGED[:14], CHANGED[14:])]
+    first, second = (make_record(displacement, *commands.T) for commands, displacement in halves)
+    before = MODEL.adapt([first])
+    after = MODEL.adapt([second], earlier=before.events)
+    assert after.events[: len(before.events)] == before.events
+    assert after.state.strokes == len(CHANGED)
+    assert [event.stroke for event in kinds([after.events], LEARNED)] == [*range(1, len(CHANGED) + 1)]
+
+
+FINITE = st.floats(allow_nan=False, allow_infinity=False)
+
+
+@given(
+    st.tuples(st.text(), FINITE, st.integers(0), st.text(), st.text()),
+    st.tuples(FINITE, FINITE, FINITE),
+    st.lists(st.integers(1)),
+    st.dictionaries(st.text(), FINITE),
+)
+def test_an_event_is_one_line_that_is_read_back_bit_for_bit(entry, changes, strokes, figures):
+    event = Event(*entry, Changes(*changes), tuple(strokes), figures)
+    line = event.to_json()
+    assert len(line.splitlines()) == 1
+    again = Event.from_json(line)
+    assert again == event
+    assert again.to_json() == line
+
+
+def test_a_change_log_that_was_cut_short_is_read_and_another_file_is_refused(tmp_path, run):
+    events = [event for those in run[1] for event in those]
+    text = "".join(event.to_json() + "\n" for event in events)
+    path = tmp_path / "changes.jsonl"
+    path.write_text(text[:-40])
+    assert list(read_events(path)) == events[:-1]
+    for wrong in ("nonsense\n", '{"kind": "moved"}\n', "[]\n"):
+        path.write_text(events[0].to_json() + "\n" + wrong)
+        with pytest.raises(InputError, match=r"changes.jsonl, line 2: is no entry of a change log"):
+            read_events(path)
+    with pytest.raises(InputError, match="cannot be read"):
+        read_events(tmp_path / "missing")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"parameters": ("dead_zone",)}, "expected 'gain' among them"),
+        ({"parameters": ("gain", "leak")}, "parameters"),
+        ({"window": 1}, "window"),
+        ({"largest_gain": 1.0}, "largest_gain: expected a share below 1, got 1"),
+        ({"change_per_stroke": 0.0}, "change_per_stroke"),
+        ({"evidence": 1.0}, "evidence"),
+    ],
+)
+def test_settings_that_are_not_possible_are_refused(wrong, said):
+    with pytest.raises(InputError, match=said):
+        AdaptationSettings(**wrong)

@@ -1,0 +1,143 @@
+"""`hitchid run --adapt`: what it learns is written to a change log, gone on from, and saved at the end."""
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import machine
+from hitchid import cli
+from hitchid.adaptation import Changes, Event, changed_model, read_events
+from hitchid.adaptation.events import LEARNED, MOVED, PROMOTED
+from hitchid.data.record import LIFTING, LOWERING
+from hitchid.errors import HitchError
+from hitchid.model import load, save
+from machine import STEP_S
+
+STROKES = machine.strokes(8, seed=7, scatter=0.015, changed_at=2, samples=60, gain=1.15)
+SAMPLES = len(STROKES[0].displacement)
+EARLIER = Changes(0.05, 0.01, 0.0)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Return the folder of a model as identified."""
+    found = tmp_path_factory.mktemp("adapted") / "model"
+    save(machine.MODEL, found)
+    return found
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _cache(tmp_path_factory):
+    """Keep what JAX compiles out of the user's cache."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+def lines(strokes):
+    """Return the samples of strokes as lines of JSON."""
+    commands, displacement = machine.stream(strokes)
+    return "".join(
+        json.dumps(
+            {"time_s": number * STEP_S, "lifting_command": up, "lowering_command": down, "displacement": y}
+        )
+        + "\n"
+        for number, (up, down, y) in enumerate(zip(*commands.T.tolist(), displacement.tolist(), strict=True))
+    )
+
+
+def run(*arguments, heard=""):
+    """Return exit code, answers and the error of the program."""
+    result = CliRunner().invoke(cli.app, ["run", *map(str, arguments)], input=heard)
+    if isinstance(result.exception, HitchError):
+        return 2, [], str(result.exception)
+    return result.exit_code, [json.loads(line) for line in result.stdout.splitlines()], result.stderr
+
+
+def test_it_learns_writes_what_and_saves_the_model(folder, tmp_path):
+    changes, saved = tmp_path / "changes.jsonl", tmp_path / "saved"
+    code, answers, said = run(folder, "--adapt", "--changes", changes, "--save", saved, heard=lines(STROKES))
+    assert (code, said) == (0, "ready\n")
+    assert len(answers) == len(STROKES) * SAMPLES
+    events = read_events(changes)
+    assert [event.stroke for event in events if event.kind == LEARNED] == [*range(1, len(STROKES) + 1)]
+    promoted = [event for event in events if event.kind == PROMOTED]
+    assert promoted
+    flags = [flag for answer in answers for flag in answer["flags"]]
+    assert all(flags.count(event.sentence) == 1 for event in promoted)
+    assert not any("moved" in flag or "learned" in flag for flag in flags)
+    moved = {event.direction: event.changes for event in events if event.kind == MOVED}
+    expected, again = changed_model(machine.MODEL, moved), load(saved)
+    assert again.provenance.adapted == expected.provenance.adapted != {}
+    for mode, channel in expected.channels.items():
+        assert again.channels[mode].dead_zone == channel.dead_zone
+        np.testing.assert_array_equal(again.channels[mode].benchmark.values, channel.benchmark.values)
+
+
+def test_it_goes_on_from_a_change_log(folder, tmp_path):
+    changes, saved = tmp_path / "changes.jsonl", tmp_path / "saved"
+    earlier = [
+        Event(PROMOTED, 10.0, 4, LOWERING, "better", EARLIER),
+        Event(MOVED, 10.0, 4, LOWERING, "towards the promoted values", EARLIER),
+    ]
+    text = "".join(event.to_json() + "\n" for event in earlier)
+    # The program was stopped while it wrote the last line.
+    changes.write_text(text + text[: len(text) // 4])
+    code, answers, _ = run(folder, "--adapt", "--changes", changes, "--save", saved, heard=lines(STROKES[:2]))
+    assert code == 0
+    assert changes.read_text().startswith(text)
+    later = read_events(changes)[2:]
+    assert [(event.kind, event.stroke) for event in later if event.kind == LEARNED] == [
+        (LEARNED, 5),
+        (LEARNED, 6),
+    ]
+    assert load(saved).provenance.adapted[LOWERING]["gain"] == EARLIER.gain
+    # From the first sample on the model is that of the log.
+    model = changed_model(machine.MODEL, {LOWERING: EARLIER})
+    last = SAMPLES + 80
+    commands, displacement = machine.stream(STROKES[:2])
+    state = model.init_state(float(displacement[0]))
+    for command, measured in zip(commands[:last], displacement[:last], strict=True):
+        state, predicted = model.step(state, command, measured)
+    assert answers[last - 1]["displacement"] == pytest.approx(float(predicted), rel=1e-12)
+
+
+@pytest.mark.parametrize("option", ["--changes", "--save"])
+def test_what_is_for_adaptation_is_refused_without_it(folder, tmp_path, option):
+    code, answers, said = run(folder, option, tmp_path / "file")
+    assert (code, answers) == (2, [])
+    assert said == "--changes and --save are for adaptation; give --adapt, too"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_is_there_already_is_refused_before_the_first_sample(folder, tmp_path):
+    (tmp_path / "saved").mkdir()
+    (tmp_path / "saved" / "mine.txt").write_text("mine")
+    code, answers, said = run(folder, "--adapt", "--save", tmp_path / "saved", heard=lines(STROKES[:1]))
+    assert (code, answers) == (2, [])
+    assert "saved" in said
+    assert (tmp_path / "saved" / "mine.txt").read_text() == "mine"
+
+
+def test_a_file_that_is_no_change_log_is_refused_and_left_as_it_is(folder, tmp_path):
+    changes = tmp_path / "notes.txt"
+    changes.write_text("mine\n")
+    code, _, said = run(folder, "--adapt", "--changes", changes)
+    assert code == 2
+    assert "line 1: is no entry of a change log" in said
+    assert changes.read_text() == "mine\n"
+
+
+def test_a_change_log_that_cannot_be_written_is_told(folder, tmp_path):
+    code, _, said = run(folder, "--adapt", "--changes", tmp_path / "missing" / "changes.jsonl")
+    assert code != 0
+    assert "changes.jsonl: cannot be written: No such file or directory" in said
+
+
+def test_an_adapted_model_is_refused(tmp_path):
+    save(changed_model(machine.MODEL, {LIFTING: EARLIER}), tmp_path / "model")
+    code, answers, said = run(tmp_path / "model", "--adapt")
+    assert (code, answers) == (2, [])
+    assert "expected one as identified, got one that was adapted" in said
