@@ -1,6 +1,6 @@
 """Adaptation on the virtual bench and on measured logs: does it follow, does it leave alone what stays?
 
-Run: python -m benchmarks.adaptation [quick | follow | stable | faults | bands | standstill | delay | measured ...]
+Run: python -m benchmarks.adaptation [quick | follow | stable | faults | bands | standstill | delay | measured]
 """
 
 import os
@@ -264,7 +264,7 @@ def delay() -> None:
                 alarms.append((event.direction, since[event.direction]))
     show(
         f"a gain of 1.1 times is seen after {', '.join(f'{count} strokes {name}' for name, count in alarms)}",
-        f"update: median {1e3 * np.median(took_s):.0f} ms, 99 % within {1e3 * np.quantile(took_s, 0.99):.0f} ms",
+        f"update: median {1e3 * np.median(took_s):.0f} ms, p99 {1e3 * np.quantile(took_s, 0.99):.0f} ms",
     )
 
 

@@ -17,6 +17,7 @@ from hitchid.adaptation.parameters import Changes, changed_model, check_adaptabl
 from hitchid.adaptation.settings import AdaptationSettings
 from hitchid.adaptation.stroke_errors import StrokeErrors
 from hitchid.adaptation.strokes import LONGEST_S, SETTLE_S, Stroke
+from hitchid.data.record import COMMAND
 from hitchid.errors import InputError
 from hitchid.model import Hitch
 from hitchid.model.loads import Load, channel_load, load_row
@@ -88,8 +89,8 @@ class Adapter:
                 StrokeErrors(channel, model.step_s, loads, settings.window, bands),
                 Gate(channel, model.step_s, settings),
                 settings,
-                len(model.provenance.identification.get(channel.direction, ())) or 4,
                 _identified(model, channel.direction),
+                model.units[COMMAND[channel.direction]],
             )
 
     def prepare(self) -> None:

@@ -1,5 +1,6 @@
 """How far and how fast the parameters of a channel may change."""
 
+import contextlib
 from typing import NamedTuple
 
 import numpy as np
@@ -8,8 +9,11 @@ from jaxtyping import Bool, Float
 from hitchid._support.short_repr import short_repr
 from hitchid.adaptation.parameters import DEAD_ZONE, LAG, NAMES, Changes, has_lag
 from hitchid.adaptation.settings import AdaptationSettings
+from hitchid.data.units import conversion_factor
+from hitchid.errors import InputError
 from hitchid.model import Channel
 
+MOST_DEAD_ZONE_A = 0.15  # A: change of a dead zone, whatever the range of the current is; chosen
 LARGEST_LAG = 1.6  # change of the log lag: a factor of five, as oil from 5 to 50 °C has; chosen
 LAG_SCATTER, LAG_DRIFT = 0.1, 0.02  # of the log lag, as the settings have for the others; chosen
 
@@ -34,12 +38,14 @@ class Bounds(NamedTuple):
     drift: Float[np.ndarray, "3"]
 
     @classmethod
-    def of(cls, channel: Channel, settings: AdaptationSettings) -> "Bounds":
+    def of(cls, channel: Channel, settings: AdaptationSettings, command_unit: str) -> "Bounds":
         """Return the bounds of a channel; shares of the command are of the largest one of its tests."""
         command = float(channel.operating_range.command.highest)
         allowed = np.array([name in settings.parameters for name in NAMES])
         allowed[LAG] &= has_lag(channel)
         dead_zone = settings.largest_dead_zone * command
+        with contextlib.suppress(InputError):  # a command that is no current
+            dead_zone = min(dead_zone, MOST_DEAD_ZONE_A * conversion_factor("A", command_unit, "dead_zone"))
         lowest = np.array([np.log1p(-settings.largest_gain), -dead_zone, -LARGEST_LAG])
         lowest[DEAD_ZONE] = max(lowest[DEAD_ZONE], -channel.dead_zone)
         step = settings.change_per_stroke

@@ -10,8 +10,11 @@ from hitchid._support.short_repr import short_repr
 # Of a stroke's error, standard deviations: what is subtracted from each, half a change of two; largest that
 # counts, so that no single stroke raises an alarm. Chosen.
 REFERENCE, LARGEST = 1.0, 6.0
-REPLICATES, STROKES = 64, 8_000  # simulated streams, and strokes of each; chosen: the error is below a tenth
-THRESHOLDS = np.linspace(2.0, 24.0, 45)  # that are tried, standard deviations
+REPLICATES, STROKES = 64, 8_000  # simulated streams, and strokes of each; chosen: h is within a fifth
+THRESHOLDS = np.linspace(LARGEST, 24.0, 37)  # that are tried: above what one stroke adds, standard deviations
+# Strokes over which the scale of the errors is learned, so that its error is that of as many; see
+# `stroke_scatter`.
+DEGREES_OF_FREEDOM = 20
 
 
 @short_repr
@@ -43,17 +46,16 @@ class ChangeDetector(NamedTuple):
 
 
 @lru_cache
-def alarm_threshold(strokes_between_alarms: float, degrees_of_freedom: int) -> float:
+def alarm_threshold(strokes_between_alarms: float) -> float:
     """Return h at which streams without a change have a mean number of strokes between alarms.
 
-    Textbook thresholds are for normal errors of known scale. Here the scale and the mean come from the tests
-    of the identification, so that each simulated stream has its own, and its errors are of Student's t.
+    Textbook thresholds are for normal errors of known scale. Here scale and mean are those of some twenty
+    strokes, so that each simulated stream has its own, and its errors are of Student's t.
 
     Args:
         strokes_between_alarms: mean over all streams, of a direction.
-        degrees_of_freedom: of the scale: tests minus one, at least 3.
     """
-    freedom = max(degrees_of_freedom, 3)
+    freedom = DEGREES_OF_FREEDOM
     rng = np.random.default_rng(0)
     scale = np.sqrt(rng.chisquare(freedom, REPLICATES) / freedom)
     mean = rng.standard_normal(REPLICATES) / np.sqrt(freedom + 1)

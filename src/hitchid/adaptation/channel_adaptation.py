@@ -53,8 +53,8 @@ class ChannelAdaptation:
         errors: of its strokes.
         gate: its checks.
         settings: of the adaptation.
-        tests: number of identification tests, from which the scale of the errors is known.
         identified: standard deviations of the identified parameters: log gain, dead zone, log lag.
+        command_unit: unit of the command.
     """
 
     def __init__(
@@ -62,16 +62,16 @@ class ChannelAdaptation:
         errors: StrokeErrors,
         gate: Gate,
         settings: AdaptationSettings,
-        tests: int,
         identified: Sequence[float],
+        command_unit: str,
     ) -> None:
         self._errors, self._gate, self._settings = errors, gate, settings
-        self._bounds = bounds = Bounds.of(errors.channel, settings)
+        self._bounds = bounds = Bounds.of(errors.channel, settings, command_unit)
         command = float(errors.channel.operating_range.command.highest)
         self._wide = np.diag((np.array([1.0, command, 1.0]) * WIDE) ** 2)
         self._drift = np.diag(bounds.drift**2)
         self._identified = np.diag(np.maximum(identified, 2 * bounds.scatter) ** 2)
-        self._threshold = alarm_threshold(settings.strokes_between_alarms, tests - 1)
+        self._threshold = alarm_threshold(settings.strokes_between_alarms)
 
     def prepare(self) -> None:
         """Compile what a stroke needs."""
@@ -88,14 +88,13 @@ class ChannelAdaptation:
         for event in events:
             band = BandFactor(event.figures.get("band", band.log))
             if event.kind == PROMOTED:
-                snapshots.append(event.changes)
+                snapshots = [*snapshots, event.changes][-MOST_SNAPSHOTS:]
             elif event.kind == ROLLED_BACK:
                 snapshots, deployed = snapshots[:-1] or snapshots, event.changes
             elif event.kind == MOVED:
                 deployed = event.changes
         estimate = Estimate(np.array(snapshots[-1]), self._identified)
-        kept = tuple(snapshots[-MOST_SNAPSHOTS:])
-        return ChannelState(deployed, snapshots[-1], kept, estimate, estimate, band)
+        return ChannelState(deployed, snapshots[-1], tuple(snapshots), estimate, estimate, band)
 
     def learn(self, state: ChannelState, stroke: Stroke, number: int) -> Outcome:
         """Return the state after a stroke, and what happened.

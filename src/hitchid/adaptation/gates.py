@@ -19,7 +19,8 @@ LEAST_REST_S = 0.1  # s at rest before a stroke; chosen
 NOISE_LIMIT = 8.0  # standard deviations of the sensor between two samples; chosen
 COMMAND_MARGIN = 0.05  # share of the range of commands beyond which a command is outside it; chosen
 STANDSTILL_S, STANDSTILL_SHARE = 0.4, 0.1  # s, and share of the simulated travel over it; chosen
-STOP_MARGIN = 0.02  # share of the range of displacements; chosen
+STOP_MARGIN = 0.02  # share of the way between the limits; chosen
+REST_SHARE = 0.002  # share of the range of displacements that counts as rest, whatever the noise; chosen
 # Share of the travel that is left as error after gain and dead zone are fitted: multiple of what is usual,
 # and the largest. Chosen.
 MISFIT_FACTOR, LARGEST_MISFIT = 3.0, 0.1
@@ -63,7 +64,7 @@ class Gate:
             return
         half = len(rest) // 2
         moved = abs(rest[half:].mean() - rest[:half].mean())
-        if moved > NOISE_LIMIT * noise / np.sqrt(half):
+        if moved > max(NOISE_LIMIT * noise / np.sqrt(half), REST_SHARE * self.range_of_tests):
             yield f"it does not start at rest: {moved:.3g} in {len(rest)} samples before the command"
         travel = float(np.ptp(stroke.displacement[measured]))
         if travel < self.settings.shortest_travel * self.range_of_tests:
@@ -73,19 +74,9 @@ class Gate:
         largest = float(np.abs(effective_command(command, self.channel.dead_zone)).max())
         if largest > (1 + COMMAND_MARGIN) * highest:
             yield f"the command is outside the identified range: {largest:.3g} beyond the dead zone"
-        yield from self._at_limits(stroke.displacement[measured])
-
-    def _at_limits(self, displacement: Float[np.ndarray, " n"]) -> Iterator[str]:
-        channel, margin = self.channel, STOP_MARGIN * self.range_of_tests
-        limits = channel.limits
-        stops = [channel.end_stop] if channel.end_stop is not None else []
-        if limits is not None:
-            stops += [limits.lower] * limits.lower_stop + [limits.upper] * limits.upper_stop
-        for stop in stops:
-            if np.abs(displacement - stop).min() < margin:
-                yield f"it meets the end stop at {stop:.4g}"
-        if limits is not None and (displacement.min() < limits.lower or displacement.max() > limits.upper):
-            yield f"it leaves the range of the logs, {limits.lower:.4g} to {limits.upper:.4g}"
+        limits, displacement = channel_limits(self.channel), stroke.displacement[measured]
+        if displacement.min() < limits[0] or displacement.max() > limits[1]:
+            yield f"it leaves the range of the logs, {limits[0]:.4g} to {limits[1]:.4g}"
 
     def misfit(self, runs: StrokeRuns, own: int, usual: float) -> str:
         """Return why a stroke is no motion of this plant, whatever its gain and dead zone; empty where it is.
@@ -108,17 +99,21 @@ class Gate:
         limit = SPEED_LIMIT * np.abs(expected).max() + NOISE_LIMIT * np.sqrt(2) * noise
         if np.abs(steps - expected).max() > limit:
             yield f"the displacement jumps by {np.abs(steps - expected).max():.3g} within a sample"
-        yield from self._standstill(measured, simulated, noise)
+        yield from self._standstill(measured, simulated, noise, runs.step_s)
         left = runs.share_left(own)
         limit = min(MISFIT_FACTOR * usual, LARGEST_MISFIT)
         if left > np.hypot(limit, 2 * noise / max(float(np.ptp(simulated)), noise)):
             yield f"{100 * left:.2g} % of the travel are left as error after gain and dead zone are fitted"
 
     def _standstill(
-        self, measured: Float[np.ndarray, " n"], simulated: Float[np.ndarray, " n"], noise: float
+        self,
+        measured: Float[np.ndarray, " n"],
+        simulated: Float[np.ndarray, " n"],
+        noise: float,
+        step_s: float,
     ) -> Iterator[str]:
         """Stuck sensor or end stop: no motion over a while in which the model moves."""
-        width = max(2, round(STANDSTILL_S / self.step_s))
+        width = max(2, round(STANDSTILL_S / step_s))
         if len(measured) <= width:
             return
         expected = np.abs(simulated[width:] - simulated[:-width])
@@ -126,3 +121,14 @@ class Gate:
         stands = (expected > 2 * NOISE_LIMIT * noise) & (seen < STANDSTILL_SHARE * expected)
         if stands.any():
             yield "the displacement stands still while the model moves"
+
+
+def channel_limits(channel: Channel) -> tuple[float, float]:
+    """Return lowest and highest displacement at which strokes are learned from, a margin beyond stops.
+
+    Beyond a stop that was met there is no motion that could be learned from, only the error of its place.
+    """
+    if channel.limits is None:
+        return -np.inf, np.inf
+    margin = STOP_MARGIN * (channel.limits.upper - channel.limits.lower)
+    return channel.limits.lower - margin, channel.limits.upper + margin

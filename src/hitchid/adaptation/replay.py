@@ -1,7 +1,8 @@
 """Adaptation on logs, and the change log."""
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -45,14 +46,16 @@ def adapt(
     """Return what a model learns from logs, one after the other; see `Hitch.adapt`."""
     adapter = Adapter(model, settings or AdaptationSettings(), load)
     state, events = adapter.resumed(earlier), list(earlier)
-    for stroke in _strokes(model, records):
-        state, happened = adapter.learn(state, stroke)
-        events += happened
+    for strokes in _strokes_of_logs(model, records):
+        state = replace(state, rested_at=math.nan)  # what happened between logs is not known
+        for stroke in strokes:
+            state, happened = adapter.learn(state, stroke)
+            events += happened
     return Adaptation(adapter.adapted(state), tuple(events), state)
 
 
-def _strokes(model: Hitch, records: Iterable[Record]) -> Iterable[Stroke]:
-    """Yield the strokes of logs in the model's units, the samples counted from log to log."""
+def _strokes_of_logs(model: Hitch, records: Iterable[Record]) -> Iterator[list[Stroke]]:
+    """Yield the strokes of each log in the model's units, the samples counted from log to log."""
     before = 0
     for record in records:
         converted = model.to_model_units(checks.instance(record, Record, "records", "records of logs"))
@@ -61,7 +64,7 @@ def _strokes(model: Hitch, records: Iterable[Record]) -> Iterable[Stroke]:
         )
         cutter = StrokeCutter(model)
         found = cutter.feed(commands, converted.displacement) + cutter.finish()
-        yield from (stroke._replace(begin=before + stroke.begin) for stroke in found)
+        yield [stroke._replace(begin=before + stroke.begin) for stroke in found]
         before += len(converted)
 
 

@@ -22,6 +22,7 @@ from hitchid.model.ensemble import perturbed_channel
 from hitchid.structures import Batch
 
 PIECES = 10  # of a stroke, whose errors are taken as independent of each other; chosen
+STOP_SHARE = 0.01  # share of the range of the tests before an end stop that does not count; chosen
 SAMPLES = 1024  # of a stroke on the clock of these errors; a power of two as in identification; chosen
 
 
@@ -133,7 +134,8 @@ class StrokeErrors:
         """Return the free runs of one stroke at several changes of the parameters."""
         at = np.array(changes, float)
         batch = self.batch([stroke]).take([0])
-        return StrokeRuns(at, *map(np.asarray, _runs(self.channel, batch, jnp.asarray(at))))
+        rows = _runs(self.channel, batch, jnp.asarray(at))
+        return StrokeRuns(self._step_s, at, *map(np.asarray, rows))
 
     @double_precision
     def half_width(
@@ -165,7 +167,7 @@ class StrokeErrors:
             np.pad(kept, (0, blocks * self._factor - len(kept)), mode="edge").reshape(blocks, -1).mean(axis=1)
         )
         displacement = stroke.displacement[: len(kept) : self._factor]
-        measured = np.isfinite(displacement)
+        measured = np.isfinite(displacement) & self._before_stop(displacement)
         initial = float(np.nanmean(stroke.displacement[: stroke.rest + 1]))
         padding = (0, SAMPLES - blocks)
         return (
@@ -175,6 +177,16 @@ class StrokeErrors:
             np.pad(np.ones(blocks, bool), padding),
             initial,
         )
+
+    def _before_stop(self, displacement: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+        """Return which samples come before an end stop ahead, where the model says nothing of the speed."""
+        stop, sign = stop_ahead(self.channel), self.channel.sign
+        if stop is None:
+            return np.ones(displacement.shape, bool)
+        covered = self.channel.operating_range.displacement
+        margin = STOP_SHARE * (float(covered.highest) - float(covered.lowest))
+        reached = np.nan_to_num(sign * (stop - displacement), nan=np.inf) <= margin
+        return ~np.maximum.accumulate(reached)
 
     def _empty(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
         none = np.zeros(SAMPLES, bool)
@@ -188,6 +200,7 @@ class StrokeRuns(NamedTuple):
     """Free runs of one stroke at M changes of the parameters.
 
     Attributes:
+        step_s: sampling time, s.
         changes: of the parameters, shape [M, 3].
         displacement: simulated, in the model's unit, shape [M, N].
         errors: measured less simulated; zero where nothing is measured, shape [M, N].
@@ -196,6 +209,7 @@ class StrokeRuns(NamedTuple):
         measured: which samples count, shape [N].
     """
 
+    step_s: float
     changes: Float[np.ndarray, "m 3"]
     displacement: Float[np.ndarray, "m n"]
     errors: Float[np.ndarray, "m n"]
@@ -224,6 +238,18 @@ class StrokeRuns(NamedTuple):
             self.information,
             travel,
         )
+
+
+def stop_ahead(channel: Channel) -> float | None:
+    """Return the end stop towards which a channel moves; None where none was met."""
+    if channel.end_stop is not None:
+        return channel.end_stop
+    limits = channel.limits
+    if limits is None:
+        return None
+    if channel.sign > 0:
+        return limits.upper if limits.upper_stop else None
+    return limits.lower if limits.lower_stop else None
 
 
 def _stacked_members(channel: Channel, bands: Bands) -> Channel:

@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
+from hitchid._support.outbox import Outbox
 from hitchid.errors import HitchError, InputError
 from hitchid.hmi.bench_loop import BenchLoop
-from hitchid.hmi.outbox import Outbox
 from hitchid.hmi.safety import State
 from hitchid.hmi.source import Reading
 

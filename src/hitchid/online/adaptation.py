@@ -1,6 +1,5 @@
 """Adaptation beside a running model: strokes are learned from in a process of its own."""
 
-import contextlib
 import json
 import os
 import socket
@@ -19,6 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hitchid._support import checks
+from hitchid._support.outbox import Outbox
 from hitchid.adaptation import AdaptationSettings, Changes, Event, StrokeCutter, changed_model
 from hitchid.adaptation.events import FAULT, REFUSED
 from hitchid.adaptation.strokes import Stroke
@@ -79,6 +79,7 @@ class OnlineAdaptation:
         self.changes: dict[str, Changes] = {}
         self._bands: dict[str, float] = {}
         self._process, self._connection = _started()
+        self._outbox = Outbox(self._connection)
         with tempfile.TemporaryDirectory() as folder:
             save(model, Path(folder) / "model")
             given = {
@@ -87,7 +88,7 @@ class OnlineAdaptation:
                 "load": _plain(load),
                 "earlier": [event.to_json() for event in earlier],
             }
-            self._connection.send_bytes(json.dumps(given).encode())
+            self._outbox.put(json.dumps(given).encode())
             self._receive()
 
     @property
@@ -127,7 +128,7 @@ class OnlineAdaptation:
             events += self._learn(stroke)
         while self._pending and not self._ended:
             events += self._receive()
-        self._connection.close()
+        self._outbox.close()
         self._process.wait()
         return self._logged(events)
 
@@ -141,8 +142,7 @@ class OnlineAdaptation:
 
     def _ask(self, message: bytes, due: int) -> None:
         self._pending.append(_Sent(due, time.monotonic()))
-        with contextlib.suppress(OSError):  # its end is found where the answer is taken
-            self._connection.send_bytes(message)
+        self._outbox.put(message)
 
     def _is_answered(self, sent: _Sent) -> bool:
         return self._connection.poll(max(0.0, EFFECT_S - (time.monotonic() - sent.sent_s)))
