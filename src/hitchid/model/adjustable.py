@@ -31,9 +31,7 @@ def adjusted_state(dynamics: HitchDynamics, state: HitchState) -> HitchState:
         channel._replace(at_load=model.at_load(channel_load(dynamics.channels, number, state.load)))
         if channel.at_load is not None
         else channel
-        for number, (channel, model) in enumerate(
-            zip(state.channels, dynamics.discrete_models, strict=True)
-        )
+        for number, (channel, model) in enumerate(zip(state.channels, dynamics.discrete_models, strict=True))
     )
     return state._replace(channels=channels)
 

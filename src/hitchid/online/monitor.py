@@ -75,7 +75,9 @@ class Monitor:
     @double_precision
     def restart(self, displacement: float) -> None:
         """Start the free run anew at a displacement at rest, in the model's unit."""
-        start = jnp.asarray(checks.number(displacement, "displacement"), float)  # not weakly typed: one compilation
+        start = jnp.asarray(
+            checks.number(displacement, "displacement"), float
+        )  # not weakly typed: one compilation
         self._state = self._dynamics.init_state(start, self._load)
         self._runs = [_started(stacked, start, self._load) for _, stacked in self._groups]
 
@@ -103,9 +105,7 @@ class Monitor:
         free_run_dynamics = model.free_run_dynamics()
         self._bands = bands_by_channel(model.bands, tuple(model.channels)) if model.has_bands else []
         self._members = ensemble_members(free_run_dynamics, self._bands) if self._bands else []
-        return model.dynamics, _grouped(
-            [free_run_dynamics, *(member.dynamics for member in self._members)]
-        )
+        return model.dynamics, _grouped([free_run_dynamics, *(member.dynamics for member in self._members)])
 
     @double_precision
     def advance(self, commands: np.ndarray, measured: np.ndarray) -> Predictions:

@@ -6,7 +6,7 @@ import pytest
 import handmade
 from handmade import DEAD_ZONES, GAINS, STEP_S
 from hitchid.errors import InputError
-from hitchid.hmi.monitor_process import AHEAD, FREE_RUN, HORIZON_S, MonitorLoop
+from hitchid.hmi.monitor_loop import AHEAD, FREE_RUN, HORIZON_S, MonitorLoop
 
 MODEL = handmade.hitch()
 LIFT, START = 0.5, 100.0
