@@ -1,12 +1,18 @@
 """The model beside the machine: in the units of the source, and never a free run over samples it lacks."""
 
+import time
+
 import numpy as np
 import pytest
 
 import handmade
+import hitchid
 from handmade import DEAD_ZONES, GAINS, STEP_S
-from hitchid.errors import InputError
+from hitchid.adaptation import Changes, Event, changed_model, read_events
+from hitchid.errors import InputError, OutputError
+from hitchid.hmi import model_adaptation
 from hitchid.hmi.monitor_loop import AHEAD, FREE_RUN, HORIZON_S, MonitorLoop
+from hitchid.online import OnlineAdaptation
 
 MODEL = handmade.hitch()
 LIFT, START = 0.5, 100.0
@@ -115,3 +121,167 @@ def test_a_band_lies_around_the_free_run_and_scales_with_the_unit():
     assert np.all(found[1:, 3] > found[1:, 1])
     scaled = predicted(in_cm, rows * np.array([1.0, 1.0, 1.0, 0.1]))
     np.testing.assert_allclose(scaled[:, 1:], 0.1 * found[:, 1:], rtol=1e-6)
+
+
+class FakeAdaptation(OnlineAdaptation):
+    """Adaptation whose events are given; it learns nothing itself."""
+
+    def __init__(self, model, *, log, earlier):
+        del earlier
+        self._identified, self._log = model, log
+        self.fed, self.due, self.changes, self.back = [], [], {}, []
+
+    @property
+    def model(self):
+        return changed_model(self._identified, self.changes)
+
+    def feed(self, commands, displacement):
+        self.fed.append(np.column_stack([commands, displacement]))
+        events, self.due = self.due, []
+        for event in events:
+            self.changes[event.direction] = event.changes
+            self._log(event)
+        return tuple(events)
+
+    def rollback(self, direction):
+        self.back.append(direction)
+
+    def finish(self):
+        return ()
+
+
+TWICE = Changes(gain=float(np.log(2.0)), dead_zone=0.01)
+
+
+def event(kind, changes=TWICE, reason="proved better"):
+    return Event(kind, 0.04, 1, "lifting", reason, changes)
+
+
+@pytest.fixture
+def adapted(monkeypatch, tmp_path):
+    """Return a function that makes a loop whose adaptation is on, and the fake that adapts."""
+    made = []
+
+    def remembered(*given, **named):
+        made.append(FakeAdaptation(*given, **named))
+        return made[-1]
+
+    def make(units=A_MM):
+        monkeypatch.setattr(model_adaptation, "OnlineAdaptation", remembered)
+        loop = MonitorLoop(MODEL, units, STEP_S)
+        loop.adapt(tmp_path / "changes" / "a.jsonl")
+        while loop.adaptation.model is None:
+            loop.adaptation.start()
+        return loop, made[-1]
+
+    return make
+
+
+def test_the_free_run_goes_on_with_what_was_learned_from_where_it_was(adapted):
+    loop, fake = adapted()
+    before = predicted(loop, samples(8))
+    fake.due = [event("promoted", TWICE._replace(dead_zone=0.0))]
+    between = predicted(loop, samples(4, begin=8))
+    after = predicted(loop, samples(8, begin=12))
+    np.testing.assert_allclose(np.diff(between[:, 1]), SPEED * STEP_S, rtol=1e-9)
+    np.testing.assert_allclose(np.diff(after[1:, 1]), 2 * SPEED * STEP_S, rtol=1e-9)
+    assert before[-1, 1] < between[0, 1] < after[0, 1] < after[1, 1]
+
+
+def test_off_means_as_identified(adapted):
+    loop, fake = adapted()
+    predicted(loop, samples(8))
+    fake.due = [event("promoted")]
+    predicted(loop, samples(4, begin=8))
+    loop.adapt(None)
+    found = predicted(loop, samples(8, begin=12))
+    np.testing.assert_allclose(np.diff(found[1:, 1]), SPEED * STEP_S, rtol=1e-9)
+    with pytest.raises(InputError, match="switch adaptation on first"):
+        loop.adaptation.roll_back("lifting")
+
+
+def test_a_restart_keeps_the_adapted_model(adapted):
+    loop, fake = adapted()
+    fake.due = [event("promoted", TWICE._replace(dead_zone=0.0))]
+    predicted(loop, samples(8))
+    loop.restart()
+    found = predicted(loop, samples(8, begin=8))
+    np.testing.assert_allclose(np.diff(found[:, 1]), 2 * SPEED * STEP_S, rtol=1e-9)
+
+
+def test_it_learns_from_every_sample_in_the_model_s_units_and_lost_ones_are_missing(adapted):
+    loop, fake = adapted(("mA", "cm"))
+    rows = np.concatenate([samples(6), samples(5, begin=9)])
+    loop.advance(rows * np.array([1.0, 1e3, 1e3, 0.1]))
+    fed = np.concatenate(fake.fed)
+    lost = np.full((3, 3), np.nan)
+    np.testing.assert_allclose(fed, np.concatenate([rows[:6, 1:], lost, rows[6:, 1:]]), rtol=1e-12)
+
+
+def test_the_page_is_told_once_what_is_in_use_and_what_happened(adapted):
+    loop, fake = adapted(("mA", "mm"))
+    assert loop.news_of_adaptation()["state"] == "on"
+    assert loop.news_of_adaptation() is None
+    fake.due = [event("learned"), event("promoted"), event("moved")]
+    loop.advance(samples(4, begin=100) * np.array([1.0, 1e3, 1e3, 1.0]))
+    news = loop.news_of_adaptation()
+    assert news["strokes"] == {"learned": 1, "refused": 0}
+    assert news["directions"]["lifting"] == {
+        "gain_percent": pytest.approx(100.0),
+        "dead_zone": pytest.approx(10.0),  # mA
+        "can_roll_back": True,
+    }
+    assert not news["directions"]["lowering"]["can_roll_back"]
+    (told,) = news["events"]
+    assert (told["kind"], told["reason"], told["at_s"]) == ("promoted", "proved better", pytest.approx(1.04))
+    assert loop.news_of_adaptation() is None
+
+
+def test_the_change_log_holds_every_event_and_is_gone_on_from(adapted, tmp_path):
+    loop, fake = adapted()
+    fake.due = [event("learned"), event("promoted")]
+    loop.advance(samples(4))
+    loop.adaptation.roll_back("lifting")
+    assert fake.back == ["lifting"]
+    loop.adapt(None)
+    assert [each.kind for each in read_events(tmp_path / "changes" / "a.jsonl")] == ["learned", "promoted"]
+    again, fake = adapted()
+    assert again.news_of_adaptation()["directions"]["lifting"]["can_roll_back"]
+    fake.due = [event("rolled back", Changes())]
+    again.advance(samples(4))
+    assert not again.news_of_adaptation()["directions"]["lifting"]["can_roll_back"]
+
+
+def test_an_adapted_model_is_saved_once(adapted, tmp_path):
+    loop, fake = adapted()
+    fake.due = [event("promoted")]
+    loop.advance(samples(4))
+    loop.adaptation.save(tmp_path / "saved")
+    lifting = hitchid.load(tmp_path / "saved").channels["lifting"]
+    assert float(lifting.benchmark.parameter_vector[0]) == pytest.approx(2 * GAINS["lifting"])
+    assert lifting.dead_zone == pytest.approx(DEAD_ZONES["lifting"] + 0.01)
+    with pytest.raises(OutputError, match="exists"):
+        loop.adaptation.save(tmp_path / "saved")
+
+
+def test_a_model_that_cannot_be_adapted_is_used_as_identified_and_the_page_is_told_why(monkeypatch, tmp_path):
+    def refuse(*_, **__):
+        raise InputError("the model was adapted already")
+
+    monkeypatch.setattr(model_adaptation, "OnlineAdaptation", refuse)
+    loop = MonitorLoop(MODEL, A_MM, STEP_S)
+    loop.adapt(tmp_path / "a.jsonl")
+    assert loop.news_of_adaptation()["state"] == "starting"
+    end_s = time.monotonic() + 10
+    while (news := loop.news_of_adaptation()) is None:
+        assert time.monotonic() < end_s
+        assert len(predicted(loop, samples(4))) == 4
+    assert (news["state"], news["reason"]) == ("off", "the model was adapted already")
+
+
+def test_a_log_that_is_none_is_refused(tmp_path):
+    (tmp_path / "a.jsonl").write_text("nonsense\n")
+    loop = MonitorLoop(MODEL, A_MM, STEP_S)
+    with pytest.raises(InputError, match="line 1: is no entry of a change log"):
+        loop.adapt(tmp_path / "a.jsonl")
+    assert loop.news_of_adaptation() is None

@@ -87,7 +87,7 @@ class ModelAdaptation:
         """
         if self._online is None:
             return False
-        self._begin_s = begin_s - self._samples * self._step_s
+        self._begin_s = float(begin_s) - self._samples * self._step_s
         self._samples += len(displacement)
         return bool(self._online.feed(commands, displacement))
 

@@ -3,6 +3,7 @@
 import json
 import signal
 import sys
+from collections import deque
 from collections.abc import Mapping, Sequence
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -16,6 +17,7 @@ from hitchid.hmi.model_beside import BLOCK
 from hitchid.hmi.monitor_loop import MonitorLoop
 from hitchid.model import load
 
+MOST_WAITING = 100  # messages with samples before the oldest is dropped: four seconds of them; chosen
 COLUMNS = 5  # of a sample: wall clock, ms; time, s; both commands, displacement
 
 
@@ -33,8 +35,10 @@ def main(arguments: Sequence[str]) -> None:
     try:
         prepare_jax()
         loop = MonitorLoop(load(Path(settings["model"])), tuple(settings["units"]), settings["step_s"])
+        waiting: deque[bytes] = deque(maxlen=MOST_WAITING)
         while True:
-            _answer(loop, connection, connection.recv_bytes())
+            _proceed(loop, connection, waiting)
+            _tell_adaptation(loop, connection)
     except HitchError as error:
         connection.send_bytes(json.dumps({"type": "error", "error": str(error)}).encode())
     except (EOFError, OSError):
@@ -44,17 +48,25 @@ def main(arguments: Sequence[str]) -> None:
             loop.adapt(None)
 
 
-def _answer(loop: MonitorLoop, connection: Connection, message: bytes) -> None:
-    if message[:1] == BLOCK:
-        rows = np.frombuffer(message[1:]).reshape(-1, COLUMNS)
+def _proceed(loop: MonitorLoop, connection: Connection, waiting: deque[bytes]) -> None:
+    """Take a message: a request is answered at once, samples are predicted when no message is left."""
+    if waiting and not connection.poll():
+        rows = np.frombuffer(waiting.popleft()[len(BLOCK) :]).reshape(-1, COLUMNS)
         for kind, predicted in loop.advance(rows[:, 1:]):
             connection.send_bytes(packed_rows(kind, predicted, rows[-1, 0]))
-    else:
-        request = json.loads(message)
-        error = _error_of(loop, request)
-        is_written = error is None and request["type"] == "save_adapted"
-        reply = {"type": "reply", "id": request["id"], "error": error, "written": is_written}
-        connection.send_bytes(json.dumps(reply).encode())
+        return
+    message = connection.recv_bytes()
+    if message.startswith(BLOCK):
+        waiting.append(message)
+        return
+    request = json.loads(message)
+    error = _error_of(loop, request)
+    is_written = error is None and request["type"] == "save_adapted"
+    reply = {"type": "reply", "id": request["id"], "error": error, "written": is_written}
+    connection.send_bytes(json.dumps(reply).encode())
+
+
+def _tell_adaptation(loop: MonitorLoop, connection: Connection) -> None:
     news = loop.news_of_adaptation()
     if news is not None:
         connection.send_bytes(json.dumps({"type": "adaptation", **news}).encode())

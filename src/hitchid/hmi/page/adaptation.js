@@ -19,9 +19,7 @@ export function bindAdaptation(connection, project) {
   connection.addEventListener("adaptation", ({ detail }) => view.take(detail));
   connection.addEventListener("change", () => view.show());
   project.addEventListener("change", () => view.proposeName());
-  byId("adapt").addEventListener("change", async ({ target }) => {
-    if (!(await connection.order("adapt", { on: target.checked }))) view.show();
-  });
+  byId("adapt").addEventListener("change", ({ target }) => view.switch(target.checked));
   byId("adapt-back").addEventListener("click", () => view.rollBack());
   byId("adapt-keep").addEventListener("click", () => view.closeQuestion());
   byId("save-name").addEventListener("input", ({ target }) => (target.dataset.changed = "yes"));
@@ -35,6 +33,7 @@ export function bindAdaptation(connection, project) {
 class AdaptationView {
   #adaptation = OFF;
   #asked = "";
+  #isSwitching = false;
 
   /** @param {import("./connection.js").Connection} connection @param {import("./project.js").Project} project */
   constructor(connection, project) {
@@ -45,7 +44,6 @@ class AdaptationView {
   /** @param {any} adaptation */
   take(adaptation) {
     this.#adaptation = adaptation;
-    byId("adapt").checked = adaptation.state !== "off";
     byId("adapt-events").replaceChildren(...adaptation.events.map((event) => this.#event(event)));
     write(byId("adapt-strokes"), this.#strokesText());
     this.#listDirections();
@@ -59,7 +57,7 @@ class AdaptationView {
     const { state, directions } = this.#adaptation;
     const isOn = state === "on";
     byId("adapt").disabled = !isOperator || !status?.model;
-    byId("adapt").checked = state !== "off";
+    if (!this.#isSwitching) byId("adapt").checked = state !== "off";
     write(byId("adapt-note"), this.#noteText(Boolean(status?.model)));
     byId("adapt-body").hidden = !isOn;
     for (const row of byId("adapt-changes").children) {
@@ -74,6 +72,14 @@ class AdaptationView {
     const model = this.connection.status?.model?.split("/").pop();
     const field = byId("save-name");
     if (model && !field.dataset.changed) field.value = freshName(`${model}-adapted`, this.project.content.models);
+  }
+
+  /** The switch stays where the operator put it until the answer comes. @param {boolean} on */
+  async switch(on) {
+    this.#isSwitching = true;
+    await this.connection.order("adapt", { on });
+    this.#isSwitching = false;
+    this.show();
   }
 
   async rollBack() {
