@@ -237,6 +237,13 @@ def test_the_page_is_told_once_what_is_in_use_and_what_happened(adapted):
     assert loop.news_of_adaptation() is None
 
 
+def test_refused_strokes_do_not_hide_what_was_promoted(adapted):
+    loop, fake = adapted()
+    fake.due = [event("promoted"), *(event("refused", Changes(), f"{number}") for number in range(9))]
+    loop.advance(samples(4))
+    assert {each["reason"] for each in loop.news_of_adaptation()["events"]} == {"proved better", "7", "8"}
+
+
 def test_the_change_log_holds_every_event_and_is_gone_on_from(adapted, tmp_path):
     loop, fake = adapted()
     fake.due = [event("learned"), event("promoted")]

@@ -4,7 +4,10 @@ import math
 from collections import Counter, deque
 from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import chain
+from operator import itemgetter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -23,8 +26,8 @@ from hitchid.model import Hitch, save
 from hitchid.online import ChangeLog, OnlineAdaptation
 
 STARTING, ON = "starting", "on"
-SHOWN = (PROMOTED, ROLLED_BACK, CHANGE_DETECTED, AT_LIMIT, FAULT, REFUSED)  # kinds of events; chosen
-MOST_SHOWN = 8  # events; chosen: as many as can be read at a glance
+# Kinds of events that are shown, and how many: refused strokes must not hide the others; chosen.
+SHOWN = {(PROMOTED, ROLLED_BACK, CHANGE_DETECTED, AT_LIMIT, FAULT): 6, (REFUSED,): 2}
 
 
 class ModelAdaptation:
@@ -47,7 +50,7 @@ class ModelAdaptation:
         self._log = ChangeLog(path)
         self._promoted: Counter[str] = Counter()
         self._strokes: Counter[str] = Counter()
-        self._events: deque[dict[str, object]] = deque(maxlen=MOST_SHOWN)
+        self._events = {kinds: deque[dict[str, Any]](maxlen=most) for kinds, most in SHOWN.items()}
         for event in self._log.earlier:
             self._count(event)
         self._directions = tuple(model.channels)
@@ -124,7 +127,7 @@ class ModelAdaptation:
                 }
                 for direction in self._directions
             },
-            "events": list(self._events),
+            "events": sorted(chain(*self._events.values()), key=itemgetter("at_s"), reverse=True),
         }
 
     @property
@@ -137,10 +140,11 @@ class ModelAdaptation:
         self._log.write(event)
         self._count(event)
         self._strokes[event.kind] += 1
-        if event.kind in SHOWN:
-            at_s = self._begin_s + event.time_s
-            shown = {"kind": event.kind, "direction": event.direction, "reason": event.reason, "at_s": at_s}
-            self._events.appendleft({**shown, **self._shown(event.direction, event.changes)})
+        at_s = self._begin_s + event.time_s
+        shown = {"kind": event.kind, "direction": event.direction, "reason": event.reason, "at_s": at_s}
+        for kinds, latest in self._events.items():
+            if event.kind in kinds:
+                latest.append({**shown, **self._shown(event.direction, event.changes)})
 
     def _count(self, event: Event) -> None:
         """Count the promotions that can be taken back."""

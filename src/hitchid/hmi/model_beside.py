@@ -87,7 +87,7 @@ class ModelBeside:
         """Pass a request on; the process answers it.
 
         Raises:
-            InputError: there is no model, or a name is none.
+            InputError: there is no model, or a name is none or taken.
         """
         if self._child is None or self.model is None:
             raise InputError(f"{request['type']}: there is no model beside the machine; choose one first")
@@ -97,7 +97,10 @@ class ModelBeside:
                 content = {"on": request.get("on") is True, "log": str(self._root / self.change_log)}
             case "save_adapted":
                 name = project.checked_name(request.get("name"))
-                content = {"folder": str(self._root / project.MODELS / name)}
+                folder = self._root / project.MODELS / name
+                if folder.exists():
+                    raise InputError(f"{project.MODELS}/{name}: exists already; choose another name")
+                content = {"folder": str(folder)}
         number = self._pending.add(client, request.get("id"))
         self._child.send({**content, "type": request["type"], "id": number})
 
