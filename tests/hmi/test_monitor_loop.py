@@ -233,7 +233,7 @@ def test_the_page_is_told_once_what_is_in_use_and_what_happened(adapted):
     }
     assert not news["directions"]["lowering"]["can_roll_back"]
     (told,) = news["events"]
-    assert (told["kind"], told["reason"], told["at_s"]) == ("promoted", "proved better", pytest.approx(1.04))
+    assert (told["kind"], told["reason"], told["at_s"]) == ("promoted", "proved better", pytest.approx(1.0))
     assert loop.news_of_adaptation() is None
 
 

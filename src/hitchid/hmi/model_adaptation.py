@@ -45,8 +45,7 @@ class ModelAdaptation:
     """
 
     def __init__(self, model: Hitch, path: Path, command_factors: Mapping[str, float]) -> None:
-        self._factors, self._step_s = command_factors, model.step_s
-        self._begin_s, self._samples = math.nan, 0
+        self._factors, self._at_s = command_factors, 0.0
         self._log = ChangeLog(path)
         self._promoted: Counter[str] = Counter()
         self._strokes: Counter[str] = Counter()
@@ -90,8 +89,7 @@ class ModelAdaptation:
         """
         if self._online is None:
             return False
-        self._begin_s = float(begin_s) - self._samples * self._step_s
-        self._samples += len(displacement)
+        self._at_s = begin_s
         return bool(self._online.feed(commands, displacement))
 
     def roll_back(self, direction: object) -> None:
@@ -140,8 +138,7 @@ class ModelAdaptation:
         self._log.write(event)
         self._count(event)
         self._strokes[event.kind] += 1
-        at_s = self._begin_s + event.time_s
-        shown = {"kind": event.kind, "direction": event.direction, "reason": event.reason, "at_s": at_s}
+        shown = {"kind": event.kind, "direction": event.direction, "reason": event.reason, "at_s": self._at_s}
         for kinds, latest in self._events.items():
             if event.kind in kinds:
                 latest.append({**shown, **self._shown(event.direction, event.changes)})

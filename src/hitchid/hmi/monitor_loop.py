@@ -138,7 +138,7 @@ class MonitorLoop:
             return
         try:
             has_started = self._adaptation.start()
-            has_learned = self._adaptation.feed(rows[0, 0], *self._in_model_units(rows))
+            has_learned = self._adaptation.feed(float(rows[0, 0]), *self._in_model_units(rows))
         except HitchError as error:
             self.adapt(None)
             self._reason = str(error)
