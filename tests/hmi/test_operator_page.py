@@ -1,6 +1,7 @@
 """The page in a browser: small and large, light and dark, by keyboard, with viewers, closed and frozen."""
 
 import csv
+import math
 import time
 from importlib.util import find_spec
 from pathlib import Path
@@ -9,11 +10,16 @@ import pytest
 from operated import Operator, served
 
 import fake_bench
+import handmade
+import hitchid
 from browser import chromium
 from fake_bench import LIMITS_FILE
+from hitchid.adaptation import Changes, Event, read_events
+from hitchid.model import save
 
 HOLD = "time_s,lifting_command,lowering_command\n0,0.4,0\n30,0.4,0\n"
 SIZES = ((390, 844), (1280, 800), (1920, 1080))
+LONGEST_S = 100  # s for the start of the adaptation on a machine with other tests beside it
 SECTIONS = ("bench", "campaign", "identify", "drive", "project")
 
 
@@ -31,6 +37,11 @@ def project(tmp_path_factory):
     (folder / "limits.toml").write_text(LIMITS_FILE)
     (folder / "uploads").mkdir()
     (folder / "uploads" / "hold.csv").write_text(HOLD)
+    save(handmade.hitch(), folder / "models" / "hand")
+    (folder / "changes").mkdir()
+    changes = Changes(gain=math.log(1.1), dead_zone=0.02)
+    learned = [Event(kind, 60.0, 9, "lifting", "", changes) for kind in ("promoted", "moved")]
+    (folder / "changes" / "hand.jsonl").write_text("".join(f"{each.to_json()}\n" for each in learned))
     (folder / "fake_bench.py").write_text(Path(fake_bench.__file__).read_text())
     return folder
 
@@ -71,23 +82,64 @@ def times_s(log):
         return [float(row["time_s"]) for row in csv.DictReader(file)]
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_every_section_fits_and_has_no_serious_finding_of_accessibility(operator, scheme):
+def serious_findings(page):
+    """Return what axe finds of serious and critical problems of accessibility, or skip what needs it."""
     if find_spec("axe_playwright_python") is None:
         pytest.skip("axe-playwright-python is not installed; it judges accessibility")
     from axe_playwright_python import sync_playwright as axe
 
+    page.evaluate((Path(axe.__file__).parent / "axe.min.js").read_text())
+    found = page.evaluate("async () => (await axe.run()).violations.map(v => [v.impact, v.id])")
+    return [each for each in found if each[0] in ("serious", "critical")]
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_every_section_fits_and_has_no_serious_finding_of_accessibility(operator, scheme):
     page = operator.page
     page.emulate_media(color_scheme=scheme)
-    page.evaluate((Path(axe.__file__).parent / "axe.min.js").read_text())
     for section in SECTIONS:
         getattr(operator, f"tab_{section}").click()
         for width, height in SIZES:
             page.set_viewport_size({"width": width, "height": height})
             assert page.evaluate("document.documentElement.scrollWidth") <= width, (section, width)
-        found = page.evaluate("async () => (await axe.run()).violations.map(v => [v.impact, v.id])")
-        assert [each for each in found if each[0] in ("serious", "critical")] == [], section
+        assert serious_findings(page) == [], section
     page.set_viewport_size({"width": 1280, "height": 800})
+
+
+def test_an_adapted_model_is_shown_saved_rolled_back_and_switched_off_by_keyboard(operator, project):
+    page = operator.page
+    operator.tab_bench.click()
+    operator.monitor_model.select_option("models/hand")
+    operator.adapt.focus()
+    page.keyboard.press("Space")
+    row = page.locator("#adapt-changes [data-direction=lifting]")
+    row.get_by_text("+10.0 %").wait_for(timeout=1000 * LONGEST_S)
+    row.get_by_text("+0.020 A").wait_for()
+    assert operator.roll_back_lowering.is_disabled()
+    operator.roll_back_lifting.focus()
+    page.keyboard.press("Enter")
+    for scheme in ("light", "dark"):
+        page.emulate_media(color_scheme=scheme)
+        assert serious_findings(page) == []
+    operator.save_adapted.click()
+    page.get_by_text("Saved as models/hand-adapted").wait_for()
+    operator.save_name.fill("hand-adapted")
+    operator.save_adapted.click()
+    problem = operator.problem.filter(has_text="models/hand-adapted: exists already; choose another name")
+    problem.get_by_role("button").click()
+    assert page.evaluate("document.activeElement.dataset.testid") != "adapt-back"
+    operator.adapt_back.focus()
+    page.keyboard.press("Enter")
+    page.get_by_text("Rolled back").wait_for()
+    row.get_by_text("0.0 %", exact=True).wait_for()
+    assert operator.roll_back_lifting.is_disabled()
+    operator.adapt.focus()
+    page.keyboard.press("Space")
+    page.get_by_text("Off: the model is used as identified").wait_for()
+    assert [each.kind for each in read_events(project / "changes" / "hand.jsonl")][-1] == "rolled back"
+    gain = hitchid.load(project / "models" / "hand-adapted").channels["lifting"].benchmark.parameter_vector[0]
+    assert float(gain) == pytest.approx(1.1 * handmade.GAINS["lifting"])
+    operator.monitor_model.select_option("")
 
 
 def test_a_test_is_armed_started_and_stopped_by_keyboard_alone(operator, name):

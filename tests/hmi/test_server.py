@@ -485,6 +485,9 @@ def test_a_message_that_is_too_large_ends_its_page_alone(session):
         {"type": "monitor", "model": "../secret.txt"},
         {"type": "monitor", "model": {"a": 1}},
         {"type": "monitor_restart"},
+        {"type": "adapt", "on": True},
+        {"type": "roll_back", "direction": "lifting"},
+        {"type": "save_adapted", "name": "../../a"},
         {"type": "marker", "text": {"a": []}},
         {"type": "server_alive"},
         {"type": "page_alive"},
@@ -513,6 +516,9 @@ def test_a_viewer_can_stop_but_nothing_else(session):
             "target",
             "record",
             "monitor",
+            "adapt",
+            "roll_back",
+            "save_adapted",
             "marker",
         ):
             assert asked(viewer, kind, plan=PLAN) == "this page only watches; become the operator first"

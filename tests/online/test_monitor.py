@@ -1,10 +1,12 @@
 """The monitor against the simulation and the predictions of whole records."""
 
+import jax
 import numpy as np
 import pytest
 
 import handmade
 import hitchid
+from hitchid.adaptation import Changes, changed_model
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError
 from hitchid.online import Monitor
@@ -92,6 +94,26 @@ def test_a_restart_forgets_the_past():
     first = Monitor(model, 100.0, block=BLOCK).advance(rows[:BLOCK], log.displacement[:BLOCK])
     np.testing.assert_array_equal(again.free_run, first.free_run)
     assert again.ahead == first.ahead
+
+
+def test_an_adapted_model_takes_over_as_if_it_had_been_there_and_compiles_nothing(model, caplog):
+    rows, still = commands(), (np.zeros((BLOCK, 2)), np.full(BLOCK, 100.0))
+    changes = {LIFTING: Changes(0.2, -0.05), LOWERING: Changes(-0.1, 0.03)}
+    adapted = changed_model(model, changes, {LIFTING: 1.5})
+    log = record(adapted, rows)
+    blocks = [(rows[k : k + BLOCK], log.displacement[k : k + BLOCK]) for k in range(0, len(rows), BLOCK)]
+    fresh, monitor = (Monitor(each, 100.0, block=BLOCK) for each in (adapted, model))
+    fresh.advance(*still)
+    expected = [fresh.advance(*block) for block in blocks]
+    monitor.advance(*still)
+    with jax.log_compiles():
+        monitor.adjust(adapted)
+        found = [monitor.advance(*block) for block in blocks]
+    compiled = [each.message for each in caplog.records if each.message.startswith("Compiling")]
+    assert not [text for text in compiled if "_advance" in text or "_ahead" in text]
+    for mine, its in zip(found, expected, strict=True):
+        for value, other in zip(mine, its, strict=True):
+            np.testing.assert_allclose(value, other, rtol=0, atol=ROUNDING)
 
 
 def test_a_block_of_another_size_is_refused():

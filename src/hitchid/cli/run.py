@@ -3,20 +3,14 @@
 import sys
 from io import TextIOWrapper
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from hitchid._support.compilation_cache import prepare_jax
 from hitchid._support.storage import check_folder
 from hitchid.cli.options import Force, Loads, loads_of
-from hitchid.errors import InputError, OutputError
-
-if TYPE_CHECKING:
-    from hitchid.adaptation import Event
-    from hitchid.model import Hitch
-    from hitchid.model.loads import Load
-    from hitchid.online import OnlineAdaptation
+from hitchid.errors import InputError
 
 
 def run(
@@ -48,16 +42,17 @@ def run(
     from hitchid.model import load as load_model
     from hitchid.model import save as save_model
     from hitchid.model.artifact import MODEL_FILE
-    from hitchid.online.live import Live
+    from hitchid.online import ChangeLog, Live, OnlineAdaptation
 
     if save is not None:
         check_folder(save, result_kind=MODEL_FILE, force=force)
     identified, loads = load_model(model), loads_of(load)
     adaptation, log = None, None
     if adapt:
-        earlier = _entries(changes)
-        log = None if changes is None else _appended(changes, len(earlier))
-        adaptation = _adaptation(identified, loads, earlier, log)
+        log = None if changes is None else ChangeLog(changes)
+        adaptation = OnlineAdaptation(
+            identified, load=loads, log=log and log.write, earlier=log.earlier if log else ()
+        )
     live = Live(identified, initial=initial, load=loads, adaptation=adaptation)
     if isinstance(sys.stdin, TextIOWrapper):
         sys.stdin.reconfigure(encoding="utf-8", errors="replace")
@@ -72,36 +67,3 @@ def run(
             save_model(adaptation.model, save, force=force)
     if log is not None:
         log.close()
-
-
-def _entries(changes: Path | None) -> "tuple[Event, ...]":
-    """Return the entries of a change log, none where there is no file yet."""
-    from hitchid.adaptation import read_events
-
-    return () if changes is None or not changes.exists() else read_events(changes)
-
-
-def _adaptation(
-    model: "Hitch", load: "Load | None", earlier: "tuple[Event, ...]", log: IO[str] | None
-) -> "OnlineAdaptation":
-    """Return the adaptation, which goes on from the entries of a change log."""
-    from hitchid.online import OnlineAdaptation
-
-    def write(event: "Event") -> None:
-        if log is not None:
-            log.write(event.to_json() + "\n")
-            log.flush()
-
-    return OnlineAdaptation(model, load=load, log=write, earlier=earlier)
-
-
-def _appended(path: Path, entries: int) -> IO[str]:
-    """Return a change log opened for writing after its entries; a last line cut short is taken away."""
-    try:
-        text = path.read_text(encoding="utf-8") if path.exists() else ""
-        if text and not text.endswith("\n"):
-            kept = text.splitlines()[:entries]
-            path.write_text("".join(line + "\n" for line in kept), encoding="utf-8")
-        return path.open("a", encoding="utf-8")
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error.strerror}") from error

@@ -18,13 +18,18 @@ from hitchid.hmi.child import Child
 from hitchid.hmi.clients import Client, Clients
 from hitchid.hmi.history import History, SpeedEstimate, block_of, packed_rows
 from hitchid.hmi.jobs import Jobs
-from hitchid.hmi.source import DISPLACEMENT, LIFTING_COMMAND, REQUIRED, Signal
+from hitchid.hmi.model_beside import ModelBeside
+from hitchid.hmi.pending import Pending
+from hitchid.hmi.source import DISPLACEMENT, REQUIRED, Signal
 from hitchid.rig.parameter_files import parameter_sets
 
 ALIVE_S = 0.1  # s between signs of life to the bench loop
 MEASURED = 0  # kind of the message with samples
 LOG_FILE = "hmi.log"
 OPERATED = ("connect", "disconnect", "arm", "start", "reset", "target", "record")  # by the bench loop
+BESIDE = ("monitor_restart", "adapt", "roll_back", "save_adapted")  # by the model beside the machine
+UNLOGGED = ("target", "monitor_restart")  # requests that leave no line in the log
+LOGGED_FIELDS = ("source", "options", "plan", "on", "direction", "name")  # of a request
 NOMINAL = "nominal"  # the rig that is offered first
 SPEEDS = (1, 2, 5, 10, 20)
 MOST_MARKERS = 200
@@ -71,12 +76,10 @@ class Console:
         self.history: History | None = None
         self._speed = SpeedEstimate(1, 1.0)
         self._bench: Child | None = None
-        self._monitor: Child | None = None
-        self._model: str | None = None
+        self._beside = ModelBeside(settings.root, self.clients, self.publish_status, self._project_changed)
         self._status: dict[str, Any] = {**ENDED, "reason": ""}
         self._markers: list[dict[str, object]] = []
-        self._replies: dict[int, tuple[Client, object]] = {}
-        self._number = 0
+        self._pending = Pending()
 
     async def keep_alive(self) -> None:
         """Start the bench loop, and give it signs of life until cancelled."""
@@ -88,9 +91,9 @@ class Console:
 
     async def end(self) -> None:
         """End all processes; the bench loop closes valves and logs."""
-        for child in (self._bench, self._monitor):
-            if child is not None:
-                await asyncio.to_thread(child.end)
+        if self._bench is not None:
+            await asyncio.to_thread(self._bench.end)
+        await asyncio.to_thread(self._beside.end)
         await self.jobs.end()
 
     def welcome(self) -> Client:
@@ -120,6 +123,7 @@ class Console:
             }
         )
         client.put(self.status())
+        client.put(self._beside.describe())
         for job in self.jobs.describe():
             client.put(job)
 
@@ -144,7 +148,7 @@ class Console:
             **self._status,
             "operator": self.clients.operator,
             "viewers": max(0, len(self.clients) - (self.clients.operator is not None)),
-            "model": self._model,
+            "model": self._beside.model,
             "markers": self._markers,
         }
 
@@ -181,12 +185,12 @@ class Console:
         elif kind in OPERATED:
             self._operate(client, request)
             return
+        elif kind in BESIDE:
+            self._beside.ask(client, request)
+            self._log_request(client, request)
+            return
         elif kind == "monitor":
-            self._start_monitor(request.get("model"))
-        elif kind == "monitor_restart":
-            if self._monitor is None:
-                raise InputError("monitor: there is no model beside the machine; choose one first")
-            self._monitor.outbox.put(b"")
+            self._beside.choose(request.get("model"), self._status["source"])
         elif kind == "marker":
             self._mark(str(request.get("text", ""))[:80])
         else:
@@ -202,6 +206,11 @@ class Console:
         except OSError as error:
             self.clients.publish({"type": "problem", "text": f"{LOG_FILE}: {error.strerror}"})
 
+    def _log_request(self, client: Client, request: Mapping[str, Any]) -> None:
+        if request["type"] not in UNLOGGED:
+            content = {name: request[name] for name in LOGGED_FIELDS if name in request}
+            self.log(request["type"], client, **content)
+
     def _end_operation(self, client: Client) -> None:
         self.clients.release(client)
         self._operator_left()
@@ -212,11 +221,8 @@ class Console:
             self._bench.send({"type": "operator_left"})
 
     def _operate(self, client: Client, request: Mapping[str, Any]) -> None:
-        kind = request["type"]
-        if kind != "target":
-            content = {name: request[name] for name in ("source", "options", "plan", "on") if name in request}
-            self.log(kind, client, **content)
-        if kind == "connect":
+        self._log_request(client, request)
+        if request["type"] == "connect":
             if self._bench is None:
                 self._start_bench()
             given = request.get("source")
@@ -227,9 +233,8 @@ class Console:
     def _to_bench(self, client: Client, request: Mapping[str, Any]) -> None:
         if self._bench is None:
             raise InputError("the bench loop has ended; connect a source to start it again")
-        self._number += 1
-        self._replies[self._number] = client, request.get("id")
-        self._bench.send({**request, "id": self._number, "at_s": time.monotonic()})
+        number = self._pending.add(client, request.get("id"))
+        self._bench.send({**request, "id": number, "at_s": time.monotonic()})
         if request["type"] == "stop" and self._status["state"] != "stopped":
             self.log("stop", client)
 
@@ -247,9 +252,7 @@ class Console:
         self._bench = None
         reason = "the bench loop has ended: valves are closed, its logs are complete to the last second"
         self._status = {**ENDED, "reason": reason}
-        for client, number in self._replies.values():
-            client.put({"type": "reply", "id": number, "error": reason})
-        self._replies.clear()
+        self._pending.fail(reason)
         self.publish_status()
 
     def _from_bench(self, message: bytes) -> None:
@@ -258,9 +261,7 @@ class Console:
             return
         content = json.loads(message[1:])
         if content["type"] == "reply":
-            client, number = self._replies.pop(content["id"], (None, None))
-            if client is not None:
-                client.put({"type": "reply", "id": number, "error": content["error"]})
+            self._pending.answer(content["id"], content["error"])
             return
         before, self._status = self._status, _with_speed(content)
         if before["source"] != self._status["source"]:
@@ -279,7 +280,7 @@ class Console:
             self.history = History(1 + len(source["signals"]), source["step_s"])
             self._speed = SpeedEstimate(1 + REQUIRED.index(DISPLACEMENT), source["step_s"])
         self._markers = []
-        self._end_monitor()
+        self._beside.leave()
 
     def _take_block(self, message: bytes) -> None:
         wall_ms, rows = block_of(message)
@@ -287,46 +288,7 @@ class Console:
             rows = np.column_stack([rows, self._speed.advance(rows)])
             self.history.append(rows)
             self.clients.publish(packed_rows(MEASURED, rows, wall_ms))
-        if self._monitor is not None:
-            columns = [np.full(len(rows), wall_ms), *rows[:, :4].T]
-            self._monitor.outbox.put(np.column_stack(columns).tobytes(), is_block=True)
-
-    def _start_monitor(self, model: object) -> None:
-        if model is None:
-            self._end_monitor()
-            return
-        source = self._status["source"]
-        if source is None:
-            raise InputError("monitor: there is no source; connect one first")
-        units = {signal["name"]: signal["unit"] for signal in source["signals"]}
-        settings = {
-            "model": str(project.inside(self.settings.root, model)),
-            "units": [units[LIFTING_COMMAND], units[DISPLACEMENT]],
-            "step_s": source["step_s"],
-        }
-        self._end_monitor()
-        child = Child(
-            "hitchid.hmi.monitor_process", settings, self._from_monitor, lambda: self._monitor_ended(child)
-        )
-        self._monitor, self._model = child, str(model)
-        self.publish_status()
-
-    def _end_monitor(self) -> None:
-        if self._monitor is not None:
-            child, self._monitor, self._model = self._monitor, None, None
-            asyncio.get_running_loop().run_in_executor(None, child.end)
-            self.publish_status()
-
-    def _from_monitor(self, message: bytes) -> None:
-        if message[:1] == b"{":
-            self.clients.publish({"type": "problem", "text": f"monitor: {json.loads(message)['error']}"})
-        else:
-            self.clients.publish(message)
-
-    def _monitor_ended(self, child: Child) -> None:
-        if self._monitor is child:
-            self._monitor, self._model = None, None
-            self.publish_status()
+        self._beside.take(rows, wall_ms)
 
     def _mark(self, text: str) -> None:
         if self._status["source"] is None:

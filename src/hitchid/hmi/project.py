@@ -8,8 +8,8 @@ from pathlib import Path
 from hitchid.errors import InputError
 
 CAMPAIGNS, MODELS, REPORTS, CONTROLLERS = "campaigns", "models", "reports", "controllers"
-DRIVES, RECORDINGS, UPLOADS = "drives", "recordings", "uploads"
-FOLDERS = (CAMPAIGNS, MODELS, REPORTS, CONTROLLERS, DRIVES, RECORDINGS, UPLOADS)
+DRIVES, RECORDINGS, UPLOADS, CHANGES = "drives", "recordings", "uploads", "changes"
+FOLDERS = (CAMPAIGNS, MODELS, REPORTS, CONTROLLERS, DRIVES, RECORDINGS, UPLOADS, CHANGES)
 NAME_PATTERN = r"[A-Za-z0-9][A-Za-z0-9_.-]{0,59}"
 NAME = re.compile(NAME_PATTERN)
 CAMPAIGN_FILE, REPORT_FILE = "campaign.toml", "report.html"
@@ -70,7 +70,7 @@ def contents(project: Path) -> dict[str, object]:
         MODELS: models,
         REPORTS: reports,
         CONTROLLERS: controllers,
-        **{folder: _entries(project, folder) for folder in (DRIVES, RECORDINGS, UPLOADS)},
+        **{folder: _entries(project, folder) for folder in (DRIVES, RECORDINGS, UPLOADS, CHANGES)},
     }
 
 

@@ -14,6 +14,7 @@ from hitchid.model.dynamics import HitchDynamics
 from hitchid.model.hitch import Hitch
 from hitchid.model.loads import channel_load
 from hitchid.model.packing import Packed, Packing, with_numbers
+from hitchid.model.state import HitchState
 from hitchid.model.step import join_inputs
 
 
@@ -22,6 +23,17 @@ def numbers_of_models(model: Hitch) -> Float[Array, " p"]:
     """Return the numbers of the physical models of a hitch at its sampling time, for `AdjustableHitch`."""
     channels = tuple(model.channels.values())
     return ravel_pytree(HitchDynamics.of(channels, model.step_s, model.drift).discrete_models)[0]
+
+
+def adjusted_state(dynamics: HitchDynamics, state: HitchState) -> HitchState:
+    """Return a state with the physical models of dynamics at its load."""
+    channels = tuple(
+        channel._replace(at_load=model.at_load(channel_load(dynamics.channels, number, state.load)))
+        if channel.at_load is not None
+        else channel
+        for number, (channel, model) in enumerate(zip(state.channels, dynamics.discrete_models, strict=True))
+    )
+    return state._replace(channels=channels)
 
 
 class AdjustableHitch:
@@ -57,12 +69,4 @@ class AdjustableHitch:
     def _at_load(self, numbers_of_models: Array, numbers: Array) -> Array:
         dynamics = with_numbers(self._dynamics, numbers_of_models)
         state = self._packing.unpack(Packed(numbers, dynamics.zero_lstm_state()))
-        channels = tuple(
-            channel._replace(at_load=model.at_load(channel_load(dynamics.channels, number, state.load)))
-            if channel.at_load is not None
-            else channel
-            for number, (channel, model) in enumerate(
-                zip(state.channels, dynamics.discrete_models, strict=True)
-            )
-        )
-        return self._packing.pack(state._replace(channels=channels)).numbers
+        return self._packing.pack(adjusted_state(dynamics, state)).numbers

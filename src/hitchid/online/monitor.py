@@ -14,6 +14,7 @@ from hitchid._support.precision import double_precision
 from hitchid._support.short_repr import short_repr
 from hitchid.errors import InputError
 from hitchid.model import Hitch
+from hitchid.model.adjustable import adjusted_state
 from hitchid.model.bands import bands_by_channel
 from hitchid.model.dynamics import HitchDynamics
 from hitchid.model.ensemble import ensemble_half_width, ensemble_members
@@ -67,20 +68,44 @@ class Monitor:
         self.block = checks.integer(block, "block", minimum=1)
         self.horizon = max(1, round(checks.number(horizon_s, "horizon_s", above=0.0) / model.step_s))
         self._coverage = checks.number(coverage, "coverage")
-        self._dynamics = model.dynamics
-        free_run_dynamics = model.free_run_dynamics()
-        self._bands = bands_by_channel(model.bands, tuple(model.channels)) if model.has_bands else []
-        self._members = ensemble_members(free_run_dynamics, self._bands) if self._bands else []
         self._load = jnp.asarray(load_row(load, tuple(model.channels.values()), "model"))
-        self._groups = _grouped([free_run_dynamics, *(member.dynamics for member in self._members)])
+        self._dynamics, self._groups = self._parts(model)
         self.restart(displacement)
 
     @double_precision
     def restart(self, displacement: float) -> None:
         """Start the free run anew at a displacement at rest, in the model's unit."""
-        start = jnp.asarray(checks.number(displacement, "displacement"))
+        start = jnp.asarray(
+            checks.number(displacement, "displacement"), float
+        )  # not weakly typed: one compilation
         self._state = self._dynamics.init_state(start, self._load)
         self._runs = [_started(stacked, start, self._load) for _, stacked in self._groups]
+
+    @double_precision
+    def adjust(self, model: Hitch) -> None:
+        """Go on with a model whose gains, dead zones and bands differ; nothing is compiled anew.
+
+        Args:
+            model: the one that is monitored, adapted.
+        """
+        dynamics, groups = self._parts(model)
+        self._dynamics = _with_models_of(self._dynamics, dynamics)
+        self._groups = [
+            (indices, _with_models_of(stacked, adapted))
+            for (indices, stacked), (_, adapted) in zip(self._groups, groups, strict=True)
+        ]
+        self._state = _adjusted(self._dynamics, self._state)
+        self._runs = [
+            _adjusted_runs(stacked, states)
+            for (_, stacked), states in zip(self._groups, self._runs, strict=True)
+        ]
+
+    def _parts(self, model: Hitch) -> tuple[HitchDynamics, list[tuple[list[int], HitchDynamics]]]:
+        """Return the dynamics of predictions, and those of the free runs in groups; keep the bands."""
+        free_run_dynamics = model.free_run_dynamics()
+        self._bands = bands_by_channel(model.bands, tuple(model.channels)) if model.has_bands else []
+        self._members = ensemble_members(free_run_dynamics, self._bands) if self._bands else []
+        return model.dynamics, _grouped([free_run_dynamics, *(member.dynamics for member in self._members)])
 
     @double_precision
     def advance(self, commands: np.ndarray, measured: np.ndarray) -> Predictions:
@@ -130,6 +155,15 @@ def _grouped(dynamics: Sequence[HitchDynamics]) -> list[tuple[list[int], HitchDy
         (indices, jax.tree.map(lambda *leaves: np.stack(leaves), *(dynamics[number] for number in indices)))
         for indices in groups.values()
     ]
+
+
+def _with_models_of(dynamics: HitchDynamics, adapted: HitchDynamics) -> HitchDynamics:
+    """Return dynamics with the physical models of others; what the compiled functions depend on stays."""
+    return eqx.tree_at(lambda tree: tree.discrete_models, dynamics, adapted.discrete_models)
+
+
+_adjusted = eqx.filter_jit(adjusted_state)
+_adjusted_runs = eqx.filter_jit(eqx.filter_vmap(adjusted_state))
 
 
 @eqx.filter_jit

@@ -1,4 +1,5 @@
 /** The page of `hitchid hmi`: put the parts together. */
+import { bindAdaptation } from "./adaptation.js";
 import { bindBench } from "./bench.js";
 import { bindCampaign } from "./campaign.js";
 import { Connection } from "./connection.js";
@@ -22,6 +23,7 @@ bindStop(connection);
 bindHeader(connection, project);
 const plots = bindLive(connection);
 bindBench(connection, project);
+bindAdaptation(connection, project);
 bindCampaign(connection, project, jobs);
 bindIdentify(connection, project, jobs);
 bindDrive(connection, project, jobs);

@@ -1,7 +1,7 @@
 /**
  * The one connection to the server: session, websocket, requests with replies, heartbeat.
  *
- * Events: `change` (state of the connection, `status` or `hello`), `frame`, `job`, `project_changed`, `sources`, `problem`.
+ * Events: `change` (state of the connection, `status` or `hello`), `frame`, `job`, `adaptation`, `project_changed`, `sources`, `problem`.
  * After a loss it connects again by itself; it never arms or starts by itself.
  */
 import { get, post } from "./http.js";

@@ -68,6 +68,7 @@ const LISTS = [
   { key: "drives", title: "Drives", folder: "drives/" },
   { key: "recordings", title: "Recordings", folder: "recordings/" },
   { key: "uploads", title: "Uploads", folder: "uploads/" },
+  { key: "changes", title: "Change logs of adaptation", folder: "changes/" },
 ];
 
 /** @param {any} content */

@@ -18,6 +18,12 @@ export function number(value, unit) {
   return /^−0\.?0*$/.test(text) ? text.slice(1) : text;
 }
 
+/** A change, with its sign. @param {number} value @param {string} unit */
+export function change(value, unit) {
+  const text = number(value, unit);
+  return `${value > 0 && /[1-9]/.test(text) ? "+" : ""}${text} ${unitText(unit)}`.trim();
+}
+
 /** Text of a unit; the unit "1" is a pure number. @param {string} unit */
 export const unitText = (unit) => (unit === "1" ? "" : unit === "percent" ? "%" : unit);
 

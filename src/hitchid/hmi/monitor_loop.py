@@ -1,0 +1,176 @@
+"""The model beside the machine: blocks of samples in, predictions out; adapted while that is on."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from hitchid.data.record import COMMAND, DIRECTIONS, DISPLACEMENT
+from hitchid.data.units import conversion_factor
+from hitchid.errors import HitchError, InputError
+from hitchid.hmi.model_adaptation import ModelAdaptation
+from hitchid.hmi.model_beside import NO_ADAPTATION
+from hitchid.hmi.source import is_same_sampling_time
+from hitchid.model import Hitch
+from hitchid.online import Monitor
+
+FREE_RUN, AHEAD = 1, 2  # kinds of messages to the page
+HORIZON_S = 1.0  # s of the prediction ahead
+BLOCK_S = 0.04  # s of samples that are predicted at once
+LONGEST_GAP = 1.5  # sampling times between two samples, above which one is missing
+LONGEST_FILLED_S = 10.0  # s of lost samples that adaptation counts as missing: a stroke has ended long before
+
+
+class MonitorLoop:
+    """A model beside a source, in the units of the source.
+
+    Args:
+        model: identified hitch.
+        units: of the commands and of the displacement of the source.
+        step_s: sampling time of the source, s.
+
+    Raises:
+        InputError: sampling time or units do not fit the model.
+    """
+
+    def __init__(self, model: Hitch, units: tuple[str, str], step_s: float) -> None:
+        if not is_same_sampling_time(step_s, model.step_s):
+            raise InputError(
+                f"the model has a sampling time of {model.step_s:g} s, the source of {step_s:g} s; "
+                "identify a model at that of the source"
+            )
+        command_units = {model.units[COMMAND[direction]] for direction in model.channels}
+        self._command_factor = np.array([1.0, 1.0])
+        for number, direction in enumerate(DIRECTIONS):
+            unit = model.units.get(COMMAND[direction], next(iter(command_units)))
+            self._command_factor[number] = conversion_factor(units[0], unit, COMMAND[direction])
+        self._factor = conversion_factor(units[1], model.units[DISPLACEMENT], DISPLACEMENT)
+        self._identified, self._step_s = model, step_s
+        self._block = max(1, round(BLOCK_S / step_s))
+        self._monitor: Monitor | None = None
+        self._is_running = False
+        self._waiting, self._latest_s = np.empty((0, 4)), np.inf
+        self._adaptation: ModelAdaptation | None = None
+        self._reason, self._is_told = "", True
+
+    @property
+    def adaptation(self) -> ModelAdaptation:
+        """The adaptation.
+
+        Raises:
+            InputError: the model is not adapted.
+        """
+        if self._adaptation is None:
+            raise InputError("the model is not adapted; switch adaptation on first")
+        return self._adaptation
+
+    def restart(self) -> None:
+        """Start the free run anew at the next measured displacement."""
+        self._is_running = False
+
+    def adapt(self, path: Path | None) -> None:
+        """Begin to adapt the model, or end it: the model is then the identified one again.
+
+        Args:
+            path: of the change log; None to end.
+
+        Raises:
+            InputError, OutputError: the change log is none, or cannot be written.
+        """
+        if self._adaptation is not None:
+            ended, self._adaptation = self._adaptation, None
+            self._adjust()
+            ended.end()
+        if path is not None:
+            factors: dict[str, float] = dict(zip(DIRECTIONS, self._command_factor.tolist(), strict=True))
+            self._adaptation = ModelAdaptation(self._identified, path, factors)
+        self._reason, self._is_told = "", False
+
+    def news_of_adaptation(self) -> Mapping[str, object] | None:
+        """Return what the page shows of the adaptation, where that differs from what was told before."""
+        if self._is_told:
+            return None
+        self._is_told = True
+        if self._adaptation is None:
+            return {**NO_ADAPTATION, "reason": self._reason}
+        return self._adaptation.describe()
+
+    def advance(self, rows: np.ndarray) -> list[tuple[int, np.ndarray]]:
+        """Return kind and rows of the predictions that samples complete; time, displacement, band.
+
+        Args:
+            rows: time, s; lifting command, lowering command, displacement; shape [N, 4].
+        """
+        gaps = np.diff(rows[:, 0], prepend=self._latest_s) > LONGEST_GAP * self._step_s
+        messages = []
+        for number, piece in enumerate(np.split(rows, np.flatnonzero(gaps))):
+            if number:
+                self.restart()  # samples were lost on the way here, so that the free run would lack commands
+                self._waiting = rows[:0]
+                self._learn(self._missing_before(piece[0, 0]))
+            self._waiting = np.concatenate([self._waiting, piece])
+            while len(self._waiting) >= self._block:
+                block, self._waiting = self._waiting[: self._block], self._waiting[self._block :]
+                messages += self._predict(block)
+            self._learn(piece)
+            self._latest_s = piece[-1, 0] if len(piece) else self._latest_s
+        return messages
+
+    def _predict(self, block: np.ndarray) -> list[tuple[int, np.ndarray]]:
+        commands, measured = self._in_model_units(block)
+        if not self._is_running and not np.isfinite(measured[0]):
+            return []
+        if self._monitor is None:
+            self._monitor = Monitor(self._identified, measured[0], block=self._block, horizon_s=HORIZON_S)
+            self._monitor.adjust(self._model)
+        elif not self._is_running:
+            self._monitor.restart(measured[0])
+        self._is_running = True
+        found = self._monitor.advance(commands, measured)
+        free_run = np.column_stack([found.free_run, found.free_run_half_width]) / self._factor
+        ahead = np.array([[found.ahead, found.ahead_half_width]]) / self._factor
+        ahead_s = block[-1:, 0] + self._monitor.horizon * self._step_s
+        return [(FREE_RUN, _with_band(block[:, 0], free_run)), (AHEAD, _with_band(ahead_s, ahead))]
+
+    def _learn(self, rows: np.ndarray) -> None:
+        """Learn from samples; where that fails the model is the identified one again."""
+        if self._adaptation is None or not len(rows):
+            return
+        try:
+            has_started = self._adaptation.start()
+            has_learned = self._adaptation.feed(float(rows[0, 0]), *self._in_model_units(rows))
+        except HitchError as error:
+            self.adapt(None)
+            self._reason = str(error)
+            return
+        if has_started or has_learned:
+            self._adjust()
+
+    def _adjust(self) -> None:
+        """Go on with the model in use."""
+        self._is_told = False
+        if self._monitor is not None:
+            self._monitor.adjust(self._model)
+
+    @property
+    def _model(self) -> Hitch:
+        """The model in use."""
+        adapted = None if self._adaptation is None else self._adaptation.model
+        return self._identified if adapted is None else adapted
+
+    def _in_model_units(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return commands and displacement of samples in the model's units."""
+        return self._command_factor * rows[:, 1:3], self._factor * rows[:, 3]
+
+    def _missing_before(self, time_s: float) -> np.ndarray:
+        """Return rows without values for the samples that were lost, as many as a stroke needs to end."""
+        lost = min(time_s - self._latest_s, LONGEST_FILLED_S)
+        count = max(0, round(lost / self._step_s) - 1)
+        times = time_s - self._step_s * np.arange(count, 0, -1)
+        return np.column_stack([times, np.full((count, 3), np.nan)])
+
+
+def _with_band(time_s: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Return time, displacement, lower and upper limit from displacement and half width."""
+    centre, half_width = rows.T
+    return np.column_stack([time_s, centre, centre - half_width, centre + half_width])
