@@ -168,7 +168,7 @@ class Adapter:
     ) -> tuple[AdapterState, Event]:
         """Return the state with the changes of one direction before its last promotion, bit for bit."""
         channel, events = self._channels[direction].rolled_back(
-            state.channels[direction], None, state.strokes, reason
+            state.channels[direction], None, state.strokes, reason, state.ended_at * self.model.step_s
         )
         return replace(state, channels={**state.channels, direction: channel}), events[0]
 

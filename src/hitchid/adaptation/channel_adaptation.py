@@ -152,8 +152,18 @@ class ChannelAdaptation:
         state = replace(state, deployed=self._bounds.towards(state.deployed, state.target))
         return state, [self._event(MOVED, state, stroke, number, "towards the promoted values")]
 
-    def rolled_back(self, state: ChannelState, stroke: Stroke | None, number: int, reason: str) -> Outcome:
-        """Return the state with the changes before the last promotion, at once and bit for bit."""
+    def rolled_back(
+        self, state: ChannelState, stroke: Stroke | None, number: int, reason: str, at_s: float = 0.0
+    ) -> Outcome:
+        """Return the state with the changes before the last promotion, at once and bit for bit.
+
+        Args:
+            state: before it.
+            stroke: after which it happens; None where it was asked for.
+            number: of the last stroke of the machine.
+            reason: in words.
+            at_s: time, where there is no stroke, s.
+        """
         snapshots = state.snapshots[:-1] or state.snapshots
         back = snapshots[-1]
         estimate = Estimate(np.array(back), self._wide)
@@ -169,7 +179,7 @@ class ChannelAdaptation:
             arrival=estimate,
             estimate=estimate,
         )
-        return state, [self._event(ROLLED_BACK, state, stroke, number, reason)]
+        return state, [self._event(ROLLED_BACK, state, stroke, number, reason, at_s=at_s)]
 
     def _own_changes(self, state: ChannelState, stroke: Stroke) -> list[Changes]:
         """Return changes that fit one stroke: of the gain, and of all parameters it tells something about."""
@@ -248,7 +258,7 @@ class ChannelAdaptation:
 
     def _is_proved(self, trial: Trial) -> bool:
         better = trial.squares < (1 - self._settings.improvement) ** 2 * trial.against
-        return better and trial.evidence > np.log(self._settings.evidence)
+        return bool(better and trial.evidence > np.log(self._settings.evidence))
 
     def _promoted(self, state: ChannelState, trial: Trial, stroke: Stroke, number: int) -> Outcome:
         ratio = np.sqrt(trial.squares / trial.against)
@@ -371,7 +381,8 @@ class ChannelAdaptation:
         reason: str,
         changes: Changes | None = None,
         strokes: tuple[int, ...] = (),
+        at_s: float = 0.0,
     ) -> Event:
-        time_s = 0.0 if stroke is None else stroke.end * self._gate.step_s
+        time_s = at_s if stroke is None else stroke.end * self._gate.step_s
         shown = state.deployed if changes is None else changes
         return Event(kind, time_s, number, self._errors.channel.direction, reason, shown, strokes)
