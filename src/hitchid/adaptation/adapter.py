@@ -163,6 +163,11 @@ class Adapter:
     def _event(self, kind: str, stroke: Stroke, number: int, reason: str) -> Event:
         return Event(kind, stroke.end * self.model.step_s, number, stroke.direction, reason, Changes())
 
+    @double_precision
+    def free_run_error(self, stroke: Stroke) -> float:
+        """Return the root mean square error of the model as identified over a stroke, in its unit."""
+        return self._channels[stroke.direction].free_run_error(stroke)
+
     def rollback(
         self, state: AdapterState, direction: str, reason: str = "asked for"
     ) -> tuple[AdapterState, Event]:
