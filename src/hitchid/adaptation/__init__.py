@@ -12,3 +12,5 @@ from hitchid.adaptation.replay import read_events as read_events
 from hitchid.adaptation.settings import AdaptationSettings as AdaptationSettings
 from hitchid.adaptation.strokes import Stroke as Stroke
 from hitchid.adaptation.strokes import StrokeCutter as StrokeCutter
+from hitchid.adaptation.trends import Trend as Trend
+from hitchid.adaptation.trends import trends as trends

@@ -15,7 +15,7 @@ from hitchid.adaptation.strokes import Stroke
 Numbered = tuple[int, Stroke]  # a stroke with its number
 # Log likelihood ratio of one stroke that counts: after a sudden change one later stroke may decide, otherwise
 # not. Chosen.
-LARGEST_EVIDENCE, LARGEST_EVIDENCE_AFTER_CHANGE = 5.0, 10.0
+LARGEST_EVIDENCE, LARGEST_EVIDENCE_AFTER_CHANGE = 4.0, 10.0
 
 
 @short_repr

@@ -16,6 +16,7 @@ from hitchid.model import Channel
 
 LARGEST_MISSING = 0.1  # share of the samples of a stroke; chosen
 LEAST_REST_S = 0.1  # s at rest before a stroke; chosen
+MEDIAN_OF_NORMAL = 0.6745  # median of the size of a normal variable, standard deviations
 NOISE_LIMIT = 8.0  # standard deviations of the sensor between two samples; chosen
 COMMAND_MARGIN = 0.05  # share of the range of commands beyond which a command is outside it; chosen
 STANDSTILL_S, STANDSTILL_SHARE = 0.4, 0.1  # s, and share of the simulated travel over it; chosen
@@ -92,7 +93,9 @@ class Gate:
         keep = np.flatnonzero(runs.measured)
         simulated, errors = runs.displacement[own][keep], runs.errors[own][keep]
         measured = simulated + errors
-        noise = float(self.channel.load_filter.noise)
+        # Neighbouring errors differ by the sensor's noise; the median keeps spikes and jumps out.
+        apart = float(np.median(np.abs(np.diff(errors)))) / (MEDIAN_OF_NORMAL * np.sqrt(2))
+        noise = max(float(self.channel.load_filter.noise), apart)
         steps, expected = np.diff(measured), np.diff(simulated)
         if (measured[-1] - measured[0]) * (simulated[-1] - simulated[0]) <= 0:
             yield "it moves against its command"

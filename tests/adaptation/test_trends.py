@@ -1,0 +1,65 @@
+"""Trends of a change log against lines that are known."""
+
+import math
+
+import numpy as np
+import pytest
+
+from hitchid.adaptation import Changes, Event
+from hitchid.adaptation.events import LEARNED
+from hitchid.adaptation.trends import STROKES_APART, trends
+from hitchid.data.record import LIFTING
+
+LIMITS = {"gain": 0.4, "dead_zone": 0.15}
+DEVIATION = {"gain": 0.01, "dead_zone": 0.003}
+
+
+def change_log(per_hour, hours, seed, strokes=400):
+    """Return the events of a machine whose gain changes at a rate, with noise of the stated deviation."""
+    rng, events = np.random.default_rng(seed), []
+    for number in range(1, strokes + 1):
+        time_h = hours * number / strokes
+        figures = {
+            "gain": per_hour * time_h + DEVIATION["gain"] * rng.standard_normal(),
+            "dead_zone": DEVIATION["dead_zone"] * rng.standard_normal(),
+            **{f"{name}_deviation": value for name, value in DEVIATION.items()},
+        }
+        events.append(Event(LEARNED, 3600 * time_h, number, LIFTING, "", Changes(), (), figures))
+    return events
+
+
+def test_the_interval_holds_the_slope_as_often_as_it_says():
+    rates = [trends(change_log(-0.01, 10.0, seed), LIMITS)[0] for seed in range(200)]
+    inside = np.mean([trend.interval[0] <= -0.01 <= trend.interval[1] for trend in rates])
+    # Binomial with 200 draws: four standard deviations of 0.95 are 0.06; a variance held at one widens it.
+    assert inside >= 0.95 - 0.06
+
+
+def test_without_a_trend_few_are_called_significant():
+    called = [trends(change_log(0.0, 10.0, seed), LIMITS)[1].significant for seed in range(200)]
+    assert np.mean(called) <= 0.05 + 0.06
+
+
+def test_a_limit_is_reached_when_the_line_reaches_it():
+    gain, dead_zone = trends(change_log(-0.02, 10.0, 1), LIMITS)
+    earliest, expected, latest = gain.limit_after_h
+    assert gain.significant
+    assert not dead_zone.significant
+    # From −0.2 to −0.4 at −0.02 an hour; the slope is known to a few percent.
+    assert expected == pytest.approx(10.0, rel=0.15)
+    assert earliest <= expected <= latest
+
+
+def test_a_parameter_that_stays_reaches_no_limit_for_long():
+    events = change_log(0.0, 10.0, 1)
+    still = [
+        Event(**{**vars(event), "figures": {**event.figures, "gain": 0.0, "dead_zone": 0.0}})
+        for event in events
+    ]
+    gain, _ = trends(still, LIMITS)
+    assert math.isinf(gain.limit_after_h[2])
+    assert not gain.significant
+
+
+def test_few_strokes_have_no_trend():
+    assert trends(change_log(0.0, 1.0, 1, strokes=4 * STROKES_APART), LIMITS) == ()
