@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from benchmarks.adaptation import RIGS, at_work, identified
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from benchmarks.adaptation import RIGS, at_work, identified
 from hitchid.adaptation import Event
 from hitchid.adaptation.events import CHANGE_DETECTED, LEARNED, MOVED, PROMOTED, REFUSED, ROLLED_BACK
 from hitchid.model import Hitch
@@ -27,6 +27,8 @@ MARKED = {
     ROLLED_BACK: (COLOURS["crimson"], (1.2, 1.2)),
     CHANGE_DETECTED: (COLOURS["one_step"], (4, 1.5)),
 }
+
+REFUSAL = {"marker": "|", "linestyle": "", "markersize": 9, "color": COLOURS["crimson"]}
 
 
 def adapted(model: Hitch) -> tuple[Event, ...]:
@@ -69,7 +71,7 @@ def draw_errors(axes: Axes, events: Sequence[Event]) -> None:
         values = [event.figures[name] for event in learned]
         axes.plot(times, values, color=colour, marker=marker, markersize=2.5, linewidth=0.7, label=label)
     refused = [event.time_s for event in events if event.kind == REFUSED]
-    axes.plot(refused, [0.0] * len(refused), "|", markersize=9, markeredgewidth=1.4, color=COLOURS["crimson"], label="stroke refused")
+    axes.plot(refused, [0.0] * len(refused), label="stroke refused", **REFUSAL)
 
 
 def draw_gain(axes: Axes, events: Sequence[Event]) -> None:
