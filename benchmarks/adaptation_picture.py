@@ -28,7 +28,13 @@ MARKED = {
     CHANGE_DETECTED: (COLOURS["one_step"], (4, 1.5)),
 }
 
-REFUSAL = {"marker": "|", "linestyle": "", "markersize": 9, "color": COLOURS["crimson"]}
+REFUSAL = {
+    "marker": "|",
+    "linestyle": "",
+    "markersize": 9,
+    "markeredgewidth": 1.4,
+    "color": COLOURS["crimson"],
+}
 
 
 def adapted(model: Hitch) -> tuple[Event, ...]:
