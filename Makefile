@@ -23,6 +23,7 @@ test: setup lint
 gauntlet: setup
 	$(BIN)/python -m benchmarks.gauntlet
 	$(BIN)/python -m benchmarks.hmi
+	$(BIN)/python -m benchmarks.adaptation quick
 
 gauntlet-full: setup
 	$(BIN)/python -m benchmarks.gauntlet --full
@@ -50,6 +51,7 @@ study: setup
 	$(BIN)/python -m benchmarks.position_control --draws 200
 	$(BIN)/python -m benchmarks.export
 	$(BIN)/python -m benchmarks.hmi --minutes 60
+	$(BIN)/python -m benchmarks.adaptation
 
 # For maintainers; needs uv in PATH.
 pins:
