@@ -23,7 +23,7 @@ from hitchid.adaptation.events import (
 )
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError
-from machine import DEAD_ZONES, DIRECTIONS, LARGEST
+from machine import DEAD_ZONES, DIRECTIONS, LARGEST, REST
 
 MODEL = handmade.with_bands(machine.MODEL, *DIRECTIONS)
 SCATTER = AdaptationSettings().gain_scatter
@@ -109,11 +109,11 @@ SUDDEN_GAIN = 1.3  # twenty standard deviations of the scatter
 
 
 def test_a_single_stroke_that_is_far_from_the_others_is_refused_by_the_next_one(adapter):
-    before, odd, after = (
-        machine.strokes(*each, seed=5, scatter=SCATTER, **changed)
-        for each, changed in (((6,), {}), ((1,), {"first": 6, "gain": SUDDEN_GAIN}), ((2,), {"first": 8}))
+    before = machine.strokes(6, seed=5, scatter=SCATTER)
+    odd = machine.stroke(
+        start=before[-1].displacement[-1], seed=6, begin=before[-1].end + REST, gain=SUDDEN_GAIN
     )
-    odd, after = odd[0], after[0]
+    after = machine.stroke(start=odd.displacement[-1], seed=7, begin=odd.end + REST)
     states, _ = learned(adapter, before)
     suspecting, events = adapter.learn(states[-1], odd)
     channel = suspecting.channels[LIFTING]
