@@ -11,7 +11,7 @@ import handmade
 import machine
 from handmade import DEAD_ZONES, FASTER, GAINS
 from hitchid.adaptation import AdaptationSettings, Adapter, Changes, changed_model
-from hitchid.adaptation.parameters import LAG_INDEX, has_spool_lag
+from hitchid.adaptation.parameters import SPOOL_LAG, has_lag, lag_index
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError
 from hitchid.model import load, save
@@ -85,21 +85,37 @@ def test_networks_ranges_and_filter_stay_and_gain_and_dead_zone_move(mode):
 
 def test_the_spool_lag_is_multiplied_and_the_curves_stay():
     lagged = handmade.hitch(shape=True).channels[LIFTING]
-    curves = lagged.benchmark.nonlinearity.values.at[LAG_INDEX].set(0.03)
+    curves = lagged.benchmark.nonlinearity.values.at[SPOOL_LAG].set(0.03)
     lagged = replace(
         lagged,
         benchmark=replace(
             lagged.benchmark, nonlinearity=replace(lagged.benchmark.nonlinearity, values=curves)
         ),
     )
-    assert has_spool_lag(lagged)
-    assert not has_spool_lag(MODEL.channels[LIFTING])
+    assert has_lag(lagged)
+    assert not has_lag(machine.MODEL.channels[LIFTING])
     model = handmade.hitch_of(lagged)
     changed = changed_model(model, {LIFTING: Changes(0.0, 0.0, 0.5)}).channels[LIFTING].benchmark
     expected = np.array(curves)
-    expected[LAG_INDEX] *= np.exp(0.5)
+    expected[SPOOL_LAG] *= np.exp(0.5)
     np.testing.assert_allclose(changed.nonlinearity.values, expected, rtol=1e-15)
     np.testing.assert_array_equal(changed.values, lagged.benchmark.values)
+
+
+@pytest.mark.parametrize(
+    ("structure", "name"),
+    [("integrator-first-order", "time_constant"), ("integrator-second-order", "damping_ratio")],
+)
+def test_the_lag_of_a_structure_is_multiplied_and_its_frequency_stays(structure, name):
+    model = handmade.hitch(structure)
+    channel = model.channels[LIFTING]
+    number = [parameter.name for parameter in channel.benchmark.structure.parameters].index(name)
+    assert has_lag(channel)
+    assert lag_index(channel.benchmark) == number
+    changed = changed_model(model, {LIFTING: Changes(0.0, 0.0, 0.5)}).channels[LIFTING].benchmark
+    expected = np.array(channel.benchmark.values)
+    expected[number] *= np.exp(0.5)
+    np.testing.assert_allclose(changed.values, expected, rtol=1e-15)
 
 
 def test_ensembles_and_bands_follow():
@@ -141,8 +157,8 @@ def test_it_is_saved_with_what_was_adapted_and_one_as_identified_without(tmp_pat
     again = load(tmp_path / "changed")
     assert again.provenance.digest not in ("", read.provenance.digest)
     assert again.provenance.adapted == {
-        LIFTING: {"gain": 0.1, "dead_zone": 0.02, "spool_lag": 0.0, "band_factor": 1.0},
-        LOWERING: {"gain": -0.2, "dead_zone": -0.03, "spool_lag": 0.0, "band_factor": 1.25},
+        LIFTING: {"gain": 0.1, "dead_zone": 0.02, "lag": 0.0, "band_factor": 1.0},
+        LOWERING: {"gain": -0.2, "dead_zone": -0.03, "lag": 0.0, "band_factor": 1.25},
     }
     found, expected = (each.simulate(commands(), step_s=0.01, initial=100.0) for each in (again, changed))
     np.testing.assert_array_equal(found.displacement, expected.displacement)

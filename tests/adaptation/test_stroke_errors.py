@@ -1,12 +1,14 @@
 """Errors of strokes to second order: slopes against differences, sums against those of the free run."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import handmade
 import machine
 from hitchid.adaptation import Changes
-from hitchid.adaptation.stroke_errors import SAMPLES, StrokeErrors
+from hitchid.adaptation.stroke_errors import PIECES, SAMPLES, STOP_SHARE, StrokeErrors
 from hitchid.adaptation.strokes import LONGEST_S
 from hitchid.data.record import LIFTING, LOWERING
 from machine import DIRECTIONS, MODEL, NOISE, REST, STEP_S
@@ -63,7 +65,7 @@ def test_squares_of_free_runs_are_those_of_fits(errors_of, mode):
     for name in ("squares", "gradient", "information"):
         found, expected = np.asarray(getattr(of_run, name)), np.asarray(getattr(fit, name))
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
-    assert of_run.samples == fit.samples
+    assert of_run.travel == pytest.approx(fit.travel, rel=1e-9)
     np.testing.assert_array_equal(of_run.at, fit.at)
 
 
@@ -79,26 +81,32 @@ def test_at_the_changes_of_the_machine_nothing_is_left(errors_of, mode):
     )
 
 
-def test_squares_of_a_machine_like_the_model_are_as_many_as_samples(errors_of):
-    count = 24
+def test_of_a_machine_like_the_model_each_piece_has_the_variance_of_the_sensor(errors_of):
+    count, samples = 24, 140  # of each stroke, on the clock of the errors
     fits = [
-        fit
+        fit.over(NOISE**2)
         for seed in range(0, count, WINDOW)
         for fit in errors_of[LIFTING].fits(
             [machine.stroke(seed=seed + each) for each in range(WINDOW)], Changes()
         )
     ]
-    # Noise alone is less than the filter expects, which has a walk, a transient and a load beside it.
-    expected = sum(fit.samples for fit in fits)
-    assert 0.1 * expected < sum(fit.squares for fit in fits) < expected
+    # A mean of squares of normal errors over all strokes is off by √(2/n); the free run begins at a mean of
+    # 51 samples at rest, which adds less than two of its variances.
+    error = np.sqrt(2 / (count * samples)) + 2 / (REST + 1)
+    assert np.mean([fit.squares for fit in fits]) == pytest.approx(PIECES, rel=4 * error)
 
 
-@pytest.mark.parametrize(("gain", "sign"), [(1.1, 1), (0.9, -1)])
+@pytest.mark.parametrize("gain", [1.1, 0.9])
 @pytest.mark.parametrize("mode", DIRECTIONS)
-def test_a_faster_machine_has_a_positive_speed_error(errors_of, mode, gain, sign):
-    (fit,) = errors_of[mode].fits([machine.stroke(mode, gain=gain)], Changes())
-    # A tenth is five standard deviations of the load, and the sensor's noise adds little to them.
-    assert 3 < sign * fit.speed_error < 5.5
+def test_the_speed_error_is_the_difference_of_the_gains_over_its_standard_deviation(errors_of, mode, gain):
+    deviation, stroke = 0.3, machine.stroke(mode, gain=gain)  # mm
+    (fit,) = errors_of[mode].fits([stroke], Changes())
+    # The displacement is start + e^θ s with s of the model: its slope at 0 is s, its error (gain − 1) s.
+    travel = (stroke.displacement[::FACTOR] - stroke.displacement[0]) / gain
+    assert fit.travel == pytest.approx(np.abs(travel[-1]), rel=1e-9)
+    known = PIECES * np.mean(travel**2) / deviation**2
+    assert fit.over(deviation**2).information[0, 0] == pytest.approx(known, rel=1e-9)
+    assert fit.over(deviation**2).speed_error == pytest.approx((gain - 1) * np.sqrt(known), rel=1e-9)
 
 
 def test_strokes_are_on_a_clock_on_which_the_longest_has_its_place(errors_of):
@@ -134,7 +142,7 @@ def test_what_fills_up_the_window_has_no_weight(errors_of):
     together = known.fits(found, CHANGES)
     for number, stroke in enumerate(found):
         (alone,) = known.fits([stroke], CHANGES)
-        assert alone.samples == together[number].samples == len(stroke.displacement) // FACTOR
+        assert alone.travel == pytest.approx(together[number].travel, rel=1e-12)
         for name in ("squares", "gradient", "information"):
             one, other = np.asarray(getattr(alone, name)), np.asarray(getattr(together[number], name))
             np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9 * np.abs(other).max())
@@ -146,11 +154,28 @@ def test_samples_that_are_missing_have_no_weight(errors_of):
     missing[60:100] = True
     gappy = whole._replace(displacement=np.where(missing, np.nan, whole.displacement))
     (fit,) = errors_of[LIFTING].fits([gappy], CHANGES)
-    assert fit.samples == (~missing[::FACTOR]).sum()
     runs = errors_of[LIFTING].runs(gappy, [CHANGES])
+    assert runs.measured.sum() == (~missing[::FACTOR]).sum()
     assert np.all(runs.errors[0, : len(missing) // FACTOR][missing[::FACTOR]] == 0.0)
     assert np.isfinite([fit.squares, *fit.gradient, *fit.information.ravel()]).all()
-    assert runs.mean_squares[0] == pytest.approx(np.sum(runs.errors**2) / fit.samples, rel=1e-12)
+    assert fit.squares == pytest.approx(PIECES * runs.mean_squares[0], rel=1e-9)
+
+
+@pytest.mark.parametrize(("mode", "stop"), [(LIFTING, 106.0), (LOWERING, 94.0)])
+def test_samples_from_a_known_end_stop_on_have_no_weight(mode, stop):
+    channel = replace(MODEL.channels[mode], end_stop=stop)
+    whole = machine.stroke(mode)
+    halted = whole._replace(
+        displacement=channel.sign * np.minimum(channel.sign * whole.displacement, channel.sign * stop)
+    )
+    margin = STOP_SHARE * 120.0
+    before = np.abs(whole.displacement[::FACTOR] - stop) > margin
+    before &= np.abs(whole.displacement[::FACTOR] - 100.0) < 6.0
+    known = StrokeErrors(channel, STEP_S, np.zeros(0), WINDOW)
+    runs = known.runs(halted, [Changes()])
+    np.testing.assert_array_equal(runs.measured[: before.size], before)
+    assert 0 < before.sum() < before.size
+    assert np.abs(runs.errors).max() < 1e3 * EPSILON * 100.0
 
 
 def test_commands_that_are_missing_count_as_none(errors_of):

@@ -131,9 +131,10 @@ def test_a_file_that_is_no_change_log_is_refused_and_left_as_it_is(folder, tmp_p
 
 
 def test_a_change_log_that_cannot_be_written_is_told(folder, tmp_path):
-    code, _, said = run(folder, "--adapt", "--changes", tmp_path / "missing" / "changes.jsonl")
+    (tmp_path / "file").write_text("mine")
+    code, _, said = run(folder, "--adapt", "--changes", tmp_path / "file" / "changes.jsonl")
     assert code != 0
-    assert "changes.jsonl: cannot be written: No such file or directory" in said
+    assert "changes.jsonl: cannot be written: File exists" in said
 
 
 def test_an_adapted_model_is_refused(tmp_path):
