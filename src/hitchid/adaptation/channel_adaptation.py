@@ -137,8 +137,9 @@ class ChannelAdaptation:
         for decide in (self._watched, self._judged):
             state, happened = decide(state, stroke, number, fits)
             events += happened
-        state, happened = self._detected(state, stroke, number, fits[TARGET_RUN])
-        events += happened
+        if state.target == before.target:  # otherwise the errors are those of values no longer in use
+            state, happened = self._detected(state, stroke, number, fits[TARGET_RUN])
+            events += happened
         state, happened = self._estimated(state, stroke, number, fits[TARGET_RUN])
         figures = self._figures(state, runs, fits[TARGET_RUN])
         figures |= {} if outside is None else {"outside": outside}
@@ -176,6 +177,7 @@ class ChannelAdaptation:
             watch=None,
             window=(),
             suspects=(),
+            detector=type(state.detector)(),
             arrival=estimate,
             estimate=estimate,
         )

@@ -15,6 +15,7 @@ from hitchid.data.test_kinds import effective_command
 from hitchid.model import Channel
 
 LARGEST_MISSING = 0.1  # share of the samples of a stroke; chosen
+FEWEST_SAMPLES = 10  # of a stroke that count; chosen
 LEAST_REST_S = 0.1  # s at rest before a stroke; chosen
 MEDIAN_OF_NORMAL = 0.6745  # median of the size of a normal variable, standard deviations
 NOISE_LIMIT = 8.0  # standard deviations of the sensor between two samples; chosen
@@ -91,6 +92,10 @@ class Gate:
 
     def _misfits(self, runs: StrokeRuns, own: int, usual: float) -> Iterator[str]:
         keep = np.flatnonzero(runs.measured)
+        shortest = self.settings.shortest_travel * self.range_of_tests
+        if keep.size < FEWEST_SAMPLES or np.ptp((runs.displacement + runs.errors)[own][keep]) < shortest:
+            yield "the travel before the end stop is too short"
+            return
         simulated, errors = runs.displacement[own][keep], runs.errors[own][keep]
         measured = simulated + errors
         # Neighbouring errors differ by the sensor's noise; the median keeps spikes and jumps out.
