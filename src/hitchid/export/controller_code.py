@@ -196,8 +196,8 @@ def _axis(controller: HitchController, number: int) -> dict[str, Any]:
     return {
         "gain": float(axis.model.benchmark.gain),
         "largest": axis.largest_a,
-        "largest_effective": max(axis.largest_a - axis.model.dead_zone, 0.0),
-        "opening": float(opening_command(axis.model.benchmark, jnp.asarray(axis.model.dead_zone))),
+        "largest_effective": max(axis.largest_a - float(axis.model.dead_zone), 0.0),
+        "opening": float(opening_command(axis.model.benchmark, axis.model.dead_zone)),
         "shares": tuple(float(np.clip(samples - index, 0.0, 1.0)) for index in range(axis.buffer)),
         "dead_time_s": samples * controller.step_s,
         "acceleration": float(controller.acceleration[number]),

@@ -60,7 +60,10 @@ class DiscretePhysicalModel(eqx.Module):
         cls, benchmark: PhysicalModel, *, dead_zone: float, min_command: float, sign: int, step_s: float
     ) -> "DiscretePhysicalModel":
         """Discretise a physical model."""
-        structure, thresholds = benchmark.structure, (jnp.asarray(dead_zone), jnp.asarray(min_command))
+        structure, thresholds = (
+            benchmark.structure,
+            (jnp.asarray(dead_zone, float), jnp.asarray(min_command, float)),
+        )
         if isinstance(structure, NonlinearStructure):
             return _NonlinearModel(benchmark, *thresholds, sign, 0, step_s, structure)
         delay_samples = int(benchmark.discretised(step_s).delay_samples)
