@@ -75,10 +75,10 @@ def at_work(rig: str, model: Hitch, seed: int, duration_s: float, **changing: Ar
     return work(load_rig(rig), commands, duration_s=duration_s, pause_s=(0.6, 2.0), seed=seed, **changing)
 
 
-def strokes_of(model: Hitch, record: Record) -> list[Stroke]:
-    """Return the strokes of a record of the virtual bench."""
+def strokes_of(model: Hitch, record: Record, displacement: np.ndarray | None = None) -> list[Stroke]:
+    """Return the strokes of a record of the virtual bench, or of another displacement with its commands."""
     commands = np.column_stack([record.command(direction) for direction in DIRECTIONS])
-    return StrokeCutter(model).feed(commands, record.displacement)
+    return StrokeCutter(model).feed(commands, record.displacement if displacement is None else displacement)
 
 
 def run(
@@ -191,9 +191,8 @@ def faults() -> None:
     adapter, good = Adapter(model, AdaptationSettings()), strokes_of(model, at.record)
     for fault in FAULTS:
         displacement, affected = with_fault(fault, at.record.displacement, good)
-        signals = {**at.record.signals, DISPLACEMENT: displacement}
         refused, learned = set(), set()
-        for stroke, state, events in run(adapter, strokes_of(model, replace(at.record, signals=signals))):
+        for stroke, state, events in run(adapter, strokes_of(model, at.record, displacement)):
             if stroke.begin in affected:
                 learned.add(state.strokes)
             refused |= {event.stroke for event in events if event.kind == REFUSED}
