@@ -113,7 +113,7 @@ def test_an_adapted_model_is_shown_saved_rolled_back_and_switched_off_by_keyboar
     operator.adapt.focus()
     page.keyboard.press("Space")
     row = page.locator("#adapt-changes [data-direction=lifting]")
-    row.get_by_text("+10.0 %").wait_for(timeout=1000 * LONGEST_S)
+    row.get_by_text("+10.0 %").wait_for(timeout=3000 * LONGEST_S)  # a process that compiles
     row.get_by_text("+0.020 A").wait_for()
     assert operator.roll_back_lowering.is_disabled()
     operator.roll_back_lifting.focus()
