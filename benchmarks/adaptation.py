@@ -263,6 +263,7 @@ def delay() -> None:
         [],
         dict.fromkeys(DIRECTIONS, 0),
     )
+    adapter.prepare()
     state = adapter.initial_state()
     strokes = strokes_of(model, at.record)
     for number, stroke in enumerate(strokes):
