@@ -5,22 +5,20 @@ Run: python -m benchmarks.adaptation [quick] [follow] [stable] [faults] [bands] 
 
 import os
 import sys
-import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from benchmarks.scheduling import FAST, campaign, show, without_covariates
 from jax.typing import ArrayLike
 
 import hitchid
 from hitchid.adaptation import AdaptationSettings, Adapter, AdapterState, Event, Stroke, StrokeCutter
 from hitchid.adaptation.events import CHANGE_DETECTED, LEARNED, PROMOTED, REFUSED, ROLLED_BACK
-from hitchid.data.campaign import Campaign
 from hitchid.data.record import DIRECTIONS, DISPLACEMENT, Record
 from hitchid.experiments.conditions import Conditions
-from hitchid.experiments.virtual_campaign import write_campaign
 from hitchid.experiments.work import Work, work
 from hitchid.model import Hitch
 from hitchid.online import OnlineAdaptation
@@ -28,7 +26,7 @@ from hitchid.rig import load_rig
 
 DATA = Path(os.environ.get("HITCHID_DATA", Path(__file__).parents[2] / "shared" / "data"))
 RIGS = {"nominal": 40.0, "heavy-cold": 5.0, "light-warm-worn": 70.0}  # °C of the oil
-FAST = {"training": None, "comparison": None}
+TESTS = 20  # of each direction, from which a model is identified
 LEVELS = (0.25, 0.9)  # of the largest effective command of the tests: levels of the operator
 STROKES = 5  # of a direction, after which the model must have followed
 FAULTS = ("stuck", "jump", "sign", "dropouts", "end stop", "spikes")
@@ -36,33 +34,10 @@ LARGEST_RATIO = 1.1  # of the error after a change of load to that of a model id
 STANDSTILL = 8_640_000  # samples: a day
 
 
-def show(*lines: str) -> None:
-    """Write lines to standard output at once."""
-    sys.stdout.write("".join(f"{line}\n" for line in lines))
-    sys.stdout.flush()
-
-
 def identified(rig: str, mass_kg: float, oil_degc: float) -> Hitch:
     """Return a model of a bench in one condition, which is not measured."""
-    with tempfile.TemporaryDirectory() as folder:
-        logs = Path(folder) / "logs"
-        write_campaign(logs, rig, conditions=Conditions((mass_kg,), (oil_degc,)), seed=1)
-        return hitchid.identify(without_covariates(hitchid.read(logs)), **FAST).model
-
-
-def without_covariates(given: Campaign) -> Campaign:
-    """Return a campaign of the same tests in which no covariate was measured."""
-    return replace(
-        given,
-        records=tuple(
-            replace(
-                record,
-                signals={role: rows for role, rows in record.signals.items() if role not in given.covariates},
-                units={role: unit for role, unit in record.units.items() if role not in given.covariates},
-            )
-            for record in given.records
-        ),
-    )
+    tests = campaign(rig, Conditions((mass_kg,), (oil_degc,)), TESTS, seed=1)
+    return hitchid.identify(without_covariates(tests), **FAST).model
 
 
 def at_work(rig: str, model: Hitch, seed: int, duration_s: float, **changing: ArrayLike) -> Work:
@@ -276,8 +251,8 @@ def delay() -> None:
         took_s.append(time.perf_counter() - started_s)
         since[stroke.direction] += changed
         for event in events:
-            told = event.kind == CHANGE_DETECTED or "sudden change" in event.reason
-            if told and changed and event.direction not in dict(alarms):
+            reported = event.kind == CHANGE_DETECTED or "sudden change" in event.reason
+            if reported and changed and event.direction not in dict(alarms):
                 alarms.append((event.direction, since[event.direction]))
     show(
         f"a gain of 1.1 times is seen after {', '.join(f'{count} strokes {name}' for name, count in alarms)}",

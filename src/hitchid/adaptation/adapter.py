@@ -169,7 +169,7 @@ class Adapter:
         return self._channels[stroke.direction].free_run_error(stroke)
 
     def rollback(
-        self, state: AdapterState, direction: str, reason: str = "asked for"
+        self, state: AdapterState, direction: str, reason: str = "requested"
     ) -> tuple[AdapterState, Event]:
         """Return the state with the changes of one direction before its last promotion, bit for bit."""
         channel, events = self._channels[direction].rolled_back(

@@ -160,7 +160,7 @@ class ChannelAdaptation:
 
         Args:
             state: before it.
-            stroke: after which it happens; None where it was asked for.
+            stroke: after which it happens; None where a user requested it.
             number: of the last stroke of the machine.
             reason: in words.
             at_s: time, where there is no stroke, s.
@@ -184,7 +184,7 @@ class ChannelAdaptation:
         return state, [self._event(ROLLED_BACK, state, stroke, number, reason, at_s=at_s)]
 
     def _own_changes(self, state: ChannelState, stroke: Stroke) -> list[Changes]:
-        """Return changes that fit one stroke: of the gain, and of all parameters it tells something about."""
+        """Return changes that fit one stroke: of the gain, and of all parameters it informs about."""
         bounds = self._bounds
         run = self._errors.runs(stroke, [state.deployed] * (OWN + 2))
         travel = run.displacement[0] - run.displacement[0][0]
@@ -303,7 +303,7 @@ class ChannelAdaptation:
         state = replace(state, candidates=tuple(each for each in state.candidates if not each.after_change))
         latest, first = self._fitted(state, window, state.arrival)
         if len(window) == self._settings.window:
-            # The oldest stroke leaves the window; what it told stays as the arrival cost of the others.
+            # The oldest stroke leaves the window; its information stays as the arrival cost of the others.
             state = replace(state, window=window[1:], arrival=first)
         state = replace(state, estimate=latest)
         youngest = min((trial.strokes for trial in state.candidates), default=STROKES_BETWEEN)

@@ -11,7 +11,7 @@ from hitchid.adaptation.parameters import Changes
 LEARNED, REFUSED, FAULT, CANDIDATE, DROPPED = "learned", "refused", "fault", "candidate", "dropped"
 PROMOTED, MOVED, ROLLED_BACK = "promoted", "moved", "rolled back"
 CHANGE_DETECTED, AT_LIMIT = "change detected", "at limit"
-# What a user is told at once.
+# Kinds that are reported to the user at once.
 REPORTED = (PROMOTED, ROLLED_BACK, CHANGE_DETECTED, AT_LIMIT, FAULT)
 
 

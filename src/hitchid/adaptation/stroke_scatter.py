@@ -7,7 +7,9 @@ from hitchid.adaptation.bounds import Bounds
 from hitchid.adaptation.estimator import Estimate
 from hitchid.adaptation.stroke_errors import StrokeFit
 
-LEAST_TOLD = 0.03  # of the information of a stroke in its best direction, that counts in another; chosen
+LEAST_INFORMATION = (
+    0.03  # of the information of a stroke in its best direction, that counts in another; chosen
+)
 # Bound of a standardised distance, mean of its square for normal errors; chosen, and by integration.
 BOUND, BOUNDED_MEAN = 2.0, 0.9205
 RATE, RANGE = 0.05, (0.2, 5.0)  # change of the log factor by a stroke, limits of the factor; chosen
@@ -31,7 +33,7 @@ def speed_distance(fit: StrokeFit, predicted: Estimate, bounds: Bounds) -> float
 def scatter_after(factor: float, fit: StrokeFit, predicted: Estimate, bounds: Bounds) -> float:
     """Return the factor on the scatter after a stroke.
 
-    In each direction in which the stroke tells something the square of its standardised distance from what
+    In each direction that the stroke informs about, the square of its standardised distance from what
     was predicted has a mean of one; that of one bounded by ±2, which outliers hardly move, of 0.92.
 
     Args:
@@ -42,10 +44,10 @@ def scatter_after(factor: float, fit: StrokeFit, predicted: Estimate, bounds: Bo
     """
     free, scales = np.ix_(bounds.allowed, bounds.allowed), bounds.scatter[bounds.allowed]
     values, directions = np.linalg.eigh(fit.information[free] * np.outer(scales, scales))
-    told = values > LEAST_TOLD * values.max()
+    informed = values > LEAST_INFORMATION * values.max()
     slopes: Float[np.ndarray, " k"] = scales * predicted_fit(fit, predicted).gradient[bounds.allowed]
-    distances = (directions.T @ slopes)[told] / np.sqrt(values[told])
+    distances = (directions.T @ slopes)[informed] / np.sqrt(values[informed])
     spread = (predicted.covariance + np.diag(bounds.drift**2))[free] / np.outer(scales, scales)
-    variances = 1 + values[told] * np.diag(directions.T @ spread @ directions)[told]
+    variances = 1 + values[informed] * np.diag(directions.T @ spread @ directions)[informed]
     squares = np.minimum(distances**2 / variances, BOUND**2)
     return float(np.clip(factor * np.exp(RATE * (np.mean(squares) - BOUNDED_MEAN)), *RANGE))

@@ -35,7 +35,7 @@ MOST_PENDING = 8  # strokes that wait; while there are more, further ones are re
 
 
 class _Sent(NamedTuple):
-    """What the process was asked: the sample from which on the answer counts, and when, s."""
+    """A request to the process: the sample from which on the answer counts, and when, s."""
 
     due: int
     sent_s: float
