@@ -4,6 +4,7 @@ import os
 import re
 import subprocess
 import sys
+import time
 import urllib.parse
 from contextlib import contextmanager
 
@@ -61,11 +62,11 @@ class Operator:
 
     def wait_for_state(self, state, seconds=30):
         """Wait until the page shows a state."""
-        self.page.wait_for_function(
-            "word => document.querySelector('[data-testid=state]').innerText.toLowerCase().includes(word)",
-            arg=state,
-            timeout=1000 * seconds,
-        )
+        shown = self.page.get_by_test_id("state")
+        end_s = time.monotonic() + seconds
+        while state not in (text := shown.inner_text().lower()):
+            assert time.monotonic() < end_s, text
+            self.page.wait_for_timeout(50)
 
     def connect(self, speed=10):
         """Connect the virtual bench."""

@@ -51,7 +51,9 @@ def operator(browser, project):
     """Return an operator whose page shows a bench in plain Python."""
     options = ("--source", "fake_bench:Plant", "--limits", "limits.toml")
     with served(project, *options) as (link, _):
-        operator = Operator(browser.new_page(viewport={"width": 1280, "height": 800}), link)
+        operator = Operator(
+            browser.new_page(viewport={"width": 1280, "height": 800}, reduced_motion="reduce"), link
+        )
         operator.wait_for_state("no source")
         operator.page.get_by_test_id("connect").click()
         operator.wait_for_state("idle")
@@ -89,7 +91,9 @@ def serious_findings(page):
     from axe_playwright_python import sync_playwright as axe
 
     page.evaluate((Path(axe.__file__).parent / "axe.min.js").read_text())
-    found = page.evaluate("async () => (await axe.run()).violations.map(v => [v.impact, v.id])")
+    found = page.evaluate(
+        "async () => (await axe.run()).violations.map(v => [v.impact, v.id, ...v.nodes.map(n => n.html)])"
+    )
     return [each for each in found if each[0] in ("serious", "critical")]
 
 
@@ -110,7 +114,7 @@ def test_an_adapted_model_is_shown_saved_rolled_back_and_switched_off_by_keyboar
     page = operator.page
     operator.tab_bench.click()
     operator.monitor_model.select_option("models/hand")
-    operator.adapt.focus()
+    page.locator("[data-testid=adapt]:enabled").focus()  # which it is once the model has been chosen
     page.keyboard.press("Space")
     row = page.locator("#adapt-changes [data-direction=lifting]")
     row.get_by_text("+10.0 %").wait_for(timeout=3000 * LONGEST_S)  # a process that compiles

@@ -8,7 +8,7 @@ from operated import BRIEFEST, Operator, served
 
 from browser import chromium
 
-LONGEST_S = 100  # s that one command may take on a machine with other tests beside it
+LONGEST_S = 300  # s that one command may take on a machine with other tests beside it
 SIZES = ((390, 844), (1280, 800), (1920, 1080))
 
 
@@ -23,7 +23,7 @@ def project(tmp_path_factory):
 @pytest.fixture(scope="module")
 def operator(project):
     """Return an operator before a fresh page; at the end nothing was asked of any other machine."""
-    with chromium() as browser, served(project) as (link, _):
+    with chromium() as browser, served(project, "--silence-ms", "5000") as (link, _):
         page = browser.new_page(viewport={"width": 1280, "height": 800})
         operator = Operator(page, link)
         operator.wait_for_state("no source")

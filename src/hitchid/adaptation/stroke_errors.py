@@ -190,8 +190,8 @@ class StrokeErrors:
 
     def _empty(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
         none = np.zeros(SAMPLES, bool)
-        middle = self.channel.operating_range.displacement
-        initial = 0.5 * (float(middle.lowest) + float(middle.highest))
+        covered = self.channel.operating_range.displacement
+        initial = float(np.clip(0.0, covered.lowest, covered.highest))
         return np.zeros(SAMPLES), np.full(SAMPLES, initial), none, none, initial
 
 
