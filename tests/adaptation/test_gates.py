@@ -56,6 +56,13 @@ def with_spikes(stroke):
     return with_displacement(stroke, found)
 
 
+def with_a_short_spike(stroke):
+    """Return a stroke with one spike, at a sample that free runs at half the sampling rate leave out."""
+    found = stroke.displacement.copy()
+    found[DURING | 1] += 5.0
+    return with_displacement(stroke, found)
+
+
 def all_missing(stroke):
     return with_displacement(stroke, np.full(len(stroke.displacement), np.nan))
 
@@ -84,7 +91,8 @@ CORRUPTED = {
     jumped: "jumps by",
     swapped: "moves against its command",
     dropped_out: "of the displacement is missing",
-    with_spikes: "jumps by",
+    with_spikes: "outside of both its neighbours",
+    with_a_short_spike: "outside of both its neighbours",
     all_missing: "100 % of the displacement is missing",
     creeping: "does not start at rest: ",
     without_rest: "does not start at rest",

@@ -50,6 +50,11 @@ class Gate:
         covered = self.channel.operating_range.displacement
         return float(covered.highest) - float(covered.lowest)
 
+    @property
+    def least_rest(self) -> float:
+        """Change of the displacement that counts as none, whatever the noise, in the model's unit."""
+        return REST_SHARE * self.range_of_tests
+
     def refusal(self, stroke: Stroke) -> str:
         """Return why a stroke cannot be judged, from its samples alone; empty where it can."""
         return next(self._refusals(stroke), "")
@@ -66,9 +71,14 @@ class Gate:
             return
         half = len(rest) // 2
         moved = abs(rest[half:].mean() - rest[:half].mean())
-        if moved > max(NOISE_LIMIT * noise / np.sqrt(half), REST_SHARE * self.range_of_tests):
+        if moved > max(NOISE_LIMIT * noise / np.sqrt(half), self.least_rest):
             yield f"it does not start at rest: {moved:.3g} in {len(rest)} samples before the command"
-        travel = float(np.ptp(stroke.displacement[measured]))
+        displacement = stroke.displacement[measured]
+        outside = farthest_outside(displacement)
+        limit = max(NOISE_LIMIT * np.sqrt(2) * max(noise, _noise(displacement)), self.least_rest)
+        if outside > limit:
+            yield f"a sample lies {outside:.3g} outside of both its neighbours"
+        travel = float(np.ptp(displacement))
         if travel < self.settings.shortest_travel * self.range_of_tests:
             yield f"the travel is too short: {travel:.3g}"
         command = stroke.commands[:, DIRECTIONS.index(self.channel.direction)]
@@ -76,7 +86,7 @@ class Gate:
         largest = float(np.abs(effective_command(command, self.channel.dead_zone)).max())
         if largest > (1 + COMMAND_MARGIN) * highest:
             yield f"the command is outside the identified range: {largest:.3g} beyond the dead zone"
-        limits, displacement = channel_limits(self.channel), stroke.displacement[measured]
+        limits = channel_limits(self.channel)
         if displacement.min() < limits[0] or displacement.max() > limits[1]:
             yield f"it leaves the range of the logs, {limits[0]:.4g} to {limits[1]:.4g}"
 
@@ -129,6 +139,24 @@ class Gate:
         stands = (expected > 2 * NOISE_LIMIT * noise) & (seen < STANDSTILL_SHARE * expected)
         if stands.any():
             yield "the displacement stands still while the model moves"
+
+
+def farthest_outside(displacement: Float[np.ndarray, " n"]) -> float:
+    """Return how far a sample lies outside of both its neighbours at most: no motion does that, a spike does.
+
+    Args:
+        displacement: measured, without gaps, shape [N].
+    """
+    inner = displacement[1:-1]
+    between = np.clip(inner, *np.sort([displacement[:-2], displacement[2:]], axis=0))
+    return float(np.abs(inner - between).max(initial=0.0))
+
+
+def _noise(displacement: Float[np.ndarray, " n"]) -> float:
+    """Return the standard deviation of the sensor's noise, from second differences; 0 of less than three."""
+    second = np.abs(np.diff(displacement, 2))
+    # A second difference of white noise has the variance 1 + 4 + 1 of it; the median keeps spikes out.
+    return float(np.median(second)) / (MEDIAN_OF_NORMAL * np.sqrt(6)) if second.size else 0.0
 
 
 def channel_limits(channel: Channel) -> tuple[float, float]:
