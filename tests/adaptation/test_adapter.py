@@ -146,6 +146,34 @@ def test_a_sudden_change_is_promoted_with_the_stroke_after_the_first_one(adapter
         assert numbers == [event.stroke - 2, event.stroke]
 
 
+def at_one_level(levels, speed):
+    """Return lifting strokes at one level each, A; their speed relative to the model's is a function of it."""
+    found = []
+    for number, level in enumerate(levels):
+        samples = round(2 * 100 * 0.3 / level)
+        begin = REST if not found else found[-1].end + REST
+        options = {"samples": samples, "gain": speed(level), "seed": 20 + number, "begin": begin}
+        found.append(machine.stroke(LIFTING, [level], start=60.0, **options))
+    return found
+
+
+def promotions(adapter, levels, speed):
+    """Return the numbers of the strokes after which lifting is promoted, after four as the model is."""
+    strokes = at_one_level([0.2, 0.4, 0.25, 0.35], lambda level: 1.0) + at_one_level(levels, speed)
+    return [event.stroke for event in kinds(learned(adapter, strokes)[1], PROMOTED)]
+
+
+def test_a_sudden_change_at_one_level_is_promoted_after_five_more_strokes(adapter):
+    assert promotions(adapter, [0.3, 0.4], lambda level: 1.3)[:1] == [6]
+    assert promotions(adapter, [0.3] * 7, lambda level: 1.3)[:1] == [10]
+
+
+def test_a_speed_that_does_not_follow_the_command_is_not_learned(adapter):
+    """A starved pump: each level has the same speed, here that of 0.22 A."""
+    levels = [0.3, 0.31, 0.44, 0.35, 0.3, 0.42, 0.33]
+    assert promotions(adapter, levels, lambda level: 0.22 / level) == []
+
+
 def test_the_share_outside_the_band_is_told_where_there_are_bands(adapter, run):
     shares = [event.figures["outside"] for event in kinds(run[1], LEARNED)]
     assert all(0 <= share <= 1 for share in shares)

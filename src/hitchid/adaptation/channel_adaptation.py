@@ -23,6 +23,7 @@ from hitchid.adaptation.events import (
     Event,
 )
 from hitchid.adaptation.gates import Gate
+from hitchid.adaptation.levels import levels_differ
 from hitchid.adaptation.parameters import DEAD_ZONE, GAIN, Changes
 from hitchid.adaptation.settings import AdaptationSettings
 from hitchid.adaptation.stroke_errors import StrokeErrors, StrokeFit, StrokeRuns
@@ -34,6 +35,8 @@ from hitchid.adaptation.strokes import Stroke
 WIDE = (0.3, 0.01, 0.1)
 SUDDEN = 4.0  # standard deviations from the estimate beyond which a stroke is suspected; chosen
 EVIDENCE_BACK = 20.0  # likelihood ratio at which the model before a promotion returns; chosen
+# Strokes at alike commands since a sudden change, above which it is no passing lack of oil; chosen.
+ALIKE_STROKES = 5
 AFTER_ALARM = 4  # latest strokes that stay in the window after an alarm; chosen
 MISFIT_RATE = 0.1  # weight of a stroke in the usual misfit; chosen
 MOST_SNAPSHOTS = 50  # kept; chosen
@@ -248,7 +251,8 @@ class ChannelAdaptation:
         kept, events = [], []
         for run, trial in enumerate(state.candidates, CANDIDATE_RUN):
             explains = not trial.after_change or abs(fits[run].speed_error) < SUDDEN
-            if explains and self._is_proved(trial):
+            confirmed = not trial.after_change or self._is_confirmed(state, stroke)
+            if explains and confirmed and self._is_proved(trial):
                 return self._promoted(state, trial, stroke, number)
             evidence = trial.evidence > -np.log(EVIDENCE_BACK)
             if explains and evidence and trial.strokes < self._settings.patience:
@@ -257,6 +261,11 @@ class ChannelAdaptation:
             reason = f"not proved better over {trial.strokes} later strokes"
             events.append(self._event(DROPPED, state, stroke, number, reason, trial.changes))
         return replace(state, candidates=tuple(kept)), events
+
+    def _is_confirmed(self, state: ChannelState, stroke: Stroke) -> bool:
+        """Return whether strokes since a sudden change are of one plant at levels that differ, or many."""
+        strokes = [*(each for _, each in state.suspects), stroke]
+        return len(strokes) > ALIKE_STROKES or levels_differ(self._errors.channel, strokes)
 
     def _is_proved(self, trial: Trial) -> bool:
         better = trial.squares < (1 - self._settings.improvement) ** 2 * trial.against
