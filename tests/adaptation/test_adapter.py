@@ -147,7 +147,7 @@ def test_a_sudden_change_is_promoted_with_the_stroke_after_the_first_one(adapter
 
 
 def at_one_level(levels, speed):
-    """Return lifting strokes at one level each, A; their speed relative to the model's is a function of it."""
+    """Return lifting strokes of one level each, A; their speed, over the model's, is a function of it."""
     found = []
     for number, level in enumerate(levels):
         samples = round(2 * 100 * 0.3 / level)
