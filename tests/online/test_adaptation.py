@@ -33,6 +33,13 @@ def replayed(make_record):
     return MODEL.adapt([make_record(DISPLACEMENT, *COMMANDS.T)])
 
 
+@pytest.fixture
+def in_time(monkeypatch):
+    """Let learning take less than half a second, as on a machine with nothing beside it."""
+    monkeypatch.setattr(OnlineAdaptation, "_is_answered", lambda self, _: self._connection.poll(None))
+
+
+@pytest.mark.usefixtures("in_time")
 def test_a_stream_teaches_what_a_log_does_bit_for_bit(replayed):
     logged = []
     online = OnlineAdaptation(MODEL, log=logged.append)
@@ -61,6 +68,7 @@ def line(number):
     )
 
 
+@pytest.mark.usefixtures("in_time")
 def test_a_running_model_follows_and_stays_as_it_is_where_learning_ends(replayed):
     events = []
     adaptation = OnlineAdaptation(MODEL, log=events.append)
