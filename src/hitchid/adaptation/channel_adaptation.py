@@ -35,7 +35,7 @@ from hitchid.adaptation.strokes import Stroke
 WIDE = (0.3, 0.01, 0.1)
 SUDDEN = 4.0  # standard deviations from the estimate beyond which a stroke is suspected; chosen
 EVIDENCE_BACK = 20.0  # likelihood ratio at which the model before a promotion returns; chosen
-# Strokes at alike commands since a sudden change, above which it is no passing lack of oil; chosen.
+# Strokes at alike commands since a sudden change that do not confirm it yet: a pump may lack oil; chosen.
 ALIKE_STROKES = 5
 AFTER_ALARM = 4  # latest strokes that stay in the window after an alarm; chosen
 MISFIT_RATE = 0.1  # weight of a stroke in the usual misfit; chosen

@@ -74,7 +74,7 @@ class Gate:
         if moved > max(NOISE_LIMIT * noise / np.sqrt(half), self.least_rest):
             yield f"it does not start at rest: {moved:.3g} in {len(rest)} samples before the command"
         displacement = stroke.displacement[measured]
-        outside = farthest_outside(displacement)
+        outside = _farthest_outside(displacement)
         limit = max(NOISE_LIMIT * np.sqrt(2) * max(noise, _noise(displacement)), self.least_rest)
         if outside > limit:
             yield f"a sample lies {outside:.3g} outside of both its neighbours"
@@ -141,7 +141,7 @@ class Gate:
             yield "the displacement stands still while the model moves"
 
 
-def farthest_outside(displacement: Float[np.ndarray, " n"]) -> float:
+def _farthest_outside(displacement: Float[np.ndarray, " n"]) -> float:
     """Return how far a sample lies outside of both its neighbours at most: no motion does that, a spike does.
 
     Args:
