@@ -1,0 +1,118 @@
+"""The ledger of a fleet: what lies in the store of results is what has been done."""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from hitchid.fleet.machines import Machine
+from hitchid.fleet.row import FAILED, Row
+from hitchid.fleet.store import Store
+
+MODELS, ROWS, SUFFIX = "models", "rows", ".json"
+TABLE_FILE, PARQUET_FILE = "fleet.csv", "fleet.parquet"
+MODEL_FILE = "model.json"  # written last: a folder without it is no model
+
+
+def row_name(machine: str, signature: str) -> str:
+    """Return the name of the row of a machine in a store of results."""
+    return f"{ROWS}/{machine}/{signature}{SUFFIX}"
+
+
+def model_name(machine: str, key: str) -> str:
+    """Return the name of the folder of a model in a store of results."""
+    return f"{MODELS}/{machine}/{key}"
+
+
+def rows_in(store: Store) -> frozenset[str]:
+    """Return the names of all rows in a store, without reading one."""
+    return frozenset(f"{ROWS}/{file.name}" for file in Store(f"{store.url.rstrip('/')}/{ROWS}").files())
+
+
+def missing(machines: Iterable[Machine], job: str, names: frozenset[str]) -> tuple[Machine, ...]:
+    """Return the machines whose logs have no row yet with these settings and versions.
+
+    Args:
+        machines: of the store of logs.
+        job: digest of settings and versions.
+        names: names of the rows in the store of results.
+    """
+    return tuple(each for each in machines if row_name(each.name, each.signature(job)) not in names)
+
+
+def read_rows(store: Store, names: Iterable[str] | None = None) -> tuple[Row, ...]:
+    """Return rows of a store, all by default, in the order of machine and date.
+
+    Raises:
+        InputError: a file is not a row.
+        StoreError: the store cannot be read.
+    """
+    chosen = sorted(rows_in(store) if names is None else names)
+    rows = [Row.from_json(content, name) for name, content in store.read_many(chosen).items()]
+    return tuple(sorted(rows, key=lambda row: (row.machine, row.date, row.signature)))
+
+
+def newest(rows: Iterable[Row]) -> tuple[Row, ...]:
+    """Return the last row of each machine; of several of one date, one that did not fail."""
+    ordered = sorted(rows, key=lambda row: (row.machine, row.date, row.state != FAILED, row.signature))
+    return tuple({row.machine: row for row in ordered}.values())
+
+
+def load_model(store: Store, row: Row, folder: Path) -> Path:
+    """Write the model of a row into a local folder, and return that of `hitchid.load`.
+
+    Raises:
+        StoreError: the model cannot be read.
+    """
+    name = model_name(row.machine, row.key)
+    target = folder / row.key
+    target.mkdir(parents=True, exist_ok=True)
+    files = Store(f"{store.url.rstrip('/')}/{name}").files()
+    for file, content in store.read_many([f"{name}/{file.name}" for file in files]).items():
+        (target / Path(file).name).write_bytes(content)
+    return target
+
+
+def table_rows(rows: Iterable[Row]) -> list[dict[str, str | float | int | None]]:
+    """Return one flat line for each machine, column to value."""
+    lines = []
+    for row in rows:
+        line: dict[str, str | float | int | None] = {
+            name: getattr(row, name)
+            for name in ("machine", "date", "state", "cause", "message", "digest", "key")
+        }
+        for direction, figures in row.directions.items():
+            line |= {f"{direction}_{name}": value for name, value in vars(figures).items()}
+        if row.cost is not None:
+            line |= vars(row.cost)
+        lines.append(line)
+    return lines
+
+
+def compact(store: Store, rows: Iterable[Row]) -> None:
+    """Write the rows as one table, a line for each machine, as CSV and Parquet.
+
+    Raises:
+        InputError: pyarrow is not installed.
+        StoreError: the store cannot be written.
+    """
+    from hitchid._support.data_table import DataTable
+
+    table = DataTable.of_rows("fleet", table_rows(rows))
+    store.write(TABLE_FILE, table.csv())
+    store.write(
+        "fleet.parquet", _parquet(dict(zip(table.columns, zip(*table.rows, strict=True), strict=True)))
+    )
+
+
+def _parquet(columns: Mapping[str, tuple]) -> bytes:
+    from hitchid.errors import InputError
+
+    try:
+        import pyarrow as pa
+        from pyarrow import parquet
+    except ImportError as error:
+        raise InputError("pyarrow is required for fleets: pip install 'hitchid[fleet]'") from error
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "fleet.parquet"
+        parquet.write_table(pa.table({name: list(values) for name, values in columns.items()}), path)
+        return path.read_bytes()

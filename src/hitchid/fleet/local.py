@@ -1,0 +1,123 @@
+"""Runner on the cores of this machine: one process a worker, each replaced where it dies."""
+
+import os
+import signal
+import threading
+from collections import Counter, deque
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing import get_context, parent_process
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+
+from hitchid.fleet.machines import Machine
+from hitchid.fleet.task import UNFINISHED, Acknowledgement, Job
+
+MAX_DEATHS = 3  # of workers on one machine, after which it is left unfinished; chosen, as in dask
+
+
+def run_local(job: Job, machines: Sequence[Machine], workers: int) -> Iterator[Acknowledgement]:
+    """Yield the acknowledgement of each machine, in the order in which they end.
+
+    A machine whose worker died is given to another one; after three deaths it is left unfinished.
+
+    Args:
+        job: what is to be done.
+        machines: to work on.
+        workers: number of processes.
+    """
+    waiting, deaths = deque(machines), Counter()
+    crew: list[_Worker] = []
+    try:
+        while waiting or any(worker.machine for worker in crew):
+            crew += [_Worker.start(job) for _ in range(min(workers, len(waiting)) - len(crew))]
+            for worker in crew:
+                if worker.machine is None and waiting:
+                    worker.give(waiting.popleft())
+            for worker in _ready(crew):
+                machine, acknowledgement = worker.machine, worker.receive()
+                if acknowledgement is None:
+                    crew.remove(worker)
+                if machine is not None and acknowledgement is None:
+                    deaths[machine] += 1
+                    if deaths[machine] < MAX_DEATHS:
+                        waiting.append(machine)
+                        continue
+                    message = f"its worker ended {MAX_DEATHS} times: killed, or out of memory"
+                    acknowledgement = Acknowledgement(machine.name, UNFINISHED, message)
+                if acknowledgement is not None:
+                    yield acknowledgement
+    finally:
+        for worker in crew:
+            worker.process.kill()
+            worker.process.join()
+
+
+@dataclass
+class _Worker:
+    """A process, the connection to it, and the machine it works on."""
+
+    process: BaseProcess
+    connection: Connection
+    machine: Machine | None = None
+
+    @classmethod
+    def start(cls, job: Job) -> "_Worker":
+        context = get_context("spawn")
+        ours, theirs = context.Pipe()
+        process = context.Process(target=_work, args=(theirs,), daemon=True)
+        process.start()
+        theirs.close()
+        worker = cls(process, ours)
+        worker._send(job)
+        return worker
+
+    def give(self, machine: Machine) -> None:
+        """Let the process work on a machine; a process that has died is noticed when it is waited for."""
+        self.machine = machine
+        self._send(machine)
+
+    def receive(self) -> Acknowledgement | None:
+        """Return what the process sent; None where it has died."""
+        self.machine = None
+        try:
+            return self.connection.recv()
+        except (EOFError, OSError):
+            self.process.join()
+            return None
+
+    def _send(self, value: Job | Machine) -> None:
+        with suppress(OSError):
+            self.connection.send(value)
+
+
+def _ready(crew: Sequence[_Worker]) -> list[_Worker]:
+    """Wait until a process has sent something or died, and return those that have."""
+    ready = wait([worker.connection for worker in crew])
+    return [worker for worker in crew if worker.connection in ready]
+
+
+def _work(connection: Connection) -> None:
+    """Work on machines until the connection is closed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all processes of a terminal
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    from hitchid.fleet.worker import prepare_worker
+
+    prepare_worker()  # before the settings of the job import JAX
+    from hitchid.fleet.task import identify_machine
+
+    try:
+        job = connection.recv()
+        while True:
+            connection.send(identify_machine(job, connection.recv()))
+    except (EOFError, OSError):
+        return
+
+
+def _end_with_parent() -> None:
+    """End this process when the one that started it has ended."""
+    parent = parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)

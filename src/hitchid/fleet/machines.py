@@ -1,0 +1,68 @@
+"""Machines of a store: each folder at its top is one machine, its files are the logs."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from hitchid._support.storage import canonical_json, digest
+from hitchid.errors import InputError
+from hitchid.fleet.store import Store, StoredFile
+
+METADATA_FILE = "machines.csv"  # at the top of a store of logs
+KEY_LENGTH = 16  # characters of a digest in the name of a file: 64 bits, no two of 10⁶ alike by chance
+
+
+@dataclass(frozen=True)
+class Machine:
+    """One machine and its logs, as a listing of the store shows them.
+
+    Attributes:
+        name: of its folder at the top of the store.
+        files: all files directly in it.
+    """
+
+    name: str
+    files: tuple[StoredFile, ...]
+
+    @property
+    def size(self) -> int:
+        """Bytes of all files."""
+        return sum(file.size for file in self.files)
+
+    def signature(self, job: str) -> str:
+        """Return a digest of the listing and of what is to be done; it changes when either does.
+
+        Args:
+            job: digest of settings and versions.
+        """
+        listing = [[file.name, file.size, file.version] for file in self.files]
+        return digest(canonical_json({"files": listing, "job": job}))[:KEY_LENGTH]
+
+    @property
+    def date(self) -> str:
+        """Time of the newest file, in ISO 8601 and UTC; empty where the store has no times."""
+        return max((file.modified for file in self.files), default="")
+
+
+def machines_of(store: Store) -> tuple[Machine, ...]:
+    """Return the machines of a store, sorted by name.
+
+    Raises:
+        InputError: there is none.
+        StoreError: the store cannot be listed.
+    """
+    folders: dict[str, list[StoredFile]] = {name: [] for name in store.local_folders()}
+    for file in store.files():
+        folder, *below = file.name.split("/")
+        if below:
+            folders.setdefault(folder, [])
+        if len(below) == 1:
+            folders[folder].append(file)
+    if not folders:
+        raise InputError(f"{store.url}: there is no folder with logs; expected one folder for each machine")
+    return tuple(Machine(name, tuple(files)) for name, files in sorted(folders.items()))
+
+
+def content_key(contents: Mapping[str, bytes], job: str) -> str:
+    """Return the key of a result: a digest of the content of all logs, and of settings and versions."""
+    digests = {name: digest(content) for name, content in contents.items()}
+    return digest(canonical_json({"files": digests, "job": job}))[:KEY_LENGTH]

@@ -1,0 +1,123 @@
+"""Row of one machine: what was found, or the error that ended it, and what it took."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from functools import cache
+from typing import TYPE_CHECKING, Literal
+
+from hitchid._support.storage import canonical_json
+from hitchid.errors import InputError
+
+if TYPE_CHECKING:
+    from pydantic import TypeAdapter
+
+DONE, FAILED = "done", "failed"
+
+
+@dataclass(frozen=True)
+class DirectionRow:
+    """One direction of a machine.
+
+    Attributes:
+        structure: of the benchmark, with its nonlinearities.
+        gain: in the units of displacement and command.
+        dead_zone: in the command's unit.
+        gain_error: standard error of ln gain, that of the dead zone included; None where not determined.
+        dead_zone_error: standard error, in the command's unit; 0 for a given dead zone.
+        correlation: of the errors of ln gain and dead zone.
+        delay_s, delay_error_s: from a step of the command to 5 % of the speed, s; None where there is none.
+        load_scatter: standard deviation of the speed between tests, relative; None where not determined.
+        rmse: free run on the identification tests, in the displacement's unit.
+        held_out_rmse: free run on the tests that were held out, in the displacement's unit; None without any.
+        tests: number of tests it was identified from.
+    """
+
+    structure: str
+    gain: float
+    dead_zone: float
+    gain_error: float | None
+    dead_zone_error: float
+    correlation: float
+    delay_s: float | None
+    delay_error_s: float | None
+    load_scatter: float | None
+    rmse: float
+    held_out_rmse: float | None
+    tests: int
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What a task took.
+
+    Attributes:
+        seconds: from its begin to its end, s.
+        core_seconds: computing time of all threads, s.
+        bytes_read, bytes_written: from and to the stores.
+        peak_bytes: largest memory of the worker until then.
+    """
+
+    seconds: float
+    core_seconds: float
+    bytes_read: int
+    bytes_written: int
+    peak_bytes: int
+
+
+@dataclass(frozen=True)
+class Row:
+    """Outcome of the identification of one machine.
+
+    Attributes:
+        machine: path of its folder in the store of logs.
+        key: digest of the content of its logs, of settings and versions.
+        signature: digest of the listing of its logs, of settings and versions.
+        date: time of its newest log, ISO 8601 and UTC; may be empty.
+        state: `done`, or `failed` where the campaign cannot be identified.
+        cause, message: of a failure: kind of the error, and its text; empty otherwise.
+        digest: of the model.
+        units: role to unit.
+        directions: direction to its figures.
+        notices: remarks on data and choices.
+        cost: what the task took; that of the first run where a later one found the same logs.
+    """
+
+    machine: str
+    key: str
+    signature: str
+    date: str
+    state: Literal["done", "failed"]
+    cause: str = ""
+    message: str = ""
+    digest: str = ""
+    units: Mapping[str, str] = field(default_factory=dict)
+    directions: Mapping[str, DirectionRow] = field(default_factory=dict)
+    notices: tuple[str, ...] = ()
+    cost: Cost | None = None
+
+    def as_json(self) -> bytes:
+        """Return the row as the content of a file."""
+        return canonical_json(asdict(self))
+
+    @classmethod
+    def from_json(cls, content: bytes, name: str) -> "Row":
+        """Return the row in the content of a file.
+
+        Raises:
+            InputError: it is not a row.
+        """
+        from pydantic import ValidationError
+
+        try:
+            return _adapter().validate_json(content)
+        except ValidationError as error:
+            first = error.errors()[0]
+            place = ".".join(map(str, first["loc"])) or "the file"
+            raise InputError(f"{name}: is not a row of a fleet: {place}: {first['msg']}") from error
+
+
+@cache
+def _adapter() -> "TypeAdapter[Row]":
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(Row)

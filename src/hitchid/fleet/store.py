@@ -1,0 +1,194 @@
+"""A store of logs or results: a local folder, or a bucket such as `s3://fleet/logs`, by fsspec."""
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hitchid._support.storage import write_bytes
+from hitchid.errors import InputError, OutputError
+
+if TYPE_CHECKING:
+    from fsspec import AbstractFileSystem
+
+# Fields of a listing, by the names that file systems give them.
+DIGEST_FIELDS = ("ETag", "etag", "md5", "md5Hash")
+TIME_FIELDS = ("mtime", "LastModified", "last_modified", "updated", "created")
+
+
+class StoreError(OutputError):
+    """A store cannot be reached, read or written; the work can be repeated later."""
+
+
+@dataclass(frozen=True)
+class StoredFile:
+    """One file as a listing shows it, without its content.
+
+    Attributes:
+        name: path in the store.
+        size: bytes.
+        version: changes with the content: ETag of an object store, otherwise time of modification.
+        modified: time of modification, in ISO 8601 and UTC; empty where the store has none.
+    """
+
+    name: str
+    size: int
+    version: str
+    modified: str
+
+
+@dataclass(frozen=True)
+class Store:
+    """Files below a URL. Each is written whole or not at all.
+
+    Attributes:
+        url: as given; a local path or a URL that fsspec knows.
+    """
+
+    url: str
+
+    @property
+    def is_local(self) -> bool:
+        """Whether it is a folder of this machine."""
+        return "://" not in self.url or self.url.startswith("file://")
+
+    def files(self, folder: str = "") -> tuple[StoredFile, ...]:
+        """Return all files below a folder, sorted by name; none where it does not exist.
+
+        Raises:
+            StoreError: the store cannot be listed.
+        """
+        details = self._call("list", folder, lambda system, root: system.find(root, detail=True))
+        listed = (_stored_file(path, info, self._root()[1]) for path, info in dict(details).items())
+        return tuple(
+            sorted((file for file in listed if not _is_hidden(file.name)), key=lambda file: file.name)
+        )
+
+    def local_folders(self) -> tuple[str, ...]:
+        """Return the folders at the top of a local store, also empty ones; an object store has none."""
+        top = Path(self._root()[1])
+        if not self.is_local or not top.is_dir():
+            return ()
+        return tuple(
+            sorted(path.name for path in top.iterdir() if path.is_dir() and not _is_hidden(path.name))
+        )
+
+    def has(self, name: str) -> bool:
+        """Return whether a file exists.
+
+        Raises:
+            StoreError: the store cannot be read.
+        """
+        return self._call("find", name, lambda system, path: system.exists(path))
+
+    def read(self, name: str) -> bytes:
+        """Return the content of a file.
+
+        Raises:
+            StoreError: it does not exist or cannot be read.
+        """
+        return self._call("read", name, lambda system, path: system.cat_file(path))
+
+    def read_many(self, names: Sequence[str]) -> dict[str, bytes]:
+        """Return the content of several files, read at the same time where the store can do so.
+
+        Raises:
+            StoreError: one does not exist or cannot be read.
+        """
+        if not names:
+            return {}
+        root = self._root()[1]
+        contents = self._call("read", "", lambda system, _: system.cat([f"{root}/{name}" for name in names]))
+        if len(names) == 1 and isinstance(contents, bytes):
+            return {names[0]: contents}
+        return {_below(path, root): content for path, content in contents.items()}
+
+    def write(self, name: str, content: bytes) -> None:
+        """Write a file whole: no reader sees a part of it, whenever this process ends.
+
+        Raises:
+            StoreError: it cannot be written.
+        """
+        if self.is_local:
+            try:
+                write_bytes(Path(self._root()[1]) / name, content, force=True)
+            except OutputError as error:
+                raise StoreError(str(error)) from error
+        else:
+            self._call("write", name, lambda system, path: system.pipe_file(path, content))
+
+    def write_folder(self, name: str, files: Mapping[str, bytes], *, last: str) -> None:
+        """Write the files of a folder one by one; the folder is complete when the file `last` exists.
+
+        Raises:
+            StoreError: one cannot be written.
+        """
+        for file in (*sorted(set(files) - {last}), last):
+            self.write(f"{name}/{file}", files[file])
+
+    def _root(self) -> tuple["AbstractFileSystem", str]:
+        try:
+            from fsspec.core import url_to_fs
+        except ImportError as error:
+            raise InputError("fsspec is required for fleets: pip install 'hitchid[fleet]'") from error
+        try:
+            system, root = url_to_fs(self.url, **({"use_listings_cache": False} if not self.is_local else {}))
+        except (ImportError, ValueError) as error:
+            raise InputError(
+                f"{self.url}: cannot be used as a store: {error}; expected a folder or a URL such as s3://…"
+            ) from error
+        return system, str(root).rstrip("/")
+
+    def _call(self, verb: str, name: str, work: Any) -> Any:
+        """Return what a call of the file system returns, with errors that name the store."""
+        system, root = self._root()
+        try:
+            return work(system, f"{root}/{name}".rstrip("/"))
+        except Exception as error:  # each file system has exceptions of its own
+            place = f"{self.url.rstrip('/')}/{name}".rstrip("/")
+            reason = str(error) or type(error).__name__
+            raise StoreError(f"{place}: cannot {verb}: {reason}") from error
+
+
+def _stored_file(path: str, info: Mapping[str, Any], root: str) -> StoredFile:
+    digests = (str(info[field]) for field in DIGEST_FIELDS if info.get(field) is not None)
+    times = (info[field] for field in TIME_FIELDS if info.get(field) is not None)
+    time = next(times, None)
+    version = next(digests, str(time))
+    return StoredFile(_below(path, root), int(info.get("size") or 0), version, _iso(time))
+
+
+def _iso(time: object) -> str:
+    """Return seconds since 1970, a datetime or a text in ISO 8601 as the latter; empty for anything else."""
+    try:
+        if isinstance(time, str):
+            time = datetime.fromisoformat(time)
+        elif isinstance(time, int | float):
+            time = datetime.fromtimestamp(time, UTC)
+    except (ValueError, OverflowError, OSError):
+        return ""
+    return time.astimezone(UTC).isoformat(timespec="seconds") if isinstance(time, datetime) else ""
+
+
+def _below(path: str, root: str) -> str:
+    return path.removeprefix(root).lstrip("/")
+
+
+def _is_hidden(name: str) -> bool:
+    """Return whether a part of a path starts with a dot, such as files that are just being written."""
+    return any(part.startswith(".") for part in name.split("/"))
+
+
+def download(store: Store, files: Iterable[StoredFile], folder: Path) -> dict[str, bytes]:
+    """Write files of a store into a local folder, flat, and return their contents by file name.
+
+    Raises:
+        StoreError: one cannot be read.
+    """
+    contents = store.read_many([file.name for file in files])
+    by_name = {re.sub(r"^.*/", "", name): content for name, content in contents.items()}
+    for name, content in by_name.items():
+        (folder / name).write_bytes(content)
+    return by_name
