@@ -2,7 +2,6 @@
 
 from hitchid.fleet.identify import FleetProgress as FleetProgress
 from hitchid.fleet.identify import FleetResult as FleetResult
-from hitchid.fleet.identify import Runner as Runner
 from hitchid.fleet.identify import identify_fleet as identify_fleet
 from hitchid.fleet.ledger import read_rows as read_rows
 from hitchid.fleet.row import Cost as Cost

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
+from typing import cast
 
 from hitchid.fleet.machines import Machine
 from hitchid.fleet.task import UNFINISHED, Acknowledgement, Job
@@ -69,7 +70,7 @@ class _Worker:
         process = context.Process(target=_work, args=(theirs,), daemon=True)
         process.start()
         theirs.close()
-        worker = cls(process, ours)
+        worker = cls(process, cast("Connection", ours))
         worker._send(job)
         return worker
 
