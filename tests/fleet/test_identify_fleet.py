@@ -18,15 +18,17 @@ import pytest
 
 import hitchid
 from hitchid.errors import InputError
-from hitchid.fleet import Store, StoreError, identify_fleet, read_rows
+from hitchid.fleet import FleetResult, Runner, Store, StoreError, identify_fleet, read_rows
 from hitchid.fleet.cluster import check_scheduler, run_on_cluster
-from hitchid.fleet.identify import job_digest
+from hitchid.fleet.identify import identification_job
+from hitchid.fleet.identify_machine import IdentificationJob
 from hitchid.fleet.ledger import load_model, newest
 from hitchid.fleet.local import MAX_DEATHS, run_local
 from hitchid.fleet.machines import machines_of
-from hitchid.fleet.task import UNFINISHED, Job, identify_machine
+from hitchid.fleet.task import UNFINISHED, run_task
 
 MACHINES = 3
+ONE = Runner(workers=1)
 
 
 @pytest.fixture(scope="module")
@@ -39,13 +41,13 @@ def logs(tmp_path_factory):
 def results(logs, tmp_path_factory):
     """Return a store of their results by one worker, which no test changes."""
     folder = tmp_path_factory.mktemp("fleet") / "results"
-    result = identify_fleet(str(logs), str(folder), settings=fleets.QUICK, workers=1)
-    assert result.identified == MACHINES
+    result = identify_fleet(str(logs), str(folder), settings=fleets.QUICK, runner=ONE)
+    assert result.worked == MACHINES
     return folder
 
 
-def job(logs, folder) -> Job:
-    return Job(Store(str(logs)), Store(str(folder)), fleets.QUICK, job_digest(fleets.QUICK))
+def job(logs, folder) -> IdentificationJob:
+    return identification_job(str(logs), str(folder), fleets.QUICK)
 
 
 @pytest.mark.parametrize("run", [run_local, run_on_cluster])
@@ -82,13 +84,15 @@ def test_a_row_has_the_figures_of_its_model(logs, results, tmp_path):
 def test_a_finished_fleet_is_not_identified_again(logs, results):
     before = {path: path.stat().st_mtime_ns for path in results.rglob("*")}
     result = identify_fleet(str(logs), str(results), settings=fleets.QUICK)
-    assert result.identified == 0
+    assert result.worked == 0
     assert len(result.rows) == MACHINES
     assert before == {path: path.stat().st_mtime_ns for path in results.rglob("*")}
 
 
 def test_other_settings_are_another_job():
-    assert job_digest(fleets.QUICK) != job_digest({**fleets.QUICK, "seed": 1})
+    first, second = (identification_job("a", "b", {**fleets.QUICK, "seed": seed}) for seed in (0, 1))
+    assert first.settings_digest != second.settings_digest
+    assert first.settings_digest == identification_job("a", "b", fleets.QUICK).settings_digest
 
 
 def test_copied_logs_are_recognised_by_their_content(logs, results, tmp_path):
@@ -96,8 +100,8 @@ def test_copied_logs_are_recognised_by_their_content(logs, results, tmp_path):
     copy, own = shutil.copytree(logs, tmp_path / "logs"), shutil.copytree(results, tmp_path / "results")
     for path in copy.rglob("*.csv"):
         os.utime(path, (1e9, 1e9))
-    result = identify_fleet(str(copy), str(own), settings=fleets.QUICK, workers=1)
-    assert result.identified == 0
+    result = identify_fleet(str(copy), str(own), settings=fleets.QUICK, runner=ONE)
+    assert result.worked == 0
     assert {row.date for row in result.rows} == {"2001-09-09T01:46:40+00:00"}
     assert fleets.model_digests(own) == fleets.model_digests(results)
 
@@ -110,7 +114,7 @@ def test_bad_campaigns_are_rows_with_their_error_and_harm_no_other(logs, results
     (mixed / "damaged" / "lifting-01.csv").write_text(text[: len(text) // 3] + "\0\0\0")
     (mixed / "wrong").mkdir()
     (mixed / "wrong" / "notes.csv").write_text("who,when\nme,now\n")
-    result = identify_fleet(str(mixed), str(own), settings=fleets.QUICK, workers=1)
+    result = identify_fleet(str(mixed), str(own), settings=fleets.QUICK, runner=ONE)
     rows = {row.machine: row for row in result.rows}
     assert {name for name, row in rows.items() if row.state == "failed"} == {"empty", "damaged", "wrong"}
     assert "no log in this folder" in rows["empty"].message
@@ -126,7 +130,7 @@ def test_failures_with_the_same_cause_are_one_group(results):
         replace(row, machine=f"m{k}", state="failed", message=f"m{k}/log.csv: line {k}: no number")
         for k in range(4)
     ]
-    result = hitchid.fleet.FleetResult((*failed, row), 0, {})
+    result = FleetResult((*failed, row), 0, {})
     assert result.failures == {"m0/log.csv: line 0: no number": ("m0", "m1", "m2", "m3")}
     assert result.counts == {"failed": 4, "done": 1}
 
@@ -213,33 +217,32 @@ def test_a_model_without_its_row_is_not_taken_for_done(logs, tmp_path, monkeypat
     monkeypatch.setattr("hitchid.fleet.task.prepare_worker", lambda: None)
     with monkeypatch.context() as context:
         context.setattr(Store, "write", failing)
-        first = identify_machine(own, machine)
+        first = run_task(own, machine)
     assert (first.state, first.message) == (UNFINISHED, "rows: the connection was lost")
     assert read_rows(own.results) == ()
-    second = identify_machine(own, machine)
-    assert (second.state, second.fitted) == ("done", True)
+    second = run_task(own, machine)
+    assert (second.state, second.worked) == ("done", True)
     assert [row.machine for row in read_rows(own.results)] == [machine.name]
 
 
-def test_a_store_that_ends_in_mid_write_shows_no_model(logs, tmp_path, monkeypatch):
+@pytest.mark.parametrize("limit", range(5))
+def test_a_store_that_ends_in_mid_write_shows_no_model(limit, logs, tmp_path, monkeypatch):
     """A folder without `model.json` is no model; it has five files, and that is written last."""
     own = job(logs, tmp_path)
-    (machine, *_) = machines_of(own.logs)
     written, write = [], Store.write
 
-    def counting(self, name, content):
+    def failing(self, name, content):
         if len(written) == limit:
             raise StoreError("the store is full")
         written.append(name)
         write(self, name, content)
 
     monkeypatch.setattr("hitchid.fleet.task.prepare_worker", lambda: None)
-    monkeypatch.setattr("hitchid.fleet.store.Store.write", counting)
-    for limit in range(5):
-        written.clear()
-        assert identify_machine(own, machine).state == UNFINISHED
-        assert not list(tmp_path.glob("models/*/*/model.json"))
-        assert read_rows(own.results) == ()
+    monkeypatch.setattr("hitchid.fleet.store.Store.write", failing)
+    assert run_task(own, machines_of(own.logs)[0]).state == UNFINISHED
+    assert len(written) == limit
+    assert not list(tmp_path.glob("models/*/*/model.json"))
+    assert read_rows(own.results) == ()
 
 
 def test_newest_is_the_last_row_of_each_machine(results):
@@ -263,14 +266,14 @@ def test_the_rows_are_compacted(results):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"runner": "slurm"}, "runner: .*local or dask"),
+        ({"name": "slurm"}, "runner: .*local or dask"),
         ({"workers": 0}, "workers"),
-        ({"runner": "dask", "scheduler": "tcp://10.0.0.1:8786"}, "expected tls://"),
+        ({"name": "dask", "scheduler": "tcp://10.0.0.1:8786"}, "expected tls://"),
     ],
 )
 def test_wrong_arguments_are_refused(arguments, message, logs, tmp_path):
     with pytest.raises(InputError, match=message):
-        identify_fleet(str(logs), str(tmp_path / "results"), settings=fleets.QUICK, **arguments)
+        identify_fleet(str(logs), str(tmp_path), settings=fleets.QUICK, runner=Runner(**arguments))
 
 
 def test_a_store_without_machines_is_refused(tmp_path):

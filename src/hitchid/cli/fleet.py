@@ -14,7 +14,7 @@ from hitchid.errors import HitchError
 
 if TYPE_CHECKING:
     from hitchid._support.progress import ProgressCallback
-    from hitchid.fleet import FleetProgress, FleetResult
+    from hitchid.fleet import FleetProgress, FleetResult, Runner
 
 app = typer.Typer(
     name="fleet",
@@ -76,13 +76,21 @@ def identify(
             store,
             out,
             settings=settings,
-            runner=runner.value,
-            workers=workers,
-            scheduler=scheduler,
+            runner=_runner(runner, workers, scheduler, quiet=quiet),
             progress=lambda update: _report(update, report),
-            on_page=lambda page: None if quiet else typer.echo(f"dask shows its work at {page}", err=True),
         )
     _show(result, out, quiet=quiet, as_json=as_json)
+
+
+def _runner(name: RunnerName, workers: int | None, scheduler: str | None, *, quiet: bool) -> "Runner":
+    """Return the runner of the options; dask's page is named on stderr."""
+    from hitchid.fleet import Runner
+
+    def show_page(page: str) -> None:
+        if not quiet:
+            typer.echo(f"dask shows its work at {page}", err=True)
+
+    return Runner(name.value, workers, scheduler, show_page)
 
 
 def _report(update: "FleetProgress", report: "ProgressCallback") -> None:
@@ -105,12 +113,12 @@ def _show(result: "FleetResult", out: str, *, quiet: bool, as_json: bool) -> Non
 
     if as_json:
         rows = [asdict(row) for row in result.rows]
-        content = {"identified": result.identified, "unfinished": dict(result.unfinished), "rows": rows}
+        content = {"identified": result.worked, "unfinished": dict(result.unfinished), "rows": rows}
         typer.echo(json.dumps(content, indent=1))
     elif not quiet:
         counts = ", ".join(f"{count} {state}" for state, count in result.counts.items())
         typer.echo(
-            f"{len(result.rows)} machines: {counts or 'none'}; {result.identified} identified now; in {out}"
+            f"{len(result.rows)} machines: {counts or 'none'}; {result.worked} identified now; in {out}"
         )
     failures = [f"{_names(machines)}: {cause}" for cause, machines in result.failures.items()]
     display.write_messages("warning", () if quiet else failures)

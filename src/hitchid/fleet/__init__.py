@@ -1,11 +1,14 @@
 """A fleet: many machines identified, compared and watched; the entry point is `identify_fleet`."""
 
-from hitchid.fleet.identify import FleetProgress as FleetProgress
-from hitchid.fleet.identify import FleetResult as FleetResult
 from hitchid.fleet.identify import identify_fleet as identify_fleet
+from hitchid.fleet.ledger import load_model as load_model
+from hitchid.fleet.ledger import newest as newest
 from hitchid.fleet.ledger import read_rows as read_rows
 from hitchid.fleet.row import Cost as Cost
 from hitchid.fleet.row import DirectionRow as DirectionRow
 from hitchid.fleet.row import Row as Row
+from hitchid.fleet.run import FleetProgress as FleetProgress
+from hitchid.fleet.run import FleetResult as FleetResult
+from hitchid.fleet.run import Runner as Runner
 from hitchid.fleet.store import Store as Store
 from hitchid.fleet.store import StoreError as StoreError

@@ -106,12 +106,12 @@ def _work(connection: Connection) -> None:
     from hitchid.fleet.worker import prepare_worker
 
     prepare_worker()  # before the settings of the job import JAX
-    from hitchid.fleet.task import identify_machine
+    from hitchid.fleet.task import run_task
 
     try:
         job = connection.recv()
         while True:
-            connection.send(identify_machine(job, connection.recv()))
+            connection.send(run_task(job, connection.recv()))
     except (EOFError, OSError):
         return
 
