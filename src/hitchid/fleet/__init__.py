@@ -1,0 +1,1 @@
+"""A fleet: many machines identified, compared and watched."""
