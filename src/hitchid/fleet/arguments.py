@@ -40,5 +40,6 @@ def _check_definite(errors: np.ndarray, missing: np.ndarray) -> None:
     wrong = np.flatnonzero(~(smallest > 0))
     if wrong.size:
         raise InputError(
-            f"covariances: machine {wrong[0]}: got smallest eigenvalue {smallest[wrong[0]]:.3g}, expected above 0"
+            f"covariances: machine {wrong[0]}: got the smallest eigenvalue {smallest[wrong[0]]:.3g}, "
+            "expected a positive one"
         )

@@ -13,7 +13,7 @@ from hitchid.fleet.arguments import checked_estimates
 from hitchid.fleet.multiple_testing import adjusted_p_values
 from hitchid.fleet.random_effects import fit_random_effects
 
-FEWEST = 10  # machines with a parameter, from which they are compared; chosen: with fewer the p-values are not uniform
+FEWEST = 10  # machines with a parameter; of fewer the p-values are not uniform (simulated)
 FOLDS = 200  # fits of a parameter; in a larger fleet machines are left out in groups; chosen
 POWER = 0.9  # probability at which a deviation counts as detectable; chosen
 

@@ -1,11 +1,11 @@
-"""Random-effects regression of one parameter over machines, robust to outlying ones, for many selections at once."""
+"""Random-effects regression of one parameter over machines, robust to outlying ones."""
 
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from hitchid.fleet.robustness import PLAIN, normal_constants, weights
+from hitchid.fleet.robustness import constants_of, weights
 
 ITERATIONS, TOLERANCE = 200, 1e-9  # of the variance; relative to the variance of an estimate; chosen
 NORMAL_MAD = 1.4826  # standard deviation of a normal distribution, in its median absolute deviations
@@ -52,8 +52,9 @@ def fit_random_effects(
 
     Source: Patterson & Thompson 1971; DerSimonian & Laird 1986; Richardson & Welsh 1995 (robust REML).
     """
-    constants = normal_constants() if robust else PLAIN
+    constants = constants_of(1, robust=robust)
     beta, between = _start(values, variances, design, selections)
+    weight = np.ones(selections.shape)
     for _ in range(ITERATIONS):
         total = variances + between[:, None]
         precision = selections / total

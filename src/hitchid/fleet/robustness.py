@@ -28,15 +28,17 @@ class NormalConstants(NamedTuple):
     mean_factor: float
 
 
-PLAIN = NormalConstants(np.inf, 1.0, 1.0, 1.0)  # of plain REML, where no machine loses weight
+PLAIN = NormalConstants(
+    float(np.finfo(float).max), 1.0, 1.0, 1.0
+)  # of plain REML, where no machine loses weight
 
 
 @cache
 def normal_constants(parameters: int = 1) -> NormalConstants:
     """Return the constants for vectors of some length, d² ~ χ²ₚ.
 
-    The variance solves Σ min(d², c²)/κ = n p: its efficiency is 2 p F²/Var min(d², c²) with F = P(χ²ₚ₊₂ < c²).
-    The mean solves Σ w(d) r = 0: its variance is E[w² d²] p / E[p w + 2 d² w′]² times that of the plain mean.
+    The variance solves Σ min(d², c²)/κ = n p: its efficiency is 2 p F²/Var min(d², c²), F = P(χ²ₚ₊₂ < c²).
+    The mean solves Σ w(d²) r = 0: its variance is p E[w² d²]/E[p w + 2 d² w′]² times that of the plain mean.
 
     Args:
         parameters: p, length of the vectors.
@@ -55,6 +57,11 @@ def normal_constants(parameters: int = 1) -> NormalConstants:
     return NormalConstants(clip, clipped / p, 2 * p * inside_2**2 / variance, squared_score * p / slope**2)
 
 
+def constants_of(parameters: int, *, robust: bool) -> NormalConstants:
+    """Return the constants for vectors of some length; the plain ones if not robust, or without a length."""
+    return normal_constants(parameters) if robust and parameters else PLAIN
+
+
 def _inverse_beyond(parameters: int, clip: float) -> float:
     """Return E[1/d²; d² > c²] for d² ~ χ²ₚ."""
     from scipy.integrate import quad
@@ -65,4 +72,4 @@ def _inverse_beyond(parameters: int, clip: float) -> float:
 
 def weights(squared: np.ndarray, clip: np.ndarray | float) -> np.ndarray:
     """Return min(1, c²/d²), of the shape of the squared distances."""
-    return np.minimum(1.0, clip / np.maximum(squared, np.finfo(float).tiny))
+    return clip / np.maximum(squared, clip)
