@@ -1,13 +1,13 @@
 """Checks of the estimates of a fleet."""
 
 import numpy as np
-from jaxtyping import Float
+from numpy.typing import ArrayLike
 
 from hitchid.errors import InputError
 
 
 def checked_estimates(
-    estimates: Float[np.ndarray, "n p"], covariances: Float[np.ndarray, "n p p"]
+    estimates: ArrayLike, covariances: ArrayLike
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return estimates and covariances as arrays of numbers; NaN in either is a missing parameter in both.
 

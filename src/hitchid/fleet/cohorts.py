@@ -34,7 +34,7 @@ class CohortEffect:
         values: mean of each category, in the parameter's unit, or the slope alone, per unit of the column.
         intervals: 95 % interval of each value.
         p_value: of equal means, or of no slope.
-        q_value: smallest false discovery rate at which the effect is a discovery, over columns and parameters.
+        q_value: smallest false discovery rate at which it is a discovery, over columns and parameters.
     """
 
     column: str
@@ -54,20 +54,21 @@ def compare_cohorts(
 ) -> tuple[CohortEffect, ...]:
     """Return the effect of each column on each parameter.
 
-    y = X β + b + e, b ~ N(0, τ²), e ~ N(0, s²): X indicates the categories of a column of texts, or contains one
-    and the numbers. With C β = 0 for equal means or no slope and β ~ N(·, φ Cov):
+    y = X β + b + e, b ~ N(0, τ²), e ~ N(0, s²): X indicates the categories of a column of texts, or contains
+    one and the numbers. With C β = 0 for equal means or no slope and β ~ N(·, φ Cov):
     (C β)ᵀ(C φ Cov Cᵀ)⁻¹(C β)/q is F(q, ν), φ = max(1, Σ min(z², c²)/κ/(n − k)).
 
     Args:
         estimates: of each machine, shape [N, P], NaN where missing.
         covariances: of the errors, shape [N, P, P].
-        columns: name to a text or a number for each machine; None, an empty text or NaN where unknown. A category
-            of fewer than three machines is left out.
+        columns: name to a text or a number for each machine; None, an empty text or NaN where unknown. A
+            category of fewer than three machines is left out.
 
     Raises:
         InputError: estimates that cannot be used, or a column of another length.
 
-    Source: Knapp & Hartung 2003, Improved tests for a random effects meta-regression; Benjamini & Hochberg 1995.
+    Source: Knapp & Hartung 2003, Improved tests for a random effects meta-regression with a single covariate;
+        Benjamini & Hochberg 1995.
     """
     values, errors = checked_estimates(estimates, covariances)
     for name, column in columns.items():

@@ -32,7 +32,7 @@ class Estimates(NamedTuple):
 
 
 class Population(NamedTuple):
-    """Mean μ, shape [P], covariance between machines Σ, shape [P, P], and the machines' weights, shape [N]."""
+    """Mean μ, shape [P], covariance between machines Σ, shape [P, P], weight of each machine, shape [N]."""
 
     mean: Float[np.ndarray, " p"]
     between: Float[np.ndarray, "p p"]

@@ -81,14 +81,7 @@ def find_outliers(
     if not 0 < false_discovery_rate < 1:
         raise InputError(f"false_discovery_rate: got {false_discovery_rate}, expected between 0 and 1")
     values, errors = checked_estimates(estimates, covariances)
-    variances = np.diagonal(errors, axis1=1, axis2=2)
-    deviation, error, predictive, freedom = np.full((4, *values.shape), np.nan)
-    for parameter in range(values.shape[1]):
-        present = ~np.isnan(values[:, parameter])
-        if present.sum() >= FEWEST:
-            compared = _compare(values[present, parameter], variances[present, parameter])
-            for array, column in zip((deviation, error, predictive, freedom), compared, strict=True):
-                array[present, parameter] = column
+    deviation, error, predictive, freedom = _comparisons(values, np.diagonal(errors, axis1=1, axis2=2))
     t = deviation / predictive
     p_value = 2 * stdtr(freedom, -np.abs(t))
     q_value = adjusted_p_values(p_value)
@@ -109,6 +102,18 @@ def find_outliers(
         deviation + half_width,
         threshold * predictive + ndtri(POWER) * error,
     )
+
+
+def _comparisons(values: np.ndarray, variances: np.ndarray) -> np.ndarray:
+    """Return the columns of `_compare` for all parameters, NaN where nothing is compared, shape [4, N, P]."""
+    comparisons = np.full((4, *values.shape), np.nan)
+    for parameter in range(values.shape[1]):
+        present = ~np.isnan(values[:, parameter])
+        if present.sum() >= FEWEST:
+            comparisons[:, present, parameter] = _compare(
+                values[present, parameter], variances[present, parameter]
+            )
+    return comparisons
 
 
 def _compare(values: np.ndarray, variances: np.ndarray) -> tuple[np.ndarray, ...]:

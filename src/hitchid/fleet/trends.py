@@ -83,7 +83,8 @@ def fit_trends(
     numbers, hours = np.asarray(machines), np.asarray(times, float)
     if numbers.shape != (len(values),) or hours.shape != numbers.shape or not np.isfinite(hours).all():
         raise InputError(
-            f"machines, times: got shapes {numbers.shape}, {hours.shape}, expected ({len(values)},), finite times"
+            f"machines, times: got shapes {numbers.shape} and {hours.shape}, expected ({len(values)},) "
+            "and finite times"
         )
     names, row = np.unique(numbers, return_inverse=True)
     variances = np.diagonal(errors, axis1=1, axis2=2)
