@@ -98,7 +98,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
         ends = found.value_intervals
         values.append(np.mean((ends[..., 0] <= fleet.truth) & (fleet.truth <= ends[..., 1])))
     assert np.mean(means) > LEVEL - binomial_tolerance(LEVEL, fleets)  # two means of a fleet are dependent
-    # The spread is taken as known: with 60 machines the intervals of the values are one or two per cent short.
+    # The spread is taken as known: with 60 machines the intervals of the values are one per cent short.
     assert np.mean(values) == pytest.approx(LEVEL, abs=0.02 + binomial_tolerance(LEVEL, 60 * fleets))
 
 
@@ -111,7 +111,7 @@ def test_outliers_move_neither_spread_nor_mean_and_are_hardly_shrunken():
     # 2.5 % of machines at c², 6.2 of 2 κ = 1.9, add 8 % to the variance, of 1 + 1 with the errors.
     assert found.between[0, 0] < sound.between[0, 0] + 0.3
     assert found.mean == pytest.approx(sound.mean, abs=0.05)
-    # With a weight of 6.2/(20²/2), an error variance of 2.2 moves them by 6 % of 20; the second parameter adds.
+    # With a weight of 6.2/(20²/2), an error variance of 2.2 moves them by 6 % of 20; the second adds to it.
     assert np.all(found.weights[:5] < 0.1)
     assert found.values[:5, 0] == pytest.approx(estimates[:5, 0], abs=3.0)
 
