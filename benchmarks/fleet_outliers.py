@@ -1,9 +1,9 @@
 """Are faulty machines named, and sound ones not? Fleets of 200 simulated machines, 5 of them faulty.
 
 A machine has the logarithm of a gain and a dead zone. Sound ones are normally distributed about the mean; a
-faulty one has 10 % more or less gain, or a dead zone that is 0.03 A larger or smaller, besides its own deviation.
+faulty one has 10 % more or less gain, or a dead zone 0.03 A larger or smaller, besides its own deviation.
 A discovery is a pair of machine and parameter; it is false unless this machine is faulty in this parameter.
-Prints a Markdown table, a row for each spread of sound machines; exits with 1 if a bar is missed at the first.
+Prints a Markdown table, a row for each spread; exits with 1 if a bar is missed at the first one.
 
 Run: python -m benchmarks.fleet_outliers
 """
@@ -17,7 +17,7 @@ from hitchid.fleet.outliers import Outliers, find_outliers
 
 FLEETS, MACHINES, FAULTS = 50, 200, 5
 GAIN_FAULT, DEAD_ZONE_FAULT = 0.1, 0.03  # of the gain; A
-# Standard errors of the estimates, uniform between two numbers as campaigns differ. The gain of the bench rig-a
+# Standard errors of the estimates, uniform between two numbers as campaigns differ. A gain of the bench rig-a
 # has 0.9 % (docs/uncertainty.md); for a dead zone chosen, above the 1.2 mA of three ramps in coverage.py.
 GAIN_ERRORS, DEAD_ZONE_ERRORS = (0.005, 0.015), (0.0015, 0.0045)  # relative; A
 CORRELATION = 0.6  # of both errors, chosen: a larger gain makes up for a larger dead zone
