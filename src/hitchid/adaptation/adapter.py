@@ -11,7 +11,7 @@ from hitchid._support.precision import double_precision
 from hitchid._support.short_repr import short_repr
 from hitchid.adaptation.channel_adaptation import ChannelAdaptation
 from hitchid.adaptation.channel_state import ChannelState
-from hitchid.adaptation.events import FAULT, REFUSED, Event
+from hitchid.adaptation.events import FAULT, REFUSED, Event, last_sample
 from hitchid.adaptation.gates import Gate
 from hitchid.adaptation.parameters import Changes, changed_model, check_adaptable
 from hitchid.adaptation.settings import AdaptationSettings
@@ -108,7 +108,8 @@ class Adapter:
             direction: learner.resumed([event for event in events if event.direction == direction])
             for direction, learner in self._channels.items()
         }
-        return AdapterState(channels, max((event.stroke for event in events), default=0))
+        strokes = max((event.stroke for event in events), default=0)
+        return AdapterState(channels, strokes, last_sample(events, self.model.step_s))
 
     @double_precision
     def learn(self, state: AdapterState, stroke: Stroke) -> tuple[AdapterState, tuple[Event, ...]]:
