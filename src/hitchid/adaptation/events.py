@@ -30,7 +30,8 @@ class Event:
         reason: in words.
         changes: of the parameters in use after it; of a candidate its own.
         strokes: numbers of the strokes that a candidate was fitted to.
-        figures: of a stroke that was learned from: errors, estimates, factor on the bands.
+        figures: of a stroke that was learned from: errors, estimates, factor on the bands; of any stroke
+            after a standstill: the leak.
     """
 
     kind: str
