@@ -27,6 +27,7 @@ from hitchid.adaptation.gates import Gate
 from hitchid.adaptation.levels import levels_differ
 from hitchid.adaptation.parameters import DEAD_ZONE, GAIN, Changes
 from hitchid.adaptation.settings import AdaptationSettings
+from hitchid.adaptation.speed_limit import speed_limit
 from hitchid.adaptation.stroke_errors import StrokeErrors, StrokeFit, StrokeRuns
 from hitchid.adaptation.stroke_scatter import scatter_after, speed_distance
 from hitchid.adaptation.strokes import Stroke
@@ -120,6 +121,10 @@ class ChannelAdaptation:
         beyond = self._bounds.beyond(runs.changes[own])
         if beyond and not reason:
             reason = f"its own {beyond} is beyond the largest change"
+        variance = self._estimates.variance(state, float(np.ptp(runs.displacement[TARGET_RUN])))
+        limit = speed_limit(runs, TARGET_RUN, OWN, variance)
+        if limit < 1 and not reason:
+            reason = f"its speed is limited to {limit:.2g} of the fastest of the model, whatever the command"
         if reason:
             return state, [self._event(REFUSED, state, stroke, number, reason)]
         return self._learned(state, stroke, number, runs, own)

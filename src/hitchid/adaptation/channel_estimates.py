@@ -46,20 +46,21 @@ class ChannelEstimates:
         gain = np.log(np.clip(factor, np.exp(bounds.lowest[GAIN]), np.exp(bounds.highest[GAIN])))
         start = Changes(*np.add(state.deployed, [gain, 0.0, 0.0]))
         (fit,) = self._errors.fits([stroke], start)
-        fit = fit.over(self._noise**2 + (state.misfit * fit.travel) ** 2)
+        fit = fit.over(self.variance(state, fit.travel))
         free, wide = bounds.allowed, np.linalg.inv(self.wide)
         information = np.where(np.outer(free, free), fit.information, 0.0) + wide
         gradient = np.where(free, fit.gradient, 0.0) - wide @ (fit.at - np.array(state.deployed))
         own = fit.at + np.where(free, np.linalg.solve(information, gradient), 0.0)
         return [start, Changes(*map(float, own))]
 
+    def variance(self, state: ChannelState, travel: float) -> float:
+        """Return the variance of the errors of a stroke: of the sensor, and of the usual misfit."""
+        return self._noise**2 + (state.misfit * travel) ** 2
+
     def scattered(self, state: ChannelState, fits: Sequence[StrokeFit]) -> list[StrokeFit]:
         """Return fits over the variance of their errors: of sensor, usual misfit, and each stroke's own."""
         scatter = np.diag((state.scatter * self._bounds.scatter) ** 2)
-        variances = [self._noise**2 + (state.misfit * fit.travel) ** 2 for fit in fits]
-        return [
-            with_scatter(fit.over(variance), scatter) for fit, variance in zip(fits, variances, strict=True)
-        ]
+        return [with_scatter(fit.over(self.variance(state, fit.travel)), scatter) for fit in fits]
 
     def of_window(
         self, state: ChannelState, strokes: Sequence[Numbered], arrival: Estimate
