@@ -32,8 +32,8 @@ from hitchid.adaptation.stroke_errors import StrokeErrors, StrokeFit, StrokeRuns
 from hitchid.adaptation.stroke_scatter import scatter_after, speed_distance
 from hitchid.adaptation.strokes import Stroke
 
-# Standard deviations from the estimate beyond which a stroke is suspected; chosen: of 185 strokes of a bench
-# that stayed as it was none was beyond 2.
+# Standard deviations from the estimate beyond which a stroke is suspected; chosen after a log of the nominal
+# bench, where of 185 strokes that the starved pump did not affect none was beyond 2.
 SUDDEN = 3.0
 EVIDENCE_BACK = 20.0  # likelihood ratio at which the model before a promotion returns; chosen
 # Strokes at alike commands since a sudden change that do not confirm it yet: a pump may lack oil; chosen.
