@@ -6,9 +6,7 @@ from numpy.typing import ArrayLike
 from hitchid.errors import InputError
 
 
-def checked_estimates(
-    estimates: ArrayLike, covariances: ArrayLike
-) -> tuple[np.ndarray, np.ndarray]:
+def checked_estimates(estimates: ArrayLike, covariances: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     """Return estimates and covariances as arrays of numbers; NaN in either is a missing parameter in both.
 
     Args:
