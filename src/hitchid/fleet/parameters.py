@@ -40,7 +40,7 @@ class FleetParameter:
         return np.exp(estimate) if self.logarithmic else np.asarray(estimate, float)
 
     def difference(self, deviation: np.ndarray | float) -> np.ndarray:
-        """Return a difference of estimates in the parameter's unit, or relative to the value of a logarithm."""
+        """Return a difference of estimates: in the unit, or relative where they are logarithms."""
         return np.expm1(deviation) if self.logarithmic else np.asarray(deviation, float)
 
 
