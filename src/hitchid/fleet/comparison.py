@@ -303,13 +303,15 @@ def _trends(
 
 
 def _few(parameters: Sequence[FleetParameter], estimates: np.ndarray) -> Iterable[str]:
+    """Yield a notice on gains and dead zones that too few machines have for one to stand out."""
     counts = np.sum(~np.isnan(estimates), axis=0)
-    for parameter, count in zip(parameters, counts, strict=True):
-        if parameter.name in (GAIN, DEAD_ZONE) and count < FEWEST_OF_OUTLIERS:
-            yield (
-                f"{parameter.name} of {parameter.direction}: {count} machines with an error are fewer than "
-                f"{FEWEST_OF_OUTLIERS}; none of them can be named"
-            )
+    few = [
+        f"{parameter.name} of {parameter.direction} ({count})"
+        for parameter, count in zip(parameters, counts, strict=True)
+        if parameter.name in (GAIN, DEAD_ZONE) and count < FEWEST_OF_OUTLIERS
+    ]
+    if few:
+        yield f"no machine can stand out where fewer than {FEWEST_OF_OUTLIERS} are compared: {', '.join(few)}"
 
 
 def _without_effect(columns: Iterable[str], cohorts: Sequence[CohortEffect]) -> Iterable[str]:

@@ -46,6 +46,23 @@ def comparison_tables(comparison: "FleetComparison") -> dict[str, DataTable]:
     }
 
 
+def comparison_metrics(comparison: "FleetComparison") -> dict[str, object]:
+    """Return the content of `comparison.json`: counts, and every table but that of all machines."""
+    tables = comparison_tables(comparison)
+    return {
+        "machines": len(comparison.rows),
+        "compared": len(comparison.machines),
+        "failed": len(comparison.failed),
+        "standing_out": list(comparison.standing_out),
+        "false_discovery_rate": comparison.false_discovery_rate,
+        "notices": list(comparison.notices),
+    } | {
+        name: [dict(zip(table.columns, row, strict=True)) for row in table.rows]
+        for name, table in tables.items()
+        if name != "machines"
+    }
+
+
 def _name(parameter: FleetParameter) -> dict[str, Cell]:
     return {
         "direction": parameter.direction,

@@ -23,16 +23,26 @@ INTERVAL_WIDTH, POINT_SIZE = 0.9, 3.0  # of a machine's interval and its value, 
 OUTER, INNER = (0.025, 0.975), (0.25, 0.75)  # quantiles of the machines that are drawn as one row
 CIRCLE = np.stack([np.cos(np.linspace(0, 2 * np.pi, 73)), np.sin(np.linspace(0, 2 * np.pi, 73))])
 RADIUS = float(np.sqrt(-2 * np.log(0.05)))  # of the ellipse that contains 95 % of a normal distribution
-LINE_WIDTH, LINE_ALPHA = 0.6, 0.35  # of the speed of one of many machines, points and opacity; chosen
-LABELLED = len(COMPARED)  # speeds that have a style of their own
+LINE_WIDTH = 0.6  # of the speed of one of many machines, points; chosen
+OPAQUE_LINES, LEAST_ALPHA = 10, 0.2  # lines that are drawn opaque, and the opacity of one of many; chosen
+STYLES = tuple(COMPARED.values())  # of machines that are pointed out; further ones are drawn alike
+FURTHER = ("ink", (1.0, 1.0), "")
+NAME_SHARE = (0.35, 0.06)  # width and height of a name, shares of the axes; chosen: no name covers another
 
 
 class SpeedLine(NamedTuple):
-    """Steady speed over command of one machine that is pointed out."""
+    """Steady speed over command of one machine that is pointed out.
+
+    Attributes:
+        label: its name.
+        gain, dead_zone: its parameters.
+        style: number of its colour and dashes, of `STYLES`; larger ones have those of all further machines.
+    """
 
     label: str
     gain: float
     dead_zone: float
+    style: int
 
 
 def draw_machine_intervals(
@@ -114,12 +124,27 @@ def draw_machine_points(
         outlying: whether it stands out, shape [N].
         names: of each machine; an empty one is not written.
     """
-    axes.plot(x[~outlying], y[~outlying], "o", color=FAINT, markersize=2.5, label="like the others")
-    axes.plot(x[outlying], y[outlying], "D", color=COLOURS["benchmark"], markersize=3.5, label="stands out")
-    for index in np.flatnonzero(outlying):
+    for of_it, marker, colour, size, label in (
+        (~outlying, "o", FAINT, 2.5, "machine"),
+        (outlying, "D", COLOURS["benchmark"], 3.5, "stands out"),
+    ):
+        if of_it.any():
+            axes.plot(x[of_it], y[of_it], marker, color=colour, markersize=size, label=label)
+    for index in _apart(x, y, np.flatnonzero([bool(name) for name in names])):
         axes.annotate(
             names[index], (x[index], y[index]), xytext=(4, 3), textcoords="offset points", fontsize=6.5
         )
+
+
+def _apart(x: np.ndarray, y: np.ndarray, candidates: Int[np.ndarray, " k"]) -> list[int]:
+    """Return the points whose names do not cover each other, the first ones where they would."""
+    place = np.stack([x / (np.ptp(x) or 1.0), y / (np.ptp(y) or 1.0)])
+    chosen: list[int] = []
+    for index in candidates.tolist():
+        distances = np.abs(place[:, chosen] - place[:, [index]])
+        if not np.any(np.all(distances < np.array(NAME_SHARE)[:, None], axis=0)):
+            chosen.append(index)
+    return chosen
 
 
 def draw_verdicts(axes: Axes, verdicts: Int[np.ndarray, "n p"]) -> None:
@@ -145,7 +170,7 @@ def draw_speed_fan(
         axes: to draw into.
         gains, dead_zones: of each machine, shape [N].
         highest_command: end of the command's axis.
-        outlying: pointed out, each with a style of its own up to eight; further ones are drawn alike.
+        outlying: pointed out, above the others.
     """
     from matplotlib.collections import LineCollection
 
@@ -154,15 +179,16 @@ def draw_speed_fan(
         return [(0.0, 0.0), (dead_zone, 0.0), (end, gain * (end - dead_zone))]
 
     many = [line(*pair) for pair in zip(gains.tolist(), dead_zones.tolist(), strict=True)]
+    opacity = float(np.clip(OPAQUE_LINES / max(1, len(many)), LEAST_ALPHA, 1.0))
     axes.add_collection(
-        LineCollection(many, colors=FAINT, linewidths=LINE_WIDTH, alpha=LINE_ALPHA, label="all machines")
+        LineCollection(many, colors=FAINT, linewidths=LINE_WIDTH, alpha=opacity, label="all machines")
     )
-    for number, each in enumerate(outlying):
-        styles = list(COMPARED.values())
-        colour, dashes, _ = styles[number] if number < LABELLED else ("ink", (1, 1), "")
-        label = each.label if number < LABELLED else "further ones that stand out"
+    for each in outlying:
+        is_further = each.style >= len(STYLES)
+        colour, dashes, _ = FURTHER if is_further else STYLES[each.style]
+        label = "further ones that stand out" if is_further else each.label
         x, y = zip(*line(each.gain, each.dead_zone), strict=True)
-        axes.plot(x, y, color=COLOURS.get(colour, INK), dashes=dashes, label=label)
+        axes.plot(x, y, color=COLOURS[colour], dashes=dashes, label=label)
     axes.autoscale_view()
     axes.set_xlim(0.0, highest_command)
     axes.set_ylim(bottom=0.0)

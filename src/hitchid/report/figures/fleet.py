@@ -235,14 +235,20 @@ def _fan_panel(axes: Axes, comparison: FleetComparison, direction: str) -> None:
     columns, machines = _columns(comparison, direction), _with_both(comparison, direction)
     dead_zones, gains = _in_units(comparison.estimates[machines][:, columns].T)
     named = comparison.outliers.named[:, columns].any(axis=1)
-    ranked = dict.fromkeys(machine for machine, _ in comparison.outliers.ranking if named[machine])
     outlying = []
-    for machine in ranked:
+    for style, machine in enumerate(_ranked_by_speed(comparison)):
         dead_zone, gain = _in_units(comparison.estimates[machine, columns][:, None])[:, 0]
-        if np.isfinite(dead_zone + gain):
-            outlying.append(plots.SpeedLine(short_name(comparison.machines[machine]), gain, dead_zone))
+        if named[machine] and np.isfinite(dead_zone + gain):
+            outlying.append(plots.SpeedLine(short_name(comparison.machines[machine]), gain, dead_zone, style))
     median = float(np.median(dead_zones))
     plots.draw_speed_fan(axes, gains, dead_zones, COMMAND_FACTOR * median if median > 0 else 1.0, outlying)
     kind = comparison.kinds[direction]
     axes.set_xlabel(f"{direction} command / {kind.command_unit}")
     axes.set_ylabel(f"speed / ({kind.speed_unit})")
+
+
+def _ranked_by_speed(comparison: FleetComparison) -> list[int]:
+    """Return the machines that stand out in gain or dead zone of a direction, smallest p-value first."""
+    ranking = comparison.outliers.ranking
+    of_speed = (row for row, column in ranking if comparison.parameters[column].name in (GAIN, DEAD_ZONE))
+    return list(dict.fromkeys(of_speed))
