@@ -47,8 +47,12 @@ def comparison_tables(comparison: "FleetComparison") -> dict[str, DataTable]:
 
 
 def comparison_metrics(comparison: "FleetComparison") -> dict[str, object]:
-    """Return the content of `comparison.json`: counts, and every table but that of all machines."""
-    tables = comparison_tables(comparison)
+    """Return the content of `comparison.json`: numbers of machines, and all tables but `machines`."""
+    lines: dict[str, object] = {
+        name: [dict(zip(table.columns, row, strict=True)) for row in table.rows]
+        for name, table in comparison_tables(comparison).items()
+        if name != "machines"
+    }
     return {
         "machines": len(comparison.rows),
         "compared": len(comparison.machines),
@@ -56,10 +60,7 @@ def comparison_metrics(comparison: "FleetComparison") -> dict[str, object]:
         "standing_out": list(comparison.standing_out),
         "false_discovery_rate": comparison.false_discovery_rate,
         "notices": list(comparison.notices),
-    } | {
-        name: [dict(zip(table.columns, row, strict=True)) for row in table.rows]
-        for name, table in tables.items()
-        if name != "machines"
+        **lines,
     }
 
 

@@ -13,7 +13,7 @@ from hitchid.fleet.store import Store
 
 MACHINE = "machine"  # the column with the name of the machine's folder
 
-Cells = tuple[str | None, ...] | tuple[float | None, ...]
+Cells = tuple[str | float | None, ...]  # of one column: texts or numbers
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ GAIN, DEAD_ZONE, DELAY, LOAD_SCATTER = "gain", "dead zone", "delay", "load scatt
 NAMES = (GAIN, DEAD_ZONE, DELAY, LOAD_SCATTER)
 LOGARITHMIC = frozenset({GAIN, LOAD_SCATTER})  # compared as logarithms: their errors are relative
 FEWEST_TESTS = 6  # from which the logarithm of a scatter is close to normally distributed; chosen
+PERCENT = 100.0
 MAX_CORRELATION = 0.99  # of ln gain and dead zone; chosen: the covariance has to be positive definite
 
 
@@ -23,7 +24,7 @@ class FleetParameter:
     Attributes:
         direction: lifting or lowering.
         name: gain, dead zone, delay or load scatter.
-        unit: of its value; `1` for none.
+        unit: of its value; a load scatter is in percent of the speed.
     """
 
     direction: str
@@ -60,7 +61,7 @@ class Kind:
     def unit(self, name: str) -> str:
         """Return the unit of a parameter."""
         gain = f"{self.speed_unit}/{self.command_unit}"
-        return {GAIN: gain, DEAD_ZONE: self.command_unit, DELAY: "s", LOAD_SCATTER: "1"}[name]
+        return {GAIN: gain, DEAD_ZONE: self.command_unit, DELAY: "s", LOAD_SCATTER: "%"}[name]
 
 
 def kind_of(row: Row, direction: str) -> Kind:
@@ -82,10 +83,10 @@ def estimates_of_row(figures: DirectionRow) -> tuple[Float[np.ndarray, " 4"], Fl
         figures: of one direction.
     """
     scatter, half_freedom = figures.load_scatter, (figures.tests - 1) / 2
-    usable = scatter is not None and scatter > 0 and figures.tests >= FEWEST_TESTS
-    log_scatter = np.nan
-    if usable:
-        log_scatter = np.log(scatter) - (digamma(half_freedom) - np.log(half_freedom)) / 2
+    log_scatter, scatter_error = np.nan, None
+    if scatter is not None and scatter > 0 and figures.tests >= FEWEST_TESTS:
+        log_scatter = np.log(PERCENT * scatter) - (digamma(half_freedom) - np.log(half_freedom)) / 2
+        scatter_error = float(np.sqrt(polygamma(1, half_freedom))) / 2
     values = np.array(
         [
             np.log(figures.gain) if figures.gain > 0 else np.nan,
@@ -98,7 +99,7 @@ def estimates_of_row(figures: DirectionRow) -> tuple[Float[np.ndarray, " 4"], Fl
         figures.gain_error,
         figures.dead_zone_error,
         figures.delay_error_s,
-        np.sqrt(polygamma(1, half_freedom)) / 2 if usable else None,
+        scatter_error,
     )
     deviations = np.array([error if error else np.nan for error in errors], float)
     correlation = np.eye(len(NAMES))

@@ -95,7 +95,7 @@ def draw_quantiles(axes: Axes, values: Float[np.ndarray, " n"], row: float) -> N
 def ellipse(
     centre: Float[np.ndarray, " 2"], covariance: Float[np.ndarray, "2 2"]
 ) -> Float[np.ndarray, "2 k"]:
-    """Return the curve that contains 95 % of a normal distribution, also of one without spread in one axis."""
+    """Return the curve that contains 95 % of a normal distribution, which may have no spread in an axis."""
     spread, axes = np.linalg.eigh(covariance)
     return centre[:, None] + axes @ (RADIUS * np.sqrt(np.maximum(spread, 0.0))[:, None] * CIRCLE)
 

@@ -12,6 +12,8 @@ from hitchid.report import numbers
 from hitchid.report.document import Finding, Rating
 
 MOST_SENTENCES = 10  # machines with a sentence of their own, of each kind; chosen
+LEAST_Q = 1e-3  # smaller ones are not told apart; chosen
+MINUS = "\N{MINUS SIGN}"
 VERBS = {"lifting": "lift", "lowering": "lower"}
 
 
@@ -57,9 +59,11 @@ def detectable(comparison: FleetComparison) -> str:
     for column, parameter in enumerate(comparison.parameters):
         values = comparison.outliers.detectable[:, column]
         if parameter.name in (GAIN, DEAD_ZONE) and not np.all(np.isnan(values)):
-            difference = amount(parameter, parameter.difference(np.nanmedian(values)))
-            parts.append(f"{parameter.name} of {parameter.direction} {difference}")
-    return f"Named with a probability of 90 %: {', '.join(parts)} beside the others." if parts else ""
+            difference = amount(parameter, parameter.difference(float(np.nanmedian(values))))
+            parts.append(f"{parameter.name} of {parameter.direction} by {difference}")
+    if not parts:
+        return ""
+    return f"A single machine is named with a probability of 90 % if it differs in {', '.join(parts)}."
 
 
 def outlier_sentences(comparison: FleetComparison) -> Iterator[str]:
@@ -84,7 +88,7 @@ def _effect(parameter: FleetParameter, deviation: float) -> str:
         GAIN: f"{verb}s {size} {'faster' if higher else 'slower'}",
         DEAD_ZONE: f"begins to {verb} at a command {size} {'higher' if higher else 'lower'}",
         DELAY: f"begins to {verb} {size} {'later' if higher else 'earlier'}",
-        LOAD_SCATTER: f"has a speed of {parameter.direction} that scatters {size} {'more' if higher else 'less'}",
+        LOAD_SCATTER: f"{verb}s with {size} {'more' if higher else 'less'} scatter between tests",
     }[parameter.name]
 
 
@@ -102,8 +106,17 @@ def amount(parameter: FleetParameter, difference: float | np.ndarray) -> str:
 def signed_range(parameter: FleetParameter, lower: float, upper: float) -> str:
     """Return two ends of a difference with their signs and unit."""
     factor = 100 if parameter.logarithmic else 1
-    ends = (f"{'+' if end > 0 else ''}{_two_digits(factor * end)}" for end in (lower, upper))
-    return f"{' … '.join(ends).replace('-', '−')} {difference_unit(parameter)}"
+    ends = (f"{_sign(end)}{_two_digits(factor * abs(end))}" for end in (lower, upper))
+    return f"{' … '.join(ends)} {difference_unit(parameter)}"
+
+
+def signed_amount(parameter: FleetParameter, difference: float) -> str:
+    """Return a difference to two digits with its sign and unit."""
+    return f"{_sign(difference)}{amount(parameter, abs(difference))}"
+
+
+def _sign(number: float) -> str:
+    return "+" if number > 0 else MINUS
 
 
 def _two_digits(value: float) -> str:
@@ -145,14 +158,19 @@ def cohort_sentence(comparison: FleetComparison, effect: CohortEffect) -> str:
         values = (
             f"{label} {numbers.digits(float(parameter.value(value)))}" for label, value in _pairs(effect)
         )
-        unit = "" if parameter.unit == "1" else f" {parameter.unit}"
-        return f"The {name} depends on {effect.column}: {', '.join(values)}{unit} (q = {effect.q_value:.2g})."
+        means = f"{', '.join(values)} {parameter.unit}"
+        return f"The {name} depends on {effect.column}: {means} ({q_text(effect.q_value)})."
     slope = float(parameter.difference(effect.values[0]))
     verb = "rises" if slope > 0 else "falls"
     return (
         f"The {name} {verb} with {effect.column}, by {amount(parameter, abs(slope))} for each unit "
-        f"(q = {effect.q_value:.2g})."
+        f"({q_text(effect.q_value)})."
     )
+
+
+def q_text(q_value: float) -> str:
+    """Return a q-value with two digits, `< 0.001` below that."""
+    return f"q {'< 0.001' if q_value < LEAST_Q else f'= {q_value:.2g}'}"
 
 
 def _pairs(effect: CohortEffect) -> Iterator[tuple[str, float]]:

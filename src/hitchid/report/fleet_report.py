@@ -11,6 +11,7 @@ from hitchid.report.figures import fleet as figures
 from hitchid.report.fleet_findings import detectable, fleet_findings
 from hitchid.report.tables import fleet as tables
 
+SUMMARY = ("parameter", "machines", "mean", "spread")  # columns in a terminal
 EXPLANATION = (
     "Each machine is compared with all others: its estimate with their mean, in terms of its error, of the "
     "spread between machines and of the error of the mean. A machine stands out where that is unlikely "
@@ -145,8 +146,9 @@ def _speed_fan(comparison: FleetComparison) -> Picture:
     return Picture(
         "speeds",
         figures.speed_fan(comparison),
-        "Steady speed over command of all machines, gain · (command − dead zone): what nonlinearities of the "
-        "structure add is left out. Pointed out: machines that stand out in gain or dead zone.",
+        "Steady speed over command of all machines, gain · (command \N{MINUS SIGN} dead zone): what "
+        "nonlinearities of the structure add is left out. Pointed out: machines that stand out in gain or dead "
+        "zone.",
         "Steady speed over command of all machines, with those that stand out in gain or dead zone.",
         wide=True,
     )
@@ -161,4 +163,7 @@ def _columns(table: DataTable, direction: str = "") -> dict[str, list[Cell]]:
 
 def _summary(comparison: FleetComparison) -> Iterator[Table]:
     if comparison.machines:
-        yield tables.population_table(comparison)
+        full = tables.population_table(comparison)
+        columns = [full.header.index(name) for name in SUMMARY]
+        rows = tuple(tuple(row[column] for column in columns) for row in full.rows)
+        yield Table(full.title, SUMMARY, rows)

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from hitchid.fleet.comparison import FleetComparison
-from hitchid.fleet.parameters import DEAD_ZONE, GAIN, LOAD_SCATTER, FleetParameter
+from hitchid.fleet.parameters import DEAD_ZONE, GAIN, FleetParameter
 from hitchid.plots import fleet as plots
 from hitchid.plots.style import COLOURS, INK, PAGE_IN, legend_above, logarithmic, styled
 
@@ -46,14 +46,9 @@ def verdict_codes(comparison: FleetComparison) -> Int[np.ndarray, "n p"]:
 
 
 def axis_label(parameter: FleetParameter) -> str:
-    """Return name and unit of a parameter; a scatter is in percent."""
-    unit = "%" if parameter.name == LOAD_SCATTER else parameter.unit
+    """Return name and unit of a parameter."""
+    unit = parameter.unit
     return f"{parameter.name} / {f'({unit})' if '/' in unit else unit}"
-
-
-def shown_values(parameter: FleetParameter, estimates: np.ndarray) -> np.ndarray:
-    """Return values as they are drawn, in the unit of `axis_label`."""
-    return (100.0 if parameter.name == LOAD_SCATTER else 1.0) * parameter.value(estimates)
 
 
 @styled
@@ -88,15 +83,15 @@ def _forest_panel(
     estimates = comparison.estimates[shown, column]
     half_width = HALF_WIDTH * np.sqrt(comparison.covariances[shown, column, column])
     limits = (estimates, estimates - half_width, estimates + half_width)
-    values, lower, upper = (shown_values(parameter, each) for each in limits)
+    values, lower, upper = (parameter.value(each) for each in limits)
     mean, of_mean, of_another = (
-        shown_values(parameter, np.array(each))
+        parameter.value(np.array(each))
         for each in (population.mean, population.mean_interval, population.prediction_interval)
     )
     plots.draw_distribution(axes, float(mean), (of_mean[0], of_mean[1]), (of_another[0], of_another[1]))
     plots.draw_machine_intervals(axes, values, lower, upper, verdict_codes(comparison)[shown, column])
     if others:
-        plots.draw_quantiles(axes, shown_values(parameter, comparison.estimates[others, column]), len(shown))
+        plots.draw_quantiles(axes, parameter.value(comparison.estimates[others, column]), len(shown))
     axes.set_xlabel(axis_label(parameter))
     axes.xaxis.set_major_locator(MaxNLocator(3))
     axes.grid(visible=False, axis="y")
@@ -143,7 +138,7 @@ def _with_both(comparison: FleetComparison, direction: str) -> np.ndarray:
 
 def _scatter_panel(axes: Axes, comparison: FleetComparison, direction: str) -> None:
     columns, machines = np.array(_columns(comparison, direction)), _with_both(comparison, direction)
-    outlying = comparison.outliers.named[machines][:, columns].any(axis=1)
+    outlying = np.any(comparison.outliers.named[machines][:, columns], axis=1)
     points = comparison.estimates[machines][:, columns]
     with_ellipse = outlying if machines.size > MOST_ROWS else np.ones(machines.size, bool)
     errors = comparison.covariances[machines][:, columns[:, None], columns]
@@ -215,7 +210,7 @@ def verdict_rows(comparison: FleetComparison) -> tuple[list[str], Int[np.ndarray
 
 @styled
 def speed_fan(comparison: FleetComparison) -> Figure:
-    """Return steady speed over command of all machines; those that stand out in gain or dead zone pointed out.
+    """Return steady speed over command of all machines, with those that stand out in gain or dead zone.
 
     speed = gain · (command − dead zone): what nonlinearities of the structure add is left out.
 
@@ -234,7 +229,7 @@ def speed_fan(comparison: FleetComparison) -> Figure:
 def _fan_panel(axes: Axes, comparison: FleetComparison, direction: str) -> None:
     columns, machines = _columns(comparison, direction), _with_both(comparison, direction)
     dead_zones, gains = _in_units(comparison.estimates[machines][:, columns].T)
-    named = comparison.outliers.named[:, columns].any(axis=1)
+    named = np.any(comparison.outliers.named[:, columns], axis=1)
     outlying = []
     for style, machine in enumerate(_ranked_by_speed(comparison)):
         dead_zone, gain = _in_units(comparison.estimates[machine, columns][:, None])[:, 0]

@@ -9,7 +9,7 @@ from hitchid.fleet.parameters import FleetParameter
 from hitchid.fleet.row import Row
 from hitchid.report import numbers
 from hitchid.report.document import Table
-from hitchid.report.fleet_findings import amount, difference_unit, signed_range
+from hitchid.report.fleet_findings import amount, q_text, signed_amount, signed_range
 
 MOST_ROWS = 100  # of a table of machines; chosen: the data tables have all
 MOST_NAMES = 5  # machines of one cause or reason that are named; chosen
@@ -32,10 +32,10 @@ def outlier_table(comparison: FleetComparison) -> Table:
             (
                 comparison.machines[machine],
                 _name(parameter),
-                _value(parameter, comparison.estimates[machine, column]),
-                ("+" if deviation > 0 else "−") + amount(parameter, abs(deviation)),
+                _with_error(comparison, machine, column),
+                signed_amount(parameter, deviation),
                 signed_range(parameter, lower, upper),
-                f"{outliers.q_value[machine, column]:.2g}",
+                _q(outliers.q_value[machine, column]),
             )
         )
     return Table("Machines that stand out", header, tuple(rows))
@@ -73,7 +73,7 @@ def cohort_table(comparison: FleetComparison) -> Table:
             else:
                 lower, upper = (float(parameter.difference(end)) for end in interval)
                 cells = _slope(parameter, value), signed_range(parameter, lower, upper)
-            rows.append((effect.column, label, _name(parameter), *cells, f"{effect.q_value:.2g}"))
+            rows.append((effect.column, label, _name(parameter), *cells, _q(effect.q_value)))
     return Table(
         "Cohorts", ("column", "category", "parameter", "mean or slope", "95 % interval", "q"), tuple(rows)
     )
@@ -102,7 +102,7 @@ def trend_table(comparison: FleetComparison) -> Table:
                     _name(parameter),
                     _slope(parameter, trends.slopes[line, column]),
                     signed_range(parameter, *ends),
-                    f"{trends.q_values[line, column]:.2g}",
+                    _q(trends.q_values[line, column]),
                 )
             )
     return Table("Trends", header, tuple(rows))
@@ -176,14 +176,26 @@ def _value(parameter: FleetParameter, estimate: float) -> str:
     return numbers.with_unit(numbers.digits(float(parameter.value(estimate))), parameter.unit)
 
 
+def _with_error(comparison: FleetComparison, machine: int, column: int) -> str:
+    """Return the value of a parameter of a machine with its standard error."""
+    parameter = comparison.parameters[column]
+    error = float(np.sqrt(comparison.covariances[machine, column, column]))
+    value = float(parameter.value(comparison.estimates[machine, column]))
+    text = numbers.with_error(value, value * error if parameter.logarithmic else error)
+    return numbers.with_unit(f"({text})" if "±" in text else text, parameter.unit)
+
+
+def _q(q_value: float) -> str:
+    return q_text(float(q_value)).removeprefix("q ").removeprefix("= ")
+
+
 def _ends(parameter: FleetParameter, interval: tuple[float, float]) -> str:
     lower, upper = (float(parameter.value(end)) for end in interval)
     return numbers.interval((lower, upper))
 
 
 def _slope(parameter: FleetParameter, slope: float) -> str:
-    difference = float(parameter.difference(slope))
-    return ("+" if difference > 0 else "−") + amount(parameter, abs(difference))
+    return signed_amount(parameter, float(parameter.difference(slope)))
 
 
 def _listed(names: Iterable[str]) -> str:
