@@ -24,7 +24,7 @@ def p_values(machines, spread, errors, draws, seed=0):
 @pytest.mark.parametrize("machines", [10, 50, 200])
 @pytest.mark.parametrize("errors", [(1.0, 1.0), (0.4, 2.0)])
 def test_p_values_of_sound_machines_are_uniform(machines, errors):
-    found = p_values(machines, 3.0, errors, draws=4000)
+    found = p_values(machines, 3.0, errors, draws=2000)
     for tail in TAILS:
         assert np.mean(found < tail) < tail + binomial_tolerance(tail, found.size)
     # Largest distance from the uniform distribution: 2.2/√n at a level of 10⁻⁴, and 0.015 for ten machines,
@@ -64,7 +64,7 @@ def test_large_faults_are_named_and_the_false_discovery_rate_holds():
 
 
 def test_the_rate_holds_in_a_fleet_without_faults():
-    rng, fleets = np.random.default_rng(5), 150
+    rng, fleets = np.random.default_rng(5), 100
     named = [
         find_outliers(each.estimates, each.covariances).named.any()
         for each in (simulated_fleet(rng, 40, between=((4.0,),)) for _ in range(fleets))
@@ -85,7 +85,7 @@ def test_intervals_of_named_machines_hold_their_deviation():
 
 
 def test_a_detectable_deviation_is_named_as_often_as_stated():
-    rng, named, fleets = np.random.default_rng(7), [], 150
+    rng, named, fleets = np.random.default_rng(7), [], 100
     for _ in range(fleets):
         fleet = simulated_fleet(rng, 50, errors=(1.0, 1.0))
         estimates, truth = fleet.estimates.copy(), fleet.truth

@@ -107,7 +107,7 @@ def _without_zeros(lower: np.ndarray) -> np.ndarray:
 
 
 def _mean(estimates: Estimates, precision: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    weighted = weight[:, None, None] * precision
+    weighted = (weight / estimates.consistency)[:, None, None] * precision
     return np.linalg.solve(weighted.sum(axis=0), np.einsum("npq,nq->p", weighted, estimates.values))
 
 
