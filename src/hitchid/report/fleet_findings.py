@@ -69,7 +69,6 @@ def detectable(comparison: FleetComparison) -> str:
 def outlier_sentences(comparison: FleetComparison) -> Iterator[str]:
     """Yield a sentence for each parameter in which a machine stands out, smallest p-value first."""
     outliers = comparison.outliers
-    level = f"{100 * (1 - comparison.false_discovery_rate):g} %"
     for machine, column in outliers.ranking:
         parameter = comparison.parameters[column]
         deviation, lower, upper = (
@@ -78,7 +77,7 @@ def outlier_sentences(comparison: FleetComparison) -> Iterator[str]:
         )
         ends = signed_range(parameter, lower, upper)
         effect = _effect(parameter, deviation)
-        yield f"{comparison.machines[machine]} {effect} than the others ({level}: {ends})."
+        yield f"{comparison.machines[machine]} {effect} than the others (interval {ends})."
 
 
 def _effect(parameter: FleetParameter, deviation: float) -> str:

@@ -19,8 +19,8 @@ EXPLANATION = (
     "q is the smallest rate at which the machine is named."
 )
 INTERVALS = (
-    "The intervals are those of the named ones: of the stated differences, the share of intervals that miss "
-    "the truth is at most the false discovery rate, although only the largest differences are stated."
+    "On average the share of these intervals that do not contain the difference is at most the false discovery "
+    "rate, although the largest differences were selected."
 )
 KINDS = (
     "Gains of different structures or units are not comparable. In each direction the machines with the "

@@ -19,8 +19,7 @@ MEGABYTE = 1e6  # bytes
 def outlier_table(comparison: FleetComparison) -> Table:
     """Return the parameters in which machines stand out, smallest p-value first, at most a hundred."""
     outliers = comparison.outliers
-    level = f"{100 * (1 - comparison.false_discovery_rate):g} %"
-    header = ("machine", "parameter", "value", "beside the others", f"{level} interval", "q")
+    header = ("machine", "parameter", "value", "beside the others", "interval", "q")
     rows = []
     for machine, column in outliers.ranking[:MOST_ROWS]:
         parameter = comparison.parameters[column]
