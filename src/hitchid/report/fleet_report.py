@@ -19,8 +19,8 @@ EXPLANATION = (
     "q is the smallest rate at which the machine is named."
 )
 INTERVALS = (
-    "On average the share of these intervals that do not contain the difference is at most the false discovery "
-    "rate, although the largest differences were selected."
+    "On average the share of these intervals that do not contain the difference is at most the false "
+    "discovery rate, although the largest differences were selected."
 )
 KINDS = (
     "Gains of different structures or units are not comparable. In each direction the machines with the "
@@ -147,8 +147,8 @@ def _speed_fan(comparison: FleetComparison) -> Picture:
         "speeds",
         figures.speed_fan(comparison),
         "Steady speed over command of all machines, gain · (command \N{MINUS SIGN} dead zone): what "
-        "nonlinearities of the structure add is left out. Pointed out: machines that stand out in gain or dead "
-        "zone.",
+        "nonlinearities of the structure add is left out. Pointed out: machines that stand out in gain or "
+        "dead zone.",
         "Steady speed over command of all machines, with those that stand out in gain or dead zone.",
         wide=True,
     )

@@ -17,7 +17,6 @@ MOST_ROWS = 60  # machines that are drawn one by one; of more, those that stand 
 ROW_IN, MARGIN_IN, LEAST_IN = 0.15, 0.75, 1.5  # height of a machine, of labels, of the whole, inch; chosen
 PANEL_IN = 3.4  # height of scatter and speeds, inch; chosen
 NAME_LENGTH = 26  # characters of a name; longer ones lose their middle; chosen
-NAMED_POINTS = 12  # names in a scatter, of those that stand out most; chosen
 COMMAND_FACTOR = 3.0  # end of the command's axis over the median dead zone; chosen
 HALF_WIDTH = 1.96  # of a 95 % interval, in standard errors
 
@@ -148,8 +147,10 @@ def _scatter_panel(axes: Axes, comparison: FleetComparison, direction: str) -> N
     ]
     plots.draw_ellipses(axes, curves, COLOURS["one_step"], 0.4)
     dead_zones, gains = _in_units(points.T)
-    most = [comparison.machines.index(name) for name in comparison.standing_out[:NAMED_POINTS]]
-    names = [short_name(comparison.machines[each]) if each in most else "" for each in machines]
+    names = [
+        short_name(comparison.machines[machine]) if stands_out else ""
+        for machine, stands_out in zip(machines, outlying, strict=True)
+    ]
     plots.draw_machine_points(axes, dead_zones, gains, outlying, names)
     _draw_population(axes, comparison, direction, columns)
     logarithmic(axes.yaxis)
@@ -222,7 +223,8 @@ def speed_fan(comparison: FleetComparison) -> Figure:
     panels = np.atleast_1d(figure.subplots(1, len(directions)))
     for axes, direction in zip(panels, directions, strict=True):
         _fan_panel(axes, comparison, direction)
-    legend_above(figure, *panels, columns=3)
+    ranked = [short_name(comparison.machines[machine]) for machine in _ranked_by_speed(comparison)]
+    legend_above(figure, *panels, columns=3, order=["all machines", *ranked])
     return figure
 
 
