@@ -175,7 +175,7 @@ def compare_fleet(
         false_discovery_rate=false_discovery_rate,
         notices=(
             *_few(parameters, estimates),
-            *([] if metadata is None else metadata.notices(row.machine for row in last)),
+            *([] if metadata is None else metadata.notices((row.machine for row in last), machines)),
             *(_without_effect(columns, cohorts)),
         ),
     )

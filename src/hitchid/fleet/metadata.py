@@ -39,11 +39,11 @@ class Metadata:
             for name, cells in self.columns.items()
         }
 
-    def notices(self, machines: Iterable[str]) -> tuple[str, ...]:
-        """Return which machines have no line, and which lines have no machine."""
+    def notices(self, machines: Iterable[str], compared: Iterable[str]) -> tuple[str, ...]:
+        """Return which of the compared machines have no line, and which lines are of no machine."""
         known = set(machines)
         notices = []
-        if absent := sorted(known - set(self.machines)):
+        if absent := sorted(set(compared) - set(self.machines)):
             notices.append(f"{self.source}: no line for {_listed(absent)}; not in the cohorts")
         if unknown := sorted(set(self.machines) - known):
             notices.append(f"{self.source}: there is no result for {_listed(unknown)}; left out")

@@ -38,11 +38,11 @@ class FleetParameter:
 
     def value(self, estimate: np.ndarray | float) -> np.ndarray:
         """Return values in the parameter's unit from estimates."""
-        return np.exp(estimate) if self.logarithmic else np.asarray(estimate, float)
+        return np.asarray(np.exp(estimate) if self.logarithmic else estimate, float)
 
     def difference(self, deviation: np.ndarray | float) -> np.ndarray:
         """Return a difference of estimates: in the unit, or relative where they are logarithms."""
-        return np.expm1(deviation) if self.logarithmic else np.asarray(deviation, float)
+        return np.asarray(np.expm1(deviation) if self.logarithmic else deviation, float)
 
 
 @dataclass(frozen=True, order=True)

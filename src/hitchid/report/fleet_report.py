@@ -61,7 +61,7 @@ def _sections(comparison: FleetComparison, command: str) -> Iterator[ReportSecti
     if comparison.cohorts:
         yield ReportSection("Cohorts", (Text(COHORTS), tables.cohort_table(comparison)))
     if comparison.trends is not None:
-        yield ReportSection("Trends", (Text(TRENDS), tables.trend_table(comparison)))
+        yield ReportSection("Trends", (Text(TRENDS), tables.trend_table(comparison, comparison.trends)))
     if comparison.failed:
         yield ReportSection("Failures", (tables.failure_table(comparison.failed),))
     if comparison.not_compared:

@@ -1,12 +1,14 @@
 """Tables of a fleet: machines that stand out, populations, cohorts, trends, failures, costs."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
+from hitchid.fleet.cohorts import CohortEffect
 from hitchid.fleet.comparison import FleetComparison, Population
 from hitchid.fleet.parameters import FleetParameter
 from hitchid.fleet.row import Row
+from hitchid.fleet.trends import FleetTrends
 from hitchid.report import numbers
 from hitchid.report.document import Table
 from hitchid.report.fleet_findings import amount, q_text, signed_amount, signed_range
@@ -37,7 +39,7 @@ def outlier_table(comparison: FleetComparison) -> Table:
                 _q(outliers.q_value[machine, column]),
             )
         )
-    return Table("Machines that stand out", header, tuple(rows))
+    return Table("Differences, most certain first", header, tuple(rows))
 
 
 def population_table(comparison: FleetComparison) -> Table:
@@ -61,50 +63,38 @@ def _population_row(parameter: FleetParameter, population: Population) -> tuple[
 
 def cohort_table(comparison: FleetComparison) -> Table:
     """Return the mean of each category, or the slope over a column of numbers, smallest p-value first."""
-    rows = []
-    for effect in sorted(comparison.cohorts, key=lambda each: each.p_value):
-        parameter = comparison.parameters[effect.parameter]
-        for label, value, interval in zip(
-            effect.labels or ("for each unit",), effect.values, effect.intervals, strict=True
-        ):
-            if effect.labels:
-                cells = _value(parameter, value), _ends(parameter, interval)
-            else:
-                lower, upper = (float(parameter.difference(end)) for end in interval)
-                cells = _slope(parameter, value), signed_range(parameter, lower, upper)
-            rows.append((effect.column, label, _name(parameter), *cells, _q(effect.q_value)))
-    return Table(
-        "Cohorts", ("column", "category", "parameter", "mean or slope", "95 % interval", "q"), tuple(rows)
-    )
+    effects = sorted(comparison.cohorts, key=lambda effect: effect.p_value)
+    rows = [row for effect in effects for row in _cohort_rows(comparison, effect)]
+    header = ("column", "category", "parameter", "mean or slope", "95 % interval", "q")
+    return Table("Means and slopes", header, tuple(rows[:MOST_ROWS]))
 
 
-def trend_table(comparison: FleetComparison) -> Table:
+def _cohort_rows(comparison: FleetComparison, effect: CohortEffect) -> Iterator[tuple[str, ...]]:
+    parameter = comparison.parameters[effect.parameter]
+    labels = effect.labels or ("for each unit",)
+    for label, value, interval in zip(labels, effect.values, effect.intervals, strict=True):
+        if effect.labels:
+            cells = _value(parameter, value), _ends(parameter, interval)
+        else:
+            cells = _slope(parameter, value, interval)
+        yield effect.column, label, _name(parameter), *cells, _q(effect.q_value)
+
+
+def trend_table(comparison: FleetComparison, trends: FleetTrends) -> Table:
     """Return the slope of each parameter of the fleet and of the machines that change, per year."""
-    header = ("machine", "parameter", "change a year", "95 % interval", "q")
-    trends = comparison.trends
-    if trends is None:
-        return Table("Trends", header, ())
     rows = []
     for column, parameter in enumerate(comparison.parameters):
         if not np.isnan(trends.fleet_slopes[column]):
-            lower, upper = (float(parameter.difference(end)) for end in trends.fleet_intervals[column])
-            slope = _slope(parameter, trends.fleet_slopes[column])
-            rows.append(("all machines", _name(parameter), slope, signed_range(parameter, lower, upper), ""))
+            slope = _slope(parameter, trends.fleet_slopes[column], trends.fleet_intervals[column])
+            rows.append(("all machines", _name(parameter), *slope, ""))
     lines = {int(machine): line for line, machine in enumerate(trends.machines)}
     for machine, column in trends.ranking[:MOST_ROWS]:
-        line, parameter = lines[machine], comparison.parameters[column]
-        if trends.q_values[line, column] <= comparison.false_discovery_rate:
-            ends = (float(parameter.difference(each[line, column])) for each in (trends.lower, trends.upper))
-            rows.append(
-                (
-                    comparison.machines[machine],
-                    _name(parameter),
-                    _slope(parameter, trends.slopes[line, column]),
-                    signed_range(parameter, *ends),
-                    _q(trends.q_values[line, column]),
-                )
-            )
-    return Table("Trends", header, tuple(rows))
+        cell, parameter = (lines[machine], column), comparison.parameters[column]
+        if trends.q_values[cell] <= comparison.false_discovery_rate:
+            slope = _slope(parameter, trends.slopes[cell], (trends.lower[cell], trends.upper[cell]))
+            rows.append((comparison.machines[machine], _name(parameter), *slope, _q(trends.q_values[cell])))
+    header = ("machine", "parameter", "change a year", "95 % interval", "q")
+    return Table("Changes a year", header, tuple(rows))
 
 
 def failure_table(rows: Sequence[Row]) -> Table:
@@ -120,7 +110,7 @@ def failure_table(rows: Sequence[Row]) -> Table:
     lines = (
         (cause, str(len(own)), _listed(row.machine for row in own), own[0].message) for cause, own in ordered
     )
-    return Table("Failures by cause", ("cause", "machines", "names", "message of the first"), tuple(lines))
+    return Table("By cause", ("cause", "machines", "names", "message of the first"), tuple(lines))
 
 
 def not_compared_table(comparison: FleetComparison) -> Table:
@@ -133,7 +123,7 @@ def not_compared_table(comparison: FleetComparison) -> Table:
         (direction, reason, str(len(machines)), _listed(machines))
         for (direction, reason), machines in ordered
     )
-    return Table("Not compared", ("direction", "reason", "machines", "names"), tuple(rows))
+    return Table("By reason", ("direction", "reason", "machines", "names"), tuple(rows))
 
 
 def cost_table(rows: Sequence[Row]) -> Table:
@@ -193,8 +183,12 @@ def _ends(parameter: FleetParameter, interval: tuple[float, float]) -> str:
     return numbers.interval((lower, upper))
 
 
-def _slope(parameter: FleetParameter, slope: float) -> str:
-    return signed_amount(parameter, float(parameter.difference(slope)))
+def _slope(
+    parameter: FleetParameter, slope: float, interval: Sequence[float] | np.ndarray
+) -> tuple[str, str]:
+    """Return a slope and its interval, for each unit of time or of a column."""
+    lower, upper = (float(parameter.difference(end)) for end in interval)
+    return signed_amount(parameter, float(parameter.difference(slope))), signed_range(parameter, lower, upper)
 
 
 def _listed(names: Iterable[str]) -> str:
