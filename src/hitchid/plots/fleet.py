@@ -81,7 +81,7 @@ def draw_distribution(
     axes.axvline(mean, color=INK, linewidth=0.7, zorder=0.2)
 
 
-def draw_quantiles(axes: Axes, values: Float[np.ndarray, " n"], row: float) -> None:
+def draw_quantiles(axes: Axes, values: Float[np.ndarray, " n"], row: int) -> None:
     """Draw 95 % and half of some values as a thin and a thick line, and their median, in one row."""
     known = values[~np.isnan(values)]
     if not known.size:
