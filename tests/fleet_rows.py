@@ -64,17 +64,13 @@ def failed_row(machine, cause="InputError", message="no log has a command"):
     return row(machine, {}, state=FAILED, cause=cause, message=message, units={})
 
 
-def fleet(machines=24, seed=0, faults=None, name=machine_name):
+def fleet(machines=24, seed=0, faults=None, name=machine_name, directions=("lifting", "lowering")):
     """Return a row for each machine; `faults` is number of a machine to changes of its lowering."""
     rng = np.random.default_rng(seed)
     faults = faults or {}
-    return [
-        row(
-            name(number),
-            {
-                "lifting": figures("lifting", rng),
-                "lowering": figures("lowering", rng, **faults.get(number, {})),
-            },
-        )
-        for number in range(machines)
-    ]
+    rows = []
+    for number in range(machines):
+        changes = {"lowering": faults.get(number, {})}
+        found = {each: figures(each, rng, **changes.get(each, {})) for each in directions}
+        rows.append(row(name(number), found))
+    return rows

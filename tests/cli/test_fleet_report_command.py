@@ -22,7 +22,10 @@ TABLES = {"outliers", "machines", "populations", "cohorts", "trends", "failures"
 def store(tmp_path_factory):
     """Return a store of results of sixteen machines, one of them failed and one slow."""
     folder = tmp_path_factory.mktemp("fleet") / "results"
-    for row in [*fleet_rows.fleet(15, faults=FAULTS), fleet_rows.failed_row("broken")]:
+    for row in [
+        *fleet_rows.fleet(15, faults=FAULTS, directions=("lowering",)),
+        fleet_rows.failed_row("broken"),
+    ]:
         Store(str(folder)).write(row_name(row.machine, row.signature), row.as_json())
     return folder
 
@@ -38,10 +41,17 @@ def run(*arguments):
     return result.exit_code, result.output
 
 
-def test_it_writes_a_page_its_figures_and_every_table(store, tmp_path):
-    out = tmp_path / "report"
+@pytest.fixture(scope="module")
+def written(store, tmp_path_factory):
+    """Return the folder of a report and what the command printed."""
+    out = tmp_path_factory.mktemp("written") / "report"
     code, printed = run(store, "--out", out)
     assert code == 0, printed
+    return out, printed
+
+
+def test_it_writes_a_page_its_figures_and_every_table(written):
+    out, printed = written
     assert "1 of 15 machines stands out." in printed
     assert str(out / "report.html") in printed.replace("\n", "")
     assert {path.name for path in (out / "tables").iterdir()} == {
@@ -53,26 +63,24 @@ def test_it_writes_a_page_its_figures_and_every_table(store, tmp_path):
     assert (content["machines"], content["failed"]) == (16, 1)
 
 
-def test_parquet_has_the_content_of_the_csv_file(store, tmp_path):
+def test_parquet_has_the_content_of_the_csv_file(written):
     from pyarrow import csv, parquet
 
-    assert run(store, "--out", tmp_path / "report", "--quiet")[0] == 0
-    tables = tmp_path / "report" / "tables"
-    written = parquet.read_table(tables / "machines.parquet")
+    tables = written[0] / "tables"
+    table = parquet.read_table(tables / "machines.parquet")
     read = csv.read_csv(tables / "machines.csv")
-    assert written.column_names == read.column_names
-    assert written.column("estimate").to_pylist() == read.column("estimate").to_pylist()
+    assert table.column_names == read.column_names
+    assert table.column("estimate").to_pylist() == read.column("estimate").to_pylist()
     assert parquet.read_table(tables / "cohorts.parquet").num_rows == 0
 
 
-def test_json_is_that_of_the_file_and_quiet_prints_nothing(store, tmp_path):
-    out = tmp_path / "report"
-    code, printed = run(store, "--out", out, "--json")
-    assert (code, json.loads(printed)) == (0, json.loads((out / "comparison.json").read_text("utf-8")))
-    assert run(store, "--out", out, "--force", "--quiet") == (0, "")
+def test_an_older_report_is_replaced_by_force_only_and_json_is_that_of_the_file(store, written):
+    out = written[0]
     code, message = run(store, "--out", out)
     assert code == 2
-    assert "report" in message
+    assert str(out) in message
+    code, printed = run(store, "--out", out, "--force", "--json")
+    assert (code, json.loads(printed)) == (0, json.loads((out / "comparison.json").read_text("utf-8")))
 
 
 def test_machines_of_a_table_are_compared_by_its_columns(store, tmp_path):

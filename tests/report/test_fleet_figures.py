@@ -1,4 +1,4 @@
-"""Figures of a fleet: of one machine, of many, with long names; every axis has a unit, no label is cut off."""
+"""Figures of a fleet, of one machine, of many, with long names: a unit on each axis, no label cut off."""
 
 import re
 import warnings
