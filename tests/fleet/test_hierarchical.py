@@ -89,7 +89,7 @@ def test_the_covariance_is_that_of_a_normal_fleet_also_in_small_units():
 
 
 def test_intervals_hold_the_truth_as_often_as_they_say():
-    rng, fleets, means, values = np.random.default_rng(3), 30, [], []
+    rng, fleets, means, values = np.random.default_rng(3), 20, [], []
     for _ in range(fleets):
         fleet = simulated_fleet(rng, 60, mean=MEAN, between=BETWEEN, correlation=0.6)
         found = fit_hierarchy(fleet.estimates, fleet.covariances)

@@ -24,7 +24,7 @@ def p_values(machines, spread, errors, draws, seed=0):
 @pytest.mark.parametrize("machines", [10, 50, 200])
 @pytest.mark.parametrize("errors", [(1.0, 1.0), (0.4, 2.0)])
 def test_p_values_of_sound_machines_are_uniform(machines, errors):
-    found = p_values(machines, 3.0, errors, draws=2000)
+    found = p_values(machines, 3.0, errors, draws=1500)
     for tail in TAILS:
         assert np.mean(found < tail) < tail + binomial_tolerance(tail, found.size)
     # Largest distance from the uniform distribution: 2.2/√n at a level of 10⁻⁴, and 0.015 for ten machines,
@@ -85,7 +85,7 @@ def test_intervals_of_named_machines_hold_their_deviation():
 
 
 def test_a_detectable_deviation_is_named_as_often_as_stated():
-    rng, named, fleets = np.random.default_rng(7), [], 100
+    rng, named, fleets = np.random.default_rng(7), [], 70
     for _ in range(fleets):
         fleet = simulated_fleet(rng, 50, errors=(1.0, 1.0))
         estimates, truth = fleet.estimates.copy(), fleet.truth

@@ -24,7 +24,7 @@ def test_a_scatter_below_the_errors_reaches_zero():
 
 @pytest.mark.parametrize("spread", [0.0, 0.5, 2.0])
 def test_it_holds_the_truth_as_often_as_it_says(spread):
-    rng, inside, fleets = np.random.default_rng(1), 0, 80
+    rng, inside, fleets = np.random.default_rng(1), 0, 60
     for _ in range(fleets):
         fleet = simulated_fleet(rng, 25, between=((spread**2,),))
         lower, upper = spread_interval(fleet.estimates[:, 0], fleet.covariances[:, 0, 0])

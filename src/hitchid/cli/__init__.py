@@ -6,6 +6,7 @@ from hitchid.cli import (
     design,
     drive,
     export,
+    fleet,
     hmi,
     identify,
     inspect,
@@ -34,3 +35,4 @@ for _command, _example in (
     (reproduce.reproduce, "hitchid reproduce --out study --quick"),
 ):
     app.command(epilog=f"Example: {_example}")(_command)
+app.add_typer(fleet.app)

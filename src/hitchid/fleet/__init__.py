@@ -2,15 +2,17 @@
 
 from hitchid.fleet.comparison import FleetComparison as FleetComparison
 from hitchid.fleet.comparison import compare_fleet as compare_fleet
-from hitchid.fleet.identify import FleetProgress as FleetProgress
-from hitchid.fleet.identify import FleetResult as FleetResult
-from hitchid.fleet.identify import Runner as Runner
 from hitchid.fleet.identify import identify_fleet as identify_fleet
+from hitchid.fleet.ledger import load_model as load_model
+from hitchid.fleet.ledger import newest as newest
 from hitchid.fleet.ledger import read_rows as read_rows
 from hitchid.fleet.metadata import Metadata as Metadata
 from hitchid.fleet.metadata import read_metadata as read_metadata
 from hitchid.fleet.row import Cost as Cost
 from hitchid.fleet.row import DirectionRow as DirectionRow
 from hitchid.fleet.row import Row as Row
+from hitchid.fleet.run import FleetProgress as FleetProgress
+from hitchid.fleet.run import FleetResult as FleetResult
+from hitchid.fleet.run import Runner as Runner
 from hitchid.fleet.store import Store as Store
 from hitchid.fleet.store import StoreError as StoreError

@@ -9,7 +9,7 @@ from urllib.parse import urlsplit
 
 from hitchid.errors import InputError
 from hitchid.fleet.machines import Machine
-from hitchid.fleet.task import UNFINISHED, Acknowledgement, Job, identify_machine
+from hitchid.fleet.task import UNFINISHED, Acknowledgement, Job, run_task
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -45,9 +45,9 @@ def run_on_cluster(
         on_page(str(client.dashboard_link))
         futures = {
             client.submit(
-                partial(identify_machine, job),
+                partial(run_task, job),
                 machine,
-                key=f"{machine.name}-{machine.signature(job.digest)}",
+                key=f"{machine.name}-{machine.signature(job.stamp(machine.name))}",
                 pure=False,
             ): machine
             for machine in machines

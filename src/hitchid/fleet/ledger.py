@@ -6,8 +6,7 @@ from tempfile import TemporaryDirectory
 
 from hitchid._support.data_table import DataTable
 from hitchid.errors import InputError
-from hitchid.fleet.machines import Machine
-from hitchid.fleet.row import FAILED, Row
+from hitchid.fleet.row import FAILED, OneRow, Row, TaskRow
 from hitchid.fleet.store import Store
 
 MODELS, ROWS, SUFFIX = "models", "rows", ".json"
@@ -27,33 +26,29 @@ def model_name(machine: str, key: str) -> str:
 
 def rows_in(store: Store) -> frozenset[str]:
     """Return the names of all rows in a store, without reading one."""
-    return frozenset(f"{ROWS}/{file.name}" for file in Store(f"{store.url.rstrip('/')}/{ROWS}").files())
+    return frozenset(f"{ROWS}/{file.name}" for file in store.below(ROWS).files())
 
 
-def missing(machines: Iterable[Machine], job: str, names: frozenset[str]) -> tuple[Machine, ...]:
-    """Return the machines whose logs have no row yet with these settings and versions.
+def read_rows(
+    store: Store, names: Iterable[str] | None = None, row_type: type[OneRow] = Row
+) -> tuple[OneRow, ...]:
+    """Return rows of a store in the order of machine and date.
 
     Args:
-        machines: of the store of logs.
-        job: digest of settings and versions.
-        names: names of the rows in the store of results.
-    """
-    return tuple(each for each in machines if row_name(each.name, each.signature(job)) not in names)
-
-
-def read_rows(store: Store, names: Iterable[str] | None = None) -> tuple[Row, ...]:
-    """Return rows of a store, all by default, in the order of machine and date.
+        store: of results.
+        names: of the rows; None for all.
+        row_type: what they are the outcome of.
 
     Raises:
         InputError: a file is not a row.
         StoreError: the store cannot be read.
     """
     chosen = sorted(rows_in(store) if names is None else names)
-    rows = [Row.from_json(content, name) for name, content in store.read_many(chosen).items()]
+    rows = [row_type.from_json(content, name) for name, content in store.read_many(chosen).items()]
     return tuple(sorted(rows, key=lambda row: (row.machine, row.date, row.signature)))
 
 
-def newest(rows: Iterable[Row]) -> tuple[Row, ...]:
+def newest(rows: Iterable[OneRow]) -> tuple[OneRow, ...]:
     """Return the last row of each machine; of several of one date, one that did not fail."""
     ordered = sorted(rows, key=lambda row: (row.machine, row.date, row.state != FAILED, row.signature))
     return tuple({row.machine: row for row in ordered}.values())
@@ -68,20 +63,20 @@ def load_model(store: Store, row: Row, folder: Path) -> Path:
     name = model_name(row.machine, row.key)
     target = folder / row.key
     target.mkdir(parents=True, exist_ok=True)
-    files = Store(f"{store.url.rstrip('/')}/{name}").files()
+    files = store.below(name).files()
     for file, content in store.read_many([f"{name}/{file.name}" for file in files]).items():
         (target / Path(file).name).write_bytes(content)
     return target
 
 
-def table_rows(rows: Iterable[Row]) -> list[dict[str, str | float | int | None]]:
+def table_rows(rows: Iterable[TaskRow]) -> list[dict[str, str | float | int | None]]:
     """Return one flat line for each machine, column to value."""
     lines = []
     for row in rows:
         line: dict[str, str | float | int | None] = {
-            name: getattr(row, name)
-            for name in ("machine", "date", "state", "cause", "message", "digest", "key")
+            name: value for name, value in vars(row).items() if isinstance(value, str)
         }
+        line["notices"] = "; ".join(row.notices)
         for direction, figures in row.directions.items():
             line |= {f"{direction}_{name}": value for name, value in vars(figures).items()}
         if row.cost is not None:
@@ -90,7 +85,7 @@ def table_rows(rows: Iterable[Row]) -> list[dict[str, str | float | int | None]]
     return lines
 
 
-def compact(store: Store, rows: Iterable[Row]) -> None:
+def compact(store: Store, rows: Iterable[TaskRow]) -> None:
     """Write the rows as one table, a line for each machine, as CSV and Parquet.
 
     Raises:
@@ -108,7 +103,6 @@ def parquet(table: DataTable) -> bytes:
     Raises:
         InputError: pyarrow is not installed.
     """
-
     try:
         import pyarrow as pa
         from pyarrow.parquet import write_table

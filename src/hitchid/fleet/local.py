@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
+from typing import cast
 
 from hitchid.fleet.machines import Machine
 from hitchid.fleet.task import UNFINISHED, Acknowledgement, Job
@@ -69,7 +70,7 @@ class _Worker:
         process = context.Process(target=_work, args=(theirs,), daemon=True)
         process.start()
         theirs.close()
-        worker = cls(process, ours)
+        worker = cls(process, cast("Connection", ours))
         worker._send(job)
         return worker
 
@@ -105,12 +106,12 @@ def _work(connection: Connection) -> None:
     from hitchid.fleet.worker import prepare_worker
 
     prepare_worker()  # before the settings of the job import JAX
-    from hitchid.fleet.task import identify_machine
+    from hitchid.fleet.task import run_task
 
     try:
         job = connection.recv()
         while True:
-            connection.send(identify_machine(job, connection.recv()))
+            connection.send(run_task(job, connection.recv()))
     except (EOFError, OSError):
         return
 

@@ -28,14 +28,14 @@ class Machine:
         """Bytes of all files."""
         return sum(file.size for file in self.files)
 
-    def signature(self, job: str) -> str:
+    def signature(self, stamp: str) -> str:
         """Return a digest of the listing and of what is to be done; it changes when either does.
 
         Args:
-            job: digest of settings and versions.
+            stamp: digest of all that the outcome depends on beside the logs.
         """
         listing = [[file.name, file.size, file.version] for file in self.files]
-        return digest(canonical_json({"files": listing, "job": job}))[:KEY_LENGTH]
+        return digest(canonical_json({"files": listing, "stamp": stamp}))[:KEY_LENGTH]
 
     @property
     def date(self) -> str:
@@ -62,7 +62,7 @@ def machines_of(store: Store) -> tuple[Machine, ...]:
     return tuple(Machine(name, tuple(files)) for name, files in sorted(folders.items()))
 
 
-def content_key(contents: Mapping[str, bytes], job: str) -> str:
-    """Return the key of a result: a digest of the content of all logs, and of settings and versions."""
+def content_key(contents: Mapping[str, bytes], stamp: str) -> str:
+    """Return the key of a result: a digest of the content of all logs and of the stamp of its job."""
     digests = {name: digest(content) for name, content in contents.items()}
-    return digest(canonical_json({"files": digests, "job": job}))[:KEY_LENGTH]
+    return digest(canonical_json({"files": digests, "stamp": stamp}))[:KEY_LENGTH]

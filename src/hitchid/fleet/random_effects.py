@@ -9,6 +9,7 @@ from hitchid.fleet.robustness import constants_of, weights
 
 ITERATIONS, TOLERANCE = 200, 1e-9  # of the variance; relative to the variance of an estimate; chosen
 NORMAL_MAD = 1.4826  # standard deviation of a normal distribution, in its median absolute deviations
+RECOVERY = 1.1  # growth of the share of a step that is taken, halved where steps alternate; chosen
 START_SPREADS = 3.0  # scaled median absolute deviations at which values are cut for the first mean; chosen
 
 
@@ -55,6 +56,7 @@ def fit_random_effects(
     constants = constants_of(1, robust=robust)
     beta, between = _start(values, variances, design, selections)
     weight = np.ones(selections.shape)
+    damping, previous = np.ones(len(selections)), np.zeros(len(selections))
     for _ in range(ITERATIONS):
         total = variances + between[:, None]
         precision = selections / total
@@ -63,14 +65,16 @@ def fit_random_effects(
         beta = _solve(_information(weight * precision, design), (weight * precision * values) @ design)
         leverage = _leverage(precision, design)
         score = np.sum(precision * (weight * squared / constants.consistency - 1 + leverage), axis=1)
-        step = score / np.sum(precision**2, axis=1)
-        updated = np.maximum(0.0, between + step)
-        change, between = np.abs(updated - between), updated
-        if np.all(change <= TOLERANCE * np.min(total, axis=1)):
+        step = score / _variance_information(precision, design)
+        change = np.maximum(0.0, between + step) - between
+        if np.all(np.abs(change) <= TOLERANCE * np.min(total, axis=1)):
             break
+        # With very unequal errors full steps may alternate.
+        damping = np.where(change * previous < 0, damping / 2, np.minimum(1.0, RECOVERY * damping))
+        between, previous = between + damping * change, change
     precision = selections / (variances + between[:, None])
     covariance = constants.mean_factor * np.linalg.inv(_information(precision, design))
-    freedom = np.sum(precision**2 * (1 - _leverage(precision, design)), axis=1)
+    freedom = _variance_information(precision, design)
     return RandomEffects(beta, covariance, between, 2 / (constants.efficiency * freedom), weight * selections)
 
 
@@ -93,6 +97,13 @@ def _information(precision: np.ndarray, design: np.ndarray) -> np.ndarray:
     """Return Σ p Xᵀ X of each selection, shape [F, K, K]."""
     products = (design[:, :, None] * design[:, None, :]).reshape(len(design), -1)
     return (precision @ products).reshape(len(precision), design.shape[1], design.shape[1])
+
+
+def _variance_information(precision: np.ndarray, design: np.ndarray) -> np.ndarray:
+    """Return tr(P P), P = V⁻¹ − V⁻¹X(XᵀV⁻¹X)⁻¹XᵀV⁻¹, twice the information about τ², shape [F]."""
+    leverage = _leverage(precision, design)
+    ratio = np.linalg.solve(_information(precision, design), _information(precision**2, design))
+    return np.sum(precision**2 * (1 - 2 * leverage), axis=1) + np.einsum("fkl,flk->f", ratio, ratio)
 
 
 def _leverage(precision: np.ndarray, design: np.ndarray) -> np.ndarray:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cache
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TypeVar
 
 from hitchid._support.storage import canonical_json
 from hitchid.errors import InputError
@@ -11,6 +11,7 @@ from hitchid.errors import InputError
 if TYPE_CHECKING:
     from pydantic import TypeAdapter
 
+OneRow = TypeVar("OneRow", bound="TaskRow")
 DONE, FAILED = "done", "failed"
 
 
@@ -65,21 +66,19 @@ class Cost:
 
 
 @dataclass(frozen=True)
-class Row:
-    """Outcome of the identification of one machine.
+class TaskRow:
+    """Outcome of one task on one machine.
 
     Attributes:
-        machine: path of its folder in the store of logs.
-        key: digest of the content of its logs, of settings and versions.
-        signature: digest of the listing of its logs, of settings and versions.
+        machine: name of its folder in the store of logs.
+        key: digest of the content of its logs, and of all else that the outcome depends on.
+        signature: the same with the listing of its logs instead of their content.
         date: time of its newest log, ISO 8601 and UTC; may be empty.
-        state: `done`, or `failed` where the campaign cannot be identified.
+        state: `done`, or `failed` where the logs cannot be used.
         cause, message: of a failure: kind of the error, and its text; empty otherwise.
-        digest: of the model.
-        units: role to unit.
-        directions: direction to its figures.
         notices: remarks on data and choices.
         cost: what the task took; that of the first run where a later one found the same logs.
+        directions: direction to its figures, a record of numbers and texts.
     """
 
     machine: str
@@ -89,18 +88,16 @@ class Row:
     state: Literal["done", "failed"]
     cause: str = ""
     message: str = ""
-    digest: str = ""
-    units: Mapping[str, str] = field(default_factory=dict)
-    directions: Mapping[str, DirectionRow] = field(default_factory=dict)
     notices: tuple[str, ...] = ()
     cost: Cost | None = None
+    directions: Mapping[str, object] = field(default_factory=dict)
 
     def as_json(self) -> bytes:
         """Return the row as the content of a file."""
         return canonical_json(asdict(self))
 
     @classmethod
-    def from_json(cls, content: bytes, name: str) -> "Row":
+    def from_json(cls: type[OneRow], content: bytes, name: str) -> OneRow:
         """Return the row in the content of a file.
 
         Raises:
@@ -109,15 +106,30 @@ class Row:
         from pydantic import ValidationError
 
         try:
-            return _adapter().validate_json(content)
+            return _adapter(cls).validate_json(content)
         except ValidationError as error:
             first = error.errors()[0]
             place = ".".join(map(str, first["loc"])) or "the file"
             raise InputError(f"{name}: is not a row of a fleet: {place}: {first['msg']}") from error
 
 
+@dataclass(frozen=True)
+class Row(TaskRow):
+    """Outcome of the identification of one machine.
+
+    Attributes:
+        directions: direction to its figures.
+        digest: of the model.
+        units: role to unit.
+    """
+
+    directions: Mapping[str, DirectionRow] = field(default_factory=dict)
+    digest: str = ""
+    units: Mapping[str, str] = field(default_factory=dict)
+
+
 @cache
-def _adapter() -> "TypeAdapter[Row]":
+def _adapter(kind: type) -> "TypeAdapter":
     from pydantic import TypeAdapter
 
-    return TypeAdapter(Row)
+    return TypeAdapter(kind)

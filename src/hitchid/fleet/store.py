@@ -54,13 +54,17 @@ class Store:
         """Whether it is a folder of this machine."""
         return "://" not in self.url or self.url.startswith("file://")
 
-    def files(self, folder: str = "") -> tuple[StoredFile, ...]:
-        """Return all files below a folder, sorted by name; none where it does not exist.
+    def below(self, folder: str) -> "Store":
+        """Return the store of a folder in this one."""
+        return Store(f"{self.url.rstrip('/')}/{folder}")
+
+    def files(self) -> tuple[StoredFile, ...]:
+        """Return all files, sorted by name; none where the folder does not exist.
 
         Raises:
             StoreError: the store cannot be listed.
         """
-        details = self._call("list", folder, lambda system, root: system.find(root, detail=True))
+        details = self._call("list", "", lambda system, root: system.find(root, detail=True))
         listed = (_stored_file(path, info, self._root()[1]) for path, info in dict(details).items())
         return tuple(
             sorted((file for file in listed if not _is_hidden(file.name)), key=lambda file: file.name)

@@ -14,5 +14,6 @@ from hitchid.identification.result import Identification as Identification
 from hitchid.identification.selection import AutoStructure as AutoStructure
 from hitchid.identification.settings_file import Settings as Settings
 from hitchid.identification.settings_file import read_settings as read_settings
+from hitchid.identification.settings_file import stamp_of as stamp_of
 from hitchid.identification.speed_training import SpeedCompensatorConfig as SpeedCompensatorConfig
 from hitchid.structures import ModelSpec as ModelSpec

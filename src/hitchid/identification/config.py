@@ -55,20 +55,23 @@ class IdentificationConfig:
             "drift": self.drift,
         }
 
-    def checkpoints(self, folder: Path | None, campaign: Campaign) -> Checkpoints:
-        """Return the checkpoints of runs with the same logs, settings, versions and kind of machine."""
-        if folder is None:
-            return DISABLED
-        stamp = {
+    @property
+    def stamp(self) -> dict[str, object]:
+        """All that the outcome depends on beside the logs, as JSON values."""
+        return {
             "asked": {**self.describe(), "forms": repr(self.specs), "seed": self.seed},
             "search": repr(self.search),
             "training": repr(self.training),
-            "campaign": campaign.digest,
             "comparison": repr(self.comparison and replace(self.comparison, checkpoints=DISABLED)),
             "machine": f"{platform.machine()} {jax.default_backend()}",
             "versions": installed_versions(),
         }
-        return Checkpoints.of_run(folder, stamp)
+
+    def checkpoints(self, folder: Path | None, campaign: Campaign) -> Checkpoints:
+        """Return the checkpoints of runs with the same logs, settings, versions and kind of machine."""
+        if folder is None:
+            return DISABLED
+        return Checkpoints.of_run(folder, {**self.stamp, "campaign": campaign.digest})
 
 
 def _with_covariates(

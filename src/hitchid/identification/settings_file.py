@@ -13,8 +13,8 @@ from hitchid.errors import InputError, SettingsError
 from hitchid.estimation import DifferentialEvolution, MultiStart, Search, SearchComparison, Whale
 from hitchid.estimation.global_search import EVALUATIONS, WhaleConfig
 from hitchid.estimation.training import AdamConfig
-from hitchid.identification.arguments import LARGEST_SEED
-from hitchid.identification.identify import DEFAULT_STRUCTURES
+from hitchid.identification.arguments import LARGEST_SEED, identification_config
+from hitchid.identification.identify import DEFAULT_STRUCTURES, PAPER_SPECS, TRAINING, WHALE
 from hitchid.identification.phase2 import CompensatorConfig
 from hitchid.identification.selection import AutoStructure
 from hitchid.identification.speed_training import SpeedCompensatorConfig
@@ -152,6 +152,24 @@ def read_settings(path: Path) -> Settings:
         raise
     except InputError as error:
         raise SettingsError(f"{path}: {error}") from error
+
+
+def stamp_of(settings: Settings) -> dict[str, object]:
+    """Return all that the outcome of `identify_many` depends on beside the logs, as JSON values.
+
+    Raises:
+        InputError: an argument does not fit.
+    """
+    defaults: Settings = {
+        "structure": DEFAULT_STRUCTURES,
+        "search": WHALE,
+        "training": TRAINING,
+        "dead_zones": {},
+        "drift": False,
+        "comparison": None,
+        "seed": 0,
+    }
+    return identification_config(DEFAULT_STRUCTURES, PAPER_SPECS, **{**defaults, **settings}).stamp
 
 
 def _spec(direction: str, section: ChannelSection) -> ModelSpec | AutoStructure:

@@ -1,0 +1,139 @@
+"""`hitchid fleet`: many machines identified, compared and watched."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hitchid.cli.options import AsJson, Quiet
+from hitchid.errors import HitchError
+
+if TYPE_CHECKING:
+    from hitchid._support.progress import ProgressCallback
+    from hitchid.fleet import FleetProgress, FleetResult, Runner
+
+app = typer.Typer(
+    name="fleet",
+    help="Many machines: identify a model of each, compare them, and watch new logs.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+MAX_NAMED = 5  # machines named for one cause of failure (chosen)
+
+
+class RunnerName(Enum):
+    """Runners."""
+
+    LOCAL = "local"
+    DASK = "dask"
+
+
+Store = Annotated[
+    str,
+    typer.Argument(help="Folder or URL (s3://…) with a folder of logs for each machine.", show_default=False),
+]
+Out = Annotated[
+    str, typer.Option("--out", help="Folder or URL of the results: models, a row a machine, fleet.csv.")
+]
+RunnerOption = Annotated[RunnerName, typer.Option("--runner", help="Processes here, or dask.distributed.")]
+Workers = Annotated[int | None, typer.Option("--workers", min=1, help="Number of processes [one a core].")]
+Scheduler = Annotated[
+    str | None,
+    typer.Option("--scheduler", help="A running dask scheduler: tls://HOST:PORT [starts one here]."),
+]
+
+
+def identify(
+    store: Store,
+    out: Out,
+    config: Annotated[
+        Path | None, typer.Option("--config", help="Settings in TOML, the same for all machines.")
+    ] = None,
+    runner: RunnerOption = RunnerName.LOCAL,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    seed: Annotated[
+        int | None, typer.Option("--seed", min=0, max=2**32 - 1, help="Seed of every random draw [0].")
+    ] = None,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Identify a model of each machine that has none yet; another run goes on where this one stopped."""
+    from hitchid.cli import terminal as display
+    from hitchid.fleet import identify_fleet
+    from hitchid.identification import Settings, read_settings
+
+    settings: Settings = {} if config is None else read_settings(config)
+    settings["comparison"] = None
+    if seed is not None:
+        settings["seed"] = seed
+    with display.progress(quiet=quiet) as report:
+        result = identify_fleet(
+            store,
+            out,
+            settings=settings,
+            runner=_runner(runner, workers, scheduler, quiet=quiet),
+            progress=lambda update: _report(update, report),
+        )
+    _show(result, out, quiet=quiet, as_json=as_json)
+
+
+def _runner(name: RunnerName, workers: int | None, scheduler: str | None, *, quiet: bool) -> "Runner":
+    """Return the runner of the options; dask's page is named on stderr."""
+    from hitchid.fleet import Runner
+
+    def show_page(page: str) -> None:
+        if not quiet:
+            typer.echo(f"dask shows its work at {page}", err=True)
+
+    return Runner(name.value, workers, scheduler, show_page)
+
+
+def _report(update: "FleetProgress", report: "ProgressCallback") -> None:
+    """Show one machine that has ended, and how many are left."""
+    from hitchid._support.progress import ProgressUpdate
+
+    if update.last is None:
+        stage = f"{update.found} machines are done, {update.total} to identify"
+    else:
+        message = f": {update.last.message}" if update.last.message else ""
+        stage = f"{update.last.machine}: {update.last.state} in {update.last.seconds:.3g} s{message}"
+        if update.left_s is not None:
+            stage = f"{stage} ({update.total - update.finished} left, about {update.left_s:.0f} s)"
+    report(ProgressUpdate(stage, update.finished / update.total if update.total else 1.0))
+
+
+def _show(result: "FleetResult", out: str, *, quiet: bool, as_json: bool) -> None:
+    """Print the result; a machine without a row ends the command with exit code 1."""
+    from hitchid.cli import terminal as display
+
+    if as_json:
+        rows = [asdict(row) for row in result.rows]
+        content = {"identified": result.worked, "unfinished": dict(result.unfinished), "rows": rows}
+        typer.echo(json.dumps(content, indent=1))
+    elif not quiet:
+        counts = ", ".join(f"{count} {state}" for state, count in result.counts.items())
+        typer.echo(
+            f"{len(result.rows)} machines: {counts or 'none'}; {result.worked} identified now; in {out}"
+        )
+    failures = [f"{_names(machines)}: {cause}" for cause, machines in result.failures.items()]
+    display.write_messages("warning", () if quiet else failures)
+    if result.unfinished:
+        machine, reason = next(iter(result.unfinished.items()))
+        raise HitchError(
+            f"{len(result.unfinished)} machines are unfinished, such as {machine}: {reason}; "
+            "run the command again"
+        )
+
+
+def _names(machines: Sequence[str]) -> str:
+    """Return the names of the first machines of several, and the number of the others."""
+    more = f" and {len(machines) - MAX_NAMED} more" if len(machines) > MAX_NAMED else ""
+    return f"{', '.join(machines[:MAX_NAMED])}{more}"
+
+
+app.command(epilog="Example: hitchid fleet identify logs/ --out results/")(identify)

@@ -1,0 +1,286 @@
+"""A fleet is identified: equal models whoever works on them, nothing lost, nothing done twice."""
+
+import json
+import multiprocessing
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import fleets
+import numpy as np
+import pytest
+
+import hitchid
+from hitchid.errors import InputError
+from hitchid.fleet import FleetResult, Runner, Store, StoreError, identify_fleet, read_rows
+from hitchid.fleet.cluster import check_scheduler, run_on_cluster
+from hitchid.fleet.identify import identification_job
+from hitchid.fleet.identify_machine import IdentificationJob
+from hitchid.fleet.ledger import load_model, newest
+from hitchid.fleet.local import MAX_DEATHS, run_local
+from hitchid.fleet.machines import machines_of
+from hitchid.fleet.task import UNFINISHED, run_task
+
+MACHINES = 3
+ONE = Runner(workers=1)
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory):
+    """Return a store with logs of three machines, which no test changes."""
+    return fleets.write_fleet(tmp_path_factory.mktemp("fleet") / "logs", MACHINES)
+
+
+@pytest.fixture(scope="module")
+def results(logs, tmp_path_factory):
+    """Return a store of their results by one worker, which no test changes."""
+    folder = tmp_path_factory.mktemp("fleet") / "results"
+    result = identify_fleet(str(logs), str(folder), settings=fleets.QUICK, runner=ONE)
+    assert result.worked == MACHINES
+    return folder
+
+
+def job(logs, folder) -> IdentificationJob:
+    return identification_job(str(logs), str(folder), fleets.QUICK)
+
+
+@pytest.mark.parametrize("run", [run_local, run_on_cluster])
+def test_models_do_not_depend_on_runner_workers_and_order(run, logs, results, tmp_path):
+    own = job(logs, tmp_path)
+    acknowledgements = list(run(own, machines_of(own.logs)[::-1], 2))
+    assert {each.machine for each in acknowledgements if each.state == "done"} == set(os.listdir(logs))
+    assert fleets.model_digests(tmp_path) == fleets.model_digests(results)
+    rows = [replace(row, cost=None) for row in read_rows(own.results)]
+    assert rows == [replace(row, cost=None) for row in read_rows(Store(str(results)))]
+
+
+def test_a_row_has_the_figures_of_its_model(logs, results, tmp_path):
+    store = Store(str(results))
+    row = read_rows(store)[0]
+    model = hitchid.load(load_model(store, row, tmp_path))
+    assert model.provenance.digest == row.digest
+    for direction, figures in row.directions.items():
+        channel = model.channels[direction]
+        estimates = {each.name: each for each in model.uncertainty[direction].benchmark.parameters}
+        assert figures.gain == float(channel.benchmark.values[0])
+        assert figures.dead_zone == channel.dead_zone
+        assert figures.gain_error == pytest.approx(estimates["gain"].error / figures.gain)
+        assert 0 <= figures.correlation <= 1
+        # The plant: 30 mm/(s A) behind 0.35 A; a lag of 0.08 s that an integrator lacks takes 3 % of 3 s.
+        np.testing.assert_allclose(figures.gain, 30.0, rtol=0.06)
+        np.testing.assert_allclose(figures.dead_zone, 0.35, atol=0.01)
+        assert figures.tests + 1 == 3  # one in five is held out, at least one
+        assert figures.held_out_rmse > 0
+    assert row.cost.bytes_read == sum(path.stat().st_size for path in (logs / row.machine).iterdir())
+    assert row.cost.core_seconds > 0
+
+
+def test_a_finished_fleet_is_not_identified_again(logs, results):
+    before = {path: path.stat().st_mtime_ns for path in results.rglob("*")}
+    result = identify_fleet(str(logs), str(results), settings=fleets.QUICK)
+    assert result.worked == 0
+    assert len(result.rows) == MACHINES
+    assert before == {path: path.stat().st_mtime_ns for path in results.rglob("*")}
+
+
+def test_other_settings_are_another_job():
+    first, second = (identification_job("a", "b", {**fleets.QUICK, "seed": seed}) for seed in (0, 1))
+    assert first.settings_digest != second.settings_digest
+    assert first.settings_digest == identification_job("a", "b", fleets.QUICK).settings_digest
+
+
+def test_copied_logs_are_recognised_by_their_content(logs, results, tmp_path):
+    """A copy has other times, so that its listing differs; its model is found by the key."""
+    copy, own = shutil.copytree(logs, tmp_path / "logs"), shutil.copytree(results, tmp_path / "results")
+    for path in copy.rglob("*.csv"):
+        os.utime(path, (1e9, 1e9))
+    result = identify_fleet(str(copy), str(own), settings=fleets.QUICK, runner=ONE)
+    assert result.worked == 0
+    assert {row.date for row in result.rows} == {"2001-09-09T01:46:40+00:00"}
+    assert fleets.model_digests(own) == fleets.model_digests(results)
+
+
+def test_bad_campaigns_are_rows_with_their_error_and_harm_no_other(logs, results, tmp_path):
+    mixed, own = shutil.copytree(logs, tmp_path / "logs"), shutil.copytree(results, tmp_path / "results")
+    (mixed / "empty").mkdir()
+    (mixed / "damaged").mkdir()
+    text = (logs / "tractor-0" / "lifting-01.csv").read_text()
+    (mixed / "damaged" / "lifting-01.csv").write_text(text[: len(text) // 3] + "\0\0\0")
+    (mixed / "wrong").mkdir()
+    (mixed / "wrong" / "notes.csv").write_text("who,when\nme,now\n")
+    result = identify_fleet(str(mixed), str(own), settings=fleets.QUICK, runner=ONE)
+    rows = {row.machine: row for row in result.rows}
+    assert {name for name, row in rows.items() if row.state == "failed"} == {"empty", "damaged", "wrong"}
+    assert "no log in this folder" in rows["empty"].message
+    assert "wrong/notes.csv" in rows["wrong"].message
+    assert str(tmp_path) not in rows["wrong"].message
+    assert sum(map(len, result.failures.values())) == 3
+    assert fleets.model_digests(own) == fleets.model_digests(results)
+
+
+def test_failures_with_the_same_cause_are_one_group(results):
+    (row, *_) = read_rows(Store(str(results)))
+    failed = [
+        replace(row, machine=f"m{k}", state="failed", message=f"m{k}/log.csv: line {k}: no number")
+        for k in range(4)
+    ]
+    result = FleetResult((*failed, row), 0, {})
+    assert result.failures == {"m0/log.csv: line 0: no number": ("m0", "m1", "m2", "m3")}
+    assert result.counts == {"failed": 4, "done": 1}
+
+
+def test_a_killed_worker_loses_nothing(logs, results, tmp_path):
+    own, killed = job(logs, tmp_path), []
+    acknowledgements = []
+    for acknowledgement in run_local(own, machines_of(own.logs), 2):
+        acknowledgements.append(acknowledgement)
+        if not killed:
+            killed = multiprocessing.active_children()
+            for process in killed:
+                os.kill(process.pid, signal.SIGKILL)
+    assert killed
+    assert sorted(each.machine for each in acknowledgements) == sorted(os.listdir(logs))
+    assert fleets.model_digests(tmp_path) == fleets.model_digests(results)
+
+
+def test_a_machine_that_ends_every_worker_is_left_unfinished(logs, tmp_path):
+    own = job(logs, tmp_path)
+    stop = threading.Event()
+
+    def kill_all():
+        while not stop.wait(0.05):
+            for process in multiprocessing.active_children():
+                process.kill()
+
+    killer = threading.Thread(target=kill_all)
+    killer.start()
+    (acknowledgement,) = run_local(own, machines_of(own.logs)[:1], 1)
+    stop.set()
+    killer.join()
+    assert acknowledgement.state == UNFINISHED
+    assert f"ended {MAX_DEATHS} times" in acknowledgement.message
+    assert read_rows(own.results) == ()
+
+
+def test_a_killed_run_goes_on_and_leaves_no_process(logs, results, tmp_path):
+    settings = tmp_path / "quick.toml"
+    settings.write_text(fleets.QUICK_TOML)
+    own = tmp_path / "results"
+    command = [sys.executable, "-m", "hitchid", "fleet", "identify", str(logs), "--out", str(own)]
+    command += ["--config", str(settings), "--workers", "1"]
+    run = subprocess.Popen(command, stderr=subprocess.DEVNULL, start_new_session=True)  # noqa: S603
+    deadline = time.monotonic() + 200
+    while not list(own.glob("rows/*/*.json")) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    run.kill()
+    run.wait()
+    done = len(list(own.glob("rows/*/*.json")))
+    assert 1 <= done < MACHINES
+    while _processes_of_session(run.pid) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not _processes_of_session(run.pid)
+    second = subprocess.run([*command, "--json"], capture_output=True, text=True, check=True)  # noqa: S603
+    assert json.loads(second.stdout)["identified"] == MACHINES - done
+    assert fleets.model_digests(own) == fleets.model_digests(results)
+
+
+def _processes_of_session(session: int) -> list[int]:
+    """Return the processes of a session that still run."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = path.read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        if int(fields[3]) == session and fields[0] != "Z":
+            found.append(int(path.parent.name))
+    return found
+
+
+def test_a_model_without_its_row_is_not_taken_for_done(logs, tmp_path, monkeypatch):
+    """The store fails after the model was written, before the row."""
+    own = job(logs, tmp_path)
+    (machine, *_) = machines_of(own.logs)
+    write = Store.write
+
+    def failing(self, name, content):
+        if name.startswith("rows/"):
+            raise StoreError("rows: the connection was lost")
+        write(self, name, content)
+
+    monkeypatch.setattr("hitchid.fleet.task.prepare_worker", lambda: None)
+    with monkeypatch.context() as context:
+        context.setattr(Store, "write", failing)
+        first = run_task(own, machine)
+    assert (first.state, first.message) == (UNFINISHED, "rows: the connection was lost")
+    assert read_rows(own.results) == ()
+    second = run_task(own, machine)
+    assert (second.state, second.worked) == ("done", True)
+    assert [row.machine for row in read_rows(own.results)] == [machine.name]
+
+
+@pytest.mark.parametrize("limit", range(5))
+def test_a_store_that_ends_in_mid_write_shows_no_model(limit, logs, tmp_path, monkeypatch):
+    """A folder without `model.json` is no model; it has five files, and that is written last."""
+    own = job(logs, tmp_path)
+    written, write = [], Store.write
+
+    def failing(self, name, content):
+        if len(written) == limit:
+            raise StoreError("the store is full")
+        written.append(name)
+        write(self, name, content)
+
+    monkeypatch.setattr("hitchid.fleet.task.prepare_worker", lambda: None)
+    monkeypatch.setattr("hitchid.fleet.store.Store.write", failing)
+    assert run_task(own, machines_of(own.logs)[0]).state == UNFINISHED
+    assert len(written) == limit
+    assert not list(tmp_path.glob("models/*/*/model.json"))
+    assert read_rows(own.results) == ()
+
+
+def test_newest_is_the_last_row_of_each_machine(results):
+    (row, *_) = read_rows(Store(str(results)))
+    old, late = replace(row, date="2026-01-01T00:00:00+00:00"), replace(row, date="2026-06-01T00:00:00+00:00")
+    failed = replace(late, state="failed")
+    assert newest([late, failed, old]) == (late,)
+
+
+def test_the_rows_are_compacted(results):
+    import pandas as pd
+
+    table = pd.read_parquet(results / "fleet.parquet")
+    assert list(table["machine"]) == [f"tractor-{k}" for k in range(MACHINES)]
+    pd.testing.assert_frame_equal(
+        table[["lifting_gain", "bytes_read"]],
+        pd.read_csv(results / "fleet.csv")[["lifting_gain", "bytes_read"]],
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"name": "slurm"}, "runner: .*local or dask"),
+        ({"workers": 0}, "workers"),
+        ({"name": "dask", "scheduler": "tcp://10.0.0.1:8786"}, "expected tls://"),
+    ],
+)
+def test_wrong_arguments_are_refused(arguments, message, logs, tmp_path):
+    with pytest.raises(InputError, match=message):
+        identify_fleet(str(logs), str(tmp_path), settings=fleets.QUICK, runner=Runner(**arguments))
+
+
+def test_a_store_without_machines_is_refused(tmp_path):
+    with pytest.raises(InputError, match="one folder for each machine"):
+        identify_fleet(str(tmp_path), str(tmp_path / "results"))
+
+
+@pytest.mark.parametrize("address", ["tls://10.0.0.1:8786", "tcp://127.0.0.1:8786", "tcp://localhost:1"])
+def test_a_scheduler_is_reached_by_tls_or_on_this_machine(address):
+    assert check_scheduler(address) == address
