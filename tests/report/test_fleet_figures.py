@@ -140,6 +140,17 @@ def test_a_machine_has_the_same_line_for_its_speed_in_both_directions():
     assert speed == pytest.approx(0.8 * fleet_rows.GAINS["lowering"] * (end - command))
 
 
+def test_of_very_many_machines_like_the_others_some_are_drawn_and_all_that_stand_out(monkeypatch):
+    monkeypatch.setattr(figures, "MOST_POINTS", 40)
+    axes = figures.scatter(compared("100")).axes[1]
+    points = {line.get_marker(): len(line.get_xdata()) for line in axes.get_lines()}
+    comparison = compared("100")
+    columns = [comparison.column("lowering", name) for name in ("gain", "dead zone")]
+    outlying = np.any(comparison.outliers.named[:, columns], axis=1).sum()
+    assert points["D"] == outlying
+    assert points["o"] == -(-(100 - outlying) // 3)
+
+
 def test_a_direction_without_errors_of_both_parameters_has_no_scatter():
     rows = [fleet_rows.row("a", {"lifting": fleet_rows.figures("lifting", dead_zone_error=0.0)})]
     assert figures.directions_with_both(compare_fleet(rows)) == []

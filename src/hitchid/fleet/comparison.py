@@ -107,7 +107,7 @@ class FleetComparison(Value):
         """Machines that stand out in a parameter, smallest p-value first."""
         return tuple(dict.fromkeys(self.machines[machine] for machine, _ in self.outliers.ranking))
 
-    @property
+    @cached_property
     def tables(self) -> dict[str, DataTable]:
         """Every table as data, by name: outliers, machines, populations, cohorts, trends, failures, …."""
         from hitchid.fleet.comparison_tables import comparison_tables

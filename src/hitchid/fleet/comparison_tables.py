@@ -50,7 +50,7 @@ def comparison_metrics(comparison: "FleetComparison") -> dict[str, object]:
     """Return the content of `comparison.json`: numbers of machines, and all tables but `machines`."""
     lines: dict[str, object] = {
         name: [dict(zip(table.columns, row, strict=True)) for row in table.rows]
-        for name, table in comparison_tables(comparison).items()
+        for name, table in comparison.tables.items()
         if name != "machines"
     }
     return {

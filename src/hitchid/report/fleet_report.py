@@ -136,7 +136,7 @@ def _scatter(comparison: FleetComparison) -> Picture:
         "gain-and-dead-zone",
         figures.scatter(comparison),
         f"Gain over dead zone. Thin ellipses: 95 % of the errors of {whose}; thick ellipse: 95 % of the "
-        "machines, without errors.",
+        f"machines, without errors.{_thinned(comparison)}",
         "Gain over dead zone of the machines, with ellipses of their errors and of the distribution.",
         wide=True,
     )
@@ -148,10 +148,16 @@ def _speed_fan(comparison: FleetComparison) -> Picture:
         figures.speed_fan(comparison),
         "Steady speed over command of all machines, gain · (command \N{MINUS SIGN} dead zone): what "
         "nonlinearities of the structure add is left out. Pointed out: machines that stand out in gain or "
-        "dead zone.",
+        f"dead zone.{_thinned(comparison)}",
         "Steady speed over command of all machines, with those that stand out in gain or dead zone.",
         wide=True,
     )
+
+
+def _thinned(comparison: FleetComparison) -> str:
+    """Return that not all machines are drawn; empty if all are."""
+    many = len(comparison.machines) > figures.MOST_POINTS
+    return f" Of the machines like the others at most {figures.MOST_POINTS} are drawn." if many else ""
 
 
 def _columns(table: DataTable, direction: str = "") -> dict[str, list[Cell]]:

@@ -14,6 +14,7 @@ from hitchid.plots import fleet as plots
 from hitchid.plots.style import COLOURS, INK, PAGE_IN, legend_above, logarithmic, styled
 
 MOST_ROWS = 60  # machines that are drawn one by one; of more, those that stand out; chosen
+MOST_POINTS = 1000  # machines like the others in a scatter, and lines of speeds; chosen: size of the page
 ROW_IN, MARGIN_IN, LEAST_IN = 0.15, 0.75, 1.5  # height of a machine, of labels, of the whole, inch; chosen
 PANEL_IN = 3.4  # height of scatter and speeds, inch; chosen
 NAME_LENGTH = 26  # characters of a name; longer ones lose their middle; chosen
@@ -128,11 +129,15 @@ def _columns(comparison: FleetComparison, direction: str) -> list[int]:
 
 
 def _with_both(comparison: FleetComparison, direction: str) -> np.ndarray:
-    """Return the machines with gain and dead zone in a direction."""
+    """Return the machines with gain and dead zone in a direction; of very many like the others, some."""
     columns = _columns(comparison, direction)
     if len(columns) < 2:
         return np.zeros(0, int)
-    return np.flatnonzero(~np.isnan(comparison.estimates[:, columns]).any(axis=1))
+    has_both = ~np.isnan(comparison.estimates[:, columns]).any(axis=1)
+    outlying = np.any(comparison.outliers.named[:, columns], axis=1)
+    alike = np.flatnonzero(has_both & ~outlying)
+    every = max(1, -(-alike.size // MOST_POINTS))
+    return np.sort(np.concatenate([np.flatnonzero(has_both & outlying), alike[::every]]))
 
 
 def _scatter_panel(axes: Axes, comparison: FleetComparison, direction: str) -> None:
