@@ -1,9 +1,13 @@
 """A fleet: many machines identified, compared and watched; the entry point is `identify_fleet`."""
 
+from hitchid.fleet.comparison import FleetComparison as FleetComparison
+from hitchid.fleet.comparison import compare_fleet as compare_fleet
 from hitchid.fleet.identify import identify_fleet as identify_fleet
 from hitchid.fleet.ledger import load_model as load_model
 from hitchid.fleet.ledger import newest as newest
 from hitchid.fleet.ledger import read_rows as read_rows
+from hitchid.fleet.metadata import Metadata as Metadata
+from hitchid.fleet.metadata import read_metadata as read_metadata
 from hitchid.fleet.row import Cost as Cost
 from hitchid.fleet.row import DirectionRow as DirectionRow
 from hitchid.fleet.row import Row as Row

@@ -18,7 +18,7 @@ LEVEL = 0.95  # of the intervals
 FEWEST = 3  # machines of a category that is compared; chosen
 FEWEST_LEFT = 3  # machines more than coefficients, from which there is a test; chosen
 
-Column = Sequence[str | None] | Sequence[float | None] | np.ndarray
+Column = Sequence[str | float | None] | np.ndarray  # texts or numbers
 
 
 @short_repr

@@ -1,9 +1,11 @@
 """The ledger of a fleet: what lies in the store of results is what has been done."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from hitchid._support.data_table import DataTable
+from hitchid.errors import InputError
 from hitchid.fleet.row import FAILED, OneRow, Row, TaskRow
 from hitchid.fleet.store import Store
 
@@ -90,24 +92,24 @@ def compact(store: Store, rows: Iterable[TaskRow]) -> None:
         InputError: pyarrow is not installed.
         StoreError: the store cannot be written.
     """
-    from hitchid._support.data_table import DataTable
-
     table = DataTable.of_rows("fleet", table_rows(rows))
     store.write(TABLE_FILE, table.csv())
-    store.write(
-        "fleet.parquet", _parquet(dict(zip(table.columns, zip(*table.rows, strict=True), strict=True)))
-    )
+    store.write(PARQUET_FILE, parquet(table))
 
 
-def _parquet(columns: Mapping[str, tuple]) -> bytes:
-    from hitchid.errors import InputError
+def parquet(table: DataTable) -> bytes:
+    """Return a table as a Parquet file.
 
+    Raises:
+        InputError: pyarrow is not installed.
+    """
     try:
         import pyarrow as pa
-        from pyarrow import parquet
+        from pyarrow.parquet import write_table
     except ImportError as error:
         raise InputError("pyarrow is required for fleets: pip install 'hitchid[fleet]'") from error
+    columns = {name: [row[place] for row in table.rows] for place, name in enumerate(table.columns)}
     with TemporaryDirectory() as folder:
-        path = Path(folder) / "fleet.parquet"
-        parquet.write_table(pa.table({name: list(values) for name, values in columns.items()}), path)
+        path = Path(folder) / PARQUET_FILE
+        write_table(pa.table(columns), path)
         return path.read_bytes()

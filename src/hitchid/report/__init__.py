@@ -13,6 +13,7 @@ from hitchid.report.document import Table as Table
 from hitchid.report.document import Text as Text
 from hitchid.report.document import sentence as sentence
 from hitchid.report.drive_report import drive_report as drive_report
+from hitchid.report.fleet_report import fleet_report as fleet_report
 from hitchid.report.renderers import Renderer as Renderer
 from hitchid.report.renderers import check_renderers as check_renderers
 from hitchid.report.renderers import registered_renderers as registered_renderers

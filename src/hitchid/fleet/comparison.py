@@ -1,0 +1,324 @@
+"""`compare_fleet`: which machines stand out, which cohorts differ, and what changes with time."""
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import stdtrit
+
+from hitchid._support.data_table import DataTable
+from hitchid._support.short_repr import short_repr
+from hitchid._support.values import Value
+from hitchid.data.record import DIRECTIONS
+from hitchid.errors import InputError
+from hitchid.fleet.cohorts import CohortEffect, compare_cohorts
+from hitchid.fleet.hierarchical import FEWEST as FEWEST_OF_MEAN
+from hitchid.fleet.hierarchical import Hierarchy, fit_hierarchy
+from hitchid.fleet.ledger import newest
+from hitchid.fleet.metadata import Metadata
+from hitchid.fleet.outliers import FEWEST as FEWEST_OF_OUTLIERS
+from hitchid.fleet.outliers import Outliers, find_outliers
+from hitchid.fleet.parameters import DEAD_ZONE, GAIN, NAMES, FleetParameter, Kind, estimates_of_row, kind_of
+from hitchid.fleet.row import FAILED, Row
+from hitchid.fleet.trends import FleetTrends, fit_trends
+
+LEVEL = 0.95  # of the intervals
+YEAR_S = 365.25 * 24 * 3600  # unit of time of the trends, s
+
+
+class NotCompared(NamedTuple):
+    """A machine of which one direction, or a parameter of it, is not compared, and why."""
+
+    machine: str
+    direction: str
+    reason: str
+
+
+class Population(NamedTuple):
+    """Distribution of one parameter over machines, of its estimates; NaN with fewer than three machines.
+
+    Attributes:
+        machines: number of machines with the parameter.
+        mean: over machines.
+        mean_interval: 95 % interval of the mean.
+        spread: standard deviation between machines.
+        spread_interval: 95 % interval of the spread.
+        prediction_interval: contains the parameter of another machine with a probability of 95 %.
+    """
+
+    machines: int
+    mean: float = np.nan
+    mean_interval: tuple[float, float] = (np.nan, np.nan)
+    spread: float = np.nan
+    spread_interval: tuple[float, float] = (np.nan, np.nan)
+    prediction_interval: tuple[float, float] = (np.nan, np.nan)
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
+class FleetComparison(Value):
+    """Comparison of N machines in P parameters; estimates are logarithms for gains and load scatters.
+
+    Attributes:
+        rows: last result of each machine, failed ones too.
+        machines: names of the machines that are compared, shape [N].
+        parameters: of both directions, shape [P].
+        kinds: direction to structure and units of the machines that are compared.
+        estimates: shape [N, P], NaN where missing.
+        covariances: of their errors, shape [N, P, P].
+        populations: distribution of each parameter over machines, shape [P].
+        hierarchies: direction to the parameters that its model comprises, and the model; without directions
+            in which no parameter has three machines.
+        outliers: each machine beside the others.
+        cohorts: effects of the columns of the metadata.
+        trends: slopes over years, of machines with results of several dates; None without any.
+        not_compared: directions and parameters of machines that are left out.
+        false_discovery_rate: of outliers, cohorts and trends.
+        notices: on what could not be compared.
+    """
+
+    rows: tuple[Row, ...]
+    machines: tuple[str, ...]
+    parameters: tuple[FleetParameter, ...]
+    kinds: Mapping[str, Kind]
+    estimates: Float[np.ndarray, "n p"]
+    covariances: Float[np.ndarray, "n p p"]
+    populations: tuple[Population, ...]
+    hierarchies: Mapping[str, tuple[tuple[int, ...], Hierarchy]]
+    outliers: Outliers
+    cohorts: tuple[CohortEffect, ...] = ()
+    trends: FleetTrends | None = None
+    not_compared: tuple[NotCompared, ...] = ()
+    false_discovery_rate: float = 0.1
+    notices: tuple[str, ...] = field(default=())
+
+    @property
+    def failed(self) -> tuple[Row, ...]:
+        """Rows of the machines whose campaign could not be identified."""
+        return tuple(row for row in self.rows if row.state == FAILED)
+
+    @cached_property
+    def standing_out(self) -> tuple[str, ...]:
+        """Machines that stand out in a parameter, smallest p-value first."""
+        return tuple(dict.fromkeys(self.machines[machine] for machine, _ in self.outliers.ranking))
+
+    @cached_property
+    def tables(self) -> dict[str, DataTable]:
+        """Every table as data, by name: outliers, machines, populations, cohorts, trends, failures, …."""
+        from hitchid.fleet.comparison_tables import comparison_tables
+
+        return comparison_tables(self)
+
+    def column(self, direction: str, name: str) -> int | None:
+        """Return the index of a parameter; None where it is not compared."""
+        found = (
+            index
+            for index, parameter in enumerate(self.parameters)
+            if (parameter.direction, parameter.name) == (direction, name)
+        )
+        return next(found, None)
+
+
+def compare_fleet(
+    rows: Iterable[Row], metadata: Metadata | None = None, *, false_discovery_rate: float = 0.1
+) -> FleetComparison:
+    """Return the comparison of the machines of a fleet.
+
+    Gains of different structures are not comparable: in each direction, machines of the commonest structure
+    and units are compared with each other, and the others are listed.
+
+    Args:
+        rows: of a store of results; of several dates of a machine the last is compared, all give its trend.
+        metadata: properties of the machines, for cohorts.
+        false_discovery_rate: expected share of sound ones among the machines that are named.
+
+    Raises:
+        InputError: there are no rows, or the rate is not between 0 and 1.
+    """
+    history = tuple(rows)
+    if not history:
+        raise InputError("rows: got none, expected a row for at least one machine")
+    last = newest(history)
+    kinds = _commonest_kinds(last)
+    compared = [row for row in last if any(_is_compared(row, kinds, direction) for direction in kinds)]
+    estimates, covariances = _arrays(compared, kinds)
+    present = np.flatnonzero(np.any(~np.isnan(estimates), axis=0))
+    parameters = [
+        FleetParameter(direction, name, kind.unit(name))
+        for direction, kind in kinds.items()
+        for name in NAMES
+    ]
+    estimates, covariances = _selected(estimates, covariances, present)
+    parameters = tuple(parameters[index] for index in present)
+    machines = tuple(row.machine for row in compared)
+    hierarchies = _hierarchies(parameters, estimates, covariances)
+    columns = {} if metadata is None else metadata.of(machines)
+    cohorts = compare_cohorts(estimates, covariances, columns) if columns and machines else ()
+    return FleetComparison(
+        rows=last,
+        machines=machines,
+        parameters=parameters,
+        kinds=kinds,
+        estimates=estimates,
+        covariances=covariances,
+        populations=_populations(estimates, hierarchies),
+        hierarchies=hierarchies,
+        outliers=find_outliers(estimates, covariances, false_discovery_rate=false_discovery_rate),
+        cohorts=cohorts,
+        trends=_trends(history, machines, kinds, present),
+        not_compared=tuple(_not_compared(last, kinds)),
+        false_discovery_rate=false_discovery_rate,
+        notices=(
+            *_few(parameters, estimates),
+            *([] if metadata is None else metadata.notices((row.machine for row in last), machines)),
+            *(_without_effect(columns, cohorts)),
+        ),
+    )
+
+
+def _commonest_kinds(rows: Sequence[Row]) -> dict[str, Kind]:
+    """Return direction to the structure and units that most machines have."""
+    kinds = {}
+    for direction in DIRECTIONS:
+        counts = Counter(kind_of(row, direction) for row in rows if direction in row.directions)
+        if counts:
+            kinds[direction] = min(counts, key=lambda kind: (-counts[kind], kind))
+    return kinds
+
+
+def _is_compared(row: Row, kinds: Mapping[str, Kind], direction: str) -> bool:
+    return direction in row.directions and kind_of(row, direction) == kinds.get(direction)
+
+
+def _not_compared(rows: Sequence[Row], kinds: Mapping[str, Kind]) -> Iterable[NotCompared]:
+    """Yield what is left out of the comparison, and why."""
+    for row in rows:
+        for direction, figures in row.directions.items():
+            kind, compared = kind_of(row, direction), kinds[direction]
+            if kind.structure != compared.structure:
+                reason = f"structure {kind.structure}; compared is {compared.structure}"
+                yield NotCompared(row.machine, direction, reason)
+            elif kind != compared:
+                own, others = (
+                    f"{each.displacement_unit} and {each.command_unit}" for each in (kind, compared)
+                )
+                yield NotCompared(row.machine, direction, f"units {own}; compared are {others}")
+            else:
+                if not figures.gain_error:
+                    yield NotCompared(row.machine, direction, "the tests do not determine the gain")
+                if not figures.dead_zone_error:
+                    yield NotCompared(row.machine, direction, "the dead zone was given, not identified")
+
+
+def _arrays(rows: Sequence[Row], kinds: Mapping[str, Kind]) -> tuple[np.ndarray, np.ndarray]:
+    """Return estimates and covariances of all parameters of all directions, NaN where missing."""
+    each, size = len(NAMES), len(NAMES) * len(kinds)
+    estimates = np.full((len(rows), size), np.nan)
+    covariances = np.zeros((len(rows), size, size))
+    for number, row in enumerate(rows):
+        for place, direction in enumerate(kinds):
+            block = slice(place * each, (place + 1) * each)
+            if _is_compared(row, kinds, direction):
+                figures = estimates_of_row(row.directions[direction])
+                estimates[number, block], covariances[number, block, block] = figures
+    covariances[np.isnan(estimates)] = np.nan
+    covariances.swapaxes(1, 2)[np.isnan(estimates)] = np.nan
+    return estimates, covariances
+
+
+def _selected(
+    estimates: np.ndarray, covariances: np.ndarray, columns: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    return estimates[:, columns], covariances[:, columns[:, None], columns]
+
+
+def _hierarchies(
+    parameters: Sequence[FleetParameter], estimates: np.ndarray, covariances: np.ndarray
+) -> dict[str, tuple[tuple[int, ...], Hierarchy]]:
+    enough = np.sum(~np.isnan(estimates), axis=0) >= FEWEST_OF_MEAN
+    hierarchies = {}
+    for direction in dict.fromkeys(parameter.direction for parameter in parameters):
+        columns = [
+            index for index, each in enumerate(parameters) if each.direction == direction and enough[index]
+        ]
+        if columns:
+            fit = fit_hierarchy(*_selected(estimates, covariances, np.array(columns)))
+            hierarchies[direction] = (tuple(columns), fit)
+    return hierarchies
+
+
+def _populations(
+    estimates: np.ndarray, hierarchies: Mapping[str, tuple[tuple[int, ...], Hierarchy]]
+) -> tuple[Population, ...]:
+    """Return the distribution of each parameter.
+
+    A further machine lies within μ ± t √(τ² + Var μ), with n − 1 degrees of freedom.
+
+    Source: Partlett & Riley 2017, Random effects meta-analysis: coverage performance of 95 % confidence and
+        prediction intervals.
+    """
+    counts = np.sum(~np.isnan(estimates), axis=0)
+    populations = [Population(int(count)) for count in counts]
+    for columns, fit in hierarchies.values():
+        for place, column in enumerate(columns):
+            mean, variance = float(fit.mean[place]), float(fit.mean_covariance[place, place])
+            deviation = float(np.sqrt(fit.between[place, place] + variance))
+            half_width = float(stdtrit(counts[column] - 1, (1 + LEVEL) / 2)) * deviation
+            populations[column] = Population(
+                int(counts[column]),
+                mean,
+                _ends(fit.mean_interval[place]),
+                float(fit.spread[place]),
+                _ends(fit.spread_interval[place]),
+                (mean - half_width, mean + half_width),
+            )
+    return tuple(populations)
+
+
+def _ends(interval: np.ndarray) -> tuple[float, float]:
+    return float(interval[0]), float(interval[1])
+
+
+def _trends(
+    history: Sequence[Row], machines: Sequence[str], kinds: Mapping[str, Kind], columns: np.ndarray
+) -> FleetTrends | None:
+    """Return slopes in the parameter's unit per year; None without a machine with results of two dates."""
+    numbers = {machine: number for number, machine in enumerate(machines)}
+    dated: dict[tuple[str, str], Row] = {}
+    for row in history:
+        if row.state != FAILED and row.date and row.machine in numbers:
+            dated[row.machine, row.date] = row
+    dates = Counter(machine for machine, _ in dated)
+    rows = [row for row in dated.values() if dates[row.machine] > 1]
+    if not rows:
+        return None
+    times = np.array([datetime.fromisoformat(row.date).timestamp() for row in rows]) / YEAR_S
+    estimates, covariances = _selected(*_arrays(rows, kinds), columns)
+    return fit_trends(np.array([numbers[row.machine] for row in rows]), times, estimates, covariances)
+
+
+def _few(parameters: Sequence[FleetParameter], estimates: np.ndarray) -> Iterable[str]:
+    """Yield a notice on gains and dead zones that too few machines have for one to stand out."""
+    counts = np.sum(~np.isnan(estimates), axis=0)
+    few = [
+        f"{parameter.name} of {parameter.direction} ({count})"
+        for parameter, count in zip(parameters, counts, strict=True)
+        if parameter.name in (GAIN, DEAD_ZONE) and count < FEWEST_OF_OUTLIERS
+    ]
+    if few:
+        yield f"no machine can stand out where fewer than {FEWEST_OF_OUTLIERS} are compared: {', '.join(few)}"
+
+
+def _without_effect(columns: Iterable[str], cohorts: Sequence[CohortEffect]) -> Iterable[str]:
+    compared = {effect.column for effect in cohorts}
+    for column in columns:
+        if column not in compared:
+            yield (
+                f"column '{column}' has no two categories of three machines, or no two numbers; "
+                "no cohorts are compared by it"
+            )

@@ -1,0 +1,256 @@
+"""Figures of a fleet: machines with intervals, their scatter, the map of verdicts, speed over command."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Int
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from hitchid.fleet.comparison import FleetComparison
+from hitchid.fleet.parameters import DEAD_ZONE, GAIN, FleetParameter
+from hitchid.plots import fleet as plots
+from hitchid.plots.style import COLOURS, INK, PAGE_IN, legend_above, logarithmic, styled
+
+MOST_ROWS = 60  # machines that are drawn one by one; of more, those that stand out; chosen
+MOST_POINTS = 1000  # machines like the others in a scatter, and lines of speeds; chosen: size of the page
+ROW_IN, MARGIN_IN, LEAST_IN = 0.15, 0.75, 1.5  # height of a machine, of labels, of the whole, inch; chosen
+PANEL_IN = 3.4  # height of scatter and speeds, inch; chosen
+NAME_LENGTH = 26  # characters of a name; longer ones lose their middle; chosen
+COMMAND_FACTOR = 3.0  # end of the command's axis over the median dead zone; chosen
+HALF_WIDTH = 1.96  # of a 95 % interval, in standard errors
+
+
+def short_name(name: str) -> str:
+    """Return a name of at most 26 characters, without its middle if it is longer."""
+    half = NAME_LENGTH // 2
+    return name if len(name) <= NAME_LENGTH else f"{name[: half - 1]}…{name[-half:]}"
+
+
+def shown_machines(comparison: FleetComparison) -> tuple[list[int], list[int]]:
+    """Return the machines that are drawn one by one, those that stand out first, and the others."""
+    first = list(dict.fromkeys(machine for machine, _ in comparison.outliers.ranking))
+    others = [machine for machine in range(len(comparison.machines)) if machine not in set(first)]
+    if len(comparison.machines) <= MOST_ROWS:
+        return first + others, []
+    return first[:MOST_ROWS], first[MOST_ROWS:] + others
+
+
+def verdict_codes(comparison: FleetComparison) -> Int[np.ndarray, "n p"]:
+    """Return the verdict on each parameter of each machine, as `plots.fleet` has them."""
+    outliers = comparison.outliers
+    signed = np.where(outliers.deviation > 0, plots.HIGHER, plots.LOWER)
+    codes = np.where(outliers.named, signed, plots.ALIKE)
+    return np.where(np.isnan(outliers.p_value), plots.ABSENT, codes)
+
+
+def axis_label(parameter: FleetParameter) -> str:
+    """Return name and unit of a parameter."""
+    unit = parameter.unit
+    return f"{parameter.name} / {f'({unit})' if '/' in unit else unit}"
+
+
+@styled
+def forest(comparison: FleetComparison, direction: str) -> Figure:
+    """Return each parameter of each machine with its 95 % interval, beside the distribution over machines.
+
+    Line and bands are mean, its 95 % interval and the 95 % prediction interval. Of more than sixty machines
+    those that stand out are drawn, and the quantiles of the others.
+
+    Args:
+        comparison: of the machines.
+        direction: lifting or lowering, with a parameter at least.
+    """
+    shown, others = shown_machines(comparison)
+    columns = [index for index, each in enumerate(comparison.parameters) if each.direction == direction]
+    rows = len(shown) + bool(others)
+    figure = Figure(figsize=(PAGE_IN, max(LEAST_IN, MARGIN_IN + ROW_IN * rows)))
+    panels = np.atleast_1d(figure.subplots(1, len(columns), sharey=True))
+    for axes, column in zip(panels, columns, strict=True):
+        _forest_panel(axes, comparison, column, shown, others)
+    labels = [short_name(comparison.machines[machine]) for machine in shown]
+    labels += [f"the other {len(others)}"] if others else []
+    panels[0].set_yticks(range(rows), labels, fontsize=6.5)
+    panels[0].set_ylim(rows - 0.4, -0.6)
+    return figure
+
+
+def _forest_panel(
+    axes: Axes, comparison: FleetComparison, column: int, shown: Sequence[int], others: Sequence[int]
+) -> None:
+    parameter, population = comparison.parameters[column], comparison.populations[column]
+    estimates = comparison.estimates[shown, column]
+    half_width = HALF_WIDTH * np.sqrt(comparison.covariances[shown, column, column])
+    limits = (estimates, estimates - half_width, estimates + half_width)
+    values, lower, upper = (parameter.value(each) for each in limits)
+    mean, of_mean, of_another = (
+        parameter.value(np.array(each))
+        for each in (population.mean, population.mean_interval, population.prediction_interval)
+    )
+    plots.draw_distribution(axes, float(mean), (of_mean[0], of_mean[1]), (of_another[0], of_another[1]))
+    plots.draw_machine_intervals(axes, values, lower, upper, verdict_codes(comparison)[shown, column])
+    if others:
+        plots.draw_quantiles(axes, parameter.value(comparison.estimates[others, column]), len(shown))
+    axes.set_xlabel(axis_label(parameter))
+    axes.xaxis.set_major_locator(MaxNLocator(3))
+    axes.grid(visible=False, axis="y")
+    axes.tick_params(axis="y", length=0)
+
+
+@styled
+def scatter(comparison: FleetComparison) -> Figure:
+    """Return gain over dead zone of the machines of each direction, with ellipses of 95 %.
+
+    Thin ellipses are of the errors, of more than sixty machines only of those that stand out; the wide one
+    is of the distribution over machines.
+
+    Args:
+        comparison: of machines with gain and dead zone in a direction at least.
+    """
+    directions = directions_with_both(comparison)
+    figure = Figure(figsize=(PAGE_IN, PANEL_IN))
+    panels = np.atleast_1d(figure.subplots(1, len(directions)))
+    for axes, direction in zip(panels, directions, strict=True):
+        _scatter_panel(axes, comparison, direction)
+    legend_above(figure, *panels, columns=3)
+    return figure
+
+
+def directions_with_both(comparison: FleetComparison) -> list[str]:
+    """Return the directions in which a machine has both gain and dead zone."""
+    return [direction for direction in comparison.kinds if _with_both(comparison, direction).size]
+
+
+def _columns(comparison: FleetComparison, direction: str) -> list[int]:
+    """Return the indices of dead zone and gain."""
+    found = (comparison.column(direction, name) for name in (DEAD_ZONE, GAIN))
+    return [index for index in found if index is not None]
+
+
+def _with_both(comparison: FleetComparison, direction: str) -> np.ndarray:
+    """Return the machines with gain and dead zone in a direction; of very many like the others, some."""
+    columns = _columns(comparison, direction)
+    if len(columns) < 2:
+        return np.zeros(0, int)
+    has_both = ~np.isnan(comparison.estimates[:, columns]).any(axis=1)
+    outlying = np.any(comparison.outliers.named[:, columns], axis=1)
+    alike = np.flatnonzero(has_both & ~outlying)
+    every = max(1, -(-alike.size // MOST_POINTS))
+    return np.sort(np.concatenate([np.flatnonzero(has_both & outlying), alike[::every]]))
+
+
+def _scatter_panel(axes: Axes, comparison: FleetComparison, direction: str) -> None:
+    columns, machines = np.array(_columns(comparison, direction)), _with_both(comparison, direction)
+    outlying = np.any(comparison.outliers.named[machines][:, columns], axis=1)
+    points = comparison.estimates[machines][:, columns]
+    with_ellipse = outlying if machines.size > MOST_ROWS else np.ones(machines.size, bool)
+    errors = comparison.covariances[machines][:, columns[:, None], columns]
+    curves = [
+        _in_units(plots.ellipse(point, error))
+        for point, error in zip(points[with_ellipse], errors[with_ellipse], strict=True)
+    ]
+    plots.draw_ellipses(axes, curves, COLOURS["one_step"], 0.4)
+    dead_zones, gains = _in_units(points.T)
+    names = [
+        short_name(comparison.machines[machine]) if stands_out else ""
+        for machine, stands_out in zip(machines, outlying, strict=True)
+    ]
+    plots.draw_machine_points(axes, dead_zones, gains, outlying, names)
+    _draw_population(axes, comparison, direction, columns)
+    logarithmic(axes.yaxis)
+    axes.xaxis.set_major_locator(MaxNLocator(5))
+    for set_label, column in zip((axes.set_xlabel, axes.set_ylabel), columns, strict=True):
+        set_label(axis_label(comparison.parameters[column]))
+    axes.set_title(direction, loc="left")
+
+
+def _in_units(curve: np.ndarray) -> np.ndarray:
+    """Return dead zones and gains of dead zones and logarithms of gains, shape [2, K]."""
+    return np.stack([curve[0], np.exp(curve[1])])
+
+
+def _draw_population(axes: Axes, comparison: FleetComparison, direction: str, columns: np.ndarray) -> None:
+    of_model, fit = comparison.hierarchies.get(direction, ((), None))
+    if fit is None or not set(columns.tolist()) <= set(of_model):
+        return
+    places = np.array([of_model.index(column) for column in columns])
+    covariance = (fit.between + fit.mean_covariance)[places[:, None], places]
+    curve = _in_units(plots.ellipse(fit.mean[places], covariance))
+    axes.plot(*curve, color=INK, linewidth=1.2, label="95 % of the machines")
+
+
+@styled
+def verdicts(comparison: FleetComparison) -> Figure:
+    """Return the verdict on each parameter of each machine.
+
+    Machines that could not be identified are the last rows; of more than sixty, those that stand out alone.
+
+    Args:
+        comparison: of the machines, with at least one to be shown.
+    """
+    names, codes = verdict_rows(comparison)
+    figure = Figure(figsize=(PAGE_IN, max(LEAST_IN, 1.2 * MARGIN_IN + ROW_IN * len(names))))
+    axes = figure.subplots()
+    plots.draw_verdicts(axes, codes)
+    labels = [f"{each.direction}\n{each.name}" for each in comparison.parameters]
+    axes.set_xticks(range(len(labels)), labels, fontsize=6.5)
+    axes.set_yticks(range(len(names)), [short_name(name) for name in names], fontsize=6.5)
+    axes.tick_params(length=0)
+    legend_above(figure, axes, columns=5)
+    return figure
+
+
+def verdict_rows(comparison: FleetComparison) -> tuple[list[str], Int[np.ndarray, "n p"]]:
+    """Return the machines on the map of verdicts and their verdicts."""
+    failed = [row.machine for row in comparison.failed]
+    if len(comparison.machines) + len(failed) > MOST_ROWS:
+        failed = []
+    shown = shown_machines(comparison)[0]
+    identified = verdict_codes(comparison)[shown]
+    absent = np.full((len(failed), len(comparison.parameters)), plots.FAILED)
+    return [*(comparison.machines[machine] for machine in shown), *failed], np.concatenate(
+        [identified, absent]
+    )
+
+
+@styled
+def speed_fan(comparison: FleetComparison) -> Figure:
+    """Return steady speed over command of all machines, with those that stand out in gain or dead zone.
+
+    speed = gain · (command − dead zone): what nonlinearities of the structure add is left out.
+
+    Args:
+        comparison: of machines with gain and dead zone in a direction at least.
+    """
+    directions = directions_with_both(comparison)
+    figure = Figure(figsize=(PAGE_IN, PANEL_IN))
+    panels = np.atleast_1d(figure.subplots(1, len(directions)))
+    for axes, direction in zip(panels, directions, strict=True):
+        _fan_panel(axes, comparison, direction)
+    ranked = [short_name(comparison.machines[machine]) for machine in _ranked_by_speed(comparison)]
+    legend_above(figure, *panels, columns=3, order=["all machines", *ranked])
+    return figure
+
+
+def _fan_panel(axes: Axes, comparison: FleetComparison, direction: str) -> None:
+    columns, machines = _columns(comparison, direction), _with_both(comparison, direction)
+    dead_zones, gains = _in_units(comparison.estimates[machines][:, columns].T)
+    named = np.any(comparison.outliers.named[:, columns], axis=1)
+    outlying = []
+    for style, machine in enumerate(_ranked_by_speed(comparison)):
+        dead_zone, gain = _in_units(comparison.estimates[machine, columns][:, None])[:, 0]
+        if named[machine] and np.isfinite(dead_zone + gain):
+            outlying.append(plots.SpeedLine(short_name(comparison.machines[machine]), gain, dead_zone, style))
+    median = float(np.median(dead_zones))
+    plots.draw_speed_fan(axes, gains, dead_zones, COMMAND_FACTOR * median if median > 0 else 1.0, outlying)
+    kind = comparison.kinds[direction]
+    axes.set_xlabel(f"{direction} command / {kind.command_unit}")
+    axes.set_ylabel(f"speed / ({kind.speed_unit})")
+
+
+def _ranked_by_speed(comparison: FleetComparison) -> list[int]:
+    """Return the machines that stand out in gain or dead zone of a direction, smallest p-value first."""
+    ranking = comparison.outliers.ranking
+    of_speed = (row for row, column in ranking if comparison.parameters[column].name in (GAIN, DEAD_ZONE))
+    return list(dict.fromkeys(of_speed))
