@@ -85,15 +85,26 @@ def test_errors_and_p_values_hold_where_nothing_changed(identified):
 
 def test_a_dead_zone_that_the_commands_do_not_determine_stays(identified):
     """At one level of the command gain and dead zone have the same effect: the prior divides it."""
-    _, _, _, model = identified
-    (record, *_) = lifting_tests(GAIN, DEAD_ZONE, 3, scatter=0.0)
+    *_, model = identified
     command = np.where(np.arange(400) < 5, 0.0, 0.6)
-    travel = lagged_integrator(command, gain=1.1 * GAIN, time_constant=0.08, dead_zone=DEAD_ZONE)
-    signals = {**record.signals, COMMAND["lifting"]: command, DISPLACEMENT: travel}
-    one_level = replace(record, signals=signals)
-    change = fit_change(model.channels["lifting"], [one_level])
+    one_level = []
+    for record in lifting_tests(GAIN, DEAD_ZONE, 3):
+        travel = lagged_integrator(command, gain=1.1 * GAIN, time_constant=0.08, dead_zone=DEAD_ZONE)
+        signals = {**record.signals, COMMAND["lifting"]: command, DISPLACEMENT: travel}
+        one_level.append(replace(record, signals=signals))
+    change = fit_change(model.channels["lifting"], one_level)
     assert np.all(np.isfinite(change.covariance))
     assert abs(change.theta[1]) < 0.1
+
+
+def test_few_tests_give_no_change(identified):
+    """Three tests do not tell a change from the scatter between tests."""
+    _, _, row, model = identified
+    records = lifting_tests(1.3 * GAIN, DEAD_ZONE, 4)[:3]
+    drift = drift_of(model.channels["lifting"], records, row.directions["lifting"])
+    assert drift.gain_change is None
+    assert drift.p_value is None
+    assert drift.rmse > drift.reference_rmse
 
 
 def test_fleet_validate_ranks_the_machine_that_changed(identified, tmp_path):

@@ -186,7 +186,7 @@ def test_a_killed_run_goes_on_and_leaves_no_process(logs, results, tmp_path):
         time.sleep(0.05)
     assert not _processes_of_session(run.pid)
     second = subprocess.run([*command, "--json"], capture_output=True, text=True, check=True)  # noqa: S603
-    assert json.loads(second.stdout)["identified"] == MACHINES - done
+    assert json.loads(second.stdout)["worked"] == MACHINES - done
     assert fleets.model_digests(own) == fleets.model_digests(results)
 
 

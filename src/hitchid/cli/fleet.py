@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hitchid.cli.fleet_report import report
 from hitchid.cli.options import AsJson, Quiet
 from hitchid.errors import HitchError
 
@@ -71,13 +72,13 @@ def identify(
     settings["comparison"] = None
     if seed is not None:
         settings["seed"] = seed
-    with display.progress(quiet=quiet) as report:
+    with display.progress(quiet=quiet) as shown:
         result = identify_fleet(
             store,
             out,
             settings=settings,
             runner=_runner(runner, workers, scheduler, quiet=quiet),
-            progress=lambda update: _report(update, report),
+            progress=lambda update: _report(update, shown),
         )
     _show(result, out, quiet=quiet, as_json=as_json)
 
@@ -93,7 +94,7 @@ def _runner(name: RunnerName, workers: int | None, scheduler: str | None, *, qui
     return Runner(name.value, workers, scheduler, show_page)
 
 
-def _report(update: "FleetProgress", report: "ProgressCallback") -> None:
+def _report(update: "FleetProgress", shown: "ProgressCallback") -> None:
     """Show one machine that has ended, and how many are left."""
     from hitchid._support.progress import ProgressUpdate
 
@@ -104,7 +105,7 @@ def _report(update: "FleetProgress", report: "ProgressCallback") -> None:
         stage = f"{update.last.machine}: {update.last.state} in {update.last.seconds:.3g} s{message}"
         if update.left_s is not None:
             stage = f"{stage} ({update.total - update.finished} left, about {update.left_s:.0f} s)"
-    report(ProgressUpdate(stage, update.finished / update.total if update.total else 1.0))
+    shown(ProgressUpdate(stage, update.finished / update.total if update.total else 1.0))
 
 
 def _show(result: "FleetResult", out: str, *, quiet: bool, as_json: bool) -> None:
@@ -113,12 +114,12 @@ def _show(result: "FleetResult", out: str, *, quiet: bool, as_json: bool) -> Non
 
     if as_json:
         rows = [asdict(row) for row in result.rows]
-        content = {"identified": result.worked, "unfinished": dict(result.unfinished), "rows": rows}
+        content = {"worked": result.worked, "unfinished": dict(result.unfinished), "rows": rows}
         typer.echo(json.dumps(content, indent=1))
     elif not quiet:
         counts = ", ".join(f"{count} {state}" for state, count in result.counts.items())
         typer.echo(
-            f"{len(result.rows)} machines: {counts or 'none'}; {result.worked} identified now; in {out}"
+            f"{len(result.rows)} machines: {counts or 'none'}; {result.worked} worked on now; in {out}"
         )
     failures = [f"{_names(machines)}: {cause}" for cause, machines in result.failures.items()]
     display.write_messages("warning", () if quiet else failures)
@@ -136,4 +137,41 @@ def _names(machines: Sequence[str]) -> str:
     return f"{', '.join(machines[:MAX_NAMED])}{more}"
 
 
-app.command(epilog="Example: hitchid fleet identify logs/ --out results/")(identify)
+def validate(
+    store: Annotated[
+        str,
+        typer.Argument(help="Folder or URL with a folder of new logs for each machine.", show_default=False),
+    ],
+    models: Annotated[str, typer.Option("--models", help="Results of hitchid fleet identify.")],
+    out: Annotated[
+        str, typer.Option("--out", help="Folder or URL of the results: a row a machine, fleet.csv.")
+    ],
+    runner: RunnerOption = RunnerName.LOCAL,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Run new logs of each machine against its model; shows faults first, then the largest drift."""
+    from hitchid.cli import terminal as display
+    from hitchid.fleet import ranked, validate_fleet
+
+    with display.progress(quiet=quiet) as shown:
+        result = validate_fleet(
+            store,
+            models,
+            out,
+            runner=_runner(runner, workers, scheduler, quiet=quiet),
+            progress=lambda update: _report(update, shown),
+        )
+    if not (quiet or as_json):
+        display.show_drift(ranked(result.rows))
+    _show(result, out, quiet=quiet, as_json=as_json)
+
+
+for _command, _example in (
+    (identify, "hitchid fleet identify logs/ --out results/"),
+    (report, "hitchid fleet report results/ --out report/"),
+    (validate, "hitchid fleet validate new-logs/ --models results/ --out watch/"),
+):
+    app.command(epilog=f"Example: {_example}")(_command)

@@ -1,7 +1,7 @@
 """Terminal output: tables, verdicts, notices."""
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from hitchid.data.campaign import Campaign
     from hitchid.design.next_test import Advice
     from hitchid.export import Export
+    from hitchid.fleet import ValidationRow
     from hitchid.identification import ChannelTrace, Identification
     from hitchid.inspection import Inspection
     from hitchid.model import Hitch
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 
 COLUMNS = 80  # characters, width of narrow output (chosen)
 MAX_SPANS = 3  # intervals listed for one finding (chosen)
+MAX_MACHINES = 20  # of a fleet that are shown (chosen)
 SHOWN_PARAMETERS = 3  # that a controller depends on most (chosen)
 
 
@@ -64,6 +66,33 @@ def show_inspection(inspection: "Inspection") -> None:
     write_messages("notice", inspection.notices)
     write_messages("warning", inspection.warnings)
     write_messages("fault", inspection.faults)
+
+
+def show_drift(rows: "Sequence[ValidationRow]") -> None:
+    """Print the machines of a fleet with the change of each direction, in their order."""
+    table = _table("machine", "direction", "gain / %", "dead zone", "p", "RMSE: now", "before", "faults")
+    for row in rows[:MAX_MACHINES]:
+        for direction, drift in row.directions.items():
+            table.add_row(
+                row.machine,
+                direction,
+                _change(drift.gain_change, drift.gain_change_error, 100.0, 1),
+                _change(drift.dead_zone_change, drift.dead_zone_change_error, 1.0, 3),
+                "" if drift.p_value is None else f"{drift.p_value:.2g}",
+                f"{drift.rmse:.3g}",
+                f"{drift.reference_rmse:.3g}",
+                str(len(row.faults)),
+            )
+    _console().print(table)
+    if len(rows) > MAX_MACHINES:
+        _print_wrapped(f"and {len(rows) - MAX_MACHINES} more machines, with smaller drift, in fleet.csv")
+
+
+def _change(value: float | None, error: float | None, scale: float, digits: int) -> str:
+    """Return a change with its standard error; a dash where there is none."""
+    if value is None or error is None:
+        return "-"
+    return f"{scale * value:+.{digits}f} ± {scale * error:.{digits}f}"
 
 
 def show_left_out(campaign: "Campaign", *, quiet: bool = False) -> None:

@@ -29,14 +29,14 @@ STEPS = 6  # Gauss-Newton steps; changes of 50 % converge to 1e-6 in five
 PRIOR_GAIN, PRIOR_DEAD_ZONE = 0.5, 0.3  # σ of ln gain, and of the dead zone as share of the largest command
 DIFFERENCE = 1e-3  # of ln gain, and of the dead zone as share of the largest command: derivatives to 1e-6
 PARAMETERS = 2
+MIN_TESTS = 4  # clusters from which a covariance of two parameters and Hotelling's test exist, T ≥ 2 p
 
 
 class Change(NamedTuple):
-    """Fitted θ with the covariance of its error, and the errors before: shape [2], [2, 2], [T, N]."""
+    """Fitted θ with the covariance of its error, shape [2] and [2, 2]."""
 
     theta: np.ndarray
     covariance: np.ndarray
-    errors: np.ndarray
 
 
 def drift_of(channel: Channel, records: Sequence[Record], identified: DirectionRow) -> DriftRow:
@@ -47,26 +47,37 @@ def drift_of(channel: Channel, records: Sequence[Record], identified: DirectionR
         records: new tests of the direction.
         identified: the figures of the identification, with their errors.
     """
-    change = fit_change(channel, records)
-    tests = len(records)
-    covariance = change.covariance + _identification_covariance(identified)
-    errors = np.sqrt(np.diag(covariance))
-    counted = change.errors[change.errors != 0]
-    return DriftRow(
-        gain_change=float(np.expm1(change.theta[0])),
-        gain_change_error=float(np.exp(change.theta[0]) * errors[0]),
-        dead_zone_change=float(change.theta[1]),
-        dead_zone_change_error=float(errors[1]),
-        p_value=None if identified.gain_error is None else _p_value(change.theta, covariance, tests),
-        rmse=float(np.sqrt(np.mean(counted**2))) if counted.size else 0.0,
+    batch = channel.batch(records)
+    mask = np.asarray(batch.loss_mask & batch.valid)
+    errors = np.asarray(batch.displacement - channel.simulate(batch))[mask]
+    unchanged = DriftRow(
+        None,
+        None,
+        None,
+        None,
+        None,
+        rmse=float(np.sqrt(np.mean(errors**2))),
         reference_rmse=identified.held_out_rmse or identified.rmse,
-        tests=tests,
+        tests=len(records),
+    )
+    if len(records) < MIN_TESTS:
+        return unchanged
+    change = fit_change(channel, records)
+    covariance = change.covariance + _identification_covariance(identified)
+    deviations = np.sqrt(np.diag(covariance))
+    return replace(
+        unchanged,
+        gain_change=float(np.expm1(change.theta[0])),
+        gain_change_error=float(np.exp(change.theta[0]) * deviations[0]),
+        dead_zone_change=float(change.theta[1]),
+        dead_zone_change_error=float(deviations[1]),
+        p_value=None if identified.gain_error is None else _p_value(change.theta, covariance, len(records)),
     )
 
 
 @double_precision
 def fit_change(channel: Channel, records: Sequence[Record]) -> Change:
-    """Fit the change of ln gain and dead zone to the free runs over some tests."""
+    """Fit the change of ln gain and dead zone to the free runs over at least three tests."""
     batch = channel.batch(records)
     mask = np.asarray(batch.loss_mask & batch.valid)
     largest = float(np.max(np.abs(np.where(mask, np.asarray(batch.raw_command), 0.0))))
@@ -77,14 +88,12 @@ def fit_change(channel: Channel, records: Sequence[Record]) -> Change:
         return np.where(mask, np.asarray(batch.displacement) - simulated, 0.0)
 
     prior = 1 / (np.array([PRIOR_GAIN, PRIOR_DEAD_ZONE]) * scale) ** 2
-    first = errors_at(np.zeros(PARAMETERS))
     theta = np.zeros(PARAMETERS)
     for _ in range(STEPS):
         theta = theta + _step(errors_at, theta, prior, scale)[0]
     _, normal, scores = _step(errors_at, theta, prior, scale)
     inverse, tests = np.linalg.inv(normal), len(records)
-    factor = tests / (tests - PARAMETERS) if tests > PARAMETERS else float(PARAMETERS + 1)
-    return Change(theta, factor * inverse @ scores.T @ scores @ inverse, first)
+    return Change(theta, tests / (tests - PARAMETERS) * inverse @ scores.T @ scores @ inverse)
 
 
 def _step(
@@ -119,10 +128,8 @@ def _identification_covariance(identified: DirectionRow) -> np.ndarray:
     return np.outer(errors, errors) * np.array([[1.0, identified.correlation], [identified.correlation, 1.0]])
 
 
-def _p_value(theta: np.ndarray, covariance: np.ndarray, tests: int) -> float | None:
+def _p_value(theta: np.ndarray, covariance: np.ndarray, tests: int) -> float:
     """Return the p-value of Hotelling's T² with tests − 1 degrees of freedom."""
     below = tests - PARAMETERS
-    if below < PARAMETERS:
-        return None
     statistic = float(theta @ np.linalg.pinv(covariance) @ theta)
     return float(f_distribution.sf(statistic * below / (PARAMETERS * (tests - 1)), PARAMETERS, below))

@@ -52,21 +52,22 @@ class DriftRow:
     """Change of one direction since its identification.
 
     Attributes:
-        gain_change: relative; 0.08 runs 8 % faster for the same effective command.
+        gain_change: relative; 0.08 runs 8 % faster for the same effective command. This and the next four are
+            None with fewer than four tests: these do not tell a change from the scatter between tests.
         gain_change_error: standard error, the identification's included.
         dead_zone_change: in the command's unit.
         dead_zone_change_error: standard error, the identification's included.
         p_value: probability of changes as large in a machine that has not changed, by Hotelling's test; None
-            with fewer than four tests, or where the identification had no errors.
+            where the identification had no errors.
         rmse: free run with the model as identified, in the displacement's unit.
         reference_rmse: that of the held-out tests of the identification, or else of its own tests.
         tests: number of new tests.
     """
 
-    gain_change: float
-    gain_change_error: float
-    dead_zone_change: float
-    dead_zone_change_error: float
+    gain_change: float | None
+    gain_change_error: float | None
+    dead_zone_change: float | None
+    dead_zone_change_error: float | None
     p_value: float | None
     rmse: float
     reference_rmse: float
