@@ -87,8 +87,8 @@ def _interpolate(ascending: np.ndarray, positions: np.ndarray | float) -> np.nda
     """Return ascending values at fractional indices, along the last axis."""
     lower = np.floor(positions).astype(int)
     upper = np.minimum(lower + 1, ascending.shape[-1] - 1)
-    share = positions - lower
-    return (1 - share) * ascending[..., lower] + share * ascending[..., upper]
+    values = ascending[..., lower]
+    return values + (positions - lower) * (ascending[..., upper] - values)
 
 
 def sensor_noise(errors: Sequence[np.ndarray]) -> float:
