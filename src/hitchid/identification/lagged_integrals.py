@@ -61,6 +61,6 @@ def _sum_of_products(
         effective = jnp.sign(command_now) * jnp.maximum(jnp.abs(command_now) - dead_zones, 0.0)
         return (integral + step_s * effective, lagged, sums), None
 
-    zeros = [jnp.zeros((*shape, dead_zones.size)) for shape in ((), (lags,), (lags + 2, lags + 2))]
-    sums = jax.lax.scan(advance, tuple(zeros), (command, travel, weights))[0][2]
+    zeros = jnp.zeros((lags + 2, lags + 2, dead_zones.size))
+    sums = jax.lax.scan(advance, (zeros[0, 0], zeros[0, :lags], zeros), (command, travel, weights))[0][2]
     return jnp.moveaxis(sums, 2, 0)
