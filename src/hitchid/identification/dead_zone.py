@@ -223,11 +223,10 @@ def _normal_equations(
     stretches: int,
 ) -> np.ndarray:
     """Return Σ of products of [∫u₁ … ∫u₅, w] over stretches of a test, by dead zone, shape [S, C, 6, 6]."""
-    weights = np.zeros((stretches, loss_mask.size))
-    for row, samples in zip(weights, np.array_split(np.flatnonzero(loss_mask), stretches), strict=True):
-        row[samples] = 1.0
-    lags_s = _lags_s(step_s)
-    return np.stack([normal_equations(command, travel, row, dead_zones, step_s, lags_s) for row in weights])
+    stretch = np.full(loss_mask.size, -1)
+    for number, samples in enumerate(np.array_split(np.flatnonzero(loss_mask), stretches)):
+        stretch[samples] = number
+    return normal_equations(command, travel, stretch, stretches, dead_zones, step_s, _lags_s(step_s))
 
 
 def _residual_sums(products: np.ndarray) -> np.ndarray:
