@@ -73,7 +73,8 @@ def test_the_estimate_is_the_conditional_mean_and_variance(samples_known):
     np.testing.assert_allclose(before.error[now], mean[now], rtol=0, atol=condition * ROUNDING)
 
     origin = ErrorEstimate(*(values[..., last] for values in after))
-    ahead, spread = known.ahead(origin, jnp.diff(jnp.asarray(benchmark))[last:], STEP_S)
+    increments = jnp.diff(jnp.asarray(benchmark))[last:]
+    ahead, spread = known.ahead(origin, increments, np.arange(1, increments.size + 1), STEP_S)
     np.testing.assert_allclose(ahead, mean[now:], rtol=0, atol=condition * ROUNDING)
     expected = variance[now:] + float(known.noise) ** 2
     np.testing.assert_allclose(spread, expected, rtol=0, atol=condition * ROUNDING)
@@ -86,7 +87,8 @@ def test_without_a_filter_the_last_measured_error_stays():
     _, after = estimates_of(none, benchmark, displacement)
     np.testing.assert_array_equal(after.error, displacement - benchmark)
     origin = ErrorEstimate(*(values[..., 7] for values in after))
-    ahead, _ = none.ahead(origin, jnp.diff(jnp.asarray(benchmark))[7:], STEP_S)
+    increments = jnp.diff(jnp.asarray(benchmark))[7:]
+    ahead, _ = none.ahead(origin, increments, np.arange(1, increments.size + 1), STEP_S)
     np.testing.assert_array_equal(ahead, np.full(SAMPLES - 8, (displacement - benchmark)[7]))
 
 
@@ -176,3 +178,17 @@ def test_a_million_samples_with_gaps_leave_a_definite_covariance():
     assert float(smallest) > 0
     assert float(largest) < 1
     assert np.all(np.isfinite(np.asarray(estimate.mean)))
+
+
+@pytest.mark.parametrize("every", [1, 7, SAMPLES])
+@double_precision
+def test_estimates_at_every_mth_sample_are_those_of_all_samples_there(every):
+    benchmark, displacement = map(jnp.asarray, stroke())
+    known = load_filter()
+    for all_samples, some in zip(
+        known.estimates(benchmark, displacement, STEP_S),
+        known.estimates(benchmark, displacement, STEP_S, every),
+        strict=True,
+    ):
+        for whole, thinned in zip(all_samples, some, strict=True):
+            np.testing.assert_allclose(thinned, whole[..., ::every], rtol=ROUNDING, atol=ROUNDING)

@@ -42,7 +42,7 @@ def with_compensators(
 ) -> tuple[HeldOut, ...]:
     """Return the channels of all folds, each with a compensator for predictions trained without the fold.
 
-    All are trained at once, and for as many epochs as that of the channel, so that no further
+    All are trained by one program, and for as many epochs as that of the channel, so that no further
     tests are needed to stop them: they then learn from as many tests as the channel's own.
 
     Args:
@@ -128,4 +128,6 @@ def _train(
         start = (weights, descent.init(weights), weights)
         return jax.lax.fori_loop(0, epochs, epoch, start)[2]
 
-    return eqx.combine(jax.vmap(train)(weights, sequences, keys), fixed)
+    # One after the other: XLA is slow at batched products of small matrices.
+    trained = jax.lax.map(lambda fold: train(*fold), (weights, sequences, keys))
+    return eqx.combine(trained, fixed)

@@ -176,16 +176,16 @@ def _mean_over_horizons(
 ) -> Float[Array, ""]:
     """Return half the mean of log S + ε²/S over horizons, and over predictions from every m-th sample."""
     count = tests.mask.shape[0]
-    _, estimates = load_filter.estimates(tests.benchmark, tests.displacement, step_s)
-    origins = np.arange(0, count - 1, -(-tests.mask.size // MAX_ORIGINS))
+    every = -(-tests.mask.size // MAX_ORIGINS)
+    origins = np.arange(0, count - 1, every)
+    _, estimates = load_filter.estimates(tests.benchmark, tests.displacement, step_s, every)
     ahead = origins + np.arange(1, max(horizons) + 1)[:, None]
     inside = np.minimum(ahead, count - 1)
     increments = tests.benchmark[inside] - tests.benchmark[np.minimum(ahead - 1, count - 1)]
-    predicted, variance = load_filter.ahead(
-        jax.tree.map(lambda values: values[..., origins, :], estimates), increments, step_s
-    )
+    at_origins = jax.tree.map(lambda values: values[..., : origins.size, :], estimates)
+    predicted, variance = load_filter.ahead(at_origins, increments, np.array(horizons), step_s)
     rows = np.array(horizons) - 1
-    error = (tests.displacement - tests.benchmark)[inside[rows]] - predicted[rows]
+    error = (tests.displacement - tests.benchmark)[inside[rows]] - predicted
     counted = tests.mask[inside[rows]] & (ahead[rows] < count)[..., None]
-    terms = jnp.where(counted, jnp.log(variance[rows]) + error**2 / variance[rows], 0.0)
+    terms = jnp.where(counted, jnp.log(variance) + error**2 / variance, 0.0)
     return 0.5 * jnp.mean(terms.sum(axis=(1, 2)) / jnp.maximum(counted.sum(axis=(1, 2)), 1))

@@ -52,8 +52,9 @@ def run_pipeline(
         campaign_config = config.with_campaign_covariates(campaign)
         return CampaignJob.of(campaign, campaign_config, campaign_config.checkpoints(checkpoints, campaign))
 
-    jobs_or_errors = [_result_or_error(prepare_job, campaign) for campaign in campaigns]
-    jobs = {number: job for number, job in enumerate(jobs_or_errors) if isinstance(job, CampaignJob)}
+    numbers = range(len(campaigns))
+    jobs_or_errors = parallel(lambda number: _result_or_error(prepare_job, campaigns[number]), numbers)
+    jobs = {number: job for number, job in jobs_or_errors.items() if isinstance(job, CampaignJob)}
     keys = [(number, direction) for number, job in jobs.items() for direction in job.channel_configs]
 
     def run_phase1(key: Key, channel_progress: ProgressCallback) -> ChannelResult:
@@ -74,13 +75,13 @@ def run_pipeline(
         return jobs[number].build_model(_campaign_results(phase2_results, number))
 
     phase1_results = _phase(run_phase1, keys, parts["phase 1"])
-    calibrated_results = {number: _result_or_error(calibrate_gains, number) for number in jobs}
+    calibrated_results = parallel(lambda number: _result_or_error(calibrate_gains, number), jobs)
     phase2_results = _phase(run_phase2, keys, parts["phase 2"])
     if jobs:
         parts["model"](ProgressUpdate("model", 0.0))
     models = parallel(lambda number: _result_or_error(build_model, number), jobs)
     return tuple(
-        job if isinstance(job, HitchError) else models[number] for number, job in enumerate(jobs_or_errors)
+        job if isinstance(job, HitchError) else models[number] for number, job in jobs_or_errors.items()
     )
 
 

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from hitchid.model.load_filter import ErrorEstimate, LoadFilter
@@ -83,7 +84,7 @@ def multi_step_errors(
         ahead = jnp.arange(count) + jnp.arange(1, horizon + 1)[:, None]
         modelled = test.benchmark[jnp.minimum(ahead, count - 1)]
         increments = jnp.diff(modelled, axis=0, prepend=test.benchmark[None])
-        return load_filter.ahead(estimates, increments, step_s)[0]
+        return load_filter.ahead(estimates, increments, np.arange(1, horizon + 1), step_s)[0]
 
     def advance_measured(
         state: CompensatorState, inputs: tuple[Sample, Array]

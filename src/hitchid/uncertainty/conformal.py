@@ -52,14 +52,15 @@ def conformal_quantile(scores: Sequence[np.ndarray], level: float) -> float:
         scores: nonconformity scores of held-out tests, one array of shape [N_i] each.
         level: coverage, share of samples.
     """
-    rows = np.stack([np.quantile(row, GRID) for row in scores])
+    rows = np.stack([_quantiles(row) for row in scores])
     if len(rows) == 1:
         return float(rows.max())
-    others = [np.sort(np.delete(rows, test_index, axis=0), axis=None) for test_index in range(len(rows))]
-    shares = np.linspace(0.0, 1.0, others[0].size)
+    order = np.argsort(rows, axis=None)
+    sorted_rows, test_indices = rows.ravel()[order], order // GRID.size
+    others = np.stack([sorted_rows[test_indices != test] for test in range(len(rows))])
 
-    def limits(probability: float) -> list[float]:
-        return [float(np.interp(probability, shares, quantiles)) for quantiles in others]
+    def limits(probability: float) -> np.ndarray:
+        return _interpolate(others, probability * (others.shape[1] - 1))
 
     def mean_coverage(probability: float) -> float:
         pairs = zip(rows, limits(probability), strict=True)
@@ -75,6 +76,19 @@ def conformal_quantile(scores: Sequence[np.ndarray], level: float) -> float:
     if len(rows) >= fewest_tests(level):
         return quantile
     return max(quantile, *(float(np.interp(level, GRID, row)) for row in rows))
+
+
+def _quantiles(scores: np.ndarray) -> np.ndarray:
+    """Return the quantiles of one test at `GRID`; sorting costs a tenth of `np.quantile` at so many."""
+    return _interpolate(np.sort(scores), GRID * (scores.size - 1))
+
+
+def _interpolate(ascending: np.ndarray, positions: np.ndarray | float) -> np.ndarray:
+    """Return ascending values at fractional indices, along the last axis."""
+    lower = np.floor(positions).astype(int)
+    upper = np.minimum(lower + 1, ascending.shape[-1] - 1)
+    values = ascending[..., lower]
+    return values + (positions - lower) * (ascending[..., upper] - values)
 
 
 def sensor_noise(errors: Sequence[np.ndarray]) -> float:

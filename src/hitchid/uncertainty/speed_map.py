@@ -20,7 +20,12 @@ from hitchid.model.step_response import speed_lag, step_times
 from hitchid.structures import ModelSpec, PhysicalModel, Scales, opening_command, speeds_at
 from hitchid.uncertainty.dead_zone_error import DeadZoneError, t_quantile, welch_satterthwaite
 from hitchid.uncertainty.influence import Influence
-from hitchid.uncertainty.operating_points import measured_speeds, operating_levels, operating_loads
+from hitchid.uncertainty.operating_points import (
+    MAX_LEVELS,
+    measured_speeds,
+    operating_levels,
+    operating_loads,
+)
 from hitchid.uncertainty.profile import MIN_PACE, Profile
 from hitchid.uncertainty.profile import STEP as EDGE
 
@@ -257,18 +262,27 @@ def _open_ends(
 
 
 def _evaluate(objective: Objective, positions: np.ndarray, points: _Points) -> Float[np.ndarray, "p q"]:
-    """Return the quantities at each position: speeds, then delay, response time and opening."""
+    """Return the quantities at each position: speeds, then delay, response time and opening.
+
+    Positions and operating points are padded, so that one program serves campaigns of any number of levels.
+    """
     structure, rows = objective.spec.structure.require_linear(), []
+    count = points.levels.size
+    padding = (0, -count % MAX_LEVELS)
+    padded_points = points._replace(
+        levels=jnp.asarray(np.pad(points.levels, padding, mode="edge")),
+        loads=jnp.asarray(np.pad(points.loads, (padding, (0, 0)), mode="edge")),
+    )
     for start in range(0, len(positions), BATCH_SIZE):
         chunk = positions[start : start + BATCH_SIZE]
         padded = np.concatenate([chunk, np.repeat(chunk[-1:], BATCH_SIZE - len(chunk), axis=0)])
         values = objective.values(padded)
         lags = [speed_lag(structure, row[: len(structure.parameters)]) for row in values]
         quantities = _quantities(
-            objective.spec, objective.scales, jnp.asarray(values), jnp.asarray(lags), points
+            objective.spec, objective.scales, jnp.asarray(values), jnp.asarray(lags), padded_points
         )
         rows.append(np.asarray(quantities)[: len(chunk)])
-    return np.concatenate(rows)
+    return np.delete(np.concatenate(rows), np.s_[count : count + padding[1]], axis=1)
 
 
 @eqx.filter_jit
