@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from benchmarks.adaptation import RIGS, at_work, identified
+from benchmarks.adaptation.bench import RIGS, at_work, identified
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 

@@ -9,6 +9,7 @@ from hitchid.adaptation import AdaptationSettings
 from hitchid.adaptation.change_detection import (
     DEGREES_OF_FREEDOM,
     LARGEST,
+    MOST_STROKES_BETWEEN,
     REFERENCE,
     REPLICATES,
     STROKES,
@@ -16,6 +17,7 @@ from hitchid.adaptation.change_detection import (
     ChangeDetector,
     alarm_threshold,
 )
+from hitchid.errors import InputError
 
 STREAMS, LENGTH = 4000, 2000
 SETTINGS = AdaptationSettings()
@@ -40,7 +42,7 @@ def alarm_rates(threshold, seed):
     return alarms / LENGTH
 
 
-@pytest.mark.parametrize("between", [2000.0, 5000.0, 20000.0])
+@pytest.mark.parametrize("between", [2000.0, 5000.0, 20000.0, MOST_STROKES_BETWEEN])
 def test_the_time_between_false_alarms_is_what_was_asked_for(between):
     threshold = alarm_threshold(between)
     step = float(THRESHOLDS[1] - THRESHOLDS[0])
@@ -71,6 +73,12 @@ def test_no_single_stroke_raises_an_alarm_however_far_off_it_is(between):
     threshold = alarm_threshold(between)
     for error in (1e6, -1e6):
         assert ChangeDetector().advance(error).sum == LARGEST - REFERENCE < threshold
+
+
+def test_alarms_rarer_than_those_that_were_simulated_are_refused():
+    assert alarm_threshold(MOST_STROKES_BETWEEN) < THRESHOLDS[-1]
+    with pytest.raises(InputError, match="strokes_between_alarms: got 50001, expected at most 50000"):
+        AdaptationSettings(strokes_between_alarms=MOST_STROKES_BETWEEN + 1)
 
 
 @pytest.mark.parametrize("shift", [2.5, -2.5, 4.0, 6.0])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hitchid.adaptation import Changes, Event
-from hitchid.adaptation.events import LEARNED
+from hitchid.adaptation.events import LEARNED, REFUSED
 from hitchid.adaptation.trends import STROKES_APART, trends
 from hitchid.data.record import LIFTING
 
@@ -59,6 +59,23 @@ def test_a_parameter_that_stays_reaches_no_limit_for_long():
     gain, _ = trends(still, LIMITS)
     assert math.isinf(gain.limit_after_h[2])
     assert not gain.significant
+
+
+def test_a_leak_is_a_trend_of_its_own_without_a_limit_where_none_is_given():
+    # From 0.01 mm/s on, 0.002 mm/s more each hour, each known to 0.001 mm/s; refused strokes show it, too.
+    rng, events = np.random.default_rng(4), []
+    for number in range(1, 101):
+        time_h = 0.1 * number
+        leak = -0.01 - 0.002 * time_h + 0.001 * rng.standard_normal()
+        figures = {"leak": leak, "leak_deviation": 0.001}
+        events.append(Event(REFUSED, 3600 * time_h, number, LIFTING, "", Changes(), (), figures))
+    (limited,) = trends(events, {**LIMITS, "leak": 0.05})
+    assert (limited.direction, limited.parameter) == ("", "leak")
+    # The standard error of the slope is 0.001 over the root of the spread of the times, 29 h.
+    assert limited.per_hour == pytest.approx(-0.002, abs=4 * 0.001 / 29)
+    assert limited.limit_after_h[1] == pytest.approx((0.05 - 0.03) / 0.002, rel=0.1)
+    (unlimited,) = trends(events, LIMITS)
+    assert np.isinf(unlimited.limit_after_h).all()
 
 
 def test_few_strokes_have_no_trend():

@@ -93,6 +93,9 @@ def test_it_goes_on_from_a_change_log(folder, tmp_path):
         (LEARNED, 5),
         (LEARNED, 6),
     ]
+    # The time of the log goes on, at the end of its last entry.
+    ends_s = [10.0 + STEP_S * (number * SAMPLES) for number in (1, 2)]
+    assert [event.time_s for event in later if event.kind == LEARNED] == pytest.approx(ends_s)
     assert load(saved).provenance.adapted[LOWERING]["gain"] == EARLIER.gain
     # From the first sample on the model is that of the log.
     model = changed_model(machine.MODEL, {LOWERING: EARLIER})
@@ -139,6 +142,16 @@ def test_a_change_log_that_cannot_be_written_is_told(folder, tmp_path):
 
 def test_an_adapted_model_is_refused(tmp_path):
     save(changed_model(machine.MODEL, {LIFTING: EARLIER}), tmp_path / "model")
-    code, answers, said = run(tmp_path / "model", "--adapt")
+    changes = tmp_path / "new" / "changes.jsonl"
+    code, answers, said = run(tmp_path / "model", "--adapt", "--changes", changes)
     assert (code, answers) == (2, [])
     assert "expected one as identified, got one that was adapted" in said
+    assert not changes.parent.exists()
+
+
+def test_the_change_log_of_another_model_is_refused(folder, tmp_path):
+    changes = tmp_path / "changes.jsonl"
+    changes.write_text(json.dumps({"model": "0" * 64}) + "\n")
+    code, answers, said = run(folder, "--adapt", "--changes", changes)
+    assert (code, answers) == (2, [])
+    assert f"another model: got digest 000000000000, expected {load(folder).provenance.digest[:12]}" in said

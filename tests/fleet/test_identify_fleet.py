@@ -281,6 +281,12 @@ def test_a_store_without_machines_is_refused(tmp_path):
         identify_fleet(str(tmp_path), str(tmp_path / "results"))
 
 
+def test_a_worker_has_its_core_before_numpy_counts_the_cores():
+    """Threads of matrix products, which round differently, are as many as the cores at the first import."""
+    code = "import sys, hitchid.fleet.local, hitchid.fleet.task; assert 'numpy' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)  # noqa: S603
+
+
 @pytest.mark.parametrize("address", ["tls://10.0.0.1:8786", "tcp://127.0.0.1:8786", "tcp://localhost:1"])
 def test_a_scheduler_is_reached_by_tls_or_on_this_machine(address):
     assert check_scheduler(address) == address

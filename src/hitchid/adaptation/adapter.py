@@ -1,7 +1,7 @@
 """Adaptation of a model: strokes in, changes of its parameters and events out."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
@@ -11,20 +11,18 @@ from hitchid._support.precision import double_precision
 from hitchid._support.short_repr import short_repr
 from hitchid.adaptation.channel_adaptation import ChannelAdaptation
 from hitchid.adaptation.channel_state import ChannelState
-from hitchid.adaptation.events import FAULT, REFUSED, Event
+from hitchid.adaptation.events import FAULT, LEARNED, REFUSED, Event, last_sample
 from hitchid.adaptation.gates import Gate
 from hitchid.adaptation.parameters import Changes, changed_model, check_adaptable
 from hitchid.adaptation.settings import AdaptationSettings
+from hitchid.adaptation.standstill import Standstill, rested_at, standstill_before
 from hitchid.adaptation.stroke_errors import StrokeErrors
-from hitchid.adaptation.strokes import LONGEST_S, SETTLE_S, Stroke
+from hitchid.adaptation.strokes import Stroke
 from hitchid.data.record import COMMAND
 from hitchid.errors import InputError
 from hitchid.model import Hitch
 from hitchid.model.loads import Load, channel_load, load_row
-from hitchid.structures.batch import REST_SAMPLES
 
-LARGEST_AT_REST = 0.05  # share of the range of the tests that a piston at rest moves within a second; chosen
-LARGEST_CREEP = 0.02  # of that for each second of a pause: an implement sinks; chosen
 UNKNOWN = (0.05, 0.02)  # relative gain, dead zone as share of the command, without estimates; chosen
 
 
@@ -108,7 +106,8 @@ class Adapter:
             direction: learner.resumed([event for event in events if event.direction == direction])
             for direction, learner in self._channels.items()
         }
-        return AdapterState(channels, max((event.stroke for event in events), default=0))
+        strokes = max((event.stroke for event in events), default=0)
+        return AdapterState(channels, strokes, last_sample(events, self.model.step_s))
 
     @double_precision
     def learn(self, state: AdapterState, stroke: Stroke) -> tuple[AdapterState, tuple[Event, ...]]:
@@ -118,8 +117,11 @@ class Adapter:
             state: before it.
             stroke: of any direction.
         """
-        number, channels = state.strokes + 1, dict(state.channels)
-        events = list(self._moved_at_rest(state, stroke, number))
+        number, channels, events = state.strokes + 1, dict(state.channels), []
+        standstill = standstill_before(self.model, stroke, state.ended_at, state.rested_at)
+        fault = "" if standstill is None else standstill.fault(self.model)
+        if fault:
+            events.append(self._event(FAULT, stroke, number, fault))
         learner = self._channels.get(stroke.direction)
         if learner is None:
             reason = "the model has no such channel" if stroke.direction else "both commands are active"
@@ -130,35 +132,10 @@ class Adapter:
         for direction, other in self._channels.items():
             channels[direction], moved = other.moved(channels[direction], stroke, number)
             events += moved
-        return AdapterState(channels, number, stroke.end, self._rested_at(stroke)), tuple(events)
-
-    def _rested_at(self, stroke: Stroke) -> float:
-        """Return where the piston is at rest after a stroke; NaN where that is not in it."""
-        step_s = self.model.step_s
-        samples = min(REST_SAMPLES // 5, max(1, round(SETTLE_S / step_s)))
-        rested = stroke.displacement[-samples:]
-        rested = rested[np.isfinite(rested)]
-        if not rested.size or len(stroke.displacement) >= round(LONGEST_S / step_s):
-            return math.nan
-        return float(np.mean(rested))
-
-    def _moved_at_rest(self, state: AdapterState, stroke: Stroke, number: int) -> Iterator[Event]:
-        """Yield a fault where the displacement changed without a command, more than a held piston drifts."""
-        before = stroke.displacement[: stroke.rest]
-        before = before[np.isfinite(before)]
-        if not before.size or math.isnan(state.rested_at):
-            return
-        pause_s = max(stroke.begin - state.ended_at, 0) * self.model.step_s
-        ranges = [each.operating_range.displacement for each in self.model.channels.values()]
-        largest = LARGEST_AT_REST * max(float(each.highest) - float(each.lowest) for each in ranges)
-        moved = float(before[-1] - state.rested_at) - self.model.drift * pause_s
-        if abs(moved) > largest + LARGEST_CREEP * largest * pause_s:
-            yield self._event(
-                FAULT,
-                stroke,
-                number,
-                f"the displacement changed by {moved:+.3g} at rest: sensor or implement",
-            )
+        if standstill is not None and not fault:
+            events = [_with_leak(event, number, standstill) for event in events]
+        rested = rested_at(stroke, self.model.step_s)
+        return AdapterState(channels, number, stroke.end, rested), tuple(events)
 
     def _event(self, kind: str, stroke: Stroke, number: int, reason: str) -> Event:
         return Event(kind, stroke.end * self.model.step_s, number, stroke.direction, reason, Changes())
@@ -180,6 +157,13 @@ class Adapter:
     def adapted(self, state: AdapterState) -> Hitch:
         """Return the model with the changes in use, and with its bands as wide as they had to be."""
         return changed_model(self.model, state.changes, state.band_factors)
+
+
+def _with_leak(event: Event, number: int, standstill: Standstill) -> Event:
+    """Return an event, that of a stroke which was learned from or refused with the leak before it."""
+    if event.kind not in (LEARNED, REFUSED) or event.stroke != number:
+        return event
+    return replace(event, figures={**event.figures, **standstill.leak})
 
 
 def _identified(model: Hitch, direction: str) -> list[float]:

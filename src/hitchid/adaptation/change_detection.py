@@ -11,7 +11,10 @@ from hitchid._support.short_repr import short_repr
 # counts, so that no single stroke raises an alarm. Chosen.
 REFERENCE, LARGEST = 1.0, 6.0
 REPLICATES, STROKES = 64, 8_000  # simulated streams, and strokes of each; chosen: h is within a fifth
-THRESHOLDS = np.linspace(LARGEST, 24.0, 37)  # that are tried: above what one stroke adds, standard deviations
+# Largest mean number of strokes between alarms: ten alarms in the simulated strokes. Chosen.
+MOST_STROKES_BETWEEN = 50_000.0
+# That are tried, standard deviations: from above what one stroke adds to twice what the rarest alarms need.
+THRESHOLDS = np.linspace(LARGEST, 24.0, 37)
 # Strokes over which the scale of the errors is learned, so that its error is that of as many; see
 # `stroke_scatter`.
 DEGREES_OF_FREEDOM = 20
@@ -53,7 +56,7 @@ def alarm_threshold(strokes_between_alarms: float) -> float:
     strokes, so that each simulated stream has its own, and its errors are of Student's t.
 
     Args:
-        strokes_between_alarms: mean over all streams, of a direction.
+        strokes_between_alarms: mean over all streams, of a direction; at most `MOST_STROKES_BETWEEN`.
     """
     freedom = DEGREES_OF_FREEDOM
     rng = np.random.default_rng(0)
@@ -69,5 +72,4 @@ def alarm_threshold(strokes_between_alarms: float) -> float:
         alarms += alarm.sum(axis=1)
         faster[alarm], slower[alarm] = 0.0, 0.0
     between = REPLICATES * STROKES / np.maximum(alarms, 1.0)
-    enough = np.flatnonzero(between >= strokes_between_alarms)
-    return float(THRESHOLDS[enough[0] if enough.size else -1])
+    return float(THRESHOLDS[np.flatnonzero(between >= strokes_between_alarms)[0]])

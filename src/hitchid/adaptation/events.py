@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 
 from hitchid._support.short_repr import short_repr
@@ -23,13 +23,15 @@ class Event:
     Attributes:
         kind: `learned` or `refused` of a stroke; `fault` of a sensor; `candidate`, `dropped`, `promoted` and
             `rolled back` of changes; `moved` of those in use; `change detected`; `at limit`.
-        time_s: at the end of the stroke after which it happened, since the start of the log, s.
+        time_s: at the end of the stroke after which it happened, since the start of the change log, s; where
+            that is gone on from, the time goes on, too.
         stroke: number of that stroke of the machine, from 1.
         direction: of the channel.
         reason: in words.
         changes: of the parameters in use after it; of a candidate its own.
         strokes: numbers of the strokes that a candidate was fitted to.
-        figures: of a stroke that was learned from: errors, estimates, factor on the bands.
+        figures: of a stroke that was learned from: errors, estimates, factor on the bands; of any stroke
+            after a standstill: the leak.
     """
 
     kind: str
@@ -68,3 +70,13 @@ class Event:
         content = json.loads(line)
         changes = Changes(**{name: float(value) for name, value in content["changes"].items()})
         return cls(**{**content, "changes": changes, "strokes": tuple(content["strokes"])})
+
+
+def last_sample(events: Sequence[Event], step_s: float) -> int:
+    """Return the number of the sample at which a change log ends; 0 of an empty one.
+
+    Args:
+        events: of the change log.
+        step_s: sampling time, s.
+    """
+    return round(max((event.time_s for event in events), default=0.0) / step_s)

@@ -1,20 +1,18 @@
-"""Adaptation on logs, and the change log."""
+"""Adaptation on logs."""
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
 from hitchid._support import checks
 from hitchid._support.short_repr import short_repr
 from hitchid.adaptation.adapter import Adapter, AdapterState
-from hitchid.adaptation.events import Event
+from hitchid.adaptation.events import Event, last_sample
 from hitchid.adaptation.settings import AdaptationSettings
 from hitchid.adaptation.strokes import Stroke, StrokeCutter
 from hitchid.data.record import COMMAND, DIRECTIONS, Record
-from hitchid.errors import InputError
 from hitchid.model import Hitch
 from hitchid.model.loads import Load
 
@@ -46,7 +44,7 @@ def adapt(
     """Return what a model learns from logs, one after the other; see `Hitch.adapt`."""
     adapter = Adapter(model, settings or AdaptationSettings(), load)
     state, events = adapter.resumed(earlier), list(earlier)
-    for strokes in _strokes_of_logs(model, records):
+    for strokes in _strokes_of_logs(model, records, last_sample(earlier, model.step_s)):
         state = replace(state, rested_at=math.nan)  # what happened between logs is not known
         for stroke in strokes:
             state, happened = adapter.learn(state, stroke)
@@ -54,9 +52,14 @@ def adapt(
     return Adaptation(adapter.adapted(state), tuple(events), state)
 
 
-def _strokes_of_logs(model: Hitch, records: Iterable[Record]) -> Iterator[list[Stroke]]:
-    """Yield the strokes of each log in the model's units, the samples counted from log to log."""
-    before = 0
+def _strokes_of_logs(model: Hitch, records: Iterable[Record], before: int) -> Iterator[list[Stroke]]:
+    """Yield the strokes of each log in the model's units, the samples counted from log to log.
+
+    Args:
+        model: identified hitch.
+        records: logs.
+        before: samples before the first of them.
+    """
     for record in records:
         converted = model.to_model_units(checks.instance(record, Record, "records", "records of logs"))
         commands = np.column_stack(
@@ -66,25 +69,3 @@ def _strokes_of_logs(model: Hitch, records: Iterable[Record]) -> Iterator[list[S
         found = cutter.feed(commands, converted.displacement) + cutter.finish()
         yield [stroke._replace(begin=before + stroke.begin) for stroke in found]
         before += len(converted)
-
-
-def read_events(path: str | Path) -> tuple[Event, ...]:
-    """Return the entries of a change log; a last line that was cut short is left out.
-
-    Raises:
-        InputError: the file cannot be read, or a line is no entry.
-    """
-    file = checks.path(path, "path")
-    try:
-        lines = file.read_text(encoding="utf-8").splitlines(keepends=True)
-    except (OSError, ValueError) as error:
-        raise InputError(f"{file}: cannot be read: {error}") from error
-    events = []
-    for number, line in enumerate(lines, 1):
-        try:
-            events.append(Event.from_json(line))
-        except (ValueError, KeyError, TypeError) as error:
-            if number == len(lines) and not line.endswith("\n"):
-                break
-            raise InputError(f"{file}, line {number}: is no entry of a change log: {error}") from error
-    return tuple(events)

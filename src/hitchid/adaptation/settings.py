@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from hitchid._support import checks
 from hitchid._support.short_repr import short_repr
+from hitchid.adaptation.change_detection import MOST_STROKES_BETWEEN
 from hitchid.adaptation.parameters import NAMES
 from hitchid.errors import InputError
 
@@ -31,7 +32,8 @@ class AdaptationSettings:
         improvement: by which share its error over them must be smaller.
         patience: strokes after which a candidate that has not proved better is dropped.
         shortest_travel: of a stroke that is learned from, share of the range of the tests.
-        strokes_between_alarms: mean number of strokes of a direction between two false alarms of a change.
+        strokes_between_alarms: mean number of strokes of a direction between two false alarms of a change,
+            at most 50 000.
         coverage: of the bands.
     """
 
@@ -74,4 +76,9 @@ class AdaptationSettings:
             if checks.number(getattr(self, name), name, above=0.0) >= 1:
                 raise InputError(f"{name}: expected a share below 1, got {getattr(self, name):g}")
         checks.number(self.evidence, "evidence", above=1.0)
-        checks.number(self.strokes_between_alarms, "strokes_between_alarms", above=1.0)
+        between = checks.number(self.strokes_between_alarms, "strokes_between_alarms", above=1.0)
+        if between > MOST_STROKES_BETWEEN:
+            raise InputError(
+                f"strokes_between_alarms: got {between:g}, expected at most {MOST_STROKES_BETWEEN:g}; rarer "
+                "alarms are beyond what their thresholds were simulated for"
+            )

@@ -22,12 +22,16 @@ def predicted_fit(fit: StrokeFit, predicted: Estimate) -> StrokeFit:
 
 
 def speed_distance(fit: StrokeFit, predicted: Estimate, bounds: Bounds) -> float:
-    """Return how much faster a stroke is than predicted, in standard deviations of stroke and prediction."""
-    known = fit.information[0, 0]
-    variance = predicted.covariance[0, 0] + bounds.drift[0] ** 2
-    return float(
-        predicted_fit(fit, predicted).gradient[0] / np.sqrt(max(known * (1 + known * variance), 1e-300))
-    )
+    """Return how much faster a stroke is than predicted, in standard deviations of stroke and prediction.
+
+    With the curvature H and the covariance P of the prediction, the slope of the gain has the variance
+    h + hᵀ P h, of the first row and the first element of H: what is not known of gain and dead zone apart may
+    be known of the speed, which both give.
+    """
+    row = fit.information[0]
+    covariance = predicted.covariance + np.diag(bounds.drift**2)
+    variance = max(float(row[0] + row @ covariance @ row), np.finfo(float).tiny)
+    return float(predicted_fit(fit, predicted).gradient[0] / np.sqrt(variance))
 
 
 def scatter_after(factor: float, fit: StrokeFit, predicted: Estimate, bounds: Bounds) -> float:

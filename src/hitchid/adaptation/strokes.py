@@ -50,13 +50,14 @@ class StrokeCutter:
 
     Args:
         model: identified hitch, whose dead zones and ranges tell which commands are active.
+        first: number of the first sample.
     """
 
-    def __init__(self, model: Hitch) -> None:
+    def __init__(self, model: Hitch, first: int = 0) -> None:
         self._on = np.array([_least_command(model, direction) for direction in DIRECTIONS])
         self._settle = max(1, round(SETTLE_S / model.step_s))
         self._longest = round(LONGEST_S / model.step_s)
-        self._samples = 0
+        self._samples = first
         self._rows: list[np.ndarray] = []  # of the stroke, or of the rest before one: commands, displacement
         self._direction, self._begin, self._rest, self._inactive, self._kept = NONE, 0, 0, 0, 0
 

@@ -1,4 +1,4 @@
-"""Wear: slow trends of gain and dead zone in a change log, and when they reach a limit."""
+"""Wear: slow trends of gain, dead zone and leak in a change log, and when they reach a limit."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from hitchid.adaptation.events import LEARNED, Event
 
 FEWEST = 5  # estimates from which a trend is fitted; chosen
 STROKES_APART = 8  # of a direction between two estimates, so that they share no stroke: the window's length
-PARAMETERS = ("gain", "dead_zone")
+PARAMETERS, LEAK = ("gain", "dead_zone"), "leak"
 
 
 @short_repr
@@ -20,9 +20,11 @@ class Trend:
     """Slope of one parameter over time.
 
     Attributes:
-        direction: of the channel.
-        parameter: `gain`, the logarithm of the factor on it, or `dead_zone`, what is added to it.
-        per_hour: slope, in the command's unit of a dead zone, 1/h.
+        direction: of the channel; empty of the leak.
+        parameter: `gain`, the logarithm of the factor on it; `dead_zone`, what is added to it; `leak`, speed
+            of the piston at standstill, negative where it sinks.
+        per_hour: slope, 1/h of the gain, the command's unit/h of the dead zone, the displacement's unit/s/h
+            of the leak.
         interval: 95 % interval of the slope.
         value: at the last estimate, on the line.
         limit_after_h: hours from the last estimate until a limit is reached: earliest within the interval of
@@ -46,36 +48,32 @@ def trends(events: Sequence[Event], limits: Mapping[str, float]) -> tuple[Trend,
     """Return the trend of each parameter of each direction, by weighted least squares of a straight line.
 
     With estimates y(i) ± σ(i) at times t(i), weights 1/σ² and the scatter about the line, the slope has the
-    standard error of a regression with n − 2 degrees of freedom. Estimates are at least eight strokes apart.
+    standard error of a regression with n − 2 degrees of freedom. Estimates of gain and dead zone are at least
+    eight strokes apart; those of the leak are of one standstill each.
 
     Args:
         events: change log, of one start of the adaptation.
-        limits: parameter to its largest change either way: logarithm for the gain, and the command's unit.
+        limits: parameter to its largest value either way: logarithm for the gain, the command's unit for the
+            dead zone, the displacement's unit/s for the leak; one that is missing has no limit.
     """
     learned = [event for event in events if event.kind == LEARNED]
     found = []
     for direction in dict.fromkeys(event.direction for event in learned):
         apart = [event for event in learned if event.direction == direction][::-1][::STROKES_APART][::-1]
-        if len(apart) < FEWEST:
-            continue
-        hours = np.array([event.time_s for event in apart]) / 3600
-        for parameter in PARAMETERS:
-            values, deviations = (
-                np.array([event.figures[name] for event in apart])
-                for name in (parameter, f"{parameter}_deviation")
-            )
-            found.append(_trend(direction, parameter, hours, values, deviations, limits[parameter]))
+        if len(apart) >= FEWEST:
+            found += [_trend(direction, parameter, apart, limits) for parameter in PARAMETERS]
+    rested = [event for event in events if LEAK in event.figures]
+    if len(rested) >= FEWEST:
+        found.append(_trend("", LEAK, rested, limits))
     return tuple(found)
 
 
-def _trend(
-    direction: str,
-    parameter: str,
-    hours: np.ndarray,
-    values: np.ndarray,
-    deviations: np.ndarray,
-    limit: float,
-) -> Trend:
+def _trend(direction: str, parameter: str, events: Sequence[Event], limits: Mapping[str, float]) -> Trend:
+    hours = np.array([event.time_s for event in events]) / 3600
+    values, deviations = (
+        np.array([event.figures[name] for event in events]) for name in (parameter, f"{parameter}_deviation")
+    )
+    limit = limits.get(parameter, float("inf"))
     weights = 1 / deviations**2
     centred = hours - np.average(hours, weights=weights)
     spread = float(np.sum(weights * centred**2))

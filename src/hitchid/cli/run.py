@@ -1,9 +1,10 @@
 """`hitchid run`: online prediction, sample by sample from standard input."""
 
 import sys
+from contextlib import ExitStack, closing
 from io import TextIOWrapper
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -11,6 +12,9 @@ from hitchid._support.compilation_cache import prepare_jax
 from hitchid._support.storage import check_folder
 from hitchid.cli.options import Force, Loads, loads_of
 from hitchid.errors import InputError
+
+if TYPE_CHECKING:
+    from hitchid.online import Live
 
 
 def run(
@@ -47,13 +51,22 @@ def run(
     if save is not None:
         check_folder(save, result_kind=MODEL_FILE, force=force)
     identified, loads = load_model(model), loads_of(load)
-    adaptation, log = None, None
-    if adapt:
-        log = None if changes is None else ChangeLog(changes)
-        adaptation = OnlineAdaptation(
-            identified, load=loads, log=log and log.write, earlier=log.earlier if log else ()
-        )
-    live = Live(identified, initial=initial, load=loads, adaptation=adaptation)
+    with ExitStack() as stack:
+        adaptation = None
+        if adapt:
+            log = None if changes is None else stack.enter_context(closing(ChangeLog(changes, identified)))
+            adaptation = OnlineAdaptation(
+                identified, load=loads, log=log and log.write, earlier=log.earlier if log else ()
+            )
+        _answer_lines(Live(identified, initial=initial, load=loads, adaptation=adaptation))
+        if adaptation is not None:
+            adaptation.finish()
+            if save is not None:
+                save_model(adaptation.model, save, force=force)
+
+
+def _answer_lines(live: "Live") -> None:
+    """Answer each line of standard input with one of standard output."""
     if isinstance(sys.stdin, TextIOWrapper):
         sys.stdin.reconfigure(encoding="utf-8", errors="replace")
     sys.stderr.write("ready\n")
@@ -61,9 +74,3 @@ def run(
     for line in sys.stdin:
         sys.stdout.write(live.process(line).to_json() + "\n")
         sys.stdout.flush()
-    if adaptation is not None:
-        adaptation.finish()
-        if save is not None:
-            save_model(adaptation.model, save, force=force)
-    if log is not None:
-        log.close()

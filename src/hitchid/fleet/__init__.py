@@ -11,8 +11,11 @@ from hitchid.fleet.metadata import read_metadata as read_metadata
 from hitchid.fleet.row import Cost as Cost
 from hitchid.fleet.row import DirectionRow as DirectionRow
 from hitchid.fleet.row import Row as Row
+from hitchid.fleet.row import ValidationRow as ValidationRow
 from hitchid.fleet.run import FleetProgress as FleetProgress
 from hitchid.fleet.run import FleetResult as FleetResult
 from hitchid.fleet.run import Runner as Runner
 from hitchid.fleet.store import Store as Store
 from hitchid.fleet.store import StoreError as StoreError
+from hitchid.fleet.validate import ranked as ranked
+from hitchid.fleet.validate import validate_fleet as validate_fleet

@@ -45,7 +45,7 @@ def run_on_cluster(
         on_page(str(client.dashboard_link))
         futures = {
             client.submit(
-                partial(run_task, job),
+                partial(run_task, job.only(machine.name)),
                 machine,
                 key=f"{machine.name}-{machine.signature(job.stamp(machine.name))}",
                 pure=False,

@@ -48,6 +48,32 @@ class DirectionRow:
 
 
 @dataclass(frozen=True)
+class DriftRow:
+    """Change of one direction since its identification.
+
+    Attributes:
+        gain_change: relative; 0.08 runs 8 % faster for the same effective command.
+        gain_change_error: standard error, the identification's included.
+        dead_zone_change: in the command's unit.
+        dead_zone_change_error: standard error, the identification's included.
+        p_value: probability of changes as large in a machine that has not changed, by Hotelling's test; None
+            with fewer than four tests, or where the identification had no errors.
+        rmse: free run with the model as identified, in the displacement's unit.
+        reference_rmse: that of the held-out tests of the identification, or else of its own tests.
+        tests: number of new tests.
+    """
+
+    gain_change: float
+    gain_change_error: float
+    dead_zone_change: float
+    dead_zone_change_error: float
+    p_value: float | None
+    rmse: float
+    reference_rmse: float
+    tests: int
+
+
+@dataclass(frozen=True)
 class Cost:
     """What a task took.
 
@@ -126,6 +152,27 @@ class Row(TaskRow):
     directions: Mapping[str, DirectionRow] = field(default_factory=dict)
     digest: str = ""
     units: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class ValidationRow(TaskRow):
+    """Outcome of the validation of one machine.
+
+    Attributes:
+        directions: direction to its change since the identification.
+        faults: of the new logs, as the audit names them.
+        model: key of the model.
+    """
+
+    directions: Mapping[str, DriftRow] = field(default_factory=dict)
+    faults: tuple[str, ...] = ()
+    model: str = ""
+
+    @property
+    def p_value(self) -> float:
+        """Smallest p-value of a direction, for all directions together (Bonferroni); 1 without any."""
+        values = [each.p_value for each in self.directions.values() if each.p_value is not None]
+        return min(1.0, len(values) * min(values)) if values else 1.0
 
 
 @cache

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Generic
 
-from hitchid._support import checks
+from hitchid.errors import InputError
 from hitchid.fleet.cluster import run_on_cluster
 from hitchid.fleet.ledger import TABLE_FILE, compact, newest, read_rows, row_name, rows_in
 from hitchid.fleet.local import run_local
@@ -40,9 +40,9 @@ class Runner:
     def __post_init__(self) -> None:
         """Check the values; raises InputError."""
         if self.name not in RUNNERS:
-            raise checks.input_error("runner", " or ".join(RUNNERS), self.name)
-        if self.workers is not None and checks.integer(self.workers, "workers") < 1:
-            raise checks.input_error("workers", "at least 1", self.workers)
+            raise InputError(f"runner: expected {' or '.join(RUNNERS)}, got {self.name}")
+        if self.workers is not None and self.workers < 1:
+            raise InputError(f"workers: expected at least 1, got {self.workers}")
 
     def run(self, job: Job, machines: Sequence[Machine]) -> Iterator[Acknowledgement]:
         """Return the acknowledgement of each machine, in the order in which they end."""

@@ -33,6 +33,10 @@ class Job(ABC, Generic[OneRow]):
     def stamp(self, machine: str) -> str:
         """Return a digest of all that the outcome of a machine depends on beside its logs."""
 
+    def only(self, machine: str) -> "Job[OneRow]":
+        """Return the job with no more than one machine needs, for runners that send it with each machine."""
+        return self
+
     @abstractmethod
     def work(self, row: OneRow, folder: Path) -> tuple[OneRow, int]:
         """Work on the logs in a folder; return the row with what was found, and the bytes written.

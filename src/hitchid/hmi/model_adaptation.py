@@ -41,12 +41,12 @@ class ModelAdaptation:
         command_factors: direction to what a command of the source is multiplied by to be in the model's unit.
 
     Raises:
-        InputError, OutputError: the change log is none, or cannot be written.
+        InputError, OutputError: the file is no change log, that of another model, or cannot be written.
     """
 
     def __init__(self, model: Hitch, path: Path, command_factors: Mapping[str, float]) -> None:
         self._factors, self._at_s = command_factors, 0.0
-        self._log = ChangeLog(path)
+        self._log = ChangeLog(path, model)
         self._promoted: Counter[str] = Counter()
         self._strokes: Counter[str] = Counter()
         self._events = {kinds: deque[dict[str, Any]](maxlen=most) for kinds, most in SHOWN.items()}

@@ -20,7 +20,7 @@ from jaxtyping import Float
 from hitchid._support import checks
 from hitchid._support.outbox import Outbox
 from hitchid.adaptation import AdaptationSettings, Changes, Event, StrokeCutter, changed_model
-from hitchid.adaptation.events import FAULT, REFUSED
+from hitchid.adaptation.events import FAULT, REFUSED, last_sample
 from hitchid.adaptation.strokes import Stroke
 from hitchid.errors import InputError
 from hitchid.model import Hitch, save
@@ -73,7 +73,8 @@ class OnlineAdaptation:
         earlier: Sequence[Event] = (),
     ) -> None:
         self._identified, self._log = model, log
-        self._cutter, self._samples = StrokeCutter(model), 0
+        self._samples = last_sample(earlier, model.step_s)
+        self._cutter = StrokeCutter(model, self._samples)
         self._pending: deque[_Sent] = deque()
         self._ended = False
         self.changes: dict[str, Changes] = {}

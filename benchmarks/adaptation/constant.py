@@ -1,0 +1,66 @@
+"""A machine that does not change: adaptation must leave its model alone."""
+
+import time
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+from benchmarks.adaptation.bench import at_work, nominal, rms, run, strokes_of
+from benchmarks.adaptation.figure import Figure
+from benchmarks.scheduling import show
+
+from hitchid.adaptation import AdaptationSettings, Adapter, Event
+from hitchid.adaptation.events import CHANGE_DETECTED, LEARNED, PROMOTED, ROLLED_BACK
+from hitchid.online import OnlineAdaptation
+
+STANDSTILL, BLOCK = 8_640_000, 8640  # samples of a day, and of a block of them
+# Bars: error over that of the frozen model; share of the runs with a wrong promotion; h of strokes between
+# false alarms.
+OF_FROZEN, WRONG, BETWEEN_ALARMS_H = 1.02, 0.01, 10.0
+
+
+def stable(runs: int = 200) -> list[Figure]:
+    """Return what adaptation does where nothing changes: a run has the motion of an hour, 90 % standing."""
+    model = nominal()
+    adapter, kinds, ratios, wrong, strokes_h = Adapter(model, AdaptationSettings()), Counter(), [], 0, 0.0
+    for seed in range(runs):
+        strokes = strokes_of(model, at_work("nominal", model, 1000 + seed, 400.0).record)
+        events = [event for _, _, happened in run(adapter, strokes) for event in happened]
+        strokes_h += sum(stroke.end - stroke.begin for stroke in strokes) * model.step_s / 3600
+        kinds.update(event.kind for event in events)
+        wrong += any(event.kind == ROLLED_BACK for event in events)
+        ratios.append(error_of_frozen(events))
+    show(
+        f"stable, {runs} runs, {strokes_h:.1f} h of strokes: {kinds[PROMOTED]} promotions, "
+        f"{kinds[CHANGE_DETECTED]} alarms; largest error {np.max(ratios):.3f} times frozen"
+    )
+    between_h = strokes_h / max(kinds[CHANGE_DETECTED], 1)
+    return [
+        Figure("stable: error over that of the frozen model", float(np.mean(ratios)), most=OF_FROZEN),
+        Figure("stable: share of the runs with a promotion that was taken back", wrong / runs, most=WRONG),
+        Figure("stable: h of strokes between false alarms", between_h, least=BETWEEN_ALARMS_H),
+    ]
+
+
+def error_of_frozen(events: Sequence[Event]) -> float:
+    """Return the error of the model in use over that of the frozen one, of the strokes learned from."""
+    learned = [event.figures for event in events if event.kind == LEARNED]
+    adapted, frozen = (
+        rms([figures[name] for figures in learned]) for name in ("error", "error_as_identified")
+    )
+    return adapted / frozen
+
+
+def standstill() -> list[Figure]:
+    """Return what a day of standstill changes: nothing."""
+    adaptation, rng = OnlineAdaptation(nominal()), np.random.default_rng(0)
+    before = dict(adaptation.changes)
+    started_s = time.perf_counter()
+    for _ in range(STANDSTILL // BLOCK):
+        noise = rng.standard_normal((BLOCK, 3))
+        adaptation.feed(0.002 * noise[:, :2], 120.0 + 0.15 * noise[:, 2])
+    took_s = time.perf_counter() - started_s
+    adaptation.finish()
+    show(f"standstill: {STANDSTILL} samples in {took_s:.0f} s")
+    changed = sum(before[direction] != changes for direction, changes in adaptation.changes.items())
+    return [Figure("standstill: directions whose parameters changed", changed, most=0)]
