@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import stdtrit
 
 from hitchid._support.data_table import DataTable
 from hitchid._support.short_repr import short_repr
@@ -17,17 +16,16 @@ from hitchid._support.values import Value
 from hitchid.data.record import DIRECTIONS
 from hitchid.errors import InputError
 from hitchid.fleet.cohorts import CohortEffect, compare_cohorts
-from hitchid.fleet.hierarchical import FEWEST as FEWEST_OF_MEAN
-from hitchid.fleet.hierarchical import Hierarchy, fit_hierarchy
+from hitchid.fleet.hierarchical import Hierarchy
 from hitchid.fleet.ledger import newest
 from hitchid.fleet.metadata import Metadata
 from hitchid.fleet.outliers import FEWEST as FEWEST_OF_OUTLIERS
 from hitchid.fleet.outliers import Outliers, find_outliers
 from hitchid.fleet.parameters import DEAD_ZONE, GAIN, NAMES, FleetParameter, Kind, estimates_of_row, kind_of
+from hitchid.fleet.populations import Population, hierarchies_of, populations_of, selected
 from hitchid.fleet.row import FAILED, Row
 from hitchid.fleet.trends import FleetTrends, fit_trends
 
-LEVEL = 0.95  # of the intervals
 YEAR_S = 365.25 * 24 * 3600  # unit of time of the trends, s
 
 
@@ -37,26 +35,6 @@ class NotCompared(NamedTuple):
     machine: str
     direction: str
     reason: str
-
-
-class Population(NamedTuple):
-    """Distribution of one parameter over machines, of its estimates; NaN with fewer than three machines.
-
-    Attributes:
-        machines: number of machines with the parameter.
-        mean: over machines.
-        mean_interval: 95 % interval of the mean.
-        spread: standard deviation between machines.
-        spread_interval: 95 % interval of the spread.
-        prediction_interval: contains the parameter of another machine with a probability of 95 %.
-    """
-
-    machines: int
-    mean: float = np.nan
-    mean_interval: tuple[float, float] = (np.nan, np.nan)
-    spread: float = np.nan
-    spread_interval: tuple[float, float] = (np.nan, np.nan)
-    prediction_interval: tuple[float, float] = (np.nan, np.nan)
 
 
 @short_repr
@@ -153,10 +131,10 @@ def compare_fleet(
         for direction, kind in kinds.items()
         for name in NAMES
     ]
-    estimates, covariances = _selected(estimates, covariances, present)
+    estimates, covariances = selected(estimates, covariances, present)
     parameters = tuple(parameters[index] for index in present)
     machines = tuple(row.machine for row in compared)
-    hierarchies = _hierarchies(parameters, estimates, covariances)
+    hierarchies = hierarchies_of(parameters, estimates, covariances)
     columns = {} if metadata is None else metadata.of(machines)
     cohorts = compare_cohorts(estimates, covariances, columns) if columns and machines else ()
     return FleetComparison(
@@ -166,7 +144,7 @@ def compare_fleet(
         kinds=kinds,
         estimates=estimates,
         covariances=covariances,
-        populations=_populations(estimates, hierarchies),
+        populations=populations_of(estimates, hierarchies),
         hierarchies=hierarchies,
         outliers=find_outliers(estimates, covariances, false_discovery_rate=false_discovery_rate),
         cohorts=cohorts,
@@ -231,59 +209,6 @@ def _arrays(rows: Sequence[Row], kinds: Mapping[str, Kind]) -> tuple[np.ndarray,
     return estimates, covariances
 
 
-def _selected(
-    estimates: np.ndarray, covariances: np.ndarray, columns: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    return estimates[:, columns], covariances[:, columns[:, None], columns]
-
-
-def _hierarchies(
-    parameters: Sequence[FleetParameter], estimates: np.ndarray, covariances: np.ndarray
-) -> dict[str, tuple[tuple[int, ...], Hierarchy]]:
-    enough = np.sum(~np.isnan(estimates), axis=0) >= FEWEST_OF_MEAN
-    hierarchies = {}
-    for direction in dict.fromkeys(parameter.direction for parameter in parameters):
-        columns = [
-            index for index, each in enumerate(parameters) if each.direction == direction and enough[index]
-        ]
-        if columns:
-            fit = fit_hierarchy(*_selected(estimates, covariances, np.array(columns)))
-            hierarchies[direction] = (tuple(columns), fit)
-    return hierarchies
-
-
-def _populations(
-    estimates: np.ndarray, hierarchies: Mapping[str, tuple[tuple[int, ...], Hierarchy]]
-) -> tuple[Population, ...]:
-    """Return the distribution of each parameter.
-
-    A further machine lies within μ ± t √(τ² + Var μ), with n − 1 degrees of freedom.
-
-    Source: Partlett & Riley 2017, Random effects meta-analysis: coverage performance of 95 % confidence and
-        prediction intervals.
-    """
-    counts = np.sum(~np.isnan(estimates), axis=0)
-    populations = [Population(int(count)) for count in counts]
-    for columns, fit in hierarchies.values():
-        for place, column in enumerate(columns):
-            mean, variance = float(fit.mean[place]), float(fit.mean_covariance[place, place])
-            deviation = float(np.sqrt(fit.between[place, place] + variance))
-            half_width = float(stdtrit(counts[column] - 1, (1 + LEVEL) / 2)) * deviation
-            populations[column] = Population(
-                int(counts[column]),
-                mean,
-                _ends(fit.mean_interval[place]),
-                float(fit.spread[place]),
-                _ends(fit.spread_interval[place]),
-                (mean - half_width, mean + half_width),
-            )
-    return tuple(populations)
-
-
-def _ends(interval: np.ndarray) -> tuple[float, float]:
-    return float(interval[0]), float(interval[1])
-
-
 def _trends(
     history: Sequence[Row], machines: Sequence[str], kinds: Mapping[str, Kind], columns: np.ndarray
 ) -> FleetTrends | None:
@@ -298,7 +223,7 @@ def _trends(
     if not rows:
         return None
     times = np.array([datetime.fromisoformat(row.date).timestamp() for row in rows]) / YEAR_S
-    estimates, covariances = _selected(*_arrays(rows, kinds), columns)
+    estimates, covariances = selected(*_arrays(rows, kinds), columns)
     return fit_trends(np.array([numbers[row.machine] for row in rows]), times, estimates, covariances)
 
 

@@ -5,8 +5,9 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 
 from hitchid.fleet.cohorts import CohortEffect
-from hitchid.fleet.comparison import FleetComparison, Population
+from hitchid.fleet.comparison import FleetComparison
 from hitchid.fleet.parameters import FleetParameter
+from hitchid.fleet.populations import Population
 from hitchid.fleet.row import Row
 from hitchid.fleet.trends import FleetTrends
 from hitchid.report import numbers
