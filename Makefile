@@ -24,6 +24,8 @@ gauntlet: setup
 	$(BIN)/python -m benchmarks.gauntlet
 	$(BIN)/python -m benchmarks.hmi
 	$(BIN)/python -m benchmarks.adaptation quick
+	$(BIN)/python -m benchmarks.fleet_outliers
+	$(BIN)/python -m benchmarks.fleet quick
 
 gauntlet-full: setup
 	$(BIN)/python -m benchmarks.gauntlet --full
@@ -51,6 +53,7 @@ study: setup
 	$(BIN)/python -m benchmarks.position_control --draws 200
 	$(BIN)/python -m benchmarks.export
 	$(BIN)/python -m benchmarks.hmi --minutes 60
+	$(BIN)/python -m benchmarks.fleet same killed study 1000
 	$(BIN)/python -m benchmarks.adaptation
 
 # For maintainers; needs uv in PATH.

@@ -14,7 +14,10 @@ def help_texts() -> dict[str, str]:
     """Return each command and its help text, the program's own under its own name."""
     group = get_command(program)
     commands = {program.info.name: group}
-    commands |= {f"{program.info.name} {name}": command for name, command in group.commands.items()}
+    for name, command in group.commands.items():
+        commands[f"{program.info.name} {name}"] = command
+        for inner, subcommand in getattr(command, "commands", {}).items():
+            commands[f"{program.info.name} {name} {inner}"] = subcommand
     return {
         name: command.get_help(command.make_context(name, [], resilient_parsing=True, terminal_width=COLUMNS))
         for name, command in commands.items()

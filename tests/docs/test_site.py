@@ -173,6 +173,15 @@ def test_the_help_of_every_command_is_shown(pages, site):
     from hitchid.cli import app
 
     text = pages[site / "reference" / "command-line.html"].text
-    for command in app.registered_commands:
-        assert f"Usage: hitchid {command.callback.__name__} " in text
-        assert f"Example: hitchid {command.callback.__name__} " in text or "|" in command.epilog
+    groups = {
+        "": app,
+        **{
+            f"{group.name or group.typer_instance.info.name} ": group.typer_instance
+            for group in app.registered_groups
+        },
+    }
+    for prefix, group in groups.items():
+        for command in group.registered_commands:
+            name = f"{prefix}{command.callback.__name__}"
+            assert f"Usage: hitchid {name} " in text
+            assert f"Example: hitchid {name} " in text or "|" in command.epilog

@@ -49,7 +49,7 @@ def report(
     from hitchid._support.storage import canonical_json
     from hitchid.fleet import Store, compare_fleet, read_metadata, read_rows
     from hitchid.fleet.comparison_tables import comparison_metrics
-    from hitchid.fleet.ledger import parquet
+    from hitchid.fleet.table import parquet
     from hitchid.report import fleet_report, write_report
 
     formats = report_formats(as_pdf=as_pdf, as_xlsx=as_xlsx, interactive=False)

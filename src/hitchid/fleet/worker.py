@@ -1,6 +1,7 @@
 """A worker's process: one core of its own, programs kept between machines, memory bounded."""
 
 import os
+from contextlib import suppress
 from functools import cache
 from typing import IO
 
@@ -17,7 +18,9 @@ def prepare_worker() -> None:
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # workers share the memory of a GPU
     core = _claimed_core()
     if core is not None:
-        os.sched_setaffinity(0, {core[0]})  # of this thread, and of all that it starts
+        for thread in os.listdir("/proc/self/task"):  # those that are started later inherit it
+            with suppress(OSError):  # one that has ended
+                os.sched_setaffinity(int(thread), {core[0]})
     _prepare_jax()
 
 
