@@ -281,6 +281,13 @@ def test_a_store_without_machines_is_refused(tmp_path):
         identify_fleet(str(tmp_path), str(tmp_path / "results"))
 
 
+@pytest.mark.parametrize("place", [".", "results"])
+def test_results_in_the_store_of_logs_are_refused(place, logs):
+    """They would be machines of the next run."""
+    with pytest.raises(InputError, match="expected results outside"):
+        identify_fleet(str(logs), str(logs / place), settings=fleets.QUICK)
+
+
 def test_a_worker_has_its_core_before_numpy_counts_the_cores():
     """Threads of matrix products, which round differently, are as many as the cores at the first import."""
     code = "import sys, hitchid.fleet.local, hitchid.fleet.task; assert 'numpy' not in sys.modules"

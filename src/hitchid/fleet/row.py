@@ -11,7 +11,6 @@ from hitchid.errors import InputError
 if TYPE_CHECKING:
     from pydantic import TypeAdapter
 
-OneRow = TypeVar("OneRow", bound="TaskRow")
 DONE, FAILED = "done", "failed"
 
 
@@ -124,7 +123,7 @@ class TaskRow:
         return canonical_json(asdict(self))
 
     @classmethod
-    def from_json(cls: type[OneRow], content: bytes, name: str) -> OneRow:
+    def from_json(cls: "type[OneRow]", content: bytes, name: str) -> "OneRow":
         """Return the row in the content of a file.
 
         Raises:
@@ -138,6 +137,9 @@ class TaskRow:
             first = error.errors()[0]
             place = ".".join(map(str, first["loc"])) or "the file"
             raise InputError(f"{name}: is not a row of a fleet: {place}: {first['msg']}") from error
+
+
+OneRow = TypeVar("OneRow", bound=TaskRow)
 
 
 @dataclass(frozen=True)

@@ -122,6 +122,10 @@ def run_fleet(
         InputError: a store cannot be used.
         StoreError: a store cannot be listed or written.
     """
+    if job.results.is_inside(job.logs):
+        raise InputError(
+            f"{job.results.url}: is in the store of logs, {job.logs.url}; expected results outside of it"
+        )
     machines = machines_of(job.logs)
     names = {each: row_name(each.name, each.signature(job.stamp(each.name))) for each in machines}
     before = rows_in(job.results)

@@ -54,6 +54,11 @@ class Store:
         """Whether it is a folder of this machine."""
         return "://" not in self.url or self.url.startswith("file://")
 
+    def is_inside(self, other: "Store") -> bool:
+        """Return whether it is another store, or a folder in it."""
+        (own_system, own), (system, root) = self._root(), other._root()
+        return own_system == system and f"{own}/".startswith(f"{root}/")
+
     def below(self, folder: str) -> "Store":
         """Return the store of a folder in this one."""
         return Store(f"{self.url.rstrip('/')}/{folder}")
