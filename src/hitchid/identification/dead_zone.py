@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import nnls
+from scipy.signal import lfilter
 
 from hitchid._support.short_repr import short_repr
 from hitchid.data.record import Record
-from hitchid.data.test_kinds import ACTIVE_FRACTION
+from hitchid.data.test_kinds import ACTIVE_FRACTION, effective_command
 from hitchid.errors import LogError
-from hitchid.identification.lagged_integrals import normal_equations
 from hitchid.model import Quantity, make_quantity
 from hitchid.uncertainty import NO_ERROR, DeadZoneError
 from hitchid.uncertainty.dead_zone_error import t_quantile
@@ -21,6 +21,7 @@ ROUNDING = 1e-6  # share of the travel's energy below which residual sums are ro
 MIN_RESIDUAL_REDUCTION = 0.2  # share of the drift's residual norm that motion must explain; chosen
 UNKNOWN_SPREAD = 0.5  # standard error of an undetermined dead zone, share of the largest command; chosen
 MIN_GROUPS, MAX_GROUPS = 6, 24  # number of jackknife groups; chosen
+SAMPLES, MAX_ELEMENTS = 2048, 1_000_000  # of a test; elements of an array: limits of the memory
 # Lags, s, at sampling times up to FAST_STEP_S, s; at longer ones multiplied by `slow_clock_factor`. Chosen to
 # cover the lags of hydraulics.
 LAGS_S, FAST_STEP_S = (0.03, 0.1, 0.3, 1.0), 0.1
@@ -223,27 +224,38 @@ def _normal_equations(
     stretches: int,
 ) -> np.ndarray:
     """Return Σ of products of [∫u₁ … ∫u₅, w] over stretches of a test, by dead zone, shape [S, C, 6, 6]."""
-    stretch = np.full(loss_mask.size, -1)
-    for number, samples in enumerate(np.array_split(np.flatnonzero(loss_mask), stretches)):
-        stretch[samples] = number
-    return normal_equations(command, travel, stretch, stretches, dead_zones, step_s, _lags_s(step_s))
+    samples = np.flatnonzero(loss_mask)[:: -(-loss_mask.size // SAMPLES)]
+    chunk_size = max(1, MAX_ELEMENTS // command.size)
+    blocks = [
+        _rows(command, travel, dead_zones[start : start + chunk_size], step_s)[:, :, samples]
+        for start in range(0, dead_zones.size, chunk_size)
+    ]
+    rows = np.concatenate(blocks)
+    return np.stack([chunk @ chunk.transpose(0, 2, 1) for chunk in np.array_split(rows, stretches, axis=2)])
+
+
+def _rows(command: np.ndarray, travel: np.ndarray, dead_zones: np.ndarray, step_s: float) -> np.ndarray:
+    """Return [∫u₁ … ∫u₅, w] at every sample, by dead zone, shape [C, 6, N]."""
+    effective = effective_command(command[None, :], dead_zones[:, None])
+    integral = step_s * (np.cumsum(effective, axis=1) - effective)
+    columns = [integral]
+    for lag in _lags_s(step_s):
+        pole = np.exp(-step_s / lag)
+        columns.append(np.asarray(lfilter([1 - pole], [1, -pole], integral)))
+    return np.stack([*columns, np.broadcast_to(travel, integral.shape)], axis=1)
 
 
 def _residual_sums(products: np.ndarray) -> np.ndarray:
     """Return the residual sum of squares of each candidate, shape [C]."""
-    return np.array([nnls(root[:, :-1], root[:, -1])[1] ** 2 for root in _square_roots(products)])
+    return np.array([_gains(product)[1] ** 2 for product in products])
 
 
 def _gains(product: np.ndarray) -> tuple[np.ndarray, float]:
     """Return the non-negative least-squares gains from normal equations, and the residual norm."""
-    root = _square_roots(product)
+    # A square root of the normal equations replaces the rows: same gains, same norm.
+    values, vectors = np.linalg.eigh(product)
+    root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
     return nnls(root[:, :-1], root[:, -1])
-
-
-def _square_roots(products: np.ndarray) -> np.ndarray:
-    """Return R of each RᵀR, shape [..., 6, 6], which replaces the rows: same gains, same norm."""
-    values, vectors = np.linalg.eigh(products)
-    return np.sqrt(np.maximum(values, 0.0))[..., None] * np.swapaxes(vectors, -1, -2)
 
 
 def _lags_s(step_s: float) -> list[float]:
