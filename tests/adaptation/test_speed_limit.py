@@ -15,7 +15,7 @@ from machine import MODEL, NOISE, STEP_S
 CHANNEL = MODEL.channels[LIFTING]
 ERRORS = StrokeErrors(CHANNEL, STEP_S, np.zeros(0), 1)
 VARIANCE = NOISE**2 + (0.01 * 20.0) ** 2  # mm²: a hundredth of a travel of 20 mm is the usual misfit
-GAINS = np.log(np.linspace(0.5, 1.2, 15))  # of which one fits a stroke best
+GAINS = np.log(np.linspace(0.5, 1.2, 71))  # of which one fits a stroke to half a percent
 
 
 def limited(stroke, limit, seed):

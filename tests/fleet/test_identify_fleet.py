@@ -278,7 +278,7 @@ def test_wrong_arguments_are_refused(arguments, message, logs, tmp_path):
 
 def test_a_store_without_machines_is_refused(tmp_path):
     with pytest.raises(InputError, match="one folder for each machine"):
-        identify_fleet(str(tmp_path), str(tmp_path / "results"))
+        identify_fleet(str(tmp_path / "logs"), str(tmp_path / "results"))
 
 
 @pytest.mark.parametrize("place", [".", "results"])

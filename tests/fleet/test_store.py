@@ -33,6 +33,7 @@ def s3():
     }
     before = {name: os.environ.get(name) for name in settings}
     os.environ.update(settings)
+    pytest.importorskip("s3fs").S3FileSystem.clear_instance_cache()  # of a server before
     boto3.client("s3", endpoint_url=endpoint).create_bucket(Bucket=BUCKET)
     yield f"s3://{BUCKET}"
     server.stop()
@@ -60,7 +61,7 @@ def test_what_is_written_is_read_and_listed(store):
         ("rows/a.json", 3),
         ("rows/b.json", 0),
     ]
-    assert [file.name for file in store.files("rows")] == ["rows/a.json", "rows/b.json"]
+    assert [file.name for file in store.below("rows").files()] == ["a.json", "b.json"]
     assert store.has("rows/a.json")
     assert not store.has("rows/c.json")
 
@@ -78,7 +79,7 @@ def test_a_listing_tells_that_a_file_has_changed(store):
 
 def test_an_empty_store_has_no_files(store):
     assert store.files() == ()
-    assert store.files("rows") == ()
+    assert store.below("rows").files() == ()
 
 
 def test_a_missing_file_is_an_error_that_names_it(store):

@@ -10,10 +10,9 @@ from urllib.parse import urlsplit
 from hitchid.errors import InputError
 from hitchid.fleet.machines import Machine
 from hitchid.fleet.task import UNFINISHED, Acknowledgement, Job, run_task
-from hitchid.fleet.worker import prepare_worker
 
 if TYPE_CHECKING:
-    from distributed import Client, WorkerPlugin
+    from distributed import Client
 
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 
@@ -40,10 +39,12 @@ def run_on_cluster(
     """
     try:
         from distributed import as_completed
+
+        from hitchid.fleet.one_core import OneCore
     except ImportError as error:
         raise InputError("dask.distributed is required: pip install 'hitchid[fleet]'") from error
     with _client(workers, scheduler) as client:
-        client.register_plugin(_one_core())
+        client.register_plugin(OneCore())
         on_page(str(client.dashboard_link))
         futures = {
             client.submit(
@@ -77,17 +78,6 @@ def check_scheduler(address: str) -> str:
     raise InputError(
         f"scheduler: got {address}, expected tls://HOST:PORT, or tcp:// with an address of this machine"
     )
-
-
-def _one_core() -> "WorkerPlugin":
-    """Return a plugin that gives each worker its core, before it receives a machine with the settings."""
-    from distributed import WorkerPlugin
-
-    class OneCore(WorkerPlugin):
-        def setup(self, worker: object) -> None:
-            prepare_worker()
-
-    return OneCore()
 
 
 @contextmanager

@@ -1,0 +1,13 @@
+"""Plugin of a dask worker: a core of its own before it receives a machine with the settings."""
+
+from distributed import Worker, WorkerPlugin
+
+from hitchid.fleet.worker import prepare_worker
+
+
+class OneCore(WorkerPlugin):
+    """Gives each worker its core when it starts."""
+
+    def setup(self, worker: Worker) -> None:
+        """Prepare the process of a worker."""
+        prepare_worker()
