@@ -1,4 +1,4 @@
-"""Comparison of machines: known faults are named, and what is not comparable is told apart."""
+"""Comparison of machines: known faults are named, and what is not comparable is listed."""
 
 from dataclasses import replace
 

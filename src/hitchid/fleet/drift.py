@@ -49,7 +49,7 @@ def drift_of(channel: Channel, records: Sequence[Record], identified: DirectionR
     """
     batch = channel.batch(records)
     mask = np.asarray(batch.loss_mask & batch.valid)
-    errors = np.asarray(batch.displacement - channel.simulate(batch))[mask]
+    errors = (np.asarray(batch.displacement) - np.asarray(channel.simulate(batch)))[mask]
     unchanged = DriftRow(
         None,
         None,

@@ -7,7 +7,6 @@ from hitchid._support.storage import canonical_json, digest
 from hitchid.errors import InputError
 from hitchid.fleet.store import Store, StoredFile
 
-METADATA_FILE = "machines.csv"  # at the top of a store of logs
 KEY_LENGTH = 16  # characters of a digest in the name of a file: 64 bits, no two of 10⁶ alike by chance
 
 

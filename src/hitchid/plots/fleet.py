@@ -18,7 +18,7 @@ VERDICTS = {
     ABSENT: ("not compared", "_", FAINT, 12.0),
     FAILED: ("not identified", "x", INK, 14.0),
 }
-"""Verdict to its label, marker, colour and area in points²: told apart without colours, too."""
+"""Verdict to its label, marker, colour and area in points²: distinguished without colours, too."""
 INTERVAL_WIDTH, POINT_SIZE = 0.9, 3.0  # of a machine's interval and its value, points; chosen
 OUTER, INNER = (0.025, 0.975), (0.25, 0.75)  # quantiles of the machines that are drawn as one row
 CIRCLE = np.stack([np.cos(np.linspace(0, 2 * np.pi, 73)), np.sin(np.linspace(0, 2 * np.pi, 73))])

@@ -12,7 +12,7 @@ from hitchid.report import numbers
 from hitchid.report.document import Finding, Rating
 
 MOST_SENTENCES = 10  # machines with a sentence of their own, of each kind; chosen
-LEAST_Q = 1e-3  # smaller ones are not told apart; chosen
+LEAST_Q = 1e-3  # smaller ones are given as below it; chosen
 MINUS = "\N{MINUS SIGN}"
 VERBS = {"lifting": "lift", "lowering": "lower"}
 
