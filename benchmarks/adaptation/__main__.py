@@ -3,10 +3,12 @@
 import sys
 from collections.abc import Callable, Mapping, Sequence
 
-from benchmarks.adaptation.changing import bands, delay, follow, measured
+from benchmarks.adaptation.changing import bands, delay, follow
 from benchmarks.adaptation.constant import stable, standstill
 from benchmarks.adaptation.faults import faults
 from benchmarks.adaptation.figure import Figure
+from benchmarks.adaptation.measured import measured
+from benchmarks.adaptation.sample_path import sample_path
 from benchmarks.scheduling import show
 
 Parts = Mapping[str, Callable[[], Sequence[Figure]]]
@@ -17,6 +19,7 @@ PARTS: Parts = {
     "bands": bands,
     "standstill": standstill,
     "delay": delay,
+    "samples": sample_path,
     "measured": measured,
 }
 QUICK: Parts = {"quick": lambda: follow(("nominal",), (450.0,), oil=False)}

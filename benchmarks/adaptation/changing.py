@@ -1,24 +1,19 @@
 """A machine that changes: does the model follow, how soon is it seen, do the bands stay?"""
 
-import os
 import time
 from collections.abc import Sequence
-from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from benchmarks.adaptation.bench import RIGS, at_work, errors, identified, nominal, rms, run, strokes_of
 from benchmarks.adaptation.figure import Figure
-from benchmarks.scheduling import FAST, show
+from benchmarks.scheduling import show
 
-import hitchid
 from hitchid.adaptation import AdaptationSettings, Adapter
-from hitchid.adaptation.events import CHANGE_DETECTED, LEARNED, REFUSED
-from hitchid.data.record import DIRECTIONS, DISPLACEMENT
+from hitchid.adaptation.events import CHANGE_DETECTED, LEARNED
+from hitchid.data.record import DIRECTIONS
 from hitchid.experiments.work import Work
 from hitchid.model import Hitch
 
-DATA = Path(os.environ.get("HITCHID_DATA", Path(__file__).parents[3] / "shared" / "data"))
 STROKES = 5  # of a direction, after which the model must have followed
 # Bars: errors as multiples of those of a model identified anew, after a change of load and of the oil, and of
 # those of the frozen model; strokes until a change is seen; s of an update; % of samples inside the bands.
@@ -141,26 +136,3 @@ def delay() -> list[Figure]:
         *(Figure(f"{name}, {each}", seen.get(each, float("nan")), most=DELAY) for each in model.channels),
         Figure("update, p99, s", float(np.quantile(took_s, 0.99)), most=UPDATE_S),
     ]
-
-
-def measured() -> list[Figure]:
-    """Return what adaptation gains on the logs of a field excavator, one after the other."""
-    if not (DATA / "field-excavator").is_dir():
-        show(f"measured: {DATA / 'field-excavator'} is missing")
-        return []
-    given = hitchid.read(DATA / "field-excavator")
-    first, *others = given.records
-    model = hitchid.identify(replace(given, records=(first,)), **FAST).model
-    adapted, figures = model.adapt(others), []
-    for direction in model.channels:
-        learned = [e for e in adapted.events if e.kind == LEARNED and e.direction == direction]
-        refused = sum(e.kind == REFUSED and e.direction == direction for e in adapted.events)
-        late, unit = learned[len(learned) // 4 :], model.units[DISPLACEMENT]
-        error, frozen = (rms([e.figures[name] for e in late]) for name in ("error", "error_as_identified"))
-        show(
-            f"field-excavator, {direction}: {error:.3g} {unit} adapted, {frozen:.3g} frozen, over the last "
-            f"{len(late)} of {len(learned)} strokes that were learned from, {refused} refused"
-        )
-        name = f"field-excavator, {direction}: error over that of the frozen model"
-        figures.append(Figure(name, error / frozen, most=1.0))
-    return figures

@@ -6,10 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import machine
-from hitchid.adaptation import Changes
+from hitchid.adaptation import AdaptationSettings, Changes
+from hitchid.adaptation.bounds import Bounds
+from hitchid.adaptation.channel_estimates import ChannelEstimates
+from hitchid.adaptation.channel_state import ChannelState
+from hitchid.adaptation.conformal import BandFactor
 from hitchid.adaptation.estimator import (
     Estimate,
-    determined,
+    conditional_mean,
     restricted,
     updated,
     window_estimate,
@@ -122,9 +126,7 @@ def linear_fits_at(measured, slopes):
 
 def test_without_wandering_the_window_is_one_least_squares_fit():
     _, measured, slopes = linear_strokes(seed=2)
-    latest, first = window_estimate(
-        linear_fits_at(measured, slopes), PRIOR, np.zeros((3, 3)), lambda fits: FREE
-    )
+    latest, first = window_estimate(linear_fits_at(measured, slopes), PRIOR, np.zeros((3, 3)), FREE)
     for estimate, used in ((latest, slice(None)), (first, slice(1))):
         rows, values = slopes[used].reshape(-1, 3), measured[used].ravel()
         weight = np.linalg.inv(PRIOR.covariance)
@@ -136,8 +138,8 @@ def test_without_wandering_the_window_is_one_least_squares_fit():
 
 def test_a_window_and_its_arrival_cost_go_on_as_if_no_stroke_had_left_it():
     _, measured, slopes = linear_strokes(seed=3)
-    whole, first = window_estimate(linear_fits_at(measured, slopes), PRIOR, DRIFT, lambda fits: FREE)
-    later, _ = window_estimate(linear_fits_at(measured[1:], slopes[1:]), first, DRIFT, lambda fits: FREE)
+    whole, first = window_estimate(linear_fits_at(measured, slopes), PRIOR, DRIFT, FREE)
+    later, _ = window_estimate(linear_fits_at(measured[1:], slopes[1:]), first, DRIFT, FREE)
     np.testing.assert_allclose(later.mean, whole.mean, rtol=0, atol=ROUNDING)
     np.testing.assert_allclose(later.covariance, whole.covariance, rtol=0, atol=ROUNDING)
 
@@ -147,7 +149,7 @@ def test_what_is_not_free_stays_and_the_rest_is_fitted_beside_it(free):
     free = np.array(free)
     _, measured, slopes = linear_strokes(seed=4)
     prior = Estimate(PRIOR.mean, np.diag([1.0, 0.8, 0.5]))
-    latest, _ = window_estimate(linear_fits_at(measured, slopes), prior, np.zeros((3, 3)), lambda fits: free)
+    latest, _ = window_estimate(linear_fits_at(measured, slopes), prior, np.zeros((3, 3)), free)
     np.testing.assert_array_equal(latest.mean[~free], prior.mean[~free])
     np.testing.assert_allclose(
         np.diag(latest.covariance)[~free], np.diag(prior.covariance)[~free], rtol=1e-12
@@ -171,25 +173,60 @@ def test_a_restricted_fit_is_that_of_errors_with_the_others_held():
     assert (found.gradient[1], *found.information[1], *found.information[:, 1]) == 7 * (0.0,)
 
 
-SCALES = np.array([0.03, 0.008 * machine.LARGEST, 0.2])
+@pytest.mark.parametrize("free", [(True, False, False), (True, False, True), (True, True, True)])
+def test_the_conditional_mean_is_that_of_least_squares_with_the_others_held(free):
+    free, held_at = np.array(free), np.array([9.0, 0.3, -0.2])
+    precision = np.linalg.inv(PRIOR.covariance)
+    shift = np.where(free, 0.0, held_at - PRIOR.mean)
+    expected = np.where(free, PRIOR.mean, held_at)
+    # The minimum of (θ − m)ᵀ P⁻¹ (θ − m) over the free parameters.
+    expected[free] -= np.linalg.solve(precision[np.ix_(free, free)], (precision @ shift)[free])
+    found = conditional_mean(PRIOR, free, held_at)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=ROUNDING)
+    np.testing.assert_array_equal(found[~free], held_at[~free])
 
 
-@pytest.mark.parametrize(
-    ("levels", "expected"),
-    [([[0.3], [0.3], [0.3]], (True, False, False)), ([[0.1], [0.4], [0.1]], (True, True, False))],
-)
-def test_at_one_level_of_command_the_dead_zone_is_not_told_from_the_gain(levels, expected):
-    known = StrokeErrors(machine.MODEL.channels[LIFTING], machine.STEP_S, np.zeros(0), 8)
-    found = [machine.stroke(LIFTING, each, samples=200) for each in levels]
-    # Errors of the sensor, and the usual 2 % of the travel.
-    fits = [each.over(machine.NOISE**2 + (0.02 * each.travel) ** 2) for each in known.fits(found, Changes())]
-    assert tuple(determined(fits, SCALES, np.array([True, True, False]))) == expected
-    assert not determined(fits, SCALES, np.array([True, False, False]))[1]
+def estimates_of(settings=None):
+    """Return estimates of the lifting channel by hand, and the state before any stroke."""
+    known = settings or AdaptationSettings()
+    channel = machine.MODEL.channels[LIFTING]
+    errors = StrokeErrors(channel, machine.STEP_S, np.zeros(0), known.window)
+    bounds = Bounds.of(channel, known, "A")
+    found = ChannelEstimates(errors, bounds, [0.03, 0.02 * machine.LARGEST, 0.03], 2)
+    estimate = Estimate(np.zeros(3), found.identified)
+    return found, ChannelState(Changes(), Changes(), (Changes(),), estimate, estimate, BandFactor())
 
 
-def test_a_parameter_is_free_where_its_error_is_below_its_scale():
-    for size, free in ((0.9, False), (1.1, True)):
-        slopes = np.zeros((1, 3))
-        slopes[0, 0] = size / SCALES[0]
-        found = determined([fit(slopes, np.zeros(1), np.zeros(3))], SCALES, FREE)
-        assert tuple(found) == (free, False, False)
+def candidate(levels, gain, dead_zone=0.0):
+    """Return what strokes of a machine with another gain tell, each of one level of its own, A."""
+    estimates, state = estimates_of()
+    strokes = [
+        (number, machine.stroke(LIFTING, (each,), samples=200, gain=gain, dead_zone=dead_zone))
+        for number, each in enumerate(levels)
+    ]
+    latest, _ = estimates.of_window(state, strokes, state.arrival)
+    known = estimates.known(state, latest)
+    return known, estimates.cautious(state, strokes, known)
+
+
+def test_at_one_level_of_command_the_gain_moves_alone_and_all_the_way():
+    known, cautious = candidate([0.3] * 5, 1.1)
+    assert known[0] == pytest.approx(np.log(1.1), rel=0.1)
+    assert (known[1], known[2]) == (0.0, 0.0)
+    np.testing.assert_array_equal(cautious, known)
+
+
+@pytest.mark.parametrize("levels", [[0.3], [0.3] * 3, [0.3, 0.3, 0.3, 0.37, 0.3]])
+def test_where_other_commands_may_follow_a_gain_alone_goes_half_the_way(levels):
+    known, cautious = candidate(levels, 1.1)
+    assert known[1] == 0.0
+    np.testing.assert_array_equal(cautious, 0.5 * known)
+
+
+def test_at_commands_that_differ_gain_and_dead_zone_are_told_apart():
+    known, cautious = candidate([0.1, 0.4] * 8, 1.1, 0.01)
+    # Strokes of 1.5 % scatter in gain and 0.004 of the command in dead zone, 8 of each level: standard errors
+    # of the gain 0.015 / √8 and of the dead zone below a half of its scatter; three of them.
+    assert known[0] == pytest.approx(np.log(1.1), abs=3 * 0.015 / np.sqrt(8))
+    assert known[1] == pytest.approx(0.01, abs=1.5 * 0.004 * machine.LARGEST)
+    np.testing.assert_array_equal(cautious, known)

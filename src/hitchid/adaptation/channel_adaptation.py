@@ -288,13 +288,14 @@ class ChannelAdaptation:
         state = replace(state, scatter=scatter, window=window, suspects=())
         state = replace(state, candidates=tuple(each for each in state.candidates if not each.after_change))
         latest, first = self._estimates.of_window(state, window, state.arrival)
+        candidate = self._estimates.cautious(state, window, self._estimates.known(state, latest))
         if len(window) == self._settings.window:
             # The oldest stroke leaves the window; its information stays as the arrival cost of the others.
             state = replace(state, window=window[1:], arrival=first)
         state = replace(state, estimate=latest)
         youngest = min((trial.strokes for trial in state.candidates), default=STROKES_BETWEEN)
         if youngest >= STROKES_BETWEEN and len(state.candidates) < MOST_CANDIDATES:
-            state, happened = self._proposed(state, latest, window, after_change=False)
+            state, happened = self._proposed(state, candidate, window, after_change=False)
             events += happened
         return state, events
 
@@ -305,11 +306,11 @@ class ChannelAdaptation:
             events, state = self._unconfirmed(state, stroke), replace(state, suspects=())
         suspects = (*state.suspects, (number, stroke))[-self._settings.window :]
         state = replace(state, suspects=suspects)
-        latest, _ = self._estimates.of_window(
-            state, suspects, Estimate(state.arrival.mean, self._estimates.wide)
-        )
+        arrival = Estimate(state.arrival.mean, self._estimates.wide)
+        latest, _ = self._estimates.of_window(state, suspects, arrival)
         state = replace(state, candidates=())
-        state, happened = self._proposed(state, latest, suspects, after_change=True)
+        candidate = self._estimates.known(state, latest)
+        state, happened = self._proposed(state, candidate, suspects, after_change=True)
         return state, events + happened
 
     def _unconfirmed(self, state: ChannelState, stroke: Stroke) -> list[Event]:
@@ -318,12 +319,12 @@ class ChannelAdaptation:
         return [self._event(REFUSED, state, stroke, number, reason) for number, _ in state.suspects]
 
     def _proposed(
-        self, state: ChannelState, estimate: Estimate, strokes: Sequence[Numbered], *, after_change: bool
+        self, state: ChannelState, estimate: np.ndarray, strokes: Sequence[Numbered], *, after_change: bool
     ) -> Outcome:
-        """Return the state with the estimate as candidate, where it differs from the promoted changes."""
+        """Return the state with an estimate as candidate, where it differs from the promoted changes."""
         number, stroke = strokes[-1]
-        changes = self._bounds.clipped(estimate.mean)
-        beyond, events = self._bounds.beyond(estimate.mean), []
+        changes = self._bounds.clipped(estimate)
+        beyond, events = self._bounds.beyond(estimate), []
         if beyond:
             reason = f"the {beyond} would leave its bounds; it is held there"
             events.append(self._event(AT_LIMIT, state, stroke, number, reason, changes))

@@ -6,14 +6,17 @@ import numpy as np
 
 from hitchid.adaptation.bounds import Bounds
 from hitchid.adaptation.channel_state import ChannelState, Numbered
-from hitchid.adaptation.estimator import Estimate, determined, window_estimate, with_scatter
-from hitchid.adaptation.parameters import GAIN, Changes
+from hitchid.adaptation.estimator import Estimate, Vector, conditional_mean, window_estimate, with_scatter
+from hitchid.adaptation.levels import LEVEL_RATIO, level
+from hitchid.adaptation.parameters import DEAD_ZONE, GAIN, Changes
 from hitchid.adaptation.stroke_errors import StrokeErrors, StrokeFit
 from hitchid.adaptation.strokes import Stroke
 
 # Standard deviations of log gain and log lag, and of the dead zone as a share of the command, of a machine
 # that changed suddenly: implement and oil change its speed, hardly its valve. Chosen.
 WIDE = (0.3, 0.01, 0.1)
+LARGEST_DEVIATION = 1.25  # of a parameter that is known, over its scatter from stroke to stroke; chosen
+ALIKE_STROKES = 4  # at one level of command, after which an operator is taken to use no other; chosen
 
 
 class ChannelEstimates:
@@ -77,7 +80,26 @@ class ChannelEstimates:
             changes = Changes(*map(float, mean))
             return self.scattered(state, self._errors.fits([stroke for _, stroke in strokes], changes))
 
-        scales, drift = 2 * state.scatter * self._bounds.scatter, np.diag(self._bounds.drift**2)
-        return window_estimate(
-            fits_at, arrival, drift, lambda fits: determined(fits, scales, self._bounds.allowed)
-        )
+        return window_estimate(fits_at, arrival, np.diag(self._bounds.drift**2), self._bounds.allowed)
+
+    def known(self, state: ChannelState, estimate: Estimate) -> Vector:
+        """Return the gain, and what else the strokes tell closely; the other parameters are as promoted.
+
+        At one level of command gain and dead zone have the same effect: there the dead zone is not known.
+        """
+        deviations = np.sqrt(np.diag(estimate.covariance))
+        known = deviations < LARGEST_DEVIATION * state.scatter * self._bounds.scatter
+        known[GAIN] = True
+        return conditional_mean(estimate, known & self._bounds.allowed, np.array(state.target))
+
+    def cautious(self, state: ChannelState, strokes: Sequence[Numbered], changes: Vector) -> Vector:
+        """Return changes, or half the way to them where they are those of the gain at several commands.
+
+        Which gain is best without the right dead zone depends on the commands, and the next ones may be
+        others than those of the strokes so far.
+        """
+        levels = [level(self._errors.channel, stroke) for _, stroke in strokes]
+        alike = len(levels) >= ALIKE_STROKES and max(levels) < LEVEL_RATIO * min(levels)
+        if alike or changes[DEAD_ZONE] != state.target.dead_zone:
+            return changes
+        return 0.5 * (changes + np.array(state.target))

@@ -70,29 +70,6 @@ def updated(prior: Estimate, fit: StrokeFit, drift: Matrix) -> Estimate:
     return Estimate(mean, covariance)
 
 
-def determined(fits: Sequence[StrokeFit], scales: Vector, allowed: Bool[np.ndarray, "3"]) -> np.ndarray:
-    """Return which parameters the strokes determine, each beside those before it.
-
-    The information that strokes hold of a parameter, once those before it are free, is the Schur complement
-    of their sum; it must exceed that of a standard deviation of one scale. At a single level of command gain
-    and dead zone have the same effect, so that the dead zone is not determined beside the gain.
-
-    Args:
-        fits: of the strokes.
-        scales: of the parameters: errors that matter, shape [3].
-        allowed: parameters that may move.
-    """
-    total = np.sum([fit.information for fit in fits], axis=0) * np.outer(scales, scales)
-    chosen: list[int] = []
-    for number in np.flatnonzero(allowed):
-        known = np.ix_(chosen, chosen)
-        cross = total[chosen, number]
-        rest = total[number, number] - (cross @ np.linalg.pinv(total[known]) @ cross if chosen else 0.0)
-        if rest > 1.0:
-            chosen.append(int(number))
-    return np.isin(np.arange(3), chosen)
-
-
 def restricted(fit: StrokeFit, free: Bool[np.ndarray, "3"], held_at: Vector) -> StrokeFit:
     """Return a fit of which only some parameters are free, the others held at their values."""
     shift = np.where(free, 0.0, held_at - fit.at)
@@ -104,11 +81,28 @@ def restricted(fit: StrokeFit, free: Bool[np.ndarray, "3"], held_at: Vector) -> 
     )
 
 
+def conditional_mean(estimate: Estimate, free: Bool[np.ndarray, "3"], held_at: Vector) -> Vector:
+    """Return the mean of the free parameters where the others have known values.
+
+    m_f + P_fh P_hh⁻¹ (h − m_h), with the rows and columns of the free (f) and of the others (h).
+
+    Args:
+        estimate: of all parameters.
+        free: which of them are.
+        held_at: values of the others.
+    """
+    covariance, held = estimate.covariance, ~free
+    gain = covariance[np.ix_(free, held)] @ np.linalg.pinv(covariance[np.ix_(held, held)])
+    mean = held_at.copy()
+    mean[free] = estimate.mean[free] + gain @ (held_at[held] - estimate.mean[held])
+    return mean
+
+
 def window_estimate(
     fits_at: Callable[[Vector], Sequence[StrokeFit]],
     arrival: Estimate,
     drift: Matrix,
-    free_of: Callable[[Sequence[StrokeFit]], np.ndarray],
+    allowed: Bool[np.ndarray, "3"],
 ) -> tuple[Estimate, Estimate]:
     """Return the estimate after the strokes of a window, and that after its first stroke.
 
@@ -118,16 +112,13 @@ def window_estimate(
         fits_at: fits of the window's strokes, the oldest first, at changes of the parameters.
         arrival: estimate before the window.
         drift: Q.
-        free_of: which parameters fits determine.
+        allowed: parameters that may move.
     """
     latest = first = arrival
     for _ in range(ITERATIONS):
-        fits = fits_at(latest.mean)
-        free = free_of(fits)
         estimates = [arrival]
-        for fit in fits:
-            estimates.append(
-                updated(estimates[-1], restricted(fit, free, arrival.mean), drift * np.outer(free, free))
-            )
-        latest, first = estimates[-1], estimates[min(1, len(fits))]
+        for fit in fits_at(latest.mean):
+            fit = restricted(fit, allowed, arrival.mean)
+            estimates.append(updated(estimates[-1], fit, drift * np.outer(allowed, allowed)))
+        latest, first = estimates[-1], estimates[min(1, len(estimates) - 1)]
     return latest, first

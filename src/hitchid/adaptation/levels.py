@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Float
 
 from hitchid.adaptation.strokes import Stroke
 from hitchid.data.record import DIRECTIONS
@@ -23,11 +24,21 @@ def levels_differ(channel: Channel, strokes: Sequence[Stroke]) -> bool:
         channel: as identified.
         strokes: of its direction.
     """
-    column, highest = DIRECTIONS.index(channel.direction), float(channel.operating_range.command.highest)
-    commands = np.concatenate([stroke.commands[:, column] for stroke in strokes])
-    effective = np.abs(effective_command(commands, channel.dead_zone))
-    active = effective[effective > ACTIVE_FRACTION * highest]
+    active = np.concatenate([_active(channel, stroke) for stroke in strokes])
     if not active.size:
         return False
     low, high = np.quantile(active, [LOW, HIGH])
     return bool(high >= LEVEL_RATIO * low)
+
+
+def level(channel: Channel, stroke: Stroke) -> float:
+    """Return the median of a stroke's command beyond the dead zone, in its unit; 0 where it has none."""
+    active = _active(channel, stroke)
+    return float(np.median(active)) if active.size else 0.0
+
+
+def _active(channel: Channel, stroke: Stroke) -> Float[np.ndarray, " n"]:
+    """Return the command beyond the dead zone of the samples at which it is active."""
+    column, highest = DIRECTIONS.index(channel.direction), float(channel.operating_range.command.highest)
+    effective = np.abs(effective_command(stroke.commands[:, column], channel.dead_zone))
+    return effective[effective > ACTIVE_FRACTION * highest]

@@ -33,6 +33,15 @@ def bound_memory() -> None:
 
         jax.clear_caches()
         gc.collect()
+        _return_freed_memory()
+
+
+def _return_freed_memory() -> None:
+    """Give memory that was freed back to the system; the C library of Linux keeps it for itself otherwise."""
+    import ctypes
+
+    with suppress(OSError, AttributeError):  # another system, or another C library
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 def resident_bytes() -> int:

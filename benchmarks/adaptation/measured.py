@@ -1,0 +1,102 @@
+"""Measured machines: the model adapted to the logs so far, and the frozen one, run over the next log."""
+
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from benchmarks.adaptation.figure import Figure
+from benchmarks.scheduling import FAST, show
+
+import hitchid
+from hitchid.data.campaign import Campaign
+from hitchid.data.record import CYCLE, DISPLACEMENT, Record
+from hitchid.model import Hitch
+
+DATA = Path(os.environ.get("HITCHID_DATA", Path(__file__).parents[3] / "shared" / "data"))
+ORDERS = 10  # random ones of the boom's records with the heavy bucket
+Squares = list[tuple[float, float, int]]  # sums of squared errors, adapted and frozen, and their samples
+
+
+def measured() -> list[Figure]:
+    """Return what adaptation gains on logs that come later, on the logs of two excavators."""
+    return [*field_excavator(), *excavator_boom()]
+
+
+def field_excavator() -> list[Figure]:
+    """Return what it gains on the logs of a field excavator, one after the other."""
+    name = "field-excavator"
+    if not (DATA / name).is_dir():
+        show(f"measured: {DATA / name} is missing")
+        return []
+    given = hitchid.read(DATA / name)
+    first, *later = given.records
+    model = hitchid.identify(replace(given, records=(first,)), **FAST).model
+    return judged(name, model, log_by_log(model, given, later))
+
+
+def excavator_boom() -> list[Figure]:
+    """Return what it gains with a heavy bucket on a boom that was identified with a light one."""
+    name = "excavator-boom"
+    if not (DATA / name).is_dir():
+        show(f"measured: {DATA / name} is missing")
+        return []
+    given = hitchid.read(DATA / name)
+    light, heavy = (
+        [record for record in given.records if record.name.endswith(bucket)] for bucket in ("light", "heavy")
+    )
+    model = hitchid.identify(replace(given, records=tuple(light)), **FAST).model
+    squares: dict[str, Squares] = {}
+    for seed in range(ORDERS):
+        order = np.random.default_rng(seed).permutation(len(heavy))
+        for kind, rows in log_by_log(model, given, [heavy[number] for number in order]).items():
+            squares.setdefault(kind, []).extend(rows)
+    return judged(name, model, squares)
+
+
+def log_by_log(model: Hitch, given: Campaign, logs: Sequence[Record]) -> dict[str, Squares]:
+    """Return kind of motion to the errors over each log but the first, of the model adapted before it.
+
+    Strokes of mixed logs are cut as `hitchid.validate` does; the whole of such a log is of the kind `cycle`.
+    """
+    squares: dict[str, Squares] = {}
+    for number, following in enumerate(logs[1:], 1):
+        adaptation = model.adapt(logs[:number])
+        for kind, record in parts(model, replace(given, records=(following,))):
+            pair = [squared(each, record) for each in (adaptation.model, model)]
+            squares.setdefault(kind, []).append((*[total for total, _ in pair], pair[0][1]))
+    return squares
+
+
+def parts(model: Hitch, log: Campaign) -> Iterator[tuple[str, Record]]:
+    """Yield the strokes of a log with their directions, and the whole of one that has both."""
+    (record,) = log.records
+    if record.kind != CYCLE:
+        yield record.kind, record
+        return
+    yield CYCLE, record
+    for stroke in log.segmented(model.segmentation_dead_zones(log.units)).records:
+        yield stroke.kind, stroke
+
+
+def squared(model: Hitch, record: Record) -> tuple[float, int]:
+    """Return the sum of the squared errors of a free run over a record, and its number of samples."""
+    measured = model.to_model_units(record).displacement
+    errors = np.asarray(model.simulate(record).displacement)[: len(measured)] - measured
+    return float(np.nansum(errors**2)), int(np.isfinite(errors).sum())
+
+
+def judged(name: str, model: Hitch, squares: dict[str, Squares]) -> list[Figure]:
+    """Return the error of the adapted model over that of the frozen one, of each kind of motion."""
+    figures = []
+    for kind, rows in squares.items():
+        adapted, frozen, samples = np.sum(rows, axis=0)
+        errors = np.sqrt(np.array([adapted, frozen]) / samples)
+        show(
+            f"{name}, {kind}: {errors[0]:.3g} {model.units[DISPLACEMENT]} adapted, {errors[1]:.3g} frozen, "
+            f"over {len(rows)} that came later"
+        )
+        line = f"{name}, {kind}: error on following logs over that of the frozen model"
+        figures.append(Figure(line, float(errors[0] / errors[1]), most=1.0))
+    return figures
