@@ -10,7 +10,7 @@ from benchmarks.adaptation.bench import at_work, nominal, rms, run, strokes_of
 from benchmarks.adaptation.figure import Figure
 from benchmarks.scheduling import show
 
-from hitchid.adaptation import AdaptationSettings, Adapter, Changes, Event
+from hitchid.adaptation import AdaptationSettings, Adapter, Changes, Event, Stroke
 from hitchid.adaptation.events import CHANGE_DETECTED, LEARNED, PROMOTED, ROLLED_BACK
 from hitchid.adaptation.stroke_errors import PIECES, StrokeErrors
 from hitchid.model import Hitch
@@ -33,7 +33,8 @@ def stable(runs: int = 200) -> list[Figure]:
     """
     model = nominal()
     adapter, kinds, ratios, strokes_h = Adapter(model, AdaptationSettings()), Counter(), [], 0.0
-    error, wrong = error_on_other_strokes(model), 0
+    others = strokes_of(model, at_work("nominal", model, 99_999, INDEPENDENT_S).record)
+    error, wrong = error_over(model, others), 0
     for seed in range(runs):
         strokes = strokes_of(model, at_work("nominal", model, 1000 + seed, 400.0).record)
         events = [event for _, _, happened in run(adapter, strokes) for event in happened]
@@ -61,9 +62,8 @@ def stable(runs: int = 200) -> list[Figure]:
     ]
 
 
-def error_on_other_strokes(model: Hitch) -> Callable[[str, Changes], float]:
-    """Return the function from direction and changes to the free-run error over independent strokes, mm."""
-    strokes = strokes_of(model, at_work("nominal", model, 99_999, INDEPENDENT_S).record)
+def error_over(model: Hitch, strokes: Sequence[Stroke]) -> Callable[[str, Changes], float]:
+    """Return the function from direction and changes to the free-run error over strokes, mm."""
     judged = {}
     for direction, channel in model.channels.items():
         own = [stroke for stroke in strokes if stroke.direction == direction]

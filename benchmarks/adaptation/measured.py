@@ -58,7 +58,7 @@ def excavator_boom() -> list[Figure]:
 def log_by_log(model: Hitch, given: Campaign, logs: Sequence[Record]) -> dict[str, Squares]:
     """Return kind of motion to the errors over each log but the first, of the model adapted before it.
 
-    Strokes of mixed logs are cut as `hitchid.validate` does; the whole of such a log is of the kind `cycle`.
+    Strokes of mixed logs are cut as `hitchid.validate` does; the whole of such a log is `cycle`.
     """
     squares: dict[str, Squares] = {}
     for number, following in enumerate(logs[1:], 1):
@@ -88,15 +88,20 @@ def squared(model: Hitch, record: Record) -> tuple[float, int]:
 
 
 def judged(name: str, model: Hitch, squares: dict[str, Squares]) -> list[Figure]:
-    """Return the error of the adapted model over that of the frozen one, of each kind of motion."""
-    figures = []
-    for kind, rows in squares.items():
-        adapted, frozen, samples = np.sum(rows, axis=0)
-        errors = np.sqrt(np.array([adapted, frozen]) / samples)
+    """Return the error of the adapted model over that of the frozen one, over all logs that came later."""
+    whole = squares.get(CYCLE) or [row for rows in squares.values() for row in rows]
+    for kind, rows in {**squares, "all": whole}.items():
+        adapted, frozen = errors(rows)
         show(
-            f"{name}, {kind}: {errors[0]:.3g} {model.units[DISPLACEMENT]} adapted, {errors[1]:.3g} frozen, "
-            f"over {len(rows)} that came later"
+            f"{name}, {kind}: {adapted:.3g} {model.units[DISPLACEMENT]} adapted, {frozen:.3g} frozen, over "
+            f"{len(rows)} that came later"
         )
-        line = f"{name}, {kind}: error on following logs over that of the frozen model"
-        figures.append(Figure(line, float(errors[0] / errors[1]), most=1.0))
-    return figures
+    adapted, frozen = errors(whole)
+    line = f"{name}: error on the logs that came later over that of the frozen model"
+    return [Figure(line, float(adapted / frozen), most=1.0)]
+
+
+def errors(rows: Squares) -> np.ndarray:
+    """Return the root mean square errors of adapted and frozen model."""
+    adapted, frozen, samples = np.sum(rows, axis=0)
+    return np.sqrt(np.array([adapted, frozen]) / samples)

@@ -5,11 +5,13 @@ import math
 import numpy as np
 import pytest
 from benchmarks.adaptation.__main__ import main
+from benchmarks.adaptation.constant import error_over
 from benchmarks.adaptation.faults import FAULTS, share_refused, with_fault
 from benchmarks.adaptation.figure import Figure
+from benchmarks.adaptation.measured import judged
 
 import machine
-from hitchid.adaptation import AdaptationSettings, Adapter
+from hitchid.adaptation import AdaptationSettings, Adapter, Changes
 
 
 @pytest.mark.parametrize(
@@ -68,3 +70,26 @@ def test_a_stroke_that_is_learned_from_lowers_the_share(monkeypatch):
     both = {stroke.begin for stroke in strokes}
     assert share_refused("none", adapter, [strokes[0], faulty], both).value == 0.5
     assert math.isnan(share_refused("none", adapter, strokes, set()).value)
+
+
+@pytest.mark.parametrize(
+    ("squares", "ratio"),
+    [
+        ({"cycle": [(1.0, 4.0, 10)], "lifting": [(9.0, 1.0, 10)]}, 0.5),
+        ({"lifting": [(1.0, 8.0, 10), (3.0, 8.0, 10)], "lowering": [(0.0, 0.0, 20)]}, 0.5),
+    ],
+)
+def test_measured_logs_are_judged_whole(squares, ratio):
+    (figure,) = judged("machine", machine.MODEL, squares)
+    assert figure.value == pytest.approx(ratio)
+    assert figure.most == 1.0
+
+
+def test_changes_are_judged_on_strokes_that_no_adaptation_saw():
+    strokes = machine.strokes(6, seed=5, samples=60, gain=1.1)
+    error = error_over(machine.MODEL, strokes)
+    right, wrong = Changes(gain=float(np.log(1.1))), Changes(gain=-0.1)
+    for direction in machine.DIRECTIONS:
+        # Noise alone is left; the largest of some hundred samples is within four standard deviations.
+        assert error(direction, right) < 4 * machine.NOISE < error(direction, Changes())
+        assert error(direction, Changes()) < error(direction, wrong)
