@@ -76,6 +76,7 @@ def same(count: int, runners: Sequence[Runner]) -> Iterator[Missed]:
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         logs, first = write_machines(folder / "logs", count), None
+        timed(write_machines(folder / "warm", 2), folder / "results", runners[0])  # compiles, for all alike
         seconds = {}
         for number, runner in enumerate(runners):
             results = folder / f"results-{number}"
