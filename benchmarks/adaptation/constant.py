@@ -20,9 +20,8 @@ STANDSTILL, BLOCK = 8_640_000, 8640  # samples of a day, and of a block of them
 # Bars: error over that of the frozen model; share of promotions that are wrong; h of strokes between false
 # alarms.
 OF_FROZEN, WRONG, BETWEEN_ALARMS_H = 1.02, 0.01, 10.0
-INDEPENDENT_S = (
-    600.0  # s of other work of the bench, that promotions are judged on: some 35 strokes a direction
-)
+# s of other work of the bench that promotions are judged on: some 35 strokes of a direction.
+INDEPENDENT_S = 600.0
 
 
 def stable(runs: int = 200) -> list[Figure]:

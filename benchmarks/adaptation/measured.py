@@ -21,28 +21,24 @@ Squares = list[tuple[float, float, int]]  # sums of squared errors, adapted and 
 
 def measured() -> list[Figure]:
     """Return what adaptation gains on logs that come later, on the logs of two excavators."""
-    return [*field_excavator(), *excavator_boom()]
+    figures = []
+    for name, judge in (("field-excavator", field_excavator), ("excavator-boom", excavator_boom)):
+        if not (DATA / name).is_dir():
+            show(f"measured: {DATA / name} is missing")
+            continue
+        figures.append(judged(name, *judge(hitchid.read(DATA / name))))
+    return figures
 
 
-def field_excavator() -> list[Figure]:
-    """Return what it gains on the logs of a field excavator, one after the other."""
-    name = "field-excavator"
-    if not (DATA / name).is_dir():
-        show(f"measured: {DATA / name} is missing")
-        return []
-    given = hitchid.read(DATA / name)
+def field_excavator(given: Campaign) -> tuple[Hitch, dict[str, Squares]]:
+    """Return the model of the first log, and its errors on the others, one after the other."""
     first, *later = given.records
     model = hitchid.identify(replace(given, records=(first,)), **FAST).model
-    return judged(name, model, log_by_log(model, given, later))
+    return model, log_by_log(model, given, later)
 
 
-def excavator_boom() -> list[Figure]:
-    """Return what it gains with a heavy bucket on a boom that was identified with a light one."""
-    name = "excavator-boom"
-    if not (DATA / name).is_dir():
-        show(f"measured: {DATA / name} is missing")
-        return []
-    given = hitchid.read(DATA / name)
+def excavator_boom(given: Campaign) -> tuple[Hitch, dict[str, Squares]]:
+    """Return the model of the light bucket, and its errors on the records of the heavy one."""
     light, heavy = (
         [record for record in given.records if record.name.endswith(bucket)] for bucket in ("light", "heavy")
     )
@@ -52,7 +48,7 @@ def excavator_boom() -> list[Figure]:
         order = np.random.default_rng(seed).permutation(len(heavy))
         for kind, rows in log_by_log(model, given, [heavy[number] for number in order]).items():
             squares.setdefault(kind, []).extend(rows)
-    return judged(name, model, squares)
+    return model, squares
 
 
 def log_by_log(model: Hitch, given: Campaign, logs: Sequence[Record]) -> dict[str, Squares]:
@@ -87,7 +83,7 @@ def squared(model: Hitch, record: Record) -> tuple[float, int]:
     return float(np.nansum(errors**2)), int(np.isfinite(errors).sum())
 
 
-def judged(name: str, model: Hitch, squares: dict[str, Squares]) -> list[Figure]:
+def judged(name: str, model: Hitch, squares: dict[str, Squares]) -> Figure:
     """Return the error of the adapted model over that of the frozen one, over all logs that came later."""
     whole = squares.get(CYCLE) or [row for rows in squares.values() for row in rows]
     for kind, rows in {**squares, "all": whole}.items():
@@ -98,7 +94,7 @@ def judged(name: str, model: Hitch, squares: dict[str, Squares]) -> list[Figure]
         )
     adapted, frozen = errors(whole)
     line = f"{name}: error on the logs that came later over that of the frozen model"
-    return [Figure(line, float(adapted / frozen), most=1.0)]
+    return Figure(line, float(adapted / frozen), most=1.0)
 
 
 def errors(rows: Squares) -> np.ndarray:

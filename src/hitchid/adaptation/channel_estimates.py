@@ -16,7 +16,7 @@ from hitchid.adaptation.strokes import Stroke
 # that changed suddenly: implement and oil change its speed, hardly its valve. Chosen.
 WIDE = (0.3, 0.01, 0.1)
 LARGEST_DEVIATION = 1.25  # of a parameter that is known, over its scatter from stroke to stroke; chosen
-ALIKE_STROKES = 4  # at one level of command, after which an operator is taken to use no other; chosen
+STROKES_AT_ONE_LEVEL = 4  # after which an operator is taken to use no other command; chosen
 
 
 class ChannelEstimates:
@@ -99,7 +99,7 @@ class ChannelEstimates:
         others than those of the strokes so far.
         """
         levels = [level(self._errors.channel, stroke) for _, stroke in strokes]
-        alike = len(levels) >= ALIKE_STROKES and max(levels) < LEVEL_RATIO * min(levels)
+        alike = len(levels) >= STROKES_AT_ONE_LEVEL and max(levels) < LEVEL_RATIO * min(levels)
         if alike or changes[DEAD_ZONE] != state.target.dead_zone:
             return changes
         return 0.5 * (changes + np.array(state.target))
