@@ -1,4 +1,7 @@
-"""Time of a sample while the model adapts: the update runs in another process and must not delay it."""
+"""Time of a sample while the model adapts: the update runs in another process and must not delay it.
+
+Before each sample the latest one is rehearsed, as `hitchid run` does.
+"""
 
 import json
 import time
@@ -8,6 +11,7 @@ from benchmarks.adaptation.bench import at_work, nominal
 from benchmarks.adaptation.figure import Figure
 from benchmarks.scheduling import show
 
+from hitchid.cli.run import REHEARSAL_S
 from hitchid.data.record import COMMAND, DIRECTIONS, DISPLACEMENT, Record
 from hitchid.online import Live, OnlineAdaptation
 
@@ -37,8 +41,15 @@ def seconds(live: Live, record: Record) -> np.ndarray:
     for number in range(len(record)):
         values = {name: float(values[number]) for name, values in columns.items()}
         line = json.dumps({"time_s": number * record.step_s, **values})
-        time.sleep(max(0.0, begun_s + number * record.step_s - time.perf_counter()))
+        due_s = begun_s + number * record.step_s
+        _sleep_until(due_s - REHEARSAL_S)
+        live.rehearse()
+        _sleep_until(due_s)
         started_s = time.perf_counter()
         live.process(line)
         took_s.append(time.perf_counter() - started_s)
     return np.array(took_s)
+
+
+def _sleep_until(time_s: float) -> None:
+    time.sleep(max(0.0, time_s - time.perf_counter()))

@@ -593,6 +593,15 @@ def test_packing_and_unpacking_a_state_changes_nothing(model):
         np.testing.assert_array_equal(ours, theirs)
 
 
+@by_name
+def test_switching_is_that_of_the_unpacked_state(model):
+    _, states = stepped_singly(model, cycles(np.random.default_rng(9), 40), [100.0] * 40)
+    found = [model.switching(state) for state in states]
+    unpacked = [model.unpack_state(state) for state in states]
+    assert found == [(int(state.mode), bool(state.both_valves_active)) for state in unpacked]
+    assert len(set(found)) > 1
+
+
 def test_an_hour_with_wrong_gains_leaves_the_place_on_the_stroke_right():
     noise_mm, minutes = 0.05, 60
     model = hitch_of(*(channel(mode, "integrator-first-order", filtered=True) for mode in GAINS))

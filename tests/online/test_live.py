@@ -346,3 +346,16 @@ def test_measurements_give_what_predict_gives(record):
     found = answers(Live(MODEL), record, measured=True)
     # Single precision of a network whose answers are a few σ = 0.02.
     np.testing.assert_allclose(found[:-1], MODEL.predict(record)[1:], atol=1e-5 * handmade.ERROR_STEP, rtol=0)
+
+
+def test_a_rehearsal_changes_nothing():
+    rng = np.random.default_rng(5)
+    lifting, lowering = levels(rng, 60, low=0.0), levels(rng, 60, low=0.0)
+    quiet, rehearsed = Live(MODEL), Live(MODEL)
+    rehearsed.rehearse()
+    for number, (up, down) in enumerate(zip(lifting, lowering, strict=True)):
+        # Every seventh line is out of order, every fifth late, every third without a displacement.
+        time_s = STEP_S * (number - 3 * (number % 7 == 6) + 2 * (number % 5 == 4))
+        line = sample(time_s, float(up), float(down), None if number % 3 == 2 else START)
+        assert rehearsed.process(line) == quiet.process(line)
+        rehearsed.rehearse()

@@ -16,6 +16,7 @@ ON_FRACTION = 0.8  # of the identified dead zone; a command beyond it may move t
 SETTLE_S = 0.3  # s after the command ends that still belong to a stroke: several lags of a valve; chosen
 LONGEST_S = 20.0  # s of a stroke that are kept; chosen, longer than a full stroke at a tenth of the flow
 NONE, BOTH = -1, len(DIRECTIONS)  # beside the number of the direction whose command is active
+ACTIVE = np.array([NONE, 0, 1, BOTH])  # by whether lifting is active, plus twice whether lowering is
 
 
 @short_repr
@@ -69,8 +70,8 @@ class StrokeCutter:
             displacement: measured; NaN where there is none.
         """
         active = self._active(commands)
-        rows = np.column_stack([commands, displacement])
-        edges = [0, *(np.flatnonzero(np.diff(active)) + 1).tolist(), len(active)]
+        rows = np.concatenate([commands, displacement[:, None]], axis=1)
+        edges = [0, *(np.flatnonzero(active[1:] != active[:-1]) + 1).tolist(), len(active)]
         found = []
         for start, stop in pairwise(edges):
             if stop > start:
@@ -87,9 +88,8 @@ class StrokeCutter:
         return self._direction != NONE
 
     def _active(self, commands: Float[np.ndarray, "b 2"]) -> Int[np.ndarray, " b"]:
-        with np.errstate(invalid="ignore"):
-            lifting, lowering = (np.abs(commands) > self._on).T
-        return np.where(lifting & lowering, BOTH, np.where(lifting, 0, np.where(lowering, 1, NONE)))
+        lifting, lowering = (np.abs(commands) > self._on).T
+        return ACTIVE[lifting + 2 * lowering]
 
     def _run(self, active: int, rows: np.ndarray) -> list[Stroke]:
         """Take samples of one active command, or of none; return the strokes that end."""

@@ -2,19 +2,21 @@
 
 import sys
 from contextlib import ExitStack, closing
-from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from hitchid._support.compilation_cache import prepare_jax
+from hitchid._support.lines import lines
 from hitchid._support.storage import check_folder
 from hitchid.cli.options import Force, Loads, loads_of
 from hitchid.errors import InputError
 
 if TYPE_CHECKING:
     from hitchid.online import Live
+
+REHEARSAL_S = 2e-3  # s before a sample is due; a rehearsal takes half of it, caches keep it longer (measured)
 
 
 def run(
@@ -58,19 +60,18 @@ def run(
             adaptation = OnlineAdaptation(
                 identified, load=loads, log=log and log.write, earlier=log.earlier if log else ()
             )
-        _answer_lines(Live(identified, initial=initial, load=loads, adaptation=adaptation))
+        live = Live(identified, initial=initial, load=loads, adaptation=adaptation)
+        _answer_lines(live, identified.step_s)
         if adaptation is not None:
             adaptation.finish()
             if save is not None:
                 save_model(adaptation.model, save, force=force)
 
 
-def _answer_lines(live: "Live") -> None:
+def _answer_lines(live: "Live", step_s: float) -> None:
     """Answer each line of standard input with one of standard output."""
-    if isinstance(sys.stdin, TextIOWrapper):
-        sys.stdin.reconfigure(encoding="utf-8", errors="replace")
     sys.stderr.write("ready\n")
     sys.stderr.flush()
-    for line in sys.stdin:
+    for line in lines(sys.stdin, step_s - REHEARSAL_S, live.rehearse):
         sys.stdout.write(live.process(line).to_json() + "\n")
         sys.stdout.flush()

@@ -111,14 +111,14 @@ class HitchDynamics(eqx.Module):
                 keeps its last value.
             measured: displacement at this sample; not finite where it was not measured.
         """
-        next_state, network_input = self.advance_physics(state, commands, measured)
-        hidden, output = self.advance_network(next_state.hidden, network_input)
+        next_state, network_input = self._advance_physics(state, commands, measured)
+        hidden, output = self._advance_network(next_state.hidden, network_input)
         return next_state._replace(hidden=hidden, **output._asdict()), output.displacement
 
-    def advance_physics(
+    def _advance_physics(
         self, state: HitchState, commands: Float[Array, "2"], measured: Float[Array, ""]
     ) -> tuple[HitchState, NetworkInput]:
-        """Return the next state without the network's prediction, and its inputs; see `advance_network`."""
+        """Return the next state without the network's prediction, and its inputs; see `_advance_network`."""
         command_valid = jnp.abs(commands) < MAX_MAGNITUDE
         commands = jnp.where(command_valid, commands, state.commands)
         is_measured = jnp.abs(measured) < MAX_MAGNITUDE
@@ -221,7 +221,7 @@ class HitchDynamics(eqx.Module):
         )
         return state._replace(estimates=select(state.mode != last_mode, started, known))
 
-    def advance_network(
+    def _advance_network(
         self, hidden: Float32[Array, "2 2 h"], network_input: NetworkInput
     ) -> tuple[Float32[Array, "2 2 h"], NetworkOutput]:
         """Predict the innovation by the network of the active channel.

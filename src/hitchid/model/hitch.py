@@ -33,7 +33,7 @@ from hitchid.model.parameters import ParameterTable, parameter_table
 from hitchid.model.provenance import Provenance, TwoModes
 from hitchid.model.set_by_hand import with_parameters
 from hitchid.model.simulation import SimulatedModel, Simulation, simulate
-from hitchid.model.state import HitchState
+from hitchid.model.state import HitchState, Switching
 from hitchid.model.step import LOAD_BANK_NDIM, STATE_REQUIRED, StepFunctions, join_inputs
 from hitchid.model.uncertainty import Uncertainty
 
@@ -184,6 +184,16 @@ class Hitch(Value, Summarised, Handover):
         """
         with jax.enable_x64(True):
             return self._functions_of(state).unpack(state)
+
+    def switching(self, state: Packed) -> Switching:
+        """Return active channel, and whether both valves are open: `unpack_state` at a fraction of its time.
+
+        Not for a state that `jax.jit` traces.
+
+        Raises:
+            InputError: the state is not of this model.
+        """
+        return self._functions_of(state).switching(state)
 
     @double_precision
     def simulate(
@@ -375,10 +385,12 @@ class Hitch(Value, Summarised, Handover):
         return HitchDynamics.of(channels, self.step_s, self.drift)
 
     @cached_property
+    @double_precision
     def _step_functions(self) -> StepFunctions:
         return StepFunctions.of(self.dynamics)
 
     @cached_property
+    @double_precision
     def _load_bank_functions(self) -> StepFunctions:
         return StepFunctions.at_unknown_load(self.dynamics)
 

@@ -1,4 +1,4 @@
-"""State as two flat arrays and step as two compiled functions, to keep the cost of a call small."""
+"""State as two flat arrays, to keep the cost of a call of a compiled function small."""
 
 from collections.abc import Callable
 from functools import partial
@@ -7,13 +7,14 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.flatten_util import ravel_pytree
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Float32, PyTree
 
 from hitchid._support.short_repr import short_repr
 from hitchid.model.dynamics import HitchDynamics
-from hitchid.model.state import HitchState
+from hitchid.model.state import HitchState, Switching
 
 
 @short_repr
@@ -21,7 +22,7 @@ class Packed(NamedTuple):
     """State of a hitch in two arrays.
 
     Attributes:
-        numbers: all arrays but `hidden`, concatenated; what the network completes first, shape [n].
+        numbers: all arrays but `hidden`, concatenated, shape [n].
         hidden: LSTM states of the network of the active channel, shape [2, 2, H].
     """
 
@@ -37,7 +38,11 @@ class Packing:
     """
 
     def __init__(self, like: HitchState) -> None:
-        self._unravel = unravel(like._replace(hidden=None))
+        numbers = like._replace(hidden=None)
+        self._unravel = unravel(numbers)
+        self._mode, self._both_valves_active = (
+            _position(numbers, name) for name in ("mode", "both_valves_active")
+        )
 
     def pack(self, state: HitchState) -> Packed:
         """Return a state in packed form."""
@@ -47,71 +52,41 @@ class Packing:
         """Return the state of a packed one."""
         return self._unravel(packed.numbers)._replace(hidden=packed.hidden)
 
+    def switching(self, packed: Packed) -> Switching:
+        """Return which valves are in charge, read from the numbers without a compiled function."""
+        numbers = np.asarray(packed.numbers)
+        return Switching(int(numbers[self._mode]), bool(numbers[self._both_valves_active]))
+
     def step(self, dynamics: HitchDynamics) -> Callable[[Packed, ArrayLike], tuple[Packed, Array]]:
         """Return the compiled step function, from packed state to packed state and displacement.
 
-        Its inputs are lifting command, lowering command and measured displacement, shape [3]. It is compiled
-        as two functions: XLA runs a single one, with small arrays and the weights of a network, on several
-        threads whose synchronisation takes several times as long as the computation.
+        Its inputs are lifting command, lowering command and measured displacement, shape [3].
         """
-        numbers_of_models, _ = ravel_pytree(dynamics.discrete_models)
-        run_physics = jax.jit(partial(self._physics, dynamics, numbers_of_models))
-        run_network = self._network(dynamics)
-
-        def step(state: Packed, inputs: ArrayLike) -> tuple[Packed, Array]:
-            numbers, network_input = run_physics(state.numbers, inputs)
-            return run_network(numbers, network_input, state.hidden)
-
-        return step
+        return jax.jit(partial(self._step, dynamics))
 
     def adjustable_step(
         self, dynamics: HitchDynamics
     ) -> Callable[[Float[Array, " p"], Packed, ArrayLike], tuple[Packed, Array]]:
         """Return `step` with the numbers of the physical models as its first argument, in one array."""
-        run_physics = jax.jit(partial(self._physics, dynamics))
-        run_network = self._network(dynamics)
+        return jax.jit(lambda numbers, *arguments: self._step(with_numbers(dynamics, numbers), *arguments))
 
-        def step(
-            numbers_of_models: Float[Array, " p"], state: Packed, inputs: ArrayLike
-        ) -> tuple[Packed, Array]:
-            numbers, network_input = run_physics(numbers_of_models, state.numbers, inputs)
-            return run_network(numbers, network_input, state.hidden)
-
-        return step
-
-    def _physics(
-        self, dynamics: HitchDynamics, numbers_of_models: Array, numbers: Array, inputs: Array
-    ) -> tuple[Array, Array]:
-        """Return the state without the network's prediction, and the inputs of the network."""
-        dynamics = with_numbers(dynamics, numbers_of_models)
-        state = self.unpack(Packed(numbers, dynamics.zero_lstm_state()))
-        next_state, network_input = dynamics.advance_physics(state, inputs[:2], inputs[2])
-        return self.pack(next_state).numbers, ravel_pytree(network_input)[0]
-
-    def _network(self, dynamics: HitchDynamics) -> Callable[[Array, Array, Array], tuple[Packed, Array]]:
-        """Return the compiled prediction of the network."""
-        unravel_input = unravel(
-            jax.eval_shape(
-                lambda: dynamics.advance_physics(dynamics.standing_state(), jnp.zeros(2), jnp.zeros(()))[1]
-            )
-        )
-
-        @jax.jit
-        def run(numbers: Array, hidden: Array, network_input: Array) -> tuple[Array, Array, Array]:
-            hidden, output = dynamics.advance_network(hidden, unravel_input(network_input))
-            return numbers.at[: len(output)].set(jnp.stack(output)), hidden, output.displacement
-
-        def predict(numbers: Array, network_input: Array, hidden: Array) -> tuple[Packed, Array]:
-            numbers, hidden, displacement = run(numbers, hidden, network_input)
-            return Packed(numbers, hidden), displacement
-
-        return predict
+    def _step(
+        self, dynamics: HitchDynamics, state: Packed, inputs: Float[Array, "3"]
+    ) -> tuple[Packed, Array]:
+        next_state, displacement = dynamics.step(self.unpack(state), inputs[:2], inputs[2])
+        return self.pack(next_state), displacement
 
 
 def with_numbers(dynamics: HitchDynamics, numbers: Float[Array, " p"]) -> HitchDynamics:
     """Return dynamics whose physical models have other numbers, as `ravel_pytree` orders them."""
     models = ravel_pytree(dynamics.discrete_models)[1](numbers)
     return eqx.tree_at(lambda tree: tree.discrete_models, dynamics, models)
+
+
+def _position(state: HitchState, name: str) -> int:
+    """Return where a field of a state begins in its concatenated numbers."""
+    before = state[: state._fields.index(name)]
+    return sum(leaf.size for leaf in jax.tree.leaves(before))
 
 
 def unravel(like: PyTree) -> Callable[[Float[Array, " n"]], Any]:

@@ -84,6 +84,18 @@ class HitchState(NamedTuple):
     hidden: Float32[Array, "2 2 h"]
 
 
+class Switching(NamedTuple):
+    """Which valves are in charge; see `HitchState`.
+
+    Attributes:
+        mode: index of the active channel; −1 before the first effective command.
+        both_valves_active: whether both valves were open; then lowering takes precedence.
+    """
+
+    mode: int
+    both_valves_active: bool
+
+
 class NetworkInput(NamedTuple):
     """Inputs of the network of the active channel.
 

@@ -16,7 +16,7 @@ from hitchid.errors import InputError
 from hitchid.model.dynamics import HitchDynamics
 from hitchid.model.loads import mean_load
 from hitchid.model.packing import Packed, Packing, unravel
-from hitchid.model.state import HitchState
+from hitchid.model.state import HitchState, Switching
 from hitchid.model.unknown_load import LoadBank, LoadBankState
 
 LOAD_BANK_NDIM = 4  # axes of `Packed.hidden` where a hitch is simulated at many loads
@@ -30,12 +30,14 @@ class StepFunctions(NamedTuple):
         init_state: displacement and load to state.
         step: state and inputs to state and displacement.
         unpack: state to its record.
+        switching: state to the valves in charge; not of a traced state.
         shapes: of the arrays of a state.
     """
 
     init_state: Callable[[float, ArrayLike], Packed]
     step: Callable[[Packed, ArrayLike], tuple[Packed, Array]]
     unpack: Callable[[Packed], HitchState]
+    switching: Callable[[Packed], Switching]
     shapes: tuple[tuple[int, ...], ...]
 
     @classmethod
@@ -44,7 +46,7 @@ class StepFunctions(NamedTuple):
         packing = Packing(jax.eval_shape(dynamics.standing_state))
         init_state = jax.jit(lambda displacement, load: packing.pack(dynamics.init_state(displacement, load)))
         shapes = _shapes(init_state, dynamics)
-        return cls(init_state, packing.step(dynamics), jax.jit(packing.unpack), shapes)
+        return cls(init_state, packing.step(dynamics), jax.jit(packing.unpack), packing.switching, shapes)
 
     @classmethod
     def at_unknown_load(cls, dynamics: HitchDynamics) -> "StepFunctions":
@@ -64,11 +66,21 @@ class StepFunctions(NamedTuple):
             state, displacement = bank.step(unpack(packed), inputs[:2], inputs[2])
             return pack(state), displacement
 
+        @jax.jit
+        def most_probable(packed: Packed) -> HitchState:
+            return unpack(packed).most_probable
+
+        def switching(packed: Packed) -> Switching:
+            with jax.enable_x64(True):
+                state = most_probable(packed)
+            return Switching(int(state.mode), bool(state.both_valves_active))
+
         init_state = jax.jit(lambda displacement, load: pack(bank.init_state(displacement, load)))
         return cls(
             init_state,
             jax.jit(step),
-            jax.jit(lambda packed: unpack(packed).most_probable),
+            most_probable,
+            switching,
             _shapes(init_state, dynamics),
         )
 
