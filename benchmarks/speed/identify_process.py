@@ -1,13 +1,20 @@
-"""Identifies campaigns in a process of its own: python identify_process.py FOLDER…; prints errors as JSON."""
+"""Identifies campaigns in a process of its own; prints errors as JSON.
 
+Run: python identify_process.py [--physics] FOLDER…
+
+With --physics no compensator is trained.
+"""
+
+import argparse
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from hitchid._support.compilation_cache import prepare_jax
 
 
-def main(folders: list[Path]) -> None:
+def main(folders: Sequence[Path], *, physics: bool) -> None:
     """Read campaigns, identify one by `identify` or several by `identify_many`, tell each one's errors."""
     prepare_jax()
     from hitchid import identification
@@ -17,7 +24,7 @@ def main(folders: list[Path]) -> None:
 
     options = {
         "structure": PAPER_SPECS,
-        "training": CompensatorConfig(free_run=None, baselines=False),
+        "training": None if physics else CompensatorConfig(free_run=None, baselines=False),
         "comparison": None,
     }
     campaigns = [read(folder) for folder in folders]
@@ -33,4 +40,8 @@ def main(folders: list[Path]) -> None:
 
 
 if __name__ == "__main__":
-    main([Path(folder) for folder in sys.argv[1:]])
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--physics", action="store_true")
+    parser.add_argument("folders", type=Path, nargs="+")
+    arguments = parser.parse_args()
+    main(arguments.folders, physics=arguments.physics)

@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
+import pytest
 from campaigns import write_campaigns
 from timings import OURS, process
 
@@ -17,12 +18,14 @@ SCRIPT = Path(__file__).with_name("identify_process.py")
 SEPARATE_PROCESSES = "a process for each, as many at a time as there are cores"
 
 
-def test_many(tally, pace, tmp_path):
+@pytest.mark.parametrize("options", [(), ("--physics",)], ids=["whole", "physics alone"])
+def test_many(options, tally, pace, tmp_path):
     """Both as whole processes that read their logs, programs compiled before, with the same options."""
     count, sampled = (3, 2) if pace.quick else (CAMPAIGNS, CAMPAIGNS if pace.full else SAMPLED)
     folders, cache = write_campaigns(tmp_path / "logs", count), tmp_path / "cache"
-    joint_errors = json.loads(process([sys.executable, SCRIPT, *folders[:2]], cache))  # compiles
-    (single_errors,) = json.loads(process([sys.executable, SCRIPT, folders[0]], cache))
+    command = [sys.executable, SCRIPT, *options]
+    joint_errors = json.loads(process([*command, *folders[:2]], cache))  # compiles
+    (single_errors,) = json.loads(process([*command, folders[0]], cache))
     same = [
         [errors[direction] for direction in sorted(errors)] for errors in (joint_errors[0], single_errors)
     ]
@@ -30,11 +33,11 @@ def test_many(tally, pace, tmp_path):
     runs, numbers = pace.slow_runs, iter(np.random.default_rng(0).permutation(count).tolist() * pace.runs)
 
     def separate_processes() -> float:
-        chosen = [folders[next(numbers)] for _ in range(sampled)]
-        return _separate_processes_s(chosen, cache) * count / sampled
+        commands = [[*command, folders[next(numbers)]] for _ in range(sampled)]
+        return _together_s(commands, cache) * count / sampled
 
     work = {
-        OURS: lambda: process([sys.executable, SCRIPT, *folders], cache),
+        OURS: lambda: process([*command, *folders], cache),
         SEPARATE_PROCESSES: separate_processes,
     }
     scaled = (
@@ -42,12 +45,13 @@ def test_many(tally, pace, tmp_path):
         if sampled == count
         else f"processes: {sampled} of them, their time multiplied by {count / sampled:.4g}"
     )
-    tally.interleave(f"{count} campaigns of 20 tests, read and identified", work, runs, scaled)
+    what = "read and identified without compensators" if options else "read and identified"
+    tally.interleave(f"{count} campaigns of 20 tests, {what}", work, runs, scaled)
 
 
-def _separate_processes_s(folders: Sequence[Path], cache: Path) -> float:
-    """Return the seconds that a process for each folder takes, as many at a time as there are cores."""
+def _together_s(commands: Sequence[Sequence[str | Path]], cache: Path) -> float:
+    """Return the seconds that processes take, as many at a time as there are cores."""
     started = time.perf_counter()
     with ThreadPoolExecutor(os.cpu_count()) as cores:
-        list(cores.map(lambda folder: process([sys.executable, SCRIPT, folder], cache), folders))
+        list(cores.map(lambda command: process(command, cache), commands))
     return time.perf_counter() - started
