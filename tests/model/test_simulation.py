@@ -3,6 +3,8 @@
 import sys
 from dataclasses import replace
 
+import jax
+import jax.monitoring
 import numpy as np
 import pandas as pd
 import pytest
@@ -13,7 +15,7 @@ from handmade import DEAD_ZONES, GAINS, NOISE, channel, envelope, hitch, hitch_o
 from hitchid import read
 from hitchid.data.record import COMMAND, LIFTING, LOWERING, Record
 from hitchid.errors import InputError
-from hitchid.model import Simulation
+from hitchid.model import Simulation, TravelLimits
 from truth import STEP_S, levels
 
 SAMPLES, START = 240, 100.0
@@ -304,3 +306,38 @@ def test_the_commands_of_a_measured_log_are_enough(data):
         assert isinstance(alone, Simulation)
         np.testing.assert_allclose(alone.displacement, from_log.displacement, rtol=0, atol=EXACT)
         assert np.ptp(alone.displacement) > 10.0
+
+
+def test_models_of_like_structure_share_the_programs_of_their_free_runs():
+    commands = levels(np.random.default_rng(3), 200, low=0.3)[:, None] * [1.0, 0.0]
+
+    def model_with(dead_zone, end_stop, upper, drift):
+        channels = [
+            replace(
+                channel(mode, "integrator-first-order", end_stop=end_stop),
+                dead_zone=dead_zone,
+                limits=TravelLimits(50.0, upper),
+            )
+            for mode in (LIFTING, LOWERING)
+        ]
+        return hitch_of(*channels, drift=drift)
+
+    def displacement(model):
+        run = model.simulate(commands, step_s=STEP_S, initial=[100.0, 101.0])
+        return np.stack(
+            [*run.displacement, model.simulate(commands, step_s=STEP_S, initial=100.0).displacement]
+        )
+
+    first, second = model_with(0.2, 130.0, 140.0, -0.1), model_with(0.25, 104.0, 103.0, -0.2)
+    runs = [displacement(first)]
+    compiled = []
+    jax.monitoring.register_event_duration_secs_listener(
+        lambda name, *_, **__: compiled.append(name) if "backend_compile" in name else None
+    )
+    try:
+        runs.append(displacement(second))
+    finally:
+        jax.monitoring.clear_event_listeners()
+    assert compiled == []
+    assert np.any(runs[0] != runs[1])
+    assert np.max(runs[1]) == 103.0

@@ -41,13 +41,13 @@ class Channel(eqx.Module):
 
     direction: str = eqx.field(static=True)
     sign: int = eqx.field(static=True)
-    dead_zone: float = eqx.field(static=True)
-    end_stop: float | None = eqx.field(static=True)
+    dead_zone: float
+    end_stop: float | None
     benchmark: PhysicalModel
     operating_range: OperatingRange
     compensator: Compensator | None = None
     speed_compensator: SpeedCompensator | None = None
-    limits: TravelLimits | None = eqx.field(static=True, default=None)
+    limits: TravelLimits | None = None
     load_filter: LoadFilter = eqx.field(default_factory=LoadFilter.none)
 
     @double_precision

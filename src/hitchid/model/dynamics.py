@@ -40,20 +40,23 @@ class HitchDynamics(eqx.Module):
     Attributes:
         channels: channels in the order of `DIRECTIONS`.
         discrete_models: their benchmarks, discretised.
-        drift: speed of a piston that is held, displacement's unit/s.
+        drift: speed of a piston that is held, displacement's unit/s; None where it stays.
         step_s: sampling time, s.
     """
 
     channels: tuple[Channel, ...]
     discrete_models: tuple[DiscretePhysicalModel, ...]
-    drift: float = eqx.field(static=True)
+    drift: float | None
     step_s: float = eqx.field(static=True)
 
     @classmethod
-    def of(cls, channels: Sequence[Channel], step_s: float, drift: float) -> "HitchDynamics":
+    def of(cls, channels: Sequence[Channel], step_s: float, drift: float | None) -> "HitchDynamics":
         """Return the dynamics of channels, their benchmarks discretised at a sampling time."""
         return cls(
-            tuple(channels), tuple(_discrete_model(channel, step_s) for channel in channels), drift, step_s
+            tuple(channels),
+            tuple(_discrete_model(channel, step_s) for channel in channels),
+            drift or None,
+            step_s,
         )
 
     def standing_state(self, displacement: float = 0.0, load: Sequence[float] | None = None) -> HitchState:
@@ -259,7 +262,7 @@ class HitchDynamics(eqx.Module):
 
     def _apply_drift(self, state: HitchState, is_held: Bool[Array, ""]) -> HitchState:
         """Apply the drift of a held piston, starting from the end stop if it is beyond one."""
-        if not self.drift:
+        if self.drift is None:
             return state
         drift_travel = self.drift * self.step_s
         benchmark, free = (

@@ -70,7 +70,7 @@ def free_run(dynamics: HitchDynamics, inputs: FreeRunInputs) -> FreeRun:
     simulate = simulate_free_run if initial.ndim == 1 else simulate_free_runs
     count = len(inputs.commands)
     displacement, active_channel, is_held = (
-        np.asarray(rows)[..., :count] for rows in simulate(dynamics, initial, commands)
+        np.asarray(rows)[..., :count] for rows in simulate(numbers_as_arrays(dynamics), initial, commands)
     )
     return FreeRun(_with_initial(displacement, inputs.initial), active_channel, is_held)
 
@@ -100,7 +100,9 @@ def multi_step_predictions(
         pad_with_nan(samples, longest) for samples in (commands_of(record), record.displacement)
     )
     predictions = np.asarray(
-        predict_from_origins(dynamics, jnp.asarray(initial.row), commands, measured, longest, stride)
+        predict_from_origins(
+            numbers_as_arrays(dynamics), jnp.asarray(initial.row), commands, measured, longest, stride
+        )
     )
     return [
         align_predictions(predictions, float(initial.displacement), min(horizon, longest), count, stride)
@@ -115,6 +117,11 @@ def commands_of(record: Record) -> Float[np.ndarray, "n 2"]:
         [record.command(direction) if direction in record.directions else zeros for direction in DIRECTIONS],
         axis=1,
     )
+
+
+def numbers_as_arrays(dynamics: HitchDynamics) -> HitchDynamics:
+    """Return dynamics whose numbers are inputs of compiled functions: models of like structure share them."""
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, float) else leaf, dynamics)
 
 
 def pad_with_nan(samples: np.ndarray, extra: int) -> Array:
