@@ -593,6 +593,17 @@ def test_packing_and_unpacking_a_state_changes_nothing(model):
         np.testing.assert_array_equal(ours, theirs)
 
 
+@pytest.mark.parametrize("measured", [100.0, np.nan, None])
+def test_commands_may_be_an_array_a_list_or_jax_arrays(measured):
+    state, commands = PLAIN.init_state(100.0), [0.5, 0.25]
+    plain, *others = (
+        PLAIN.step(state, given, measured)
+        for given in (np.array(commands), commands, jnp.asarray(commands), [jnp.asarray(0.5), 0.25])
+    )
+    for other in others:
+        jax.tree.map(np.testing.assert_array_equal, other, plain)
+
+
 @by_name
 def test_switching_is_that_of_the_unpacked_state(model):
     _, states = stepped_singly(model, cycles(np.random.default_rng(9), 40), [100.0] * 40)

@@ -20,6 +20,7 @@ from hitchid.model.state import HitchState, Switching
 from hitchid.model.unknown_load import LoadBank, LoadBankState
 
 LOAD_BANK_NDIM = 4  # axes of `Packed.hidden` where a hitch is simulated at many loads
+PLAIN_COMMANDS = ((len(DIRECTIONS),), np.float64)  # shape and type of both commands in double precision
 STATE_REQUIRED = "a state of this model, from `init_state` or `step`"
 
 
@@ -106,6 +107,12 @@ def join_inputs(
     Raises:
         InputError: commands or measurement are not numbers, or have another shape.
     """
+    if (
+        isinstance(commands, np.ndarray)
+        and (commands.shape, commands.dtype) == PLAIN_COMMANDS
+        and isinstance(measured, float)
+    ):
+        return np.array([*commands.tolist(), measured])  # as a loop has them; a tenth of the time of the rest
     values = commands if isinstance(commands, Sequence) else (commands,)
     xp = jnp if any(isinstance(value, jax.Array) for value in (*values, measured)) else np
     try:
