@@ -16,7 +16,7 @@ from hitchid.errors import InputError
 if TYPE_CHECKING:
     from hitchid.online import Live
 
-REHEARSAL_S = 2e-3  # s before a sample is due; a rehearsal takes half of it, caches keep it longer (measured)
+REHEARSAL_S = 2e-3  # s before a sample is due; a rehearsal takes about half of it (measured)
 
 
 def run(

@@ -136,8 +136,8 @@ class Live:
     def rehearse(self) -> None:
         """Compute the latest sample once more, without effect.
 
-        Before the next sample comes: a processor that did something else since the last one then has the
-        program and its data at hand again, and answers in about half the time.
+        To be called shortly before the next sample comes: a processor that did something else since the last
+        one then has the program and its data in its caches again.
         """
         _parse(self._line)
         if self._state is not None and self._history:
