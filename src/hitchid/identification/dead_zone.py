@@ -149,7 +149,7 @@ def response_delay(
         dead_zone: in the command's unit.
     """
     products = [_normal_equations(*test, np.array([dead_zone]), step_s, 1) for test in tests]
-    gains, _ = _gains(np.concatenate(products).sum(axis=0)[0])
+    ((gains, _),) = _gains(np.concatenate(products).sum(axis=0))
     if not gains.any():
         return 0.0
     share = np.cumsum(gains) / gains.sum()
@@ -203,8 +203,7 @@ def _half_width_without_jackknife(candidates: np.ndarray, groups: np.ndarray) ->
         groups: normal equations of each group, shape [G, C, 6, 6].
     """
     squares = []
-    for number in range(candidates.size):
-        gains, _ = _gains(groups[:, number].sum(axis=0))
+    for number, (gains, _) in enumerate(_gains(groups.sum(axis=0))):
         weights = np.append(gains, -1.0)
         squares.append(np.einsum("i,gij,j->g", weights, groups[:, number], weights))
     lowest = int(np.argmin(np.sum(squares, axis=1)))
@@ -227,35 +226,38 @@ def _normal_equations(
     samples = np.flatnonzero(loss_mask)[:: -(-loss_mask.size // SAMPLES)]
     chunk_size = max(1, MAX_ELEMENTS // command.size)
     blocks = [
-        _rows(command, travel, dead_zones[start : start + chunk_size], step_s)[:, :, samples]
+        _rows(command, travel, dead_zones[start : start + chunk_size], step_s, samples)
         for start in range(0, dead_zones.size, chunk_size)
     ]
     rows = np.concatenate(blocks)
     return np.stack([chunk @ chunk.transpose(0, 2, 1) for chunk in np.array_split(rows, stretches, axis=2)])
 
 
-def _rows(command: np.ndarray, travel: np.ndarray, dead_zones: np.ndarray, step_s: float) -> np.ndarray:
-    """Return [∫u₁ … ∫u₅, w] at every sample, by dead zone, shape [C, 6, N]."""
+def _rows(
+    command: np.ndarray, travel: np.ndarray, dead_zones: np.ndarray, step_s: float, samples: np.ndarray
+) -> np.ndarray:
+    """Return [∫u₁ … ∫u₅, w] at some samples, by dead zone, shape [C, 6, S]."""
     effective = effective_command(command[None, :], dead_zones[:, None])
     integral = step_s * (np.cumsum(effective, axis=1) - effective)
-    columns = [integral]
-    for lag in _lags_s(step_s):
+    rows = np.empty((dead_zones.size, 2 + len(LAGS_S), samples.size))
+    rows[:, 0], rows[:, -1] = integral[:, samples], travel[samples]
+    for column, lag in enumerate(_lags_s(step_s), start=1):
         pole = np.exp(-step_s / lag)
-        columns.append(np.asarray(lfilter([1 - pole], [1, -pole], integral)))
-    return np.stack([*columns, np.broadcast_to(travel, integral.shape)], axis=1)
+        rows[:, column] = np.asarray(lfilter([1 - pole], [1, -pole], integral))[:, samples]
+    return rows
 
 
 def _residual_sums(products: np.ndarray) -> np.ndarray:
     """Return the residual sum of squares of each candidate, shape [C]."""
-    return np.array([_gains(product)[1] ** 2 for product in products])
+    return np.array([residual_norm**2 for _, residual_norm in _gains(products)])
 
 
-def _gains(product: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the non-negative least-squares gains from normal equations, and the residual norm."""
+def _gains(products: np.ndarray) -> list[tuple[np.ndarray, float]]:
+    """Return the non-negative least-squares gains and the residual norm of each candidate."""
     # A square root of the normal equations replaces the rows: same gains, same norm.
-    values, vectors = np.linalg.eigh(product)
-    root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
-    return nnls(root[:, :-1], root[:, -1])
+    values, vectors = np.linalg.eigh(products)
+    roots = np.sqrt(np.maximum(values, 0.0))[:, :, None] * vectors.transpose(0, 2, 1)
+    return [nnls(root[:, :-1], root[:, -1]) for root in roots]
 
 
 def _lags_s(step_s: float) -> list[float]:

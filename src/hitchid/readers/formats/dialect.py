@@ -227,11 +227,11 @@ def _is_unit_row(cells: Sequence[str]) -> bool:
     stripped = [cell.strip("[]() ") for cell in cells]
     body = stripped[1:] if stripped and stripped[0].lower() in UNIT_LABELS else stripped
     filled = [cell for cell in body if cell]
+    if any(map(_is_number, set(filled) - {"1"})):
+        return False
     unit_cells = [cell for cell in filled if parse_unit(cell)]
     has_unit_text = any(cell.isalpha() or not cell.isascii() for cell in unit_cells)
-    return (
-        has_unit_text and not any(map(_is_number, set(filled) - {"1"})) and 2 * len(unit_cells) >= len(filled)
-    )
+    return has_unit_text and 2 * len(unit_cells) >= len(filled)
 
 
 def _has_decimal_comma(text: str, separator: str) -> bool:
