@@ -11,7 +11,8 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from hitchid._support.versions import installed_versions
 from hitchid.data.record import COMMAND
-from hitchid.export.constants import COVERAGE, ChannelConstants, ModelConstants, Range
+from hitchid.export.constants import ChannelConstants, ModelConstants
+from hitchid.export.error_constants import COVERAGE, Range
 
 Precision = Literal["mixed", "double", "single"]
 LAYOUT = 1  # version of the saved state

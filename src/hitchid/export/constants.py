@@ -1,107 +1,29 @@
 """Numbers of a model that generated code computes with, as plain Python numbers."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from hitchid._support.precision import double_precision
 from hitchid.data.record import DIRECTIONS
-from hitchid.errors import InputError
+from hitchid.export.error_constants import (
+    Range,
+    bands_of,
+    compensator_of,
+    filter_of,
+    speed_compensator_of,
+)
+from hitchid.export.plant_constants import Plant, curves_of, plant_of, scheduling_of
 from hitchid.model import Bands, Channel, Hitch, TravelLimits
 from hitchid.model.dynamics import MAX_MAGNITUDE, HitchDynamics
 from hitchid.model.error_prediction import MAX_COASTING_SAMPLES
-from hitchid.model.load_filter import JUMP, TINY, LoadFilter
+from hitchid.model.load_filter import JUMP, TINY
 from hitchid.model.loads import covariates_of, mean_load
-from hitchid.networks.error_compensator import Compensator
-from hitchid.networks.operating_range import MARGIN, SignalRange
-from hitchid.networks.speed_compensator import AUTHORITY, SpeedCompensator
-from hitchid.structures import DiscretePhysicalModel, StaticNonlinearity
-from hitchid.structures.cascaded_tanks import CascadedTanks
-from hitchid.structures.discretisation import STROKE_NODES, STROKE_RANGE, StrokeModel
-from hitchid.structures.first_order_lag import FirstOrderLag
-from hitchid.structures.inertia_with_friction import InertiaWithFriction
-from hitchid.structures.integrator import Integrator
-from hitchid.structures.integrator_first_order import IntegratorFirstOrder
-from hitchid.structures.integrator_second_order import IntegratorSecondOrder
-from hitchid.structures.nonlinear import NonlinearStructure
-
-Rows = tuple[Any, ...]  # nested tuples of numbers, an array of C
-LONGEST = 1e300  # stands for an infinite length, which C cannot write as a number
-COVERAGE = 0.9  # of the exported band: the one that reports state
-# Structures whose equations the templates hold: state space from parameters, or the vector field.
-STATE_SPACES = {
-    Integrator: "integrator",
-    IntegratorFirstOrder: "integrator_first_order",
-    FirstOrderLag: "first_order_lag",
-    IntegratorSecondOrder: "integrator_second_order",
-}
-VECTOR_FIELDS = {InertiaWithFriction: "inertia_with_friction", CascadedTanks: "cascaded_tanks"}
-
-
-@dataclass(frozen=True)
-class Plant:
-    """Physical model of a direction at the sampling time.
-
-    Attributes:
-        form: name of the equations in the templates.
-        states: n.
-        values: the structure's parameters.
-        substeps: of a sample, in the integration of a nonlinear structure; 0 of a linear one.
-        nodes: places on the stroke at which it is discretised.
-        transition, gamma0, gamma1, friction: Φ, Γ₀, Γ₁ and the gains of dry friction, at each node; empty
-            of a nonlinear structure.
-        speed_row, speed_gain: speed = row · state + gain · flow.
-        friction_at_rest: φ₀; None without dry friction.
-        friction_travel, natural_frequency, frequency_slope: of a load with dry friction.
-        delay_samples: m, whole samples of dead time.
-        dead_time_parts_s: parts of a sample with the flow of the sample before and with the present one, s.
-    """
-
-    form: str
-    states: int
-    values: Rows
-    substeps: int
-    nodes: int
-    transition: Rows
-    gamma0: Rows
-    gamma1: Rows
-    friction: Rows
-    speed_row: Rows
-    speed_gain: float
-    friction_at_rest: float | None
-    friction_travel: float
-    natural_frequency: float
-    frequency_slope: float
-    delay_samples: int
-    dead_time_parts_s: tuple[float, float]
-
-
-@dataclass(frozen=True)
-class Range:
-    """Range of a signal in the identification tests, and the width over which trust falls beyond it."""
-
-    lowest: float
-    highest: float
-    margin: float
-    half_width: float
-
-    @classmethod
-    def of(cls, signal: SignalRange, index: int | None = None) -> "Range | None":
-        """Return a range, of several signals that at an index; None where it is not bounded."""
-        ends = [float(np.asarray(end).ravel()[index or 0]) for end in (signal.lowest, signal.highest)]
-        if not all(map(math.isfinite, ends)):
-            return None
-        width = ends[1] - ends[0]
-        return cls(ends[0], ends[1], MARGIN * width if width > 0 else 1.0, 0.5 * width)
-
-    @property
-    def middle(self) -> float:
-        """Middle of the range."""
-        return 0.5 * (self.lowest + self.highest)
+from hitchid.networks.speed_compensator import AUTHORITY
+from hitchid.structures import DiscretePhysicalModel
+from hitchid.structures.discretisation import STROKE_RANGE
 
 
 @dataclass(frozen=True)
@@ -239,225 +161,19 @@ def channel_constants(
         min_command=float(discrete.min_command),
         end_stop=None if channel.end_stop is None else float(channel.end_stop),
         uses_raw_command=bool(benchmark.structure.uses_raw_command),
-        plant=_plant(channel, discrete),
-        curves=None if benchmark.nonlinearity is None else _curves(benchmark.nonlinearity, discrete.step_s),
-        scheduling=_scheduling(channel),
+        plant=plant_of(channel, discrete),
+        curves=None if benchmark.nonlinearity is None else curves_of(benchmark.nonlinearity, discrete.step_s),
+        scheduling=scheduling_of(channel),
         covariates=tuple(covariates.index(name) for name in benchmark.covariates),
-        filter=_filter(channel.load_filter, discrete.step_s),
+        filter=filter_of(channel.load_filter, discrete.step_s),
         ranges={
             "command": Range.of(channel.operating_range.command),
             "displacement": Range.of(channel.operating_range.displacement),
             "load": [Range.of(load, number) for number in range(np.asarray(load.lowest).size)],
         },
-        compensator=_compensator(channel.compensator) if channel.compensator is not None else None,
+        compensator=compensator_of(channel.compensator) if channel.compensator is not None else None,
         speed_compensator=None
         if channel.speed_compensator is None
-        else _speed_compensator(channel.speed_compensator),
-        bands=None if bands is None else _bands(bands),
+        else speed_compensator_of(channel.speed_compensator),
+        bands=None if bands is None else bands_of(bands),
     )
-
-
-def _plant(channel: Channel, discrete: DiscretePhysicalModel) -> Plant:
-    benchmark, step_s = channel.benchmark, discrete.step_s
-    structure = benchmark.structure
-    if isinstance(structure, NonlinearStructure):
-        form = _form(structure, VECTOR_FIELDS)
-        if form is None:
-            raise _unknown(structure.name)
-        return Plant(
-            form=form,
-            states=int(np.asarray(structure.init_state(benchmark.values, jnp.zeros(1))).shape[0]),
-            values=_rows(benchmark.values),
-            substeps=structure.substeps,
-            nodes=1,
-            transition=(),
-            gamma0=(),
-            gamma1=(),
-            friction=(),
-            speed_row=(),
-            speed_gain=0.0,
-            friction_at_rest=None,
-            friction_travel=0.0,
-            natural_frequency=0.0,
-            frequency_slope=0.0,
-            delay_samples=0,
-            dead_time_parts_s=(0.0, step_s),
-        )
-    linear = structure.require_linear()
-    form = _form(linear, STATE_SPACES)
-    if form is None and (benchmark.scheduling is not None or linear.has_dry_friction):
-        raise _unknown(linear.name)
-    values = dict(
-        zip((each.name for each in linear.parameters), np.asarray(benchmark.values).tolist(), strict=True)
-    )
-    a, b = (np.asarray(part) for part in linear.state_space(benchmark.values))
-    along = benchmark.discretised_along_stroke(step_s)
-    nodes = STROKE_NODES if benchmark.varies_along_stroke else 1
-    models = along.models if isinstance(along, StrokeModel) else along
-    friction = models.friction
-    samples = float(benchmark.dead_time_s) / step_s
-    fraction = min(max(samples - math.floor(samples + 1e-9), 0.0), 1.0)
-    return Plant(
-        form=form or "linear",
-        states=b.size,
-        values=_rows(benchmark.values),
-        substeps=0,
-        nodes=nodes,
-        transition=_per_node(models.transition, nodes, (b.size, b.size)),
-        gamma0=_per_node(models.gamma0, nodes, (b.size,)),
-        gamma1=_per_node(models.gamma1, nodes, (b.size,)),
-        friction=() if friction is None else _per_node(friction.gains, nodes, (b.size,)),
-        speed_row=_rows(a[0]),
-        speed_gain=float(b[0]),
-        friction_at_rest=values.get("friction_at_rest") if linear.has_dry_friction else None,
-        friction_travel=values.get("friction_travel", 0.0),
-        natural_frequency=values.get("natural_frequency", 0.0),
-        frequency_slope=values.get("frequency_slope", 0.0) if benchmark.varies_along_stroke else 0.0,
-        delay_samples=discrete.delay_samples,
-        dead_time_parts_s=(fraction * step_s, (1 - fraction) * step_s),
-    )
-
-
-def _form(structure: object, forms: dict[type, str]) -> str | None:
-    """Return the name of a structure's equations; None of a structure of another package."""
-    if type(structure).__module__.partition(".")[0] != "hitchid":
-        return None
-    return next((name for kind, name in reversed(forms.items()) if isinstance(structure, kind)), None)
-
-
-def _unknown(name: str) -> InputError:
-    known = ", ".join([*STATE_SPACES.values(), *VECTOR_FIELDS.values()]).replace("_", "-")
-    return InputError(
-        f"structure {name}: expected one whose equations the export knows ({known}), or a linear one without "
-        "covariates and dry friction"
-    )
-
-
-def _per_node(array: object, nodes: int, shape: tuple[int, ...]) -> Rows:
-    return _rows(np.asarray(array).reshape(nodes, *shape))
-
-
-def _rows(array: object) -> Rows:
-    """Return an array as nested tuples."""
-    nested = np.asarray(array).tolist()
-
-    def frozen(part: object) -> object:
-        return tuple(frozen(each) for each in part) if isinstance(part, list) else part
-
-    result = frozen(nested)
-    return result if isinstance(result, tuple) else (result,)
-
-
-def _curves(nonlinearity: StaticNonlinearity, step_s: float) -> dict[str, float]:
-    names = (
-        "opening",
-        "exponent",
-        "saturation",
-        "hysteresis",
-        "spool_lag",
-        "position_slope",
-        "position_curve",
-    )
-    curves = {name: float(value) for name, value in zip(names, nonlinearity.named(*names), strict=True)}
-    decay = float(np.exp(-step_s / curves["spool_lag"]))
-    scales = nonlinearity.scales
-    return curves | {
-        "command_scale": float(scales.command),
-        "centre": float(scales.centre),
-        "span": float(scales.span),
-        "decay": decay,
-        "mean_share": curves["spool_lag"] / step_s * (1 - decay),
-    }
-
-
-def _scheduling(channel: Channel) -> dict[str, Any] | None:
-    scheduling, nonlinearity = channel.benchmark.scheduling, channel.benchmark.nonlinearity
-    if scheduling is None or nonlinearity is None:
-        return None
-    scales = nonlinearity.scales.covariates
-    names = [parameter.name for parameter in channel.benchmark.structure.parameters]
-    return {
-        "centre": _rows(scales.centre),
-        "spread": _rows(scales.spread),
-        # Index of the structure's parameter; −1: the opening of the valve.
-        "targets": tuple(names.index(name) if name in names else -1 for name in scheduling.quantities),
-        "effects": _rows(scheduling.effects),
-    }
-
-
-def _filter(load_filter: LoadFilter, step_s: float) -> dict[str, float]:
-    noise, scatter, length, transient, time_s, drift = (
-        float(getattr(load_filter, name))
-        for name in (
-            "noise",
-            "load_scatter",
-            "load_length",
-            "transient_scatter",
-            "transient_time",
-            "drift",
-        )
-    )
-    return {
-        "noise_variance": noise**2,
-        "load_variance": scatter**2,
-        "load_length": min(length, LONGEST),
-        "transient_kept": math.exp(-step_s / time_s),
-        "transient_variance": -math.expm1(-2 * step_s / time_s) * transient**2,
-        "drift_variance": drift**2 * step_s,
-    }
-
-
-def _compensator(compensator: Compensator) -> dict[str, Any]:
-    network = compensator.network
-    hidden = network.cell.hidden_size
-    return {
-        "hidden": hidden,
-        "window": compensator.window,
-        "error_step": float(compensator.error_step),
-        "centre": _rows(compensator.centre),
-        "spread": _rows(compensator.spread),
-        "input_weights": _rows(network.cell.weight_ih),
-        "state_weights": _rows(network.cell.weight_hh),
-        "bias": _rows(network.cell.bias),
-        "output_weights": _rows(network.head.weight[0]),
-        "output_bias": float(np.asarray(network.head.bias)[0]),
-    }
-
-
-def _speed_compensator(compensator: SpeedCompensator) -> dict[str, Any]:
-    networks, covered = compensator.networks, compensator.operating_range
-    return {
-        "members": compensator.members,
-        "units": networks.biases.shape[1],
-        "inputs": networks.input_weights.shape[2],
-        "input_weights": _rows(networks.input_weights),
-        "biases": _rows(networks.biases),
-        "output_weights": _rows(networks.output_weights),
-        "command_scale": float(compensator.command_scale),
-        "speed_scale": float(compensator.speed_scale),
-        "acceleration_scale": float(compensator.acceleration_scale),
-        "sign": compensator.sign,
-        "ranges": {
-            "command": Range.of(covered.command),
-            "displacement": Range.of(covered.displacement),
-            "load": [
-                Range.of(covered.load, number) for number in range(np.asarray(covered.load.lowest).size)
-            ],
-        },
-    }
-
-
-def _bands(bands: Bands) -> dict[str, Any]:
-    """Return the table of the band around predictions at `COVERAGE`; see `Bands.half_width`."""
-    from scipy.special import ndtri  # not at the top: half a second
-
-    spread = bands.predictions
-    return {
-        "noise": spread.noise,
-        "floor": float(ndtri(0.5 + COVERAGE / 2)) * spread.noise,
-        "exponent": spread.exponent,
-        "log_horizons": tuple(math.log(horizon) for horizon in spread.horizons),
-        "movements": spread.movements,
-        "growths": spread.growths,
-        "multipliers": tuple(float(np.interp(COVERAGE, bands.levels, row)) for row in spread.multipliers),
-    }
