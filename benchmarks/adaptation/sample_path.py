@@ -1,6 +1,6 @@
 """Time of a sample while the model adapts: the update runs in another process and must not delay it.
 
-Before each sample the latest one is rehearsed, as `hitchid run` does.
+Before each sample the latest one is rehearsed, after its output it is learned from, as `hitchid run` does.
 """
 
 import json
@@ -44,11 +44,12 @@ def seconds(live: Live, record: Record) -> np.ndarray:
         due_s = begun_s + number * record.step_s
         _sleep_until(due_s - REHEARSAL_S)
         live.rehearse()
-        overrun = time.perf_counter() > due_s  # the sample had to wait
+        overrun = time.perf_counter() > due_s  # of learning or of the rehearsal: the sample had to wait
         _sleep_until(due_s)
         started_s = due_s if overrun else time.perf_counter()
         live.process(line)
         took_s.append(time.perf_counter() - started_s)
+        live.learn()
     return np.array(took_s)
 
 

@@ -8,7 +8,7 @@ import pytest
 
 import handmade
 import machine
-from hitchid.adaptation import AdaptationSettings, Adapter, Changes, changed_model
+from hitchid.adaptation import AdaptationSettings, Adapter, Changes, Event, changed_model
 from hitchid.adaptation.events import FAULT, PROMOTED, ROLLED_BACK
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError
@@ -76,6 +76,8 @@ def test_a_running_model_follows_and_stays_as_it_is_where_learning_ends(replayed
     learned_from = 8 * len(STROKES[0].displacement)
     for number in range(learned_from):
         answer = live.process(line(number))
+        if number % 2:
+            live.learn()
         assert math.isfinite(answer.displacement)
         if not adaptation.changes[LIFTING].gain and not adaptation.changes[LOWERING].gain:
             # The same numbers, in a program of their own.
@@ -105,6 +107,27 @@ def test_a_running_model_follows_and_stays_as_it_is_where_learning_ends(replayed
     assert flags.count("fault: the process that learns has ended; the model stays as it is") == 1
     assert adaptation.changes == changes
     assert adaptation.finish() == ()
+
+
+def test_an_output_does_not_wait_for_what_its_sample_teaches(monkeypatch):
+    adaptation, fed = OnlineAdaptation(MODEL), []
+    event = Event(PROMOTED, 0.0, 0, LIFTING, "the gain", Changes())
+
+    def feed(_, displacement):
+        fed.append(displacement.tolist())
+        return (event,)
+
+    monkeypatch.setattr(adaptation, "feed", feed)
+    live = Live(MODEL, adaptation=adaptation)
+    first = live.process(line(0))
+    assert fed == []
+    live.learn()
+    live.learn()
+    assert fed == [[DISPLACEMENT[0]]]
+    second, third = live.process(line(1)), live.process(line(2))
+    assert fed == [[DISPLACEMENT[0]], [DISPLACEMENT[1]]]
+    assert [event.sentence in answer.flags for answer in (first, second, third)] == [False, True, True]
+    adaptation.finish()
 
 
 def test_a_model_that_follows_predicts_better_than_one_that_does_not(replayed):

@@ -75,3 +75,4 @@ def _answer_lines(live: "Live", step_s: float) -> None:
     for line in lines(sys.stdin, step_s - REHEARSAL_S, live.rehearse):
         sys.stdout.write(live.process(line).to_json() + "\n")
         sys.stdout.flush()
+        live.learn()

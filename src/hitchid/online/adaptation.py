@@ -22,7 +22,6 @@ from hitchid._support.outbox import Outbox
 from hitchid.adaptation import AdaptationSettings, Changes, Event, StrokeCutter, changed_model
 from hitchid.adaptation.events import FAULT, REFUSED, last_sample
 from hitchid.adaptation.strokes import Stroke
-from hitchid.data.record import DIRECTIONS
 from hitchid.errors import InputError
 from hitchid.model import Hitch, save
 from hitchid.model.loads import Load
@@ -117,10 +116,6 @@ class OnlineAdaptation:
                     break
                 events += self._receive()
         return self._logged(events)
-
-    def rehearse(self) -> None:
-        """Cut strokes from no samples: without effect; see `Live.rehearse`."""
-        self._cutter.feed(np.empty((0, len(DIRECTIONS))), np.empty(0))
 
     def rollback(self, direction: str) -> None:
         """Return to the parameters of one direction before its last promotion, as soon as nothing moves."""

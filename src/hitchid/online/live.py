@@ -58,6 +58,9 @@ class Live:
     without a measured displacement the model simulates from the commands. Steps without a sample are
     simulated; samples out of order are ignored. Functions are compiled before the first sample.
 
+    With an adaptation `learn` is to be called after each output, once that is on its way; where it was not,
+    the next sample begins with it.
+
     Args:
         model: an identified hitch.
         initial: initial displacement, in the model's unit; None for the first measured one.
@@ -91,6 +94,8 @@ class Live:
         self._history: deque[tuple[Packed | None, Sample]] = deque(maxlen=HISTORY_LENGTH)
         self._measured = False
         self._line = ""
+        self._unlearned: Sample | None = None
+        self._learned: list[str] = []
         self._range_check = RangeCheck(model)
         state = model.init_state(0.0, load)
         if isinstance(self._stepped, AdjustableHitch):
@@ -100,6 +105,7 @@ class Live:
 
     def process(self, line: str) -> Output:
         """Advance the model by one line of JSON and return its output."""
+        self.learn()
         self._line = line
         sample, flags = _parse(line)
         stamp = sample.get(TIME, math.nan)
@@ -128,10 +134,18 @@ class Live:
         merged = {**replaced, **sample}
         self._step(merged)
         if not replaced:
-            flags += self._adapt(merged)
+            self._unlearned = merged
+        flags += self._learned
+        self._learned = []
         if self._state is not None:
             flags += self._input_flags(self._state, merged)
         return self._output(flags)
+
+    def learn(self) -> None:
+        """Learn from the latest sample; what changes by it takes effect, and is a flag, with the next one."""
+        if self._unlearned is not None:
+            self._adapt(self._unlearned)
+            self._unlearned = None
 
     def rehearse(self) -> None:
         """Compute the latest sample once more, without effect.
@@ -144,8 +158,6 @@ class Live:
             _, sample = self._history[-1]
             self._predict(self._state, sample)
             self._input_flags(self._state, sample)
-        if self._adaptation is not None:
-            self._adaptation.rehearse()
 
     @property
     def _next_sample_s(self) -> float:
@@ -195,10 +207,10 @@ class Live:
         state, displacement = self._stepped.step(state, commands, sample.get(DISPLACEMENT, math.nan))
         return state, float(displacement)
 
-    def _adapt(self, sample: Sample) -> list[str]:
-        """Learn from a sample; return a sentence for each change that takes effect with it."""
+    def _adapt(self, sample: Sample) -> None:
+        """Learn from a sample; keep a sentence for each change that takes effect after it."""
         if self._adaptation is None:
-            return []
+            return
         commands = np.array([[sample.get(COMMAND[direction], math.nan) for direction in DIRECTIONS]])
         events = self._adaptation.feed(commands, np.array([sample.get(DISPLACEMENT, math.nan)]))
         numbers = self._adaptation.numbers
@@ -206,7 +218,7 @@ class Live:
             self._numbers = numbers
             if self._state is not None:
                 self._state = self._stepped.adjust(numbers, self._state)
-        return [event.sentence for event in events if event.kind in REPORTED]
+        self._learned += [event.sentence for event in events if event.kind in REPORTED]
 
     def _input_flags(self, state: Packed, sample: Sample) -> list[str]:
         roles = [COMMAND[direction] for direction in self._model.channels]
