@@ -12,12 +12,16 @@ from hitchid.adaptation import AdaptationSettings, Adapter, Changes, Event, chan
 from hitchid.adaptation.events import FAULT, PROMOTED, ROLLED_BACK
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError
+from hitchid.model.adjustable import numbers_of_models
 from hitchid.online import OnlineAdaptation
 from hitchid.online.adaptation_messages import stroke_message, stroke_of
 from hitchid.online.live import Live
 from machine import DIRECTIONS, STEP_S
 
 MODEL = handmade.with_bands(machine.MODEL, *DIRECTIONS)
+SCHEDULED = handmade.hitch_of(
+    *(handmade.channel(mode, "integrator-first-order", shape=True) for mode in DIRECTIONS)
+)
 STROKES = machine.strokes(10, seed=7, scatter=0.015, changed_at=2, samples=60, gain=1.15)
 COMMANDS, DISPLACEMENT = machine.stream(STROKES)
 
@@ -107,6 +111,30 @@ def test_a_running_model_follows_and_stays_as_it_is_where_learning_ends(replayed
     assert flags.count("fault: the process that learns has ended; the model stays as it is") == 1
     assert adaptation.changes == changes
     assert adaptation.finish() == ()
+
+
+def test_adapted_parameters_stay_after_a_restart_and_after_an_early_sample(monkeypatch):
+    """The state of a model with covariates has the parameters at its load."""
+    model, load = SCHEDULED, {"pressure": 150.0}
+    changed = changed_model(model, {LIFTING: Changes(0.2), LOWERING: Changes(-0.2)})
+    adaptation = OnlineAdaptation(model, load=load)
+    monkeypatch.setattr(adaptation, "feed", lambda *_: ())
+    adaptation.numbers = np.asarray(numbers_of_models(changed))
+    live = Live(model, initial=100.0, load=load, adaptation=adaptation)
+    expected = Live(changed, initial=100.0, load=load)
+    # New numbers, which are the same, come with sample 39; another sample then takes its place. After the
+    # second part is a gap longer than is simulated.
+    parts = np.arange(40.0), 39.2 + np.arange(40.0), 5000.0 + np.arange(40.0)
+    for number, time_s in enumerate(np.concatenate(parts) * model.step_s):
+        sample = {"time_s": time_s, "lifting_command": 0.6, "lowering_command": 0.0}
+        line = json.dumps(sample if number % 40 else {**sample, "displacement": 100.0})
+        found, wanted = live.process(line).displacement, expected.process(line).displacement
+        assert found == pytest.approx(wanted, rel=1e-9), number
+        if number == 39:
+            adaptation.numbers = adaptation.numbers.copy()
+            live.learn()
+    assert wanted > 100.1  # it moves
+    adaptation.finish()
 
 
 def test_an_output_does_not_wait_for_what_its_sample_teaches(monkeypatch):

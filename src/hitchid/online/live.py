@@ -87,7 +87,7 @@ class Live:
             self._numbers = adaptation.numbers
         self._load = load
         self._displacement = initial
-        self._state = None if initial is None else model.init_state(initial, load)
+        self._state = None if initial is None else self._init_state(initial)
         self._origin_s: float | None = None
         self._latest_s = -math.inf
         self._steps = 0
@@ -97,10 +97,7 @@ class Live:
         self._unlearned: Sample | None = None
         self._learned: list[str] = []
         self._range_check = RangeCheck(model)
-        state = model.init_state(0.0, load)
-        if isinstance(self._stepped, AdjustableHitch):
-            state = self._stepped.adjust(self._numbers, state)
-        state, _ = self._stepped.step(state, np.zeros(len(DIRECTIONS)), math.nan)
+        state, _ = self._stepped.step(self._init_state(0.0), np.zeros(len(DIRECTIONS)), math.nan)
         self._mode = model.switching(state).mode
 
     def process(self, line: str) -> Output:
@@ -189,6 +186,8 @@ class Live:
         for _ in range(min(samples, len(self._history))):
             self._state, sample = self._history.pop()
         self._steps -= samples
+        if self._state is not None:
+            self._state = self._with_numbers(self._state)
         return sample
 
     def _step(self, sample: Sample) -> None:
@@ -196,10 +195,19 @@ class Live:
         self._history.append((self._state, sample))
         self._steps += 1
         if self._state is None and math.isfinite(measured):
-            self._state = self._model.init_state(measured, self._load)
+            self._state = self._init_state(measured)
         if self._state is not None:
             self._state, self._displacement = self._predict(self._state, sample)
             self._measured |= math.isfinite(measured)
+
+    def _init_state(self, displacement: float) -> Packed:
+        return self._with_numbers(self._model.init_state(displacement, self._load))
+
+    def _with_numbers(self, state: Packed) -> Packed:
+        """Return a state with the numbers in use: it has those of the models at its load."""
+        if isinstance(self._stepped, AdjustableHitch):
+            return self._stepped.adjust(self._numbers, state)
+        return state
 
     def _predict(self, state: Packed, sample: Sample) -> tuple[Packed, float]:
         """Return state and displacement one sampling time after a sample."""
@@ -214,10 +222,10 @@ class Live:
         commands = np.array([[sample.get(COMMAND[direction], math.nan) for direction in DIRECTIONS]])
         events = self._adaptation.feed(commands, np.array([sample.get(DISPLACEMENT, math.nan)]))
         numbers = self._adaptation.numbers
-        if numbers is not self._numbers and isinstance(self._stepped, AdjustableHitch):
+        if numbers is not self._numbers:
             self._numbers = numbers
             if self._state is not None:
-                self._state = self._stepped.adjust(numbers, self._state)
+                self._state = self._with_numbers(self._state)
         self._learned += [event.sentence for event in events if event.kind in REPORTED]
 
     def _input_flags(self, state: Packed, sample: Sample) -> list[str]:
