@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from hitchid.structures.limited import limited
 from hitchid.structures.nonlinear import NonlinearStructure
 from hitchid.structures.structure import Parameter, Scale
 
@@ -51,10 +52,10 @@ class CascadedTanks(NonlinearStructure):
     ) -> Float[Array, "n t"]:
         """Return the rate of the lower level, in the displacement's unit, and of the upper one."""
         inflow, upper_outflow, transfer, lower_outflow, leak, spill, _, brim = values
-        upper, lower = jnp.maximum(state[1], EMPTY), jnp.maximum(state[0] / brim, EMPTY)
+        upper, lower = limited(state[1], EMPTY), limited(state[0] / brim, EMPTY)
         outflow = upper_outflow * jnp.sqrt(upper)
         full = jax.nn.sigmoid((upper - 1) / UPPER_BRIM)
-        overflow = full * jnp.maximum(inflow * command - outflow, 0.0)
+        overflow = full * limited(inflow * command - outflow, 0.0)
         net = transfer * jnp.sqrt(upper) + spill * overflow - lower_outflow * jnp.sqrt(lower) - leak * lower
-        blocked_rise = jax.nn.sigmoid((lower - 1) / LOWER_BRIM) * jnp.maximum(net, 0.0)
+        blocked_rise = jax.nn.sigmoid((lower - 1) / LOWER_BRIM) * limited(net, 0.0)
         return jnp.stack([brim * (net - blocked_rise), inflow * command - outflow - overflow])

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from hitchid.structures.limited import limited
 from hitchid.structures.structure import LinearStructure
 
 Scalar = Float[Array, ""] | float
@@ -79,7 +80,7 @@ class DiscreteStateSpace(NamedTuple):
             return next_state
         gains = self.friction.gains.reshape(gamma0.shape)
         share = -next_state[1] / gains[1]
-        next_state = next_state + gains * jnp.clip(share, -1.0, 1.0)
+        next_state = next_state + gains * limited(share, -1.0, 1.0)
         # Exactly at rest: rounding must not decide what a load at rest is taken to have come from.
         return next_state.at[1].set(jnp.where(jnp.abs(share) < 1, 0.0, next_state[1]))
 
@@ -104,7 +105,7 @@ class StrokeModel(NamedTuple):
         Args:
             position: half ranges of displacement from the middle; beyond `STROKE_RANGE` the model stays.
         """
-        node = jnp.clip((position / STROKE_RANGE + 1) * 0.5 * (STROKE_NODES - 1), 0.0, STROKE_NODES - 1.0)
+        node = limited((position / STROKE_RANGE + 1) * 0.5 * (STROKE_NODES - 1), 0.0, STROKE_NODES - 1.0)
         lower = jnp.minimum(jnp.floor(jax.lax.stop_gradient(node)), STROKE_NODES - 2.0)
         index, share = lower.astype(jnp.int32), node - lower
 

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from hitchid._support.short_repr import short_repr
+from hitchid.structures.limited import limited
 from hitchid.structures.scheduling import CovariateScales
 from hitchid.structures.structure import Parameter
 
@@ -122,8 +123,8 @@ class StaticNonlinearity(eqx.Module):
         half_width = 0.5 * hysteresis * dead_zone
         decay = jnp.exp(-step_s / lag)
         mean_lagged = command + lag / step_s * (1 - decay) * (spool.lagged - command)
-        play_output = jnp.clip(spool.play_output, mean_lagged - half_width, mean_lagged + half_width)
-        excess = jnp.sign(play_output) * jnp.maximum(jnp.abs(play_output) - (dead_zone - half_width), 0.0)
+        play_output = limited(spool.play_output, mean_lagged - half_width, mean_lagged + half_width)
+        excess = jnp.sign(play_output) * limited(jnp.abs(play_output) - (dead_zone - half_width), 0.0)
         return PlayState(command + decay * (spool.lagged - command), play_output), excess
 
     def flow(self, command: Float[Array, "*b"]) -> Float[Array, "*b"]:
@@ -136,8 +137,8 @@ class StaticNonlinearity(eqx.Module):
         size = jnp.abs(command) / self.scales.command
         above_opening = size - opening
         is_open = (size > MIN_RELATIVE_COMMAND) & (above_opening > 0)
-        power = jnp.maximum(above_opening, LINEAR_OPENING) ** exponent * jnp.minimum(
-            above_opening / LINEAR_OPENING, 1.0
+        power = limited(above_opening, LINEAR_OPENING) ** exponent * limited(
+            above_opening / LINEAR_OPENING, highest=1.0
         )
         unsaturated = jnp.where(is_open, power, 0.0)
         saturated = unsaturated / (1 + (unsaturated / saturation) ** SHARPNESS) ** (1 / SHARPNESS)
@@ -174,8 +175,8 @@ class StaticNonlinearity(eqx.Module):
         """
         slope, curve = self.named("position_slope", "position_curve")
         position = self.position(displacement)
-        clipped_position = jnp.clip(position, -QUADRATIC_RANGE, QUADRATIC_RANGE)
-        extrapolation = jnp.clip(slope * (position - clipped_position), -MAX_EXTRAPOLATION, MAX_EXTRAPOLATION)
+        clipped_position = limited(position, -QUADRATIC_RANGE, QUADRATIC_RANGE)
+        extrapolation = limited(slope * (position - clipped_position), -MAX_EXTRAPOLATION, MAX_EXTRAPOLATION)
         return jnp.exp(slope * clipped_position + extrapolation + curve * (clipped_position**2 - 1 / 3))
 
     def position(self, displacement: Float[Array, "*b"]) -> Float[Array, "*b"]:
