@@ -22,8 +22,8 @@ SEEDS = 10
 
 def minimise(objective, dimensions, swarm, key):
     """Run a swarm to its end."""
-    carry = whale.begin(dimensions, swarm, key)
-    return whale.outcome(whale.run_until(objective, carry, swarm, key, swarm.generations), swarm)
+    carry, draws = whale.begin(dimensions, swarm, key)
+    return whale.outcome(whale.run_until(objective, carry, swarm, draws, swarm.generations), swarm)
 
 
 def sphere(positions):
@@ -195,7 +195,8 @@ ASKED = WhaleConfig(population=6, iterations=20)
 
 @eqx.filter_jit
 def ask(key, state):
-    return whale.ask(key, state, ASKED), whale.ask(key, state, WhaleConfig(6, 20, per_dimension=False))
+    swarms = ASKED, WhaleConfig(6, 20, per_dimension=False)
+    return tuple(whale.ask(whale.draw(key, 3, swarm), state, swarm) for swarm in swarms)
 
 
 @settings(deadline=None, max_examples=30)
@@ -217,10 +218,11 @@ def test_whales_stay_in_the_cube(seed, generation, corner):
 def test_a_search_that_is_looked_at_on_its_way_ends_where_it_would_have(stagnation):
     swarm = WhaleConfig(population=6, iterations=20, stagnation=stagnation, tolerance=0.05)
     key = jax.random.key(4)
-    proceed = jax.jit(lambda carry, until: whale.run_until(sphere, carry, swarm, key, until))
+    carry, draws = whale.begin(3, swarm, key)
+    proceed = jax.jit(lambda carry, until: whale.run_until(sphere, carry, swarm, draws, until))
     at_once = jax.jit(lambda: minimise(sphere, 3, swarm, key))()
     for stops in ((7, 20), (1, 2, 3, 20), (20,)):
-        carry = whale.begin(3, swarm, key)
+        carry, _ = whale.begin(3, swarm, key)
         for until in stops:
             carry = proceed(carry, jnp.asarray(until))
         found = whale.outcome(carry, swarm)

@@ -5,11 +5,12 @@ compiled program for the whole population and every iteration.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from hitchid.errors import InputError
 from hitchid.estimation.search_problem import FitnessFunction
@@ -123,28 +124,51 @@ def init(key: PRNGKeyArray, dimensions: int, config: WhaleConfig) -> WhaleState:
     )
 
 
-def ask(key: PRNGKeyArray, state: WhaleState, config: WhaleConfig) -> Float[Array, "p d"]:
+class WhaleDraws(NamedTuple):
+    """Random numbers of moves, those of generations along a first axis; K is D, or one for all coordinates.
+
+    Attributes:
+        a: of A, from −1 to 1, shape [..., P, K].
+        c: C, from 0 to 2, shape [..., P, K].
+        spirals: whether a whale spirals, shape [..., P, K].
+        spiral_parameter: l, from −1 to 1, shape [..., P, K].
+        member: which member is X_r, shape [..., P].
+    """
+
+    a: Float[Array, "*g p k"]
+    c: Float[Array, "*g p k"]
+    spirals: Bool[Array, "*g p k"]
+    spiral_parameter: Float[Array, "*g p k"]
+    member: Int[Array, "*g p"]
+
+
+def draw(key: PRNGKeyArray, dimensions: int, config: WhaleConfig) -> WhaleDraws:
+    """Return the random numbers of one generation's moves."""
+    shape = (config.population, dimensions if config.per_dimension else 1)
+    key_a, key_c, key_p, key_l, key_member = jax.random.split(key, 5)
+    return WhaleDraws(
+        a=2.0 * jax.random.uniform(key_a, shape) - 1.0,
+        c=2.0 * jax.random.uniform(key_c, shape),
+        spirals=jax.random.uniform(key_p, shape) >= 0.5,
+        spiral_parameter=jax.random.uniform(key_l, shape, minval=-1.0, maxval=1.0),
+        member=jax.random.randint(key_member, (config.population,), 0, config.population),
+    )
+
+
+def ask(draws: WhaleDraws, state: WhaleState, config: WhaleConfig) -> Float[Array, "p d"]:
     """Return where the whales move next; the first generation stays where it was put.
 
     X' = X* − A |C X* − X| where |A| < 1, X' = X_r − A |C X_r − X| with a random member r elsewhere, and with
     probability ½ the spiral X' = |X* − X| e^(b l) cos 2π l + X*; A = 2 a r₁ − a, C = 2 r₂, a from 2 to 0.
     Mirjalili & Lewis 2016, eq. 2.1-2.8. Whales are stopped at the walls of the cube.
     """
-    whales, dimensions = state.population.shape
-    draw_shape = (whales, dimensions if config.per_dimension else 1)
-    key_a, key_c, key_p, key_l, key_member = jax.random.split(key, 5)
     shrink = 2.0 * (1.0 - state.generation / max(1, config.generations))
-    a = shrink * (2.0 * jax.random.uniform(key_a, draw_shape) - 1.0)
-    c = 2.0 * jax.random.uniform(key_c, draw_shape)
-    spirals = jax.random.uniform(key_p, draw_shape) >= 0.5
-    spiral_parameter = jax.random.uniform(key_l, draw_shape, minval=-1.0, maxval=1.0)
-    random_member = state.population[jax.random.randint(key_member, (whales,), 0, whales)]
-
-    target = jnp.where(jnp.abs(a) < 1.0, state.best, random_member)
-    encircling = target - a * jnp.abs(c * target - state.population)
+    a, spiral_parameter = shrink * draws.a, draws.spiral_parameter
+    target = jnp.where(jnp.abs(a) < 1.0, state.best, state.population[draws.member])
+    encircling = target - a * jnp.abs(draws.c * target - state.population)
     spiral_factor = jnp.exp(config.spiral * spiral_parameter) * jnp.cos(2.0 * jnp.pi * spiral_parameter)
     spiralling = jnp.abs(state.best - state.population) * spiral_factor + state.best
-    moved_population = jnp.clip(jnp.where(spirals, spiralling, encircling), 0.0, 1.0)
+    moved_population = jnp.clip(jnp.where(draws.spirals, spiralling, encircling), 0.0, 1.0)
     return jnp.where(state.generation == 0, state.population, moved_population)
 
 
@@ -166,8 +190,13 @@ def tell(
     )
 
 
-def begin(dimensions: int, config: WhaleConfig, key: PRNGKeyArray) -> tuple[WhaleState, WhaleTrace]:
-    """Return a swarm before its first generation, and an empty trace.
+def begin(
+    dimensions: int, config: WhaleConfig, key: PRNGKeyArray
+) -> tuple[tuple[WhaleState, WhaleTrace], WhaleDraws]:
+    """Return a swarm before its first generation with an empty trace, and what all its moves draw.
+
+    Random numbers are a program of their own, which serves all objectives: compiling it takes as long as
+    compiling an objective.
 
     Args:
         dimensions: D.
@@ -175,14 +204,18 @@ def begin(dimensions: int, config: WhaleConfig, key: PRNGKeyArray) -> tuple[Whal
         key: every random draw comes from it.
     """
     generations = config.generations
-    state = init(jax.random.split(key)[0], dimensions, config)
+    first_key, moves_key = jax.random.split(key)
     empty = WhaleTrace(
         best_fitness=jnp.full((generations,), jnp.inf),
         best=jnp.zeros((generations, dimensions)),
         fitness=jnp.full((generations, config.population), jnp.inf),
         failures=jnp.zeros((generations,), jnp.int32),
     )
-    return state, empty
+    draws = jax.lax.map(
+        lambda number: draw(jax.random.fold_in(moves_key, number), dimensions, config),
+        jnp.arange(generations),
+    )
+    return (init(first_key, dimensions, config), empty), draws
 
 
 def outcome(carry: tuple[WhaleState, WhaleTrace], config: WhaleConfig) -> WhaleResult:
@@ -207,18 +240,18 @@ def run_until(
     objective: FitnessFunction,
     carry: tuple[WhaleState, WhaleTrace],
     config: WhaleConfig,
-    key: PRNGKeyArray,
+    draws: WhaleDraws,
     until: Int[Array, ""] | int,
 ) -> tuple[WhaleState, WhaleTrace]:
     """Run the swarm until a number of generations or until it stagnates.
 
     Args:
         objective: from positions of shape [P, D] to fitness of shape [P]; NaN marks a failed simulation.
-        config, key: as for `begin`.
         carry: of `begin` or an earlier call; where the calls part the search changes nothing.
+        config: as for `begin`.
+        draws: of `begin`.
         until: generations in all.
     """
-    key = jax.random.split(key)[1]
 
     def unfinished(carry: tuple[WhaleState, WhaleTrace]) -> Array:
         state, _ = carry
@@ -227,7 +260,7 @@ def run_until(
     def generation(carry: tuple[WhaleState, WhaleTrace]) -> tuple[WhaleState, WhaleTrace]:
         state, trace = carry
         row = state.generation
-        population = ask(jax.random.fold_in(key, row), state, config)
+        population = ask(jax.tree.map(lambda drawn: drawn[row], draws), state, config)
         fitness = objective(population)
         state = tell(state, population, fitness, config)
         failed = ~jnp.isfinite(fitness)

@@ -36,8 +36,7 @@ class Whale(Search):
         self, problem: SearchProblem, seed: int, callback: IterationCallback | None = None
     ) -> SearchResult:
         """Search with a swarm of whales, in one compiled program."""
-        key = jax.random.key(seed)
-        carry = _begin(problem.dimensions, self.config, key)
+        carry, draws = _begin(problem.dimensions, self.config, jax.random.key(seed))
         last_generation = self.config.generations
         for until in range(
             REPORT_INTERVAL if callback else last_generation,
@@ -45,7 +44,7 @@ class Whale(Search):
             REPORT_INTERVAL,
         ):
             carry = _run_until(
-                problem.fitness, carry, self.config, key, jnp.asarray(min(until, last_generation))
+                problem.fitness, carry, self.config, draws, jnp.asarray(min(until, last_generation))
             )
             if callback is not None:
                 callback(int(carry[0].generation), float(carry[0].best_fitness))
