@@ -12,6 +12,8 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+from hitchid._support.compilation import choose_code_generator
+
 from .outcome import HUNG, TRACEBACK, Outcome
 
 Report = Callable[[Outcome], None]
@@ -75,7 +77,8 @@ def run_jobs(jobs: Iterable[Job], report: Report, *, together: int = 0) -> None:
 
 
 def prepare_cache() -> None:
-    """Let all processes share compiled programs, the small ones too."""
+    """Let all processes compile as the program does, and share compiled programs, the small ones too."""
+    choose_code_generator()
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(CACHE.absolute()))
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")

@@ -11,7 +11,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from hitchid._support.compilation_cache import prepare_jax
+from hitchid._support.compilation import prepare_jax
 
 
 def main(folders: Sequence[Path], *, physics: bool) -> None:

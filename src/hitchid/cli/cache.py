@@ -3,7 +3,7 @@
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from hitchid._support.compilation_cache import cache_folder
+from hitchid._support.compilation import cache_folder
 
 if TYPE_CHECKING:
     from hitchid.estimation import SearchComparison

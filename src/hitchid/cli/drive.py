@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hitchid._support.compilation_cache import prepare_jax
+from hitchid._support.compilation import prepare_jax
 from hitchid.cli.options import AsJson, Force, Loads, Quiet, loads_of
 from hitchid.cli.program import command_line
 from hitchid.errors import InputError

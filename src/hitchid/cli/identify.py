@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from hitchid._support.compilation_cache import prepare_jax
+from hitchid._support.compilation import prepare_jax
 from hitchid.cli.cache import with_search_cache
 from hitchid.cli.options import AsJson, Force, Logs, Quiet, Signals, Strict
 from hitchid.errors import InputError, OutputError

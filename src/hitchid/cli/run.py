@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hitchid._support.compilation_cache import prepare_jax
+from hitchid._support.compilation import prepare_jax
 from hitchid._support.lines import lines
 from hitchid._support.storage import check_folder
 from hitchid.cli.options import Force, Loads, loads_of

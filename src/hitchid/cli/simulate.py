@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from hitchid._support.compilation_cache import prepare_jax
+from hitchid._support.compilation import prepare_jax
 from hitchid.cli.options import Force, Loads, Signals, loads_of
 from hitchid.errors import InputError
 

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from hitchid._support.compilation_cache import prepare_jax
+from hitchid._support.compilation import prepare_jax
 from hitchid.cli.options import (
     AsJson,
     AsPdf,

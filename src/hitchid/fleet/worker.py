@@ -64,7 +64,7 @@ def peak_bytes() -> int:
 
 @cache
 def _prepare_jax() -> None:
-    from hitchid._support.compilation_cache import prepare_jax
+    from hitchid._support.compilation import prepare_jax
 
     prepare_jax()
 
@@ -79,7 +79,7 @@ def _claimed_core() -> tuple[int, IO[str] | None] | None:
         return None
     import fcntl
 
-    from hitchid._support.compilation_cache import cache_folder
+    from hitchid._support.compilation import cache_folder
 
     cores = sorted(os.sched_getaffinity(0))
     try:

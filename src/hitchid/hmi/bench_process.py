@@ -125,7 +125,7 @@ def main(arguments: Sequence[str]) -> None:
     Args:
         arguments: file descriptor of the connection, settings as JSON.
     """
-    from hitchid._support.compilation_cache import prepare_jax
+    from hitchid._support.compilation import prepare_jax
 
     prepare_jax()
     descriptor, settings = int(arguments[0]), json.loads(arguments[1])

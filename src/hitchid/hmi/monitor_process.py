@@ -27,7 +27,7 @@ def main(arguments: Sequence[str]) -> None:
     Args:
         arguments: file descriptor of the connection; model, units and step_s as JSON.
     """
-    from hitchid._support.compilation_cache import prepare_jax
+    from hitchid._support.compilation import prepare_jax
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     connection, settings = Connection(int(arguments[0])), json.loads(arguments[1])

@@ -21,7 +21,7 @@ def main(arguments: Sequence[str]) -> None:
         arguments: file descriptor of the connection. Its first message are folder of the model, settings,
             load and earlier events as JSON.
     """
-    from hitchid._support.compilation_cache import prepare_jax
+    from hitchid._support.compilation import prepare_jax
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     connection = Connection(int(arguments[0]))
