@@ -1,6 +1,7 @@
 """The curves around a linear model against closed forms and what must hold for all values."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -281,3 +282,20 @@ def test_sampling_time_does_not_enter_the_static_curve(make_record):
     np.testing.assert_allclose(
         model.travel(batch)[0, :100], speed * STEP_S * np.arange(100), rtol=0, atol=1e-12
     )
+
+
+def test_hysteresis_has_a_derivative_where_it_is_zero():
+    # A ramp up, a level, a ramp down: what lies beyond the dead zone is linear in a small hysteresis.
+    command = jnp.concatenate([jnp.linspace(0.0, 2.0, 50), jnp.full(20, 2.0), jnp.linspace(2.0, 0.0, 50)])
+
+    def effective(hysteresis):
+        number = [parameter.name for parameter in NONLINEARITY_PARAMETERS].index("hysteresis")
+        curves = StaticNonlinearity(shape().values.at[number].set(hysteresis), SCALES)
+        return curves.effective(command[None], jnp.array([DEAD_ZONE]), STEP_S)[0]
+
+    at_zero, derivative = jax.jvp(effective, (jnp.zeros(()),), (jnp.ones(()),))
+    small = 1e-6
+    quotient = (effective(jnp.asarray(small)) - at_zero) / small
+
+    assert float(jnp.max(jnp.abs(derivative))) > 0.1 * DEAD_ZONE
+    np.testing.assert_allclose(derivative, quotient, atol=10 * EPS * float(command.max()) / small)
