@@ -14,8 +14,8 @@ from jaxtyping import install_import_hook
 
 jax.config.update("jax_enable_x64", True)
 
-# Compiling is most of the work of the suite, and takes less than half as long with these; the gauntlet and
-# the benchmarks run with the compiler's own choice.
+# Compiling is most of the work of the suite, and takes less than half as long with these: the program's code
+# generator (`hitchid._support.compilation`), and one thread for each program, as there are two workers.
 os.environ.setdefault(
     "XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
 )

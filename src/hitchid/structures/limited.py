@@ -9,7 +9,7 @@ Values = Float[Array, "..."] | float
 
 @jax.custom_jvp
 def limited(values: Values, lowest: Values = -jnp.inf, highest: Values = jnp.inf) -> Float[Array, "..."]:
-    """Return min(max(x, a), b), and the derivative of the one it is, of x where equal.
+    """Return min(max(x, a), b), with the derivative of the value returned, that of x where equal.
 
     `jnp.clip` returns the same, but has the mean of both derivatives where two are equal. Of a play without
     width that is not its derivative by the width; and the division is a loop of its own in each sample of a
