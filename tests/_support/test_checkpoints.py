@@ -9,7 +9,16 @@ import numpy as np
 import pytest
 
 import hitchid
-from hitchid._support.checkpoints import DISABLED, RUN_FILE, SUFFIX, Checkpoints, has_results, is_run
+from hitchid._support.checkpoints import (
+    DISABLED,
+    RUN_FILE,
+    SUFFIX,
+    Checkpoints,
+    has_results,
+    is_empty,
+    is_run,
+    remove_run,
+)
 from hitchid.errors import InputError, OutputError
 from hitchid.estimation import MultiStart, SearchComparison
 from hitchid.identification.optional import attempt
@@ -203,8 +212,38 @@ def test_a_run_that_was_stopped_before_its_folder_was_whole_is_begun(tmp_path):
     # What a kill in the middle of writing the first file leaves.
     (tmp_path / "run" / f".{RUN_FILE}-x1y2").mkdir(parents=True)
     (tmp_path / "run" / f".{RUN_FILE}-x1y2" / RUN_FILE).write_text("{")
+    assert is_empty(tmp_path / "run")
     Checkpoints.of_run(tmp_path / "run", {"seed": 1})
     assert is_run(tmp_path / "run")
+
+
+def test_a_run_whose_removal_was_stopped_is_still_a_run_or_an_empty_folder(tmp_path, monkeypatch):
+    run = tmp_path / "run"
+    removed = []
+
+    def remove_until_stopped(path):
+        if len(removed) == stopped_after:
+            raise KeyboardInterrupt
+        removed.append(path.name)
+        real_unlink(path)
+
+    real_unlink = Path.unlink
+    for stopped_after in range(5):
+        removed.clear()
+        checkpoints = Checkpoints.of_run(run, {"seed": 1})
+        for name in ("search", "training", "weights"):
+            checkpoints.cached_arrays(name, Work())
+        (run / f".{RUN_FILE}-x1y2").mkdir(exist_ok=True)
+        with monkeypatch.context() as patched:
+            patched.setattr(Path, "unlink", remove_until_stopped)
+            if stopped_after < 4:  # three results and run.json
+                with pytest.raises(KeyboardInterrupt):
+                    remove_run(run)
+                assert is_run(run)
+            else:
+                remove_run(run)
+                assert not run.exists()
+    assert removed[-1] == RUN_FILE
 
 
 # --- a disk that is full ------------------------------------------------------------------------------------

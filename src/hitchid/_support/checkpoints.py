@@ -2,6 +2,7 @@
 
 import io
 import re
+import shutil
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
@@ -51,9 +52,7 @@ class Checkpoints:
                     f"{folder}: holds an unfinished run with other logs, settings or version; "
                     "use the same ones, or start again with --force and without --resume"
                 )
-        elif folder.is_dir() and any(
-            not child_path.name.startswith(f".{RUN_FILE}-") for child_path in folder.iterdir()
-        ):
+        elif folder.is_dir() and not is_empty(folder):
             raise InputError(f"{folder}: holds no unfinished run; choose an empty folder")
         else:
             write_bytes(run_file, stamp, force=True)
@@ -123,6 +122,27 @@ def has_failed(folder: Path) -> bool:
 def is_run(folder: Path) -> bool:
     """Return whether a folder holds a run."""
     return (folder / RUN_FILE).is_file()
+
+
+def is_empty(folder: Path) -> bool:
+    """Return whether a folder holds nothing, or what a kill while `run.json` was written left."""
+    return all(path.name.startswith(f".{RUN_FILE}-") for path in folder.iterdir())
+
+
+def remove_run(folder: Path) -> None:
+    """Remove a run, `run.json` last: what a stop leaves is still a run, or an empty folder.
+
+    Raises:
+        OSError: a file cannot be removed.
+    """
+    run_file = folder / RUN_FILE
+    for path in folder.iterdir():
+        if path.is_dir():
+            shutil.rmtree(path)
+        elif path != run_file:
+            path.unlink()
+    run_file.unlink()
+    folder.rmdir()
 
 
 def _file_name(*names: str) -> str:

@@ -1,7 +1,7 @@
 """`hitchid identify`: from logs to a model folder."""
 
 import json
-import shutil
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -90,21 +90,24 @@ def identify(
 
 
 def _remove_run(unfinished: Path) -> None:
-    """Remove a run that will not be resumed."""
-    from hitchid._support.checkpoints import is_run
+    """Remove a run that will not be resumed; what cannot be removed stays."""
+    from hitchid._support.checkpoints import is_run, remove_run
 
     if is_run(unfinished):
-        shutil.rmtree(unfinished, ignore_errors=True)
+        with suppress(OSError):
+            remove_run(unfinished)
 
 
 def _make_way(unfinished: Path, *, force: bool) -> None:
     """Remove a stopped run before a new one."""
-    from hitchid._support.checkpoints import is_run
+    from hitchid._support.checkpoints import is_empty, is_run, remove_run
 
+    if unfinished.is_dir() and is_empty(unfinished):
+        return
     if not force:
         raise OutputError(
             f"{unfinished}: holds a stopped run; use --resume to continue it, or --force to start again"
         )
     if not is_run(unfinished):
         raise OutputError(f"{unfinished}: is not an unfinished run, so --force does not replace it")
-    shutil.rmtree(unfinished)
+    remove_run(unfinished)
