@@ -385,7 +385,7 @@ BAD_MODELS = {
     "description of something else": (lambda f: (f / "model.json").write_text("{}") and None, ["model.json"]),
     "trace edited": (edited("trace.json", "{", "{ "), ["trace.json", "edited"]),
     "a newer schema": (
-        edited("model.json", '"schema": 11', '"schema": 12'),
+        edited("model.json", '"schema": 12', '"schema": 13'),
         ["model.json", "schema 12", "expected 3 to 11"],
     ),
 }

@@ -65,6 +65,15 @@ def changed(model: Hitch, *, drift: float = 0.0, **fields) -> Hitch:
     return replace(model, channels=channels, drift=drift)
 
 
+def correcting_up_to(horizons: dict[str, int], model: Hitch, **fields) -> Hitch:
+    """Return `changed` whose compensators for predictions end at horizons by direction."""
+    compensators = {
+        direction: replace(channel.compensator, max_horizon=horizons[direction])
+        for direction, channel in model.channels.items()
+    }
+    return changed(model, compensator=compensators, **fields)
+
+
 def nonlinear(name: str) -> Hitch:
     """Return a model of a nonlinear structure."""
     values = {
@@ -137,7 +146,8 @@ def made_up() -> dict[str, Hitch]:
             handmade.channel(LOWERING, "integrator", free_run=True, filtered=True),
         ),
         "everything": handmade.with_bands(
-            changed(
+            correcting_up_to(
+                {LIFTING: 2, LOWERING: 40},
                 handmade.hitch_of(
                     *(
                         handmade.channel(

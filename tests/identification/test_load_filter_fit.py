@@ -8,7 +8,8 @@ import pytest
 from hitchid._support.precision import double_precision
 from hitchid.data.record import LIFTING
 from hitchid.errors import FitError
-from hitchid.identification.load_filter_fit import fit_load_filter
+from hitchid.identification import load_filter_fit
+from hitchid.identification.load_filter_fit import MAX_LOAD_SCATTER, fit_load_filter
 from hitchid.structures import Batch
 
 STEP_S, SAMPLES, TESTS = 0.01, 400, 24
@@ -47,6 +48,32 @@ def test_scatter_of_load_transient_and_noise_are_found_again(make_record):
     assert float(found.transient_time) == pytest.approx(TIME_S, rel=6 * TRANSIENT_ERROR)
     assert float(found.noise) == pytest.approx(NOISE_MM, rel=0.1)
     assert float(found.load_length) > runs.max() - runs.min()  # the load of a test stays
+
+
+@double_precision
+def test_the_load_at_most_doubles_the_speed(make_record):
+    # Loads of ± 200 %: a benchmark that is wrong.
+    batch, runs = simulated(make_record, np.random.default_rng(5), load=2.0)
+    found = fit_load_filter(batch, runs)
+    assert float(found.load_scatter) == pytest.approx(MAX_LOAD_SCATTER)
+    again = fit_load_filter(batch, runs, found)
+    assert float(again.load_scatter) <= MAX_LOAD_SCATTER * (1 + 1e-12)
+
+
+@double_precision
+@pytest.mark.parametrize(("step_s", "furthest"), [(0.01, 100), (0.003, 300), (0.001, 1000)])
+def test_predictions_are_judged_up_to_100_samples_or_a_second(make_record, monkeypatch, step_s, furthest):
+    judged = []
+
+    def likelihood(position, typical, tests, horizons, step_s):
+        judged.append(horizons)
+        return jnp.zeros_like(position), jnp.zeros(())
+
+    monkeypatch.setattr(load_filter_fit, "_negative_log_likelihood", likelihood)
+    record = make_record(100.0 + np.arange(1200) * 0.01, np.ones(1200), step_s=step_s)
+    batch = Batch.of([record], LIFTING, dead_zone=0.0, sign=1)
+    fit_load_filter(batch, np.asarray(batch.displacement))
+    assert judged[0] == (1, 3, 10, 30, 100, 300, 1000)[: (100, 300, 1000).index(furthest) + 5]
 
 
 @double_precision

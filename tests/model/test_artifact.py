@@ -201,7 +201,7 @@ def redescribed(folder, place, change):
 @pytest.mark.parametrize("schema", [0, 2, 99, "5", None])
 def test_another_schema_is_refused_with_both_numbers(folder, tmp_path, schema):
     place = redescribed(folder, tmp_path / "model", lambda content: content.update(schema=schema))
-    with pytest.raises(ModelFolderError, match=f"schema {schema!r}.*3 to 11"):
+    with pytest.raises(ModelFolderError, match=f"schema {schema!r}.*3 to 12"):
         load(place)
 
 

@@ -6,12 +6,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from handmade import DEAD_ZONES, ERROR_STEP, WINDOW, channel, envelope, hitch
+from handmade import DEAD_ZONES, ERROR_STEP, WINDOW, channel, envelope, hitch, hitch_of
 from hitchid.data.record import LIFTING, LOWERING
 from truth import levels
 
 SAMPLES = 200
 SINGLE = float(np.finfo(np.float32).eps)
+# One computation in two programs: single precision in each of 40 steps of sums of 14 products.
+ALIKE_MM = 40 * WINDOW * 14 * SINGLE * ERROR_STEP
 
 
 @pytest.fixture
@@ -44,6 +46,20 @@ def test_an_echo_that_is_measured_is_what_one_step_ahead_predicts(record):
     rounding = WINDOW**2 * 14 * SINGLE * ERROR_STEP
     np.testing.assert_allclose(predicted[same], echo[same], rtol=0, atol=rounding)
     assert np.abs(echo - run(model.simulate_benchmark(heard)))[same].max() > 100 * rounding
+
+
+@pytest.mark.parametrize("largest", [1, 7, 100])
+def test_tests_and_single_samples_are_predicted_alike_beyond_the_largest_horizon(record, largest):
+    model = channel(LIFTING, "integrator-first-order", compensated=True, filtered=True)
+    model = replace(model, compensator=replace(model.compensator, max_horizon=largest))
+    horizons = (1, 5, 12, 40)
+    batch = model.batch([record])
+    stepped = hitch_of(model).predictions(record, horizons)
+    predicted = [run(rows) for rows in model.predict(batch, horizons)]
+    np.testing.assert_allclose(predicted, stepped, rtol=0, atol=ALIKE_MM)
+    whole = channel(LIFTING, "integrator-first-order", compensated=True, filtered=True)
+    changed = np.abs(np.asarray(whole.predict(batch, horizons)) - np.asarray(model.predict(batch, horizons)))
+    assert [bool(np.any(each > ALIKE_MM)) for each in changed] == [horizon > largest for horizon in horizons]
 
 
 def echoed(record, displacement):

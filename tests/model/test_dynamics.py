@@ -14,9 +14,9 @@ from handmade import DEAD_ZONES, ERROR_STEP, GAINS, VALUES, WINDOW, channel, hit
 from hitchid.data.record import LIFTING, LOWERING
 from hitchid.errors import InputError
 from hitchid.model.dynamics import HitchDynamics
-from hitchid.model.error_prediction import MAX_COASTING_SAMPLES
 from hitchid.model.loads import mean_load
 from hitchid.model.packing import Packing
+from hitchid.networks.error_compensator import MAX_HORIZON
 from truth import STEP_S, levels
 
 EPS = np.finfo(np.float64).eps
@@ -498,7 +498,7 @@ def lossy(samples, gap):
     return commands, measured, gone
 
 
-@pytest.mark.parametrize("gap", [1, 30, MAX_COASTING_SAMPLES + 50])
+@pytest.mark.parametrize("gap", [1, 30, MAX_HORIZON + 50])
 def test_untrained_the_first_measurement_after_a_gap_is_enough(gap):
     model = hitch_of(channel(LIFTING, "integrator-first-order", compensated=False))
     commands, measured, gone = lossy(250, gap)
@@ -508,7 +508,7 @@ def test_untrained_the_first_measurement_after_a_gap_is_enough(gap):
     assert np.all(found[42 : back + 1] != expected[42 : back + 1])
 
 
-@pytest.mark.parametrize("gap", [1, 30, MAX_COASTING_SAMPLES - 1])
+@pytest.mark.parametrize("gap", [1, 30, MAX_HORIZON - 1])
 def test_two_windows_after_a_gap_a_compensator_has_forgotten_it(gap):
     """All but the sum of errors, which is for ever and here not heard, is of the last two windows."""
     deaf = channel(LIFTING, "integrator-first-order", compensated=True)

@@ -138,7 +138,8 @@ def test_an_offset_that_drifts_with_time_in_schema_9_is_refused():
 
     def content(drift):
         values[6] = drift
-        channel = {"structure": "inertia-with-friction", "values": list(values), "shape": None, "load": None}
+        channel = {"structure": "inertia-with-friction", "values": list(values)}
+        channel |= dict.fromkeys(("shape", "load", "compensator"))
         others = {key: {} for key in ("comparison", "uncertainty", "set_by_hand")}
         return {"schema": 9, "channels": {LIFTING: channel}, **others}
 

@@ -1,5 +1,7 @@
 """The compensator against plain loops over the formulas of method.md sec. 3."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -208,6 +210,18 @@ def test_further_ahead_the_compensator_hears_itself(compensator, made_up, origin
         # What was rounded before is heard again: in ten features of spread near 1, weights below 1/2.
         assert ahead[step - 1] == pytest.approx(error, abs=step * ERROR_STEP * 4 * SINGLE)
         heard[position] = float(made_up.benchmark[position]) + error
+
+
+@pytest.mark.parametrize("largest", [1, 4])
+def test_beyond_its_largest_horizon_a_compensator_corrects_nothing(compensator, made_up, largest):
+    limited = replace(compensator, max_horizon=largest)
+    full, found = (np.asarray(roll(c, made_up, TRUSTED, 9, STEP_S)) for c in (compensator, limited))
+    np.testing.assert_allclose(found[:largest], full[:largest], rtol=0, atol=1e-13)
+    # Without a filter the error that was reached stays.
+    np.testing.assert_allclose(
+        found[largest:], np.broadcast_to(found[largest - 1], (9 - largest, SAMPLES)), rtol=0, atol=1e-12
+    )
+    assert np.abs(full[largest:] - found[largest:]).max() > 0.1 * ERROR_STEP
 
 
 def test_without_trust_the_error_stands_and_half_of_it_takes_half_a_step(compensator, made_up):

@@ -213,8 +213,15 @@ def test_between_levels_and_horizons_bands_are_interpolated():
     # On a logarithmic axis 3 lies at 0.477 between 1 and 10; of a piston at rest only the noise is uncertain.
     q = 1.3 + np.log10(3) * 0.3
     assert BANDS.half_width(0.9, 3, np.zeros(())) == pytest.approx(0.1 * np.hypot(z, q))
-    # Beyond the horizons the last one stands.
-    assert BANDS.half_width(0.9, 1000, np.ones(())) == BANDS.half_width(0.9, 100, np.ones(()))
+
+
+def test_beyond_the_last_horizon_the_error_grows_in_proportion_to_the_horizon():
+    z = stats.norm.ppf(0.95)
+    # Of a movement in proportion, ten times the error at 100 samples; the noise and its factor stay.
+    expected = np.sqrt(z**2 * 0.01 + 1.8**2 * (0.01 + 10.0**2))
+    assert BANDS.half_width(0.9, 1000, np.array(200.0)) == pytest.approx(expected, rel=1e-12)
+    widths = [float(BANDS.half_width(0.9, horizon, np.array(20.0))) for horizon in (100, 101, 150, 1000)]
+    assert np.all(np.diff(widths) > 0)
 
 
 @settings(max_examples=50)

@@ -18,7 +18,6 @@ from hitchid.export.error_constants import (
 from hitchid.export.plant_constants import Plant, curves_of, plant_of, scheduling_of
 from hitchid.model import Bands, Channel, Hitch, TravelLimits
 from hitchid.model.dynamics import MAX_MAGNITUDE, HitchDynamics
-from hitchid.model.error_prediction import MAX_COASTING_SAMPLES
 from hitchid.model.load_filter import JUMP, TINY
 from hitchid.model.loads import covariates_of, mean_load
 from hitchid.networks.speed_compensator import AUTHORITY
@@ -80,7 +79,6 @@ class ModelConstants:
     digest: str
 
     max_magnitude: float = MAX_MAGNITUDE
-    coasting_samples: int = MAX_COASTING_SAMPLES
     jump: float = JUMP
     tiny: float = float(TINY)
     authority: float = AUTHORITY

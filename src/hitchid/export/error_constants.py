@@ -71,6 +71,7 @@ def compensator_of(compensator: Compensator) -> dict[str, Any]:
     return {
         "hidden": hidden,
         "window": compensator.window,
+        "max_horizon": compensator.max_horizon,
         "error_step": float(compensator.error_step),
         "centre": rows(compensator.centre),
         "spread": rows(compensator.spread),
@@ -116,6 +117,7 @@ def bands_of(bands: Bands) -> dict[str, Any]:
         "floor": float(ndtri(0.5 + COVERAGE / 2)) * spread.noise,
         "exponent": spread.exponent,
         "log_horizons": tuple(math.log(horizon) for horizon in spread.horizons),
+        "last_horizon": float(spread.horizons[-1]),
         "movements": spread.movements,
         "growths": spread.growths,
         "multipliers": tuple(float(np.interp(COVERAGE, bands.levels, row)) for row in spread.multipliers),

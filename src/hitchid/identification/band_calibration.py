@@ -5,15 +5,19 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 
-from hitchid.baselines.persistence import delayed
-from hitchid.identification.cross_fitting import HeldOut, filled, held_out_free_runs, of_tests
+from hitchid.identification.cross_fitting import HeldOut, held_out_free_runs
+from hitchid.identification.held_out_predictions import held_out_errors, rows_of_tests, within_a_second
 from hitchid.identification.phase1 import Phase1
 from hitchid.model import Channel
 from hitchid.model.bands import Bands, EnsembleMember
 from hitchid.model.ensemble import ensemble_deviations
 from hitchid.structures import Batch
 from hitchid.uncertainty.conformal import LEVELS, fewest_tests, growing_quantiles, sensor_noise
-from hitchid.uncertainty.prediction_spread import CALIBRATED_HORIZONS, HeldOutErrors, prediction_spread
+from hitchid.uncertainty.prediction_spread import (
+    CALIBRATED_HORIZONS,
+    FURTHER_HORIZONS,
+    prediction_spread,
+)
 
 FEWEST_TESTS = 3  # chosen: fewer held-out errors give no usable quantile
 MAX_STEP = 0.25  # largest deviation of an ensemble member, share of the range between bounds; chosen
@@ -37,14 +41,15 @@ def calibrate_bands(channel: Channel, phase1: Phase1, batch: Batch, held_out: Se
     ensemble, spreads = _selected_ensemble(channel, phase1, batch)
     errors = np.asarray(batch.displacement) - held_out_free_runs(held_out, batch)
     loss_mask = np.asarray(batch.loss_mask)
-    residuals, spread_by_test = _rows(errors, loss_mask), _rows(spreads, loss_mask)
+    residuals, spread_by_test = rows_of_tests(errors, loss_mask), rows_of_tests(spreads, loss_mask)
     noise = sensor_noise(residuals)
+    horizons = (*CALIBRATED_HORIZONS, *within_a_second(FURTHER_HORIZONS, batch.step_s))
     return Bands(
         ensemble=ensemble,
         noise=noise,
         levels=LEVELS,
         free_run=growing_quantiles(residuals, spread_by_test, noise),
-        predictions=prediction_spread(held_out_errors(held_out, batch), noise),
+        predictions=prediction_spread(held_out_errors(held_out, batch, horizons), noise),
         tests=(tests, tests),
     )
 
@@ -65,27 +70,6 @@ def band_notices(tests: int) -> list[str]:
         f"{tests} tests are too few to calibrate bands for {levels}: they are at least so wide that they "
         "contain that share of each held-out test"
     ]
-
-
-def held_out_errors(held_out: Sequence[HeldOut], batch: Batch) -> dict[int, HeldOutErrors]:
-    """Return for each horizon the errors of predictions of each test by the channel fitted without it."""
-    loss_mask, measured = np.asarray(batch.loss_mask), np.asarray(batch.displacement)
-    shortest = loss_mask.sum(axis=1).min()
-    horizons = tuple(horizon for horizon in CALIBRATED_HORIZONS if horizon < shortest)
-    predicted = np.empty((len(horizons), *measured.shape))
-    for tests, channel in held_out:
-        rows = channel.predict(batch.take(filled(held_out, tests)), horizons)
-        predicted[:, tests] = of_tests(rows, tests)
-    errors = {}
-    for horizon, rows in zip(horizons, predicted, strict=True):
-        mask = loss_mask & (np.arange(loss_mask.shape[1]) >= horizon)
-        movement = rows - delayed(measured, horizon)
-        errors[horizon] = HeldOutErrors(_rows(measured - rows, mask), _rows(movement, mask))
-    return errors
-
-
-def _rows(values: np.ndarray, mask: np.ndarray) -> list[np.ndarray]:
-    return [row[row_mask] for row, row_mask in zip(values, mask, strict=True)]
 
 
 def _selected_ensemble(

@@ -21,6 +21,7 @@ from hitchid.identification.comparison import (
     search_summaries,
     with_compensator,
 )
+from hitchid.identification.compensator_horizon import JudgedCompensator, judge_compensator
 from hitchid.identification.cross_fitting import HeldOut, cross_fitted
 from hitchid.identification.dead_zone import DeadZone
 from hitchid.identification.gain_calibration import with_gain
@@ -148,7 +149,11 @@ def find_compensators(
         )
         trace = replace(trace, notices=(*trace.notices, *notices))
     compensator_training = CompensatorTraining(config.training, training_history.best_epoch, keys[0])
-    calibrate = partial(_bands, channel, trace.phase1, data.all_tests, held_out, compensator_training)
+    with timed(seconds, "compensator's horizon"):
+        judged = _judged(channel, held_out, data.all_tests, compensator_training)
+    channel, held_out = judged.channel, judged.held_out
+    trace = replace(trace, notices=(*trace.notices, *judged.notices))
+    calibrate = partial(_bands, channel, trace.phase1, data.all_tests, held_out)
     return channel, _finished(channel, trace, comparison, data, config, calibrate, seconds, parts)
 
 
@@ -215,18 +220,39 @@ def _finished(
     )
 
 
+def _judged(
+    channel: Channel, held_out: Sequence[HeldOut], batch: Batch, training: CompensatorTraining
+) -> JudgedCompensator:
+    """Return the channel with a compensator that corrects no further than it was found to.
+
+    With too few tests to train others without each it is judged on its own tests: they show whether it
+    diverges, and no more. A compensator that cannot be judged is not used.
+    """
+
+    def judge() -> JudgedCompensator:
+        tests = batch.command.shape[0]
+        if tests < FEWEST_TESTS:
+            return judge_compensator(channel, [HeldOut(np.ones(tests, dtype=bool), channel)], batch)
+        return judge_compensator(channel, with_compensators(held_out, batch, training), batch)
+
+    notices: list[str] = []
+    judged = attempt(
+        "how far ahead the compensator for predictions corrects; the model is without it", judge, notices
+    )
+    if judged is None:
+        return JudgedCompensator(replace(channel, compensator=None), tuple(held_out), tuple(notices))
+    return judged
+
+
 def _bands(
     channel: Channel,
     phase1: Phase1,
     batch: Batch,
     held_out: Sequence[HeldOut],
-    training: CompensatorTraining | None = None,
 ) -> Bands | None:
     """Return the bands of a channel; None where there are too few tests."""
     if batch.command.shape[0] < FEWEST_TESTS:
         return None
-    if training is not None:
-        held_out = with_compensators(held_out, batch, training)
     return calibrate_bands(channel, phase1, batch, held_out)
 
 

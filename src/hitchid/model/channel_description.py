@@ -61,6 +61,7 @@ def describe_channel(channel: Channel) -> dict[str, object]:
         if compensator is None
         else {
             "window": compensator.window,
+            "max_horizon": compensator.max_horizon,
             "hidden": compensator.network.cell.hidden_size,
             "features": list(FEATURES),
         },
@@ -117,7 +118,8 @@ def _read_compensator(described: dict[str, Any] | None, tensors: Tensors, prefix
     if described["features"] != list(FEATURES):
         raise ValueError("the compensator's features are not those of this version")
     check_size(tensors, described["hidden"] ** 2)
-    return fill(_empty_compensator(described["hidden"], described["window"]), tensors, prefix)
+    sizes = (int(described[name]) for name in ("hidden", "window", "max_horizon"))
+    return fill(_empty_compensator(*sizes), tensors, prefix)
 
 
 def _read_speed_compensator(
@@ -166,7 +168,7 @@ def _read_curves(
     return StaticNonlinearity(values, scales), Scheduling(covariates, quantities, rows["effects"])
 
 
-def _empty_compensator(hidden: int, window: int) -> Compensator:
+def _empty_compensator(hidden: int, window: int, max_horizon: int) -> Compensator:
     count = len(FEATURES)
     return Compensator(
         Lstm.init(jax.random.key(0), count, hidden),
@@ -174,6 +176,7 @@ def _empty_compensator(hidden: int, window: int) -> Compensator:
         jnp.ones(count),
         jnp.ones(()),
         window,
+        max_horizon,
     )
 
 

@@ -14,8 +14,6 @@ from hitchid.networks.error_compensator import FEATURES, Compensator, FeatureSta
 from hitchid.networks.lstm import SINGLE, LstmState
 
 Tree = TypeVar("Tree")
-# Samples without a measurement after which the error is kept constant; chosen: 1 s at 100 Hz.
-MAX_COASTING_SAMPLES = 100
 
 
 def compute_features(
@@ -23,9 +21,9 @@ def compute_features(
 ) -> tuple[HitchState, Float32[Array, "10"], Float[Array, ""]]:
     """Return the state with new features of the active channel, the scaled features, and their trust.
 
-    The trust is zero without a measured displacement in the last `MAX_COASTING_SAMPLES`.
+    The trust is zero without a measured displacement within the compensator's largest horizon.
     """
-    recent = (state.samples_since_measurement >= 0) & (state.samples_since_measurement < MAX_COASTING_SAMPLES)
+    since = state.samples_since_measurement
     selected = state.feature_state, jnp.zeros(len(FEATURES), SINGLE), jnp.zeros(())
     for number, channel in enumerate(channels):
         if channel.compensator is None:
@@ -41,6 +39,7 @@ def compute_features(
         trust = channel.operating_range.trust(jnp.abs(effective), displacement, load)
         previous = select(reset, FeatureState.at_rest(sample), state.feature_state)
         feature_state, scaled_features = channel.compensator.update_features(previous, sample, step_s)
+        recent = (since >= 0) & (since < channel.compensator.max_horizon)
         selected = select(recent & (state.mode == number), (feature_state, scaled_features, trust), selected)
     return state._replace(feature_state=selected[0]), *selected[1:]
 

@@ -15,7 +15,8 @@ Description = dict[str, Any]
 Tensors = dict[str, np.ndarray]
 Stored = tuple[Description, Tensors]
 DRIFT_IN_TIME = 6  # index, in schema 9, among the values of an inertia with friction
-SCHEMA = 11  # version of the layout of a model folder
+SCHEMA_12_HORIZON = 100  # samples that every compensator of schema 11 corrected after a measurement
+SCHEMA = 12  # version of the layout of a model folder
 
 
 def _with_hold(content: Description, tensors: Tensors) -> Stored:
@@ -78,6 +79,27 @@ def _without_clock(content: Description, tensors: Tensors) -> Stored:
                 "distance travelled; identify again"
             )
     return content, tensors
+
+
+def _with_max_horizon(content: Description, tensors: Tensors) -> Stored:
+    """Schema 12 adds the largest horizon of each compensator for predictions."""
+
+    def channel(described: Description) -> Description:
+        compensator = described["compensator"]
+        if compensator is not None:
+            compensator = {**compensator, "max_horizon": SCHEMA_12_HORIZON}
+        return {**described, "compensator": compensator}
+
+    def models(known: Description) -> Description:
+        paper = known["paper"]
+        return {**known, "paper": None if paper is None else channel(paper)}
+
+    migrated = {
+        **content,
+        "channels": {name: channel(described) for name, described in content["channels"].items()},
+        "comparison": {name: models(known) for name, known in content["comparison"].items()},
+    }
+    return migrated, tensors
 
 
 # Part of a tensor's name in schema 5 to that in schema 6.
@@ -168,6 +190,7 @@ MIGRATIONS: Mapping[int, Callable[[Description, Tensors], Stored]] = MappingProx
         8: _with_load_filter,
         9: _without_clock,
         10: to_schema_11,
+        11: _with_max_horizon,
     }
 )
 """Schema to the migration to the next one; content that an older schema lacks is marked as missing."""

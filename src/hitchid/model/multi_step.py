@@ -67,8 +67,8 @@ def multi_step_errors(
 ) -> Float[Array, "h n"]:
     """Return ê(i+h) for h = 1 … horizon from every origin i of one measured test.
 
-    To the error that the filter predicts the compensator adds the innovation to come. Up to the origin filter
-    and features use measurements, beyond it the model's own output.
+    To the error that the filter predicts the compensator adds the innovation to come, up to its largest
+    horizon. Up to the origin filter and features use measurements, beyond it the model's own output.
 
     Args:
         predictor: filter and compensator.
@@ -80,11 +80,16 @@ def multi_step_errors(
     count = trust.shape[0]
     load_filter, compensator = predictor
     _, estimates = load_filter.estimates(test.benchmark, test.displacement, step_s)
+
+    def filtered(estimates: ErrorEstimate, first: int) -> Float[Array, "k n"]:
+        """Return the errors after samples first + 1 … horizon, from the estimates after sample `first`."""
+        ahead = jnp.arange(count) + jnp.arange(first, horizon + 1)[:, None]
+        increments = jnp.diff(test.benchmark[jnp.minimum(ahead, count - 1)], axis=0)
+        return load_filter.ahead(estimates, increments, np.arange(1, horizon - first + 1), step_s)[0]
+
     if compensator is None:
-        ahead = jnp.arange(count) + jnp.arange(1, horizon + 1)[:, None]
-        modelled = test.benchmark[jnp.minimum(ahead, count - 1)]
-        increments = jnp.diff(modelled, axis=0, prepend=test.benchmark[None])
-        return load_filter.ahead(estimates, increments, np.arange(1, horizon + 1), step_s)[0]
+        return filtered(estimates, 0)
+    corrected = min(horizon, compensator.max_horizon)
 
     def advance_measured(
         state: CompensatorState, inputs: tuple[Sample, Array]
@@ -98,7 +103,7 @@ def multi_step_errors(
 
     def from_origin(
         origin: Array, state: CompensatorState, estimate: ErrorEstimate, innovation: Array
-    ) -> Float[Array, " h"]:
+    ) -> tuple[ErrorEstimate, Float[Array, " c"]]:
         def advance(carry: tuple, index: Array) -> tuple[tuple, Array]:
             state, estimate, innovation = carry
             increment = test.benchmark[index] - test.benchmark[jnp.maximum(index - 1, origin)]
@@ -110,8 +115,12 @@ def multi_step_errors(
             )
             return (state, estimate.with_innovation(innovation), trust[index] * ahead), error
 
-        ahead = jnp.minimum(origin + jnp.arange(1, horizon + 1), count - 1)
-        return jax.lax.scan(advance, (state, estimate, innovation), ahead)[1]
+        ahead = jnp.minimum(origin + jnp.arange(1, corrected + 1), count - 1)
+        (_, estimate, _), errors = jax.lax.scan(advance, (state, estimate, innovation), ahead)
+        return estimate, errors
 
-    by_origin = jax.vmap(from_origin, in_axes=(0, 0, -1, 0), out_axes=1)
-    return by_origin(jnp.arange(count), states, estimates, innovations)
+    by_origin = jax.vmap(from_origin, in_axes=(0, 0, -1, 0), out_axes=-1)
+    estimates, errors = by_origin(jnp.arange(count), states, estimates, innovations)
+    if corrected == horizon:
+        return errors
+    return jnp.concatenate([errors, filtered(estimates, corrected)])

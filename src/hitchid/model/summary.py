@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from hitchid._support.sparkline import sparkline
-from hitchid._support.summary import Summary
+from hitchid._support.summary import Summary, count
 from hitchid.data.record import COMMAND, DISPLACEMENT
 from hitchid.model.channel import Channel
 from hitchid.model.hitch import Hitch
@@ -57,8 +57,12 @@ def _facts(hitch: Hitch, channel: Channel) -> Iterator[str]:
         yield f"load filter: speed differs by ± {100 * scatter:.2g} %, alike over {length:.3g} {unit}"
     if uncertainty is not None and uncertainty.load_scatter is not None:
         yield f"load: {uncertainty.load_scatter.sentence}"
-    parts = (("one step", channel.compensator), ("free run", channel.speed_compensator))
-    yield "network corrections: " + (" and ".join(name for name, part in parts if part is not None) or "none")
+    corrections = []
+    if channel.compensator is not None:
+        corrections.append(f"up to {count(channel.compensator.max_horizon, 'sample')} ahead")
+    if channel.speed_compensator is not None:
+        corrections.append("free run")
+    yield "network corrections: " + (" and ".join(corrections) or "none")
 
 
 def _speed_map(hitch: Hitch, direction: str) -> str:

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Float32, Int
 
 from hitchid.networks.lstm import SINGLE, Lstm, LstmState
 
+MAX_HORIZON = 100  # samples after a measurement, at most, that a compensator corrects; chosen: 1 s at 100 Hz
 FEATURES = (
     "time",
     "command",
@@ -101,6 +102,8 @@ class Compensator(eqx.Module):
         centre, spread: scaling of the features, fitted on training tests, shape [10].
         error_step: σ, the spread of e(k) − e(k−1) over the training tests, shape [].
         window: L, the minimum number of samples that a prediction is based on.
+        max_horizon: samples after a measurement that are corrected; farther ahead its own output, which it
+            then reads, has not been found to help.
     """
 
     network: Lstm
@@ -108,6 +111,7 @@ class Compensator(eqx.Module):
     spread: Float[Array, " 10"]
     error_step: Float[Array, ""]
     window: int = eqx.field(static=True)
+    max_horizon: int = eqx.field(static=True, default=MAX_HORIZON)
 
     def scale(self, features: Float[Array, "*b 10"]) -> Float32[Array, "*b 10"]:
         """Return features in units of their spread over the training tests."""

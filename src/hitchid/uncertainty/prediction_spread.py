@@ -12,6 +12,7 @@ from hitchid.uncertainty.conformal import growing_quantiles
 # Horizons at which errors are measured, in samples; between them everything is interpolated. Chosen: half
 # widths of neighbours differ by less than a tenth.
 CALIBRATED_HORIZONS = (1, 2, 3, 5, 7, 10, 14, 20, 30, 50, 70, 100)
+FURTHER_HORIZONS = (200, 500, 1000)  # where they are no further than a second
 # Powers of the movement that are compared; chosen: errors of a wrong gain grow with the movement, those of
 # random disturbances with its root, those of a wrong time constant hardly.
 EXPONENTS = (0.25, 0.5, 0.75, 1.0)
