@@ -1,30 +1,32 @@
 """Prediction bands of a channel, calibrated by cross-fitting on all identification tests."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import jax.numpy as jnp
 import numpy as np
 
 from hitchid.identification.cross_fitting import HeldOut, held_out_free_runs
-from hitchid.identification.held_out_predictions import held_out_errors, rows_of_tests, within_a_second
+from hitchid.identification.held_out_predictions import calibrated_horizons, held_out_errors, rows_of_tests
 from hitchid.identification.phase1 import Phase1
 from hitchid.model import Channel
 from hitchid.model.bands import Bands, EnsembleMember
 from hitchid.model.ensemble import ensemble_deviations
 from hitchid.structures import Batch
 from hitchid.uncertainty.conformal import LEVELS, fewest_tests, growing_quantiles, sensor_noise
-from hitchid.uncertainty.prediction_spread import (
-    CALIBRATED_HORIZONS,
-    FURTHER_HORIZONS,
-    prediction_spread,
-)
+from hitchid.uncertainty.prediction_spread import HeldOutErrors, prediction_spread
 
 FEWEST_TESTS = 3  # chosen: fewer held-out errors give no usable quantile
 MAX_STEP = 0.25  # largest deviation of an ensemble member, share of the range between bounds; chosen
 VARIANCE_SHARE = 0.99  # share of the ensemble's variance that the selected members explain; chosen
 
 
-def calibrate_bands(channel: Channel, phase1: Phase1, batch: Batch, held_out: Sequence[HeldOut]) -> Bands:
+def calibrate_bands(
+    channel: Channel,
+    phase1: Phase1,
+    batch: Batch,
+    held_out: Sequence[HeldOut],
+    predicted: Mapping[int, HeldOutErrors] | None = None,
+) -> Bands:
     """Return the prediction bands of a channel.
 
     Each test is predicted by the channel that was fitted without it, in free run and over all horizons
@@ -36,6 +38,7 @@ def calibrate_bands(channel: Channel, phase1: Phase1, batch: Batch, held_out: Se
         phase1: its benchmark.
         batch: all identification tests.
         held_out: channels fitted without each fold of them; every test is held out once.
+        predicted: `held_out_errors` of their predictions where they are known.
     """
     tests = batch.command.shape[0]
     ensemble, spreads = _selected_ensemble(channel, phase1, batch)
@@ -43,13 +46,14 @@ def calibrate_bands(channel: Channel, phase1: Phase1, batch: Batch, held_out: Se
     loss_mask = np.asarray(batch.loss_mask)
     residuals, spread_by_test = rows_of_tests(errors, loss_mask), rows_of_tests(spreads, loss_mask)
     noise = sensor_noise(residuals)
-    horizons = (*CALIBRATED_HORIZONS, *within_a_second(FURTHER_HORIZONS, batch.step_s))
+    if predicted is None:
+        predicted = held_out_errors(held_out, batch, calibrated_horizons(batch.step_s))
     return Bands(
         ensemble=ensemble,
         noise=noise,
         levels=LEVELS,
         free_run=growing_quantiles(residuals, spread_by_test, noise),
-        predictions=prediction_spread(held_out_errors(held_out, batch, horizons), noise),
+        predictions=prediction_spread(predicted, noise),
         tests=(tests, tests),
     )
 

@@ -36,6 +36,7 @@ from hitchid.model import Bands, Channel, Characteristics, Comparison, Uncertain
 from hitchid.networks.operating_range import OperatingRange, SignalRange
 from hitchid.structures import Batch
 from hitchid.uncertainty import characteristics, information_of, load_scatter
+from hitchid.uncertainty.prediction_spread import HeldOutErrors
 
 FEWEST_LOADS = 3  # tests, of which two differences are left beside the gain
 
@@ -153,7 +154,7 @@ def find_compensators(
         judged = _judged(channel, held_out, data.all_tests, compensator_training)
     channel, held_out = judged.channel, judged.held_out
     trace = replace(trace, notices=(*trace.notices, *judged.notices))
-    calibrate = partial(_bands, channel, trace.phase1, data.all_tests, held_out)
+    calibrate = partial(_bands, channel, trace.phase1, data.all_tests, held_out, judged.errors)
     return channel, _finished(channel, trace, comparison, data, config, calibrate, seconds, parts)
 
 
@@ -223,7 +224,7 @@ def _finished(
 def _judged(
     channel: Channel, held_out: Sequence[HeldOut], batch: Batch, training: CompensatorTraining
 ) -> JudgedCompensator:
-    """Return the channel with a compensator that corrects no further than it was found to.
+    """Return the channel with a compensator that corrects only so far ahead that predictions do not diverge.
 
     With too few tests to train others without each it is judged on its own tests: they show whether it
     diverges, and no more. A compensator that cannot be judged is not used.
@@ -240,7 +241,7 @@ def _judged(
         "how far ahead the compensator for predictions corrects; the model is without it", judge, notices
     )
     if judged is None:
-        return JudgedCompensator(replace(channel, compensator=None), tuple(held_out), tuple(notices))
+        return JudgedCompensator(replace(channel, compensator=None), tuple(held_out), None, tuple(notices))
     return judged
 
 
@@ -249,11 +250,12 @@ def _bands(
     phase1: Phase1,
     batch: Batch,
     held_out: Sequence[HeldOut],
+    predicted: Mapping[int, HeldOutErrors] | None = None,
 ) -> Bands | None:
     """Return the bands of a channel; None where there are too few tests."""
     if batch.command.shape[0] < FEWEST_TESTS:
         return None
-    return calibrate_bands(channel, phase1, batch, held_out)
+    return calibrate_bands(channel, phase1, batch, held_out, predicted)
 
 
 def operating_range_of(batch: Batch, covariates: Sequence[str]) -> OperatingRange:

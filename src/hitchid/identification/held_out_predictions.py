@@ -7,7 +7,7 @@ import numpy as np
 from hitchid.baselines.persistence import delayed
 from hitchid.identification.cross_fitting import HeldOut, filled, of_tests
 from hitchid.structures import Batch
-from hitchid.uncertainty.prediction_spread import HeldOutErrors
+from hitchid.uncertainty.prediction_spread import CALIBRATED_HORIZONS, FURTHER_HORIZONS, HeldOutErrors
 
 FURTHEST_S = 1.0  # furthest prediction that is judged; chosen: the one shown beside a running machine
 ROUNDING = 1e-9  # of a number of samples in a time
@@ -16,6 +16,11 @@ ROUNDING = 1e-9  # of a number of samples in a time
 def within_a_second(horizons: Iterable[int], step_s: float) -> tuple[int, ...]:
     """Return the horizons, in samples, that are no further than `FURTHEST_S`."""
     return tuple(horizon for horizon in horizons if horizon * step_s <= FURTHEST_S * (1 + ROUNDING))
+
+
+def calibrated_horizons(step_s: float) -> tuple[int, ...]:
+    """Return the horizons at which predictions are judged, samples: up to 100, or up to a second."""
+    return (*CALIBRATED_HORIZONS, *within_a_second(FURTHER_HORIZONS, step_s))
 
 
 def held_out_errors(

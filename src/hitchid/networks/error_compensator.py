@@ -102,8 +102,8 @@ class Compensator(eqx.Module):
         centre, spread: scaling of the features, fitted on training tests, shape [10].
         error_step: σ, the spread of e(k) − e(k−1) over the training tests, shape [].
         window: L, the minimum number of samples that a prediction is based on.
-        max_horizon: samples after a measurement that are corrected; farther ahead its own output, which it
-            then reads, has not been found to help.
+        max_horizon: samples after a measurement that are corrected; the farther ahead, the more it reads its
+            own output, for which it was not trained.
     """
 
     network: Lstm
