@@ -386,7 +386,7 @@ BAD_MODELS = {
     "trace edited": (edited("trace.json", "{", "{ "), ["trace.json", "edited"]),
     "a newer schema": (
         edited("model.json", '"schema": 12', '"schema": 13'),
-        ["model.json", "schema 12", "expected 3 to 11"],
+        ["model.json", "schema 13", "expected 3 to 12"],
     ),
 }
 

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
-from scipy.optimize import minimize
+from scipy.optimize import OptimizeResult, minimize
 
 from hitchid.errors import FitError
 from hitchid.identification.cross_fitting import HeldOut, held_out_free_runs
@@ -93,11 +93,10 @@ def fit_load_filter(
     judged = (*HORIZONS, *within_a_second(FURTHER_HORIZONS, batch.step_s))
     horizons = tuple(horizon for horizon in judged if horizon < longest) or HORIZONS[:1]
     typical, tests = _typical_values(batch, benchmark), _filtered_tests(batch, benchmark)
-    lower, upper = (np.full(typical.size, limit) for limit in (-np.log(RANGE), np.log(RANGE)))
-    upper[LOAD_SCATTER] = np.log(MAX_LOAD_SCATTER / TYPICAL_LOAD_SCATTER)
+    limit = float(np.log(RANGE))
     start = np.zeros(typical.size)
     if first_guess is not None:
-        start = np.clip(np.log(np.array(jax.tree.leaves(first_guess)) / typical), lower, upper)
+        start = np.log(np.array(jax.tree.leaves(first_guess)) / typical)
 
     def objective(position: np.ndarray) -> tuple[float, np.ndarray]:
         gradient, value = _negative_log_likelihood(
@@ -105,17 +104,23 @@ def fit_load_filter(
         )
         return float(value), np.asarray(gradient)
 
-    found = minimize(
-        objective,
-        start,
-        jac=True,
-        method="L-BFGS-B",
-        bounds=np.stack([lower, upper], axis=1),
-        options={
-            "maxfun": MAX_EVALUATIONS if first_guess is None else REFIT_EVALUATIONS,
-            "ftol": TOLERANCE,
-        },
-    )
+    def search(max_load_scatter: float) -> OptimizeResult:
+        upper = np.full(typical.size, limit)
+        upper[LOAD_SCATTER] = np.log(max_load_scatter)
+        evaluations = MAX_EVALUATIONS if first_guess is None else REFIT_EVALUATIONS
+        return minimize(
+            objective,
+            np.clip(start, -limit, upper),
+            jac=True,
+            method="L-BFGS-B",
+            bounds=[(-limit, each) for each in upper],
+            options={"maxfun": evaluations, "ftol": TOLERANCE},
+        )
+
+    found, most = search(RANGE), MAX_LOAD_SCATTER / TYPICAL_LOAD_SCATTER
+    # Only where it is needed: a limit changes the path of the search, and with it the optimum where it ends.
+    if found.x[LOAD_SCATTER] > np.log(most):
+        found = search(most)
     if not np.isfinite(found.fun):
         raise FitError("no parameters give a finite likelihood")
     return LoadFilter(*(jnp.asarray(value) for value in typical * np.exp(found.x)))
