@@ -21,7 +21,7 @@ from hitchid.uncertainty.conformal import sensor_noise
 
 # Horizons over which predictions are judged, samples; chosen. One step ahead alone the errors of a second
 # hardly count, and of several causes of an error that of the shortest memory wins. The further ones are used
-# where they are no further than a second: in 100 samples at 1 kHz a load is not told from noise.
+# where they are no further than a second: in 100 samples at 1 kHz a load is hardly distinguished from noise.
 HORIZONS, FURTHER_HORIZONS = (1, 3, 10, 30, 100), (300, 1000)
 MAX_TESTS = 48  # of more tests every m-th is used, which bounds the time; chosen
 MAX_ORIGINS = 1_000  # samples of all tests from which predictions start, which bounds the time; chosen

@@ -15,7 +15,7 @@ Description = dict[str, Any]
 Tensors = dict[str, np.ndarray]
 Stored = tuple[Description, Tensors]
 DRIFT_IN_TIME = 6  # index, in schema 9, among the values of an inertia with friction
-SCHEMA_12_HORIZON = 100  # samples that every compensator of schema 11 corrected after a measurement
+SCHEMA_11_HORIZON = 100  # samples that every compensator of schema 11 corrected after a measurement
 SCHEMA = 12  # version of the layout of a model folder
 
 
@@ -87,7 +87,7 @@ def _with_max_horizon(content: Description, tensors: Tensors) -> Stored:
     def channel(described: Description) -> Description:
         compensator = described["compensator"]
         if compensator is not None:
-            compensator = {**compensator, "max_horizon": SCHEMA_12_HORIZON}
+            compensator = {**compensator, "max_horizon": SCHEMA_11_HORIZON}
         return {**described, "compensator": compensator}
 
     def models(known: Description) -> Description:
