@@ -10,7 +10,8 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
 
 from hitchid.errors import InputError
 from hitchid.estimation.search_problem import FitnessFunction
@@ -112,13 +113,13 @@ class WhaleResult(eqx.Module):
     trace: WhaleTrace
 
 
-def init(key: PRNGKeyArray, dimensions: int, config: WhaleConfig) -> WhaleState:
+def init(rng: np.random.Generator, dimensions: int, config: WhaleConfig) -> WhaleState:
     """Return a swarm spread evenly at random over the unit cube."""
-    population = jax.random.uniform(key, (config.population, dimensions))
+    population = jnp.asarray(rng.random((config.population, dimensions)))
     return WhaleState(
         population=population,
-        best=population[0],
-        best_fitness=jnp.asarray(jnp.inf, population.dtype),
+        best=jnp.asarray(np.array(population)[0]),
+        best_fitness=jnp.asarray(np.inf, population.dtype),
         generation=jnp.asarray(0),
         improved=jnp.asarray(0),
     )
@@ -142,16 +143,16 @@ class WhaleDraws(NamedTuple):
     member: Int[Array, "*g p"]
 
 
-def draw(key: PRNGKeyArray, dimensions: int, config: WhaleConfig) -> WhaleDraws:
-    """Return the random numbers of one generation's moves."""
-    shape = (config.population, dimensions if config.per_dimension else 1)
-    key_a, key_c, key_p, key_l, key_member = jax.random.split(key, 5)
+def draw(rng: np.random.Generator, dimensions: int, config: WhaleConfig) -> WhaleDraws:
+    """Return the random numbers of all generations' moves."""
+    generations, population = config.generations, config.population
+    shape = (generations, population, dimensions if config.per_dimension else 1)
     return WhaleDraws(
-        a=2.0 * jax.random.uniform(key_a, shape) - 1.0,
-        c=2.0 * jax.random.uniform(key_c, shape),
-        spirals=jax.random.uniform(key_p, shape) >= 0.5,
-        spiral_parameter=jax.random.uniform(key_l, shape, minval=-1.0, maxval=1.0),
-        member=jax.random.randint(key_member, (config.population,), 0, config.population),
+        a=jnp.asarray(rng.uniform(-1.0, 1.0, shape)),
+        c=jnp.asarray(rng.uniform(0.0, 2.0, shape)),
+        spirals=jnp.asarray(rng.random(shape) >= 0.5),
+        spiral_parameter=jnp.asarray(rng.uniform(-1.0, 1.0, shape)),
+        member=jnp.asarray(rng.integers(0, population, (generations, population))),
     )
 
 
@@ -191,31 +192,25 @@ def tell(
 
 
 def begin(
-    dimensions: int, config: WhaleConfig, key: PRNGKeyArray
+    dimensions: int, config: WhaleConfig, seed: int
 ) -> tuple[tuple[WhaleState, WhaleTrace], WhaleDraws]:
     """Return a swarm before its first generation with an empty trace, and what all its moves draw.
 
-    Random numbers are a program of their own, which serves all objectives: compiling it takes as long as
-    compiling an objective.
+    NumPy draws the random numbers: a compiled generator of them takes longer to compile than an objective.
 
     Args:
         dimensions: D.
         config: settings.
-        key: every random draw comes from it.
+        seed: every random draw comes from it.
     """
-    generations = config.generations
-    first_key, moves_key = jax.random.split(key)
+    generations, rng = config.generations, np.random.default_rng(seed)
     empty = WhaleTrace(
-        best_fitness=jnp.full((generations,), jnp.inf),
-        best=jnp.zeros((generations, dimensions)),
-        fitness=jnp.full((generations, config.population), jnp.inf),
-        failures=jnp.zeros((generations,), jnp.int32),
+        best_fitness=jnp.asarray(np.full(generations, np.inf)),
+        best=jnp.asarray(np.zeros((generations, dimensions))),
+        fitness=jnp.asarray(np.full((generations, config.population), np.inf)),
+        failures=jnp.asarray(np.zeros(generations, np.int32)),
     )
-    draws = jax.lax.map(
-        lambda number: draw(jax.random.fold_in(moves_key, number), dimensions, config),
-        jnp.arange(generations),
-    )
-    return (init(first_key, dimensions, config), empty), draws
+    return (init(rng, dimensions, config), empty), draw(rng, dimensions, config)
 
 
 def outcome(carry: tuple[WhaleState, WhaleTrace], config: WhaleConfig) -> WhaleResult:

@@ -3,7 +3,6 @@
 from dataclasses import dataclass, field
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -36,7 +35,7 @@ class Whale(Search):
         self, problem: SearchProblem, seed: int, callback: IterationCallback | None = None
     ) -> SearchResult:
         """Search with a swarm of whales, in one compiled program."""
-        carry, draws = _begin(problem.dimensions, self.config, jax.random.key(seed))
+        carry, draws = whale.begin(problem.dimensions, self.config, seed)
         last_generation = self.config.generations
         for until in range(
             REPORT_INTERVAL if callback else last_generation,
@@ -70,5 +69,4 @@ class Whale(Search):
         )
 
 
-_begin = eqx.filter_jit(whale.begin)
 _run_until = eqx.filter_jit(whale.run_until)
